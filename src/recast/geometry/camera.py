@@ -1,0 +1,143 @@
+"""Pinhole cameras with OpenCV distortion. Camera frame: x right, y down, z forward.
+
+Pixel centres lie at +0.5: the top left pixel covers [0, 1) x [0, 1) and its centre is (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """Intrinsics of one camera.
+
+    Attributes:
+        width, height: image size in pixels.
+        fx, fy, cx, cy: focal lengths and principal point in pixels, pixel centres at +0.5.
+        distortion: OpenCV order (k1, k2, p1, p2, k3); all zero for a rectified image.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def validate(self) -> None:
+        """Raise ValueError, naming the field, where a value cannot be a camera's."""
+        if self.width <= 0 or self.height <= 0:
+            raise ValueError(f"PinholeCamera.width, height: {self.width} x {self.height}")
+        if not (self.fx > 0 and self.fy > 0):
+            raise ValueError(f"PinholeCamera.fx, fy: must be positive, got {self.fx}, {self.fy}")
+        if len(self.distortion) != 5 or not np.all(np.isfinite(self.distortion)):
+            raise ValueError(f"PinholeCamera.distortion: five numbers, got {self.distortion}")
+
+    @property
+    def matrix(self) -> Array:
+        """The 3x3 intrinsic matrix K."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def is_rectified(self) -> bool:
+        """Whether there is no distortion."""
+        return not any(self.distortion)
+
+    def rectified(self) -> PinholeCamera:
+        """The same camera without distortion: what an undistorted image has."""
+        return replace(self, distortion=(0.0,) * 5)
+
+    def resized(self, width: int, height: int) -> PinholeCamera:
+        """The camera of the image resampled to width x height."""
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=self.cx * sx,
+            cy=self.cy * sy,
+        )
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> PinholeCamera:
+        """The camera of a crop whose top left pixel is (left, top)."""
+        return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
+
+    def project(self, points: ArrayLike) -> tuple[Array, Array]:
+        """Project camera-frame points (..., 3) in metres.
+
+        Returns:
+            pixels (..., 2), meaningful where depth is positive, and depth (...) along z.
+        """
+        points = np.asarray(points, np.float64)
+        depth = points[..., 2]
+        safe = np.where(np.abs(depth) < 1e-9, 1e-9, depth)
+        normalised = points[..., :2] / safe[..., None]
+        distorted = distort(normalised, self.distortion)
+        pixels = distorted * [self.fx, self.fy] + [self.cx, self.cy]
+        return pixels, depth
+
+    def rays(self, pixels: ArrayLike) -> Array:
+        """Unit-depth directions (..., 3), z = 1, through pixels (..., 2), distortion undone."""
+        pixels = np.asarray(pixels, np.float64)
+        normalised = undistort((pixels - [self.cx, self.cy]) / [self.fx, self.fy], self.distortion)
+        return np.concatenate([normalised, np.ones((*normalised.shape[:-1], 1))], axis=-1)
+
+    def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> Array:
+        """Camera-frame points (..., 3) at pixels (..., 2) and depth (...) along z, metres."""
+        return self.rays(pixels) * np.asarray(depth, np.float64)[..., None]
+
+    def pixel_grid(self) -> Array:
+        """Pixel centres (height, width, 2)."""
+        u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
+        return np.stack([u, v], axis=-1)
+
+
+def distort(normalised: ArrayLike, distortion: ArrayLike) -> Array:
+    """OpenCV's radial-tangential model on normalised coordinates (..., 2)."""
+    xy = np.asarray(normalised, np.float64)
+    k1, k2, p1, p2, k3 = np.asarray(distortion, np.float64)
+    x, y = xy[..., 0], xy[..., 1]
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=-1,
+    )
+
+
+def undistort(distorted: ArrayLike, distortion: ArrayLike, iterations: int = 20) -> Array:
+    """Invert `distort` on normalised coordinates (..., 2) by Newton steps.
+
+    Converges for the fields of view of driving cameras; a fixed-point iteration would not at the
+    corners of wide lenses.
+    """
+    target = np.asarray(distorted, np.float64)
+    if not np.any(distortion):
+        return target.copy()
+    xy = target.copy()
+    step = 1e-6
+    for _ in range(iterations):
+        residual = distort(xy, distortion) - target
+        if np.max(np.abs(residual), initial=0.0) < 1e-12:
+            break
+        ddx = (distort(xy + [step, 0], distortion) - distort(xy - [step, 0], distortion)) / (
+            2 * step
+        )
+        ddy = (distort(xy + [0, step], distortion) - distort(xy - [0, step], distortion)) / (
+            2 * step
+        )
+        jacobian = np.stack([ddx, ddy], axis=-1)
+        xy = xy - np.linalg.solve(jacobian, residual[..., None])[..., 0]
+    return xy

@@ -1,0 +1,114 @@
+"""Polylines in the plane: arc length, projection, Frenet coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Polyline:
+    """A directed chain of straight segments.
+
+    Attributes:
+        points: (N, 2) metres, N >= 2, no two neighbours equal.
+    """
+
+    points: Array
+
+    def __post_init__(self) -> None:
+        points = np.asarray(self.points, np.float64)
+        if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
+            raise ValueError(f"Polyline.points: expected (N >= 2, 2), got {points.shape}")
+        if np.any(np.linalg.norm(np.diff(points, axis=0), axis=1) == 0.0):
+            raise ValueError("Polyline.points: two neighbours are equal")
+        object.__setattr__(self, "points", points)
+
+    @classmethod
+    def from_points(cls, points: ArrayLike, min_step: float = 1e-6) -> Polyline:
+        """Build from points (N, >=2), dropping those closer than `min_step` metres to the last kept.
+
+        Raises:
+            ValueError: fewer than two distinct points remain.
+        """
+        xy = np.asarray(points, np.float64)[:, :2]
+        kept = [0]
+        for i in range(1, len(xy)):
+            if np.hypot(*(xy[i] - xy[kept[-1]])) > min_step:
+                kept.append(i)
+        return cls(xy[kept])
+
+    @cached_property
+    def arc_lengths(self) -> Array:
+        """Arc length (N,) at each vertex, from 0."""
+        steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    @property
+    def length(self) -> float:
+        """Total length in metres."""
+        return float(self.arc_lengths[-1])
+
+    @cached_property
+    def _directions(self) -> Array:
+        steps = np.diff(self.points, axis=0)
+        unit: Array = steps / np.linalg.norm(steps, axis=1, keepdims=True)
+        return unit
+
+    def _segment(self, s: Array) -> NDArray[np.intp]:
+        index = np.searchsorted(self.arc_lengths, s, side="right") - 1
+        return np.clip(index, 0, len(self.points) - 2)
+
+    def position(self, s: ArrayLike) -> Array:
+        """Points (..., 2) at arc lengths (...), continued straight before the start and past the end.
+
+        The caller decides whether to go there: see `length`.
+        """
+        s = np.asarray(s, np.float64)
+        index = self._segment(s)
+        along = s - self.arc_lengths[index]
+        moved: Array = self.points[index] + along[..., None] * self._directions[index]
+        return moved
+
+    def heading(self, s: ArrayLike) -> Array:
+        """Tangent heading (...) in radians at arc lengths (...)."""
+        direction = self._directions[self._segment(np.asarray(s, np.float64))]
+        angle: Array = np.arctan2(direction[..., 1], direction[..., 0])
+        return angle
+
+    def to_cartesian(self, s: ArrayLike, lateral: ArrayLike) -> Array:
+        """Points (..., 2) of Frenet coordinates: s along, lateral to the left, metres."""
+        heading = self.heading(s)
+        normal = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
+        moved: Array = self.position(s) + np.asarray(lateral, np.float64)[..., None] * normal
+        return moved
+
+    def to_frenet(self, points: ArrayLike) -> tuple[Array, Array]:
+        """Frenet coordinates of points (..., 2): the nearest point of the chain.
+
+        Returns:
+            s (...), within [0, length], and the signed distance (...), positive to the left.
+        """
+        query = np.asarray(points, np.float64)
+        flat = query.reshape(-1, 2)
+        starts, directions = self.points[:-1], self._directions
+        lengths = np.diff(self.arc_lengths)
+        offset = flat[:, None, :] - starts  # (Q, N-1, 2)
+        along = np.clip(np.einsum("qnd,nd->qn", offset, directions), 0.0, lengths)
+        gap = offset - along[..., None] * directions
+        distance2 = np.einsum("qnd,qnd->qn", gap, gap)
+        best = np.argmin(distance2, axis=1)
+        rows = np.arange(len(flat))
+        cross = (
+            directions[best, 0] * offset[rows, best, 1]
+            - directions[best, 1] * offset[rows, best, 0]
+        )
+        side = np.where(cross >= 0, 1.0, -1.0)
+        s = self.arc_lengths[best] + along[rows, best]
+        lateral = side * np.sqrt(distance2[rows, best])
+        return s.reshape(query.shape[:-1]), lateral.reshape(query.shape[:-1])

@@ -1,0 +1,79 @@
+"""3D Gaussians as a struct of arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Gaussians:
+    """N anisotropic 3D Gaussians with opacity and view-dependent colour.
+
+    Attributes:
+        means: (N, 3) centres, metres.
+        quats: (N, 4) wxyz, normalised on use.
+        log_scales: (N, 3) natural log of the standard deviations along the rotated axes.
+        logit_opacities: (N,) opacity before the sigmoid.
+        sh: (N, K, 3) spherical-harmonic colour coefficients, K = (degree + 1)^2; the colour is
+            max(eval + 0.5, 0).
+    """
+
+    means: Tensor
+    quats: Tensor
+    log_scales: Tensor
+    logit_opacities: Tensor
+    sh: Tensor
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the harmonics: 0 for a colour that does not depend on the view."""
+        return int(round(self.sh.shape[1] ** 0.5)) - 1
+
+    def validate(self) -> None:
+        """Raise ValueError naming the field at fault: shape, dtype or a value that is not finite."""
+        n = self.means.shape[0]
+        expected = {
+            "means": (n, 3),
+            "quats": (n, 4),
+            "log_scales": (n, 3),
+            "logit_opacities": (n,),
+            "sh": (n, (self.sh_degree + 1) ** 2, 3),
+        }
+        for name, shape in expected.items():
+            value: Tensor = getattr(self, name)
+            if tuple(value.shape) != shape:
+                raise ValueError(f"Gaussians.{name}: shape {tuple(value.shape)}, expected {shape}")
+            if not value.is_floating_point():
+                raise ValueError(f"Gaussians.{name}: dtype {value.dtype}, expected floating point")
+            if not bool(torch.isfinite(value).all()):
+                bad = int((~torch.isfinite(value)).reshape(n, -1).any(dim=1).nonzero()[0, 0])
+                raise ValueError(f"Gaussians.{name}: row {bad} is not finite")
+        if n and bool((self.quats.norm(dim=1) == 0).any()):
+            raise ValueError("Gaussians.quats: a quaternion has norm zero")
+
+    def select(self, index: Tensor) -> Gaussians:
+        """The Gaussians at `index`: (M,) int64 or a (N,) bool mask."""
+        return replace(
+            self,
+            means=self.means[index],
+            quats=self.quats[index],
+            log_scales=self.log_scales[index],
+            logit_opacities=self.logit_opacities[index],
+            sh=self.sh[index],
+        )
+
+    def detach(self) -> Gaussians:
+        """The same values without gradient history."""
+        return Gaussians(
+            self.means.detach(),
+            self.quats.detach(),
+            self.log_scales.detach(),
+            self.logit_opacities.detach(),
+            self.sh.detach(),
+        )

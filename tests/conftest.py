@@ -1,0 +1,31 @@
+"""Fixtures for all tests: one thread, and the folder of real drives where there is one."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+import torch
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+torch.set_num_threads(1)  # two OpenMP threads on a busy machine are ten times slower than one
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder with real drives and golden vectors; tests that need it skip without it."""
+    folder = Path(os.environ.get("RECAST_SHARED", REPOSITORY.parent / "shared"))
+    if not (folder / "data").is_dir():
+        pytest.skip(f"real data not found at {folder}: set RECAST_SHARED")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def kitti_0013(shared: Path) -> Path:
+    """KITTI raw drive 2011_09_26_0013 with its tracking labels."""
+    folder = shared / "data" / "kitti_0013"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} not found")
+    return folder
