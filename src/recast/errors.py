@@ -25,5 +25,6 @@ class InputError(ValueError):
         super().__init__(f"{self.where}: {field}: {problem}; {mend}")
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
-        # Exceptions pickle through `args`, which holds the joined line: worker processes need the parts.
+        # Exceptions pickle through `args`, which holds the joined line; worker processes need the
+        # parts.
         return (InputError, (self.where, self.field, self.problem, self.mend))

@@ -1,7 +1,7 @@
 """Files and folders that are there whole or not at all.
 
-Everything is written to a temporary name beside its target and renamed, so that a crash, a kill or a
-full disk never leaves something half-written under the final name.
+Everything is written to a temporary name beside its target and renamed, so that a crash, a kill or
+a full disk never leaves something half-written under the final name.
 """
 
 from __future__ import annotations
