@@ -1,0 +1,166 @@
+"""What a closed-loop rollout leaves behind: enough for each metric and each frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+EGO_COLUMNS = (
+    "x",
+    "y",
+    "heading",
+    "vx",
+    "vy",
+    "ax",
+    "ay",
+    "steering_angle",
+    "steering_rate",
+    "angular_velocity",
+    "angular_acceleration",
+)
+"""Columns of `Rollout.ego`: rear axle; pose in the world, the rest in the ego frame, SI units."""
+
+PATH_COLUMNS = ("x", "y", "heading", "speed")
+"""Columns of `Rollout.log_ego` (rear axle) and `Rollout.actor` (box centre), world frame."""
+
+WAYPOINTS = 40
+"""Waypoints of a prediction, 0.1 s apart."""
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """One closed-loop rollout of S executed steps, with states k = 0..S and C plans.
+
+    Attributes:
+        name: of the rollout, unique within a batch.
+        method: what rendered the actor ("native", "recast", ...); the actor's states do not depend
+            on it.
+        track_id: the controlled vehicle.
+        motion, setting: as in `recast.simulation.motions`, for example "cut-in" and "a".
+        planner: the planner's name.
+        start_timestamp_us: log time of state 0.
+        dt: seconds between states.
+        steps_requested: steps that were asked for.
+        cut_reason: why `steps_run` is less, in words; None where nothing was cut.
+        ego: (S+1, 11) simulated ego, see `EGO_COLUMNS`.
+        log_ego: (S+1, 4) logged ego at the same times, see `PATH_COLUMNS`.
+        actor: (S+1, 4) controlled actor, see `PATH_COLUMNS`; speed is along its motion, >= 0.
+        world_from_rig: (S+1, 4, 4) the simulated ego in space: with height, pitch and roll.
+        world_from_actor: (S+1, 4, 4) the actor's box centre in space.
+        actor_size: (3,) length, width, height of the logged box, metres.
+        ego_size: (2,) length and width of the ego's box, metres.
+        ego_centre_offset: metres from the rear axle forward to the ego's box centre.
+        predictions: (C, 40, 3) the planner's waypoints x, y, heading in the ego frame at its
+            plan step, times 0.1 s .. 4.0 s.
+        plan_steps: (C,) int64, the step at which each plan was made.
+        route: (R, 2) the reference route: the logged ego path, smoothed, rear axle.
+        other_actors: ids of logged tracks that kept their logged motion.
+    """
+
+    name: str
+    method: str
+    track_id: str
+    motion: str
+    setting: str
+    planner: str
+    start_timestamp_us: int
+    dt: float
+    steps_requested: int
+    cut_reason: str | None
+    ego: Array
+    log_ego: Array
+    actor: Array
+    world_from_rig: Array
+    world_from_actor: Array
+    actor_size: Array
+    ego_size: Array
+    ego_centre_offset: float
+    predictions: Array
+    plan_steps: Int64Array
+    route: Array
+    other_actors: tuple[str, ...] = ()
+
+    @property
+    def steps_run(self) -> int:
+        """Executed steps S."""
+        return len(self.ego) - 1
+
+    @property
+    def ego_boxes(self) -> Array:
+        """(S+1, 3) x, y, heading of the ego's box centre."""
+        return ego_centre(self.ego[:, :3], self.ego_centre_offset)
+
+    def timestamp_us(self, step: int) -> int:
+        """Log time of state `step`."""
+        return self.start_timestamp_us + round(step * self.dt * 1e6)
+
+    def validate(self) -> None:
+        """Raise ValueError naming the field and the shape at fault."""
+        states, plans = len(self.ego), len(self.plan_steps)
+        expected: dict[str, tuple[int | None, ...]] = {
+            "ego": (states, len(EGO_COLUMNS)),
+            "log_ego": (states, len(PATH_COLUMNS)),
+            "actor": (states, len(PATH_COLUMNS)),
+            "world_from_rig": (states, 4, 4),
+            "world_from_actor": (states, 4, 4),
+            "actor_size": (3,),
+            "ego_size": (2,),
+            "predictions": (plans, WAYPOINTS, 3),
+            "plan_steps": (plans,),
+            "route": (None, 2),
+        }
+        for field, shape in expected.items():
+            value = getattr(self, field)
+            if value.ndim != len(shape) or any(
+                want is not None and have != want
+                for have, want in zip(value.shape, shape, strict=True)
+            ):
+                raise ValueError(f"Rollout.{field}: expected {shape}, got {value.shape}")
+            if not np.all(np.isfinite(value)):
+                raise ValueError(f"Rollout.{field}: holds NaN or infinity")
+        if states < 2:
+            raise ValueError(f"Rollout.ego: needs two states or more, got {states}")
+        if self.steps_run > self.steps_requested:
+            raise ValueError(
+                f"Rollout.steps_requested: {self.steps_requested}, but {self.steps_run} were run"
+            )
+        if np.any(np.diff(self.plan_steps) <= 0) or (
+            plans and not 0 <= self.plan_steps[0] <= self.plan_steps[-1] < self.steps_run
+        ):
+            raise ValueError(
+                f"Rollout.plan_steps: must increase within [0, {self.steps_run}), "
+                f"got {self.plan_steps.tolist()}"
+            )
+
+
+@dataclass(frozen=True)
+class RolloutFailure:
+    """A rollout that ended in an error: a row of the report, not the end of the batch.
+
+    Attributes:
+        name, method, track_id, motion, setting, planner: as in `Rollout`.
+        error: the exception's class.
+        reason: its message.
+    """
+
+    name: str
+    method: str
+    track_id: str
+    motion: str
+    setting: str
+    planner: str
+    error: str
+    reason: str
+
+
+def ego_centre(rear_axle: Array, offset: float) -> Array:
+    """Box-centre poses (..., 3) of rear-axle poses (..., 3), `offset` metres ahead."""
+    centre = rear_axle.copy()
+    centre[..., 0] += offset * np.cos(rear_axle[..., 2])
+    centre[..., 1] += offset * np.sin(rear_axle[..., 2])
+    return centre
