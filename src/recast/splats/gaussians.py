@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
+
+from recast.splats import sh as harmonics
+from recast.splats.rotations import matrix_to_quat, quat_multiply
 
 
 @dataclass(frozen=True)
@@ -33,10 +37,10 @@ class Gaussians:
     @property
     def sh_degree(self) -> int:
         """Degree of the harmonics: 0 for a colour that does not depend on the view."""
-        return int(round(self.sh.shape[1] ** 0.5)) - 1
+        return round(self.sh.shape[1] ** 0.5) - 1
 
     def validate(self) -> None:
-        """Raise ValueError naming the field at fault: shape, dtype or a value that is not finite."""
+        """Raise ValueError naming the field at fault: shape, dtype, a value that is not finite."""
         n = self.means.shape[0]
         expected = {
             "means": (n, 3),
@@ -77,3 +81,57 @@ class Gaussians:
             self.logit_opacities.detach(),
             self.sh.detach(),
         )
+
+    def transformed(self, world_from_local: Tensor, scale: float = 1.0) -> Gaussians:
+        """The Gaussians moved to another frame, their colours turning with them.
+
+        Args:
+            world_from_local: (4, 4) rigid transform.
+            scale: isotropic factor applied in the local frame before the transform.
+
+        Returns:
+            Gaussians with x_world = R (scale x) + t; differentiable in the Gaussians and the pose.
+
+        Raises:
+            ValueError: `world_from_local` is not rigid, or `scale` is not positive.
+        """
+        pose = world_from_local.to(self.means)
+        rotation, translation = pose[:3, :3], pose[:3, 3]
+        with torch.no_grad():
+            error = (rotation @ rotation.T - torch.eye(3, dtype=pose.dtype)).abs().max()
+            if not (error < 1e-3 and torch.linalg.det(rotation) > 0):
+                raise ValueError("Gaussians.transformed: world_from_local is not a rigid transform")
+        if not scale > 0:
+            raise ValueError(f"Gaussians.transformed: scale {scale}, expected a positive number")
+        turn = matrix_to_quat(rotation).expand_as(self.quats)
+        return Gaussians(
+            means=(self.means * scale) @ rotation.T + translation,
+            quats=quat_multiply(turn, self.quats),
+            log_scales=self.log_scales + float(torch.tensor(scale, dtype=torch.float64).log()),
+            logit_opacities=self.logit_opacities,
+            sh=harmonics.rotate(self.sh, rotation),
+        )
+
+
+def concatenate(parts: Sequence[Gaussians]) -> Gaussians:
+    """All Gaussians of `parts` in order; harmonics are padded with zeros to the largest degree.
+
+    Raises:
+        ValueError: `parts` is empty.
+    """
+    if not parts:
+        raise ValueError("concatenate: no Gaussians given")
+    width = max(part.sh.shape[1] for part in parts)
+    padded = [
+        part.sh
+        if part.sh.shape[1] == width
+        else torch.nn.functional.pad(part.sh, (0, 0, 0, width - part.sh.shape[1]))
+        for part in parts
+    ]
+    return Gaussians(
+        means=torch.cat([part.means for part in parts]),
+        quats=torch.cat([part.quats for part in parts]),
+        log_scales=torch.cat([part.log_scales for part in parts]),
+        logit_opacities=torch.cat([part.logit_opacities for part in parts]),
+        sh=torch.cat(padded),
+    )

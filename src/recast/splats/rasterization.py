@@ -1,0 +1,153 @@
+"""What `rasterize` takes and gives: the result types and the checks on its arguments."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from recast.splats.gaussians import Gaussians
+from recast.splats.sh import MAX_DEGREE
+
+ALPHA_THRESHOLD = 1.0 / 255.0
+"""A Gaussian that covers a pixel by less than this does not touch it."""
+TRANSMITTANCE_THRESHOLD = 1e-4
+"""A pixel is finished before the Gaussian that would bring its transmittance to this or below."""
+TILE = 16
+"""Edge of a tile, pixels."""
+TANGENT_MARGIN = 0.3
+"""The Jacobian is taken no farther outside the image than this part of the half field of view."""
+
+
+@dataclass
+class RasterMeta:
+    """Per-Gaussian facts of one rasterization, for densification and sparse optimisers.
+
+    Attributes:
+        visible: (N,) bool, touched the image.
+        radii: (N,) float32, half the longer edge of the bounding box, pixels, rounded up; 0 where
+            not visible.
+        means2d: (N, 2) projected centres, pixels; 0 where not visible.
+        means2d_grad: (N, 2) d loss / d means2d, per pixel; None before the backward pass.
+    """
+
+    visible: Tensor
+    radii: Tensor
+    means2d: Tensor
+    means2d_grad: Tensor | None = None
+
+
+@dataclass(frozen=True)
+class Rasterization:
+    """One rendered view.
+
+    Attributes:
+        rgb: (H, W, 3) colour, composited over the background where one is given; not clamped.
+        depth: (H, W) sum of T alpha z, metres, not divided by alpha.
+        alpha: (H, W) accumulated opacity.
+        meta: per-Gaussian facts.
+    """
+
+    rgb: Tensor
+    depth: Tensor
+    alpha: Tensor
+    meta: RasterMeta
+
+
+@dataclass(frozen=True)
+class RasterSettings:
+    """The numbers of one view besides poses and Gaussians."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+    near: float
+    far: float
+    eps2d: float
+    antialiased: bool
+    max_alpha: float
+
+
+def check_settings(
+    camera_from_world: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    background: Tensor | None,
+    near: float,
+    far: float,
+    eps2d: float,
+    antialiased: bool,
+    max_alpha: float,
+) -> RasterSettings:
+    """Check the view and gather its numbers.
+
+    Raises:
+        ValueError: names the argument at fault.
+    """
+    if tuple(camera_from_world.shape) != (4, 4):
+        raise ValueError(
+            f"rasterize: camera_from_world: shape {tuple(camera_from_world.shape)}, expected (4, 4)"
+        )
+    pose = camera_from_world.detach().double().cpu()
+    if not bool(torch.isfinite(pose).all()):
+        raise ValueError("rasterize: camera_from_world is not finite")
+    rotation = pose[:3, :3]
+    skewed = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max() > 1e-3
+    if skewed or pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+        raise ValueError("rasterize: camera_from_world is not a rigid transform")
+    if tuple(K.shape) != (3, 3):
+        raise ValueError(f"rasterize: K: shape {tuple(K.shape)}, expected (3, 3)")
+    (fx, skew, cx), (_, fy, cy) = K.detach().double().cpu()[:2].tolist()
+    if not all(math.isfinite(v) for v in (fx, fy, cx, cy)) or fx <= 0 or fy <= 0:
+        raise ValueError(
+            f"rasterize: K: focal lengths {fx}, {fy}, centre {cx}, {cy} make no camera"
+        )
+    if skew != 0:
+        raise ValueError(f"rasterize: K: skew {skew} is not supported")
+    if not (0 < width <= 65536 and 0 < height <= 65536):
+        raise ValueError(f"rasterize: image of {width}x{height} pixels")
+    if not 0 < near < far:
+        raise ValueError(f"rasterize: near {near} and far {far}, expected 0 < near < far")
+    if not (eps2d >= 0 and math.isfinite(eps2d)):
+        raise ValueError(f"rasterize: eps2d {eps2d}, expected a number >= 0")
+    if not ALPHA_THRESHOLD < max_alpha < 1:
+        raise ValueError(f"rasterize: max_alpha {max_alpha}, expected between 1/255 and 1")
+    if background is not None and tuple(background.shape) != (3,):
+        raise ValueError(f"rasterize: background: shape {tuple(background.shape)}, expected (3,)")
+    return RasterSettings(
+        fx, fy, cx, cy, int(width), int(height), near, far, eps2d, bool(antialiased), max_alpha
+    )
+
+
+def check_shapes(gaussians: Gaussians) -> None:
+    """Check shapes only: the values are checked where they are read.
+
+    Raises:
+        ValueError: names the field at fault.
+    """
+    n, k = len(gaussians), gaussians.sh.shape[1] if gaussians.sh.ndim == 3 else -1
+    if k not in {(d + 1) ** 2 for d in range(MAX_DEGREE + 1)}:
+        raise ValueError(
+            f"Gaussians.sh: shape {tuple(gaussians.sh.shape)}, expected (N, 1|4|9|16, 3)"
+        )
+    expected = {
+        "means": (n, 3),
+        "quats": (n, 4),
+        "log_scales": (n, 3),
+        "logit_opacities": (n,),
+        "sh": (n, k, 3),
+    }
+    for name, shape in expected.items():
+        value: Tensor = getattr(gaussians, name)
+        if tuple(value.shape) != shape:
+            raise ValueError(f"Gaussians.{name}: shape {tuple(value.shape)}, expected {shape}")
+        if value.dtype != gaussians.means.dtype or not value.is_floating_point():
+            raise ValueError(
+                f"Gaussians.{name}: dtype {value.dtype}, expected that of the means, floating point"
+            )

@@ -1,0 +1,62 @@
+"""`rasterize`: the one door to 3D Gaussian splatting."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from torch import Tensor
+
+from recast.splats.gaussians import Gaussians
+from recast.splats.rasterization import Rasterization, check_settings, check_shapes
+from recast.splats.reference import rasterize_reference
+
+Backend = Literal["auto", "native", "reference"]
+
+
+def rasterize(
+    gaussians: Gaussians,
+    camera_from_world: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    *,
+    background: Tensor | None = None,
+    near: float = 0.2,
+    far: float = 1e10,
+    eps2d: float = 0.3,
+    antialiased: bool = False,
+    max_alpha: float = 0.99,
+    backend: Backend = "auto",
+) -> Rasterization:
+    """Render Gaussians by sorted alpha compositing; differentiable.
+
+    Pixel centres are at +0.5. A Gaussian is drawn where its alpha is at least 1/255; a pixel stops
+    before the Gaussian that would bring its transmittance to 1e-4 or below. The gradient reaches
+    all fields of `gaussians`, `camera_from_world` and `background`; that of the pose is taken
+    through its upper 3x4 entries and is meant to be projected to the tangent of SE(3).
+
+    Args:
+        gaussians: N Gaussians in the world frame.
+        camera_from_world: (4, 4) rigid, OpenCV axes (x right, y down, z forward).
+        K: (3, 3) pinhole intrinsics in pixels, without skew. Not differentiated.
+        width: image width, pixels.
+        height: image height, pixels.
+        background: (3,) colour behind everything; black when None.
+        near: Gaussians with centres nearer than this are not drawn, metres.
+        far: likewise beyond this.
+        eps2d: variance of the low-pass filter added to every projected covariance, px^2.
+        antialiased: lower the opacity so that the filter keeps a Gaussian's integral
+            (Mip-Splatting); else the classic 3DGS behaviour.
+        max_alpha: cap on the alpha of one Gaussian (3DGS and gsplat main 0.99; gsplat 1.5.3 0.999).
+        backend: "native" the compiled kernel (float32), "reference" plain torch in the dtype of the
+            Gaussians, "auto" the kernel where it is there.
+
+    Raises:
+        ValueError: an argument is at fault: a shape, a value that is not finite, a pose that is not
+            rigid, a quaternion of norm zero.
+    """
+    settings = check_settings(
+        camera_from_world, K, width, height, background, near, far, eps2d, antialiased, max_alpha
+    )
+    check_shapes(gaussians)
+    return rasterize_reference(gaussians, camera_from_world, settings, background)
