@@ -109,14 +109,13 @@ def _jerk_matrix(count: int, kind: JerkMatrix) -> Array:
 
 
 def _solve(normal: Array, right: Array) -> Array:
-    solution: Array = np.linalg.solve(normal, right[..., None])[..., 0]
-    return solution
+    return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0], np.float64)
 
 
 def _integrate(solution: Array, dt: float) -> tuple[Array, Array]:
     """Values (..., M) and rates (..., M - 1) of solutions (initial value, rates)."""
     first, rates = solution[..., :1], solution[..., 1:]
-    values: Array = np.concatenate(
-        [first, first + np.cumsum(rates * dt, -1, dtype=np.float64)], axis=-1
-    )
+    values = np.empty_like(solution)
+    values[..., :1] = first
+    values[..., 1:] = first + np.cumsum(rates * dt, axis=-1)
     return values, rates

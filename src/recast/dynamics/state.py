@@ -77,8 +77,10 @@ def initial_state(
 ) -> Array:
     """The state (11,) of a logged trajectory at one time.
 
-    Speed is the central difference of the positions at a spacing of `dt`, taken along the heading;
-    acceleration and yaw rate likewise. Near the ends of the log the differences are one-sided.
+    A line is fitted to the speeds of the (at most) four steps of `dt` around the time, each speed
+    being the displacement along the mean heading of its step; its value and slope are speed and
+    acceleration. The yaw rate comes from the heading changes in the same way. At the ends of the
+    log the steps lie on one side.
 
     Args:
         timestamps_us: (T,) int64 microseconds, strictly increasing.
@@ -90,20 +92,24 @@ def initial_state(
     """
     times = np.asarray(timestamps_us, np.int64)
     step = round(dt * 1e6)
-    before = int(min(2, (timestamp_us - times[0]) // step))
-    after = int(min(2, (times[-1] - timestamp_us) // step))
+    before = int(np.clip((timestamp_us - times[0]) // step, 0, 2))
+    after = int(np.clip((times[-1] - timestamp_us) // step, 0, 2))
     query = timestamp_us + step * np.arange(-before, after + 1)
     matrices = se3.interpolate(times, world_from_rig, query)
     if len(query) < 2:
         raise ValueError(f"initial_state: the log holds less than {dt} s around {timestamp_us} us")
     poses = se2.from_se3(matrices)
-    headings = np.unwrap(poses[:, 2])
-    velocity = np.gradient(poses[:, :2], dt, axis=0)
-    speeds = velocity[:, 0] * np.cos(headings) + velocity[:, 1] * np.sin(headings)
-    return make_state(
-        poses[before],
-        speeds[before],
-        np.gradient(speeds, dt)[before],
-        np.gradient(headings, dt)[before],
-        vehicle,
-    )
+    turn, displacement = np.diff(np.unwrap(poses[:, 2])), np.diff(poses[:, :2], axis=0)
+    heading = poses[:-1, 2] + turn / 2
+    along = displacement[:, 0] * np.cos(heading) + displacement[:, 1] * np.sin(heading)
+    times_s = (np.arange(len(turn), dtype=np.float64) + 0.5 - before) * dt
+    speed, acceleration = _line(times_s, along / dt)
+    yaw_rate, _ = _line(times_s, turn / dt)
+    return make_state(poses[before], speed, acceleration, yaw_rate, vehicle)
+
+
+def _line(times_s: Array, values: Array) -> tuple[float, float]:
+    """Value at time 0 and slope of the least-squares line; slope 0 for a single value."""
+    offset = times_s - times_s.mean()
+    slope = float(offset @ values / (offset @ offset)) if len(values) > 1 else 0.0
+    return float(values.mean() - slope * times_s.mean()), slope
