@@ -1,0 +1,36 @@
+"""The planner seam, the reference route, and simple planners."""
+
+from recast.planning.constant_velocity import ConstantVelocity
+from recast.planning.idm_follower import IdmFollowerConfig, IdmLaneFollower
+from recast.planning.log_replay import LogReplay
+from recast.planning.registry import ENTRY_POINT_GROUP, make_planner, planner_names
+from recast.planning.route import DrivingCommand, ReferenceRoute, route_lanes
+from recast.planning.types import (
+    WAYPOINTS,
+    ActorState,
+    CameraMount,
+    Plan,
+    Planner,
+    PlannerInput,
+    PlanningContext,
+)
+
+__all__ = [
+    "ENTRY_POINT_GROUP",
+    "WAYPOINTS",
+    "ActorState",
+    "CameraMount",
+    "ConstantVelocity",
+    "DrivingCommand",
+    "IdmFollowerConfig",
+    "IdmLaneFollower",
+    "LogReplay",
+    "Plan",
+    "Planner",
+    "PlannerInput",
+    "PlanningContext",
+    "ReferenceRoute",
+    "make_planner",
+    "planner_names",
+    "route_lanes",
+]

@@ -1,0 +1,216 @@
+"""An IDM lane follower: keeps to the route, follows and brakes for what is in its corridor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.dynamics import IdmParameters, idm_acceleration
+from recast.dynamics import state as ego
+from recast.dynamics.idm import NUPLAN_PLANNER
+from recast.geometry import boxes, se2
+from recast.planning.route import ReferenceRoute, route_lanes
+from recast.planning.types import WAYPOINTS, ActorState, Plan, PlannerInput, PlanningContext
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class IdmFollowerConfig:
+    """Settings of `IdmLaneFollower`.
+
+    Attributes:
+        idm: nuPlan's planner parameters.
+        emergency_deceleration: m/s^2, used where comfortable braking would not avoid the lead.
+        min_target_speed: m/s; without a speed limit the logged speed is the target, but never less
+            than this, so that a halt in the log does not hold the ego for ever.
+        corridor_margin: metres added to the ego's width on each side.
+        lookahead: seconds for which a road user is watched to see if it enters the corridor.
+        return_time: seconds to come back to the route, at the present speed.
+    """
+
+    idm: IdmParameters = NUPLAN_PLANNER
+    emergency_deceleration: float = 7.0
+    min_target_speed: float = 3.0
+    corridor_margin: float = 0.3
+    lookahead: float = 1.5
+    return_time: float = 3.0
+
+
+@dataclass(frozen=True)
+class _Lead:
+    """A road user on the path, at the 40 steps of the plan."""
+
+    track_id: str
+    near_end: Array  # (40,) progress of its nearest point, metres from the ego's rear axle
+    inside: NDArray[np.bool_]  # (40,) it is in the corridor then, will be soon, or has been
+    speed: float  # along the route, m/s; negative when it comes towards the ego
+
+
+class IdmLaneFollower:
+    """State-conditioned: reads boxes and velocities, predicts them at constant velocity.
+
+    The path is the reference route with a quintic return to it; the speed follows the intelligent
+    driver model behind the most restrictive road user in the corridor. Where the deceleration
+    needed to stay clear exceeds the comfortable one, that deceleration is applied, as far as the
+    emergency limit allows.
+    """
+
+    name = "idm-follower"
+    needs_images = False
+
+    def __init__(self, config: IdmFollowerConfig | None = None) -> None:
+        self.config = config or IdmFollowerConfig()
+        self._context: PlanningContext | None = None
+        self._limits: tuple[tuple[float, float, float], ...] = ()
+
+    def reset(self, context: PlanningContext) -> None:
+        """Read the speed limits along the route."""
+        self._context = context
+        limits = []
+        for lane in () if context.map is None else route_lanes(context.map, context.route):
+            if lane.speed_limit is not None:
+                s, _ = context.route.project(lane.centreline)
+                limits.append((float(s.min()), float(s.max()), lane.speed_limit))
+        self._limits = tuple(limits)
+
+    def plan(self, observation: PlannerInput) -> Plan:
+        """Unroll the IDM for 4 s.
+
+        Raises:
+            RuntimeError: `reset` was not called.
+        """
+        if self._context is None:
+            raise RuntimeError("IdmLaneFollower.plan: call reset first")
+        context, state = self._context, observation.ego
+        speed = max(float(state[ego.VX]), 0.0)
+        path = _ReturnPath.from_pose(
+            context.route, state[ego.POSE], max(8.0, self.config.return_time * speed)
+        )
+        leads = [
+            lead
+            for actor in observation.actors
+            if (lead := self._watch(actor, path, context)) is not None
+        ]
+        progress, followed, hardest = self._unroll(speed, path, leads, context)
+        waypoints = se2.relative(state[ego.POSE], path.poses(progress))
+        return Plan(waypoints, {"lead": followed, "hardest_acceleration": hardest})
+
+    def _unroll(
+        self, speed: float, path: _ReturnPath, leads: list[_Lead], context: PlanningContext
+    ) -> tuple[Array, str, float]:
+        """Progress (40,) along the path, the lead that decided most, the least acceleration."""
+        progress = np.zeros(WAYPOINTS)
+        position, followed, hardest = 0.0, "", np.inf
+        for j in range(WAYPOINTS):
+            target = self._target_speed(path.start + position)
+            acceleration, who = self._acceleration(
+                speed, target, position + context.vehicle.front_length, j, leads
+            )
+            if acceleration < hardest:
+                hardest, followed = acceleration, who
+            position += speed * context.dt
+            speed = max(speed + acceleration * context.dt, 0.0)
+            progress[j] = position
+        return progress, followed, hardest
+
+    def _acceleration(
+        self, speed: float, target: float, bumper: float, step: int, leads: list[_Lead]
+    ) -> tuple[float, str]:
+        idm, best, who = self.config.idm, np.inf, ""
+        gaps = [(lead.near_end[step] - bumper, lead) for lead in leads if lead.inside[step]]
+        for gap, lead in [(np.inf, None), *gaps]:
+            lead_speed = 0.0 if lead is None else lead.speed
+            acceleration = float(idm_acceleration(speed, target, gap, lead_speed, idm))
+            needed = _needed_deceleration(speed, lead_speed, gap - idm.min_gap)
+            if needed > idm.max_deceleration:
+                acceleration = -min(needed, self.config.emergency_deceleration)
+            if acceleration < best:
+                best, who = acceleration, "" if lead is None else lead.track_id
+        return best, who
+
+    def _target_speed(self, s: float) -> float:
+        limits = [limit for start, end, limit in self._limits if start <= s <= end]
+        if limits:
+            return min(limits)
+        assert self._context is not None  # plan() has checked
+        return max(float(self._context.route.logged_speed(s)), self.config.min_target_speed)
+
+    def _watch(
+        self, actor: ActorState, path: _ReturnPath, context: PlanningContext
+    ) -> _Lead | None:
+        """The actor as a lead, or None where it is behind or never comes near the corridor."""
+        centre = float(path.route.project(actor.pose)[0])
+        if centre - path.start < context.vehicle.centre_offset:
+            return None  # beside or behind: keeping clear is up to the one behind
+        heading = float(path.route.heading(centre))
+        along, across = se2.relative([0.0, 0.0, heading], [*actor.velocity, 0.0])[:2]
+        # Constant velocity in route coordinates, so that a lead in a bend stays on its lane.
+        watched = round(self.config.lookahead / context.dt)
+        times = context.dt * np.arange(WAYPOINTS + watched)[:, None]
+        s, lateral = path.route.project(boxes.bev_corners(actor.pose, *actor.size[:2]))
+        progress = s - path.start + along * times  # (T, 4 corners)
+        offset = lateral + across * times - path.lateral(progress)
+        half = context.vehicle.width / 2 + self.config.corridor_margin
+        touching = (offset.min(axis=1) <= half) & (offset.max(axis=1) >= -half)
+        soon = np.array([touching[j : j + watched + 1].any() for j in range(WAYPOINTS)])
+        # At constant velocity a cut-in would slide out on the other side: it is taken to stay.
+        inside = np.logical_or.accumulate(soon)
+        if not inside[-1]:
+            return None
+        return _Lead(actor.track_id, progress.min(axis=1)[:WAYPOINTS], inside, float(along))
+
+
+@dataclass(frozen=True)
+class _ReturnPath:
+    """The route from the ego's pose on, with a lateral offset that fades out.
+
+    The offset is a quintic over `distance` that starts with the ego's offset and slope and ends at
+    zero with zero slope and curvature.
+    """
+
+    route: ReferenceRoute
+    start: float
+    offset: float
+    slope: float
+    distance: float
+
+    @classmethod
+    def from_pose(cls, route: ReferenceRoute, pose: Array, distance: float) -> _ReturnPath:
+        s, lateral = (float(value) for value in route.project(pose))
+        turn = float(se2.wrap_angle(pose[2] - route.heading(s)))
+        return cls(route, s, lateral, float(np.tan(np.clip(turn, -1.0, 1.0))), distance)
+
+    def lateral(self, progress: Array) -> Array:
+        """Offset from the route (...) at progress (...) metres beyond the start."""
+        u = np.clip(progress / self.distance, 0.0, 1.0)
+        fade = 1 - u**3 * (10 - 15 * u + 6 * u**2)
+        lean = u - u**3 * (6 - 8 * u + 3 * u**2)
+        faded: Array = self.offset * fade + self.slope * self.distance * lean
+        return faded
+
+    def poses(self, progress: Array) -> Array:
+        """World poses (..., 3) of the rear axle at progress (...)."""
+        u = np.clip(progress / self.distance, 0.0, 1.0)
+        fade_rate = -(u**2) * (30 - 60 * u + 30 * u**2) / self.distance
+        lean_rate = 1 - u**2 * (18 - 32 * u + 15 * u**2)
+        slope = self.offset * fade_rate + self.slope * lean_rate
+        poses = self.route.pose(self.start + progress, self.lateral(progress))
+        poses[..., 2] = se2.wrap_angle(poses[..., 2] + np.arctan(slope))
+        return poses
+
+
+def _needed_deceleration(speed: float, lead_speed: float, gap: float) -> float:
+    """Constant deceleration in m/s^2 that just stays clear of a lead at constant speed.
+
+    Behind a lead that drives on: (v - v_lead)^2 / (2 gap). Towards one that comes closer, the ego
+    must stand before they meet: (v^2 / 2 + v |v_lead|) / gap.
+    """
+    if speed <= max(lead_speed, 0.0):
+        return 0.0
+    gap = max(gap, 0.1)
+    if lead_speed >= 0.0:
+        return (speed - lead_speed) ** 2 / (2 * gap)
+    return (speed**2 / 2 - speed * lead_speed) / gap

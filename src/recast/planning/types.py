@@ -1,0 +1,145 @@
+"""The seam between the simulator and the planner under test."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.dynamics import PACIFICA, VehicleParameters
+from recast.geometry import PinholeCamera
+from recast.logs.hdmap import HdMap
+from recast.logs.types import Trajectory
+from recast.planning.route import DrivingCommand, ReferenceRoute
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+WAYPOINTS = 40
+"""Waypoints of a plan: 0.1 s .. 4.0 s ahead."""
+
+
+@dataclass(frozen=True)
+class CameraMount:
+    """A camera as the planner sees it: intrinsics of the images it gets, and where it sits.
+
+    Attributes:
+        camera: rectified, at the size of the rendered images.
+        rig_from_camera: (4, 4) OpenCV camera frame to rig.
+    """
+
+    camera: PinholeCamera
+    rig_from_camera: Array
+
+
+@dataclass(frozen=True)
+class PlanningContext:
+    """What stays the same during a rollout; given to `Planner.reset`.
+
+    Attributes:
+        route: where to go: the logged ego path, for the rear axle.
+        log: the recorded ego drive. Only planners that replay it, or that need a usual speed,
+            should look at it.
+        map: lanes and drivable area, or None.
+        vehicle: the ego's outline.
+        cameras: by name, what `PlannerInput.images` will hold; empty without images.
+        dt: seconds between waypoints.
+        plan_every: steps of `dt` between two calls of `plan`.
+    """
+
+    route: ReferenceRoute
+    log: Trajectory
+    map: HdMap | None = None
+    vehicle: VehicleParameters = PACIFICA
+    cameras: Mapping[str, CameraMount] = field(default_factory=dict)
+    dt: float = 0.1
+    plan_every: int = 5
+
+
+@dataclass(frozen=True)
+class ActorState:
+    """One other road user now.
+
+    Attributes:
+        track_id: its id in the log.
+        category: as in `Track.category`.
+        pose: (3,) x, y, heading of the box centre, world.
+        velocity: (2,) m/s, world; need not point along the heading.
+        size: (3,) length, width, height in metres.
+    """
+
+    track_id: str
+    category: str
+    pose: Array
+    velocity: Array
+    size: Array
+
+
+@dataclass(frozen=True)
+class PlannerInput:
+    """What the planner sees at one cycle.
+
+    Attributes:
+        step: simulation step, 0 at the start of the rollout.
+        timestamp_us: log time of the step.
+        ego: (11,) current ego state, columns of `recast.dynamics.state`.
+        ego_history: (H, 11) past states `dt` apart, oldest first, the current one last; up to 2 s.
+            States before the rollout's start are the log's.
+        actors: the other road users.
+        command: where the route leads.
+        images: rendered camera images (H, W, 3) uint8 RGB by name; empty unless the planner has
+            `needs_images`.
+    """
+
+    step: int
+    timestamp_us: int
+    ego: Array
+    ego_history: Array
+    actors: tuple[ActorState, ...]
+    command: DrivingCommand
+    images: Mapping[str, Image] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A planner's answer.
+
+    Attributes:
+        waypoints: (40, 3) x, y, heading of the rear axle in the current ego frame, at 0.1 s .. 4 s.
+        info: anything worth keeping beside it, for debugging.
+    """
+
+    waypoints: Array
+    info: Mapping[str, float | str] = field(default_factory=dict)
+
+    def validate(self) -> None:
+        """Raise ValueError naming what is wrong with the waypoints."""
+        shape = np.shape(self.waypoints)
+        if shape != (WAYPOINTS, 3):
+            raise ValueError(f"Plan.waypoints: expected ({WAYPOINTS}, 3), got {shape}")
+        bad = ~np.isfinite(np.asarray(self.waypoints, np.float64)).all(axis=1)
+        if bad.any():
+            raise ValueError(f"Plan.waypoints: NaN or infinity at waypoint {int(np.argmax(bad))}")
+
+
+@runtime_checkable
+class Planner(Protocol):
+    """Drives the ego. One instance may drive many rollouts, one after the other.
+
+    Attributes:
+        name: for tables and file names.
+        needs_images: whether `PlannerInput.images` must be filled; rendering costs far more than
+            anything else, so planners that read states say False.
+    """
+
+    name: str
+    needs_images: bool
+
+    def reset(self, context: PlanningContext) -> None:
+        """Forget the last rollout and prepare for the next."""
+
+    def plan(self, observation: PlannerInput) -> Plan:
+        """Plan the next 4 s from what is seen now."""
