@@ -1,0 +1,145 @@
+"""A picture of the ground plane seen from above, drawn in metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image as PilImage
+from PIL import ImageDraw, ImageFont
+
+from recast.reporting.palette import GROUND, TEXT, Colour
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_SHIFT = 4  # cv2 draws at 1/16 pixel
+_FAR = 1e5  # pixels; keeps far-away points within cv2's fixed-point range
+
+
+@dataclass(frozen=True)
+class View:
+    """Where an orthographic picture looks.
+
+    Attributes:
+        centre: (2,) world point in the picture's middle, metres.
+        heading: world direction, radians, that points to the right in the picture.
+        scale: pixels a metre.
+        width, height: pixels.
+    """
+
+    centre: Array
+    heading: float
+    scale: float
+    width: int
+    height: int
+
+    def pixels(self, points: ArrayLike) -> Array:
+        """Pixel coordinates (..., 2) of world points (..., >=2); pixel centres at +0.5."""
+        offset = np.asarray(points, np.float64)[..., :2] - self.centre
+        cos, sin = np.cos(self.heading), np.sin(self.heading)
+        right = cos * offset[..., 0] + sin * offset[..., 1]
+        up = -sin * offset[..., 0] + cos * offset[..., 1]
+        return np.stack(
+            [self.width / 2 + self.scale * right, self.height / 2 - self.scale * up], axis=-1
+        )
+
+    def world(self, pixels: ArrayLike) -> Array:
+        """World points (..., 2) of pixel coordinates (..., 2)."""
+        offset = np.asarray(pixels, np.float64) - (self.width / 2, self.height / 2)
+        right, up = offset[..., 0] / self.scale, -offset[..., 1] / self.scale
+        cos, sin = np.cos(self.heading), np.sin(self.heading)
+        return self.centre + np.stack([cos * right - sin * up, sin * right + cos * up], axis=-1)
+
+    @property
+    def footprint(self) -> Array:
+        """(4, 2) world corners of the picture."""
+        return self.world([[0, 0], [self.width, 0], [self.width, self.height], [0, self.height]])
+
+
+class Canvas:
+    """An RGB picture to draw on in world coordinates.
+
+    Attributes:
+        image: (height, width, 3) uint8, drawn in place.
+    """
+
+    def __init__(self, view: View, ground: Colour = GROUND) -> None:
+        self.view = view
+        self.image: Image = np.full((view.height, view.width, 3), ground, np.uint8)
+
+    def polygon(self, points: ArrayLike, fill: Colour) -> None:
+        """Fill the outline (N, 2)."""
+        cv2.fillPoly(self.image, [self._fixed(points)], fill, cv2.LINE_AA, _SHIFT)
+
+    def line(
+        self, points: ArrayLike, colour: Colour, width: int = 1, *, closed: bool = False
+    ) -> None:
+        """Draw the chain (N, 2), `width` pixels wide."""
+        cv2.polylines(self.image, [self._fixed(points)], closed, colour, width, cv2.LINE_AA, _SHIFT)
+
+    def dashes(self, points: ArrayLike, colour: Colour, width: int = 1, dash: float = 1.5) -> None:
+        """Draw the chain (N, 2) as dashes of `dash` metres with gaps of the same length."""
+        for piece in _dashes(np.asarray(points, np.float64)[:, :2], dash):
+            self.line(piece, colour, width)
+
+    def dots(self, points: ArrayLike, colour: Colour, radius: float = 2.0) -> None:
+        """Draw discs of `radius` pixels at points (N, 2)."""
+        size = round(radius * (1 << _SHIFT))
+        for x, y in self._fixed(points):
+            cv2.circle(self.image, (int(x), int(y)), size, colour, -1, cv2.LINE_AA, _SHIFT)
+
+    def text(
+        self,
+        pixel: tuple[float, float],
+        content: str,
+        colour: Colour = TEXT,
+        size: int = 14,
+        anchor: str = "la",
+    ) -> int:
+        """Write at a pixel, `anchor` as in Pillow ("la": left, ascender); return the width."""
+        font = _font(size)
+        left, top, right, bottom = (int(v) for v in font.getbbox(content, anchor=anchor))
+        # Draw only the patch under the text: converting the whole picture for each word is slow.
+        x0, y0 = int(pixel[0]) + left - 1, int(pixel[1]) + top - 1
+        x1, y1 = int(pixel[0]) + right + 2, int(pixel[1]) + bottom + 2
+        x0, y0 = max(x0, 0), max(y0, 0)
+        x1, y1 = min(x1, self.view.width), min(y1, self.view.height)
+        if x0 >= x1 or y0 >= y1:
+            return right - left
+        patch = PilImage.fromarray(self.image[y0:y1, x0:x1])
+        ImageDraw.Draw(patch).text(
+            (int(pixel[0]) - x0, int(pixel[1]) - y0), content, colour, font, anchor=anchor
+        )
+        self.image[y0:y1, x0:x1] = np.asarray(patch)
+        return right - left
+
+    def _fixed(self, points: ArrayLike) -> NDArray[np.int32]:
+        # cv2 counts from pixel centres, the view from pixel corners.
+        pixels = np.clip(self.view.pixels(points) - 0.5, -_FAR, _FAR)
+        fixed: NDArray[np.int32] = np.rint(pixels * (1 << _SHIFT)).astype(np.int32)
+        return fixed
+
+
+@cache
+def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    return ImageFont.load_default(size)
+
+
+def _dashes(points: Array, dash: float) -> list[Array]:
+    """Every other piece of `dash` metres of the chain (N, 2), bends kept."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    pieces = []
+    for start in np.arange(0.0, along[-1], 2 * dash):
+        end = min(start + dash, along[-1])
+        inner = points[(along > start) & (along < end)]
+        ends = [
+            np.array([np.interp(s, along, points[:, 0]), np.interp(s, along, points[:, 1])])
+            for s in (start, end)
+        ]
+        pieces.append(np.vstack([ends[0][None], inner, ends[1][None]]))
+    return pieces

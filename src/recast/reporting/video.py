@@ -1,0 +1,235 @@
+"""H.264 films in MP4: written whole or not at all, the same frames giving the same bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+
+import av
+import cv2
+import numpy as np
+from av.video.reformatter import Colorspace
+from numpy.typing import NDArray
+from PIL import Image as PilImage
+from PIL import ImageDraw, ImageFont
+
+from recast.errors import InputError
+from recast.storage import atomic_file
+
+Frame = NDArray[np.uint8]
+
+_BT709 = 1  # code point shared by primaries, transfer and matrix in ITU-T H.273
+_LIMITED_RANGE = 1
+_LABEL_HEIGHT = 28
+_LABEL_BACKGROUND = (24, 27, 33)
+_LABEL_TEXT = (236, 239, 244)
+_GAP = 4  # between the two halves of a side-by-side film, pixels
+
+
+class VideoWriter:
+    """Write uint8 RGB frames to an MP4 that any browser plays.
+
+    libx264, yuv420p, BT.709, one thread and no time or version stamps, so that equal frames give
+    equal bytes. yuv420p needs even sizes: an odd last row or column is doubled. The file appears
+    under its name when the `with` block ends without an error, and not at all otherwise.
+
+    Args:
+        path: the .mp4 to write.
+        fps: frames per second; 10 for rollouts of 0.1 s steps.
+        crf: constant rate factor, 0 (lossless) to 51; 18 is hard to tell from the source.
+    """
+
+    def __init__(self, path: str | Path, fps: float = 10.0, crf: int = 18) -> None:
+        self.path = Path(path)
+        self.fps = Fraction(fps).limit_denominator(1000)
+        self.crf = crf
+        self._shape: tuple[int, ...] | None = None
+        self._frames = 0
+        self._stack = ExitStack()
+
+    def __enter__(self) -> VideoWriter:
+        partial = self._stack.enter_context(atomic_file(self.path))
+        self._container = self._stack.enter_context(
+            av.open(
+                str(partial),
+                "w",
+                format="mp4",
+                options={"fflags": "+bitexact", "movflags": "+faststart"},
+            )
+        )
+        return self
+
+    def add(self, frame: Frame) -> None:
+        """Append one frame (H, W, 3) uint8 RGB.
+
+        Raises:
+            ValueError: not such an array, or of another size than the first frame.
+        """
+        if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
+            raise ValueError(f"frame: expected (H, W, 3) uint8, got {frame.shape} {frame.dtype}")
+        if self._shape is None:
+            self._shape = frame.shape
+            self._open_stream(
+                frame.shape[1] + frame.shape[1] % 2, frame.shape[0] + frame.shape[0] % 2
+            )
+        elif frame.shape != self._shape:
+            raise ValueError(f"frame: shape {frame.shape}, the first one had {self._shape}")
+        picture = av.VideoFrame.from_ndarray(_even(frame), format="rgb24").reformat(
+            format="yuv420p", dst_colorspace=Colorspace.ITU709
+        )
+        picture.pts = self._frames
+        picture.time_base = 1 / self.fps
+        self._frames += 1
+        self._container.mux(self._stream.encode(picture))
+
+    def _open_stream(self, width: int, height: int) -> None:
+        self._stream = self._container.add_stream("libx264", rate=self.fps)
+        self._stream.width, self._stream.height = width, height
+        self._stream.pix_fmt = "yuv420p"
+        self._stream.time_base = 1 / self.fps
+        self._stream.options = {
+            "crf": str(self.crf),
+            "preset": "medium",
+            "threads": "1",
+            # A key frame every second: scrubbing decodes at most that much.
+            "g": str(max(1, round(self.fps))),
+        }
+        context = self._stream.codec_context
+        context.thread_count = 1
+        context.flags |= av.codec.context.Flags.bitexact
+        context.colorspace = context.color_primaries = context.color_trc = _BT709
+        context.color_range = _LIMITED_RANGE
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        try:
+            if kind is None:
+                if self._frames == 0:
+                    raise ValueError(f"{self.path}: a film needs at least one frame")
+                self._container.mux(self._stream.encode(None))
+        except BaseException as failure:
+            self._stack.__exit__(type(failure), failure, failure.__traceback__)
+            raise
+        self._stack.__exit__(kind, error, traceback)
+
+
+def write_video(path: str | Path, frames: Iterable[Frame], fps: float = 10.0) -> None:
+    """Write frames (H, W, 3) uint8 RGB to an MP4; see `VideoWriter`."""
+    with VideoWriter(path, fps) as writer:
+        for frame in frames:
+            writer.add(frame)
+
+
+def iterate_video(path: str | Path) -> Iterator[Frame]:
+    """Decode a film frame by frame: (H, W, 3) uint8 RGB.
+
+    Raises:
+        InputError: the file is missing or is no film.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "file", "is missing", "check the path")
+    try:
+        with av.open(str(path)) as container:
+            for frame in container.decode(video=0):
+                yield np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+    except (av.error.FFmpegError, IndexError) as error:
+        raise InputError(
+            path, "film", f"cannot be decoded ({error})", "write the film anew"
+        ) from error
+
+
+def read_video(path: str | Path) -> tuple[NDArray[np.uint8], float]:
+    """Decode a whole film: frames (F, H, W, 3) uint8 RGB and frames per second.
+
+    Raises:
+        InputError: the file is missing or is no film.
+    """
+    frames = np.stack(list(iterate_video(path)))
+    return frames, video_fps(path)
+
+
+def video_fps(path: str | Path) -> float:
+    """Frames per second of a film.
+
+    Raises:
+        InputError: the film does not say.
+    """
+    with av.open(str(path)) as container:
+        rate = container.streams.video[0].average_rate
+    if rate is None:
+        raise InputError(path, "frame rate", "is not given", "write the film anew")
+    return float(rate)
+
+
+def side_by_side(
+    left: str | Path, right: str | Path, out: str | Path, labels: tuple[str, str]
+) -> None:
+    """Join two films into one, each under its label.
+
+    The right one is scaled to the height of the left one. Where one ends first, its last frame
+    stays, and its label says so.
+
+    Raises:
+        InputError: a film is missing or broken, or the two run at different rates.
+    """
+    halves = [iterate_video(left), iterate_video(right)]
+    current = [next(half) for half in halves]
+    fps = _common_fps(left, right)
+    ended = [False, False]
+    height = current[0].shape[0]
+    with VideoWriter(out, fps) as writer:
+        while not all(ended):
+            columns = [
+                _labelled(_to_height(frame, height), label, done)
+                for frame, label, done in zip(current, labels, ended, strict=True)
+            ]
+            bar = np.zeros((columns[0].shape[0], _GAP, 3), np.uint8)
+            writer.add(np.concatenate([columns[0], bar, columns[1]], axis=1))
+            for i, half in enumerate(halves):
+                following = next(half, None)
+                ended[i] = following is None
+                current[i] = current[i] if following is None else following
+
+
+def _common_fps(left: str | Path, right: str | Path) -> float:
+    rates = video_fps(left), video_fps(right)
+    if rates[0] != rates[1]:
+        raise InputError(
+            right,
+            "frame rate",
+            f"is {rates[1]:g}, the other film's {rates[0]:g}",
+            "render both alike",
+        )
+    return rates[0]
+
+
+def _even(frame: Frame) -> Frame:
+    height, width = frame.shape[:2]
+    if height % 2 or width % 2:
+        frame = np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+    return np.ascontiguousarray(frame)
+
+
+def _to_height(frame: Frame, height: int) -> Frame:
+    if frame.shape[0] == height:
+        return frame
+    width = round(frame.shape[1] * height / frame.shape[0])
+    scaled = cv2.resize(frame, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(scaled, np.uint8)
+
+
+def _labelled(frame: Frame, label: str, ended: bool) -> Frame:
+    strip = PilImage.new("RGB", (frame.shape[1], _LABEL_HEIGHT), _LABEL_BACKGROUND)
+    text = f"{label} (ended)" if ended else label
+    ImageDraw.Draw(strip).text(
+        (10, _LABEL_HEIGHT // 2), text, _LABEL_TEXT, ImageFont.load_default(15), anchor="lm"
+    )
+    return np.concatenate([np.asarray(strip), frame], axis=0)
