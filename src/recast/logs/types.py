@@ -1,14 +1,14 @@
 """A recorded drive as data: cameras, LiDAR, ego trajectory, tracks, map.
 
-World frame: z up, metres, origin near the first ego pose. Rig frame: x forward, y left, z up, origin
-at the rear axle on the ground. Timestamps are integer microseconds.
+World frame: z up, metres, origin near the first ego pose. Rig frame: x forward, y left, z up,
+origin at the rear axle on the ground. Timestamps are integer microseconds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +31,14 @@ class ImageSource(Protocol):
 
     def __getitem__(self, index: int, /) -> Image:
         """Decode frame `index`."""
+
+
+@runtime_checkable
+class EncodedImageSource(ImageSource, Protocol):
+    """Frames that exist as files already: the store keeps their bytes instead of encoding anew."""
+
+    def encoded(self, index: int) -> tuple[bytes, str]:
+        """The bytes of frame `index` and their format, "png" or "jpeg"."""
 
 
 class SweepSource(Protocol):
@@ -70,13 +78,16 @@ class LidarSweep:
 
     Attributes:
         timestamp_us: time the points are referred to.
-        points: (N, 3) float32 metres, rig frame at that time.
-        intensity: (N,) float32.
+        points: (N, 3) float32 metres, rig frame at that time (ego motion during the turn undone).
+        intensity: (N,) float32 in [0, 1].
+        point_timestamps_us: (N,) int64, when each point was measured; None where all were measured
+            (or are taken to have been measured) at `timestamp_us`.
     """
 
     timestamp_us: int
     points: Float32Array
     intensity: Float32Array
+    point_timestamps_us: Int64Array | None = None
 
 
 @dataclass(frozen=True)
@@ -122,7 +133,8 @@ class Track:
 
     Attributes:
         track_id: unique in the log.
-        category: "car", "van", "truck", "bus", "pedestrian", "cyclist", "tram", "misc" (lower case).
+        category: lower case, one of "car", "van", "truck", "bus", "pedestrian", "cyclist", "tram",
+            "misc".
         size: (3,) length, width, height in metres.
         trajectory: `world_from_object`, origin at the box centre, x forward.
     """
@@ -140,7 +152,7 @@ class DrivingLog:
     Attributes:
         name: for people.
         cameras, lidars, tracks: by name or id.
-        world_from_rig: ego trajectory; covers every camera and LiDAR timestamp.
+        world_from_rig: ego trajectory; covers every camera, LiDAR and track timestamp.
         map: lanes and drivable area, or None.
         world_offset: (3,) float64, dataset coordinates = world coordinates + offset.
         metadata: source dataset, licence and the like, plain strings.
@@ -188,6 +200,7 @@ class DrivingLog:
             if track.size.shape != (3,) or not np.all(track.size > 0):
                 raise ValueError(f"{where}.size: three positive metres, got {track.size}")
             _check_trajectory(where, track.trajectory)
+            self._check_covered(f"{where}.timestamps_us", track.trajectory.timestamps_us)
 
     def _check_covered(self, where: str, timestamps_us: Int64Array) -> None:
         first, last = self.world_from_rig.timestamps_us[[0, -1]]

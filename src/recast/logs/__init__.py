@@ -1,0 +1,26 @@
+"""Driving logs: the data, the store, importers, and what can be derived from a drive."""
+
+from recast.logs.hdmap import GroundHeight, HdMap, Lane
+from recast.logs.store import read_log, write_log
+from recast.logs.types import (
+    CameraStream,
+    DrivingLog,
+    LidarStream,
+    LidarSweep,
+    Track,
+    Trajectory,
+)
+
+__all__ = [
+    "CameraStream",
+    "DrivingLog",
+    "GroundHeight",
+    "HdMap",
+    "Lane",
+    "LidarStream",
+    "LidarSweep",
+    "Track",
+    "Trajectory",
+    "read_log",
+    "write_log",
+]

@@ -1,0 +1,180 @@
+"""KITTI raw: one synchronised and rectified drive into a log folder.
+
+Sensors keep their own timestamps. Boxes were drawn on velodyne sweeps, so a box of frame i stands
+at the time of sweep i. Sweeps as recorded are smeared by the ego motion of one turn; every point
+gets the time at which the scanner pointed at it and the motion is undone (docs/data.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from recast.errors import InputError
+from recast.geometry import se3
+from recast.logs.importers import kitti_files
+from recast.logs.importers.kitti_calibration import KittiCalibration, read_calibration
+from recast.logs.importers.kitti_check import check_labels_fit
+from recast.logs.importers.kitti_files import KittiDrive, KittiImages, SensorFiles
+from recast.logs.importers.kitti_labels import read_tracking_labels, read_tracklets
+from recast.logs.importers.kitti_oxts import extended, poses_from_oxts, read_oxts
+from recast.logs.importers.kitti_velodyne import VelodyneSweeps, VelodyneTurns, list_turns
+from recast.logs.store import write_log
+from recast.logs.types import (
+    Array,
+    CameraStream,
+    DrivingLog,
+    Int64Array,
+    LidarStream,
+    Track,
+    Trajectory,
+)
+
+VELODYNE = "velodyne"
+LICENCE = "CC BY-NC-SA 3.0"
+
+
+def import_kitti(
+    root: Path,
+    drive: str,
+    out: Path,
+    labels: Path | None = None,
+    cameras: Sequence[str] = ("image_02",),
+) -> None:
+    """Import one KITTI raw drive into the new log folder `out`.
+
+    Args:
+        root: folder that holds the day folders ("2011_09_26").
+        drive: "2011_09_26_drive_0013", with or without "_sync".
+        out: log folder to write; it appears whole or not at all.
+        labels: a KITTI tracking label file (.txt) or tracklet_labels.xml; without one, the drive's
+            own tracklet_labels.xml is taken where it exists.
+        cameras: image folders to take.
+
+    Raises:
+        InputError: files are missing, broken or do not belong together; nothing is written then.
+    """
+    write_log(load_kitti(root, drive, labels, cameras), out)
+
+
+def load_kitti(
+    root: Path,
+    drive: str,
+    labels: Path | None = None,
+    cameras: Sequence[str] = ("image_02",),
+) -> DrivingLog:
+    """Read a KITTI raw drive as a log; images and sweeps stay in its files until asked for.
+
+    Raises:
+        InputError: see `import_kitti`.
+    """
+    files = kitti_files.find_drive(Path(root), drive)
+    calibration = read_calibration(files.calibration, tuple(cameras))
+    images = {name: _image_files(files, name) for name in cameras}
+    turns = list_turns(files.folder / "velodyne_points")
+    covered = (
+        min(turns.start_us[0], *(listed.timestamps_us[0] for listed in images.values())),
+        max(turns.end_us[-1], *(listed.timestamps_us[-1] for listed in images.values())),
+    )
+    trajectory, offset = _ego(files, calibration, covered)
+    log = DrivingLog(
+        name=files.name,
+        cameras={
+            name: _camera(name, calibration, listed, trajectory) for name, listed in images.items()
+        },
+        lidars={VELODYNE: _lidar(calibration, turns, trajectory)},
+        world_from_rig=trajectory,
+        tracks={},
+        world_offset=offset,
+        metadata={"dataset": "KITTI raw", "drive": files.name, "licence": LICENCE},
+    )
+    own = files.folder / "tracklet_labels.xml"
+    chosen = Path(labels) if labels is not None else own if own.is_file() else None
+    if chosen is None:
+        return log
+    times = kitti_files.read_timestamps(files.folder / "velodyne_points" / "timestamps.txt")
+    tracks = _tracks(chosen, times, calibration, trajectory)
+    check_labels_fit(log, tracks, chosen)
+    return replace(log, tracks=tracks)
+
+
+def _image_files(files: KittiDrive, name: str) -> SensorFiles:
+    folder = files.folder / name
+    if not folder.is_dir():
+        found = ", ".join(sorted(path.name for path in files.folder.glob("image_0?")))
+        raise InputError(files.folder, name, "no such camera", f"choose from: {found or 'none'}")
+    return kitti_files.list_frames(folder, ".png")
+
+
+def _ego(
+    files: KittiDrive, calibration: KittiCalibration, covered: tuple[int, int]
+) -> tuple[Trajectory, Array]:
+    """The ego trajectory (of the rig frame, near the origin) and the offset taken off it."""
+    listed = kitti_files.list_frames(files.folder / "oxts", ".txt")
+    world_from_imu = poses_from_oxts(read_oxts(listed))
+    poses = world_from_imu @ se3.inverse(calibration.rig_from_imu)
+    offset = poses[0, :3, 3].copy()
+    poses[:, :3, 3] -= offset
+    return extended(Trajectory(listed.timestamps_us, poses), *covered), offset
+
+
+def _camera(
+    name: str, calibration: KittiCalibration, listed: SensorFiles, trajectory: Trajectory
+) -> CameraStream:
+    camera = calibration.cameras[name]
+    kept = [i for i, time in enumerate(listed.timestamps_us) if trajectory.covers(int(time))]
+    return CameraStream(
+        name=name,
+        camera=camera,
+        rig_from_camera=calibration.rig_from_camera[name],
+        timestamps_us=listed.timestamps_us[kept],
+        images=KittiImages(tuple(listed.paths[i] for i in kept), camera.width, camera.height),
+    )
+
+
+def _lidar(
+    calibration: KittiCalibration, turns: VelodyneTurns, trajectory: Trajectory
+) -> LidarStream:
+    kept = [
+        i
+        for i in range(len(turns.paths))
+        if trajectory.covers(int(turns.start_us[i])) and trajectory.covers(int(turns.end_us[i]))
+    ]
+    kept_turns = turns.select(kept)
+    mount = calibration.rig_from_velodyne
+    return LidarStream(
+        VELODYNE, mount, kept_turns.trigger_us, VelodyneSweeps(kept_turns, mount, trajectory)
+    )
+
+
+def _tracks(
+    path: Path, times: Int64Array, calibration: KittiCalibration, trajectory: Trajectory
+) -> dict[str, Track]:
+    """Labelled boxes in the world: a box of frame i stands at the time of sweep i."""
+    if path.suffix == ".xml":
+        labelled, rig_from_sensor = read_tracklets(path), calibration.rig_from_velodyne
+    else:
+        labelled, rig_from_sensor = read_tracking_labels(path), calibration.rig_from_rectified
+    tracks = {}
+    for track in labelled:
+        if track.frames[-1] >= len(times):
+            raise InputError(
+                path,
+                f"track {track.track_id}",
+                f"frame {track.frames[-1]}, but the drive has {len(times)} frames",
+                "name the label file of this drive",
+            )
+        stamps = times[track.frames]
+        first, last = trajectory.timestamps_us[[0, -1]]
+        inside = (first <= stamps) & (stamps <= last)
+        if not np.any(inside):
+            continue
+        stamps = stamps[inside]
+        poses = trajectory.at(stamps) @ rig_from_sensor @ track.sensor_from_box[inside]
+        tracks[track.track_id] = Track(
+            track.track_id, track.category, track.size, Trajectory(stamps, poses)
+        )
+    return tracks

@@ -1,0 +1,116 @@
+"""KITTI raw calibration files and the mounting of the sensors on the car.
+
+Source: Geiger et al., "Vision meets Robotics: The KITTI Dataset" (IJRR 2013), section 3, figure 3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from recast.errors import InputError
+from recast.geometry import PinholeCamera, se3
+from recast.logs.types import Array
+
+# The GPS/IMU sits 0.93 m above the ground, 0.05 m behind the rear axle and 0.32 m left of the
+# velodyne, which stands on the car's centre line (figure 3, and T of calib_imu_to_velo.txt).
+IMU_HEIGHT = 0.93
+IMU_BEHIND_REAR_AXLE = 0.05
+
+
+@dataclass(frozen=True)
+class KittiCalibration:
+    """Where the sensors sit on the car.
+
+    Attributes:
+        rig_from_imu, rig_from_velodyne, rig_from_rectified: (4, 4); "rectified" is the rectified
+            frame of camera 0, in which tracking labels are given.
+        cameras: intrinsics of the rectified images by name ("image_02").
+        rig_from_camera: (4, 4) by name.
+    """
+
+    rig_from_imu: Array
+    rig_from_velodyne: Array
+    rig_from_rectified: Array
+    cameras: dict[str, PinholeCamera]
+    rig_from_camera: dict[str, Array]
+
+
+def read_calibration(folder: Path, cameras: tuple[str, ...]) -> KittiCalibration:
+    """Read calib_cam_to_cam.txt, calib_velo_to_cam.txt and calib_imu_to_velo.txt.
+
+    Raises:
+        InputError: a file or field is missing or malformed, or a camera is unknown.
+    """
+    cam_file = folder / "calib_cam_to_cam.txt"
+    cam = _read(cam_file)
+    velo_file, imu_file = folder / "calib_velo_to_cam.txt", folder / "calib_imu_to_velo.txt"
+    camera_from_velodyne = _rigid(_read(velo_file), velo_file)
+    velodyne_from_imu = _rigid(_read(imu_file), imu_file)
+
+    lateral = velodyne_from_imu[1, 3]
+    rig_from_imu = se3.from_rotation_translation(
+        np.eye(3), [-IMU_BEHIND_REAR_AXLE, lateral, IMU_HEIGHT]
+    )
+    rectification = _rotation(_field(cam, cam_file, "R_rect_00", 9))
+    rectified_from_camera = se3.from_rotation_translation(rectification, np.zeros(3))
+    rectified_from_velodyne = rectified_from_camera @ camera_from_velodyne
+    rig_from_velodyne = rig_from_imu @ se3.inverse(velodyne_from_imu)
+    rig_from_rectified = rig_from_velodyne @ se3.inverse(rectified_from_velodyne)
+
+    intrinsics: dict[str, PinholeCamera] = {}
+    mounts: dict[str, Array] = {}
+    for name in cameras:
+        number = name.removeprefix("image_")
+        projection = _field(cam, cam_file, f"P_rect_{number}", 12).reshape(3, 4)
+        width, height = _field(cam, cam_file, f"S_rect_{number}", 2)
+        K = projection[:, :3]
+        # KITTI counts pixel centres from 0, we from 0.5.
+        intrinsics[name] = PinholeCamera(
+            int(width), int(height), K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5
+        )
+        # P = K [I | t]: the rectified cameras differ by a translation only.
+        camera_from_rectified = se3.from_rotation_translation(
+            np.eye(3), np.linalg.solve(K, projection[:, 3])
+        )
+        mounts[name] = rig_from_rectified @ se3.inverse(camera_from_rectified)
+    return KittiCalibration(rig_from_imu, rig_from_velodyne, rig_from_rectified, intrinsics, mounts)
+
+
+def _read(path: Path) -> dict[str, str]:
+    if not path.is_file():
+        raise InputError(
+            path,
+            "calibration file",
+            "is missing",
+            "unpack the day's calibration archive (e.g. 2011_09_26_calib.zip) beside the drive",
+        )
+    pairs = (line.partition(":") for line in path.read_text().splitlines() if ":" in line)
+    return {key.strip(): value for key, _, value in pairs}
+
+
+def _field(values: dict[str, str], path: Path, name: str, count: int) -> Array:
+    mend = "unpack the day's calibration archive again"
+    if name not in values:
+        raise InputError(path, name, "is missing", mend)
+    try:
+        numbers = np.array([float(word) for word in values[name].split()])
+    except ValueError:
+        raise InputError(path, name, "is not a list of numbers", mend) from None
+    if numbers.shape != (count,) or not np.all(np.isfinite(numbers)):
+        raise InputError(path, name, f"expected {count} numbers, found {len(numbers)}", mend)
+    return numbers
+
+
+def _rigid(values: dict[str, str], path: Path) -> Array:
+    rotation = _rotation(_field(values, path, "R", 9))
+    return se3.from_rotation_translation(rotation, _field(values, path, "T", 3))
+
+
+def _rotation(values: Array) -> Array:
+    """The rotation nearest to nine printed numbers: their seven digits are not quite orthogonal."""
+    u, _, vt = np.linalg.svd(values.reshape(3, 3))
+    rotation: Array = u @ vt
+    return rotation

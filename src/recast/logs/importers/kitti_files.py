@@ -1,0 +1,176 @@
+"""Files of one KITTI raw drive: names, timestamps, images and sweeps."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image as PillowImage
+
+from recast.errors import InputError
+from recast.logs.types import Array, Image, Int64Array
+
+
+@dataclass(frozen=True)
+class KittiDrive:
+    """Where one drive's files lie.
+
+    Attributes:
+        name: "2011_09_26_drive_0013".
+        calibration: the day's folder with calib_*.txt.
+        folder: the drive's folder with image_02, velodyne_points, oxts.
+    """
+
+    name: str
+    calibration: Path
+    folder: Path
+
+
+def find_drive(root: Path, drive: str) -> KittiDrive:
+    """Locate a synchronised drive under `root`.
+
+    Raises:
+        InputError: the folder or the drive does not exist.
+    """
+    if not root.is_dir():
+        raise InputError(root, "KITTI folder", "does not exist", "check the path")
+    name = drive.removesuffix("_sync")
+    day = root / name[:10]
+    folder = day / f"{name}_sync"
+    if not folder.is_dir():
+        found = sorted(path.name for path in root.glob("????_??_??/*_sync"))
+        mend = f"choose one of {', '.join(found)}" if found else "name the folder above 2011_09_26"
+        raise InputError(root, f"drive {drive}", "does not exist", mend)
+    return KittiDrive(name, day, folder)
+
+
+@dataclass(frozen=True)
+class SensorFiles:
+    """Frames of one sensor that exist on disk.
+
+    Attributes:
+        indices: (F,) frame numbers, ascending; gaps are normal.
+        timestamps_us: (F,) int64.
+        paths: F files.
+    """
+
+    indices: Int64Array
+    timestamps_us: Int64Array
+    paths: tuple[Path, ...]
+
+
+def list_frames(sensor: Path, suffix: str) -> SensorFiles:
+    """List the frames of one sensor folder and their times; timestamps.txt may list more.
+
+    Raises:
+        InputError: no frames, a frame without a timestamp, or timestamps out of order.
+    """
+    paths = sorted((sensor / "data").glob(f"*{suffix}"))
+    if not paths:
+        raise InputError(sensor / "data", f"*{suffix}", "no such files", "check the download")
+    try:
+        indices = np.array([int(path.stem) for path in paths], np.int64)
+    except ValueError:
+        odd = next(path for path in paths if not path.stem.isdigit())
+        raise InputError(odd, "file name", "is not a frame number", "remove the file") from None
+    times = read_timestamps(sensor / "timestamps.txt")
+    if indices[-1] >= len(times):
+        raise InputError(
+            sensor / "timestamps.txt",
+            f"line {indices[-1] + 1}",
+            f"is missing, frame {paths[-1].name} has no timestamp",
+            "download the file again",
+        )
+    chosen = times[indices]
+    late = np.flatnonzero(np.diff(chosen) <= 0)
+    if len(late):
+        line, before = indices[late[0] + 1] + 1, indices[late[0]] + 1
+        raise InputError(
+            sensor / "timestamps.txt",
+            f"line {line}",
+            f"is not later than line {before}: timestamps out of order",
+            "download the file again",
+        )
+    return SensorFiles(indices, chosen, tuple(paths))
+
+
+def read_timestamps(path: Path) -> Int64Array:
+    """Times (F,) int64 microseconds since 1970 of "2011-09-26 13:10:51.168593664" lines.
+
+    Raises:
+        InputError: the file is missing or a line is not a time.
+    """
+    if not path.is_file():
+        raise InputError(path, "file", "is missing", "download the drive again")
+    times = []
+    for number, line in enumerate(path.read_text().splitlines(), start=1):
+        if not line.strip():
+            continue
+        try:
+            nanoseconds = np.datetime64(line.strip().replace(" ", "T"), "ns").astype(np.int64)
+        except ValueError:
+            raise InputError(
+                path, f"line {number}", f"{line.strip()!r} is not a time", "download it again"
+            ) from None
+        times.append(int(nanoseconds) // 1000)
+    return np.array(times, np.int64)
+
+
+def read_numbers(path: Path) -> Array:
+    """All whitespace-separated numbers of a text file.
+
+    Raises:
+        InputError: missing, or something in it is not a number.
+    """
+    if not path.is_file():
+        raise InputError(path, "file", "is missing", "download the drive again")
+    try:
+        return np.array([float(word) for word in path.read_text().split()])
+    except (ValueError, UnicodeDecodeError) as error:
+        raise InputError(
+            path, "numbers", f"cannot be read ({error})", "download it again"
+        ) from None
+
+
+@dataclass(frozen=True)
+class KittiImages:
+    """Image files of one camera, checked when read; an `EncodedImageSource`."""
+
+    paths: tuple[Path, ...]
+    width: int
+    height: int
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.paths)
+
+    def __getitem__(self, index: int) -> Image:
+        """Decode frame `index` to (height, width, 3) uint8 RGB."""
+        return self._decode(self.paths[index].read_bytes(), self.paths[index])
+
+    def encoded(self, index: int) -> tuple[bytes, str]:
+        """The file's own bytes, decoded once to be sure that they are whole."""
+        path = self.paths[index]
+        data = path.read_bytes()
+        self._decode(data, path)
+        return data, "jpeg" if path.suffix in (".jpg", ".jpeg") else "png"
+
+    def _decode(self, data: bytes, path: Path) -> Image:
+        try:
+            with PillowImage.open(io.BytesIO(data)) as image:
+                pixels = np.array(image.convert("RGB"))
+        except (OSError, SyntaxError, ValueError) as error:
+            raise InputError(
+                path, "image", f"cannot be decoded ({error})", "download it again"
+            ) from None
+        if pixels.shape[:2] != (self.height, self.width):
+            raise InputError(
+                path,
+                "image size",
+                f"is {pixels.shape[1]}x{pixels.shape[0]}, calib_cam_to_cam.txt says "
+                f"{self.width}x{self.height}",
+                "take images and calibration of the same day",
+            )
+        return pixels

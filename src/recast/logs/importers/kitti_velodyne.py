@@ -1,0 +1,148 @@
+"""KITTI velodyne sweeps: when each point was measured, and the ego motion of the turn undone.
+
+The HDL-64E turns ten times a second, clockwise seen from above. A turn begins and ends facing
+backwards; timestamps.txt has the moment at which it faces forward.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.errors import InputError
+from recast.geometry import se3
+from recast.logs import motion
+from recast.logs.importers.kitti_files import list_frames, read_timestamps
+from recast.logs.types import Array, Int64Array, LidarSweep, Trajectory
+
+POINT_BYTES = 16  # float32 x, y, z, reflectance
+HALF_TURN_US = 51_750  # measured on drive 2011_09_26_0013, for drives without start and end times
+FIRING_US = 50  # the scanner turns 0.18 degrees in this time: about one column of points
+
+
+@dataclass(frozen=True)
+class VelodyneTurns:
+    """Sweeps of one drive that exist on disk.
+
+    Attributes:
+        trigger_us, start_us, end_us: (S,) int64, facing forward, first and last firing.
+        paths: S files.
+    """
+
+    trigger_us: Int64Array
+    start_us: Int64Array
+    end_us: Int64Array
+    paths: tuple[Path, ...]
+
+    def select(self, kept: Sequence[int]) -> VelodyneTurns:
+        """The turns of these places only."""
+        index = np.asarray(kept, np.intp)
+        return VelodyneTurns(
+            self.trigger_us[index],
+            self.start_us[index],
+            self.end_us[index],
+            tuple(self.paths[i] for i in kept),
+        )
+
+
+def list_turns(folder: Path) -> VelodyneTurns:
+    """List the sweeps in velodyne_points and check their sizes.
+
+    Raises:
+        InputError: no sweeps, one is cut off, or timestamps are missing or out of order.
+    """
+    listed = list_frames(folder, ".bin")
+    check_sweep_sizes(listed.paths)
+    start = listed.timestamps_us - HALF_TURN_US
+    end = listed.timestamps_us + HALF_TURN_US
+    starts, ends = folder / "timestamps_start.txt", folder / "timestamps_end.txt"
+    if starts.is_file() and ends.is_file():
+        start, end = _of_frames(starts, listed.indices), _of_frames(ends, listed.indices)
+        odd = np.flatnonzero(~((start < listed.timestamps_us) & (listed.timestamps_us < end)))
+        if len(odd):
+            raise InputError(
+                starts,
+                f"line {listed.indices[odd[0]] + 1}",
+                "start, trigger and end of the turn are out of order",
+                "download the three timestamp files again",
+            )
+    return VelodyneTurns(listed.timestamps_us, start, end, listed.paths)
+
+
+def _of_frames(path: Path, indices: Int64Array) -> Int64Array:
+    times = read_timestamps(path)
+    if indices[-1] >= len(times):
+        raise InputError(path, f"line {indices[-1] + 1}", "is missing", "download the file again")
+    return times[indices]
+
+
+def check_sweep_sizes(paths: Sequence[Path]) -> None:
+    """Check that sweep files hold whole points.
+
+    Raises:
+        InputError: one is empty or cut off.
+    """
+    for path in paths:
+        size = path.stat().st_size
+        if size == 0 or size % POINT_BYTES:
+            raise InputError(
+                path,
+                "points",
+                f"{size} bytes are not a whole number of {POINT_BYTES}-byte points: truncated",
+                "download the file again, or delete it to do without this sweep",
+            )
+
+
+def read_points(path: Path) -> NDArray[np.float32]:
+    """Points (N, 4) float32: x, y, z in the velodyne frame in metres, reflectance in [0, 1].
+
+    Raises:
+        InputError: cut off, or not finite.
+    """
+    check_sweep_sizes((path,))
+    points = np.fromfile(path, np.float32).reshape(-1, 4)
+    if not np.all(np.isfinite(points)):
+        raise InputError(path, "points", "hold NaN or infinity", "download the file again")
+    return points
+
+
+def firing_times(
+    points: NDArray[np.floating], trigger_us: int, start_us: int, end_us: int
+) -> Int64Array:
+    """When points (N, >=2) of the velodyne frame were measured, (N,) microseconds.
+
+    A point at azimuth a (counter-clockwise from forward) was measured a / 2 pi of a turn before
+    the scanner faced forward. Rounded to one firing, and within the turn.
+    """
+    turn = float(end_us - start_us)
+    azimuth = np.arctan2(points[:, 1], points[:, 0]).astype(np.float64)
+    offset = np.rint(-azimuth / (2 * np.pi) * turn / FIRING_US).astype(np.int64) * FIRING_US
+    return np.clip(trigger_us + offset, start_us, end_us)
+
+
+@dataclass(frozen=True)
+class VelodyneSweeps:
+    """Sweeps read from .bin files on demand, motion-compensated; a `SweepSource`."""
+
+    turns: VelodyneTurns
+    rig_from_velodyne: Array
+    world_from_rig: Trajectory
+
+    def __len__(self) -> int:
+        """Number of sweeps."""
+        return len(self.turns.paths)
+
+    def __getitem__(self, index: int) -> LidarSweep:
+        """Decode sweep `index`."""
+        turns = self.turns
+        trigger = int(turns.trigger_us[index])
+        raw = read_points(turns.paths[index])
+        times = firing_times(raw, trigger, int(turns.start_us[index]), int(turns.end_us[index]))
+        points = motion.compensate(
+            se3.apply(self.rig_from_velodyne, raw[:, :3]), times, self.world_from_rig, trigger
+        )
+        return LidarSweep(trigger, points.astype(np.float32), np.clip(raw[:, 3], 0.0, 1.0), times)

@@ -1,0 +1,92 @@
+"""log.json: what a log holds beyond its NCore store, one small versioned text file.
+
+NCore keeps intrinsics as float32 and has no place for the name, the world offset and the licence.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from recast import storage
+from recast.errors import InputError
+from recast.geometry import PinholeCamera
+
+VERSION = 1
+
+
+class CameraRecord(BaseModel):
+    """Exact intrinsics of one camera; pixels, pixel centres at +0.5."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float]
+
+    @classmethod
+    def of(cls, camera: PinholeCamera) -> CameraRecord:
+        """Record `camera`."""
+        return cls(
+            width=camera.width,
+            height=camera.height,
+            fx=camera.fx,
+            fy=camera.fy,
+            cx=camera.cx,
+            cy=camera.cy,
+            distortion=camera.distortion,
+        )
+
+    def camera(self) -> PinholeCamera:
+        """The camera recorded."""
+        return PinholeCamera(**self.model_dump())
+
+
+class LogRecord(BaseModel):
+    """The contents of log.json."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    format: Literal["recast-log"] = "recast-log"
+    version: Literal[1] = 1
+    name: str
+    world_offset: tuple[float, float, float]
+    metadata: dict[str, str]
+    cameras: dict[str, CameraRecord]
+    lidars: list[str]
+    has_map: bool
+
+
+def write_record(record: LogRecord, path: Path) -> None:
+    """Write log.json, whole or not at all."""
+    storage.write_json(path, record.model_dump())
+
+
+def read_record(path: Path) -> LogRecord:
+    """Read log.json.
+
+    Raises:
+        InputError: missing, not a log.json, of another version, or a field of the wrong kind.
+    """
+    data = storage.read_json(path)
+    if not isinstance(data, dict) or data.get("format") != "recast-log":
+        raise InputError(path, "format", "is not a recast log", "name a folder that import wrote")
+    if data.get("version") != VERSION:
+        raise InputError(
+            path,
+            "version",
+            f"is {data.get('version')!r}, this recast reads {VERSION}",
+            "import the drive again with this recast",
+        )
+    try:
+        return LogRecord.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(str(part) for part in first["loc"])
+        raise InputError(path, field, first["msg"], "import the drive again") from None

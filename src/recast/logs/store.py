@@ -1,0 +1,93 @@
+"""A log on disk: a folder with an NCore V4 store, log.json and, where there is a map, map.json."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from recast import storage
+from recast.errors import InputError
+from recast.logs import ncore_read
+from recast.logs.log_json import CameraRecord, LogRecord, read_record, write_record
+from recast.logs.map_json import read_map, write_map
+from recast.logs.ncore_write import write_ncore
+from recast.logs.types import CameraStream, DrivingLog, LidarStream
+
+LOG_FILE = "log.json"
+MAP_FILE = "map.json"
+
+
+def write_log(log: DrivingLog, path: str | Path) -> None:
+    """Write `log` to the new folder `path`; it appears whole or not at all.
+
+    Images that are PNG or JPEG files already keep their bytes, others become PNG. LiDAR points are
+    stored as NCore wants them: rays in the sensor frame, as measured.
+
+    Raises:
+        ValueError: the log is not valid.
+        InputError: `path` exists, or the disk is full.
+    """
+    log.validate()
+    with storage.atomic_folder(path) as folder:
+        write_ncore(log, folder)
+        if log.map is not None:
+            write_map(log.map, folder / MAP_FILE)
+        x, y, z = (float(value) for value in log.world_offset)
+        record = LogRecord(
+            name=log.name,
+            world_offset=(x, y, z),
+            metadata=dict(log.metadata),
+            cameras={name: CameraRecord.of(c.camera) for name, c in log.cameras.items()},
+            lidars=list(log.lidars),
+            has_map=log.map is not None,
+        )
+        write_record(record, folder / LOG_FILE)
+
+
+def read_log(path: str | Path) -> DrivingLog:
+    """Read a log folder; images and sweeps are decoded when asked for.
+
+    Raises:
+        InputError: no such folder, not a log, another version, or a file of it missing or broken.
+    """
+    folder = Path(path).absolute()
+    if not folder.is_dir():
+        raise InputError(path, "log folder", "does not exist", "import a drive: recast log import")
+    if not (folder / LOG_FILE).is_file():
+        raise InputError(path, LOG_FILE, "is missing", "name a folder that recast log import wrote")
+    record = read_record(folder / LOG_FILE)
+    store = ncore_read.NcoreFolder(folder)
+    store.check()
+    world_from_rig = ncore_read.read_trajectory(store)
+    cameras = {}
+    for name, camera in record.cameras.items():
+        times, images = ncore_read.read_images(store, name)
+        cameras[name] = CameraStream(
+            name=name,
+            camera=camera.camera(),
+            rig_from_camera=ncore_read.read_mount(store, name),
+            timestamps_us=times,
+            images=images,
+            mask=ncore_read.read_mask(store, name),
+        )
+    lidars = {}
+    for name in record.lidars:
+        mount = ncore_read.read_mount(store, name)
+        times, sweeps = ncore_read.read_sweeps(store, name, mount, world_from_rig)
+        lidars[name] = LidarStream(name, mount, times, sweeps)
+    log = DrivingLog(
+        name=record.name,
+        cameras=cameras,
+        lidars=lidars,
+        world_from_rig=world_from_rig,
+        tracks=ncore_read.read_tracks(store),
+        map=read_map(folder / MAP_FILE) if record.has_map else None,
+        world_offset=np.array(record.world_offset, np.float64),
+        metadata=record.metadata,
+    )
+    try:
+        log.validate()
+    except ValueError as error:
+        raise InputError(path, "log", str(error), "import the drive again") from None
+    return log
