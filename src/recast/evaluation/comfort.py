@@ -1,0 +1,179 @@
+"""COM: share of the plans whose raw waypoints are comfortable, in three readings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.signal import savgol_filter
+
+from recast.evaluation.metric import Metric, invalid
+from recast.geometry import se2
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+LIMITS: Mapping[str, tuple[float, float]] = {
+    "lon_accel": (-4.05, 2.40),
+    "lon_jerk": (-8.37, 8.37),
+    "yaw_rate": (-0.95, 0.95),
+    "yaw_accel": (-1.93, 1.93),
+    "lat_accel": (-4.89, 4.89),
+}
+"""HUGSIM's five checks: m/s^2, m/s^3, rad/s, rad/s^2, m/s^2. The headline."""
+
+LIMITS_4_13 = {**LIMITS, "lon_jerk": (-4.13, 4.13)}
+"""The same with nuPlan's limit on the longitudinal jerk."""
+
+NUPLAN_LIMITS: Mapping[str, tuple[float, float]] = {**LIMITS_4_13, "jerk": (-8.37, 8.37)}
+"""nuPlan's six checks; "jerk" is the rate of the acceleration's magnitude."""
+
+_STANDING = 1.0
+"""Metres: a plan that ends nearer than this to its start has no meaningful heading."""
+
+
+@dataclass(frozen=True)
+class Comfort:
+    """One reading of COM for a rollout.
+
+    Attributes:
+        com: share of plans that pass every check.
+        checks: names of the checks.
+        passed: (C, number of checks) bool.
+    """
+
+    com: Metric
+    checks: tuple[str, ...]
+    passed: BoolArray
+
+    def failed_checks(self) -> list[list[str]]:
+        """Names of the failed checks of each plan."""
+        return [
+            [name for name, ok in zip(self.checks, row, strict=True) if not ok]
+            for row in self.passed
+        ]
+
+
+def plan_signals(predictions: ArrayLike, dt: float = 0.1) -> dict[str, Array]:
+    """Finite differences of plans (..., 40, 3), the origin put in front (HUGSIM's reading).
+
+    Speed is the displacement over dt, acceleration and jerk its differences; yaw rate and
+    acceleration the differences of the heading; lateral acceleration speed times yaw rate. The
+    headings of a plan that ends within 1 m of its start count as 0.
+
+    Returns:
+        by name of the check: (..., 40) and shorter, SI units.
+    """
+    plan = np.asarray(predictions, np.float64)
+    plan = np.concatenate([np.zeros_like(plan[..., :1, :]), plan], axis=-2)
+    standing = np.hypot(plan[..., -1, 0], plan[..., -1, 1]) < _STANDING
+    heading = np.where(standing[..., None], 0.0, plan[..., 2])
+    speed = np.linalg.norm(np.diff(plan[..., :2], axis=-2), axis=-1) / dt
+    acceleration = np.diff(speed, axis=-1) / dt
+    yaw_rate = se2.wrap_angle(np.diff(heading, axis=-1)) / dt
+    return {
+        "lon_accel": acceleration,
+        "lon_jerk": np.diff(acceleration, axis=-1) / dt,
+        "yaw_rate": yaw_rate,
+        "yaw_accel": np.diff(yaw_rate, axis=-1) / dt,
+        "lat_accel": speed * yaw_rate,
+    }
+
+
+def savgol_signals(
+    lon_accel: ArrayLike, lat_accel: ArrayLike, magnitude: ArrayLike, heading: ArrayLike, dt: float
+) -> dict[str, Array]:
+    """nuPlan's smoothed comfort signals of trajectories, all (..., N).
+
+    Savitzky-Golay, order 2: accelerations over 8 samples, their derivatives over 15; yaw rate over
+    5. Yaw acceleration: order 3 over 5. The 15 that nuPlan's signature names for the yaw signals is
+    never passed on. Needs N >= 15.
+
+    Args:
+        lon_accel, lat_accel, magnitude: (..., N) m/s^2.
+        heading: (..., N) radians, unwrapped here.
+    """
+    heading = np.unwrap(np.asarray(heading, np.float64), axis=-1)
+
+    def smooth(values: ArrayLike, window: int, order: int = 2, derivative: int = 0) -> Array:
+        smoothed = savgol_filter(values, window, order, deriv=derivative, delta=dt, axis=-1)
+        return np.asarray(smoothed, np.float64)
+
+    lon, total = smooth(lon_accel, 8), smooth(magnitude, 8)
+    return {
+        "lon_accel": lon,
+        "lon_jerk": smooth(lon, 15, derivative=1),
+        "yaw_rate": smooth(heading, 5, derivative=1),
+        "yaw_accel": smooth(heading, 5, order=3, derivative=2),
+        "lat_accel": smooth(lat_accel, 8),
+        "jerk": smooth(total, 15, derivative=1),
+    }
+
+
+def plan_savgol_signals(predictions: ArrayLike, dt: float = 0.1) -> dict[str, Array]:
+    """nuPlan's smoothing applied to the finite differences of plans (..., 40, 3).
+
+    Accelerations are taken at the 39 inner poses: the lateral one is the mean of its two steps.
+    """
+    raw = plan_signals(predictions, dt)
+    lon, lateral = raw["lon_accel"], raw["lat_accel"]
+    lat = (lateral[..., 1:] + lateral[..., :-1]) / 2
+    heading = np.cumsum(raw["yaw_rate"], axis=-1) * dt
+    heading = np.concatenate([np.zeros_like(heading[..., :1]), heading], axis=-1)
+    return savgol_signals(lon, lat, np.hypot(lon, lat), heading, dt)
+
+
+def check(
+    signals: Mapping[str, Array], limits: Mapping[str, tuple[float, float]], *, strict: bool
+) -> BoolArray:
+    """Which checks hold throughout: (..., number of limits), in the order of `limits`.
+
+    Args:
+        signals: (..., any length) by name.
+        strict: whether a value on the limit fails, as in nuPlan.
+    """
+    passed: list[BoolArray] = []
+    for name, (low, high) in limits.items():
+        value = signals[name]
+        inside = (low < value) & (value < high) if strict else (low <= value) & (value <= high)
+        passed.append(np.asarray(np.all(inside, axis=-1)))
+    return np.stack(passed, axis=-1)
+
+
+def com_hugsim(predictions: ArrayLike, dt: float = 0.1) -> Comfort:
+    """COM, the headline: five checks on raw finite differences, jerk limit 8.37 m/s^3."""
+    return _comfort(predictions, plan_signals, LIMITS, dt, strict=False)
+
+
+def com_4_13(predictions: ArrayLike, dt: float = 0.1) -> Comfort:
+    """COM with nuPlan's jerk limit, 4.13 m/s^3, else as `com_hugsim`."""
+    return _comfort(predictions, plan_signals, LIMITS_4_13, dt, strict=False)
+
+
+def com_nuplan_savgol(predictions: ArrayLike, dt: float = 0.1) -> Comfort:
+    """COM with nuPlan's six checks and smoothing."""
+    return _comfort(predictions, plan_savgol_signals, NUPLAN_LIMITS, dt, strict=True)
+
+
+def _comfort(
+    predictions: ArrayLike,
+    signals: Callable[[ArrayLike, float], dict[str, Array]],
+    limits: Mapping[str, tuple[float, float]],
+    dt: float,
+    *,
+    strict: bool,
+) -> Comfort:
+    names = tuple(limits)
+    predictions = np.asarray(predictions, np.float64)
+    if len(predictions) == 0:
+        return Comfort(invalid("no plan was made"), names, np.zeros((0, len(names)), np.bool_))
+    passed = check(signals(predictions, dt), limits, strict=strict)
+    good = np.asarray(passed.all(axis=-1))
+    reason = None
+    if not good.all():
+        counts = {n: int(c) for n, c in zip(names, (~passed).sum(axis=0), strict=True) if c}
+        listed = ", ".join(f"{name} in {count}" for name, count in counts.items())
+        reason = f"{int((~good).sum())} of {len(good)} plans fail: {listed}"
+    return Comfort(Metric(float(good.mean()), reason), names, passed)

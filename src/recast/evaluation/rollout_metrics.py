@@ -1,0 +1,173 @@
+"""All metrics of one closed-loop rollout."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from recast.evaluation.collision import TOUCHING, Collision, no_collision
+from recast.evaluation.comfort import Comfort, com_4_13, com_hugsim, com_nuplan_savgol
+from recast.evaluation.drivable import (
+    TOLERANCE,
+    DrivableArea,
+    drivable_area_compliance,
+    drivable_region,
+)
+from recast.evaluation.metric import Metric
+from recast.evaluation.progress import RouteCompletion, route_completion
+from recast.evaluation.ttc import (
+    TimeToCollision,
+    constant_velocity_future,
+    realised_future,
+    time_to_collision,
+)
+from recast.logs.hdmap import HdMap
+from recast.simulation.rollout import Rollout
+
+WAYPOINT_DT = 0.1
+"""Seconds between a plan's waypoints, and so between the states that plans are compared with."""
+
+
+@dataclass(frozen=True)
+class RolloutMetrics:
+    """What one rollout scored, and why.
+
+    Attributes:
+        name, method, track_id, motion, setting, planner, start_timestamp_us, steps_requested,
+            cut_reason: of the rollout.
+        steps_run: executed steps S; C plans were made.
+        plan_steps: (C,) steps at which they were made.
+        map_derived: whether the map was made from the drive itself; None without a map.
+        collision, drivable, ttc, ttc_constant_velocity, progress: values with their arrays.
+        comfort, comfort_4_13, comfort_nuplan_savgol: three readings of COM; the first is the
+            headline.
+    """
+
+    name: str
+    method: str
+    track_id: str
+    motion: str
+    setting: str
+    planner: str
+    start_timestamp_us: int
+    steps_requested: int
+    steps_run: int
+    cut_reason: str | None
+    plan_steps: tuple[int, ...]
+    map_derived: bool | None
+    collision: Collision
+    drivable: DrivableArea
+    ttc: TimeToCollision
+    ttc_constant_velocity: TimeToCollision
+    progress: RouteCompletion
+    comfort: Comfort
+    comfort_4_13: Comfort
+    comfort_nuplan_savgol: Comfort
+
+    @property
+    def values(self) -> dict[str, Metric]:
+        """Every metric by name; the names are the keys of `recast.evaluation.table.COLUMNS`."""
+        return {
+            "nc": self.collision.nc,
+            "dac": self.drivable.dac,
+            "ttc": self.ttc.ttc,
+            "r_c": self.progress.r_c,
+            "com": self.comfort.com,
+            "ttc_constant_velocity": self.ttc_constant_velocity.ttc,
+            "r_c_projection": self.progress.r_c_projection,
+            "com_4_13": self.comfort_4_13.com,
+            "com_nuplan_savgol": self.comfort_nuplan_savgol.com,
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data: the same rollout gives the same bytes (no times, no addresses)."""
+        distance = self.drivable.distance
+        outside: list[int] = []
+        if distance is not None:
+            outside = np.flatnonzero((distance > TOLERANCE).any(axis=1)).tolist()
+        return {
+            "name": self.name,
+            "method": self.method,
+            "track_id": self.track_id,
+            "motion": self.motion,
+            "setting": self.setting,
+            "planner": self.planner,
+            "start_timestamp_us": self.start_timestamp_us,
+            "steps_requested": self.steps_requested,
+            "steps_run": self.steps_run,
+            "cut_reason": self.cut_reason,
+            "metrics": {name: metric.to_json() for name, metric in self.values.items()},
+            "per_step": {
+                "overlap_steps": np.flatnonzero(self.collision.overlap > TOUCHING).tolist(),
+                "first_collision_step": self.collision.first_step,
+                "largest_overlap_m2": float(self.collision.overlap.max()),
+                "off_road_steps": outside,
+                "largest_off_road_m": None if distance is None else float(distance.max()),
+                "map_derived": self.map_derived,
+                "route_length_m": self.progress.route_length,
+            },
+            "per_cycle": {
+                "plan_steps": list(self.plan_steps),
+                "ttc": self.ttc.per_cycle.tolist(),
+                "ttc_constant_velocity": self.ttc_constant_velocity.per_cycle.tolist(),
+                "com_failed": self.comfort.failed_checks(),
+                "com_4_13_failed": self.comfort_4_13.failed_checks(),
+                "com_nuplan_savgol_failed": self.comfort_nuplan_savgol.failed_checks(),
+            },
+        }
+
+
+def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
+    """Compute NC, DAC, TTC, R_c and COM of a rollout of any length.
+
+    The definitions are those of the paper as this project reads them: see `docs/metrics.md`.
+
+    Args:
+        rollout: validated.
+        hd_map: of its log; without one DAC has no value.
+
+    Raises:
+        ValueError: the rollout's steps are not as long as the plans' (0.1 s).
+    """
+    if abs(rollout.dt - WAYPOINT_DT) > 1e-9:
+        raise ValueError(f"Rollout.dt: metrics need {WAYPOINT_DT} s, got {rollout.dt}")
+    ego_boxes, actor, dt = rollout.ego_boxes, rollout.actor, rollout.dt
+    steps = np.asarray(rollout.plan_steps, np.int64)
+    collision = no_collision(ego_boxes, rollout.ego_size, actor, rollout.actor_size, dt)
+
+    def ttc(future: np.ndarray) -> TimeToCollision:
+        return time_to_collision(
+            rollout.ego[steps, :3],
+            rollout.predictions,
+            rollout.ego_size,
+            rollout.ego_centre_offset,
+            future,
+            rollout.actor_size,
+            steps,
+            dt,
+        )
+
+    return RolloutMetrics(
+        name=rollout.name,
+        method=rollout.method,
+        track_id=rollout.track_id,
+        motion=rollout.motion,
+        setting=rollout.setting,
+        planner=rollout.planner,
+        start_timestamp_us=rollout.start_timestamp_us,
+        steps_requested=rollout.steps_requested,
+        steps_run=rollout.steps_run,
+        cut_reason=rollout.cut_reason,
+        plan_steps=tuple(int(step) for step in steps),
+        map_derived=None if hd_map is None else hd_map.derived,
+        collision=collision,
+        drivable=drivable_area_compliance(ego_boxes, rollout.ego_size, drivable_region(hd_map), dt),
+        ttc=ttc(realised_future(actor, steps, dt)),
+        ttc_constant_velocity=ttc(constant_velocity_future(actor, steps, dt)),
+        progress=route_completion(rollout.ego, rollout.route, collision.first_step),
+        comfort=com_hugsim(rollout.predictions, dt),
+        comfort_4_13=com_4_13(rollout.predictions, dt),
+        comfort_nuplan_savgol=com_nuplan_savgol(rollout.predictions, dt),
+    )

@@ -1,0 +1,142 @@
+"""The paper's table: means over rollouts by planner and method, and paired differences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.evaluation.rollout_metrics import RolloutMetrics
+from recast.simulation.rollout import RolloutFailure
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Column:
+    """How a metric is shown.
+
+    Attributes:
+        label, unit: for people.
+        scale: shown value = scale * value.
+        headline: whether it stands in the paper's table.
+    """
+
+    label: str
+    unit: str
+    scale: float
+    headline: bool
+
+
+COLUMNS: Mapping[str, Column] = {
+    "nc": Column("NC", "%", 100.0, True),
+    "dac": Column("DAC", "%", 100.0, True),
+    "ttc": Column("TTC", "s", 1.0, True),
+    "r_c": Column("R_c", "%", 100.0, True),
+    "com": Column("COM", "%", 100.0, True),
+    "ttc_constant_velocity": Column("TTC (constant velocity)", "s", 1.0, False),
+    "r_c_projection": Column("R_c (projection)", "%", 100.0, False),
+    "com_4_13": Column("COM (jerk 4.13)", "%", 100.0, False),
+    "com_nuplan_savgol": Column("COM (nuPlan, smoothed)", "%", 100.0, False),
+}
+"""Metrics in the order of the table. Higher is better for all."""
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """One line: the rollouts of a planner under a rendering method.
+
+    Attributes:
+        rollouts: how many were scored; `failed` more ended in an error, `cut` of the scored ones
+            are shorter than asked.
+        means: by metric, in the column's unit, over the rollouts where it is valid; None if none.
+        counts: by metric, over how many.
+    """
+
+    planner: str
+    method: str
+    rollouts: int
+    failed: int
+    cut: int
+    means: Mapping[str, float | None]
+    counts: Mapping[str, int]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "planner": self.planner,
+            "method": self.method,
+            "rollouts": self.rollouts,
+            "failed": self.failed,
+            "cut": self.cut,
+            "means": dict(self.means),
+            "counts": dict(self.counts),
+        }
+
+
+def table(
+    metrics: Sequence[RolloutMetrics], failures: Sequence[RolloutFailure] = ()
+) -> list[TableRow]:
+    """Rows in the order in which each planner and method first occurs.
+
+    COM is the mean over rollouts of the share of plans that pass; with equally many plans in each
+    (the paper's 32) that is the share over all plans.
+    """
+    keys = dict.fromkeys(
+        [(m.planner, m.method) for m in metrics] + [(f.planner, f.method) for f in failures]
+    )
+    return [_row(planner, method, metrics, failures) for planner, method in keys]
+
+
+def _row(
+    planner: str,
+    method: str,
+    metrics: Sequence[RolloutMetrics],
+    failures: Sequence[RolloutFailure],
+) -> TableRow:
+    mine = [m for m in metrics if (m.planner, m.method) == (planner, method)]
+    means: dict[str, float | None] = {}
+    counts: dict[str, int] = {}
+    for name, column in COLUMNS.items():
+        values = [v for m in mine if (v := m.values[name].value) is not None]
+        counts[name] = len(values)
+        means[name] = column.scale * float(np.mean(values)) if values else None
+    return TableRow(
+        planner=planner,
+        method=method,
+        rollouts=len(mine),
+        failed=sum((f.planner, f.method) == (planner, method) for f in failures),
+        cut=sum(m.cut_reason is not None for m in mine),
+        means=means,
+        counts=counts,
+    )
+
+
+def paired_differences(
+    scenes: Mapping[str, Sequence[RolloutMetrics]], metric: str, candidate: str, baseline: str
+) -> dict[str, Array]:
+    """Candidate minus baseline of a metric, by scene, for `bootstrap.cluster_bootstrap`.
+
+    Rollouts are pairs where planner, track, motion and setting agree. Pairs of which one is missing
+    or without a value are left out, and so are scenes without a pair.
+
+    Args:
+        scenes: by name of the scene, its rollouts under both methods.
+        metric: a key of `COLUMNS`.
+        candidate, baseline: methods.
+    """
+    differences: dict[str, Array] = {}
+    for scene, rollouts in scenes.items():
+        values: dict[str, dict[tuple[str, str, str, str], float]] = {candidate: {}, baseline: {}}
+        for m in rollouts:
+            value = m.values[metric].value
+            if m.method in values and value is not None:
+                values[m.method][m.planner, m.track_id, m.motion, m.setting] = value
+        shared = [key for key in values[candidate] if key in values[baseline]]
+        if shared:
+            pairs = [values[candidate][key] - values[baseline][key] for key in shared]
+            differences[scene] = np.array(pairs)
+    return differences

@@ -1,0 +1,117 @@
+"""TTC: how soon each plan, if followed, would meet the actor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from recast.dynamics import plan_to_poses
+from recast.evaluation.collision import TOUCHING, overlap_areas
+from recast.evaluation.metric import Metric, invalid
+from recast.geometry import se2
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+CAP = 4.0
+"""Seconds given to a plan that meets nothing: the length of a plan."""
+_INSTANTS = 40
+
+
+@dataclass(frozen=True)
+class TimeToCollision:
+    """TTC of a rollout.
+
+    Attributes:
+        ttc: seconds, the least over all cycles.
+        per_cycle: (C,) seconds, a multiple of dt, 4.0 where the plan meets nothing.
+    """
+
+    ttc: Metric
+    per_cycle: Array
+
+
+def realised_future(actor: ArrayLike, steps: ArrayLike, dt: float = 0.1) -> Array:
+    """Actor poses (C, 40, 3) at 0, dt, ..., 39 dt after each step, as the rollout went on.
+
+    The actor is scripted and ignores the ego, so its states are its future whatever the ego plans.
+    Past the last state it moves on at constant velocity. This is HUGSIM's reading.
+
+    Args:
+        actor: (S+1, 4) x, y, heading, speed of the box centre.
+        steps: (C,) at which the plans were made.
+    """
+    actor = np.asarray(actor, np.float64)
+    index = np.asarray(steps, np.int64)[:, None] + np.arange(_INSTANTS)
+    last = len(actor) - 1
+    known = np.minimum(index, last)
+    return _advance(actor[known], _velocity(actor)[known], (index - known) * dt)
+
+
+def constant_velocity_future(actor: ArrayLike, steps: ArrayLike, dt: float = 0.1) -> Array:
+    """Actor poses (C, 40, 3) at 0, dt, ..., 39 dt after each step, at that step's velocity.
+
+    Args: as for `realised_future`.
+    """
+    actor = np.asarray(actor, np.float64)
+    now = np.asarray(steps, np.int64)[:, None]
+    return _advance(actor[now], _velocity(actor)[now], np.arange(_INSTANTS) * dt)
+
+
+def time_to_collision(
+    ego_poses: ArrayLike,
+    predictions: ArrayLike,
+    ego_size: ArrayLike,
+    ego_centre_offset: float,
+    actor_future: ArrayLike,
+    actor_size: ArrayLike,
+    steps: ArrayLike,
+    dt: float = 0.1,
+) -> TimeToCollision:
+    """TTC: first time at which a plan's ego box overlaps the actor's, least over the cycles.
+
+    The ego is taken at its current pose and at waypoints 1 to 39, that is at 0, 0.1, ..., 3.9 s.
+
+    Args:
+        ego_poses: (C, 3) rear axle at each plan step.
+        predictions: (C, 40, 3) waypoints in the ego frame.
+        ego_size, actor_size: (>=2,) length and width in metres.
+        ego_centre_offset: metres from the rear axle to the ego's box centre.
+        actor_future: (C, 40, 3) box centre at the same times.
+        steps: (C,) of the plans, for the reason only.
+        dt: seconds between waypoints.
+    """
+    predictions = np.asarray(predictions, np.float64)
+    if len(predictions) == 0:
+        return TimeToCollision(invalid("no plan was made"), np.zeros(0))
+    poses = plan_to_poses(ego_poses, predictions[:, : _INSTANTS - 1])
+    centres = se2.compose(poses, [ego_centre_offset, 0.0, 0.0])
+    hit = overlap_areas(centres, ego_size, actor_future, actor_size) > TOUCHING
+    # divided by 10 rather than multiplied by 0.1: 0.3 and not 0.30000000000000004
+    per_cycle = np.where(hit.any(axis=1), np.argmax(hit, axis=1) / round(1 / dt), CAP)
+    worst = int(np.argmin(per_cycle))
+    value = float(per_cycle[worst])
+    if value == CAP:
+        return TimeToCollision(Metric(CAP), per_cycle)
+    step = int(np.asarray(steps)[worst])
+    reason = f"the plan made at step {step} ({step * dt:.1f} s) meets the actor after {value:.1f} s"
+    return TimeToCollision(Metric(value, reason), per_cycle)
+
+
+def _velocity(actor: Array) -> Array:
+    """(S+1, 2): speed along the heading, or against it where the actor drives backwards."""
+    moved = np.diff(actor[:, :2], axis=0)
+    moved = np.concatenate([moved[:1], moved])
+    forward = np.stack([np.cos(actor[:, 2]), np.sin(actor[:, 2])], axis=-1)
+    sign = np.where(np.sum(moved * forward, axis=-1) < 0, -1.0, 1.0)
+    velocity: Array = (sign * actor[:, 3])[:, None] * forward
+    return velocity
+
+
+def _advance(actor: Array, velocity: Array, time: ArrayLike) -> Array:
+    time = np.asarray(time, np.float64)
+    position = actor[..., :2] + velocity * time[..., None]
+    heading = np.broadcast_to(actor[..., 2:3], (*position.shape[:-1], 1))
+    return np.concatenate([position, heading], axis=-1)

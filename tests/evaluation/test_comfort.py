@@ -1,0 +1,101 @@
+"""COM: each check on its own, by plans that break just that one."""
+
+import numpy as np
+import pytest
+
+from recast.evaluation import comfort
+
+T = 0.1 * np.arange(41)
+
+
+def from_speed(speed, heading=None):
+    """A plan (1, 40, 3) with this speed (41,) and heading (41,)."""
+    heading = np.zeros(41) if heading is None else heading
+    steps = speed[:-1, None] * 0.1 * np.stack([np.cos(heading[:-1]), np.sin(heading[:-1])], -1)
+    xy = np.cumsum(steps, axis=0)
+    return np.concatenate([xy, heading[1:, None]], axis=1)[None]
+
+
+def failed(plan, reading=comfort.com_hugsim):
+    return set(reading(plan).failed_checks()[0])
+
+
+def test_cruising_and_standing_pass_everything():
+    for reading in (comfort.com_hugsim, comfort.com_4_13, comfort.com_nuplan_savgol):
+        assert reading(from_speed(np.full(41, 8.0))).com.value == 1.0
+        assert reading(np.zeros((3, 40, 3))).com.value == 1.0
+
+
+@pytest.mark.parametrize(
+    ("acceleration", "wanted"),
+    [(2.35, set()), (2.45, {"lon_accel"}), (-4.0, set()), (-4.1, {"lon_accel"})],
+)
+def test_longitudinal_acceleration(acceleration, wanted):
+    assert failed(from_speed(20.0 + acceleration * T)) == wanted
+
+
+def jerky(jerk):
+    """Acceleration up and down at constant jerk, never above 1 m/s^2."""
+    wave = np.abs((T * jerk / 2) % 2 - 1)
+    return from_speed(10.0 + 0.1 * np.cumsum(2 * wave - 1))
+
+
+@pytest.mark.parametrize(
+    ("jerk", "hugsim", "strict"),
+    [(4.0, set(), set()), (8.0, set(), {"lon_jerk"}), (8.5, {"lon_jerk"}, {"lon_jerk"})],
+)
+def test_jerk_limits(jerk, hugsim, strict):
+    assert failed(jerky(jerk)) == hugsim
+    assert failed(jerky(jerk), comfort.com_4_13) == strict
+
+
+def test_yaw_rate():
+    speed = np.full(41, 2.0)
+    assert failed(from_speed(speed, 0.94 * T)) == set()
+    assert failed(from_speed(speed, 0.96 * T)) == {"yaw_rate"}
+
+
+def test_yaw_rate_through_pi():
+    plan = from_speed(np.full(41, 2.0), 0.9 * T)
+    wrapped = plan.copy()
+    wrapped[..., 2] = (plan[..., 2] + np.pi) % (2 * np.pi) - np.pi
+    assert failed(wrapped) == set()
+    assert failed(wrapped, comfort.com_nuplan_savgol) == set()
+
+
+def test_yaw_acceleration():
+    speed = np.full(41, 2.0)
+    assert failed(from_speed(speed, 0.19 * np.sin(3.1 * T))) == set()
+    assert failed(from_speed(speed, 0.21 * np.sin(3.1 * T))) == {"yaw_accel"}
+
+
+def test_lateral_acceleration():
+    """The check that HUGSIM's own code forgets."""
+    assert failed(from_speed(np.full(41, 10.0), 0.48 * T)) == set()
+    assert failed(from_speed(np.full(41, 10.0), 0.50 * T)) == {"lat_accel"}
+
+
+def test_headings_of_a_standing_plan_do_not_count():
+    plan = np.zeros((1, 40, 3))
+    plan[0, ::2, 2] = 1.0
+    assert failed(plan) == set()
+    plan[0, :, 0] = np.linspace(0.026, 1.04, 40)
+    assert failed(plan) >= {"yaw_rate", "yaw_accel"}
+
+
+def test_smoothing_forgives_a_noisy_speed():
+    noisy = from_speed(10.0 + 0.05 * (-1.0) ** np.arange(41))
+    assert failed(noisy) == {"lon_jerk"}
+    assert failed(noisy, comfort.com_nuplan_savgol) == set()
+
+
+def test_share_and_reason():
+    plans = np.concatenate([from_speed(np.full(41, 8.0))] * 3 + [from_speed(8 + 3 * T)])
+    result = comfort.com_hugsim(plans)
+    assert result.com.value == 0.75
+    assert result.com.reason == "1 of 4 plans fail: lon_accel in 1"
+
+
+def test_without_plans_there_is_no_value():
+    for reading in (comfort.com_hugsim, comfort.com_nuplan_savgol):
+        assert not reading(np.zeros((0, 40, 3))).com.valid
