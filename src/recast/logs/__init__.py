@@ -2,6 +2,7 @@
 
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
 from recast.logs.store import read_log, write_log
+from recast.logs.track_points import TrackPoints, all_track_points, track_points
 from recast.logs.types import (
     CameraStream,
     DrivingLog,
@@ -20,7 +21,10 @@ __all__ = [
     "LidarStream",
     "LidarSweep",
     "Track",
+    "TrackPoints",
     "Trajectory",
+    "all_track_points",
     "read_log",
+    "track_points",
     "write_log",
 ]

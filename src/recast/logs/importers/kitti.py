@@ -1,8 +1,9 @@
 """KITTI raw: one synchronised and rectified drive into a log folder.
 
-Sensors keep their own timestamps. Boxes were drawn on velodyne sweeps, so a box of frame i stands
-at the time of sweep i. Sweeps as recorded are smeared by the ego motion of one turn; every point
-gets the time at which the scanner pointed at it and the motion is undone (docs/data.md).
+Sensors keep their own timestamps. Sweeps as recorded are smeared by the ego motion of one turn:
+every point gets the time at which the scanner pointed at it, and the motion is undone. Boxes were
+drawn on the sweeps as recorded, so a box holds at the time at which the scanner pointed at it, too
+(docs/data.md has the measurements).
 """
 
 from __future__ import annotations
@@ -21,13 +22,18 @@ from recast.logs.importers.kitti_check import check_labels_fit
 from recast.logs.importers.kitti_files import KittiDrive, KittiImages, SensorFiles
 from recast.logs.importers.kitti_labels import read_tracking_labels, read_tracklets
 from recast.logs.importers.kitti_oxts import extended, poses_from_oxts, read_oxts
-from recast.logs.importers.kitti_velodyne import VelodyneSweeps, VelodyneTurns, list_turns
+from recast.logs.importers.kitti_velodyne import (
+    VelodyneSweeps,
+    VelodyneTurns,
+    firing_times,
+    list_turns,
+    turn_times,
+)
 from recast.logs.store import write_log
 from recast.logs.types import (
     Array,
     CameraStream,
     DrivingLog,
-    Int64Array,
     LidarStream,
     Track,
     Trajectory,
@@ -95,8 +101,7 @@ def load_kitti(
     chosen = Path(labels) if labels is not None else own if own.is_file() else None
     if chosen is None:
         return log
-    times = kitti_files.read_timestamps(files.folder / "velodyne_points" / "timestamps.txt")
-    tracks = _tracks(chosen, times, calibration, trajectory)
+    tracks = _tracks(chosen, files, calibration, trajectory)
     check_labels_fit(log, tracks, chosen)
     return replace(log, tracks=tracks)
 
@@ -151,30 +156,36 @@ def _lidar(
 
 
 def _tracks(
-    path: Path, times: Int64Array, calibration: KittiCalibration, trajectory: Trajectory
+    path: Path, files: KittiDrive, calibration: KittiCalibration, trajectory: Trajectory
 ) -> dict[str, Track]:
-    """Labelled boxes in the world: a box of frame i stands at the time of sweep i."""
+    """Labelled boxes in the world, each at the moment at which the scanner pointed at it."""
+    trigger, start, end = turn_times(files.folder / "velodyne_points")
+    velodyne_from_rig = se3.inverse(calibration.rig_from_velodyne)
     if path.suffix == ".xml":
         labelled, rig_from_sensor = read_tracklets(path), calibration.rig_from_velodyne
     else:
         labelled, rig_from_sensor = read_tracking_labels(path), calibration.rig_from_rectified
     tracks = {}
     for track in labelled:
-        if track.frames[-1] >= len(times):
+        frames = track.frames
+        if frames[-1] >= len(trigger):
             raise InputError(
                 path,
                 f"track {track.track_id}",
-                f"frame {track.frames[-1]}, but the drive has {len(times)} frames",
+                f"frame {frames[-1]}, but the drive has {len(trigger)} frames",
                 "name the label file of this drive",
             )
-        stamps = times[track.frames]
+        rig_from_box = rig_from_sensor @ track.sensor_from_box
+        centres = se3.apply(velodyne_from_rig, rig_from_box[:, :3, 3])
+        times = firing_times(centres, trigger[frames], start[frames], end[frames])
         first, last = trajectory.timestamps_us[[0, -1]]
-        inside = (first <= stamps) & (stamps <= last)
-        if not np.any(inside):
+        kept = (first <= times) & (times <= last)
+        # Behind the car one turn ends and the next begins: a box there can be met twice at once.
+        kept[1:] &= np.diff(times) > 0
+        if not np.any(kept):
             continue
-        stamps = stamps[inside]
-        poses = trajectory.at(stamps) @ rig_from_sensor @ track.sensor_from_box[inside]
+        poses = trajectory.at(times[kept]) @ rig_from_box[kept]
         tracks[track.track_id] = Track(
-            track.track_id, track.category, track.size, Trajectory(stamps, poses)
+            track.track_id, track.category, track.size, Trajectory(times[kept], poses)
         )
     return tracks

@@ -6,17 +6,17 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from recast.errors import InputError
-from recast.geometry import boxes, se3
-from recast.logs.types import DrivingLog, Track
+from recast.logs.track_points import all_track_points
+from recast.logs.types import DrivingLog, Int64Array, Track
 
 RANGE = 25.0  # metres; farther boxes can be empty, hidden behind others
+SWEEP_US = 60_000  # a label and its sweep are less than half a turn apart
 MIN_POINTS = 5
 MIN_BOXES = 5
-MIN_FRACTION = 0.5  # right drives have 0.9 and more, wrong ones below 0.2
-MARGIN = 0.1
-ABOVE_ROAD = 0.25  # metres of a box's foot left out: any box on the road holds road points
+MIN_FRACTION = 0.5  # right drives have 0.9 and more, wrong ones few
 
 
 def check_labels_fit(log: DrivingLog, tracks: Mapping[str, Track], path: Path) -> None:
@@ -27,22 +27,13 @@ def check_labels_fit(log: DrivingLog, tracks: Mapping[str, Track], path: Path) -
     Raises:
         InputError: most boxes are empty: the labels belong to another drive.
     """
+    times = np.concatenate([lidar.timestamps_us for lidar in log.lidars.values()])
     tested = filled = 0
-    for lidar in log.lidars.values():
-        for index, time in enumerate(lidar.timestamps_us.tolist()):
-            rig_from_world = se3.inverse(log.world_from_rig.at(time))
-            near = [
-                (track, rig_from_world @ track.trajectory.at(time))
-                for track in tracks.values()
-                if time in track.trajectory.timestamps_us
-            ]
-            near = [(t, pose) for t, pose in near if np.hypot(*pose[:2, 3]) < RANGE]
-            if not near:
-                continue
-            points = lidar.sweeps[index].points
-            for track, rig_from_box in near:
-                tested += 1
-                filled += _points_above_road(points, track, rig_from_box) >= MIN_POINTS
+    for name, points in all_track_points(log, tracks, margin=0.1, clearance=0.25).items():
+        near = _near_sweeps(log, tracks[name], times)
+        counts = np.bincount(points.sweep, minlength=len(times))
+        tested += len(near)
+        filled += int(np.count_nonzero(counts[near] >= MIN_POINTS))
     if tested >= MIN_BOXES and filled < MIN_FRACTION * tested:
         raise InputError(
             path,
@@ -53,9 +44,10 @@ def check_labels_fit(log: DrivingLog, tracks: Mapping[str, Track], path: Path) -
         )
 
 
-def _points_above_road(points: np.ndarray, track: Track, rig_from_box: np.ndarray) -> int:
-    raised = rig_from_box @ se3.from_rotation_translation(np.eye(3), [0, 0, ABOVE_ROAD / 2])
-    size = track.size - [0.0, 0.0, ABOVE_ROAD + 2 * MARGIN]
-    if size[2] <= 0:
-        return len(points)
-    return int(np.count_nonzero(boxes.contains(points, size, raised, MARGIN)))
+def _near_sweeps(log: DrivingLog, track: Track, times: Int64Array) -> NDArray[np.intp]:
+    """Indices of the sweeps in which the object is labelled and near."""
+    gaps = np.abs(track.trajectory.timestamps_us[:, None] - times)
+    boxes, sweeps = np.nonzero(gaps < SWEEP_US)
+    places = track.trajectory.poses[boxes, :2, 3]
+    ego = log.world_from_rig.at(times[sweeps])[:, :2, 3]
+    return np.unique(sweeps[np.linalg.norm(places - ego, axis=1) < RANGE])

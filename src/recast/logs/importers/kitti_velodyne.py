@@ -19,6 +19,8 @@ from recast.logs import motion
 from recast.logs.importers.kitti_files import list_frames, read_timestamps
 from recast.logs.types import Array, Int64Array, LidarSweep, Trajectory
 
+Times = int | Int64Array
+
 POINT_BYTES = 16  # float32 x, y, z, reflectance
 HALF_TURN_US = 51_750  # measured on drive 2011_09_26_0013, for drives without start and end times
 FIRING_US = 50  # the scanner turns 0.18 degrees in this time: about one column of points
@@ -57,27 +59,39 @@ def list_turns(folder: Path) -> VelodyneTurns:
     """
     listed = list_frames(folder, ".bin")
     check_sweep_sizes(listed.paths)
-    start = listed.timestamps_us - HALF_TURN_US
-    end = listed.timestamps_us + HALF_TURN_US
+    trigger, start, end = turn_times(folder)
+    index = listed.indices
+    odd = np.flatnonzero(~((start < trigger) & (trigger < end))[index])
+    if len(odd):
+        raise InputError(
+            folder / "timestamps_start.txt",
+            f"line {index[odd[0]] + 1}",
+            "start, trigger and end of the turn are out of order",
+            "download the three timestamp files again",
+        )
+    return VelodyneTurns(trigger[index], start[index], end[index], listed.paths)
+
+
+def turn_times(folder: Path) -> tuple[Int64Array, Int64Array, Int64Array]:
+    """Trigger, start and end times (F,) of all turns of a drive, also of those without a file.
+
+    Raises:
+        InputError: timestamps.txt is missing, or the files disagree about the number of turns.
+    """
+    trigger = read_timestamps(folder / "timestamps.txt")
     starts, ends = folder / "timestamps_start.txt", folder / "timestamps_end.txt"
-    if starts.is_file() and ends.is_file():
-        start, end = _of_frames(starts, listed.indices), _of_frames(ends, listed.indices)
-        odd = np.flatnonzero(~((start < listed.timestamps_us) & (listed.timestamps_us < end)))
-        if len(odd):
+    if not (starts.is_file() and ends.is_file()):
+        return trigger, trigger - HALF_TURN_US, trigger + HALF_TURN_US
+    start, end = read_timestamps(starts), read_timestamps(ends)
+    for path, times in ((starts, start), (ends, end)):
+        if len(times) != len(trigger):
             raise InputError(
-                starts,
-                f"line {listed.indices[odd[0]] + 1}",
-                "start, trigger and end of the turn are out of order",
+                path,
+                "lines",
+                f"{len(times)}, but timestamps.txt has {len(trigger)}",
                 "download the three timestamp files again",
             )
-    return VelodyneTurns(listed.timestamps_us, start, end, listed.paths)
-
-
-def _of_frames(path: Path, indices: Int64Array) -> Int64Array:
-    times = read_timestamps(path)
-    if indices[-1] >= len(times):
-        raise InputError(path, f"line {indices[-1] + 1}", "is missing", "download the file again")
-    return times[indices]
+    return trigger, start, end
 
 
 def check_sweep_sizes(paths: Sequence[Path]) -> None:
@@ -111,14 +125,18 @@ def read_points(path: Path) -> NDArray[np.float32]:
 
 
 def firing_times(
-    points: NDArray[np.floating], trigger_us: int, start_us: int, end_us: int
+    points: NDArray[np.floating], trigger_us: Times, start_us: Times, end_us: Times
 ) -> Int64Array:
     """When points (N, >=2) of the velodyne frame were measured, (N,) microseconds.
 
     A point at azimuth a (counter-clockwise from forward) was measured a / 2 pi of a turn before
     the scanner faced forward. Rounded to one firing, and within the turn.
+
+    Args:
+        points: metres, velodyne frame, not compensated.
+        trigger_us, start_us, end_us: of the turn, or (N,) of each point's turn.
     """
-    turn = float(end_us - start_us)
+    turn = np.asarray(end_us - start_us, np.float64)
     azimuth = np.arctan2(points[:, 1], points[:, 0]).astype(np.float64)
     offset = np.rint(-azimuth / (2 * np.pi) * turn / FIRING_US).astype(np.int64) * FIRING_US
     return np.clip(trigger_us + offset, start_us, end_us)
