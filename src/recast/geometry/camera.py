@@ -102,19 +102,30 @@ class PinholeCamera:
 
 
 def distort(normalised: ArrayLike, distortion: ArrayLike) -> Array:
-    """OpenCV's radial-tangential model on normalised coordinates (..., 2)."""
+    """OpenCV's radial-tangential model on normalised coordinates (..., 2).
+
+    The polynomial is fitted within the image; further out it turns back and would fold points from
+    beside the camera into the picture. Beyond the radius where it stops growing it is continued in
+    proportion to the radius instead.
+    """
     xy = np.asarray(normalised, np.float64)
     k1, k2, p1, p2, k3 = np.asarray(distortion, np.float64)
-    x, y = xy[..., 0], xy[..., 1]
-    r2 = x * x + y * y
+    r2 = np.sum(xy * xy, axis=-1)
+    shrink = np.sqrt(np.minimum(1.0, _fold_radius2(k1, k2, k3) / np.maximum(r2, 1e-300)))
+    x, y, r2 = xy[..., 0] * shrink, xy[..., 1] * shrink, r2 * shrink**2
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    tangential_x = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    tangential_y = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
     return np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        axis=-1,
+        [(x * radial + tangential_x) / shrink, (y * radial + tangential_y) / shrink], axis=-1
     )
+
+
+def _fold_radius2(k1: float, k2: float, k3: float) -> float:
+    """Squared radius at which r (1 + k1 r^2 + k2 r^4 + k3 r^6) stops growing, or infinity."""
+    roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])
+    turning = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)]
+    return float(turning.min(initial=np.inf))
 
 
 def undistort(distorted: ArrayLike, distortion: ArrayLike, iterations: int = 20) -> Array:
@@ -128,16 +139,13 @@ def undistort(distorted: ArrayLike, distortion: ArrayLike, iterations: int = 20)
         return target.copy()
     xy = target.copy()
     step = 1e-6
+    x_step, y_step = np.array([step, 0.0]), np.array([0.0, step])
     for _ in range(iterations):
         residual = distort(xy, distortion) - target
         if np.max(np.abs(residual), initial=0.0) < 1e-12:
             break
-        ddx = (distort(xy + [step, 0], distortion) - distort(xy - [step, 0], distortion)) / (
-            2 * step
-        )
-        ddy = (distort(xy + [0, step], distortion) - distort(xy - [0, step], distortion)) / (
-            2 * step
-        )
-        jacobian = np.stack([ddx, ddy], axis=-1)
+        ddx = distort(xy + x_step, distortion) - distort(xy - x_step, distortion)
+        ddy = distort(xy + y_step, distortion) - distort(xy - y_step, distortion)
+        jacobian = np.stack([ddx, ddy], axis=-1) / (2 * step)
         xy = xy - np.linalg.solve(jacobian, residual[..., None])[..., 0]
     return xy

@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+_BLOCK = 1_000_000
+"""Point-segment pairs projected at once: a LiDAR sweep on a long route would fill the memory."""
+
 
 @dataclass(frozen=True)
 class Polyline:
@@ -25,19 +28,21 @@ class Polyline:
         points = np.asarray(self.points, np.float64)
         if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
             raise ValueError(f"Polyline.points: expected (N >= 2, 2), got {points.shape}")
+        if not np.all(np.isfinite(points)):
+            raise ValueError("Polyline.points: NaN or infinite")
         if np.any(np.linalg.norm(np.diff(points, axis=0), axis=1) == 0.0):
             raise ValueError("Polyline.points: two neighbours are equal")
         object.__setattr__(self, "points", points)
 
     @classmethod
     def from_points(cls, points: ArrayLike, min_step: float = 1e-6) -> Polyline:
-        """Build from points (N, >=2), dropping those closer than `min_step` metres to the last kept.
+        """Build from points (N, >=2) without those within `min_step` metres of the last kept.
 
         Raises:
             ValueError: fewer than two distinct points remain.
         """
         xy = np.asarray(points, np.float64)[:, :2]
-        kept = [0]
+        kept = [0] if len(xy) else []
         for i in range(1, len(xy)):
             if np.hypot(*(xy[i] - xy[kept[-1]])) > min_step:
                 kept.append(i)
@@ -65,7 +70,7 @@ class Polyline:
         return np.clip(index, 0, len(self.points) - 2)
 
     def position(self, s: ArrayLike) -> Array:
-        """Points (..., 2) at arc lengths (...), continued straight before the start and past the end.
+        """Points (..., 2) at arc lengths (...), continued straight beyond both ends.
 
         The caller decides whether to go there: see `length`.
         """
@@ -91,11 +96,21 @@ class Polyline:
     def to_frenet(self, points: ArrayLike) -> tuple[Array, Array]:
         """Frenet coordinates of points (..., 2): the nearest point of the chain.
 
+        Before the start and past the end, that is the end point.
+
         Returns:
             s (...), within [0, length], and the signed distance (...), positive to the left.
         """
         query = np.asarray(points, np.float64)
         flat = query.reshape(-1, 2)
+        s, lateral = np.empty(len(flat)), np.empty(len(flat))
+        block = max(1, _BLOCK // len(self.points))
+        for start in range(0, len(flat), block):
+            rows = slice(start, start + block)
+            s[rows], lateral[rows] = self._nearest(flat[rows])
+        return s.reshape(query.shape[:-1]), lateral.reshape(query.shape[:-1])
+
+    def _nearest(self, flat: Array) -> tuple[Array, Array]:
         starts, directions = self.points[:-1], self._directions
         lengths = np.diff(self.arc_lengths)
         offset = flat[:, None, :] - starts  # (Q, N-1, 2)
@@ -104,11 +119,13 @@ class Polyline:
         distance2 = np.einsum("qnd,qnd->qn", gap, gap)
         best = np.argmin(distance2, axis=1)
         rows = np.arange(len(flat))
-        cross = (
-            directions[best, 0] * offset[rows, best, 1]
-            - directions[best, 1] * offset[rows, best, 0]
-        )
+        # At a vertex, the mean direction tells the side: in a sharp bend each segment alone errs.
+        tangent = directions[best]
+        before = (along[rows, best] <= 0.0) & (best > 0)
+        after = (along[rows, best] >= lengths[best]) & (best < len(lengths) - 1)
+        tangent = tangent + np.where(before[:, None], directions[best - 1], 0.0)
+        tangent += np.where(after[:, None], directions[np.minimum(best + 1, len(lengths) - 1)], 0.0)
+        side_vector = gap[rows, best]
+        cross = tangent[:, 0] * side_vector[:, 1] - tangent[:, 1] * side_vector[:, 0]
         side = np.where(cross >= 0, 1.0, -1.0)
-        s = self.arc_lengths[best] + along[rows, best]
-        lateral = side * np.sqrt(distance2[rows, best])
-        return s.reshape(query.shape[:-1]), lateral.reshape(query.shape[:-1])
+        return self.arc_lengths[best] + along[rows, best], side * np.sqrt(distance2[rows, best])

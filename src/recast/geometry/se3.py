@@ -113,7 +113,9 @@ def yaw(matrix: ArrayLike) -> Array:
 
 
 def slerp(quat0: ArrayLike, quat1: ArrayLike, fraction: ArrayLike) -> Array:
-    """Spherical interpolation between quaternions (..., 4) wxyz along the shorter arc.
+    """Spherical interpolation between unit quaternions (..., 4) wxyz along the shorter arc.
+
+    Half a turn apart, either arc is the shorter one; the one taken then depends on the signs given.
 
     Args:
         fraction: (...), 0 gives `quat0`, 1 gives `quat1`.
@@ -164,10 +166,11 @@ def _so3_series(phi: Array) -> tuple[Array, Array, Array]:
     theta = np.sqrt(theta2)
     small = theta < 1e-4
     safe = np.where(small, 1.0, theta)
+    half = safe / 2  # 1 - cos(theta) would lose half the digits of a small angle
     a = np.where(small, 1 - theta2 / 6, np.sin(safe) / safe)
-    b = np.where(small, 0.5 - theta2 / 24, (1 - np.cos(safe)) / safe**2)
+    b = np.where(small, 0.5 - theta2 / 24, 0.5 * (np.sin(half) / half) ** 2)
     c = np.where(small, 1 / 6 - theta2 / 120, (safe - np.sin(safe)) / safe**3)
-    d = np.where(small, 1 / 12 + theta2 / 720, (1 - a / (2 * np.where(small, 1.0, b))) / safe**2)
+    d = np.where(small, 1 / 12 + theta2 / 720, (1 - half / np.tan(half)) / safe**2)
     skew = np.zeros((*phi.shape[:-1], 3, 3))
     skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0] = np.moveaxis(phi, -1, 0)
     skew[..., 1, 2], skew[..., 2, 0], skew[..., 0, 1] = np.moveaxis(-phi, -1, 0)
@@ -188,11 +191,14 @@ def interpolate(timestamps_us: ArrayLike, poses: ArrayLike, query_us: ArrayLike)
         (..., 4, 4).
 
     Raises:
-        ValueError: a query lies outside the recorded interval, or timestamps do not increase.
+        ValueError: a query lies outside the recorded interval, timestamps do not increase, or there
+            is not one pose for each.
     """
     times = np.asarray(timestamps_us, np.int64)
     poses = np.asarray(poses, np.float64)
     query = np.asarray(query_us, np.int64)
+    if len(times) == 0 or poses.shape != (len(times), 4, 4):
+        raise ValueError(f"interpolate: {len(times)} timestamps_us for poses {poses.shape}")
     if np.any(np.diff(times) <= 0):
         raise ValueError("interpolate: timestamps_us must increase strictly")
     if query.size and (query.min() < times[0] or query.max() > times[-1]):
