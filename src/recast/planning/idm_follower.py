@@ -16,6 +16,11 @@ from recast.planning.types import WAYPOINTS, ActorState, Plan, PlannerInput, Pla
 
 Array = NDArray[np.float64]
 
+_MOVING = 0.5
+"""Speed in m/s from which a vehicle in the next lane may be about to change lanes."""
+_APPROACH_RESPONSE = 0.2
+"""Seconds in which too high an approach speed is braked off."""
+
 
 @dataclass(frozen=True)
 class IdmFollowerConfig:
@@ -24,18 +29,26 @@ class IdmFollowerConfig:
     Attributes:
         idm: nuPlan's planner parameters.
         emergency_deceleration: m/s^2, used where comfortable braking would not avoid the lead.
+        response_time: seconds by which the vehicle is taken to lag behind the plan when it is
+            judged whether comfortable braking suffices.
         min_target_speed: m/s; without a speed limit the logged speed is the target, but never less
             than this, so that a halt in the log does not hold the ego for ever.
         corridor_margin: metres added to the ego's width on each side.
         lookahead: seconds for which a road user is watched to see if it enters the corridor.
+        approach_speed: m/s by which the ego is faster at most when it comes up, within the headway,
+            to a moving vehicle in the next lane; faster, and nothing could be done if it cut in.
+        next_lane: metres beyond the corridor in which a vehicle counts as in the next lane.
         return_time: seconds to come back to the route, at the present speed.
     """
 
     idm: IdmParameters = NUPLAN_PLANNER
     emergency_deceleration: float = 7.0
+    response_time: float = 0.4
     min_target_speed: float = 3.0
     corridor_margin: float = 0.3
     lookahead: float = 1.5
+    approach_speed: float = 1.0
+    next_lane: float = 2.5
     return_time: float = 3.0
 
 
@@ -47,6 +60,7 @@ class _Lead:
     near_end: Array  # (40,) progress of its nearest point, metres from the ego's rear axle
     inside: NDArray[np.bool_]  # (40,) it is in the corridor then, will be soon, or has been
     speed: float  # along the route, m/s; negative when it comes towards the ego
+    reserve: float  # metres of the gap that an oncoming one needs to stop
 
 
 class IdmLaneFollower:
@@ -104,11 +118,16 @@ class IdmLaneFollower:
         """Progress (40,) along the path, the lead that decided most, the least acceleration."""
         progress = np.zeros(WAYPOINTS)
         position, followed, hardest = 0.0, "", np.inf
+        braking: dict[str, float] = {}  # emergency deceleration by lead, held until it is over
         for j in range(WAYPOINTS):
             target = self._target_speed(path.start + position)
-            acceleration, who = self._acceleration(
-                speed, target, position + context.vehicle.front_length, j, leads
-            )
+            acceleration = float(idm_acceleration(speed, target, np.inf, 0.0, self.config.idm))
+            who = ""
+            for lead in leads:
+                bumper = position + context.vehicle.front_length
+                behind = self._behind(lead, j, speed, target, bumper, braking)
+                if behind < acceleration:
+                    acceleration, who = behind, lead.track_id
             if acceleration < hardest:
                 hardest, followed = acceleration, who
             position += speed * context.dt
@@ -116,20 +135,32 @@ class IdmLaneFollower:
             progress[j] = position
         return progress, followed, hardest
 
-    def _acceleration(
-        self, speed: float, target: float, bumper: float, step: int, leads: list[_Lead]
-    ) -> tuple[float, str]:
-        idm, best, who = self.config.idm, np.inf, ""
-        gaps = [(lead.near_end[step] - bumper, lead) for lead in leads if lead.inside[step]]
-        for gap, lead in [(np.inf, None), *gaps]:
-            lead_speed = 0.0 if lead is None else lead.speed
-            acceleration = float(idm_acceleration(speed, target, gap, lead_speed, idm))
-            needed = _needed_deceleration(speed, lead_speed, gap - idm.min_gap)
-            if needed > idm.max_deceleration:
-                acceleration = -min(needed, self.config.emergency_deceleration)
-            if acceleration < best:
-                best, who = acceleration, "" if lead is None else lead.track_id
-        return best, who
+    def _behind(
+        self,
+        lead: _Lead,
+        step: int,
+        speed: float,
+        target: float,
+        bumper: float,
+        braking: dict[str, float],
+    ) -> float:
+        """Acceleration in m/s^2 that one lead allows; keeps emergency braking in `braking`."""
+        config, idm = self.config, self.config.idm
+        closing = speed - lead.speed
+        gap = lead.near_end[step] - bumper - lead.reserve
+        if not lead.inside[step]:
+            if not 0.0 < gap < idm.headway * speed:
+                return np.inf
+            excess = closing - config.approach_speed
+            return -min(excess / _APPROACH_RESPONSE, idm.max_deceleration)
+        lag = max(closing, 0.0) * config.response_time
+        needed = _needed_deceleration(speed, lead.speed, gap - idm.min_gap - lag)
+        if needed > idm.max_deceleration:
+            needed = min(needed, config.emergency_deceleration)
+            braking[lead.track_id] = max(needed, braking.get(lead.track_id, 0.0))
+        if lead.track_id in braking and closing > 0.0:
+            return -braking[lead.track_id]
+        return float(idm_acceleration(speed, target, gap, lead.speed, idm))
 
     def _target_speed(self, s: float) -> float:
         limits = [limit for start, end, limit in self._limits if start <= s <= end]
@@ -158,9 +189,14 @@ class IdmLaneFollower:
         soon = np.array([touching[j : j + watched + 1].any() for j in range(WAYPOINTS)])
         # At constant velocity a cut-in would slide out on the other side: it is taken to stay.
         inside = np.logical_or.accumulate(soon)
-        if not inside[-1]:
+        near = np.abs(offset[0]).min() <= half + self.config.next_lane
+        if not inside[-1] and not (near and along > _MOVING):
             return None
-        return _Lead(actor.track_id, progress.min(axis=1)[:WAYPOINTS], inside, float(along))
+        idm = self.config.idm
+        reserve = along**2 / (2 * idm.max_deceleration) - along * idm.headway if along < 0 else 0.0
+        return _Lead(
+            actor.track_id, progress.min(axis=1)[:WAYPOINTS], inside, float(along), float(reserve)
+        )
 
 
 @dataclass(frozen=True)

@@ -168,9 +168,8 @@ def _knots(xy: Array) -> list[int]:
             knots.append(i)
     last = len(xy) - 1
     if knots[-1] != last and len(knots) > 1:
-        # A knot too near to the end gives way to it, so that the route ends where the log does.
-        if np.hypot(*(xy[last] - xy[knots[-1]])) < _KNOT_SPACING / 2:
+        # A knot too near to the end gives way to it: the route ends where the log does.
+        if np.hypot(*(xy[last] - xy[knots[-1]])) <= _KNOT_SPACING / 2:
             knots.pop()
-        if np.hypot(*(xy[last] - xy[knots[-1]])) > _KNOT_SPACING / 2:
-            knots.append(last)
+        knots.append(last)
     return knots

@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import sys
+from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
+
+import pytest
+
+from recast.errors import InputError
+from recast.planning import IdmLaneFollower, make_planner, planner_names, registry
+
+PLUGIN = """
+class Mine:
+    name = "mine"
+    needs_images = True
+    def reset(self, context): ...
+    def plan(self, observation): ...
+def broken(): return object()
+value = 3
+"""
+
+
+@pytest.fixture
+def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    (tmp_path / "my_planner_plugin.py").write_text(PLUGIN)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield "my_planner_plugin"
+    sys.modules.pop("my_planner_plugin", None)
+
+
+@pytest.mark.parametrize("name", ["constant-velocity", "idm-follower", "log-replay"])
+def test_built_in_planners_by_name(name: str) -> None:
+    assert name in planner_names()
+    assert make_planner(name).name == name
+
+
+def test_each_call_makes_a_new_one() -> None:
+    assert make_planner("idm-follower") is not make_planner("idm-follower")
+    assert isinstance(make_planner("idm-follower"), IdmLaneFollower)
+
+
+def test_an_unknown_name_lists_the_known() -> None:
+    with pytest.raises(InputError, match="constant-velocity, idm-follower, log-replay"):
+        make_planner("gtsr")
+
+
+def test_a_path_to_a_class(plugin: str) -> None:
+    assert make_planner(f"{plugin}:Mine").name == "mine"
+
+
+def test_installed_plugins_are_found(plugin: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = EntryPoints([EntryPoint("mine", f"{plugin}:Mine", registry.ENTRY_POINT_GROUP)])
+    monkeypatch.setattr(registry, "entry_points", lambda group: found.select(group=group))
+    assert "mine" in planner_names()
+    assert make_planner("mine").needs_images
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("no_such_module:Mine", "cannot be imported"),
+        ("{plugin}:Nothing", "cannot be imported"),
+        ("{plugin}:value", "cannot be called"),
+        ("{plugin}:broken", "lacks name, needs_images, reset, plan"),
+    ],
+)
+def test_bad_paths_are_named(plugin: str, path: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make_planner(path.format(plugin=plugin))
