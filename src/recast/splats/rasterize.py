@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
+from functools import lru_cache
 from typing import Literal
 
 from torch import Tensor
 
+from recast.splats import native
 from recast.splats.gaussians import Gaussians
+from recast.splats.native.autograd import rasterize_native
 from recast.splats.rasterization import Rasterization, check_settings, check_shapes
 from recast.splats.reference import rasterize_reference
 
@@ -54,9 +58,27 @@ def rasterize(
     Raises:
         ValueError: an argument is at fault: a shape, a value that is not finite, a pose that is not
             rigid, a quaternion of norm zero.
+        RuntimeError: backend is "native" and there is none; the message says why.
     """
     settings = check_settings(
         camera_from_world, K, width, height, background, near, far, eps2d, antialiased, max_alpha
     )
     check_shapes(gaussians)
-    return rasterize_reference(gaussians, camera_from_world, settings, background)
+    if backend == "auto":
+        backend = "native" if native.info().available else "reference"
+        if backend == "reference":
+            _warn_once(native.info().reason)
+    if backend == "native":
+        return rasterize_native(gaussians, camera_from_world, settings, background)
+    if backend == "reference":
+        return rasterize_reference(gaussians, camera_from_world, settings, background)
+    raise ValueError(f"rasterize: backend {backend!r}, expected auto, native or reference")
+
+
+@lru_cache(maxsize=1)
+def _warn_once(reason: str) -> None:
+    warnings.warn(
+        f"no native rasterizer ({reason}); using the torch reference, hundreds of times slower",
+        RuntimeWarning,
+        stacklevel=3,
+    )

@@ -1,0 +1,113 @@
+#include "context.hpp"
+
+#include <cstring>
+#include <ctime>
+
+#include "pool.hpp"
+
+namespace recast {
+namespace {
+
+// Processor time of the whole process: what a stage costs, whoever else uses the machine.
+double cpu_milliseconds() {
+#if defined(CLOCK_PROCESS_CPUTIME_ID)
+  timespec t;
+  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);
+  return double(t.tv_sec) * 1e3 + double(t.tv_nsec) * 1e-6;
+#else
+  return double(std::clock()) * 1e3 / CLOCKS_PER_SEC;
+#endif
+}
+
+int64_t chunk_count(const Frame& f) { return (f.count + kChunk - 1) / kChunk; }
+int64_t tile_count(const Frame& f) { return int64_t(f.tiles_x) * f.tiles_y; }
+
+}  // namespace
+
+int Context::forward(const Kernels& kernels, Frame f, int64_t* fault_row) {
+  const int64_t n = f.count, chunks = chunk_count(f);
+  f.tiles_x = (f.width + kTile - 1) / kTile;
+  f.tiles_y = (f.height + kTile - 1) / kTile;
+  const int64_t tiles = tile_count(f);
+  double start = cpu_milliseconds();
+  const auto lap = [&](Stage stage) {
+    const double now = cpu_milliseconds();
+    milliseconds[stage] = now - start;
+    start = now;
+  };
+
+  f.splats = splats_.reserve(n);
+  f.footprints = footprints_.reserve(n);
+  f.slots = slots_.reserve(n);
+  f.chunk_ids = ids_.reserve(chunks * kChunk);
+  f.chunk_keys = keys_.reserve(chunks * kChunk);
+  f.chunks = chunks_.reserve(chunks);
+  uint8_t* given = f.visible;
+  f.visible = visible_.reserve(n);
+  parallel_for(chunks, [&](int64_t c) { kernels.project(f, c); });
+  for (int64_t c = 0; c < chunks; ++c)
+    if (f.chunks[c].fault) {
+      *fault_row = f.chunks[c].fault_row;
+      return int(f.chunks[c].fault);
+    }
+  if (n) std::memcpy(given, f.visible, size_t(n));
+  intersections = binning_.compact(f, chunks);
+  if (intersections >= 0xFFFFFFFFull) return -1;
+  lap(kProject);
+  binning_.sort();
+  lap(kSort);
+  f.tile_begin = tile_begin_.reserve(tiles + 1);
+  f.intersections = intersections_.reserve(int64_t(intersections) + 1);
+  binning_.scatter(f);
+  lap(kBin);
+  if (f.training) f.tile_state = state_.reserve(tiles * 5 * kTilePixels);
+  parallel_for(tiles, [&](int64_t t) { kernels.raster(f, t); });
+  lap(kRaster);
+  frame_ = f;
+  return 0;
+}
+
+void Context::backward(const Kernels& kernels, const Frame& g, float* pose_grad) {
+  Frame f = frame_;
+  f.means = g.means;
+  f.quats = g.quats;
+  f.log_scales = g.log_scales;
+  f.logits = g.logits;
+  f.sh = g.sh;
+  f.rgb_grad = g.rgb_grad;
+  f.depth_grad = g.depth_grad;
+  f.alpha_grad = g.alpha_grad;
+  f.means_grad = g.means_grad;
+  f.quats_grad = g.quats_grad;
+  f.log_scales_grad = g.log_scales_grad;
+  f.logits_grad = g.logits_grad;
+  f.sh_grad = g.sh_grad;
+  f.means2d_grad = g.means2d_grad;
+  const int64_t chunks = chunk_count(f);
+  double start = cpu_milliseconds();
+  f.records = records_.reserve(int64_t(intersections) * kSums + 16);
+  f.record_used = used_.reserve(int64_t(intersections) + 1);
+  std::memset(f.record_used, 0, size_t(intersections));
+  parallel_for(tile_count(f), [&](int64_t t) { kernels.raster_backward(f, t); });
+  double now = cpu_milliseconds();
+  milliseconds[kRasterBackward] = now - start;
+  start = now;
+  f.pose_grad_chunks = pose_.reserve(12 * chunks + 1);
+  parallel_for(chunks, [&](int64_t c) { kernels.project_backward(f, c); });
+  double pose[12] = {};
+  for (int64_t c = 0; c < chunks; ++c)
+    for (int i = 0; i < 12; ++i) pose[i] += f.pose_grad_chunks[12 * c + i];
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) pose_grad[4 * i + j] = float(pose[3 * i + j]);
+    pose_grad[4 * i + 3] = float(pose[9 + i]);
+  }
+  milliseconds[kProjectBackward] = cpu_milliseconds() - start;
+}
+
+int64_t Context::bytes() const {
+  return binning_.bytes() + splats_.bytes() + footprints_.bytes() + slots_.bytes() + ids_.bytes() +
+         keys_.bytes() + tile_begin_.bytes() + chunks_.bytes() + intersections_.bytes() +
+         visible_.bytes() + used_.bytes() + state_.bytes() + records_.bytes() + pose_.bytes();
+}
+
+}  // namespace recast

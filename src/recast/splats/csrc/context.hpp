@@ -1,0 +1,36 @@
+// The working memory of one view, kept between its forward and its backward pass and from frame to
+// frame, and the order of the stages.
+#pragma once
+#include "binning.hpp"
+#include "buffer.hpp"
+#include "frame.hpp"
+
+namespace recast {
+
+enum Stage { kProject, kSort, kBin, kRaster, kRasterBackward, kProjectBackward, kStages };
+
+class Context {
+ public:
+  // Inputs and images of `f` are filled in; returns 0, or a fault with its row, or -1 when there are
+  // too many intersections.
+  int forward(const Kernels& kernels, Frame f, int64_t* fault_row);
+  // Gradients of `g` are filled in; the rest comes from the last forward pass.
+  void backward(const Kernels& kernels, const Frame& g, float* pose_grad);
+  int64_t bytes() const;
+  double milliseconds[kStages] = {};
+  uint64_t intersections = 0;
+
+ private:
+  Frame frame_ = {};
+  Binning binning_;
+  Buffer<Splat> splats_;
+  Buffer<Footprint> footprints_;
+  Buffer<uint32_t> slots_, ids_, keys_, tile_begin_;
+  Buffer<ChunkResult> chunks_;
+  Buffer<Intersection> intersections_;
+  Buffer<uint8_t> visible_, used_;
+  Buffer<float> state_, records_;
+  Buffer<double> pose_;
+};
+
+}  // namespace recast

@@ -1,0 +1,120 @@
+// Plain data shared by all stages of one rasterization. No inline code: see simd.hpp.
+#pragma once
+#include <cstdint>
+
+namespace recast {
+
+constexpr int kTile = 16;          // tile edge, pixels
+constexpr int kTilePixels = kTile * kTile;
+constexpr int kChunk = 1024;       // Gaussians a work item
+constexpr int kSums = 10;          // floats a gradient record
+constexpr float kAlphaThreshold = 1.0f / 255.0f;
+constexpr float kLog2AlphaThreshold = -7.9943534369f;
+constexpr float kTransmittanceThreshold = 1e-4f;
+constexpr float kTangentMargin = 0.3f;
+constexpr float kSplatUnit = 0.849321800288019f;  // sqrt(log2(e) / 2): Gaussians as powers of two
+constexpr float kMinCompensation = 1e-12f;  // floor of det(exact) / det(blurred)
+
+// A projected Gaussian: one cache line.
+// log2 alpha at offset d from the centre is log2_opacity - (l1 dx + l2 dy)^2 - (l3 dy)^2: the
+// Cholesky factor of the conic, scaled so that exp2 serves; it does not cancel on needles.
+struct alignas(64) Splat {
+  float x, y;
+  float l1, l2, l3;
+  float log2_opacity;
+  float r, g, b, depth;
+  float slope_y;  // dy of the ellipse's extremum at given dx: cov_xy / cov_xx
+  float slope_x;  // dx at given dy: cov_xy / cov_yy
+  float spare[4];
+};
+
+// Tiles a Gaussian may touch: x0 (12 bits), y0 (12), width - 1 (12), height - 1 (12), mask (16).
+// With width and height of at most 4 the mask says which tiles (bit 4 row + column); larger
+// rectangles count whole.
+typedef uint64_t Footprint;
+
+struct Intersection {
+  uint32_t id;    // Gaussian
+  uint32_t slot;  // its gradient record
+};
+
+// What is wrong with a Gaussian; order known to Python.
+enum Fault : uint32_t {
+  kFaultNone = 0,
+  kFaultMeans = 1,
+  kFaultQuats = 2,
+  kFaultScales = 3,
+  kFaultOpacity = 4,
+  kFaultSh = 5,
+  kFaultQuatNorm = 6,
+};
+
+struct ChunkResult {
+  uint32_t visible;
+  uint32_t fault;
+  uint32_t fault_row;
+  uint32_t key_min, key_max;
+  uint32_t spare;
+  uint64_t intersections;
+};
+
+struct Frame {
+  // Inputs.
+  int64_t count;
+  int32_t sh_bases;  // 1, 4, 9 or 16
+  int32_t width, height;
+  int32_t tiles_x, tiles_y;
+  int32_t antialiased;
+  int32_t training;
+  int32_t has_background;
+  float near_plane, far_plane, eps2d, max_alpha;
+  float fx, fy, cx, cy;
+  float rotation[9], translation[3];
+  float background[3];
+  const float *means, *quats, *log_scales, *logits, *sh;
+
+  // Per Gaussian.
+  Splat* splats;
+  Footprint* footprints;
+  uint32_t* slots;          // first gradient record
+  uint32_t* chunk_ids;      // visible rows, kChunk apart
+  uint32_t* chunk_keys;     // their depths as sortable integers
+  ChunkResult* chunks;
+  uint8_t* visible;
+  float* radii;
+  float* means2d;
+
+  // Per tile.
+  uint32_t* tile_begin;     // tiles + 1
+  Intersection* intersections;
+  float* tile_state;        // rgb, depth, transmittance: 5 x kTilePixels floats, in block order
+
+  // Images.
+  float *rgb, *depth, *alpha;
+
+  // Backward.
+  const float *rgb_grad, *depth_grad, *alpha_grad;  // may be null
+  float* records;           // kSums floats an intersection
+  uint8_t* record_used;
+  float *means_grad, *quats_grad, *log_scales_grad, *logits_grad, *sh_grad, *means2d_grad;
+  double* pose_grad_chunks;  // 12 a chunk: rotation, translation
+};
+
+struct AdamRows {
+  float *value, *gradient, *first, *second;
+  int64_t width;  // floats a row
+  float step;     // lr / (1 - beta1^t)
+  float second_correction;  // 1 / sqrt(1 - beta2^t)
+};
+
+struct Kernels {
+  const char* name;
+  void (*project)(const Frame&, int64_t chunk);
+  void (*raster)(const Frame&, int64_t tile);
+  void (*raster_backward)(const Frame&, int64_t tile);
+  void (*project_backward)(const Frame&, int64_t chunk);
+  void (*adam)(const AdamRows&, const uint8_t* visible, int64_t begin, int64_t end, float beta1,
+               float beta2, float epsilon);
+};
+
+}  // namespace recast

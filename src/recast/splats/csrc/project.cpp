@@ -1,0 +1,215 @@
+// Forward, per Gaussian: project, find the tiles, colour.
+#include "geometry.hpp"
+#include "harmonics.hpp"
+#include "kernels.hpp"
+
+namespace recast {
+namespace RECAST_ISA {
+namespace {
+
+inline vm finite(vf x) { return vabs(x) < vf(3e38f); }
+
+inline vm all_finite(const vf* x, int n) {
+  vm m = finite(x[0]);
+  for (int i = 1; i < n; ++i) m = m & finite(x[i]);
+  return m;
+}
+
+void note_fault(ChunkResult& result, vm good, uint32_t lanes, uint32_t row, uint32_t fault) {
+  const uint32_t bad = ~bits(good) & lanes;
+  if (bad && !result.fault) {
+    result.fault = fault;
+    result.fault_row = row + uint32_t(__builtin_ctz(bad));
+  }
+}
+
+// Least (l1 dx + l2 dy)^2 + (l3 dy)^2 over a box given relative to the centre.
+float least_distance(const Splat& s, float x0, float x1, float y0, float y1) {
+  const float dx = maximum(minimum(0.0f, x1), x0), dy = maximum(minimum(0.0f, y1), y0);
+  const float ey = minimum(maximum(s.slope_y * dx, y0), y1);
+  const float ex = minimum(maximum(s.slope_x * dy, x0), x1);
+  const float u = s.l1 * dx + s.l2 * ey, v = s.l3 * ey;
+  const float p = s.l1 * ex + s.l2 * dy, q = s.l3 * dy;
+  return minimum(u * u + v * v, p * p + q * q);
+}
+
+// The tiles of a rectangle of pixels; tiles that the ellipse misses are left out of small ones.
+Footprint footprint(const Splat& s, int x0, int x1, int y0, int y1, uint32_t* tiles) {
+  *tiles = 0;
+  if (x0 > x1 || y0 > y1) return 0;  // 1x1 tile with an empty mask
+  const int tx = x0 / kTile, ty = y0 / kTile;
+  const int w = x1 / kTile - tx + 1, h = y1 / kTile - ty + 1;
+  uint32_t mask = 0;
+  if (w > 4 || h > 4) {
+    *tiles = uint32_t(w) * uint32_t(h);
+  } else {
+    const float reach = s.log2_opacity - kLog2AlphaThreshold + 0.01f;
+    for (int j = 0; j < h; ++j)
+      for (int i = 0; i < w; ++i) {
+        bool hit = true;
+        if (w > 1 && h > 1) {
+          const float left = float((tx + i) * kTile) + 0.5f - s.x;
+          const float top = float((ty + j) * kTile) + 0.5f - s.y;
+          hit = least_distance(s, left, left + float(kTile - 1), top, top + float(kTile - 1)) <=
+                reach;
+        }
+        mask |= uint32_t(hit) << (4 * j + i);
+      }
+    *tiles = uint32_t(__builtin_popcount(mask));
+  }
+  return Footprint(tx) << 52 | Footprint(ty) << 40 | Footprint(w - 1) << 28 |
+         Footprint(h - 1) << 16 | mask;
+}
+
+// Projects rows first .. first + lanes - 1 and appends the visible ones to the chunk's list.
+void project_group(const Frame& f, uint32_t first, int lanes, ChunkResult& result, uint32_t* ids,
+                   uint32_t* keys) {
+  uint32_t rows[W];
+  for (int i = 0; i < W; ++i) rows[i] = first + uint32_t(i < lanes ? i : lanes - 1);
+  const uint32_t valid = (1u << lanes) - 1u;
+  const Parameters p = load_parameters(f, rows);
+  const Projection o = project(f, p);
+
+  const vf largest_exponent = 60.0f;  // e^60 squared is still a float
+  vm ok_mean = all_finite(p.mean, 3), ok_quat = all_finite(p.quat, 4);
+  vm ok_scale = (vabs(p.log_scale[0]) < largest_exponent) &
+                (vabs(p.log_scale[1]) < largest_exponent) &
+                (vabs(p.log_scale[2]) < largest_exponent);
+  vm ok_logit = finite(p.logit);
+  vm ok_norm = (o.norm2 > vf(1e-30f)) & (o.norm2 < vf(1e30f));
+  if ((bits(ok_mean & ok_quat & ok_scale & ok_logit & ok_norm) & valid) != valid) {
+    note_fault(result, ok_mean, valid, first, kFaultMeans);
+    note_fault(result, ok_quat, valid, first, kFaultQuats);
+    note_fault(result, ok_scale, valid, first, kFaultScales);
+    note_fault(result, ok_logit, valid, first, kFaultOpacity);
+    note_fault(result, ok_norm, valid, first, kFaultQuatNorm);
+    return;
+  }
+
+  const vf log2_opacity = vlog2(vmax(o.opacity, vf(1e-30f)));
+  const vf reach = log2_opacity - vf(kLog2AlphaThreshold);
+  // 2 ln(255 o) = 2 ln 2 * reach.
+  const vf spread = vmax(reach, vf(0.0f)) * vf(1.38629436f);
+  const vf extent_x = vsqrt(spread * o.xx), extent_y = vsqrt(spread * o.yy);
+  const vf size_x = float(f.width), size_y = float(f.height), half = 0.5f;
+  const vm seen = (o.point[2] >= vf(f.near_plane)) & (o.point[2] <= vf(f.far_plane)) &
+                  (o.opacity >= vf(kAlphaThreshold)) & (o.det > vf(0.0f)) &
+                  (o.x + extent_x > half) & (o.x - extent_x < size_x - half) &
+                  (o.y + extent_y > half) & (o.y - extent_y < size_y - half);
+  const uint32_t visible = bits(seen) & valid;
+
+  alignas(64) float radius[W], px[W], py[W];
+  store(radius, vmax(extent_x, extent_y));
+  store(px, o.x);
+  store(py, o.y);
+  for (int i = 0; i < lanes; ++i) {
+    const bool v = visible >> i & 1;
+    const int64_t row = int64_t(first) + i;
+    f.visible[row] = v;
+    f.radii[row] = v ? __builtin_ceilf(radius[i]) : 0.0f;
+    f.means2d[2 * row] = v ? px[i] : 0.0f;
+    f.means2d[2 * row + 1] = v ? py[i] : 0.0f;
+  }
+  if (!visible) return;
+
+  vf columns[16];
+  columns[0] = o.x;
+  columns[1] = o.y;
+  columns[2] = o.l1;
+  columns[3] = o.l2;
+  columns[4] = o.l3;
+  columns[5] = log2_opacity;
+  columns[6] = columns[7] = columns[8] = vf(0.0f);
+  columns[9] = o.point[2];
+  columns[10] = o.xy / o.xx;
+  columns[11] = o.xy / o.yy;
+  for (int i = 12; i < 16; ++i) columns[i] = vf(0.0f);
+  for (int c = 0; c < 16; c += W) {
+    transpose(columns + c);
+    for (uint32_t m = visible; m; m &= m - 1) {
+      const int i = __builtin_ctz(m);
+      store(&f.splats[rows[i]].x + c, columns[c + i]);
+    }
+  }
+
+  // Pixels whose centres lie in the box, with a little slack for rounding.
+  alignas(64) int32_t x0[W], x1[W], y0[W], y1[W];
+  const vf slack = 0.01f, zero = 0.0f, one = 1.0f, minus = -1.0f;
+  store(x0, round_to_int(vmin(vmax(o.x - extent_x - slack, zero), size_x)));
+  store(x1, round_to_int(vmax(vmin(o.x + extent_x + slack, size_x) - one, minus)));
+  store(y0, round_to_int(vmin(vmax(o.y - extent_y - slack, zero), size_y)));
+  store(y1, round_to_int(vmax(vmin(o.y + extent_y + slack, size_y) - one, minus)));
+  for (uint32_t m = visible; m; m &= m - 1) {
+    const int i = __builtin_ctz(m);
+    const uint32_t row = rows[i];
+    uint32_t tiles;
+    f.footprints[row] = footprint(f.splats[row], x0[i], x1[i], y0[i], y1[i], &tiles);
+    uint32_t key;
+    __builtin_memcpy(&key, &f.splats[row].depth, 4);  // positive floats sort as integers
+    ids[result.visible] = row;
+    keys[result.visible] = key;
+    ++result.visible;
+    result.intersections += tiles;
+    if (key < result.key_min) result.key_min = key;
+    if (key > result.key_max) result.key_max = key;
+  }
+}
+
+template <int K>
+void colour(const Frame& f, const uint32_t* ids, ChunkResult& result) {
+  float offset[3];
+  for (int i = 0; i < 3; ++i)
+    offset[i] = f.rotation[i] * f.translation[0] + f.rotation[3 + i] * f.translation[1] +
+                f.rotation[6 + i] * f.translation[2];
+  const int n = int(result.visible);
+  for (int begin = 0; begin < n; begin += W) {
+    uint32_t rows[W];
+    for (int i = 0; i < W; ++i) rows[i] = ids[begin + i < n ? begin + i : n - 1];
+    const int lanes = n - begin < W ? n - begin : W;
+    vf mean[3], d[3], b[16], sh[3 * K];
+    load_columns<3>(f.means, rows, mean);
+    view_direction(mean, offset, d);
+    harmonics<K>(d, b);
+    load_rows<3 * K>(f.sh, rows, sh);
+    vf c[3] = {vf(0.5f), vf(0.5f), vf(0.5f)};
+    for (int k = 0; k < K; ++k)
+      for (int j = 0; j < 3; ++j) c[j] = fma(b[k], sh[3 * k + j], c[j]);
+    const vm good = all_finite(c, 3);
+    if (bits(~good) && !result.fault) {
+      const int lane = __builtin_ctz(bits(~good));
+      result.fault = kFaultSh;
+      result.fault_row = rows[lane];
+    }
+    alignas(64) float rgb[3][W];
+    for (int j = 0; j < 3; ++j) store(rgb[j], vmax(c[j], vf(0.0f)));
+    for (int i = 0; i < lanes; ++i) {
+      Splat& s = f.splats[rows[i]];
+      s.r = rgb[0][i];
+      s.g = rgb[1][i];
+      s.b = rgb[2][i];
+    }
+  }
+}
+
+}  // namespace
+
+void project_chunk(const Frame& f, int64_t chunk) {
+  ChunkResult result = {};
+  result.key_min = ~0u;
+  uint32_t* ids = f.chunk_ids + chunk * kChunk;
+  uint32_t* keys = f.chunk_keys + chunk * kChunk;
+  const int64_t begin = chunk * kChunk;
+  const int64_t end = begin + kChunk < f.count ? begin + kChunk : f.count;
+  for (int64_t first = begin; first < end && !result.fault; first += W)
+    project_group(f, uint32_t(first), int(end - first < W ? end - first : W), result, ids, keys);
+  if (!result.fault) {
+    if (f.sh_bases == 1) colour<1>(f, ids, result);
+    if (f.sh_bases == 4) colour<4>(f, ids, result);
+    if (f.sh_bases == 9) colour<9>(f, ids, result);
+    if (f.sh_bases == 16) colour<16>(f, ids, result);
+  }
+  f.chunks[chunk] = result;
+}
+
+}  // namespace RECAST_ISA
+}  // namespace recast

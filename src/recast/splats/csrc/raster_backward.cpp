@@ -1,0 +1,141 @@
+// Backward, per tile: the image gradients to ten sums a Gaussian and tile.
+//
+// The loss is linear in the image: F = sum_i c_i alpha_i T_i + (v.background - v_alpha) T_end with one
+// scalar c_i = v_rgb . rgb_i + v_depth z_i a pixel and Gaussian. So d F / d alpha_i is
+// T_i c_i - rest_i / (1 - alpha_i), where rest_i is what F holds behind Gaussian i. Walking front to
+// back like the forward pass repeats its transmittances bit by bit.
+#include "kernels.hpp"
+#include "tile.hpp"
+
+namespace recast {
+namespace RECAST_ISA {
+namespace {
+
+struct Pixels {
+  alignas(64) float x[kTilePixels], y[kTilePixels];
+  alignas(64) float r[kTilePixels], g[kTilePixels], b[kTilePixels], depth[kTilePixels];
+  alignas(64) float open[kTilePixels];  // transmittance, zero once stopped
+  alignas(64) float rest[kTilePixels];  // part of the loss still to come
+};
+
+void load_pixels(const Frame& f, const Tile& t, int64_t index, Pixels& p) {
+  __builtin_memset(&p, 0, sizeof p);
+  const float* saved = f.tile_state + index * 5 * kTilePixels;
+  const float* back = f.background;
+  for (int y = 0; y < kTile; ++y)
+    for (int column = 0; column < kBlockColumns; ++column) {
+      const int at = block_offset(y, column);
+      for (int i = 0; i < kBlockWidth; ++i) {
+        const int x = column * kBlockWidth + i;
+        p.x[at + i] = float(x) + 0.5f;
+        p.y[at + i] = float(y) + 0.5f;
+        if (x >= t.width || y >= t.height) continue;
+        const int64_t pixel = int64_t(t.y + y) * f.width + t.x + x;
+        float r = 0, g = 0, b = 0, depth = 0, alpha = 0;
+        if (f.rgb_grad) {
+          r = f.rgb_grad[3 * pixel];
+          g = f.rgb_grad[3 * pixel + 1];
+          b = f.rgb_grad[3 * pixel + 2];
+        }
+        if (f.depth_grad) depth = f.depth_grad[pixel];
+        if (f.alpha_grad) alpha = f.alpha_grad[pixel];
+        const float* s = saved + at + i;
+        p.r[at + i] = r;
+        p.g[at + i] = g;
+        p.b[at + i] = b;
+        p.depth[at + i] = depth;
+        p.open[at + i] = 1.0f;
+        p.rest[at + i] = r * s[0] + g * s[kTilePixels] + b * s[2 * kTilePixels] +
+                         depth * s[3 * kTilePixels] +
+                         (r * back[0] + g * back[1] + b * back[2] - alpha) * s[4 * kTilePixels];
+      }
+    }
+}
+
+// Adds the gradient of one Gaussian over the blocks in `mask` to ten sums; returns the blocks whose
+// last pixel stopped.
+uint32_t gather(Pixels& p, const Splat& s, uint32_t mask, float max_alpha, float* record) {
+  const vf sx = s.x, sy = s.y, l1 = s.l1, l2 = s.l2, l3 = s.l3, lo = s.log2_opacity;
+  const vf sr = s.r, sg = s.g, sb = s.b, sd = s.depth;
+  const vf threshold = kLog2AlphaThreshold, stop_at = kTransmittanceThreshold, cap = max_alpha;
+  const vf one = 1.0f, zero = 0.0f;
+  vf sum_u = zero, sum_v = zero, sum_uu = zero, sum_uv = zero, sum_vv = zero, sum = zero;
+  vf sum_r = zero, sum_g = zero, sum_b = zero, sum_d = zero;
+  uint32_t finished = 0;
+  for (uint32_t left = mask; left; left &= left - 1) {
+    const int block = __builtin_ctz(left);
+    const int at = block * W;
+    const vf dx = load(p.x + at) - sx, dy = load(p.y + at) - sy;
+    const vf u = fma(l1, dx, l2 * dy), v = l3 * dy;
+    const vf power = fnma(v, v, fnma(u, u, lo));
+    const vf bare = exp2_bounded(power);
+    vf alpha = keep(power >= threshold, vmin(bare, cap));
+    const vf open = load(p.open + at);
+    vf rest = load(p.rest + at);
+    vf weight = alpha * open;
+    vf next = fnma(alpha, open, open);
+    const vm stopped = (next <= stop_at) & (open > zero);
+    if (__builtin_expect(any(stopped), 0)) {
+      alpha = drop(stopped, alpha);
+      weight = drop(stopped, weight);
+      next = drop(stopped, next);
+      rest = drop(stopped, rest);
+      if (!any(next > zero)) finished |= 1u << block;
+    }
+    store(p.open + at, next);
+    const vf vr = load(p.r + at), vg = load(p.g + at), vb = load(p.b + at);
+    const vf vd = load(p.depth + at);
+    const vf c = fma(vr, sr, fma(vg, sg, fma(vb, sb, vd * sd)));
+    rest = fnma(weight, c, rest);
+    store(p.rest + at, rest);
+    const vf alpha_grad = fnma(rest, fast_reciprocal(one - alpha), open * c);
+    const vf q = keep(bare <= cap, alpha * alpha_grad);  // d F / d ln alpha; none where capped
+    const vf qu = q * u, qv = q * v;
+    sum = sum + q;
+    sum_u = sum_u + qu;
+    sum_v = sum_v + qv;
+    sum_uu = fma(qu, u, sum_uu);
+    sum_uv = fma(qu, v, sum_uv);
+    sum_vv = fma(qv, v, sum_vv);
+    sum_r = fma(weight, vr, sum_r);
+    sum_g = fma(weight, vg, sum_g);
+    sum_b = fma(weight, vb, sum_b);
+    sum_d = fma(weight, vd, sum_d);
+  }
+  const vf sums[kSums] = {sum_u, sum_v, sum_uu, sum_uv, sum_vv, sum, sum_r, sum_g, sum_b, sum_d};
+  store_ten_sums(record, sums);
+  return finished;
+}
+
+}  // namespace
+
+void raster_tile_backward(const Frame& f, int64_t index) {
+  const Tile t = tile_at(f, index);
+  if (t.begin == t.end) return;
+  Pixels pixels;
+  Batch batch;
+  load_pixels(f, t, index, pixels);
+  uint32_t alive = blocks_inside(t);
+  for (uint32_t begin = t.begin; begin < t.end && alive; begin += kBatch) {
+    const int count = int(t.end - begin < kBatch ? t.end - begin : kBatch);
+    load_batch(f, t, begin, count, batch);
+    alignas(64) int32_t touched[kBatch];
+    for (int first = 0; first < count; first += W) {
+      vi masks = vi(0);
+      test_blocks(batch, first, alive,
+                  [&](int b, vm m) { masks = masks | select(m, vi(int32_t(1u << b)), vi(0)); });
+      store(touched + first, masks);
+    }
+    for (int i = 0; i < count && alive; ++i) {
+      const uint32_t mask = uint32_t(touched[i]) & alive;
+      if (!mask) continue;
+      const uint32_t slot = f.intersections[begin + uint32_t(i)].slot;
+      f.record_used[slot] = 1;
+      alive &= ~gather(pixels, batch.splats[i], mask, f.max_alpha,
+                       f.records + int64_t(slot) * kSums);
+    }
+  }
+}
+
+}  // namespace RECAST_ISA
+}  // namespace recast

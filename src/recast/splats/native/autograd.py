@@ -1,0 +1,166 @@
+"""The compiled rasterizer as a differentiable torch function."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from recast.splats.gaussians import Gaussians
+from recast.splats.native.library import Gradients, View, library
+from recast.splats.native.memory import empty
+from recast.splats.native.workspace import Workspace
+from recast.splats.rasterization import Rasterization, RasterMeta, RasterSettings
+
+# Order of `Fault` in frame.hpp.
+_FAULTS = {
+    1: ("means", "is not finite"),
+    2: ("quats", "is not finite"),
+    3: ("log_scales", "is not finite, or beyond 60"),
+    4: ("logit_opacities", "is not finite"),
+    5: ("sh", "is not finite"),
+    6: ("quats", "has norm zero, or beyond 1e15"),
+}
+
+
+def rasterize_native(
+    gaussians: Gaussians,
+    camera_from_world: Tensor,
+    settings: RasterSettings,
+    background: Tensor | None,
+) -> Rasterization:
+    """Render with the compiled kernel; arguments as `rasterize`, checked by it."""
+    n = len(gaussians)
+    meta = RasterMeta(
+        visible=empty(n, dtype=torch.bool), radii=empty(n), means2d=empty(n, 2), means2d_grad=None
+    )
+    parameters = [
+        tensor.float().contiguous()
+        for tensor in (
+            gaussians.means,
+            gaussians.quats,
+            gaussians.log_scales,
+            gaussians.logit_opacities,
+            gaussians.sh,
+        )
+    ]
+    rgb, depth, alpha = _Rasterize.apply(*parameters, camera_from_world, background, settings, meta)
+    return Rasterization(rgb, depth, alpha, meta)
+
+
+def run_forward(
+    workspace: Workspace,
+    parameters: tuple[Tensor, ...],
+    pose: Tensor,
+    background: Tensor | None,
+    settings: RasterSettings,
+    meta: RasterMeta,
+    training: bool,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """One forward pass: rgb, depth, alpha; `meta` is filled in.
+
+    Raises:
+        ValueError: a Gaussian is not finite or degenerate.
+    """
+    means, quats, log_scales, logits, sh = parameters
+    height, width = settings.height, settings.width
+    images = empty(height, width, 3), empty(height, width), empty(height, width)
+    matrix = pose.detach().double().cpu()
+    view = View(
+        count=means.shape[0],
+        sh_bases=sh.shape[1],
+        width=width,
+        height=height,
+        antialiased=settings.antialiased,
+        training=training,
+        near=settings.near,
+        far=settings.far,
+        eps2d=settings.eps2d,
+        max_alpha=settings.max_alpha,
+        fx=settings.fx,
+        fy=settings.fy,
+        cx=settings.cx,
+        cy=settings.cy,
+        rotation=(ctypes.c_float * 9)(*matrix[:3, :3].flatten().tolist()),
+        translation=(ctypes.c_float * 3)(*matrix[:3, 3].tolist()),
+        background=(ctypes.c_float * 3)(*([] if background is None else background.tolist())),
+        means=means.data_ptr(),
+        quats=quats.data_ptr(),
+        log_scales=log_scales.data_ptr(),
+        logits=logits.data_ptr(),
+        sh=sh.data_ptr(),
+        rgb=images[0].data_ptr(),
+        depth=images[1].data_ptr(),
+        alpha=images[2].data_ptr(),
+        visible=meta.visible.data_ptr(),
+        radii=meta.radii.data_ptr(),
+        means2d=meta.means2d.data_ptr(),
+    )
+    row = ctypes.c_int64()
+    status = library().recast_forward(workspace.handle, ctypes.byref(view), ctypes.byref(row))
+    if status > 0:
+        field, problem = _FAULTS[status]
+        raise ValueError(f"Gaussians.{field}: row {row.value} {problem}")
+    if status == -1:
+        raise ValueError("rasterize: the Gaussians cover more than 2^32 tiles: scales too large")
+    if status:
+        raise MemoryError("rasterize: out of memory")
+    return images
+
+
+class _Rasterize(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *arguments: Any) -> tuple[Tensor, Tensor, Tensor]:
+        *parameters, pose, background, settings, meta = arguments
+        training = any(ctx.needs_input_grad)
+        workspace = Workspace()
+        images = run_forward(
+            workspace, tuple(parameters), pose, background, settings, meta, training
+        )
+        if training:
+            ctx.set_materialize_grads(False)
+            ctx.save_for_backward(*parameters, pose, background, images[2])
+            ctx.workspace, ctx.settings, ctx.meta = workspace, settings, meta
+        return images
+
+    @staticmethod
+    def backward(ctx: Any, *image_grads: Any) -> tuple[Any, ...]:
+        *parameters, pose, background, alpha = ctx.saved_tensors
+        if ctx.workspace is None:  # a second pass through a retained graph
+            ctx.workspace = Workspace()
+            run_forward(
+                ctx.workspace, parameters, pose, background, ctx.settings, ctx.meta, training=True
+            )
+        given = [None if g is None else g.float().contiguous() for g in image_grads]
+        gradients = [empty(*p.shape) for p in parameters]
+        means2d_grad = empty(parameters[0].shape[0], 2)
+        pose_grad = torch.zeros(4, 4)
+        names = ("means", "quats", "log_scales", "logits", "sh")
+        structure = Gradients(
+            **{name: p.data_ptr() for name, p in zip(names, parameters, strict=True)},
+            **{
+                name: None if g is None else g.data_ptr()
+                for name, g in zip(("rgb", "depth", "alpha"), given, strict=True)
+            },
+            **{f"{name}_grad": g.data_ptr() for name, g in zip(names, gradients, strict=True)},
+            means2d_grad=means2d_grad.data_ptr(),
+            pose_grad=pose_grad.data_ptr(),
+        )
+        if library().recast_backward(ctx.workspace.handle, ctypes.byref(structure)):
+            raise MemoryError("rasterize: out of memory")
+        # The graph may live on until the next step is built: the memory is needed there.
+        ctx.workspace = None
+        ctx.meta.means2d_grad = means2d_grad
+
+        background_grad = None
+        if background is not None and ctx.needs_input_grad[6]:
+            background_grad = torch.zeros_like(background)
+            if given[0] is not None:
+                through = (given[0] * (1 - alpha)[..., None]).sum(dim=(0, 1))
+                background_grad = through.to(background)
+        wanted = [
+            g if need else None for g, need in zip(gradients, ctx.needs_input_grad, strict=False)
+        ]
+        return (*wanted, pose_grad.to(pose), background_grad, None, None)

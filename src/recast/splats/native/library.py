@@ -1,0 +1,162 @@
+"""Finding and loading the compiled rasterizer, and what is known about it."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+
+from recast.splats.native.structures import AdamTensor, Gradients, View
+
+_ABI = 1
+_SUFFIXES = (".so", ".dylib", ".dll")
+
+
+@dataclass(frozen=True)
+class NativeInfo:
+    """State of the compiled rasterizer.
+
+    Attributes:
+        available: it can be used.
+        isa: instruction set in use, "" if not available.
+        isas: those this machine runs, best first.
+        library: the loaded file, None if not available.
+        threads: threads it uses.
+        reason: why it is not available, "" if it is.
+    """
+
+    available: bool
+    isa: str
+    isas: tuple[str, ...]
+    library: Path | None
+    threads: int
+    reason: str
+
+
+def _candidates() -> list[Path]:
+    """Where the library may lie: beside this file, or in the installed distribution.
+
+    An editable install, or a source tree on PYTHONPATH, has the Python files in one place and the
+    library in the other.
+    """
+    folders = [Path(__file__).parent]
+    with contextlib.suppress(PackageNotFoundError):
+        folders.append(Path(str(distribution("recast-sim").locate_file("recast/splats/native"))))
+    return [folder / f"recast_native{suffix}" for folder in folders for suffix in _SUFFIXES]
+
+
+def _declare(library: ctypes.CDLL) -> None:
+    pointer, integer = ctypes.c_void_p, ctypes.c_int
+    signatures: dict[str, tuple[object, list[object]]] = {
+        "recast_isa": (ctypes.c_char_p, []),
+        "recast_isa_available": (ctypes.c_char_p, [integer]),
+        "recast_set_isa": (integer, [ctypes.c_char_p]),
+        "recast_threads": (integer, []),
+        "recast_set_threads": (None, [integer]),
+        "recast_create": (pointer, []),
+        "recast_destroy": (None, [pointer]),
+        "recast_forward": (
+            integer,
+            [pointer, ctypes.POINTER(View), ctypes.POINTER(ctypes.c_int64)],
+        ),
+        "recast_backward": (integer, [pointer, ctypes.POINTER(Gradients)]),
+        "recast_timings": (None, [pointer, ctypes.POINTER(ctypes.c_double)]),
+        "recast_bytes": (ctypes.c_int64, [pointer]),
+        "recast_intersections": (ctypes.c_uint64, [pointer]),
+        "recast_adam": (
+            None,
+            [
+                ctypes.POINTER(AdamTensor),
+                integer,
+                pointer,
+                ctypes.c_int64,
+                ctypes.c_float,
+                ctypes.c_float,
+                ctypes.c_float,
+            ],
+        ),
+    }
+    for name, (result, arguments) in signatures.items():
+        function = getattr(library, name)
+        function.restype = result
+        function.argtypes = arguments
+
+
+@lru_cache(maxsize=1)
+def _load() -> tuple[ctypes.CDLL | None, Path | None, str]:
+    """The library, its path, and the reason if there is none."""
+    for path in _candidates():
+        if not path.is_file():
+            continue
+        try:
+            library = ctypes.CDLL(str(path))
+            abi = library.recast_abi()
+        except (OSError, AttributeError) as error:
+            return None, None, f"{path} cannot be loaded: {error}"
+        if abi != _ABI:
+            return None, None, f"{path} is of another version (ABI {abi}, expected {_ABI})"
+        _declare(library)
+        forced = os.environ.get("RECAST_ISA")
+        if forced and library.recast_set_isa(forced.encode()) != 0:
+            known = ", ".join(_isas(library))
+            raise RuntimeError(f"RECAST_ISA={forced}: not available, this machine has {known}")
+        return library, path, ""
+    return None, None, "it was not built: install recast where a C++ compiler is found"
+
+
+def _isas(library: ctypes.CDLL) -> tuple[str, ...]:
+    names: list[str] = []
+    while (name := library.recast_isa_available(len(names))) is not None:
+        names.append(name.decode())
+    return tuple(names)
+
+
+def library() -> ctypes.CDLL:
+    """The loaded library.
+
+    Raises:
+        RuntimeError: it is not available; the message says why.
+    """
+    loaded, _, reason = _load()
+    if loaded is None:
+        raise RuntimeError(f"the native rasterizer is not available: {reason}")
+    return loaded
+
+
+def info() -> NativeInfo:
+    """What is known about the compiled rasterizer; never raises for a missing one."""
+    loaded, path, reason = _load()
+    if loaded is None:
+        return NativeInfo(False, "", (), None, 0, reason)
+    isa = loaded.recast_isa().decode()
+    return NativeInfo(True, isa, _isas(loaded), path, loaded.recast_threads(), "")
+
+
+def set_threads(count: int) -> None:
+    """Use `count` threads in the compiled rasterizer (default: one a core); no effect without it.
+
+    Images and gradients do not depend on the number.
+
+    Raises:
+        ValueError: count is less than 1.
+    """
+    if count < 1:
+        raise ValueError(f"set_threads: {count}, expected at least 1")
+    loaded = _load()[0]
+    if loaded is not None:
+        loaded.recast_set_threads(count)
+
+
+def set_isa(name: str) -> None:
+    """Use the instruction set `name`, one of `info().isas`: for tests and benchmarks.
+
+    Raises:
+        RuntimeError: there is no compiled rasterizer.
+        ValueError: this machine does not run that instruction set.
+    """
+    if library().recast_set_isa(name.encode()) != 0:
+        raise ValueError(f"set_isa: {name!r}, expected one of {info().isas}")

@@ -1,0 +1,56 @@
+"""The structures that cross the border to the compiled rasterizer."""
+
+from __future__ import annotations
+
+import ctypes
+
+
+class View(ctypes.Structure):
+    """`RecastView` of api.cpp."""
+
+    _fields_ = [
+        ("count", ctypes.c_int64),
+        *((name, ctypes.c_int32) for name in ("sh_bases", "width", "height")),
+        *((name, ctypes.c_int32) for name in ("antialiased", "training", "spare")),
+        *((name, ctypes.c_float) for name in ("near", "far", "eps2d", "max_alpha")),
+        *((name, ctypes.c_float) for name in ("fx", "fy", "cx", "cy")),
+        ("rotation", ctypes.c_float * 9),
+        ("translation", ctypes.c_float * 3),
+        ("background", ctypes.c_float * 3),
+        ("pad", ctypes.c_float),
+        *((name, ctypes.c_void_p) for name in ("means", "quats", "log_scales", "logits", "sh")),
+        *((name, ctypes.c_void_p) for name in ("rgb", "depth", "alpha")),
+        *((name, ctypes.c_void_p) for name in ("visible", "radii", "means2d")),
+    ]
+
+
+class Gradients(ctypes.Structure):
+    """`RecastGradients` of api.cpp."""
+
+    _fields_ = [
+        *((name, ctypes.c_void_p) for name in ("means", "quats", "log_scales", "logits", "sh")),
+        *((name, ctypes.c_void_p) for name in ("rgb", "depth", "alpha")),
+        *(
+            (name, ctypes.c_void_p)
+            for name in (
+                "means_grad",
+                "quats_grad",
+                "log_scales_grad",
+                "logits_grad",
+                "sh_grad",
+                "means2d_grad",
+                "pose_grad",
+            )
+        ),
+    ]
+
+
+class AdamTensor(ctypes.Structure):
+    """`AdamRows` of frame.hpp."""
+
+    _fields_ = [
+        *((name, ctypes.c_void_p) for name in ("value", "gradient", "first", "second")),
+        ("width", ctypes.c_int64),
+        ("step", ctypes.c_float),
+        ("second_correction", ctypes.c_float),
+    ]
