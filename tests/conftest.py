@@ -8,6 +8,10 @@ from pathlib import Path
 import pytest
 import torch
 
+from recast.logs import DrivingLog, read_log
+from recast.logs.importers.kitti import import_kitti
+from support.tiny_drive import DRIVE, TinyDrive, write_tiny_drive
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 torch.set_num_threads(1)  # two OpenMP threads on a busy machine are ten times slower than one
@@ -29,3 +33,23 @@ def kitti_0013(shared: Path) -> Path:
     if not folder.is_dir():
         pytest.skip(f"{folder} not found")
     return folder
+
+
+@pytest.fixture(scope="session")
+def tiny_drive(tmp_path_factory: pytest.TempPathFactory) -> TinyDrive:
+    """A small made-up drive in KITTI raw layout: `.root`, `.labels`; its name is `DRIVE`."""
+    return write_tiny_drive(tmp_path_factory.mktemp("tiny_drive"))
+
+
+@pytest.fixture(scope="session")
+def tiny_log_folder(tiny_drive: TinyDrive, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The tiny drive, imported."""
+    out = tmp_path_factory.mktemp("tiny_log") / "log"
+    import_kitti(tiny_drive.root, DRIVE, out, tiny_drive.labels)
+    return out
+
+
+@pytest.fixture(scope="session")
+def tiny_log(tiny_log_folder: Path) -> DrivingLog:
+    """The tiny drive as a log, with images, sweeps, a moving ("0") and a parked ("1") track."""
+    return read_log(tiny_log_folder)

@@ -170,9 +170,18 @@ def read_trajectory(store: NcoreFolder) -> Trajectory:
 
 
 def read_mount(store: NcoreFolder, sensor: str) -> Array:
-    """`rig_from_sensor` (4, 4)."""
-    pose = store.component(PosesComponent.Reader, COMPONENT).get_static_pose(sensor, "rig")
-    return pose.astype(np.float64)
+    """`rig_from_sensor` (4, 4).
+
+    Raises:
+        InputError: the store has no such sensor.
+    """
+    poses = store.component(PosesComponent.Reader, COMPONENT)
+    try:
+        return poses.get_static_pose(sensor, "rig").astype(np.float64)
+    except KeyError:
+        raise InputError(
+            store.folder / SEQUENCE_FILE, f"pose of {sensor!r}", "is missing", "import it again"
+        ) from None
 
 
 def read_mask(store: NcoreFolder, camera: str) -> Mask | None:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +31,7 @@ from ncore.data.v4 import (
     SequenceComponentGroupsWriter,
 )
 from ncore.impl.common.transformations import HalfClosedInterval
+from numcodecs import blosc  # type: ignore[import-untyped]
 from PIL import Image as PillowImage
 from scipy.spatial.transform import Rotation
 from upath import UPath
@@ -41,6 +44,7 @@ from recast.logs.types import (
     CameraStream,
     DrivingLog,
     EncodedImageSource,
+    Float32Array,
     LidarStream,
     LidarSweep,
     Mask,
@@ -62,11 +66,28 @@ def write_ncore(log: DrivingLog, folder: Path) -> None:
     first, last = (int(t) for t in log.world_from_rig.timestamps_us[[0, -1]])
     if first == last:
         raise ValueError("world_from_rig: at least two poses are needed")
+    with _repeatable_compression():
+        stores = _write_stores(log, folder, HalfClosedInterval(first, last + 1))
+    _write_sequence_file(folder, stores)
+
+
+@contextmanager
+def _repeatable_compression() -> Iterator[None]:
+    """Several Blosc threads give other bytes from run to run; one gives the same."""
+    before = blosc.use_threads
+    blosc.use_threads = False
+    try:
+        yield
+    finally:
+        blosc.use_threads = before
+
+
+def _write_stores(log: DrivingLog, folder: Path, interval: HalfClosedInterval) -> list[str]:
     writer = SequenceComponentGroupsWriter(
         output_dir_path=UPath(folder),
         store_base_name="log",
         sequence_id=log.name,
-        sequence_timestamp_interval_us=HalfClosedInterval(first, last + 1),
+        sequence_timestamp_interval_us=interval,
         generic_meta_data={},
     )
     _write_poses(writer, log)
@@ -76,8 +97,7 @@ def write_ncore(log: DrivingLog, folder: Path) -> None:
         _write_images(writer, camera)
     for lidar in log.lidars.values():
         _write_sweeps(writer, lidar, log.world_from_rig)
-    stores = writer.finalize()
-    _write_sequence_file(folder, [Path(str(store)).name for store in stores])
+    return [store.name for store in writer.finalize()]
 
 
 def _write_poses(writer: SequenceComponentGroupsWriter, log: DrivingLog) -> None:
@@ -194,7 +214,9 @@ def _write_sweeps(
         )
 
 
-def _rays(sweep: LidarSweep, lidar_from_rig: Array, world_from_rig: Trajectory) -> tuple:
+def _rays(
+    sweep: LidarSweep, lidar_from_rig: Array, world_from_rig: Trajectory
+) -> tuple[Float32Array, Float32Array]:
     """Unit directions (N, 3) and distances (N,) as measured: sensor frame, not compensated."""
     points = sweep.points.astype(np.float64)
     if sweep.point_timestamps_us is not None:

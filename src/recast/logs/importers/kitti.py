@@ -16,12 +16,13 @@ import numpy as np
 
 from recast.errors import InputError
 from recast.geometry import se3
+from recast.logs import motion
 from recast.logs.importers import kitti_files
 from recast.logs.importers.kitti_calibration import KittiCalibration, read_calibration
 from recast.logs.importers.kitti_check import check_labels_fit
 from recast.logs.importers.kitti_files import KittiDrive, KittiImages, SensorFiles
 from recast.logs.importers.kitti_labels import read_tracking_labels, read_tracklets
-from recast.logs.importers.kitti_oxts import extended, poses_from_oxts, read_oxts
+from recast.logs.importers.kitti_oxts import poses_from_oxts, read_oxts
 from recast.logs.importers.kitti_velodyne import (
     VelodyneSweeps,
     VelodyneTurns,
@@ -123,7 +124,7 @@ def _ego(
     poses = world_from_imu @ se3.inverse(calibration.rig_from_imu)
     offset = poses[0, :3, 3].copy()
     poses[:, :3, 3] -= offset
-    return extended(Trajectory(listed.timestamps_us, poses), *covered), offset
+    return motion.extended(Trajectory(listed.timestamps_us, poses), *covered), offset
 
 
 def _camera(
@@ -185,7 +186,8 @@ def _tracks(
         if not np.any(kept):
             continue
         poses = trajectory.at(times[kept]) @ rig_from_box[kept]
-        tracks[track.track_id] = Track(
-            track.track_id, track.category, track.size, Trajectory(times[kept], poses)
-        )
+        # A labelled frame counts as the whole turn: its image may come before the scanner did.
+        turn = max(start[frames[0]], first), min(end[frames[-1]], last)
+        boxes = motion.extended(Trajectory(times[kept], poses), *turn)
+        tracks[track.track_id] = Track(track.track_id, track.category, track.size, boxes)
     return tracks

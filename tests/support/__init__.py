@@ -1,0 +1,1 @@
+"""Writers of small test data. No part of the package."""
