@@ -1,8 +1,10 @@
 """3D Gaussians: type, harmonics, files and the differentiable rasterizer."""
 
+from recast.splats.adam import RowAdam
 from recast.splats.gaussians import Gaussians, concatenate
 from recast.splats.native import set_threads
 from recast.splats.order import morton_order
+from recast.splats.ply import read_ply, write_ply
 from recast.splats.rasterization import Rasterization, RasterMeta
 from recast.splats.rasterize import rasterize
 
@@ -10,8 +12,11 @@ __all__ = [
     "Gaussians",
     "RasterMeta",
     "Rasterization",
+    "RowAdam",
     "concatenate",
     "morton_order",
     "rasterize",
+    "read_ply",
     "set_threads",
+    "write_ply",
 ]

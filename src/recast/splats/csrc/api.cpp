@@ -85,7 +85,7 @@ RECAST_EXPORT void recast_set_threads(int n) { recast::set_thread_count(n); }
 RECAST_EXPORT Context* recast_create() { return new (std::nothrow) Context(); }
 RECAST_EXPORT void recast_destroy(Context* c) { delete c; }
 
-// What crosses the border: laid out like the ctypes structure in bindings.py.
+// What crosses the border: laid out like the ctypes structures in native/structures.py.
 struct RecastView {
   int64_t count;
   int32_t sh_bases, width, height, antialiased, training, spare;
@@ -174,12 +174,13 @@ RECAST_EXPORT void recast_timings(const Context* c, double* out) {
 RECAST_EXPORT int64_t recast_bytes(const Context* c) { return c->bytes(); }
 RECAST_EXPORT uint64_t recast_intersections(const Context* c) { return c->intersections; }
 
-RECAST_EXPORT void recast_adam(const recast::AdamRows* tensors, int count, const uint8_t* visible,
-                               int64_t rows, float beta1, float beta2, float epsilon) {
+RECAST_EXPORT void recast_adam(const recast::AdamRows* tensors, int count,
+                               const recast::AdamSettings* settings, const uint8_t* visible,
+                               int64_t rows) {
   const int64_t part = 4096, parts = (rows + part - 1) / part;
+  const Kernels& kernels = recast::kernels();
   recast::parallel_for(parts, [&](int64_t p) {
     const int64_t end = (p + 1) * part < rows ? (p + 1) * part : rows;
-    for (int i = 0; i < count; ++i)
-      recast::kernels().adam(tensors[i], visible, p * part, end, beta1, beta2, epsilon);
+    for (int i = 0; i < count; ++i) kernels.adam(tensors[i], *settings, visible, p * part, end);
   });
 }

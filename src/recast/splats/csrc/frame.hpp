@@ -100,11 +100,20 @@ struct Frame {
   double* pose_grad_chunks;  // 12 a chunk: rotation, translation
 };
 
+constexpr int kAdamLanes = 16;  // rows that a column pattern covers: enough for any vector width
+
 struct AdamRows {
-  float *value, *gradient, *first, *second;
+  float* value;
+  const float* gradient;
+  float *first, *second;
+  // kAdamLanes rows each: learning rate over 1 - beta1^t, and the bounds of the value.
+  const float *steps, *low, *high;
   int64_t width;  // floats a row
-  float step;     // lr / (1 - beta1^t)
-  float second_correction;  // 1 / sqrt(1 - beta2^t)
+};
+
+struct AdamSettings {
+  float beta1, beta2, epsilon;
+  float correction;  // 1 / sqrt(1 - beta2^t)
 };
 
 struct Kernels {
@@ -113,8 +122,8 @@ struct Kernels {
   void (*raster)(const Frame&, int64_t tile);
   void (*raster_backward)(const Frame&, int64_t tile);
   void (*project_backward)(const Frame&, int64_t chunk);
-  void (*adam)(const AdamRows&, const uint8_t* visible, int64_t begin, int64_t end, float beta1,
-               float beta2, float epsilon);
+  void (*adam)(const AdamRows&, const AdamSettings&, const uint8_t* visible, int64_t begin,
+               int64_t end);
 };
 
 }  // namespace recast

@@ -9,8 +9,8 @@ void project_chunk(const Frame& f, int64_t chunk);
 void raster_tile(const Frame& f, int64_t tile);
 void raster_tile_backward(const Frame& f, int64_t tile);
 void project_chunk_backward(const Frame& f, int64_t chunk);
-void adam_rows(const AdamRows& a, const uint8_t* visible, int64_t begin, int64_t end, float beta1,
-               float beta2, float epsilon);
+void adam_rows(const AdamRows& a, const AdamSettings& settings, const uint8_t* visible,
+               int64_t begin, int64_t end);
 
 }  // namespace RECAST_ISA
 }  // namespace recast

@@ -10,7 +10,7 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
-from recast.splats.native.structures import AdamTensor, Gradients, View
+from recast.splats.native.structures import AdamRows, AdamSettings, Gradients, View
 
 _ABI = 1
 _SUFFIXES = (".so", ".dylib", ".dll")
@@ -70,13 +70,11 @@ def _declare(library: ctypes.CDLL) -> None:
         "recast_adam": (
             None,
             [
-                ctypes.POINTER(AdamTensor),
+                ctypes.POINTER(AdamRows),
                 integer,
+                ctypes.POINTER(AdamSettings),
                 pointer,
                 ctypes.c_int64,
-                ctypes.c_float,
-                ctypes.c_float,
-                ctypes.c_float,
             ],
         ),
     }

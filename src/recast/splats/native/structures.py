@@ -45,12 +45,17 @@ class Gradients(ctypes.Structure):
     ]
 
 
-class AdamTensor(ctypes.Structure):
+class AdamRows(ctypes.Structure):
     """`AdamRows` of frame.hpp."""
 
     _fields_ = [
         *((name, ctypes.c_void_p) for name in ("value", "gradient", "first", "second")),
+        *((name, ctypes.c_void_p) for name in ("steps", "low", "high")),
         ("width", ctypes.c_int64),
-        ("step", ctypes.c_float),
-        ("second_correction", ctypes.c_float),
     ]
+
+
+class AdamSettings(ctypes.Structure):
+    """`AdamSettings` of frame.hpp."""
+
+    _fields_ = [(name, ctypes.c_float) for name in ("beta1", "beta2", "epsilon", "correction")]
