@@ -1,5 +1,22 @@
-"""Scenarios, actor motions, the ego controller, the rollout loop and what it leaves behind."""
+"""Scenarios, actor motions, the ego controller, the rollout loop and what it leaves behind.
 
+The renderer over a reconstructed scene is in `recast.simulation.scene_renderer`: everything here
+works without torch.
+"""
+
+from recast.simulation.batch import RolloutJob, failure, run_batch
+from recast.simulation.ego_controller import EgoController, LqrController, PerfectController
+from recast.simulation.lift import RoadSurface
+from recast.simulation.motions import (
+    ActorMotion,
+    Advancing,
+    CutIn,
+    Oncoming,
+    StartSituation,
+    Stationary,
+)
+from recast.simulation.prepare import PreparedRollout, prepare
+from recast.simulation.renderer import NullRenderer, SensorRenderer, camera_mounts
 from recast.simulation.rollout import (
     EGO_COLUMNS,
     PATH_COLUMNS,
@@ -8,13 +25,43 @@ from recast.simulation.rollout import (
     ego_centre,
 )
 from recast.simulation.rollout_files import load_rollout, save_rollout
+from recast.simulation.rollout_loop import OnFrame, Timings, run_rollout
+from recast.simulation.scenario import MOTIONS, parse_motion, scenario_name
+from recast.simulation.setup import RolloutSetup
+from recast.simulation.state import SimState
 
 __all__ = [
     "EGO_COLUMNS",
+    "MOTIONS",
     "PATH_COLUMNS",
+    "ActorMotion",
+    "Advancing",
+    "CutIn",
+    "EgoController",
+    "LqrController",
+    "NullRenderer",
+    "OnFrame",
+    "Oncoming",
+    "PerfectController",
+    "PreparedRollout",
+    "RoadSurface",
     "Rollout",
     "RolloutFailure",
+    "RolloutJob",
+    "RolloutSetup",
+    "SensorRenderer",
+    "SimState",
+    "StartSituation",
+    "Stationary",
+    "Timings",
+    "camera_mounts",
     "ego_centre",
+    "failure",
     "load_rollout",
+    "parse_motion",
+    "prepare",
+    "run_batch",
+    "run_rollout",
     "save_rollout",
+    "scenario_name",
 ]

@@ -7,22 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.dynamics.state import COLUMNS
+
 Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 
-EGO_COLUMNS = (
-    "x",
-    "y",
-    "heading",
-    "vx",
-    "vy",
-    "ax",
-    "ay",
-    "steering_angle",
-    "steering_rate",
-    "angular_velocity",
-    "angular_acceleration",
-)
+EGO_COLUMNS = COLUMNS
 """Columns of `Rollout.ego`: rear axle; pose in the world, the rest in the ego frame, SI units."""
 
 PATH_COLUMNS = ("x", "y", "heading", "speed")

@@ -1,0 +1,76 @@
+"""What the cameras see at a step of the simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.errors import InputError
+from recast.logs.types import DrivingLog
+from recast.planning import CameraMount
+from recast.simulation.state import SimState
+
+Image = NDArray[np.uint8]
+
+
+class SensorRenderer(Protocol):
+    """Renders cameras.
+
+    Attributes:
+        mounts: the cameras it can render, by name, as the images have them.
+    """
+
+    @property
+    def mounts(self) -> Mapping[str, CameraMount]:
+        """Cameras by name."""
+
+    def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
+        """Images (height, width, 3) uint8 RGB of the named cameras at `state`."""
+
+
+def camera_mounts(
+    log: DrivingLog, camera_names: Sequence[str] | None = None, scale: float = 1.0
+) -> dict[str, CameraMount]:
+    """The log's cameras, rectified and resized.
+
+    Args:
+        camera_names: None for all.
+        scale: of width and height, rounded to whole pixels.
+
+    Raises:
+        InputError: a camera is not in the log.
+    """
+    mounts = {}
+    for name in log.cameras if camera_names is None else camera_names:
+        if name not in log.cameras:
+            raise InputError(
+                log.name,
+                f"camera {name}",
+                "is not in the log",
+                f"choose from {', '.join(log.cameras)}",
+            )
+        stream = log.cameras[name]
+        camera = stream.camera.rectified()
+        size = round(camera.width * scale), round(camera.height * scale)
+        mounts[name] = CameraMount(camera.resized(*size), stream.rig_from_camera)
+    return mounts
+
+
+class NullRenderer:
+    """Black images: to try an image-conditioned planner's plumbing without a scene."""
+
+    def __init__(self, mounts: Mapping[str, CameraMount]) -> None:
+        self._mounts = dict(mounts)
+
+    @property
+    def mounts(self) -> Mapping[str, CameraMount]:
+        """Cameras by name."""
+        return self._mounts
+
+    def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
+        """One black image a camera."""
+        cameras = {name: self._mounts[name].camera for name in camera_names}
+        return {n: np.zeros((c.height, c.width, 3), np.uint8) for n, c in cameras.items()}

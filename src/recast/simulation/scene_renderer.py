@@ -1,0 +1,59 @@
+"""The sensor renderer over a reconstructed street scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.errors import InputError
+from recast.geometry import se3
+from recast.planning import CameraMount
+from recast.scene.render import SceneRasterizer
+from recast.scene.street_scene import StreetScene
+from recast.simulation.state import SimState
+
+Image = NDArray[np.uint8]
+
+
+class SceneRenderer:
+    """Renders a reconstructed street scene.
+
+    Args:
+        scene: in the log's world frame; must hold the controlled actor.
+        mounts: cameras to render, see `camera_mounts`.
+    """
+
+    def __init__(self, scene: StreetScene, mounts: Mapping[str, CameraMount]) -> None:
+        self.scene = scene
+        self._rasterizer = SceneRasterizer(scene)
+        self._mounts = dict(mounts)
+
+    @property
+    def mounts(self) -> Mapping[str, CameraMount]:
+        """Cameras by name."""
+        return self._mounts
+
+    def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
+        """Render the scene with its actors at the poses of `state`.
+
+        Raises:
+            InputError: the scene has no model of the controlled actor.
+        """
+        if state.track_id not in self.scene.actors:
+            raise InputError(
+                "scene",
+                f"actor {state.track_id}",
+                "has no model in the scene",
+                f"it has {', '.join(self.scene.actors) or 'none'}; reconstruct or insert it first",
+            )
+        # Other tracks that the scene modelled as background cannot be moved or drawn apart.
+        poses = {key: pose for key, pose in state.poses.items() if key in self.scene.actors}
+        images = {}
+        for name in camera_names:
+            mount = self._mounts[name]
+            camera_from_world = se3.inverse(state.world_from_rig @ mount.rig_from_camera)
+            image = self._rasterizer.render(mount.camera, camera_from_world, poses)
+            images[name] = np.rint(np.clip(image.rgb, 0.0, 1.0) * 255).astype(np.uint8)
+        return images

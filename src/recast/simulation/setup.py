@@ -1,0 +1,76 @@
+"""What a rollout is asked to be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from recast.dynamics import PACIFICA, VehicleParameters
+from recast.errors import InputError
+from recast.logs.hdmap import HdMap
+from recast.logs.types import DrivingLog, Track
+from recast.simulation.ego_controller import EgoController, LqrController
+from recast.simulation.motions import ActorMotion
+from recast.simulation.scenario import scenario_name
+
+
+@dataclass(frozen=True)
+class RolloutSetup:
+    """A rollout to be run.
+
+    Attributes:
+        log: the recorded drive; its map is used unless `map` is given.
+        track_id: the actor to control.
+        motion: what it does.
+        method: what renders it, for tables; has no influence on the motion.
+        map: lanes, drivable area and ground, or None for the log's.
+        start_timestamp_us: log time of state 0; None for the first ego pose with 3 m/s or more that
+            leaves enough log for all steps, or else the first pose.
+        steps: of `dt` seconds, 160 in the paper.
+        plan_every: steps between plans, K.
+        vehicle: the ego's outline and wheelbase.
+        controller: executes the plans.
+        keep_other_actors: leave the other logged actors in, on their logged motion.
+        road_margin: metres before the end of the logged road at which a rollout is cut.
+        camera_names: cameras for the planner and for `on_frame`; None for all of the log.
+    """
+
+    log: DrivingLog
+    track_id: str
+    motion: ActorMotion
+    method: str = "native"
+    map: HdMap | None = None
+    start_timestamp_us: int | None = None
+    steps: int = 160
+    plan_every: int = 5
+    dt: float = 0.1
+    vehicle: VehicleParameters = PACIFICA
+    controller: EgoController = field(default_factory=LqrController)
+    keep_other_actors: bool = False
+    road_margin: float = 2.0
+    camera_names: tuple[str, ...] | None = None
+
+    @property
+    def name(self) -> str:
+        """Unique among the methods and scenarios of one track."""
+        return f"{scenario_name(self.motion)}-{self.method}"
+
+    @property
+    def hdmap(self) -> HdMap | None:
+        """The map in use."""
+        return self.log.map if self.map is None else self.map
+
+    @property
+    def track(self) -> Track:
+        """The controlled track.
+
+        Raises:
+            InputError: the log has no such track.
+        """
+        if self.track_id not in self.log.tracks:
+            raise InputError(
+                self.log.name,
+                f"track {self.track_id}",
+                "is not in the log",
+                f"choose one of {', '.join(self.log.tracks)}",
+            )
+        return self.log.tracks[self.track_id]

@@ -1,0 +1,45 @@
+"""One moment of a rollout: what is simulated and what the log did, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SimState:
+    """The world at one step.
+
+    Attributes:
+        step: 0 at the start.
+        timestamp_us: log time of the step.
+        ego: (11,) simulated ego, columns of `recast.dynamics.state`.
+        log_ego: (4,) logged ego at this time: x, y, heading of the rear axle, speed.
+        world_from_rig: (4, 4) the simulated ego in space.
+        track_id: the controlled actor.
+        actor: (4,) x, y, heading of its box centre, speed.
+        world_from_actor: (4, 4) its box centre in space.
+        log_world_from_actor: (4, 4) where the log has it now; None where it is not labelled.
+        others: `world_from_actor` (4, 4) by track id, of logged actors that stay in the scene.
+    """
+
+    step: int
+    timestamp_us: int
+    ego: Array
+    log_ego: Array
+    world_from_rig: Array
+    track_id: str
+    actor: Array
+    world_from_actor: Array
+    log_world_from_actor: Array | None = None
+    others: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def poses(self) -> dict[str, Array]:
+        """Poses (4, 4) of all actors to draw, by track id; whoever is absent is not drawn."""
+        return {**self.others, self.track_id: self.world_from_actor}
