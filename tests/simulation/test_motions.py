@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic_drives import drive
 
@@ -38,6 +38,7 @@ def gap(start: StartSituation, s: float) -> float:
     return s - start.ego_s - (EGO_LENGTH + SIZE[0]) / 2
 
 
+@settings(max_examples=40)
 @given(name=scenarios, speed=speeds, curvature=curvatures)
 def test_states_are_continuous_and_speeds_not_negative(
     name: str, speed: float, curvature: float
@@ -52,6 +53,7 @@ def test_states_are_continuous_and_speeds_not_negative(
     assert np.abs(states[:, 2]).max() <= np.pi
 
 
+@settings(max_examples=40)
 @given(name=scenarios, speed=speeds)
 def test_forward_motion_points_along_the_heading(name: str, speed: float) -> None:
     states, _, _ = script(MOTIONS[name], situation(speed))
@@ -163,6 +165,7 @@ def test_advancing_stays_in_the_next_lane(name: str, expected_gap: float, share:
     np.testing.assert_allclose(states[:, 3], 10 * share, atol=1e-9)
 
 
+@settings(max_examples=40)
 @given(name=scenarios, speed=speeds, x=st.floats(-500, 500), turn=st.floats(-3.0, 3.0))
 def test_motions_move_with_the_world(name: str, speed: float, x: float, turn: float) -> None:
     moved = (x, -0.5 * x, turn)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -162,14 +163,15 @@ def route_lanes(hdmap: HdMap, route: ReferenceRoute) -> tuple[Lane, ...]:
 
 def _knots(xy: Array) -> list[int]:
     """Indices of positions at least a knot spacing apart; the last one is the log's end."""
+    points = xy.tolist()  # plain floats: ten times faster one by one than array rows
     knots = [0]
-    for i in range(1, len(xy)):
-        if np.hypot(*(xy[i] - xy[knots[-1]])) >= _KNOT_SPACING:
+    for i, point in enumerate(points):
+        if math.dist(point, points[knots[-1]]) >= _KNOT_SPACING:
             knots.append(i)
-    last = len(xy) - 1
+    last = len(points) - 1
     if knots[-1] != last and len(knots) > 1:
         # A knot too near to the end gives way to it: the route ends where the log does.
-        if np.hypot(*(xy[last] - xy[knots[-1]])) <= _KNOT_SPACING / 2:
+        if math.dist(points[last], points[knots[-1]]) <= _KNOT_SPACING / 2:
             knots.pop()
         knots.append(last)
     return knots

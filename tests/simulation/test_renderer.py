@@ -1,0 +1,134 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from synthetic_drives import drive
+
+from recast.errors import InputError
+from recast.geometry import PinholeCamera, se3
+from recast.logs.types import CameraStream, DrivingLog
+from recast.planning import ConstantVelocity
+from recast.scene.sky import SkyMap
+from recast.scene.street_scene import SceneActor, StreetScene
+from recast.simulation import MOTIONS, RolloutSetup, SimState, camera_mounts, run_rollout
+from recast.simulation.scene_renderer import SceneRenderer
+from recast.splats import Gaussians
+
+CAMERA = PinholeCamera(64, 48, 40.0, 40.0, 32.0, 24.0)
+# optical axis along the rig's x, 1.5 m above the ground
+RIG_FROM_CAMERA = se3.from_rotation_translation(
+    [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], [1.5, 0.0, 1.0]
+)
+
+
+class NoImages:
+    def __len__(self) -> int:
+        return 0
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        raise IndexError(index)
+
+
+def log_with_camera() -> DrivingLog:
+    stream = CameraStream("front", CAMERA, RIG_FROM_CAMERA, np.zeros(0, np.int64), NoImages())
+    return replace(drive(), cameras={"front": stream})
+
+
+def ball(colour: tuple[float, float, float], at: tuple[float, float, float]) -> Gaussians:
+    return Gaussians(
+        means=torch.tensor([at], dtype=torch.float32),
+        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
+        log_scales=torch.full((1, 3), -0.7),
+        logit_opacities=torch.tensor([8.0]),
+        sh=((torch.tensor(colour) - 0.5) / 0.28209479).reshape(1, 1, 3),
+    )
+
+
+@pytest.fixture
+def scene() -> StreetScene:
+    log = log_with_camera()
+    actors = {
+        key: SceneActor(key, ball(colour, (0.0, 0.0, 0.0)), track.size, track.trajectory)
+        for (key, track), colour in zip(log.tracks.items(), [(1, 0, 0), (0, 1, 0)], strict=True)
+    }
+    sky = SkyMap.constant(torch.zeros(3))
+    return StreetScene(ball((0.0, 0.0, 1.0), (30.0, 0.0, -30.0)), actors, sky)
+
+
+def at(x: float, y: float, z: float) -> np.ndarray:
+    return se3.from_rotation_translation(np.eye(3), [x, y, z])
+
+
+def state(**others: np.ndarray) -> SimState:
+    return SimState(
+        step=0,
+        timestamp_us=0,
+        ego=np.zeros(11),
+        log_ego=np.zeros(4),
+        world_from_rig=at(10.0, 0.0, 0.0),
+        track_id="7",
+        actor=np.zeros(4),
+        world_from_actor=at(21.5, 0.0, 1.0),
+        others=others,
+    )
+
+
+def test_mounts_are_rectified_and_scaled() -> None:
+    log = log_with_camera()
+    distorted = replace(CAMERA, distortion=(0.1, 0.0, 0.0, 0.0, 0.0))
+    log = replace(log, cameras={"front": replace(log.cameras["front"], camera=distorted)})
+    mount = camera_mounts(log, scale=0.5)["front"]
+    assert mount.camera.is_rectified
+    assert (mount.camera.width, mount.camera.height, mount.camera.fx) == (32, 24, 20.0)
+    np.testing.assert_array_equal(mount.rig_from_camera, RIG_FROM_CAMERA)
+
+
+def test_an_unknown_camera_lists_the_known() -> None:
+    with pytest.raises(InputError, match="camera rear: is not in the log; choose from front"):
+        camera_mounts(log_with_camera(), ["rear"])
+
+
+def test_the_controlled_actor_is_drawn_where_the_state_has_it(scene: StreetScene) -> None:
+    renderer = SceneRenderer(scene, camera_mounts(log_with_camera()))
+    image = renderer.render(state(), ["front"])["front"]
+    assert image.shape == (48, 64, 3)
+    assert image.dtype == np.uint8
+    # 10 m ahead of the camera and at its height: the centre of the image
+    assert image[24, 32, 0] > 200
+    assert image[24, 32, 1:].max() < 30
+    left = replace(state(), world_from_actor=at(21.5, 4.0, 1.0))
+    moved = renderer.render(left, ["front"])["front"]
+    assert moved[24, 16, 0] > 200  # 40 px * 4 m / 10 m to the left
+    assert moved[24, 32, 0] < 30
+
+
+def test_others_are_drawn_only_where_they_stay(scene: StreetScene) -> None:
+    renderer = SceneRenderer(scene, camera_mounts(log_with_camera()))
+    beside = at(21.5, -4.0, 1.0)
+    assert renderer.render(state(), ["front"])["front"][24, 48, 1] < 30
+    assert renderer.render(state(**{"9": beside}), ["front"])["front"][24, 48, 1] > 200
+    # a track without a model in the scene is part of its background
+    renderer.render(state(**{"not modelled": beside}), ["front"])
+
+
+def test_a_scene_without_the_actor_is_refused(scene: StreetScene) -> None:
+    renderer = SceneRenderer(replace(scene, actors={}), camera_mounts(log_with_camera()))
+    with pytest.raises(InputError, match="actor 7: has no model in the scene"):
+        renderer.render(state(), ["front"])
+
+
+def test_a_film_of_a_rollout(scene: StreetScene) -> None:
+    log = log_with_camera()
+    frames: list[np.ndarray] = []
+    setup = RolloutSetup(log, "7", MOTIONS["cut-in-a"], steps=10)
+    renderer = SceneRenderer(scene, camera_mounts(log, scale=0.5))
+    run_rollout(
+        setup, ConstantVelocity(), renderer, lambda _, images: frames.append(images["front"])
+    )
+    assert len(frames) == 10
+    assert all(frame.shape == (24, 32, 3) for frame in frames)
+    red = [int(frame[..., 0].max()) for frame in frames]
+    assert max(red) > 100  # the car ahead is in view

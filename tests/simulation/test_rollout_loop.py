@@ -1,0 +1,341 @@
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from synthetic_drives import drive
+
+from recast.errors import InputError
+from recast.geometry import PinholeCamera, boxes, se2
+from recast.planning import (
+    CameraMount,
+    ConstantVelocity,
+    IdmLaneFollower,
+    LogReplay,
+    Plan,
+    PlannerInput,
+    PlanningContext,
+)
+from recast.simulation import (
+    MOTIONS,
+    NullRenderer,
+    PerfectController,
+    Rollout,
+    RolloutSetup,
+    SimState,
+    Timings,
+    prepare,
+    run_rollout,
+    save_rollout,
+)
+
+MOUNTS = {
+    "front": CameraMount(PinholeCamera(8, 4, 5.0, 5.0, 4.0, 2.0), np.eye(4)),
+    "left": CameraMount(PinholeCamera(6, 4, 5.0, 5.0, 3.0, 2.0), np.eye(4)),
+}
+
+
+def first_hit(rollout: Rollout) -> int | None:
+    for k in range(rollout.steps_run + 1):
+        area = boxes.bev_overlap_area(
+            rollout.ego_boxes[k], rollout.ego_size, rollout.actor[k, :3], rollout.actor_size
+        )
+        if area > 1e-9:
+            return k
+    return None
+
+
+class Recorder:
+    """A planner that drives straight on and keeps what it saw."""
+
+    name = "recorder"
+
+    def __init__(self, needs_images: bool = False) -> None:
+        self.needs_images = needs_images
+        self.inner = ConstantVelocity()
+        self.seen: list[PlannerInput] = []
+        self.context: PlanningContext | None = None
+
+    def reset(self, context: PlanningContext) -> None:
+        self.context = context
+        self.seen = []
+        self.inner.reset(context)
+
+    def plan(self, observation: PlannerInput) -> Plan:
+        self.seen.append(observation)
+        return self.inner.plan(observation)
+
+
+class CountingRenderer(NullRenderer):
+    def __init__(self) -> None:
+        super().__init__(MOUNTS)
+        self.states: list[SimState] = []
+
+    def render(self, state: SimState, camera_names: object) -> dict[str, NDArray[np.uint8]]:
+        self.states.append(state)
+        return super().render(state, camera_names)
+
+
+def test_the_paper_s_loop_is_32_plans_and_160_steps() -> None:
+    rollout = run_rollout(RolloutSetup(drive(), "7", MOTIONS["cut-in-a"]), LogReplay())
+    assert rollout.steps_run == rollout.steps_requested == 160
+    assert rollout.cut_reason is None
+    np.testing.assert_array_equal(rollout.plan_steps, 5 * np.arange(32))
+    assert rollout.predictions.shape == (32, 40, 3)
+    rollout.validate()
+
+
+def test_a_collision_does_not_stop_it() -> None:
+    setup = RolloutSetup(drive(seconds=25), "7", MOTIONS["stationary-a"])
+    rollout = run_rollout(setup, ConstantVelocity())
+    assert first_hit(rollout) is not None
+    assert rollout.steps_run == 160
+
+
+@pytest.mark.parametrize("curvature", [0.0, 0.01, -0.012])
+def test_log_replay_through_the_lqr_stays_within_30_cm(curvature: float) -> None:
+    setup = RolloutSetup(drive(curvature=curvature), "7", MOTIONS["advancing-a"])
+    rollout = run_rollout(setup, LogReplay())
+    gap = np.linalg.norm(rollout.ego[:, :2] - rollout.log_ego[:, :2], axis=1)
+    assert gap.max() < 0.3
+
+
+def test_the_perfect_controller_is_exact() -> None:
+    setup = RolloutSetup(
+        drive(curvature=0.01), "7", MOTIONS["advancing-a"], controller=PerfectController()
+    )
+    rollout = run_rollout(setup, LogReplay())
+    # The replay needs 4 s of log ahead; here all of it lies within the log.
+    kept = rollout.steps_run - 40
+    np.testing.assert_allclose(rollout.ego[:kept, :2], rollout.log_ego[:kept, :2], atol=1e-9)
+    np.testing.assert_allclose(
+        se2.wrap_angle(rollout.ego[:kept, 2] - rollout.log_ego[:kept, 2]), 0.0, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("speed", [4.0, 7.0, 10.0, 13.0])
+@pytest.mark.parametrize("name", ["stationary-a", "stationary-b", "cut-in-b", "oncoming-b"])
+def test_the_idm_follower_avoids_what_can_be_avoided(name: str, speed: float) -> None:
+    setup = RolloutSetup(drive(speed=speed, seconds=17), "7", MOTIONS[name])
+    rollout = run_rollout(setup, IdmLaneFollower())
+    assert first_hit(rollout) is None
+    assert rollout.ego[:, 3].min() > -0.05
+
+
+@pytest.mark.parametrize("speed", [4.0, 8.0, 12.0])
+@pytest.mark.parametrize("name", ["cut-in-a", "oncoming-a"])
+def test_the_idm_follower_avoids_the_tight_settings_up_to_their_reference_speed(
+    name: str, speed: float
+) -> None:
+    # Above 12 m/s cut-in a closes its 6 m gap before its sideways motion shows.
+    setup = RolloutSetup(drive(speed=speed, seconds=17), "7", MOTIONS[name], steps=100)
+    assert first_hit(run_rollout(setup, IdmLaneFollower())) is None
+
+
+def test_the_idm_follower_overtakes_the_advancing_car() -> None:
+    setup = RolloutSetup(drive(speed=10.0, seconds=20), "7", MOTIONS["advancing-a"])
+    rollout = run_rollout(setup, IdmLaneFollower())
+    assert first_hit(rollout) is None
+    assert rollout.ego[-1, 0] > rollout.actor[-1, 0] + 5.0
+
+
+def test_the_end_of_the_log_cuts_with_a_reason() -> None:
+    setup = RolloutSetup(drive(seconds=8), "7", MOTIONS["cut-in-a"])
+    rollout = run_rollout(setup, IdmLaneFollower())
+    assert rollout.steps_run == 80
+    assert rollout.steps_requested == 160
+    assert rollout.cut_reason == "the log ends 8.0 s after the start"
+
+
+def test_the_end_of_the_road_cuts_where_the_ego_would_leave_it() -> None:
+    log = drive(speed=10, seconds=20)
+    poses = log.world_from_rig.poses.copy()
+    poses[:, 0, 3] = np.minimum(poses[:, 0, 3], 60 + 0.2 * np.arange(len(poses)))
+    slow = replace(log, world_from_rig=replace(log.world_from_rig, poses=poses))
+    rollout = run_rollout(RolloutSetup(slow, "7", MOTIONS["cut-in-a"]), ConstantVelocity())
+    length = 60 + 0.2 * 200
+    assert rollout.cut_reason is not None
+    assert "the ego would leave the recorded road" in rollout.cut_reason
+    assert length - 3.1 < rollout.ego[-1, 0] <= length - 2.0
+    assert rollout.plan_steps[-1] < rollout.steps_run
+    assert len(rollout.actor) == len(rollout.log_ego) == rollout.steps_run + 1
+
+
+def test_an_ego_at_the_end_of_the_road_is_refused() -> None:
+    log = drive(speed=10, seconds=20)
+    poses = log.world_from_rig.poses.copy()
+    poses[:, 0, 3] = np.minimum(poses[:, 0, 3], 30 + 0.05 * np.arange(len(poses)))
+    slow = replace(log, world_from_rig=replace(log.world_from_rig, poses=poses))
+    setup = RolloutSetup(
+        slow, "7", replace(MOTIONS["stationary-a"], min_gap=1.0, reserve=-40.0),
+        start_timestamp_us=5_000_000 + 2_900_000,
+    )  # fmt: skip
+    with pytest.raises(InputError, match=r"the ego would leave the recorded road.* of 160 steps"):
+        run_rollout(setup, ConstantVelocity())
+
+
+def test_the_actor_is_the_same_for_every_planner_method_and_controller() -> None:
+    rollouts = [
+        run_rollout(
+            RolloutSetup(drive(), "7", MOTIONS["cut-in-b"], method=method, controller=controller),
+            planner,
+        )
+        for method, planner, controller in [
+            ("native", LogReplay(), PerfectController()),
+            (
+                "recast",
+                IdmLaneFollower(),
+                RolloutSetup(drive(), "7", MOTIONS["cut-in-b"]).controller,
+            ),
+            ("template", ConstantVelocity(), PerfectController()),
+        ]
+    ]
+    for other in rollouts[1:]:
+        np.testing.assert_array_equal(other.actor, rollouts[0].actor)
+        np.testing.assert_array_equal(other.world_from_actor, rollouts[0].world_from_actor)
+        np.testing.assert_array_equal(other.ego[0], rollouts[0].ego[0])
+        np.testing.assert_array_equal(other.route, rollouts[0].route)
+    assert len({rollout.name for rollout in rollouts}) == 3
+
+
+def test_the_rollout_moves_with_the_world() -> None:
+    moved = (120.0, -40.0, 2.0)
+    setups = [
+        RolloutSetup(drive(curvature=0.005, world_from_start=pose), "7", MOTIONS["cut-in-a"])
+        for pose in ((0.0, 0.0, 0.0), moved)
+    ]
+    here, there = (run_rollout(setup, IdmLaneFollower()) for setup in setups)
+    expected = se2.compose(moved, here.ego[:, :3])
+    np.testing.assert_allclose(there.ego[:, :2], expected[:, :2], atol=1e-4)
+    np.testing.assert_allclose(there.ego[:, 3:], here.ego[:, 3:], atol=1e-4)
+    np.testing.assert_allclose(there.predictions, here.predictions, atol=1e-4)
+
+
+def test_same_setup_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        setup = RolloutSetup(drive(curvature=0.004), "7", MOTIONS["cut-in-a"], steps=60)
+        save_rollout(run_rollout(setup, IdmLaneFollower()), tmp_path / name)
+    for file in sorted((tmp_path / "a").iterdir()):
+        assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes(), file.name
+
+
+def test_nothing_is_rendered_for_a_state_planner_without_film() -> None:
+    renderer = CountingRenderer()
+    setup = RolloutSetup(drive(), "7", MOTIONS["cut-in-a"], camera_names=("front",), steps=20)
+    run_rollout(setup, LogReplay(), renderer)
+    assert renderer.states == []
+
+
+def test_an_image_planner_sees_its_cameras_at_plan_steps_only() -> None:
+    renderer, planner, timings = CountingRenderer(), Recorder(needs_images=True), Timings()
+    setup = RolloutSetup(
+        drive(), "7", MOTIONS["cut-in-a"], camera_names=("front", "left"), steps=20
+    )
+    run_rollout(setup, planner, renderer, timings=timings)
+    assert [state.step for state in renderer.states] == [0, 5, 10, 15]
+    assert [o.images["left"].shape for o in planner.seen] == [(4, 6, 3)] * 4
+    assert planner.context is not None
+    assert planner.context.cameras["front"].camera.width == 8
+    assert timings.frames == 8
+
+
+def test_a_film_gets_every_step_once_in_order() -> None:
+    renderer, planner = CountingRenderer(), Recorder(needs_images=True)
+    frames: list[tuple[SimState, Mapping[str, NDArray[np.uint8]]]] = []
+    setup = RolloutSetup(drive(), "7", MOTIONS["cut-in-a"], camera_names=("front",), steps=12)
+    rollout = run_rollout(setup, planner, renderer, lambda state, im: frames.append((state, im)))
+    assert [state.step for state, _ in frames] == list(range(12))
+    assert sorted(state.step for state in renderer.states) == list(range(12))  # none twice
+    for state, images in frames:
+        assert images["front"].shape == (4, 8, 3)
+        k = state.step
+        np.testing.assert_array_equal(state.ego, rollout.ego[k])
+        np.testing.assert_array_equal(state.world_from_rig, rollout.world_from_rig[k])
+        np.testing.assert_array_equal(state.poses["7"], rollout.world_from_actor[k])
+        assert state.timestamp_us == rollout.timestamp_us(k)
+
+
+def test_images_without_a_renderer_are_refused() -> None:
+    setup = RolloutSetup(drive(), "7", MOTIONS["cut-in-a"])
+    with pytest.raises(ValueError, match="planner recorder needs images"):
+        run_rollout(setup, Recorder(needs_images=True))
+    with pytest.raises(ValueError, match="on_frame needs images"):
+        run_rollout(setup, LogReplay(), on_frame=lambda state, images: None)
+
+
+def test_what_the_planner_sees() -> None:
+    planner = Recorder()
+    log = drive(seconds=25)
+    setup = RolloutSetup(log, "7", MOTIONS["cut-in-a"], start_timestamp_us=5_000_000 + 1_000_000)
+    rollout = run_rollout(setup, planner)
+    first, later = planner.seen[0], planner.seen[6]
+    assert (first.step, later.step) == (0, 30)
+    assert later.timestamp_us == rollout.timestamp_us(30)
+    # one second of log before the start, then the simulation, at most two seconds
+    assert len(first.ego_history) == 11
+    assert len(later.ego_history) == 21
+    np.testing.assert_allclose(first.ego_history[0, 0], 0.0, atol=1e-6)
+    np.testing.assert_array_equal(later.ego_history, rollout.ego[10:31])
+    np.testing.assert_array_equal(later.ego, rollout.ego[30])
+    (actor,) = later.actors
+    assert (actor.track_id, actor.category) == ("7", "car")
+    np.testing.assert_array_equal(actor.pose, rollout.actor[30, :3])
+    assert np.linalg.norm(actor.velocity) == pytest.approx(rollout.actor[30, 3])
+    assert later.command == "straight"
+
+
+def test_other_actors_are_gone_unless_kept() -> None:
+    planner, renderer = Recorder(needs_images=True), CountingRenderer()
+    setup = RolloutSetup(drive(), "7", MOTIONS["cut-in-a"], camera_names=("front",), steps=10)
+    assert run_rollout(setup, planner, renderer).other_actors == ()
+    assert set(renderer.states[0].poses) == {"7"}
+
+    kept = run_rollout(replace(setup, keep_other_actors=True), planner, renderer)
+    assert kept.other_actors == ("9",)
+    assert set(renderer.states[-1].poses) == {"7", "9"}
+    other = planner.seen[-1].actors[1]
+    assert other.track_id == "9"
+    np.testing.assert_allclose(other.velocity, [5.0, 0.0], atol=1e-5)
+    np.testing.assert_allclose(other.pose, [2.5, -3.5, 0.0], atol=1e-5)
+
+
+def test_log_and_simulation_lie_side_by_side() -> None:
+    renderer = CountingRenderer()
+    setup = RolloutSetup(drive(), "7", MOTIONS["cut-in-a"], camera_names=("front",), steps=10)
+    run_rollout(setup, Recorder(needs_images=True), renderer)
+    state = renderer.states[-1]
+    np.testing.assert_allclose(state.log_ego, [5.0, 0.0, 0.0, 10.0], atol=1e-6)
+    assert state.log_world_from_actor is not None
+    np.testing.assert_allclose(state.log_world_from_actor[:3, 3], [5.0, 40.0, 0.0])
+
+
+def test_a_wrong_plan_names_the_planner() -> None:
+    class Short(Recorder):
+        name = "short"
+
+        def plan(self, observation: PlannerInput) -> Plan:
+            return Plan(np.zeros((8, 3)))
+
+    with pytest.raises(ValueError, match=r"planner short: .* expected \(40, 3\), got \(8, 3\)"):
+        run_rollout(RolloutSetup(drive(), "7", MOTIONS["cut-in-a"]), Short())
+
+
+def test_a_standing_planner_may_stand() -> None:
+    class Stop(Recorder):
+        def plan(self, observation: PlannerInput) -> Plan:
+            return Plan(np.zeros((40, 3)))
+
+    rollout = run_rollout(RolloutSetup(drive(), "7", MOTIONS["cut-in-a"]), Stop())
+    assert rollout.steps_run == 160
+    assert abs(rollout.ego[-1, 3]) < 0.2
+
+
+def test_prepare_and_run_agree() -> None:
+    setup = RolloutSetup(drive(), "7", MOTIONS["oncoming-a"], steps=30)
+    prepared, rollout = prepare(setup), run_rollout(setup, LogReplay())
+    np.testing.assert_array_equal(prepared.actor, rollout.actor)
+    np.testing.assert_array_equal(prepared.ego, rollout.ego[0])
