@@ -1,0 +1,37 @@
+"""Reconstruction: from a driving log to background, actors and sky as 3D Gaussians."""
+
+from recast.scene.config import SceneConfig, read_config, write_config
+from recast.scene.evaluate import FrameScore, SceneEvaluation, evaluate_scene
+from recast.scene.image_metrics import psnr, ssim
+from recast.scene.progress import ProgressCallback, TrainingDisplay, TrainingStatus
+from recast.scene.render import SceneImage, SceneRasterizer, render_scene
+from recast.scene.run_identity import read_run_config
+from recast.scene.sky import SkyMap
+from recast.scene.store import load_scene, save_scene
+from recast.scene.street_scene import SceneActor, StreetScene
+from recast.scene.train import TrainResult, train_scene
+
+__all__ = [
+    "FrameScore",
+    "ProgressCallback",
+    "SceneActor",
+    "SceneConfig",
+    "SceneEvaluation",
+    "SceneImage",
+    "SceneRasterizer",
+    "SkyMap",
+    "StreetScene",
+    "TrainResult",
+    "TrainingDisplay",
+    "TrainingStatus",
+    "evaluate_scene",
+    "load_scene",
+    "psnr",
+    "read_config",
+    "read_run_config",
+    "render_scene",
+    "save_scene",
+    "ssim",
+    "train_scene",
+    "write_config",
+]

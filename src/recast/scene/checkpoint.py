@@ -1,0 +1,104 @@
+"""Training state on disk: what a killed run goes on from, to the same last byte."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from recast.scene.initialise import Initialisation
+from recast.scene.lidar import DepthSamples
+from recast.scene.sky import SkyMap
+from recast.scene.tensor_file import read_tensors, write_tensors
+from recast.scene.trainable import rows
+from recast.scene.trainer import Trainer
+from recast.splats import Gaussians
+
+
+def save_checkpoint(trainer: Trainer, history: list[dict[str, float]], path: Path) -> None:
+    """Write parameters, optimiser states, statistics and the iteration, atomically.
+
+    Random numbers need no state: each is drawn from a generator seeded by seed and iteration.
+    """
+    model = trainer.model
+    tensors: dict[str, Tensor] = {"owner": model.owner}
+    tensors |= _prefixed("background", rows(model.background))
+    tensors |= _prefixed("local", rows(model.local))
+    tensors |= _prefixed("background_adam", model.background_adam.state_dict())
+    tensors |= _prefixed("local_adam", model.local_adam.state_dict())
+    tensors |= _prefixed("sky", trainer.sky.state_dict())
+    tensors |= _prefixed("camera_poses", trainer.camera_poses.table.state_dict())
+    tensors |= _prefixed("track_poses", trainer.track_poses.table.state_dict())
+    for name in ("background_statistics", "local_statistics"):
+        tensors |= _prefixed(name, getattr(model, name).state_dict())
+    write_tensors(path, tensors, {"iteration": trainer.iteration, "history": history})
+
+
+def load_checkpoint(trainer: Trainer, path: Path) -> list[dict[str, float]]:
+    """Put a fresh trainer of the same run where the checkpoint left off; returns the history.
+
+    Raises:
+        InputError: the file is missing or broken.
+    """
+    tensors, header = read_tensors(path)
+    model = trainer.model
+    model.place(
+        Gaussians(**_group(tensors, "background")),
+        Gaussians(**_group(tensors, "local")),
+        tensors["owner"],
+    )
+    model.restore(
+        background_adam=_group(tensors, "background_adam"),
+        local_adam=_group(tensors, "local_adam"),
+        background_statistics=_group(tensors, "background_statistics"),
+        local_statistics=_group(tensors, "local_statistics"),
+    )
+    trainer.sky.load_state_dict(_group(tensors, "sky"))
+    trainer.camera_poses.table.load_state_dict(_group(tensors, "camera_poses"))
+    trainer.track_poses.table.load_state_dict(_group(tensors, "track_poses"))
+    trainer.iteration = int(header["iteration"])
+    return list(header["history"])
+
+
+def save_initialisation(start: Initialisation, path: Path) -> None:
+    """Keep the first scene, so that a run taken up again need not build it anew."""
+    tensors = _prefixed("background", rows(start.background)) | {"sky": start.sky.colours}
+    for track_id, part in start.actors.items():
+        tensors |= _prefixed(f"actor/{track_id}", rows(part))
+    for index, (sky, depths) in enumerate(zip(start.sky_pixels, start.depths, strict=True)):
+        tensors[f"view/{index}/sky"] = torch.from_numpy(sky)
+        tensors[f"view/{index}/depths"] = torch.from_numpy(depths.depths)
+        tensors[f"view/{index}/uv"] = torch.from_numpy(depths.uv)
+    header = {"actors": list(start.actors), "views": len(start.depths)}
+    write_tensors(path, tensors, header)
+
+
+def load_initialisation(path: Path) -> Initialisation:
+    """Read `save_initialisation`'s file.
+
+    Raises:
+        InputError: the file is missing or broken.
+    """
+    tensors, header = read_tensors(path)
+    views = range(header["views"])
+    return Initialisation(
+        background=Gaussians(**_group(tensors, "background")),
+        actors={name: Gaussians(**_group(tensors, f"actor/{name}")) for name in header["actors"]},
+        sky=SkyMap(tensors["sky"]),
+        sky_pixels=[tensors[f"view/{i}/sky"].numpy().astype(np.int64) for i in views],
+        depths=[
+            DepthSamples(tensors[f"view/{i}/depths"].numpy(), tensors[f"view/{i}/uv"].numpy())
+            for i in views
+        ],
+    )
+
+
+def _prefixed(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {f"{prefix}:{name}": tensor for name, tensor in tensors.items()}
+
+
+def _group(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    start = f"{prefix}:"
+    return {name[len(start) :]: t for name, t in tensors.items() if name.startswith(start)}

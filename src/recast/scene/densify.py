@@ -1,0 +1,117 @@
+"""Where Gaussians are added and taken away during training: adaptive density control.
+
+Kerbl et al. 2023, section 5: rows whose screen-space gradient stays large are cloned where they are
+small and split where they are large; nearly transparent rows go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from recast.splats import Gaussians, RasterMeta
+from recast.splats.rotations import quat_to_matrix
+
+SPLIT_SHRINK = 1.6
+MIN_OPACITY = 0.01
+
+
+class GradientStatistics:
+    """Mean screen-space gradient of every row over the views that saw it, in NDC units.
+
+    A pixel gradient times half the image size is the gradient in normalised device coordinates, in
+    which 3DGS states its thresholds.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.total = torch.zeros(count)
+        self.views = torch.zeros(count)
+
+    def add(self, meta: RasterMeta, rows: slice, into: slice, width: int, height: int) -> None:
+        """Count one view: rows `rows` of its meta belong to rows `into` here."""
+        assert meta.means2d_grad is not None
+        scale = torch.tensor([width / 2, height / 2])
+        norm = (meta.means2d_grad[rows] * scale).norm(dim=1)
+        visible = meta.visible[rows]
+        self.total[into] += torch.where(visible, norm, 0.0)
+        self.views[into] += visible
+
+    def mean(self) -> Tensor:
+        """(N,), 0 for rows never seen."""
+        return self.total / self.views.clamp(min=1)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Plain tensors for a checkpoint."""
+        return {"total": self.total, "views": self.views}
+
+    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
+        """Go on from `state_dict`."""
+        self.total, self.views = state["total"].clone(), state["views"].clone()
+
+
+@dataclass(frozen=True)
+class Change:
+    """A new population: old rows kept, and rows without history.
+
+    Attributes:
+        kept: (M,) int64 old rows, ascending.
+        born: new Gaussians.
+        parents: (B,) int64 old row of each new one.
+    """
+
+    kept: Tensor
+    born: Gaussians
+    parents: Tensor
+
+
+def plan_change(
+    gaussians: Gaussians,
+    mean_gradient: Tensor,
+    *,
+    threshold: float,
+    most_new: int,
+    split_above: float,
+    generator: torch.Generator,
+    doomed: Tensor | None = None,
+) -> Change:
+    """Decide on clones, splits and prunes.
+
+    Args:
+        mean_gradient: (N,) NDC units.
+        threshold: rows above it are candidates, the largest first.
+        most_new: most rows that the population may grow by.
+        split_above: metres; larger rows are split, smaller ones cloned.
+        generator: places the halves of split rows.
+        doomed: (N,) bool, rows to take away besides the transparent ones.
+    """
+    sigma = gaussians.log_scales.detach().amax(dim=1).exp()
+    gone = torch.sigmoid(gaussians.logit_opacities.detach()) < MIN_OPACITY
+    if doomed is not None:
+        gone = gone | doomed
+    wanted = torch.where(gone, 0.0, mean_gradient)
+    count = min(int((wanted > threshold).sum()), max(most_new, 0))
+    chosen = wanted.topk(count).indices.sort().values
+    split = chosen[sigma[chosen] > split_above]
+    clone = chosen[sigma[chosen] <= split_above]
+    gone[split] = True
+    parents = torch.cat([clone, split, split])
+    born = gaussians.detach().select(parents)
+    return Change(
+        kept=(~gone).nonzero()[:, 0],
+        born=_spread_splits(born, len(clone), generator),
+        parents=parents,
+    )
+
+
+def _spread_splits(born: Gaussians, clones: int, generator: torch.Generator) -> Gaussians:
+    """Move the halves of split rows to places drawn from their parent, and shrink them."""
+    sigma = born.log_scales[clones:].exp()
+    noise = torch.randn(sigma.shape, generator=generator) * sigma
+    turn = quat_to_matrix(torch.nn.functional.normalize(born.quats[clones:], dim=1))
+    means, log_scales = born.means.clone(), born.log_scales.clone()
+    means[clones:] += (turn @ noise[..., None])[..., 0]
+    log_scales[clones:] -= float(torch.tensor(SPLIT_SHRINK).log())
+    return Gaussians(means, born.quats, log_scales, born.logit_opacities, born.sh)

@@ -1,0 +1,173 @@
+"""Points from several views where the LiDAR does not reach: a plane sweep.
+
+Every depth hypothesis warps neighbouring images onto the reference view by the homography of a
+fronto-parallel plane; the hypothesis under which they agree best with the reference wins (Collins
+1996). Costs are sums of absolute differences over a window, and the best two neighbours count, so
+that a neighbour that is occluded there does no harm (Kang et al. 2001).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.geometry import PinholeCamera
+from recast.scene.views import View
+
+Array = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+NEIGHBOURS = (-2, -1, 1, 2)
+
+
+@dataclass(frozen=True)
+class SweepSettings:
+    """Numbers of the plane sweep.
+
+    Attributes:
+        near, far: range of depths, metres; hypotheses are spaced evenly in inverse depth.
+        hypotheses: how many.
+        window: edge of the matching window, pixels.
+        max_cost: largest mean absolute difference (0 to 1) of an accepted pixel.
+        min_ratio: the best depth elsewhere must cost at least this many times the best one.
+        min_texture: least standard deviation of grey within the window.
+    """
+
+    near: float = 5.0
+    far: float = 150.0
+    hypotheses: int = 48
+    window: int = 7
+    max_cost: float = 0.06
+    min_ratio: float = 1.3
+    min_texture: float = 0.02
+
+
+def sweep_depths(
+    views: Sequence[View],
+    references: Sequence[int],
+    wanted: Sequence[Mask],
+    settings: SweepSettings | None = None,
+    threads: int = 1,
+) -> list[Float32Array]:
+    """Depth maps (H, W) of reference views, metres along the camera axis, 0 where unknown.
+
+    Args:
+        views: views of one camera in order of time; neighbours are taken from these alone.
+        references: indices into `views`.
+        wanted: (H, W) mask per reference: pixels outside are not asked for.
+    """
+    settings = settings or SweepSettings()
+
+    def run(task: tuple[int, Mask]) -> Float32Array:
+        reference, mask = task
+        neighbours = [
+            views[reference + step] for step in NEIGHBOURS if 0 <= reference + step < len(views)
+        ]
+        return _sweep(views[reference], neighbours, mask, settings)
+
+    tasks = list(zip(references, wanted, strict=True))
+    if threads <= 1:
+        return [run(task) for task in tasks]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(run, tasks))
+
+
+def _sweep(
+    reference: View, neighbours: Sequence[View], wanted: Mask, settings: SweepSettings
+) -> Float32Array:
+    result = np.zeros(wanted.shape, np.float32)
+    rows = np.flatnonzero(wanted.any(axis=1))
+    if len(rows) == 0 or len(neighbours) < 2:
+        return result
+    half = settings.window // 2
+    top, bottom = max(0, rows[0] - half), min(len(wanted), rows[-1] + half + 1)
+    image = _grey(reference)[top:bottom]
+    camera = reference.camera.cropped(0, int(top), reference.camera.width, int(bottom - top))
+    inverse = np.linspace(1 / settings.far, 1 / settings.near, settings.hypotheses)
+    greys = [_grey(other) for other in neighbours]
+    volume = np.empty((settings.hypotheses, *image.shape[:2]), np.float32)
+    for i, value in enumerate(inverse):
+        costs = [
+            _cost(image, camera, reference, other, grey, value, settings)
+            for other, grey in zip(neighbours, greys, strict=True)
+        ]
+        volume[i] = _mean_of_best_two(costs)
+    index, accepted = _winner(volume, settings)
+    grey = image.astype(np.float32) / 255
+    size = (settings.window, settings.window)
+    variance = cv2.blur(grey * grey, size) - cv2.blur(grey, size) ** 2
+    accepted &= variance > settings.min_texture**2
+    accepted &= wanted[top:bottom]
+    step = inverse[1] - inverse[0]
+    depth = 1 / (inverse[0] + index * step)
+    result[top:bottom][accepted] = depth[accepted]
+    return result
+
+
+def _cost(
+    image: NDArray[np.uint8],
+    camera: PinholeCamera,
+    reference: View,
+    other: View,
+    other_grey: NDArray[np.uint8],
+    inverse_depth: float,
+    settings: SweepSettings,
+) -> Float32Array:
+    """Windowed mean absolute difference (H, W) in [0, 1]; high where
+    the neighbour does not see the window."""
+    other_from_reference = other.camera_from_world @ reference.world_from_camera
+    plane = other_from_reference[:3, :3].copy()
+    plane[:, 2] += other_from_reference[:3, 3] * inverse_depth  # R + t n^T / d with n = z
+    homography = other.camera.matrix @ plane @ np.linalg.inv(camera.matrix)
+    shift = np.array([[1.0, 0, -0.5], [0, 1.0, -0.5], [0, 0, 1.0]])  # OpenCV's pixel centres
+    homography = shift @ homography @ np.linalg.inv(shift)
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    size = (image.shape[1], image.shape[0])
+    warped = cv2.warpPerspective(other_grey, homography, size, flags=flags)
+    difference = cv2.absdiff(image, warped)
+    difference[warped == 0] = 255  # `_grey` keeps 0 for what lies outside the image
+    cost = cv2.boxFilter(difference, cv2.CV_32F, (settings.window, settings.window))
+    return np.asarray(cost, np.float32) * np.float32(1 / 255)
+
+
+def _grey(view: View) -> NDArray[np.uint8]:
+    grey: NDArray[np.uint8] = np.maximum(cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY), 1)
+    return grey
+
+
+def _mean_of_best_two(costs: Sequence[Float32Array]) -> Float32Array:
+    best = np.minimum(costs[0], costs[1])
+    second = np.maximum(costs[0], costs[1])
+    for cost in costs[2:]:
+        second = np.minimum(second, np.maximum(best, cost))
+        best = np.minimum(best, cost)
+    mean: Float32Array = (best + second) * np.float32(0.5)
+    return mean
+
+
+def _winner(volume: Float32Array, settings: SweepSettings) -> tuple[Array, Mask]:
+    """Best hypothesis at every pixel, refined by a parabola, and whether it is to be trusted."""
+    count = len(volume)
+    best = volume.argmin(axis=0)
+    cost = np.take_along_axis(volume, best[None], 0)[0]
+    interior = (best > 0) & (best < count - 1)
+    middle = np.clip(best, 1, count - 2)
+    before = np.take_along_axis(volume, middle[None] - 1, 0)[0]
+    centre = np.take_along_axis(volume, middle[None], 0)[0]
+    after = np.take_along_axis(volume, middle[None] + 1, 0)[0]
+    curvature = before - 2 * centre + after
+    offset = np.where(curvature > 1e-6, 0.5 * (before - after) / np.maximum(curvature, 1e-6), 0.0)
+    index = best + np.where(interior, np.clip(offset, -0.5, 0.5), 0.0)
+    rival = np.full(cost.shape, np.inf, np.float32)
+    for i in range(count):
+        far_off = np.abs(best - i) > 3
+        np.minimum(rival, np.where(far_off, volume[i], np.inf), out=rival)
+    # The nearest hypothesis is where all that is nearer still ends up; the farthest is honest.
+    trusted = (cost < settings.max_cost) & (rival > settings.min_ratio * cost) & (best < count - 1)
+    return index, trusted

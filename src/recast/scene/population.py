@@ -1,0 +1,86 @@
+"""Density control applied to a scene under training: background in the world, actors in boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from recast.logs import Track
+from recast.scene.config import SceneConfig
+from recast.scene.densify import Change, GradientStatistics, plan_change
+from recast.scene.trainable import TrainableScene, rows
+from recast.splats import Gaussians, RowAdam, concatenate, morton_order
+
+SPLIT_ABOVE_M = 0.08
+ACTOR_SPLIT_ABOVE_M = 0.03
+BOX_MARGIN_M = 0.15
+"""How far an actor's centres may leave its box, to the sides and upwards."""
+
+
+def change_population(
+    model: TrainableScene,
+    tracks: Mapping[str, Track],
+    config: SceneConfig,
+    generator: torch.Generator,
+) -> None:
+    """Clone, split and prune; background rows are put back into Morton order.
+
+    The room below `max_gaussians` is shared in proportion to the parts' sizes.
+    """
+    total = len(model.background) + len(model.local)
+    room = max(config.max_gaussians - total, 0) / max(total, 1)
+    growth = min(config.densify_growth, room)
+    background = plan_change(
+        model.background,
+        model.background_statistics.mean(),
+        threshold=config.densify_gradient,
+        most_new=int(growth * len(model.background)),
+        split_above=SPLIT_ABOVE_M,
+        generator=generator,
+    )
+    local = plan_change(
+        model.local,
+        model.local_statistics.mean(),
+        threshold=config.densify_gradient,
+        most_new=int(growth * len(model.local)),
+        split_above=ACTOR_SPLIT_ABOVE_M,
+        generator=generator,
+        doomed=~inside_boxes(model, tracks),
+    )
+    new_background = _merge(model.background, background)
+    order = morton_order(new_background.means)
+    new_local = _merge(model.local, local)
+    owner = torch.cat([model.owner[local.kept], model.owner[local.parents]])
+    by_owner = owner.argsort(stable=True)
+    model.place(new_background.select(order), new_local.select(by_owner), owner[by_owner])
+    _follow(model.background_adam, background, order, model.background)
+    _follow(model.local_adam, local, by_owner, model.local)
+    model.background_statistics = GradientStatistics(len(model.background))
+    model.local_statistics = GradientStatistics(len(model.local))
+
+
+def inside_boxes(model: TrainableScene, tracks: Mapping[str, Track]) -> Tensor:
+    """(A,) bool: actor rows whose centre lies in its box (grown to the sides and upwards)."""
+    if len(model.local) == 0:
+        return torch.zeros(0, dtype=torch.bool)
+    sizes = torch.stack([torch.from_numpy(tracks[name].size) for name in model.track_ids]).float()
+    half = sizes[model.owner] / 2
+    means = model.local.means.detach()
+    high = half + BOX_MARGIN_M
+    low = -high
+    low[:, 2] = -half[:, 2] - 0.05
+    return ((means <= high) & (means >= low)).all(dim=1)
+
+
+def _merge(old: Gaussians, change: Change) -> Gaussians:
+    return concatenate([old.detach().select(change.kept), change.born])
+
+
+def _follow(adam: RowAdam, change: Change, order: Tensor, params: Gaussians) -> None:
+    """Carry the moments of the kept rows along; new rows start without history."""
+    adam.select(change.kept)
+    adam.append(len(change.born))
+    adam.select(order)
+    adam.params = rows(params)

@@ -1,0 +1,159 @@
+"""Learned corrections of camera and track poses.
+
+Both are small offsets on the logged poses. What no training view sees is interpolated from the
+neighbours in time, so that held-out frames and simulated ones get the same treatment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from recast.logs import Track, Trajectory
+from recast.scene.adam_table import AdamTable
+from recast.scene.dynamic import pose_at
+from recast.scene.views import View
+
+Array = NDArray[np.float64]
+Int64Array = NDArray[np.int64]
+
+
+class CameraPoses:
+    """A twist per training view: camera_from_world = exp(twist) @ logged camera_from_world.
+
+    Twists are (translation in metres, rotation vector in radians) in the camera frame.
+    """
+
+    def __init__(self, views: Sequence[View]) -> None:
+        self._rows = {_key(view): row for row, view in enumerate(views)}
+        self.table = AdamTable(torch.zeros(len(views), 6))
+
+    def camera_from_world(self, view: View) -> Tensor:
+        """(4, 4) float32, differentiable in the twist, of a training view."""
+        logged = torch.from_numpy(view.camera_from_world).float()
+        return twist_matrix(self.table.value[self._rows[_key(view)]]) @ logged
+
+    def corrections(self, views: Sequence[View]) -> dict[str, tuple[Int64Array, Array]]:
+        """Learned twists by camera: times (F,) and twists (F, 6), in order of time."""
+        twists = self.table.value.detach().numpy().astype(np.float64)
+        found = {}
+        for name in dict.fromkeys(view.camera_name for view in views):
+            own = [v for v in views if v.camera_name == name and _key(v) in self._rows]
+            if own:
+                times = np.array([view.timestamp_us for view in own], np.int64)
+                found[name] = (times, twists[[self._rows[_key(view)] for view in own]])
+        return found
+
+
+def corrected(
+    camera_from_world: Array,
+    corrections: Mapping[str, tuple[Int64Array, Array]],
+    camera_name: str,
+    timestamp_us: int,
+) -> Array:
+    """A logged pose (4, 4) with the learned correction at its time.
+
+    Interpolated linearly between the neighbouring training views, held before the first and after
+    the last; cameras that were not trained on stay as logged.
+    """
+    if camera_name not in corrections:
+        return camera_from_world
+    times, twists = corrections[camera_name]
+    twist = [np.interp(timestamp_us, times, twists[:, i]) for i in range(6)]
+    moved: Array = twist_matrix(torch.tensor(twist, dtype=torch.float64)).numpy()
+    return moved @ camera_from_world
+
+
+def twist_matrix(twist: Tensor) -> Tensor:
+    """Rigid matrix (4, 4) of a twist (6,): rotation by Rodrigues' formula, translation as it is.
+
+    The translation is not multiplied by SO(3)'s left Jacobian: the parametrisation is as good a
+    chart near zero, and decoupled.
+    """
+    rotation = twist[3:]
+    theta2 = rotation.dot(rotation)
+    small = theta2 < 1e-8
+    safe = torch.where(small, torch.ones_like(theta2), theta2)
+    theta = safe.sqrt()
+    a = torch.where(small, 1 - theta2 / 6, theta.sin() / theta)
+    b = torch.where(small, 0.5 - theta2 / 24, (1 - theta.cos()) / safe)
+    x, y, z = rotation.unbind()
+    zero = torch.zeros_like(x)
+    skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).view(3, 3)
+    turn = torch.eye(3, dtype=twist.dtype) + a * skew + b * (skew @ skew)
+    top = torch.cat([turn, twist[:3, None]], dim=1)
+    bottom = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=twist.dtype)
+    return torch.cat([top, bottom])
+
+
+class TrackPoses:
+    """Offsets (dx, dy, dz, dyaw) of tracks in the world frame, at knots in time.
+
+    world_from_object(t) = translate(d) rotate_z(dyaw) about the box centre, applied to the logged
+    pose at t. Knots are the labels that a training view is nearest to: a label that only a held-out
+    image could correct would stay where it was while its neighbours move.
+    """
+
+    def __init__(self, tracks: Mapping[str, Track], views: Sequence[View]) -> None:
+        self._tracks = dict(tracks)
+        self._knots: dict[str, Int64Array] = {}
+        self._first_row: dict[str, int] = {}
+        rows = 0
+        for track_id, track in tracks.items():
+            knots = _knots(track.trajectory, views)
+            self._knots[track_id], self._first_row[track_id] = knots, rows
+            rows += len(knots)
+        self.table = AdamTable(torch.zeros(rows, 4))
+
+    def world_from_actor(self, track_id: str, timestamp_us: int) -> Tensor | None:
+        """(4, 4) float32, differentiable in the offsets, or None where the track is absent."""
+        logged = pose_at(self._tracks[track_id].trajectory, timestamp_us)
+        if logged is None:
+            return None
+        return _offset(torch.from_numpy(logged).float(), self._at(track_id, timestamp_us))
+
+    def refined(self, track_id: str) -> Trajectory:
+        """The track's trajectory at its label times with the offsets applied."""
+        logged = self._tracks[track_id].trajectory
+        with torch.no_grad():
+            poses = [
+                _offset(torch.from_numpy(pose), self._at(track_id, int(time)).double()).numpy()
+                for time, pose in zip(logged.timestamps_us, logged.poses, strict=True)
+            ]
+        return Trajectory(logged.timestamps_us, np.stack(poses))
+
+    def _at(self, track_id: str, timestamp_us: int) -> Tensor:
+        knots, row = self._knots[track_id], self._first_row[track_id]
+        if len(knots) == 0:
+            return torch.zeros(4)
+        position = float(np.interp(timestamp_us, knots, np.arange(len(knots))))
+        left = min(int(position), max(len(knots) - 2, 0))
+        right = min(left + 1, len(knots) - 1)
+        weight = position - left
+        table = self.table.value
+        return (1 - weight) * table[row + left] + weight * table[row + right]
+
+
+def _knots(trajectory: Trajectory, views: Sequence[View]) -> Int64Array:
+    times = np.array([view.timestamp_us for view in views], np.int64)
+    held_out = np.array([view.held_out for view in views], bool)
+    nearest = np.abs(trajectory.timestamps_us[:, None] - times[None]).argmin(axis=1)
+    return trajectory.timestamps_us[~held_out[nearest]]
+
+
+def _offset(pose: Tensor, offset: Tensor) -> Tensor:
+    """Move a pose (4, 4) by (dx, dy, dz, dyaw) in the world frame, turning about its own origin."""
+    cos, sin = offset[3].cos(), offset[3].sin()
+    zero, one = torch.zeros_like(cos), torch.ones_like(cos)
+    turn = torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one]).view(3, 3)
+    rotation = turn @ pose[:3, :3]
+    translation = pose[:3, 3] + offset[:3]
+    return torch.cat([torch.cat([rotation, translation[:, None]], dim=1), pose[3:]])
+
+
+def _key(view: View) -> tuple[str, int]:
+    return view.camera_name, view.frame

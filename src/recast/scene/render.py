@@ -1,0 +1,132 @@
+"""Images of a frozen scene, for evaluation and simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from recast.geometry import PinholeCamera
+from recast.scene.sky import composite
+from recast.scene.street_scene import StreetScene
+from recast.splats import Gaussians, rasterize
+
+Array = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+
+FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
+
+
+@dataclass(frozen=True)
+class SceneImage:
+    """One rendered view.
+
+    Attributes:
+        rgb: (H, W, 3) float32 in [0, 1].
+        depth: (H, W) float32, sum of T alpha z in metres, not divided by alpha.
+        alpha: (H, W) float32 accumulated opacity; the rest is sky.
+    """
+
+    rgb: Float32Array
+    depth: Float32Array
+    alpha: Float32Array
+
+
+class SceneRasterizer:
+    """Draws one scene again and again: the background stays in place, only actors are written.
+
+    Holds a copy of the scene's parameters with room for all actors behind them.
+    """
+
+    def __init__(self, scene: StreetScene) -> None:
+        self._scene = scene
+        self._local = {track_id: actor.drawn.detach() for track_id, actor in scene.actors.items()}
+        first = len(scene.background)
+        room = first + sum(len(local) for local in self._local.values())
+        bases = max(g.sh.shape[1] for g in (scene.background, *self._local.values()))
+        self._first = first
+        self._buffer = Gaussians(
+            means=torch.zeros(room, 3),
+            quats=torch.zeros(room, 4),
+            log_scales=torch.zeros(room, 3),
+            logit_opacities=torch.zeros(room),
+            sh=torch.zeros(room, bases, 3),
+        )
+        self._write(scene.background.detach(), 0)
+
+    def _write(self, part: Gaussians, first: int) -> int:
+        last = first + len(part)
+        for name in FIELDS:
+            target = getattr(self._buffer, name)[first:last]
+            value = getattr(part, name)
+            if name == "sh":
+                target[:, value.shape[1] :] = 0
+                target = target[:, : value.shape[1]]
+            target.copy_(value)
+        return last
+
+    def render(
+        self,
+        camera: PinholeCamera,
+        camera_from_world: Array,
+        poses: Mapping[str, Array],
+    ) -> SceneImage:
+        """Draw one view; see `render_scene`."""
+        last = self._first
+        for track_id, pose in poses.items():
+            last = self._write(self._local[track_id].transformed(torch.from_numpy(pose)), last)
+        drawn = Gaussians(*(getattr(self._buffer, name)[:last] for name in FIELDS))
+        with torch.no_grad():
+            result = rasterize(
+                drawn,
+                torch.from_numpy(np.asarray(camera_from_world)).float(),
+                torch.from_numpy(camera.matrix).float(),
+                camera.width,
+                camera.height,
+            )
+            rgb = composite(
+                result.rgb,
+                result.alpha,
+                self._scene.sky.colours,
+                pixel_directions(camera, camera_from_world),
+            )
+        return SceneImage(
+            rgb=rgb.clamp(0, 1).numpy(), depth=result.depth.numpy(), alpha=result.alpha.numpy()
+        )
+
+
+def render_scene(
+    scene: StreetScene,
+    camera: PinholeCamera,
+    camera_from_world: Array,
+    poses: Mapping[str, Array],
+) -> SceneImage:
+    """Draw a scene once. For many images of one scene keep a `SceneRasterizer`.
+
+    Args:
+        camera: rectified intrinsics.
+        camera_from_world: (4, 4).
+        poses: `world_from_actor` (4, 4) by track id; actors not named are not drawn.
+
+    Raises:
+        ValueError: the camera has distortion.
+        KeyError: a pose for an actor that the scene does not have.
+    """
+    return SceneRasterizer(scene).render(camera, camera_from_world, poses)
+
+
+def pixel_directions(camera: PinholeCamera, camera_from_world: Array) -> torch.Tensor:
+    """World directions (H, W, 3) float32 of the pixel centres, length not normalised."""
+    if not camera.is_rectified:
+        raise ValueError("rendering needs a rectified camera: use camera.rectified()")
+    u = (np.arange(camera.width, dtype=np.float32) + np.float32(0.5 - camera.cx)) / camera.fx
+    v = (np.arange(camera.height, dtype=np.float32) + np.float32(0.5 - camera.cy)) / camera.fy
+    axes = np.asarray(camera_from_world, np.float64)[:3, :3].astype(np.float32)  # rows: camera axes
+    plane = (
+        u[None, :, None].astype(np.float32) * axes[0]
+        + v[:, None, None].astype(np.float32) * axes[1]
+    )
+    return torch.from_numpy(plane + axes[2])

@@ -1,0 +1,164 @@
+"""Scenes on disk: a folder with scene.json, one PLY a part, and safetensors for the rest."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
+from torch import Tensor
+
+from recast.errors import InputError
+from recast.logs import Trajectory
+from recast.scene.sky import SkyMap
+from recast.scene.street_scene import SceneActor, StreetScene
+from recast.scene.tensor_file import read_tensors, write_tensors
+from recast.splats import Gaussians, read_ply, write_ply
+from recast.storage import read_json, write_json
+
+SCENE_VERSION = 1
+SCENE_FILE = "scene.json"
+TENSOR_FILE = "scene.safetensors"
+
+
+class ActorRecord(BaseModel):
+    """One actor in scene.json."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    track_id: str
+    size: tuple[float, float, float]
+    gaussians: str
+    shadow: str | None = None
+
+
+class SceneRecord(BaseModel):
+    """Contents of scene.json: what the folder holds and where."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    version: int = SCENE_VERSION
+    log_name: str
+    world_offset: tuple[float, float, float]
+    background: str
+    tensors: str = TENSOR_FILE
+    actors: list[ActorRecord]
+    cameras: list[str]
+
+
+def save_scene(scene: StreetScene, folder: str | Path) -> None:
+    """Write a scene into `folder`; scene.json comes last and marks it as complete.
+
+    Raises:
+        InputError: the folder holds a scene already, or the disk is full.
+    """
+    folder = Path(folder)
+    if (folder / SCENE_FILE).exists():
+        raise InputError(folder, "output folder", "holds a scene already", "name another one")
+    write_ply(folder / "background.ply", scene.background)
+    tensors: dict[str, Tensor] = {"sky": scene.sky.colours}
+    records = []
+    for index, (track_id, actor) in enumerate(scene.actors.items()):
+        stem = f"actor_{index:03d}_{re.sub(r'[^A-Za-z0-9-]', '_', track_id)}"
+        write_ply(folder / f"{stem}.ply", actor.gaussians)
+        if actor.shadow is not None:
+            write_ply(folder / f"{stem}_shadow.ply", actor.shadow)
+        tensors[f"actor/{track_id}/timestamps_us"] = torch.from_numpy(
+            actor.trajectory.timestamps_us
+        )
+        tensors[f"actor/{track_id}/poses"] = torch.from_numpy(actor.trajectory.poses)
+        records.append(
+            ActorRecord(
+                track_id=track_id,
+                size=_triple(actor.size),
+                gaussians=f"{stem}.ply",
+                shadow=None if actor.shadow is None else f"{stem}_shadow.ply",
+            )
+        )
+    for name, (times, twists) in scene.camera_corrections.items():
+        tensors[f"camera/{name}/timestamps_us"] = torch.from_numpy(times)
+        tensors[f"camera/{name}/twists"] = torch.from_numpy(twists)
+    write_tensors(folder / TENSOR_FILE, tensors, {"version": SCENE_VERSION})
+    record = SceneRecord(
+        log_name=scene.log_name,
+        world_offset=_triple(scene.world_offset),
+        background="background.ply",
+        actors=records,
+        cameras=list(scene.camera_corrections),
+    )
+    write_json(folder / SCENE_FILE, record.model_dump(mode="json"))
+
+
+def load_scene(folder: str | Path) -> StreetScene:
+    """Read a scene folder.
+
+    Raises:
+        InputError: no scene there, of another version, a member missing or broken.
+    """
+    folder = Path(folder)
+    record = _read_record(folder / SCENE_FILE)
+    tensors, _ = read_tensors(folder / record.tensors)
+
+    def tensor(name: str) -> Tensor:
+        if name not in tensors:
+            raise InputError(folder / record.tensors, name, "is missing", "train the scene anew")
+        return tensors[name]
+
+    actors = {}
+    for entry in record.actors:
+        prefix = f"actor/{entry.track_id}"
+        actors[entry.track_id] = SceneActor(
+            track_id=entry.track_id,
+            gaussians=_read_part(folder / entry.gaussians),
+            size=np.array(entry.size),
+            trajectory=Trajectory(
+                tensor(f"{prefix}/timestamps_us").numpy(), tensor(f"{prefix}/poses").numpy()
+            ),
+            shadow=None if entry.shadow is None else _read_part(folder / entry.shadow),
+        )
+    return StreetScene(
+        background=_read_part(folder / record.background),
+        actors=actors,
+        sky=SkyMap(tensor("sky")),
+        world_offset=np.array(record.world_offset),
+        camera_corrections={
+            name: (
+                tensor(f"camera/{name}/timestamps_us").numpy(),
+                tensor(f"camera/{name}/twists").numpy(),
+            )
+            for name in record.cameras
+        },
+        log_name=record.log_name,
+    )
+
+
+def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return float(x), float(y), float(z)
+
+
+def _read_record(path: Path) -> SceneRecord:
+    value = read_json(path)
+    version = value.get("version") if isinstance(value, dict) else None
+    if version != SCENE_VERSION:
+        raise InputError(
+            path,
+            "version",
+            f"is {version!r}, this release reads {SCENE_VERSION}",
+            "train the scene anew, or use the release that wrote it",
+        )
+    try:
+        return SceneRecord.model_validate(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(str(part) for part in first["loc"])
+        raise InputError(path, field, str(first["msg"]), "train the scene anew") from None
+
+
+def _read_part(path: Path) -> Gaussians:
+    if not path.is_file():
+        raise InputError(path, "Gaussians", "file is missing", "train the scene anew")
+    return read_ply(path)

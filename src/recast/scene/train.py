@@ -1,0 +1,187 @@
+"""`train_scene`: from a driving log to a scene folder, resumable at any moment."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+
+from recast.errors import InputError
+from recast.logs import DrivingLog
+from recast.scene.checkpoint import (
+    load_checkpoint,
+    load_initialisation,
+    save_checkpoint,
+    save_initialisation,
+)
+from recast.scene.config import SceneConfig
+from recast.scene.dynamic import choose_actors
+from recast.scene.evaluate import held_out_psnr
+from recast.scene.initialise import initialise
+from recast.scene.progress import ProgressCallback, TrainingStatus
+from recast.scene.run_identity import claim_folder
+from recast.scene.store import SCENE_FILE, load_scene, save_scene
+from recast.scene.street_scene import StreetScene
+from recast.scene.trainer import Trainer
+from recast.scene.views import View, read_views
+from recast.splats import set_threads
+from recast.storage import read_json, write_json
+
+WORK_FOLDER = "work"
+HISTORY_FILE = "history.json"
+REPORT_EVERY = 10
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """What a training run made.
+
+    Attributes:
+        scene: the scene, also at `folder`.
+        folder: scene folder.
+        history: one record an evaluation: iteration, gaussians, loss, psnr, held_out_psnr (dB).
+    """
+
+    scene: StreetScene
+    folder: Path
+    history: list[dict[str, float]]
+
+
+def train_scene(
+    log: DrivingLog,
+    out: str | Path,
+    config: SceneConfig | None = None,
+    progress: ProgressCallback | None = None,
+) -> TrainResult:
+    """Reconstruct the street of a log into the folder `out`.
+
+    Writes config.json and source.json first, keeps first scene and checkpoints under work/, and
+    ends with the scene's files, scene.json last. Run again on the same folder it goes on from the
+    last checkpoint, or only loads what is finished; the bytes are those of an uninterrupted run
+    with the same number of threads.
+
+    Args:
+        progress: told every few steps how far training is; see `TrainingDisplay`.
+
+    Raises:
+        InputError: the folder holds another run, the log lacks what is needed, the disk is full.
+    """
+    config = config or SceneConfig()
+    out = Path(out)
+    claim_folder(out, log, config)
+    if (out / SCENE_FILE).is_file():
+        return TrainResult(load_scene(out), out, read_json(out / HISTORY_FILE))
+    threads = config.threads or torch.get_num_threads()
+    run = _Run(log, out, config, threads, progress or (lambda status: None))
+    before = torch.get_num_threads(), cv2.getNumThreads()
+    try:
+        torch.set_num_threads(threads)
+        cv2.setNumThreads(1)  # the trainer brings its own threads
+        set_threads(threads)
+        return run.finish()
+    finally:
+        torch.set_num_threads(before[0])
+        cv2.setNumThreads(before[1])
+
+
+class _Run:
+    def __init__(
+        self,
+        log: DrivingLog,
+        out: Path,
+        config: SceneConfig,
+        threads: int,
+        progress: ProgressCallback,
+    ) -> None:
+        self._log, self._out, self._config = log, out, config
+        self._progress, self._threads = progress, threads
+        self._work = out / WORK_FOLDER
+        self._recent: deque[tuple[float, float]] = deque(maxlen=100)
+        self._clock: deque[tuple[int, float]] = deque(maxlen=20)
+
+    def finish(self) -> TrainResult:
+        """Train to the end and write the scene."""
+        self._tell("initialise", 0, None, [])
+        views = read_views(self._log, self._config)
+        held_out = [view for view in views if view.held_out]
+        trainer = self._trainer(views)
+        checkpoint = self._work / "checkpoint.safetensors"
+        history = load_checkpoint(trainer, checkpoint) if checkpoint.is_file() else []
+        config = self._config
+        while trainer.iteration < config.iterations:
+            report = trainer.step()
+            self._recent.append((report.loss, report.psnr))
+            last = trainer.iteration == config.iterations
+            if trainer.iteration % REPORT_EVERY == 0 or last:
+                self._tell("train", trainer.iteration, trainer, history)
+            if trainer.iteration % config.evaluate_every == 0 or last:
+                self._tell("evaluate", trainer.iteration, trainer, history)
+                history.append(self._evaluate(trainer, held_out))
+                self._clock.clear()
+            if trainer.iteration % config.checkpoint_every == 0 and not last:
+                save_checkpoint(trainer, history, checkpoint)
+        scene = trainer.scene(self._log)
+        write_json(self._out / HISTORY_FILE, history)
+        save_scene(scene, self._out)
+        shutil.rmtree(self._work, ignore_errors=True)
+        self._tell("done", trainer.iteration, trainer, history)
+        return TrainResult(scene, self._out, history)
+
+    def _trainer(self, views: list[View]) -> Trainer:
+        config = self._config
+        if all(view.held_out for view in views):
+            raise InputError(
+                self._log.name, "cameras", "leave no image to train on", "check holdout_every"
+            )
+        tracks = choose_actors(self._log, views, config)
+        path = self._work / "initialisation.safetensors"
+        if path.is_file():
+            start = load_initialisation(path)
+        else:
+            rng = np.random.default_rng(config.seed)
+            start = initialise(self._log, views, tracks, config, rng, self._threads)
+            save_initialisation(start, path)
+        return Trainer(config, views, tracks, start, self._threads)
+
+    def _evaluate(self, trainer: Trainer, held_out: list[View]) -> dict[str, float]:
+        losses, psnrs = zip(*self._recent, strict=True)
+        record = {
+            "iteration": trainer.iteration,
+            "gaussians": trainer.model.count_rows(),
+            "loss": float(np.mean(losses)),
+            "psnr": float(np.mean(psnrs)),
+        }
+        if held_out:
+            record["held_out_psnr"] = held_out_psnr(trainer.scene(self._log), held_out)
+        return record
+
+    def _tell(
+        self, phase: str, iteration: int, trainer: Trainer | None, history: list[dict[str, float]]
+    ) -> None:
+        config = self._config
+        rate = left = None
+        if phase == "train":
+            self._clock.append((iteration, time.monotonic()))
+            (first, start), (last, now) = self._clock[0], self._clock[-1]
+            if now > start:
+                rate = (last - first) / (now - start)
+                left = (config.iterations - iteration) / rate
+        self._progress(
+            TrainingStatus(
+                phase=phase,
+                iteration=iteration,
+                iterations=config.iterations,
+                gaussians=trainer.model.count_rows() if trainer else 0,
+                loss=float(np.mean([loss for loss, _ in self._recent])) if self._recent else None,
+                psnr=float(np.mean([psnr for _, psnr in self._recent])) if self._recent else None,
+                held_out_psnr=history[-1].get("held_out_psnr") if history else None,
+                iterations_per_second=rate,
+                seconds_left=left,
+            )
+        )

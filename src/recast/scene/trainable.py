@@ -1,0 +1,201 @@
+"""The parameters of a scene under training, laid out for speed.
+
+What the rasterizer reads is one buffer a field. The background's rows come first and *are* the
+background's parameters, so that nothing is copied; behind them is room for the actors, which are
+written anew for every view from their own parameters in the box frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from recast.scene.densify import GradientStatistics
+from recast.splats import Gaussians, RasterMeta, RowAdam, concatenate
+from recast.splats.sh import C0
+
+FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
+MIN_LOG_SCALE = -4.8
+"""8 mm. Smaller ones hide between the pixel centres of the training views and show elsewhere."""
+COLOUR_LIMIT = 0.5 / C0
+"""Keeps the constant colour in [0, 1]: below 0 the rasterizer's clamp kills the gradient."""
+REST_RATE = 0.05
+"""View-dependent colour learns this much slower than the constant band (3DGS)."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """Rows of one present actor: `[first, last)` as drawn, `[start, stop)` among all actors' rows.
+
+    Attributes:
+        posed: its Gaussians in the world, with the graph back to the parameters and the pose.
+    """
+
+    first: int
+    last: int
+    start: int
+    stop: int
+    posed: Gaussians
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What one view sees: leaf Gaussians for the rasterizer, and where the actors are in them."""
+
+    gaussians: Gaussians
+    spans: tuple[Span, ...]
+
+
+class TrainableScene:
+    """Background and actors with their optimiser states.
+
+    Attributes:
+        track_ids: the actors, in order.
+        owner: (A,) int64, ascending: the actor of each row of `local`.
+        background: world-frame parameters, views into the buffer.
+        local: all actors' parameters, box frames, one after the other.
+    """
+
+    background: Gaussians
+    local: Gaussians
+    owner: Tensor
+
+    def __init__(self, background: Gaussians, actors: Mapping[str, Gaussians]) -> None:
+        self.track_ids = tuple(actors)
+        nothing = background.select(torch.zeros(0, dtype=torch.int64))
+        counts = torch.tensor([len(part) for part in actors.values()], dtype=torch.int64)
+        owner = torch.repeat_interleave(torch.arange(len(actors)), counts)
+        self.place(background, concatenate([nothing, *actors.values()]), owner)
+        self.background_statistics = GradientStatistics(len(self.background))
+        self.local_statistics = GradientStatistics(len(self.local))
+        self.background_adam = _adam(self.background)
+        self.local_adam = _adam(self.local)
+
+    def place(self, background: Gaussians, local: Gaussians, owner: Tensor) -> None:
+        """Lay out new parameter values; optimiser states are the caller's business."""
+        room = concatenate([background.detach(), local.detach()])
+        self._buffer = Gaussians(**{name: value.contiguous() for name, value in rows(room).items()})
+        n = len(background)
+        self.background = Gaussians(**{k: v[:n] for k, v in rows(self._buffer).items()})
+        self.local = Gaussians(
+            **{k: v.clone().requires_grad_() for k, v in rows(local.detach()).items()}
+        )
+        self.owner = owner
+
+    def span(self, track_id: str) -> tuple[int, int]:
+        """Rows [start, stop) of an actor in `local`."""
+        index = self.track_ids.index(track_id)
+        start, stop = torch.searchsorted(self.owner, torch.tensor([index, index + 1])).tolist()
+        return start, stop
+
+    def draw(self, poses: Mapping[str, Tensor]) -> Drawn:
+        """Put the actors at `world_from_actor` poses (4, 4) behind the background."""
+        first = len(self.background)
+        spans = []
+        for track_id, pose in poses.items():
+            start, stop = self.span(track_id)
+            own = Gaussians(**{k: v[start:stop] for k, v in rows(self.local).items()})
+            posed = own.transformed(pose)
+            last = first + stop - start
+            for name in FIELDS:
+                getattr(self._buffer, name)[first:last] = getattr(posed, name).detach()
+            spans.append(Span(first, last, start, stop, posed))
+            first = last
+        leaves = {k: v[:first].requires_grad_() for k, v in rows(self._buffer).items()}
+        return Drawn(Gaussians(**leaves), tuple(spans))
+
+    def take_gradients(self, drawn: Drawn) -> None:
+        """After the loss's backward pass: carry it on to the parameters and the actors' poses."""
+        gradients = {k: v.grad for k, v in rows(drawn.gaussians).items()}
+        n = len(self.background)
+        for name in FIELDS:
+            gradient = gradients[name]
+            getattr(self.background, name).grad = None if gradient is None else gradient[:n]
+            getattr(self.local, name).grad = None
+        for span in drawn.spans:
+            outputs, given = [], []
+            for name in FIELDS:
+                gradient = gradients[name]
+                if gradient is not None:
+                    outputs.append(getattr(span.posed, name))
+                    given.append(gradient[span.first : span.last])
+            torch.autograd.backward(outputs, given)
+
+    def visible(self, drawn: Drawn, meta: RasterMeta) -> tuple[Tensor, Tensor]:
+        """Which rows of the background and of the actors the view saw: two bool masks."""
+        local = torch.zeros(len(self.local), dtype=torch.bool)
+        for span in drawn.spans:
+            local[span.start : span.stop] = meta.visible[span.first : span.last]
+        return meta.visible[: len(self.background)], local
+
+    def count(self, drawn: Drawn, meta: RasterMeta, width: int, height: int) -> None:
+        """Add a view's screen-space gradients to the statistics for density control."""
+        n = len(self.background)
+        self.background_statistics.add(meta, slice(0, n), slice(0, n), width, height)
+        for span in drawn.spans:
+            source, target = slice(span.first, span.last), slice(span.start, span.stop)
+            self.local_statistics.add(meta, source, target, width, height)
+
+    def step(self, background: Tensor, local: Tensor, rates: Mapping[str, float]) -> None:
+        """Adam on the visible rows, within the bounds that keep Gaussians honest.
+
+        Args:
+            background, local: visible rows, as `visible` gives.
+            rates: learning rate by field; `sh` is that of the constant band.
+        """
+        self.background_adam.step(background, rates)
+        if len(self.local):
+            self.local_adam.step(local, rates)
+
+    def count_rows(self) -> int:
+        """Number of Gaussians, actors included."""
+        return len(self.background) + len(self.local)
+
+    def restore(
+        self,
+        background_adam: Mapping[str, Tensor],
+        local_adam: Mapping[str, Tensor],
+        background_statistics: Mapping[str, Tensor],
+        local_statistics: Mapping[str, Tensor],
+    ) -> None:
+        """After `place`: take over optimiser states and statistics of a checkpoint."""
+        self.background_adam.params = rows(self.background)
+        self.local_adam.params = rows(self.local)
+        self.background_adam.load_state_dict(background_adam)
+        self.local_adam.load_state_dict(local_adam)
+        self.background_statistics.load_state_dict(background_statistics)
+        self.local_statistics.load_state_dict(local_statistics)
+
+    def actors(self) -> dict[str, Gaussians]:
+        """Copies of the actors' Gaussians, box frames."""
+        return {
+            track_id: copy(self.local, slice(*self.span(track_id))) for track_id in self.track_ids
+        }
+
+
+def copy(gaussians: Gaussians, part: slice = slice(None)) -> Gaussians:
+    """Rows of their own, without history."""
+    return Gaussians(**{k: v.detach()[part].clone() for k, v in rows(gaussians).items()})
+
+
+def rows(gaussians: Gaussians) -> dict[str, Tensor]:
+    """The fields by name."""
+    return {name: getattr(gaussians, name) for name in FIELDS}
+
+
+def _adam(gaussians: Gaussians) -> RowAdam:
+    bases = gaussians.sh.shape[1]
+    rates = torch.full((bases, 3), REST_RATE)
+    rates[0] = 1
+    limit = torch.full((bases, 3), math.inf)
+    limit[0] = COLOUR_LIMIT
+    return RowAdam(
+        rows(gaussians),
+        {},
+        column_rates={"sh": rates},
+        bounds={"sh": (-limit, limit), "log_scales": (MIN_LOG_SCALE, math.inf)},
+    )

@@ -1,0 +1,158 @@
+"""One optimisation step of a scene, and all state that must survive a kill."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from recast.logs import DrivingLog, Track
+from recast.scene.adam_table import AdamTable
+from recast.scene.config import SceneConfig
+from recast.scene.initialise import Initialisation
+from recast.scene.levels import Level, full_level, half_level
+from recast.scene.losses import depth_loss, photometric_loss, sky_loss
+from recast.scene.population import change_population
+from recast.scene.poses import CameraPoses, TrackPoses
+from recast.scene.render import pixel_directions
+from recast.scene.schedule import gaussian_rates, pose_factor, sky_rate
+from recast.scene.sky import SkyMap, composite
+from recast.scene.street_scene import SceneActor, StreetScene
+from recast.scene.trainable import TrainableScene, copy
+from recast.scene.views import View
+from recast.splats import rasterize
+
+RADIANS_PER_METRE = 0.1
+"""Learning rate of a camera's rotation in radians to that of its translation in metres."""
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """Loss and PSNR (dB) of the view of one step."""
+
+    loss: float
+    psnr: float
+
+
+class Trainer:
+    """Holds everything that training changes.
+
+    Attributes:
+        iteration: steps done.
+        model: the Gaussians.
+        camera_poses, track_poses: pose corrections.
+        sky: (cells, 3) table of the sky map's colours.
+        sky_shape: (H, W, 3) of the map.
+    """
+
+    def __init__(
+        self,
+        config: SceneConfig,
+        views: Sequence[View],
+        tracks: Mapping[str, Track],
+        start: Initialisation,
+        threads: int,
+    ) -> None:
+        self.config = config
+        self.iteration = 0
+        self._threads = threads
+        self._views = [view for view in views if not view.held_out]
+        self._tracks = dict(tracks)
+        triples = list(zip(self._views, start.sky_pixels, start.depths, strict=True))
+        self._fine = [full_level(*triple) for triple in triples]
+        self._coarse = [half_level(*triple) for triple in triples]
+        self.model = TrainableScene(start.background, start.actors)
+        self.camera_poses = CameraPoses(self._views)
+        self.track_poses = TrackPoses(tracks, views)
+        self.sky_shape = start.sky.colours.shape
+        self.sky = AdamTable(start.sky.colours.reshape(-1, 3))
+
+    def step(self) -> StepReport:
+        """Fit one view, then densify when it is time."""
+        config = self.config
+        u = self.iteration / config.iterations
+        index = self._pick()
+        level = (self._coarse if u < config.coarse_fraction else self._fine)[index]
+        report = self._fit(self._views[index], level, u)
+        self.iteration += 1
+        if (
+            self.iteration % config.densify_every == 0
+            and self.iteration < config.densify_until * config.iterations
+        ):
+            seed = np.random.SeedSequence([config.seed, self.iteration]).generate_state(1)[0]
+            generator = torch.Generator().manual_seed(int(seed))
+            change_population(self.model, self._tracks, config, generator)
+        return report
+
+    def _pick(self) -> int:
+        """Each epoch visits every view once, in an order that hangs on seed and epoch alone."""
+        epoch, position = divmod(self.iteration, len(self._views))
+        order = np.random.default_rng([self.config.seed, epoch]).permutation(len(self._views))
+        return int(order[position])
+
+    def poses(self, timestamp_us: int) -> dict[str, Tensor]:
+        """`world_from_actor` (4, 4) of the actors present, differentiable in their offsets."""
+        found = {
+            track_id: self.track_poses.world_from_actor(track_id, timestamp_us)
+            for track_id in self.model.track_ids
+        }
+        return {track_id: pose for track_id, pose in found.items() if pose is not None}
+
+    def _fit(self, view: View, level: Level, u: float) -> StepReport:
+        config, camera = self.config, level.camera
+        drawn = self.model.draw(self.poses(view.timestamp_us))
+        pose = self.camera_poses.camera_from_world(view)
+        result = rasterize(drawn.gaussians, pose, level.K, camera.width, camera.height)
+        sky = self.sky.value.view(self.sky_shape)
+        directions = pixel_directions(camera, view.camera_from_world)
+        image = composite(result.rgb, result.alpha, sky, directions)
+        if level.usable is not None:
+            image = image * level.usable
+        target = level.target
+        loss = photometric_loss(image, target, config.ssim_weight, self._threads)
+        if config.depth_weight > 0:
+            depth = depth_loss(result.depth, result.alpha, level.depth_pixels, level.depths)
+            loss = loss + config.depth_weight * depth
+        if config.sky_weight > 0:
+            loss = loss + config.sky_weight * sky_loss(result.alpha, level.sky)
+        loss.backward()
+        self.model.take_gradients(drawn)
+        self.model.count(drawn, result.meta, camera.width, camera.height)
+        self._update(*self.model.visible(drawn, result.meta), u)
+        squared = float((image.detach() - target).square().mean())
+        return StepReport(float(loss.detach()), -10 * float(np.log10(max(squared, 1e-10))))
+
+    def _update(self, background: Tensor, local: Tensor, u: float) -> None:
+        config = self.config
+        self.model.step(background, local, gaussian_rates(config, u))
+        self.sky.step(sky_rate(config, u))
+        with torch.no_grad():
+            self.sky.value.clamp_(0, 1)
+        factor = pose_factor(u)
+        self.track_poses.table.step(factor * config.actor_pose_lr)
+        metres = factor * config.camera_pose_lr
+        radians = RADIANS_PER_METRE * metres
+        self.camera_poses.table.step(torch.tensor([metres] * 3 + [radians] * 3))
+
+    def scene(self, log: DrivingLog) -> StreetScene:
+        """The scene as it stands, copied."""
+        actors = self.model.actors()
+        return StreetScene(
+            background=copy(self.model.background),
+            actors={
+                track_id: SceneActor(
+                    track_id=track_id,
+                    gaussians=gaussians,
+                    size=self._tracks[track_id].size,
+                    trajectory=self.track_poses.refined(track_id),
+                )
+                for track_id, gaussians in actors.items()
+            },
+            sky=SkyMap(self.sky.value.detach().view(self.sky_shape).clone()),
+            world_offset=log.world_offset,
+            camera_corrections=self.camera_poses.corrections(self._views),
+            log_name=log.name,
+        )

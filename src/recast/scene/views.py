@@ -1,0 +1,146 @@
+"""The images of a log as the trainer sees them: rectified, scaled, posed, split."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.errors import InputError
+from recast.geometry import PinholeCamera, se3
+from recast.logs import CameraStream, DrivingLog
+from recast.scene.config import SceneConfig
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class View:
+    """One posed image.
+
+    Attributes:
+        camera_name: stream in the log.
+        frame: index in that stream.
+        timestamp_us: of the exposure.
+        camera: intrinsics of `image`, rectified.
+        world_from_camera: (4, 4) as logged.
+        image: (H, W, 3) uint8 RGB.
+        mask: (H, W) bool, False where the image is never usable, or None.
+        held_out: kept from training and from everything that leads to it.
+    """
+
+    camera_name: str
+    frame: int
+    timestamp_us: int
+    camera: PinholeCamera
+    world_from_camera: Array
+    image: Image
+    mask: Mask | None
+    held_out: bool
+
+    @property
+    def camera_from_world(self) -> Array:
+        """(4, 4), as logged."""
+        return se3.inverse(self.world_from_camera)
+
+    @property
+    def position(self) -> Array:
+        """(3,) camera centre in the world."""
+        centre: Array = self.world_from_camera[:3, 3]
+        return centre
+
+
+def camera_names(log: DrivingLog, config: SceneConfig) -> tuple[str, ...]:
+    """The cameras asked for, or all.
+
+    Raises:
+        InputError: a camera that the log does not have, or a log without cameras.
+    """
+    if not log.cameras:
+        raise InputError(log.name, "cameras", "there is none", "import a log with images")
+    for name in config.cameras:
+        if name not in log.cameras:
+            raise InputError(
+                log.name, f"camera {name}", "is not in the log", f"choose of {sorted(log.cameras)}"
+            )
+    return config.cameras or tuple(log.cameras)
+
+
+def is_held_out(frame: int, config: SceneConfig) -> bool:
+    """Whether frame `frame` of every camera is kept for evaluation."""
+    every = config.holdout_every
+    return every > 0 and frame % every == config.holdout_offset % every
+
+
+def read_views(log: DrivingLog, config: SceneConfig) -> list[View]:
+    """All views of the chosen cameras, camera by camera, in order of time."""
+    return [
+        read_view(log, log.cameras[name], frame, config.scale, is_held_out(frame, config))
+        for name in camera_names(log, config)
+        for frame in range(len(log.cameras[name].timestamps_us))
+    ]
+
+
+def read_view(
+    log: DrivingLog, stream: CameraStream, frame: int, scale: float, held_out: bool = False
+) -> View:
+    """Decode, rectify and scale one frame."""
+    full = stream.camera
+    image: Image = np.ascontiguousarray(stream.images[frame])
+    mask = stream.mask
+    if not full.is_rectified:
+        image, mask = _rectify(full, image, mask)
+    camera = scaled_camera(full, scale)
+    size = (camera.width, camera.height)
+    if scale != 1.0:
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+        if mask is not None:
+            mask = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    timestamp_us = int(stream.timestamps_us[frame])
+    return View(
+        camera_name=stream.name,
+        frame=frame,
+        timestamp_us=timestamp_us,
+        camera=camera,
+        world_from_camera=log.world_from_rig.at(timestamp_us) @ stream.rig_from_camera,
+        image=image,
+        mask=mask,
+        held_out=held_out,
+    )
+
+
+def scaled_camera(camera: PinholeCamera, scale: float) -> PinholeCamera:
+    """The rectified camera of the image scaled by `scale`, its size rounded to whole pixels."""
+    width, height = round(camera.width * scale), round(camera.height * scale)
+    return camera.rectified().resized(max(1, width), max(1, height))
+
+
+def nearest_view(
+    views: Sequence[View], timestamp_us: int, camera_name: str, limit_us: int
+) -> View | None:
+    """The view of one camera nearest in time, or None where none is within `limit_us`."""
+    own = [view for view in views if view.camera_name == camera_name]
+    best = min(own, key=lambda view: abs(view.timestamp_us - timestamp_us), default=None)
+    if best is None or abs(best.timestamp_us - timestamp_us) > limit_us:
+        return None
+    return best
+
+
+def _rectify(camera: PinholeCamera, image: Image, mask: Mask | None) -> tuple[Image, Mask]:
+    """Undo the distortion; pixels from outside the raw image become unusable."""
+    target = camera.rectified()
+    pixels, _ = camera.project(target.rays(target.pixel_grid()))
+    source = pixels.astype(np.float32) - 0.5  # OpenCV puts pixel centres at whole numbers
+    usable = np.ones(image.shape[:2], np.uint8) if mask is None else mask.astype(np.uint8)
+    rectified = cv2.remap(
+        image, source[..., 0], source[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    inside = cv2.remap(
+        usable, source[..., 0], source[..., 1], cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT
+    )
+    return np.asarray(rectified, np.uint8), inside > 0
