@@ -1,1 +1,46 @@
 """Reports of runs: films, bird's-eye views, plots, tables, one self-contained page."""
+
+from recast.reporting.birdseye import BirdseyeStyle, draw_frames, draw_still
+from recast.reporting.inputs import (
+    NOT_MADE,
+    ActorPart,
+    Comparison,
+    Fact,
+    ImageScore,
+    NotMade,
+    ObservationPart,
+    Picture,
+    ProvenancePart,
+    RegistrationPart,
+    ReportInputs,
+    RolloutPart,
+    ScenarioPart,
+    ScenePart,
+)
+from recast.reporting.report import write_report
+from recast.reporting.video import VideoWriter, read_video, side_by_side, write_video
+
+__all__ = [
+    "NOT_MADE",
+    "ActorPart",
+    "BirdseyeStyle",
+    "Comparison",
+    "Fact",
+    "ImageScore",
+    "NotMade",
+    "ObservationPart",
+    "Picture",
+    "ProvenancePart",
+    "RegistrationPart",
+    "ReportInputs",
+    "RolloutPart",
+    "ScenarioPart",
+    "ScenePart",
+    "VideoWriter",
+    "draw_frames",
+    "draw_still",
+    "read_video",
+    "side_by_side",
+    "write_report",
+    "write_video",
+]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from recast.geometry import boxes
 from recast.logs.hdmap import HdMap
 from recast.reporting import palette
-from recast.reporting.canvas import Canvas, View
-from recast.reporting.map_layer import draw_map
+from recast.reporting.canvas import Canvas, View, dashed
+from recast.reporting.map_layer import MapLayer
 from recast.reporting.series import Series, planned_paths, series
 from recast.simulation.rollout import Rollout
 
@@ -23,6 +23,7 @@ _FILM_SPAN = 90.0  # metres across the film: an oncoming car 55 m ahead must be 
 _EGO_AT = 0.28  # share of the film's width behind the ego
 _MARGIN = 6.0  # metres around everything in the still
 _MAX_STILL_SCALE = 14.0  # pixels a metre
+_DASH = 1.5  # metres
 _STAMP = 1.0  # seconds between the ghost boxes of the still
 
 
@@ -55,6 +56,7 @@ def draw_frames(
     """
     style = style or BirdseyeStyle()
     curves, plans = series(rollout), planned_paths(rollout)
+    layer, references = MapLayer(hd_map), _References.of(rollout, actor_log_path)
     heading = _main_direction(rollout)
     ahead = (0.5 - _EGO_AT) * _FILM_SPAN * np.array([np.cos(heading), np.sin(heading)])
     for step in range(len(rollout.ego)):
@@ -66,14 +68,14 @@ def draw_frames(
             height=style.film_height,
         )
         canvas = Canvas(view)
-        draw_map(canvas, hd_map)
-        _draw_references(canvas, rollout, actor_log_path)
+        layer.draw(canvas)
+        references.draw(canvas)
         current = np.searchsorted(rollout.plan_steps, step, side="right") - 1
         if current >= 0:
             _draw_plan(canvas, plans[current])
         canvas.line(rollout.ego_boxes[: step + 1, :2], palette.dimmed(palette.EGO, 0.7), 2)
         canvas.line(rollout.actor[: step + 1, :2], palette.dimmed(palette.ACTOR, 0.7), 2)
-        _draw_cars(canvas, rollout, step, touching=curves.gap[step] <= 0.0)
+        _draw_cars(canvas, rollout, step, touching=bool(curves.contact[step]))
         _draw_readout(canvas, curves, step)
         _draw_legend(canvas, rollout, actor_log_path is not None)
         _draw_scale_bar(canvas)
@@ -96,8 +98,8 @@ def draw_still(
     style = style or BirdseyeStyle()
     curves = series(rollout)
     canvas = Canvas(_whole_view(rollout, style))
-    draw_map(canvas, hd_map)
-    _draw_references(canvas, rollout, actor_log_path)
+    MapLayer(hd_map).draw(canvas)
+    _References.of(rollout, actor_log_path).draw(canvas)
     for plan in planned_paths(rollout):
         canvas.line(plan, palette.dimmed(palette.PLAN, 0.55), 1)
     hit = curves.collision_step
@@ -145,13 +147,29 @@ def _whole_view(rollout: Rollout, style: BirdseyeStyle) -> View:
     return View(centre, heading, scale, style.still_width, height - height % 2)
 
 
-def _draw_references(canvas: Canvas, rollout: Rollout, actor_log_path: Array | None) -> None:
-    canvas.line(rollout.route, palette.ROUTE, 1)
-    if actor_log_path is not None and len(actor_log_path) > 1:
-        canvas.dashes(actor_log_path, palette.dimmed(palette.ACTOR, 0.45), 1)
-    moved = np.linalg.norm(rollout.log_ego[-1, :2] - rollout.log_ego[0, :2]) > 0.1
-    if moved:
-        canvas.dashes(rollout.log_ego[:, :2], palette.LOGGED, 1)
+@dataclass(frozen=True)
+class _References:
+    """What was recorded: the route, and where ego and actor drove in the log."""
+
+    route: Array
+    ego: list[Array]
+    actor: list[Array]
+
+    @classmethod
+    def of(cls, rollout: Rollout, actor_log_path: Array | None) -> _References:
+        moved = np.ptp(rollout.log_ego[:, :2], axis=0).max() > 0.1
+        return cls(
+            rollout.route,
+            dashed(rollout.log_ego, _DASH) if moved else [],
+            dashed(actor_log_path, _DASH)
+            if actor_log_path is not None and len(actor_log_path) > 1
+            else [],
+        )
+
+    def draw(self, canvas: Canvas) -> None:
+        canvas.line(self.route, palette.ROUTE, 1)
+        canvas.lines(self.actor, palette.dimmed(palette.ACTOR, 0.45), 1)
+        canvas.lines(self.ego, palette.LOGGED, 1)
 
 
 def _draw_plan(canvas: Canvas, plan: Array) -> None:
@@ -205,16 +223,20 @@ def _draw_contact_label(canvas: Canvas, rollout: Rollout, step: int, label: str)
 
 
 def _draw_readout(canvas: Canvas, curves: Series, step: int) -> None:
-    canvas.text((14, 12), f"{curves.time[step]:.1f} s", palette.TEXT, 20)
-    canvas.text((90, 17), f"ego {curves.ego_speed[step]:.1f} m/s", palette.EGO)
-    canvas.text((206, 17), f"actor {curves.actor_speed[step]:.1f} m/s", palette.ACTOR)
-    if curves.gap[step] <= 0.0:
-        canvas.text((336, 17), "CONTACT", palette.COLLISION)
-    else:
-        canvas.text((336, 17), f"gap {curves.gap[step]:.1f} m", palette.TEXT)
+    gap = ("CONTACT", palette.COLLISION)
+    if not curves.contact[step]:
+        gap = (f"gap {curves.gap[step]:.1f} m", palette.TEXT)
+    columns = (
+        (16, f"{curves.time[step]:.1f} s", palette.TEXT),
+        (110, f"ego {curves.ego_speed[step]:.1f} m/s", palette.EGO),
+        (290, f"actor {curves.actor_speed[step]:.1f} m/s", palette.ACTOR),
+        (490, *gap),
+    )
+    for x, text, colour in columns:
+        canvas.text((x, 14), text, colour, 21)
 
 
-def _draw_legend(canvas: Canvas, rollout: Rollout, has_actor_log: bool, size: int = 13) -> None:
+def _draw_legend(canvas: Canvas, rollout: Rollout, has_actor_log: bool, size: int = 17) -> None:
     entries = [("ego", palette.EGO), (f"actor {rollout.track_id}", palette.ACTOR)]
     if len(rollout.plan_steps):
         entries.append(("plan", palette.PLAN))
@@ -228,7 +250,7 @@ def _draw_legend(canvas: Canvas, rollout: Rollout, has_actor_log: bool, size: in
         x += canvas.text((x, y), name, palette.TEXT, size, "lm") + 1.2 * size
 
 
-def _draw_scale_bar(canvas: Canvas, metres: float = 10.0, size: int = 13) -> None:
+def _draw_scale_bar(canvas: Canvas, metres: float = 10.0, size: int = 17) -> None:
     right, y = canvas.view.width - 16.0, canvas.view.height - 1.3 * size
     left = right - metres * canvas.view.scale
     canvas.line(canvas.view.world([[left, y], [right, y]]), palette.TEXT, 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -81,10 +82,12 @@ class Canvas:
         """Draw the chain (N, 2), `width` pixels wide."""
         cv2.polylines(self.image, [self._fixed(points)], closed, colour, width, cv2.LINE_AA, _SHIFT)
 
-    def dashes(self, points: ArrayLike, colour: Colour, width: int = 1, dash: float = 1.5) -> None:
-        """Draw the chain (N, 2) as dashes of `dash` metres with gaps of the same length."""
-        for piece in _dashes(np.asarray(points, np.float64)[:, :2], dash):
-            self.line(piece, colour, width)
+    def lines(self, chains: Sequence[Array], colour: Colour, width: int = 1) -> None:
+        """Draw chains (N_i, 2), each `width` pixels wide."""
+        if chains:
+            ends = np.cumsum([len(chain) for chain in chains])[:-1]
+            pieces = np.split(self._fixed(np.concatenate(chains)), ends)
+            cv2.polylines(self.image, pieces, False, colour, width, cv2.LINE_AA, _SHIFT)
 
     def dots(self, points: ArrayLike, colour: Colour, radius: float = 2.0) -> None:
         """Draw discs of `radius` pixels at points (N, 2)."""
@@ -101,6 +104,7 @@ class Canvas:
         anchor: str = "la",
     ) -> int:
         """Write at a pixel, `anchor` as in Pillow ("la": left, ascender); return the width."""
+        content = " ".join(content.split())  # names from outside may hold line breaks
         font = _font(size)
         left, top, right, bottom = (int(v) for v in font.getbbox(content, anchor=anchor))
         # Draw only the patch under the text: converting the whole picture for each word is slow.
@@ -129,8 +133,9 @@ def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
 
 
-def _dashes(points: Array, dash: float) -> list[Array]:
-    """Every other piece of `dash` metres of the chain (N, 2), bends kept."""
+def dashed(points: ArrayLike, dash: float) -> list[Array]:
+    """Every other piece of `dash` metres of the chain (N, >=2), bends kept."""
+    points = np.asarray(points, np.float64)[:, :2]
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
     pieces = []

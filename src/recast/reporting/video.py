@@ -94,6 +94,9 @@ class VideoWriter:
             "crf": str(self.crf),
             "preset": "medium",
             "threads": "1",
+            # x264's vector code for the macroblock tree reads beyond its buffers: with it the bytes
+            # change from one encoding to the next.
+            "x264-params": "mbtree=0",
             # A key frame every second: scrubbing decodes at most that much.
             "g": str(max(1, round(self.fps))),
         }
@@ -228,7 +231,7 @@ def _to_height(frame: Frame, height: int) -> Frame:
 
 def _labelled(frame: Frame, label: str, ended: bool) -> Frame:
     strip = PilImage.new("RGB", (frame.shape[1], _LABEL_HEIGHT), _LABEL_BACKGROUND)
-    text = f"{label} (ended)" if ended else label
+    text = " ".join(label.split()) + (" (ended)" if ended else "")
     ImageDraw.Draw(strip).text(
         (10, _LABEL_HEIGHT // 2), text, _LABEL_TEXT, ImageFont.load_default(15), anchor="lm"
     )

@@ -10,6 +10,10 @@ from recast.geometry import se2
 from recast.logs.hdmap import HdMap, Lane
 from recast.simulation.rollout import Rollout
 
+STEPS = 30
+HOSTILE = "<script>alert('x')</script> & \"../..\"\n"
+"""A name as it should not be: markup, quotes, a path, a line break."""
+
 
 def straight_map(length: float = 160.0, lane_width: float = 3.6) -> HdMap:
     """Two lanes along x."""

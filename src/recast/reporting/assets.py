@@ -1,0 +1,116 @@
+"""Pictures and films of a report, copied beside its page under safe names."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as PilImage
+from PIL import UnidentifiedImageError
+
+from recast.errors import InputError
+from recast.reporting.inputs import NotMade, Picture
+from recast.reporting.video import iterate_video, side_by_side, write_video
+
+_FORMATS = {"PNG": ".png", "JPEG": ".jpg"}
+
+
+@dataclass(frozen=True)
+class Media:
+    """A file of the report.
+
+    Attributes:
+        url: relative to the page.
+        width, height: pixels.
+    """
+
+    url: str
+    width: int
+    height: int
+
+
+class Assets:
+    """Collects the files of one report folder.
+
+    A picture or film that is missing or broken becomes a `NotMade` that says so: a report of an
+    incomplete run is still a report.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._taken: set[str] = set()
+
+    def picture(self, name: str, picture: Picture | NotMade) -> Media | NotMade:
+        """Copy a PNG or JPEG, or encode an array as PNG."""
+        if isinstance(picture, NotMade):
+            return picture
+        if isinstance(picture, np.ndarray):
+            target = self._target("images", name, ".png")
+            PilImage.fromarray(picture).save(target, format="PNG", optimize=False)
+            return Media(self._url(target), picture.shape[1], picture.shape[0])
+        if not picture.is_file():
+            return NotMade(f"{picture.name} is missing")
+        try:
+            with PilImage.open(picture, formats=tuple(_FORMATS)) as image:
+                width, height = image.size
+                suffix = _FORMATS[str(image.format)]
+        except (UnidentifiedImageError, OSError):
+            return NotMade(f"{picture.name} is no PNG or JPEG")
+        target = self._target("images", name, suffix)
+        shutil.copyfile(picture, target)
+        return Media(self._url(target), width, height)
+
+    def film(self, name: str, film: Path | NotMade) -> Media | NotMade:
+        """Copy an MP4 whose first frame can be decoded."""
+        if isinstance(film, NotMade):
+            return film
+        if not film.is_file():
+            return NotMade(f"{film.name} is missing")
+        try:
+            height, width, _ = next(iterate_video(film)).shape
+        except (InputError, StopIteration):
+            return NotMade(f"{film.name} cannot be decoded")
+        target = self._target("films", name, ".mp4")
+        shutil.copyfile(film, target)
+        return Media(self._url(target), width, height)
+
+    def draw_film(self, name: str, frames: Iterable[NDArray[np.uint8]], fps: float) -> Media:
+        """Encode frames (H, W, 3) uint8 RGB of even size."""
+        target = self._target("films", name, ".mp4")
+        write_video(target, frames, fps)
+        height, width, _ = next(iterate_video(target)).shape
+        return Media(self._url(target), width, height)
+
+    def joined_film(
+        self, name: str, left: Media, right: Media, labels: tuple[str, str]
+    ) -> Media | NotMade:
+        """Join two films of this report side by side, for use outside of the page."""
+        target = self._target("films", name, ".mp4")
+        try:
+            side_by_side(self.folder / left.url, self.folder / right.url, target, labels)
+        except InputError as error:
+            return NotMade(f"{error.field} {error.problem}")
+        height, width, _ = next(iterate_video(target)).shape
+        return Media(self._url(target), width, height)
+
+    def _target(self, kind: str, name: str, suffix: str) -> Path:
+        stem, number = slug(name), 2
+        while f"{kind}/{stem}" in self._taken:
+            stem, number = f"{slug(name)}-{number}", number + 1
+        self._taken.add(f"{kind}/{stem}")
+        path = self.folder / kind / f"{stem}{suffix}"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def _url(self, path: Path) -> str:
+        return path.relative_to(self.folder).as_posix()
+
+
+def slug(text: str) -> str:
+    """Lower-case letters, digits and single hyphens; safe as a file name and in a URL."""
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")[:80] or "unnamed"

@@ -1,0 +1,252 @@
+"""What a report shows. Every part may be missing; the page then says so and why."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.evaluation import RolloutMetrics
+from recast.logs.hdmap import HdMap
+from recast.simulation.rollout import Rollout, RolloutFailure
+
+Array = NDArray[np.float64]
+
+Picture = Path | NDArray[np.uint8]
+"""A PNG or JPEG file, or (H, W, 3) RGB or (H, W, 4) RGBA uint8."""
+
+
+@dataclass(frozen=True)
+class NotMade:
+    """Stands where a part is missing.
+
+    Attributes:
+        reason: in words, shown on the page.
+    """
+
+    reason: str = "this run did not make it"
+
+
+NOT_MADE = NotMade()
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One line of a list of facts.
+
+    Attributes:
+        name, value: for people, with units.
+        help: what it means, shown on hover, or None.
+    """
+
+    name: str
+    value: str
+    help: str | None = None
+
+
+@dataclass(frozen=True)
+class ObservationPart:
+    """The view of the target that the actor was made from.
+
+    Attributes:
+        crop: RGBA crop, alpha the mask.
+        frame: the whole camera frame it was cut from, the box drawn in.
+        facts: camera, frame, size, and the terms of the view's score.
+    """
+
+    crop: Picture | NotMade = NOT_MADE
+    frame: Picture | NotMade = NOT_MADE
+    facts: tuple[Fact, ...] = ()
+
+
+@dataclass(frozen=True)
+class RegistrationPart:
+    """How well the actor fits the LiDAR points in the target's boxes.
+
+    Attributes:
+        median_before, median_after: metres from LiDAR points to the actor, before and after ICP.
+        limit: metres; a larger `median_after` is flagged.
+        p90_after: metres, or None.
+        inlier_share: of LiDAR points kept by the trimming, 0..1, or None.
+        points: LiDAR points used.
+        scale: isotropic, found by ICP on top of the box scaling.
+        yaw: radians, found by ICP on top of the coarse search.
+        translation: (3,) metres, actor-local frame.
+        size_misfit: (2,) asset's width and height over the box's, after scaling by length, or None.
+        sides: share of LiDAR points by side ("front", "rear", "left", "right"), 0..1.
+        facts: anything else, such as the evidence for front against back.
+    """
+
+    median_before: float
+    median_after: float
+    limit: float
+    points: int
+    scale: float
+    yaw: float
+    translation: Array
+    p90_after: float | None = None
+    inlier_share: float | None = None
+    size_misfit: Array | None = None
+    sides: Mapping[str, float] = field(default_factory=dict)
+    facts: tuple[Fact, ...] = ()
+
+
+@dataclass(frozen=True)
+class ActorPart:
+    """The vehicle that was made.
+
+    Attributes:
+        name: of the target, for example "track 0 (car)".
+        generator: what made it.
+        observation, registration: see there.
+        turntable: film of the actor turning once.
+        log_path: (N, 2) where it drove in the log, world metres, or None.
+    """
+
+    name: str
+    generator: str
+    observation: ObservationPart | NotMade = NOT_MADE
+    turntable: Path | NotMade = NOT_MADE
+    registration: RegistrationPart | NotMade = NOT_MADE
+    log_path: Array | None = None
+
+
+@dataclass(frozen=True)
+class RolloutPart:
+    """One rollout of one method.
+
+    Attributes:
+        method: a key of `ReportInputs.methods`.
+        rollout: its states, the failure that ended it, or why there is none.
+        metrics: its scores.
+        films: camera name to film of what the planner saw, one frame a step.
+    """
+
+    method: str
+    rollout: Rollout | RolloutFailure | NotMade
+    metrics: RolloutMetrics | NotMade = NOT_MADE
+    films: Mapping[str, Path] | NotMade = NOT_MADE
+
+
+@dataclass(frozen=True)
+class ScenarioPart:
+    """The same motion of the actor under each method.
+
+    Attributes:
+        title: for example "Cut-in, setting A".
+        description: what the actor does, in a sentence.
+        rollouts: one a method, in the order of `ReportInputs.methods`.
+    """
+
+    title: str
+    description: str
+    rollouts: tuple[RolloutPart, ...]
+
+
+@dataclass(frozen=True)
+class ImageScore:
+    """One line of the held-out evaluation.
+
+    Attributes:
+        region: what was compared, for example "whole image" or "inside moving cars' boxes".
+        psnr: dB; ssim: -1..1 or None; frames: how many images.
+        psnr_limit, ssim_limit: smaller values are flagged, or None.
+    """
+
+    region: str
+    psnr: float
+    frames: int
+    ssim: float | None = None
+    psnr_limit: float | None = None
+    ssim_limit: float | None = None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Pictures to look at side by side.
+
+    Attributes:
+        caption: for example "frame 43, 24.1 dB".
+        pictures: label to picture, for example "recorded", "rendered"; one picture that holds both
+            is as good.
+    """
+
+    caption: str
+    pictures: Mapping[str, Picture]
+
+
+@dataclass(frozen=True)
+class ScenePart:
+    """How well the reconstructed scene shows images it was not trained on.
+
+    Attributes:
+        scores, comparisons: see there.
+        facts: number of Gaussians, training time, image size and the like.
+    """
+
+    scores: tuple[ImageScore, ...]
+    comparisons: tuple[Comparison, ...] = ()
+    facts: tuple[Fact, ...] = ()
+
+
+@dataclass(frozen=True)
+class ProvenancePart:
+    """What is needed to make the run again.
+
+    Attributes:
+        command: the command line, or None.
+        versions: of programs and libraries.
+        seeds: by step.
+        hashes: of contents, by name.
+    """
+
+    command: str | None = None
+    versions: Mapping[str, str] = field(default_factory=dict)
+    seeds: Mapping[str, int] = field(default_factory=dict)
+    hashes: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ReportInputs:
+    """Everything on the page.
+
+    Attributes:
+        title: of the page.
+        log: name of the log.
+        methods: method to its name for people, in the order of the columns; the first is the
+            baseline.
+        facts: of the run: cameras, image size, planner, length.
+        actor, scenarios, scene, hd_map, config, provenance: see there.
+        timings: step to seconds.
+        warnings: what the reader has to know before trusting the page.
+    """
+
+    title: str
+    log: str
+    methods: Mapping[str, str]
+    facts: tuple[Fact, ...] = ()
+    actor: ActorPart | NotMade = NOT_MADE
+    scenarios: tuple[ScenarioPart, ...] | NotMade = NOT_MADE
+    scene: ScenePart | NotMade = NOT_MADE
+    hd_map: HdMap | NotMade = NOT_MADE
+    config: Mapping[str, Any] | NotMade = NOT_MADE
+    provenance: ProvenancePart | NotMade = NOT_MADE
+    timings: Mapping[str, float] | NotMade = NOT_MADE
+    warnings: tuple[str, ...] = ()
+
+    def validate(self) -> None:
+        """Raise ValueError naming the field at fault."""
+        if isinstance(self.scenarios, NotMade):
+            return
+        for scenario in self.scenarios:
+            for i, part in enumerate(scenario.rollouts):
+                where = f"scenarios[{scenario.title!r}].rollouts[{i}]"
+                if part.method not in self.methods:
+                    raise ValueError(f"{where}.method: {part.method!r} is not in methods")
+            methods = [part.method for part in scenario.rollouts]
+            if len(set(methods)) != len(methods):
+                raise ValueError(f"scenarios[{scenario.title!r}].rollouts: a method occurs twice")

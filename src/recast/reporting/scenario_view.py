@@ -1,0 +1,161 @@
+"""One scenario as the page shows it: films, pictures, curves and numbers of every method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from recast.logs.hdmap import HdMap
+from recast.reporting import birdseye, palette, plots, summary, tables
+from recast.reporting.assets import Assets, Media
+from recast.reporting.inputs import ActorPart, NotMade, ReportInputs, RolloutPart, ScenarioPart
+from recast.reporting.series import Series, series
+from recast.simulation.rollout import Rollout
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What there is to see of a rollout that came about."""
+
+    films: Mapping[str, Media | NotMade] | NotMade
+    birdseye: Media | NotMade
+    still: Media | NotMade
+    events: tuple[summary.Event, ...]
+
+
+@dataclass(frozen=True)
+class MethodColumn:
+    """One method's part of a player; `method` is the index of its colour."""
+
+    title: str
+    method: int
+    drawn: Drawn | NotMade
+
+
+@dataclass(frozen=True)
+class ScenarioView:
+    """One scenario, ready for the page.
+
+    Attributes:
+        part: its title and description.
+        anchor: its id in the page.
+        columns: one a method.
+        cameras: all that some method has a film of.
+        joined: camera and film with two methods side by side.
+        lines: of the metric table, one a method.
+        legend: colour and meaning of the curves in `plots`.
+        seconds: the length of the longest rollout; `dt` between states.
+        same_driving: the ego drove alike with all methods.
+    """
+
+    part: ScenarioPart
+    anchor: str
+    columns: tuple[MethodColumn, ...]
+    cameras: tuple[str, ...]
+    joined: tuple[tuple[str, Media | NotMade], ...]
+    lines: tuple[tables.Line, ...]
+    plots: tuple[plots.Plot, ...]
+    legend: tuple[tuple[str, str], ...]
+    seconds: float
+    dt: float
+    same_driving: bool
+
+
+def scenario_view(
+    run: ReportInputs, part: ScenarioPart, anchor: str, assets: Assets
+) -> ScenarioView:
+    """Write a scenario's films and pictures and gather what the page says about it."""
+    order = {method: i for i, method in enumerate(run.methods)}
+    parts = sorted(part.rollouts, key=lambda rollout: order[rollout.method])
+    driven = {p.method: series(p.rollout) for p in parts if isinstance(p.rollout, Rollout)}
+    columns = tuple(
+        MethodColumn(
+            run.methods[p.method],
+            order[p.method],
+            _draw(run, part, p, driven[p.method], assets)
+            if p.method in driven
+            else NotMade(summary.why_missing(p.rollout)),
+        )
+        for p in parts
+    )
+    curves = [
+        plots.Curves(
+            run.methods[p.method],
+            palette.method_colour(order[p.method]),
+            driven[p.method],
+            None if isinstance(p.metrics, NotMade) else p.metrics.ttc.per_cycle,
+        )
+        for p in parts
+        if p.method in driven
+    ]
+    cameras = dict.fromkeys(
+        name for p in parts if not isinstance(p.films, NotMade) for name in p.films
+    )
+    steps = [p.rollout.dt for p in parts if isinstance(p.rollout, Rollout)]
+    return ScenarioView(
+        part=part,
+        anchor=anchor,
+        columns=columns,
+        cameras=tuple(cameras),
+        joined=_joined(part, columns, tuple(cameras), assets),
+        lines=tuple(_line(p, run.methods[p.method], order[p.method]) for p in parts),
+        plots=plots.rollout_plots(anchor, curves) if curves else (),
+        legend=(
+            *((palette.css(curve.colour), f"ego, {curve.label}") for curve in curves),
+            (palette.css(palette.ACTOR), "actor"),
+            ("currentColor", "ego as recorded (dotted)"),
+        ),
+        seconds=max((float(c.time[-1]) for c in driven.values()), default=0.0),
+        dt=steps[0] if steps else 0.1,
+        same_driving=summary.same_driving(part),
+    )
+
+
+def _draw(
+    run: ReportInputs, scenario: ScenarioPart, part: RolloutPart, curves: Series, assets: Assets
+) -> Drawn | NotMade:
+    rollout = part.rollout
+    assert isinstance(rollout, Rollout)
+    name = f"{scenario.title}-{part.method}"
+    hd_map = run.hd_map if isinstance(run.hd_map, HdMap) else None
+    log_path = run.actor.log_path if isinstance(run.actor, ActorPart) else None
+    films = part.films
+    return Drawn(
+        films=films
+        if isinstance(films, NotMade)
+        else {camera: assets.film(f"{name}-{camera}", film) for camera, film in films.items()},
+        birdseye=assets.draw_film(
+            f"{name}-birdseye", birdseye.draw_frames(rollout, hd_map, log_path), 1.0 / rollout.dt
+        ),
+        still=assets.picture(f"{name}-birdseye", birdseye.draw_still(rollout, hd_map, log_path)),
+        events=summary.rollout_events(part, curves),
+    )
+
+
+def _line(part: RolloutPart, title: str, method: int) -> tables.Line:
+    if not isinstance(part.metrics, NotMade):
+        return tables.rollout_line(title, method, part.metrics)
+    reason = part.metrics.reason
+    if not isinstance(part.rollout, Rollout):
+        reason = summary.why_missing(part.rollout)
+    return tables.missing_line(title, method, reason)
+
+
+def _joined(
+    part: ScenarioPart, columns: tuple[MethodColumn, ...], cameras: tuple[str, ...], assets: Assets
+) -> tuple[tuple[str, Media | NotMade], ...]:
+    """For each camera, each method beside the first one: films to pass on outside of the page."""
+    joined = []
+    for camera in cameras:
+        found = [
+            (column.title, film)
+            for column in columns
+            if isinstance(column.drawn, Drawn)
+            and not isinstance(column.drawn.films, NotMade)
+            and isinstance(film := column.drawn.films.get(camera), Media)
+        ]
+        for title, film in found[1:]:
+            first, first_film = found[0]
+            name = f"{part.title}-{camera}-{first}-beside-{title}"
+            joined.append((camera, assets.joined_film(name, first_film, film, (first, title))))
+    return tuple(joined)

@@ -1,0 +1,180 @@
+"""The first minute: what was simulated, how it ended, and whether to trust it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from recast.reporting.inputs import (
+    ActorPart,
+    NotMade,
+    ReportInputs,
+    RolloutPart,
+    ScenarioPart,
+)
+from recast.reporting.series import Series, series
+from recast.reporting.tables import Tone
+from recast.simulation.rollout import Rollout, RolloutFailure
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened in a rollout.
+
+    Attributes:
+        time: seconds from its start.
+        text: in words.
+        tone: how it is to be taken.
+    """
+
+    time: float
+    text: str
+    tone: Tone
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one rollout ended, in a few words."""
+
+    text: str
+    tone: Tone
+
+
+def rollout_events(part: RolloutPart, curves: Series) -> tuple[Event, ...]:
+    """Contacts, leaving the road, the worst plan, discomfort and the cut, in order of time."""
+    rollout = part.rollout
+    assert isinstance(rollout, Rollout)
+    events = []
+    hit = curves.collision_step
+    if hit is not None:
+        events.append(
+            Event(
+                float(curves.time[hit]),
+                f"contact at a relative speed of {_closing_speed(rollout, hit):.1f} m/s",
+                "bad",
+            )
+        )
+    else:
+        nearest = int(np.argmin(curves.gap))
+        text = f"smallest gap, {curves.gap[nearest]:.1f} m"
+        events.append(Event(float(curves.time[nearest]), text, "plain"))
+    if not isinstance(part.metrics, NotMade):
+        metrics = part.metrics
+        off = metrics.drivable.first_step
+        if off is not None:
+            events.append(
+                Event(off * rollout.dt, f"off the road: {metrics.drivable.dac.reason}", "bad")
+            )
+        if metrics.ttc.ttc.value is not None and metrics.ttc.ttc.reason is not None:
+            worst = int(np.argmin(metrics.ttc.per_cycle))
+            text = f"worst plan: meets the actor after {metrics.ttc.ttc.value:.1f} s"
+            events.append(Event(float(curves.plan_time[worst]), text, "warn"))
+        bad = np.flatnonzero(~metrics.comfort.passed.all(axis=1))
+        if len(bad):
+            text = f"first uncomfortable plan ({metrics.comfort.com.reason})"
+            events.append(Event(float(curves.plan_time[bad[0]]), text, "warn"))
+    if rollout.cut_reason is not None:
+        asked = rollout.steps_requested * rollout.dt
+        text = f"cut short of {asked:.1f} s: {rollout.cut_reason}"
+        events.append(Event(float(curves.time[-1]), text, "warn"))
+    return tuple(sorted(events, key=lambda event: event.time))
+
+
+def outcomes(run: ReportInputs) -> tuple[tuple[str, tuple[Outcome, ...]], ...]:
+    """By scenario, its title and how it ended under each method, in the order of the methods."""
+    if isinstance(run.scenarios, NotMade):
+        return ()
+    rows = []
+    for scenario in run.scenarios:
+        parts = {part.method: part for part in scenario.rollouts}
+        cells = [
+            _outcome(parts[method]) if method in parts else Outcome("not driven", "warn")
+            for method in run.methods
+        ]
+        rows.append((scenario.title, tuple(cells)))
+    return tuple(rows)
+
+
+def why_missing(rollout: Rollout | RolloutFailure | NotMade) -> str:
+    """Why there is no rollout, in words; empty where there is one."""
+    if isinstance(rollout, RolloutFailure):
+        return f"the rollout failed: {rollout.reason} ({rollout.error})"
+    return rollout.reason if isinstance(rollout, NotMade) else ""
+
+
+def headline(run: ReportInputs) -> tuple[str, ...]:
+    """Sentences on what was simulated and how it ended."""
+    if isinstance(run.scenarios, NotMade) or not run.scenarios:
+        return ("No rollouts were made.",)
+    actor = run.actor.name if isinstance(run.actor, ActorPart) else "the chosen vehicle"
+    names = list(run.methods.values())
+    parts = [part for scenario in run.scenarios for part in scenario.rollouts]
+    rollouts = [part.rollout for part in parts if isinstance(part.rollout, Rollout)]
+    planners = sorted({r.planner for r in rollouts})
+    motions = "; ".join(scenario.title for scenario in run.scenarios)
+    first = f"On the log {run.log}, {actor} was made to do what it did not do there: {motions}. "
+    first += (
+        f"Each was driven with {_listed(names)}" if len(names) > 1 else f"Driven with {names[0]}"
+    )
+    first += f"; planner: {_listed(planners)}." if planners else "."
+    lines = [first]
+    outcomes = [
+        f"{title}: {_contacts(run.scenarios, method)}" for method, title in run.methods.items()
+    ]
+    lines.append("Rollouts that ended without contact: " + "; ".join(outcomes) + ".")
+    failed = [part for part in parts if not isinstance(part.rollout, Rollout)]
+    if failed:
+        lines.append(f"{len(failed)} of {len(parts)} rollouts did not come about; see below.")
+    return tuple(lines)
+
+
+def same_driving(scenario: ScenarioPart) -> bool:
+    """Whether the ego drove exactly alike under all methods of a scenario (two or more)."""
+    rollouts = [part.rollout for part in scenario.rollouts if isinstance(part.rollout, Rollout)]
+    return len(rollouts) > 1 and all(
+        np.array_equal(rollouts[0].ego, other.ego) for other in rollouts[1:]
+    )
+
+
+def _outcome(part: RolloutPart) -> Outcome:
+    if not isinstance(part.rollout, Rollout):
+        return Outcome(why_missing(part.rollout), "bad")
+    curves = series(part.rollout)
+    words: list[str] = []
+    hit = curves.collision_step
+    if hit is not None:
+        words.append(f"contact at {curves.time[hit]:.1f} s")
+    if not isinstance(part.metrics, NotMade) and part.metrics.drivable.first_step is not None:
+        words.append(f"off the road at {part.metrics.drivable.first_step * part.rollout.dt:.1f} s")
+    tone: Tone = "bad" if words else "good"
+    if hit is None:
+        words.insert(0, f"no contact, smallest gap {curves.gap.min():.1f} m")
+    if part.rollout.cut_reason is not None:
+        words.append(f"cut at {curves.time[-1]:.1f} s")
+    return Outcome("; ".join(words), tone)
+
+
+def _contacts(scenarios: Sequence[ScenarioPart], method: str) -> str:
+    scored = [
+        part.metrics.collision.nc.value
+        for scenario in scenarios
+        for part in scenario.rollouts
+        if part.method == method and not isinstance(part.metrics, NotMade)
+    ]
+    if not scored:
+        return "not scored"
+    return f"{sum(value == 1.0 for value in scored)} of {len(scored)}"
+
+
+def _closing_speed(rollout: Rollout, step: int) -> float:
+    """Magnitude of the relative velocity, m/s, over the step before the contact."""
+    first = max(step - 1, 0)
+    relative = rollout.actor[:, :2] - rollout.ego[:, :2]
+    moved = relative[first + 1] - relative[first]
+    return float(np.hypot(*moved) / rollout.dt)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]

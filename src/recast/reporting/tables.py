@@ -1,0 +1,175 @@
+"""Metric tables: what each number is, and how it is written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from recast.evaluation import (
+    COLUMNS,
+    Metric,
+    RolloutMetrics,
+    TableRow,
+    paired_differences,
+    table,
+)
+from recast.reporting.inputs import NotMade, ScenarioPart
+from recast.simulation.rollout import RolloutFailure
+
+Tone = Literal["good", "bad", "warn", "plain"]
+
+DEFINITIONS: Mapping[str, str] = {
+    "nc": "No collision: the ego's box never overlaps the actor's logged box, seen from above. "
+    "Who is at fault does not matter.",
+    "dac": "Drivable-area compliance: all four corners of the ego's box stay on the map's drivable "
+    "area, give or take 0.3 m, in every state.",
+    "ttc": "Time to collision: how soon a plan, if followed, meets the actor as it really moves "
+    "on; the worst of all plans, capped at 4 s.",
+    "r_c": "Route completion: distance driven before the first contact over the length of the "
+    "logged route that was left at the start.",
+    "com": "Comfort: share of plans whose acceleration (-4.05 to 2.40 m/s²), jerk (8.37 m/s³), yaw "
+    "rate (0.95 rad/s), yaw acceleration (1.93 rad/s²) and lateral acceleration (4.89 m/s²) stay "
+    "within limits.",
+    "ttc_constant_velocity": "TTC against the actor moving on at constant velocity.",
+    "r_c_projection": "Route completion by the ego's projection onto the route.",
+    "com_4_13": "Comfort with nuPlan's limit on jerk, 4.13 m/s³.",
+    "com_nuplan_savgol": "Comfort with nuPlan's six checks on smoothed signals.",
+}
+"""By key of `recast.evaluation.COLUMNS`; higher is better for all."""
+
+_SHORT_TTC = 1.0  # seconds: below, a driver hardly reacts
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell: the number with its unit, how it is to be taken, and what explains it."""
+
+    text: str
+    tone: Tone = "plain"
+    note: str | None = None
+
+
+@dataclass(frozen=True)
+class Heading:
+    """One column: label, definition, and whether it stands in the paper's table."""
+
+    label: str
+    definition: str
+    headline: bool
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line: what it is about, an index of the method's colour or None, and the cells."""
+
+    label: str
+    method: int | None
+    cells: tuple[Cell, ...]
+    sub: str | None = None
+
+
+def headings() -> tuple[Heading, ...]:
+    """Columns in the order of `recast.evaluation.COLUMNS`."""
+    return tuple(
+        Heading(column.label, DEFINITIONS[key], column.headline) for key, column in COLUMNS.items()
+    )
+
+
+def rollout_line(label: str, method: int | None, metrics: RolloutMetrics) -> Line:
+    """One rollout's metrics, each with the reason for its value."""
+    return Line(
+        label, method, tuple(_rollout_cell(key, metric) for key, metric in metrics.values.items())
+    )
+
+
+def missing_line(label: str, method: int | None, reason: str) -> Line:
+    """A rollout without metrics."""
+    cells = tuple(Cell("-") for _ in COLUMNS)
+    return Line(label, method, cells, reason)
+
+
+def aggregate_lines(
+    scenarios: Sequence[ScenarioPart], methods: Mapping[str, str]
+) -> tuple[Line, ...]:
+    """Means by planner and method, then each method minus the first, over pairs of rollouts."""
+    scored = [
+        part.metrics
+        for scenario in scenarios
+        for part in scenario.rollouts
+        if not isinstance(part.metrics, NotMade)
+    ]
+    failures = [
+        part.rollout
+        for scenario in scenarios
+        for part in scenario.rollouts
+        if isinstance(part.rollout, RolloutFailure)
+    ]
+    order = {method: i for i, method in enumerate(methods)}
+    rows = sorted(table(scored, failures), key=lambda row: order.get(row.method, len(order)))
+    lines = [_aggregate_line(row, methods, order) for row in rows]
+    baseline, *others = methods
+    for candidate in others:
+        line = _difference_line(scored, methods, candidate, baseline)
+        if line is not None:
+            lines.append(line)
+    return tuple(lines)
+
+
+def _rollout_cell(key: str, metric: Metric) -> Cell:
+    if metric.value is None:
+        return Cell("-", "plain", metric.reason)
+    tone: Tone = "plain"
+    if key in ("nc", "dac"):
+        passed = metric.value == 1.0
+        return Cell("pass" if passed else "fail", "good" if passed else "bad", metric.reason)
+    if key.startswith("ttc"):
+        tone = "bad" if metric.value == 0.0 else "warn" if metric.value < _SHORT_TTC else "plain"
+    return Cell(_number(key, COLUMNS[key].scale * metric.value), tone, metric.reason)
+
+
+def _aggregate_line(row: TableRow, methods: Mapping[str, str], order: Mapping[str, int]) -> Line:
+    cells = []
+    for key in COLUMNS:
+        mean, count = row.means[key], row.counts[key]
+        if mean is None:
+            cells.append(Cell("-"))
+        elif key in ("nc", "dac"):
+            cells.append(Cell(f"{round(mean * count / 100)} of {count}", "plain", f"{mean:.0f} %"))
+        else:
+            cells.append(Cell(_number(key, mean)))
+    sub = f"{row.planner}; {_counted(row.rollouts, 'rollout')}"
+    sub += f", {row.cut} cut short" if row.cut else ""
+    sub += f", {row.failed} failed" if row.failed else ""
+    return Line(methods.get(row.method, row.method), order.get(row.method), tuple(cells), sub)
+
+
+def _difference_line(
+    scored: Sequence[RolloutMetrics], methods: Mapping[str, str], candidate: str, baseline: str
+) -> Line | None:
+    cells, pairs = [], 0
+    for key, column in COLUMNS.items():
+        found = paired_differences({"": scored}, key, candidate, baseline)
+        if not found:
+            cells.append(Cell("-"))
+            continue
+        pairs = max(pairs, len(found[""]))
+        unit = "points" if column.unit == "%" else column.unit
+        difference = column.scale * float(found[""].mean())
+        cells.append(Cell(f"{difference:+.{_digits(key)}f}\u00a0{unit}"))
+    if pairs == 0:
+        return None
+    label = f"{methods[candidate]} minus {methods[baseline]}"
+    return Line(label, None, tuple(cells), f"mean over {_counted(pairs, 'pair')}")
+
+
+def _number(key: str, value: float) -> str:
+    return f"{value:.{_digits(key)}f}\u00a0{COLUMNS[key].unit}"
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def _digits(key: str) -> int:
+    return 2 if COLUMNS[key].unit == "s" else 1

@@ -1,0 +1,193 @@
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import re
+from html.parser import HTMLParser
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from recast.errors import InputError
+from recast.reporting import (
+    ActorPart,
+    Comparison,
+    NotMade,
+    ObservationPart,
+    ReportInputs,
+    RolloutPart,
+    ScenarioPart,
+    ScenePart,
+    read_video,
+    write_report,
+)
+from reporting.made_up_rollouts import STEPS
+
+
+class Page(HTMLParser):
+    """Tags, attributes and text of a page."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.words: list[str] = []
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        self.open.append(tag)
+
+    def handle_data(self, data: str) -> None:
+        if not self.open or self.open[-1] not in ("style", "script"):
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+    def links(self) -> list[str]:
+        return [
+            value
+            for _, attributes in self.tags
+            for name in ("src", "href", "poster", "xlink:href", "data")
+            if (value := attributes.get(name)) is not None
+        ]
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def test_every_part_is_on_the_page(report: Path) -> None:
+    page = Page(report / "index.html")
+    for words in (
+        "Can it be trusted?", "How each rollout ended", "Results over all rollouts",
+        "Input crop", "Turntable of the made actor", "Registration to the LiDAR",
+        "0.310 m before", "0.182 m after", "Sides that the LiDAR saw",
+        "contact at 2.3 s", "bird's-eye view", "Time to collision of each plan",
+        "21.93 dB", "Side-by-side films", "Resolved configuration", '"steps": 3000',
+        "torch", "2.13.0", "9c1f0a7e", "312.4 s", "The map was derived.",
+        "the rollout failed", "the recorded road ends", "Drivable-area compliance",
+    ):  # fmt: skip
+        assert words in page.text, words
+    assert sum(tag == "svg" for tag, _ in page.tags) == 4
+    films = [a for tag, a in page.tags if tag == "video"]
+    assert len(films) == 1 + 2 + 2  # turntable, a camera and a bird's-eye view a method
+
+
+def test_the_folder_is_self_contained(report: Path) -> None:
+    page = Page(report / "index.html")
+    files = set(digests(report)) - {"index.html"}
+    linked = {link for link in page.links() if not link.startswith("#")}
+    assert linked == files
+    ids = {a["id"] for _, a in page.tags if a.get("id")}
+    assert {link[1:] for link in page.links() if link.startswith("#")} <= ids
+    text = (report / "index.html").read_text(encoding="utf-8")
+    assert not re.search(r"https?:|@import|//[a-z0-9.-]+\.[a-z]{2,}/", text)
+    assert all(re.fullmatch(r"[a-z0-9/-]+\.(png|jpg|mp4)", name) for name in files)
+
+
+def test_hostile_names_stay_text(report: Path) -> None:
+    page = Page(report / "index.html")
+    assert sum(tag == "script" for tag, _ in page.tags) == 1
+    raw = (report / "index.html").read_text(encoding="utf-8")
+    assert "<script>alert" not in raw
+    assert raw.count("&lt;script&gt;alert") > 15
+    assert not any(name.startswith("on") for _, a in page.tags for name in a)
+
+
+def test_pictures_and_films_have_words_for_them(report: Path) -> None:
+    page = Page(report / "index.html")
+    assert all(a.get("alt") for tag, a in page.tags if tag == "img")
+    assert all(a.get("aria-label") for tag, a in page.tags if tag == "video")
+    levels = [int(tag[1]) for tag, _ in page.tags if re.fullmatch(r"h[1-6]", tag)]
+    assert levels[0] == 1 and levels.count(1) == 1
+    assert all(b <= a + 1 for a, b in pairwise(levels))
+
+
+def test_films_have_a_frame_for_each_state(report: Path) -> None:
+    [film] = report.glob("films/*native-birdseye.mp4")
+    frames, fps = read_video(film)
+    assert len(frames) == STEPS + 1 and fps == 10.0
+    [joined] = report.glob("films/*beside*.mp4")
+    assert read_video(joined)[0].shape[2] == 96 + 4 + 96
+
+
+def test_same_inputs_same_bytes_and_the_old_report_is_replaced(
+    complete: ReportInputs, report: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "report").mkdir()  # an empty folder may be used
+    write_report(dataclasses.replace(complete, scenarios=()), tmp_path / "report")
+    write_report(complete, tmp_path / "report")
+    assert digests(tmp_path / "report") == digests(report)
+    assert [p.name for p in tmp_path.iterdir()] == ["report"]
+
+
+def test_a_folder_with_something_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("years of work")
+    with pytest.raises(InputError, match="no report"):
+        write_report(ReportInputs("t", "log", {"native": "Native"}), tmp_path)
+    assert (tmp_path / "thesis.txt").read_text() == "years of work"
+
+
+def test_missing_parts_say_so_with_the_reason(tmp_path: Path) -> None:
+    (tmp_path / "broken.mp4").write_text("no film")
+    (tmp_path / "broken.png").write_text("no picture")
+    run = ReportInputs(
+        "t",
+        "log",
+        {"native": "Native", "recast": "Replaced"},
+        actor=ActorPart(
+            "track 0",
+            "template",
+            ObservationPart(tmp_path / "gone.png", NotMade("the camera is blind")),
+            turntable=tmp_path / "broken.mp4",
+            registration=NotMade("only 12 LiDAR points"),
+        ),
+        scenarios=(
+            ScenarioPart("Cut-in", "", (RolloutPart("native", NotMade("killed at step 7")),)),
+        ),
+        scene=ScenePart((), (Comparison("frame 3", {"recorded": tmp_path / "broken.png"}),)),
+        config=NotMade("an older run"),
+    )
+    page = Page(write_report(run, tmp_path / "report"))
+    for reason in (
+        "gone.png is missing", "the camera is blind", "broken.mp4 cannot be decoded",
+        "only 12 LiDAR points", "killed at step 7", "broken.png is no PNG or JPEG", "an older run",
+        "no rollout to plot", "no rollout was scored", "not driven",
+    ):  # fmt: skip
+        assert reason in page.text, reason
+    assert digests(tmp_path / "report").keys() == {"index.html"}
+
+
+def test_a_report_of_nothing_is_a_report(tmp_path: Path) -> None:
+    page = Page(write_report(ReportInputs("Empty", "log", {"native": "Native"}), tmp_path / "r"))
+    assert page.text.count("Not made:") >= 7
+    assert "No rollouts were made." in page.text
+
+
+def test_an_unknown_method_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    part = RolloutPart("other", NotMade())
+    run = ReportInputs("t", "log", {"native": "N"}, scenarios=(ScenarioPart("s", "", (part,)),))
+    with pytest.raises(ValueError, match=r"rollouts\[0\]\.method: 'other'"):
+        write_report(run, tmp_path / "report")
+    assert not (tmp_path / "report").exists()
+
+
+def test_files_are_copied_as_they_are(tmp_path: Path) -> None:
+    Image.fromarray(np.full((4, 6, 3), 90, np.uint8)).save(tmp_path / "crop.png")
+    run = ReportInputs(
+        "t", "log", {"native": "N"},
+        actor=ActorPart("0", "template", ObservationPart(tmp_path / "crop.png")),
+    )  # fmt: skip
+    folder = write_report(run, tmp_path / "report").parent
+    copied = (folder / "images/actor-crop.png").read_bytes()
+    assert copied == (tmp_path / "crop.png").read_bytes()

@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import numpy as np
+
+from recast.evaluation import COLUMNS, rollout_metrics
+from recast.reporting import NotMade, RolloutPart, ScenarioPart, palette, plots, tables
+from recast.reporting.checks import checks
+from recast.reporting.inputs import ReportInputs
+from recast.reporting.series import series
+from recast.reporting.summary import headline, outcomes, rollout_events, same_driving
+from reporting.made_up_rollouts import cut_in, straight_map
+
+METHODS = {"native": "Native", "recast": "Replaced"}
+
+
+def scenario(setting: str = "a") -> ScenarioPart:
+    parts = []
+    for rollout in (cut_in("native", steps=40), cut_in("recast", steps=40, brake=1.5, cut=False)):
+        rollout = dataclasses.replace(rollout, setting=setting)
+        metrics = rollout_metrics(rollout, straight_map())
+        parts.append(RolloutPart(rollout.method, rollout, metrics))
+    return ScenarioPart("Cut-in", "", tuple(parts))
+
+
+def cell(line: tables.Line, key: str) -> tables.Cell:
+    return line.cells[list(COLUMNS).index(key)]
+
+
+def test_every_metric_has_a_definition() -> None:
+    assert set(tables.DEFINITIONS) == set(COLUMNS)
+    assert all(heading.definition for heading in tables.headings())
+
+
+def test_a_collision_is_told_as_one() -> None:
+    native, recast = scenario().rollouts
+    assert not isinstance(native.metrics, NotMade) and not isinstance(recast.metrics, NotMade)
+    line = tables.rollout_line("Native", 0, native.metrics)
+    assert cell(line, "nc").text == "fail" and cell(line, "nc").tone == "bad"
+    assert "2.3 s" in (cell(line, "nc").note or "")
+    assert cell(line, "ttc").text == "0.00\u00a0s" and cell(line, "ttc").tone == "bad"
+    line = tables.rollout_line("Replaced", 1, recast.metrics)
+    assert cell(line, "nc").text == "pass" and cell(line, "nc").tone == "good"
+
+
+def test_without_a_map_dac_has_no_number_but_a_reason() -> None:
+    metrics = rollout_metrics(cut_in(steps=10), None)
+    dac = cell(tables.rollout_line("Native", 0, metrics), "dac")
+    assert dac.text == "-" and "drivable" in (dac.note or "")
+
+
+def test_aggregate_counts_and_differences() -> None:
+    scenarios = [scenario("a"), scenario("b")]
+    native, recast, difference = tables.aggregate_lines(scenarios, METHODS)
+    assert cell(native, "nc").text == "0 of 2"
+    assert cell(recast, "nc").text == "2 of 2"
+    assert cell(difference, "nc").text == "+100.0\u00a0points"
+    assert "2 cut short" in (native.sub or "") and "cut" not in (recast.sub or "")
+    assert difference.sub == "mean over 2 pairs"
+
+
+def test_events_name_time_and_cause() -> None:
+    native, recast = scenario().rollouts
+    events = rollout_events(native, series(native.rollout))  # type: ignore[arg-type]
+    contact = next(event for event in events if event.text.startswith("contact"))
+    assert np.isclose(contact.time, 2.3) and contact.tone == "bad"
+    assert any("recorded road ends" in event.text for event in events)
+    assert [event.time for event in events] == sorted(event.time for event in events)
+    events = rollout_events(recast, series(recast.rollout))  # type: ignore[arg-type]
+    assert not any(event.tone == "bad" for event in events)
+    assert any("smallest gap" in event.text for event in events)
+
+
+def test_outcomes_headline_and_checks() -> None:
+    run = ReportInputs("t", "drive 13", METHODS, scenarios=(scenario(),), hd_map=straight_map())
+    [(title, (native, recast))] = outcomes(run)
+    assert title == "Cut-in"
+    assert native.tone == "bad" and native.text == "contact at 2.3 s; cut at 4.0 s"
+    assert recast.tone == "good" and recast.text.startswith("no contact, smallest gap")
+    told = " ".join(headline(run))
+    assert "drive 13" in told and "Native: 0 of 1" in told and "Replaced: 1 of 1" in told
+    by_name = {check.name: check for check in checks(run)}
+    assert by_name["Map"].tone == "warn"
+    assert by_name["Rollouts"].found == "1 of 2 ran their full length"
+    assert by_name["Held-out images"].found == "not made"
+
+
+def test_same_driving_is_noticed() -> None:
+    assert not same_driving(scenario())
+    first = scenario().rollouts[0]
+    twin = dataclasses.replace(first, method="recast")
+    assert same_driving(ScenarioPart("Cut-in", "", (first, twin)))
+    assert not same_driving(ScenarioPart("Cut-in", "", (first,)))
+
+
+def test_plots_are_the_same_twice_and_take_the_page_s_colours() -> None:
+    curves = [
+        plots.Curves("Native", palette.method_colour(0), series(cut_in(steps=30)), np.full(6, 4.0)),
+        plots.Curves("Replaced", palette.method_colour(1), series(cut_in(steps=20)), None),
+    ]
+    first, second = (plots.rollout_plots("a", curves) for _ in range(2))
+    assert first == second
+    for plot in first:
+        assert plot.svg.startswith("<svg") and plot.svg.rstrip().endswith("</svg>")
+        assert "currentColor" in plot.svg and "#010203" not in plot.svg
+        assert "http" not in plot.svg and "<style" not in plot.svg
+        assert plot.time_end == 3.0
+    other = plots.rollout_plots("b", curves)
+    ids = [set(re.findall(r' id="([^"]*)"', plot.svg)) for plot in (*first, *other)]
+    assert all(ids)
+    assert sum(map(len, ids)) == len(set.union(*ids)), "ids repeat within a page"
