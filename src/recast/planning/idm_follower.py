@@ -31,6 +31,7 @@ class IdmFollowerConfig:
         emergency_deceleration: m/s^2, used where comfortable braking would not avoid the lead.
         response_time: seconds by which the vehicle is taken to lag behind the plan when it is
             judged whether comfortable braking suffices.
+        max_jerk: m/s^3 within a plan; its first acceleration is free, so that braking is not late.
         min_target_speed: m/s; without a speed limit the logged speed is the target, but never less
             than this, so that a halt in the log does not hold the ego for ever.
         corridor_margin: metres added to the ego's width on each side.
@@ -44,6 +45,7 @@ class IdmFollowerConfig:
     idm: IdmParameters = NUPLAN_PLANNER
     emergency_deceleration: float = 7.0
     response_time: float = 0.4
+    max_jerk: float = 8.0
     min_target_speed: float = 3.0
     corridor_margin: float = 0.3
     lookahead: float = 1.5
@@ -117,7 +119,7 @@ class IdmLaneFollower:
     ) -> tuple[Array, str, float]:
         """Progress (40,) along the path, the lead that decided most, the least acceleration."""
         progress = np.zeros(WAYPOINTS)
-        position, followed, hardest = 0.0, "", np.inf
+        position, previous, followed, hardest = 0.0, 0.0, "", np.inf
         braking: dict[str, float] = {}  # emergency deceleration by lead, held until it is over
         for j in range(WAYPOINTS):
             target = self._target_speed(path.start + position)
@@ -128,6 +130,12 @@ class IdmLaneFollower:
                 behind = self._behind(lead, j, speed, target, bumper, braking)
                 if behind < acceleration:
                     acceleration, who = behind, lead.track_id
+            if j > 0:
+                step = self.config.max_jerk * context.dt
+                acceleration = float(np.clip(acceleration, previous - step, previous + step))
+            # With this deceleration the jerk limit still brings the ego to a halt, not beyond.
+            acceleration = max(acceleration, -np.sqrt(2 * self.config.max_jerk * speed))
+            previous = acceleration
             if acceleration < hardest:
                 hardest, followed = acceleration, who
             position += speed * context.dt

@@ -11,11 +11,11 @@ from recast.dynamics import initial_state
 from recast.dynamics import state as ego
 from recast.errors import InputError
 from recast.geometry import boxes
-from recast.logs.hdmap import HdMap
 from recast.logs.types import Track
-from recast.planning import ReferenceRoute, route_lanes
+from recast.planning import ReferenceRoute
 from recast.simulation.lift import RoadSurface
 from recast.simulation.motions import StartSituation
+from recast.simulation.neighbour_lane import neighbour_lateral
 from recast.simulation.rollout import ego_centre
 from recast.simulation.setup import RolloutSetup
 
@@ -177,21 +177,8 @@ def _situation(
         ego_speed=float(state[ego.VX]),
         ego_length=setup.vehicle.length,
         actor_size=track.size,
-        neighbour_lateral=_neighbour_lateral(setup.hdmap, route, s),
+        neighbour_lateral=neighbour_lateral(setup.log, setup.hdmap, route, s),
     )
-
-
-def _neighbour_lateral(hdmap: HdMap | None, route: ReferenceRoute, s: float) -> float | None:
-    """Offset of the neighbouring lane of the same direction at `s`, the left one first."""
-    for lane in () if hdmap is None else route_lanes(hdmap, route):
-        along, _ = route.project(lane.centreline)
-        if not along.min() <= s <= along.max():
-            continue
-        for neighbour in (lane.left_neighbour, lane.right_neighbour):
-            if hdmap is not None and neighbour is not None:
-                beside, lateral = route.project(hdmap.lanes[neighbour].centreline)
-                return float(lateral[np.argmin(np.abs(beside - s))])
-    return None
 
 
 def _refuse_overlap(setup: RolloutSetup, state: Array, actor: Array, track: Track) -> None:
