@@ -114,8 +114,8 @@ class RowAdam:
         p = self.params[name]
         assert p.grad is not None
         gradient = p.grad[visible]
-        first = torch.lerp(gradient, self._first[name][visible], BETA1)
-        second = torch.lerp(gradient.square(), self._second[name][visible], BETA2)
+        first = BETA1 * self._first[name][visible] + (1 - BETA1) * gradient
+        second = BETA2 * self._second[name][visible] + (1 - BETA2) * gradient.square()
         factors, low, high = self._row_pattern(name)
         mean = first / (1 - BETA1**self.steps)
         root = (second / (1 - BETA2**self.steps)).sqrt()
@@ -139,7 +139,9 @@ class RowAdam:
             row.first, row.second = self._first[name].data_ptr(), self._second[name].data_ptr()
             row.steps, row.low, row.high = (pattern.data_ptr() for pattern in patterns)
             row.width = p[:1].numel()
-        settings = AdamSettings(BETA1, BETA2, EPSILON, 1 / math.sqrt(1 - BETA2**self.steps))
+        settings = AdamSettings(
+            BETA1, BETA2, 1 - BETA1, 1 - BETA2, EPSILON, 1 / math.sqrt(1 - BETA2**self.steps)
+        )
         mask = visible.contiguous()
         library().recast_adam(
             rows, len(moved), ctypes.byref(settings), mask.data_ptr(), mask.shape[0]

@@ -1,8 +1,8 @@
 """Gaussians in the PLY layout of the original 3DGS release, which every viewer reads.
 
-One element `vertex` with the float properties x y z, nx ny nz (zeros), f_dc_0..2, f_rest_* (channel
-by channel: index c (K - 1) + k - 1 for channel c and harmonic k), opacity (logit), scale_0..2 (log),
-rot_0..3 (wxyz).
+One element `vertex` with the float properties x y z, nx ny nz (zeros), f_dc_0..2, f_rest_* (one
+channel after the other: index c (K - 1) + k - 1 for channel c and harmonic k), opacity (logit),
+scale_0..2 (log), rot_0..3 (wxyz).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def write_ply(path: str | Path, gaussians: Gaussians) -> None:
     gaussians = gaussians.detach()
     gaussians.validate()
     n = len(gaussians)
-    rest = gaussians.sh[:, 1:].transpose(1, 2).reshape(n, -1)
+    rest = gaussians.sh[:, 1:].transpose(1, 2).flatten(1)
     columns = [
         gaussians.means,
         torch.zeros_like(gaussians.means),

@@ -7,7 +7,7 @@ namespace RECAST_ISA {
 namespace {
 
 struct Constants {
-  vf correction, beta1, beta2, epsilon;
+  vf correction, beta1, beta2, rest1, rest2, epsilon;
 };
 
 // Rows that are seen but never hit decay for ever; denormal numbers would slow each step down.
@@ -15,9 +15,8 @@ inline vf flush(vf x) { return keep(vabs(x) > vf(1e-36f), x); }
 
 inline vf update(vf value, vf gradient, vf& first, vf& second, vf step, vf low, vf high,
                  const Constants& c) {
-  const vf square = gradient * gradient;
-  first = flush(fma(c.beta1, first - gradient, gradient));
-  second = flush(fma(c.beta2, second - square, square));
+  first = flush(fma(c.beta1, first, c.rest1 * gradient));
+  second = flush(fma(c.beta2, second, c.rest2 * (gradient * gradient)));
   value = value - step * first / fma(vsqrt(second), c.correction, c.epsilon);
   return vmin(vmax(value, low), high);
 }
@@ -26,7 +25,8 @@ inline vf update(vf value, vf gradient, vf& first, vf& second, vf step, vf low, 
 
 void adam_rows(const AdamRows& a, const AdamSettings& settings, const uint8_t* visible,
                int64_t begin, int64_t end) {
-  const Constants c = {settings.correction, settings.beta1, settings.beta2, settings.epsilon};
+  const Constants c = {settings.correction, settings.beta1, settings.beta2,
+                       settings.rest1,      settings.rest2, settings.epsilon};
   const int64_t period = a.width * kAdamLanes;
   int64_t row = begin;
   while (row < end) {

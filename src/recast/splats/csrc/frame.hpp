@@ -112,8 +112,10 @@ struct AdamRows {
 };
 
 struct AdamSettings {
-  float beta1, beta2, epsilon;
-  float correction;  // 1 / sqrt(1 - beta2^t)
+  float beta1, beta2;
+  float rest1, rest2;  // 1 - beta, not rounded twice
+  float epsilon;
+  float correction;    // 1 / sqrt(1 - beta2^t)
 };
 
 struct Kernels {

@@ -58,4 +58,7 @@ class AdamRows(ctypes.Structure):
 class AdamSettings(ctypes.Structure):
     """`AdamSettings` of frame.hpp."""
 
-    _fields_ = [(name, ctypes.c_float) for name in ("beta1", "beta2", "epsilon", "correction")]
+    _fields_ = [
+        (name, ctypes.c_float)
+        for name in ("beta1", "beta2", "rest1", "rest2", "epsilon", "correction")
+    ]
