@@ -25,7 +25,7 @@ STREET_HEADING = np.radians(30.0)  # of the street's x axis, from east
 LATITUDE, LONGITUDE, ALTITUDE = 49.01, 8.43, 112.0
 EARTH_RADIUS = 6378137.0
 WIDTH, HEIGHT, FOCAL, CX, CY = 160, 48, 110.0, 79.5, 19.0
-CAMERA_DELAY, OXTS_DELAY, HALF_TURN = 0.010, 0.017, 0.050
+CAMERA_DELAY, OXTS_DELAY, HALF_TURN = 0.010, 0.017, 0.050  # the image is taken at the trigger
 RINGS, COLUMNS = 32, 450
 UNLABELLED = (6, 7)  # frames without labels, as KITTI has
 IMU_HEIGHT, IMU_BEHIND_AXLE = 0.93, 0.05
@@ -147,10 +147,9 @@ def _write_image(path: Path, start: float) -> None:
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     camera_from_rectified = se3.from_rotation_translation(np.eye(3), BASELINE)
     rig_from_camera = se3.inverse(camera_from_rectified @ RECTIFIED_FROM_RIG)
-    seconds = start + CAMERA_DELAY
-    pose = street_from_rig(seconds) @ rig_from_camera
+    pose = street_from_rig(start) @ rig_from_camera
     origins = np.broadcast_to(pose[:3, 3], rays.shape)
-    _, colours = tiny_world.cast(origins, rays @ pose[:3, :3].T, np.full(len(rays), seconds))
+    _, colours = tiny_world.cast(origins, rays @ pose[:3, :3].T, np.full(len(rays), start))
     pixels = colours.reshape(HEIGHT, 2, WIDTH, 2, 3).mean(axis=(1, 3))
     Image.fromarray(np.clip(np.rint(pixels), 0, 255).astype(np.uint8)).save(path)
 

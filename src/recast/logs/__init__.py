@@ -1,5 +1,6 @@
 """Driving logs: the data, the store, importers, and what can be derived from a drive."""
 
+from recast.logs.derive_map import derive_map
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
 from recast.logs.store import read_log, write_log
 from recast.logs.track_points import TrackPoints, all_track_points, track_points
@@ -24,6 +25,7 @@ __all__ = [
     "TrackPoints",
     "Trajectory",
     "all_track_points",
+    "derive_map",
     "read_log",
     "track_points",
     "write_log",

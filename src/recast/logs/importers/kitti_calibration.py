@@ -5,7 +5,7 @@ Source: Geiger et al., "Vision meets Robotics: The KITTI Dataset" (IJRR 2013), s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +36,16 @@ class KittiCalibration:
     rig_from_rectified: Array
     cameras: dict[str, PinholeCamera]
     rig_from_camera: dict[str, Array]
+
+    def seen_from(self, other_from_rig: Array) -> KittiCalibration:
+        """The same mounting told in another rig frame."""
+        return replace(
+            self,
+            rig_from_imu=other_from_rig @ self.rig_from_imu,
+            rig_from_velodyne=other_from_rig @ self.rig_from_velodyne,
+            rig_from_rectified=other_from_rig @ self.rig_from_rectified,
+            rig_from_camera={n: other_from_rig @ pose for n, pose in self.rig_from_camera.items()},
+        )
 
 
 def read_calibration(folder: Path, cameras: tuple[str, ...]) -> KittiCalibration:

@@ -1,0 +1,143 @@
+"""The ground around the ego path, from LiDAR: a grid of heights, and which cells are smooth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from recast.geometry import se3
+from recast.logs.hdmap import GroundHeight
+from recast.logs.types import Array, DrivingLog
+
+CELL = 0.3  # metres
+REACH = 15.0  # metres from the ego path
+MIN_POINTS = 4
+LOW, HIGH = 0.2, 0.8  # quantiles of the heights in a cell: ground level, and how rough it is
+ROUGHNESS = 0.10  # metres between them on smooth ground
+STEP = 0.07  # metres across two cells: a road's crossfall is less, a kerb more
+CAR_RADIUS = 0.9  # metres, half a car's width
+CLOSING = 0.6  # metres, half the width of gaps in the evidence that are closed
+FILL = 2.5  # metres over which heights are continued into cells without ground points
+
+Grid = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class GroundGrid:
+    """LiDAR evidence about the ground.
+
+    Attributes:
+        origin: (2,) world x, y of the centre of cell [0, 0].
+        level: (rows along y, columns along x) ground level in metres, NaN without evidence.
+        smooth: cells that are flat enough to drive on.
+    """
+
+    origin: Array
+    level: Array
+    smooth: Grid
+
+    def cells(self, points: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Rows and columns of the cells that hold points (..., 2), clipped to the grid."""
+        index = np.rint((np.asarray(points)[..., :2] - self.origin) / CELL).astype(np.intp)
+        rows, columns = self.level.shape
+        return np.clip(index[..., 1], 0, rows - 1), np.clip(index[..., 0], 0, columns - 1)
+
+
+def ground_grid(log: DrivingLog, path: Array) -> GroundGrid:
+    """Gather the LiDAR points near the ego path and judge every cell.
+
+    Args:
+        path: (P, 3) ego positions on the ground, at most a metre or so apart.
+    """
+    origin = np.floor((path[:, :2].min(axis=0) - REACH) / CELL) * CELL
+    shape = np.ceil((path[:, :2].max(axis=0) + REACH - origin) / CELL).astype(int)[::-1] + 1
+    points = _points_near(log, path)
+    column, row = np.rint((points[:, :2] - origin) / CELL).astype(int).T
+    cell = row * shape[1] + column
+    order = np.lexsort((points[:, 2], cell))
+    height, cell = points[order, 2], cell[order]
+    names, first, count = np.unique(cell, return_index=True, return_counts=True)
+    low = height[first + (LOW * (count - 1)).astype(int)]
+    high = height[first + (HIGH * (count - 1)).astype(int)]
+    enough = count >= MIN_POINTS
+    level = np.full(shape, np.nan)
+    level.ravel()[names[enough]] = low[enough]
+    smooth = np.zeros(shape, bool)
+    smooth.ravel()[names[enough]] = (high - low < ROUGHNESS)[enough]
+    return GroundGrid(origin, level, smooth)
+
+
+def _points_near(log: DrivingLog, path: Array) -> Array:
+    """World points (N, 3) of all sweeps near the path and near its height."""
+    tree = cKDTree(path[:, :2])
+    kept = [np.zeros((0, 3))]
+    for lidar in log.lidars.values():
+        for index in range(len(lidar.timestamps_us)):
+            sweep = lidar.sweeps[index]
+            low = sweep.points[np.abs(sweep.points[:, 2]) < 3.0]
+            points = se3.apply(log.world_from_rig.at(sweep.timestamp_us), low)
+            distance, nearest = tree.query(points[:, :2], distance_upper_bound=REACH)
+            near = np.flatnonzero(np.isfinite(distance))
+            above = points[near, 2] - path[nearest[near], 2]
+            kept.append(points[near[np.abs(above) < 0.4 + 0.04 * distance[near]]])
+    return np.concatenate(kept)
+
+
+def surface_of(grid: GroundGrid, path: Array) -> Grid:
+    """Cells that a car on the path could drive to: smooth, without a kerb in between.
+
+    A kerb is a step over two cells. The connection has to be as wide as a car, else a lowered
+    kerb or a gap in the evidence would let the pavement in.
+    """
+    rows, columns = grid.cells(path)
+    known = grid.smooth & ~_kerbs(grid.level)
+    known[rows, columns] = True
+    known = ndimage.binary_closing(known, _disk(CLOSING), border_value=0)
+    known &= ~_kerbs(grid.level)
+    wide = ndimage.binary_erosion(known, _disk(CAR_RADIUS))
+    wide[rows, columns] = True
+    label, _ = ndimage.label(wide)
+    core = np.isin(label, np.unique(label[rows, columns]))
+    reached: Grid = ndimage.binary_dilation(core, _disk(CAR_RADIUS)) & known
+    return ndimage.binary_fill_holes(reached)
+
+
+def _kerbs(level: Array) -> Grid:
+    """Cells with a step across them."""
+    filled = np.where(np.isfinite(level), level, np.nan)
+    step = np.zeros(level.shape)
+    across = np.abs(filled[:, 2:] - filled[:, :-2])
+    along = np.abs(filled[2:, :] - filled[:-2, :])
+    step[:, 1:-1] = np.fmax(step[:, 1:-1], across)
+    step[1:-1, :] = np.fmax(step[1:-1, :], along)
+    return step > STEP
+
+
+def _disk(radius: float) -> Grid:
+    reach = int(np.ceil(radius / CELL))
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    return np.hypot(x, y) * CELL <= radius
+
+
+def height_map(grid: GroundGrid, path: Array) -> GroundHeight:
+    """Ground heights: levels smoothed over about a metre and continued a little, in millimetres.
+
+    Cells of the path without LiDAR points take its height: the car stood on them.
+    """
+    level = grid.level.copy()
+    rows, columns = grid.cells(path)
+    level[rows, columns] = np.where(
+        np.isfinite(level[rows, columns]), level[rows, columns], path[:, 2]
+    )
+    known = np.isfinite(level)
+    sigma = 0.4 / CELL
+    weight = ndimage.gaussian_filter(known.astype(float), sigma, mode="constant")
+    total = ndimage.gaussian_filter(np.where(known, level, 0.0), sigma, mode="constant")
+    smoothed = np.where(known, total / np.maximum(weight, 1e-12), np.nan)
+    distance, (near_row, near_column) = ndimage.distance_transform_edt(~known, return_indices=True)
+    filled = np.where(distance * CELL <= FILL, smoothed[near_row, near_column], np.nan)
+    return GroundHeight(grid.origin, CELL, np.round(filled, 3).astype(np.float64))
