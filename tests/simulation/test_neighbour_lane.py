@@ -55,16 +55,45 @@ def test_what_is_no_neighbouring_lane(log: DrivingLog) -> None:
     assert found(log) is None
 
 
-def test_the_map_comes_first() -> None:
-    x = np.linspace(0, 200, 40)
+def lane(
+    name: str, y: float, start: float = 0.0, left: str | None = None, right: str | None = None
+) -> Lane:
+    x = np.linspace(start, 200, 40)
+    line = np.stack([x, np.full(40, y), np.zeros(40)], axis=1)
+    side = np.array([0.0, 1.6, 0.0])
+    outline = np.array([[start, y - 1.6], [200, y - 1.6], [200, y + 1.6], [start, y + 1.6]])
+    return Lane(
+        name,
+        line,
+        line + side,
+        line - side,
+        outline,
+        left_neighbour=left,
+        right_neighbour=right,
+    )
 
-    def lane(name: str, y: float, right: str | None) -> Lane:
-        line = np.stack([x, np.full(40, y), np.zeros(40)], axis=1)
-        side = np.array([0.0, 1.6, 0.0])
-        outline = np.array([[0, y - 1.6], [200, y - 1.6], [200, y + 1.6], [0, y + 1.6]])
-        return Lane(name, line, line + side, line - side, outline, right_neighbour=right)
 
-    lanes = {"ego": lane("ego", 0.0, "right"), "right": lane("right", -3.4, None)}
+def test_a_surveyed_map_comes_first() -> None:
+    lanes = {"ego": lane("ego", 0.0, right="right"), "right": lane("right", -3.4)}
     assert found(log_with(3.3), HdMap(lanes, ())) == pytest.approx(-3.4)
-    alone = {"ego": lane("ego", 0.0, None)}
+
+
+def test_a_map_without_neighbours_leaves_it_to_the_traffic() -> None:
+    alone = {"ego": lane("ego", 0.0)}
     assert found(log_with(3.3), HdMap(alone, (), derived=True)) == pytest.approx(3.3)
+
+
+def test_a_neighbour_that_begins_further_on_does_not_count() -> None:
+    lanes = {
+        "ego": lane("ego", 0.0, left="left", right="right"),
+        "left": lane("left", 3.4, start=60.0),
+        "right": lane("right", -3.2),
+    }
+    assert found(log_with(), HdMap(lanes, ())) == pytest.approx(-3.2)
+
+
+def test_traffic_comes_before_a_derived_map() -> None:
+    lanes = {"ego": lane("ego", 0.0, right="right"), "right": lane("right", -2.6)}
+    derived = HdMap(lanes, (), derived=True)
+    assert found(log_with(-3.3), derived) == pytest.approx(-3.3)
+    assert found(log_with(), derived) == pytest.approx(-2.6)

@@ -1,4 +1,4 @@
-"""Where the next lane of the same direction lies: by the map, or by who drove there."""
+"""Where the next lane of the same direction lies: by the map or by who drove there."""
 
 from __future__ import annotations
 
@@ -24,14 +24,19 @@ def neighbour_lateral(
 ) -> float | None:
     """Offset in metres, left positive, of the next lane of the same direction.
 
-    The map's neighbour of the lane at route coordinate `s`, the left one first. Where the map knows
-    none, as derived maps do: the median offset of recorded vehicles that drove beside the route in
-    its direction, on the side where more were seen. None where there is neither.
+    By a surveyed map: the neighbour of the lane at route coordinate `s`, the left one first. Else
+    by the recorded traffic, which shows where lanes are better than a derived map does: the median
+    offset of vehicles that drove beside the route in its direction, on the side where more were
+    seen. Else by the derived map. None where nothing tells.
     """
-    if hdmap is not None:
-        mapped = _by_map(hdmap, route, s)
-        if mapped is not None:
-            return mapped
+    mapped = None if hdmap is None else _by_map(hdmap, route, s)
+    if hdmap is not None and not hdmap.derived and mapped is not None:
+        return mapped
+    driven = _by_traffic(log, route)
+    return mapped if driven is None else driven
+
+
+def _by_traffic(log: DrivingLog, route: ReferenceRoute) -> float | None:
     offsets = np.concatenate(
         [np.zeros(0), *(_driven_beside(track, route) for track in log.tracks.values())]
     )
@@ -46,8 +51,10 @@ def _by_map(hdmap: HdMap, route: ReferenceRoute, s: float) -> float | None:
         if not along.min() <= s <= along.max():
             continue
         for neighbour in (lane.left_neighbour, lane.right_neighbour):
-            if neighbour is not None:
-                beside, lateral = route.project(hdmap.lanes[neighbour].centreline)
+            if neighbour is None:
+                continue
+            beside, lateral = route.project(hdmap.lanes[neighbour].centreline)
+            if beside.min() <= s <= beside.max():  # a neighbour may begin further on
                 return float(lateral[np.argmin(np.abs(beside - s))])
     return None
 
