@@ -26,7 +26,7 @@ from recast.simulation.rollout import (
 )
 from recast.simulation.rollout_files import load_rollout, save_rollout
 from recast.simulation.rollout_loop import OnFrame, Timings, run_rollout
-from recast.simulation.scenario import MOTIONS, parse_motion, scenario_name
+from recast.simulation.scenario import MOTIONS, parse_motions, scenario_name
 from recast.simulation.setup import RolloutSetup
 from recast.simulation.state import SimState
 
@@ -58,7 +58,7 @@ __all__ = [
     "ego_centre",
     "failure",
     "load_rollout",
-    "parse_motion",
+    "parse_motions",
     "prepare",
     "run_batch",
     "run_rollout",

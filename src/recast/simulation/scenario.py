@@ -20,7 +20,7 @@ _MOTIONS: tuple[ActorMotion, ...] = (
 
 
 def scenario_name(motion: ActorMotion) -> str:
-    """Name such as "cut-in-a"; `parse_motion` reads it back."""
+    """Name such as "cut-in-a"; `parse_motions` reads it back."""
     return f"{motion.name}-{motion.setting}"
 
 
@@ -28,14 +28,14 @@ MOTIONS: dict[str, ActorMotion] = {scenario_name(motion): motion for motion in _
 """The motions with their two settings each, by scenario name."""
 
 
-def parse_motion(name: str) -> ActorMotion:
-    """The motion of a name such as "cut-in-b"; without a letter, setting a.
+def parse_motions(name: str) -> tuple[ActorMotion, ...]:
+    """The motion of a scenario name such as "cut-in-b"; of a motion's name, all its settings.
 
     Raises:
         InputError: no such motion; lists those there are.
     """
     lowered = name.strip().lower()
-    for candidate in (lowered, f"{lowered}-a"):
-        if candidate in MOTIONS:
-            return MOTIONS[candidate]
-    raise InputError("motion", name, "is not known", f"choose one of {', '.join(MOTIONS)}")
+    found = tuple(m for key, m in MOTIONS.items() if lowered in (key, m.name))
+    if not found:
+        raise InputError("motion", name, "is not known", f"choose one of {', '.join(MOTIONS)}")
+    return found
