@@ -2,6 +2,7 @@
 
 from recast.logs.derive_map import derive_map
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
+from recast.logs.info import LogInfo, TrackInfo, TrackVisibility, log_info
 from recast.logs.store import read_log, write_log
 from recast.logs.track_points import TrackPoints, all_track_points, track_points
 from recast.logs.types import (
@@ -21,11 +22,15 @@ __all__ = [
     "Lane",
     "LidarStream",
     "LidarSweep",
+    "LogInfo",
     "Track",
+    "TrackInfo",
     "TrackPoints",
+    "TrackVisibility",
     "Trajectory",
     "all_track_points",
     "derive_map",
+    "log_info",
     "read_log",
     "track_points",
     "write_log",

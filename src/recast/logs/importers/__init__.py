@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import importlib
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Protocol
 
-from recast.errors import InputError
+from recast.plugins import Registry
 
-ENTRY_POINTS = "recast.importers"
-BUILT_IN = {"kitti": "recast.logs.importers.kitti:import_kitti"}
+IMPORTERS = Registry(
+    "importer", "recast.importers", {"kitti": "recast.logs.importers.kitti:import_kitti"}
+)
+"""Importers by name; each is a `LogImporter`."""
 
 
 class LogImporter(Protocol):
@@ -30,27 +30,4 @@ class LogImporter(Protocol):
         """
 
 
-def importer_names() -> list[str]:
-    """Names of all importers: ours and those installed under the entry point `recast.importers`."""
-    return sorted({*BUILT_IN, *(point.name for point in entry_points(group=ENTRY_POINTS))})
-
-
-def find_importer(name: str) -> LogImporter:
-    """The importer of that name.
-
-    Raises:
-        InputError: there is none.
-    """
-    if name in BUILT_IN:
-        module, _, attribute = BUILT_IN[name].partition(":")
-        importer: LogImporter = getattr(importlib.import_module(module), attribute)
-        return importer
-    for point in entry_points(group=ENTRY_POINTS, name=name):
-        loaded: LogImporter = point.load()
-        return loaded
-    raise InputError(
-        name, "importer", "is not installed", f"choose one of {', '.join(importer_names())}"
-    )
-
-
-__all__ = ["LogImporter", "find_importer", "importer_names"]
+__all__ = ["IMPORTERS", "LogImporter"]

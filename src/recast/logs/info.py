@@ -1,0 +1,172 @@
+"""What a log holds: sensors, duration, and of every track how long, how far and from where seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from recast.geometry import boxes, se3
+from recast.logs.track_points import all_track_points
+from recast.logs.types import CameraStream, DrivingLog, Track
+
+SIDES = {"front": (0, 1.0), "left": (1, 1.0), "rear": (0, -1.0), "right": (1, -1.0)}
+GRAZING = np.radians(15.0)  # a face seen under a smaller angle shows nothing
+NEAR = 1.0  # metres: nearer parts of a box beside the camera would cover half the world
+SMALLEST = 64.0  # square pixels of a box inside the image
+SMALLEST_PART = 0.2  # of the box's rectangle inside the image
+
+
+@dataclass(frozen=True)
+class TrackVisibility:
+    """Camera frames in which a track's box is in the image, and which of its faces point there.
+
+    Other objects in the way are not considered.
+
+    Attributes:
+        frames: frames with the box in the image, over all cameras.
+        front, left, rear, right: frames in which that face is seen under more than 15 degrees.
+    """
+
+    frames: int
+    front: int
+    left: int
+    rear: int
+    right: int
+
+    def sides(self) -> tuple[str, ...]:
+        """Names of the faces seen at all."""
+        return tuple(side for side in SIDES if getattr(self, side))
+
+
+@dataclass(frozen=True)
+class TrackInfo:
+    """One row of `recast log info`; lengths in metres, times in seconds.
+
+    Attributes:
+        seconds: from the first to the last label.
+        displacement: diagonal of the axis-aligned box around all its places.
+        lidar_points: LiDAR points in the box over all sweeps.
+    """
+
+    track_id: str
+    category: str
+    size: tuple[float, float, float]
+    seconds: float
+    displacement: float
+    lidar_points: int
+    visibility: TrackVisibility
+
+
+@dataclass(frozen=True)
+class SensorInfo:
+    """One sensor: kind "camera" or "lidar", frames recorded, frames a second."""
+
+    name: str
+    kind: str
+    frames: int
+    rate: float
+    width: int | None = None
+    height: int | None = None
+
+
+@dataclass(frozen=True)
+class LogInfo:
+    """Everything that `recast log info` prints.
+
+    Attributes:
+        seconds: duration of the ego trajectory.
+        ego_distance: metres driven.
+        map_kind: "none", "derived" or "surveyed".
+    """
+
+    name: str
+    seconds: float
+    ego_distance: float
+    sensors: tuple[SensorInfo, ...]
+    tracks: tuple[TrackInfo, ...]
+    map_kind: str
+    lanes: int
+    metadata: dict[str, str]
+
+
+def log_info(log: DrivingLog) -> LogInfo:
+    """Summarise a log; reads every sweep once."""
+    points = all_track_points(log, log.tracks)
+    places = log.world_from_rig.poses[:, :3, 3]
+    sensors = [
+        SensorInfo(
+            name,
+            "camera",
+            len(camera.timestamps_us),
+            _rate(camera.timestamps_us),
+            camera.camera.width,
+            camera.camera.height,
+        )
+        for name, camera in log.cameras.items()
+    ]
+    sensors += [
+        SensorInfo(name, "lidar", len(lidar.timestamps_us), _rate(lidar.timestamps_us))
+        for name, lidar in log.lidars.items()
+    ]
+    tracks = [
+        TrackInfo(
+            track_id=name,
+            category=track.category,
+            size=(float(track.size[0]), float(track.size[1]), float(track.size[2])),
+            seconds=float(np.ptp(track.trajectory.timestamps_us)) / 1e6,
+            displacement=float(np.linalg.norm(np.ptp(track.trajectory.poses[:, :3, 3], axis=0))),
+            lidar_points=len(points[name].points),
+            visibility=track_visibility(log, track),
+        )
+        for name, track in log.tracks.items()
+    ]
+    return LogInfo(
+        name=log.name,
+        seconds=float(np.ptp(log.world_from_rig.timestamps_us)) / 1e6,
+        ego_distance=float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum()),
+        sensors=tuple(sensors),
+        tracks=tuple(tracks),
+        map_kind="none" if log.map is None else "derived" if log.map.derived else "surveyed",
+        lanes=0 if log.map is None else len(log.map.lanes),
+        metadata=dict(log.metadata),
+    )
+
+
+def _rate(timestamps_us: np.ndarray) -> float:
+    if len(timestamps_us) < 2:
+        return 0.0
+    return float(1e6 / np.median(np.diff(timestamps_us)))
+
+
+def track_visibility(log: DrivingLog, track: Track) -> TrackVisibility:
+    """Count the camera frames that show a track, and its faces in them."""
+    counts = dict.fromkeys(SIDES, 0)
+    frames = 0
+    for camera in log.cameras.values():
+        for time in camera.timestamps_us.tolist():
+            if not track.trajectory.covers(time):
+                continue
+            world_from_camera = log.world_from_rig.at(time) @ camera.rig_from_camera
+            camera_from_box = se3.inverse(world_from_camera) @ track.trajectory.at(time)
+            if not in_image(camera, track, camera_from_box):
+                continue
+            frames += 1
+            eye = se3.inverse(camera_from_box)[:3, 3]
+            for side, (axis, sign) in SIDES.items():
+                towards = eye.copy()
+                towards[axis] -= sign * track.size[axis] / 2
+                sine = sign * towards[axis] / max(float(np.linalg.norm(towards)), 1e-9)
+                counts[side] += bool(sine > np.sin(GRAZING))
+    return TrackVisibility(frames=frames, **counts)
+
+
+def in_image(camera: CameraStream, track: Track, camera_from_box: np.ndarray) -> bool:
+    """Whether a fair part of a box at (4, 4) `camera_from_box` lies inside the image."""
+    rectangle = boxes.project(track.size, camera_from_box, camera.camera, near=NEAR)
+    if rectangle is None:
+        return False
+    limits = np.array([camera.camera.width, camera.camera.height], np.float64)
+    inside = np.prod(np.clip(rectangle[2:], 0, limits) - np.clip(rectangle[:2], 0, limits))
+    whole = np.prod(rectangle[2:] - rectangle[:2])
+    return bool(inside >= SMALLEST and inside >= SMALLEST_PART * whole)
