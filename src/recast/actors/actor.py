@@ -1,0 +1,169 @@
+"""A registered vehicle and the record of how it came to be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from recast.actors.generate import Asset
+from recast.actors.icp import Fit
+from recast.actors.observation import MaskQuality, Observation
+from recast.splats import Gaussians
+
+Array = NDArray[np.float64]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class FrontEvidence(_Record):
+    """Why the asset faces the way it does.
+
+    Attributes:
+        votes: evidence for the declared forward axis by kind, in units; negative speaks against.
+        flipped: whether the asset was turned half around.
+        heading_agreement: cosine between the label's heading and the track's motion; 0 = stands.
+        margin: absolute sum of the votes; below 1 the choice is doubtful.
+    """
+
+    votes: dict[str, float]
+    flipped: bool
+    heading_agreement: float
+    margin: float
+
+
+class RegistrationReport(_Record):
+    """Residuals and parameters of the registration.
+
+    Attributes:
+        axes: convention the asset came in.
+        initial_scale: asset units to metres, from the length of the box.
+        initial_yaw: radians, found by the search over the circle, before any half turn.
+        width_over_box, height_over_box: extents after the initial scale over those of the box.
+        front: see `FrontEvidence`.
+        before, after: LiDAR-to-actor distances before and after ICP.
+        icp_scale, icp_yaw, icp_translation: found by ICP (factor, radians, metres).
+        icp_iterations, icp_converged: how it ended.
+        ground_gap: metres by which ICP would have lifted the wheels off the box's ground plane had
+            it been free to.
+        lidar_points: on the track, all sweeps.
+        lidar_by_side: points near each face of the box.
+    """
+
+    axes: str
+    initial_scale: float
+    initial_yaw: float
+    width_over_box: float
+    height_over_box: float
+    front: FrontEvidence
+    before: Fit
+    after: Fit
+    icp_scale: float
+    icp_yaw: float
+    icp_translation: tuple[float, float, float]
+    icp_iterations: int
+    icp_converged: bool
+    ground_gap: float
+    lidar_points: int
+    lidar_by_side: dict[str, int]
+
+    def explain(self) -> str:
+        """A few lines for people."""
+        sides = ", ".join(f"{side} {count}" for side, count in self.lidar_by_side.items())
+        votes = ", ".join(f"{kind} {vote:+.1f}" for kind, vote in self.front.votes.items())
+        turned = "turned half around" if self.front.flipped else "kept"
+        ended = "converged" if self.icp_converged else "stopped"
+        return "\n".join(
+            [
+                f"scale {self.initial_scale:.3f} from the length; of the box's width "
+                f"{self.width_over_box:.2f}, of its height {self.height_over_box:.2f}",
+                f"front {turned} ({votes})",
+                f"LiDAR to actor, median {self.before.median:.3f} -> {self.after.median:.3f} m, "
+                f"mean {self.before.mean:.3f} -> {self.after.mean:.3f} m, within 0.10 m "
+                f"{self.before.inlier_share:.0%} -> {self.after.inlier_share:.0%}",
+                f"ICP {ended} after {self.icp_iterations} steps: scale {self.icp_scale:.3f}, yaw "
+                f"{np.degrees(self.icp_yaw):.1f} degrees; LiDAR points: {sides}",
+            ]
+        )
+
+
+class Provenance(_Record):
+    """Where an actor comes from.
+
+    Attributes:
+        generator, seed, details: of the asset.
+        camera, frame, timestamp_us: of the source image.
+        azimuth: direction to the camera in the actor frame, radians.
+        sides_seen: sides of the box that faced the camera.
+        mask: quality of the mask.
+        observation: why that image was taken, in words.
+        registration: see `RegistrationReport`.
+    """
+
+    generator: str
+    seed: int
+    details: dict[str, str | float | int]
+    camera: str
+    frame: int
+    timestamp_us: int
+    azimuth: float
+    sides_seen: tuple[str, ...]
+    mask: MaskQuality
+    observation: str
+    registration: RegistrationReport
+
+    @staticmethod
+    def of(asset: Asset, observation: Observation, report: RegistrationReport) -> Provenance:
+        """Gather the record of an asset that was registered."""
+        return Provenance(
+            generator=asset.generator,
+            seed=asset.seed,
+            details=dict(asset.details),
+            camera=observation.view.camera,
+            frame=observation.view.frame,
+            timestamp_us=observation.view.timestamp_us,
+            azimuth=observation.azimuth,
+            sides_seen=observation.sides_seen(),
+            mask=observation.mask_quality,
+            observation=observation.explain(),
+            registration=report,
+        )
+
+
+@dataclass(frozen=True)
+class Actor:
+    """A view-complete vehicle, ready to stand in for a track.
+
+    Attributes:
+        track_id, category: of the track.
+        size: (3,) logged box, metres; collisions are judged by it.
+        gaussians: actor-local frame: box centre, x forward, y left, z up.
+        shadow: contact shadow in the same frame.
+        provenance: see `Provenance`.
+        source: (H, W, 4) uint8 crop it was made from.
+    """
+
+    track_id: str
+    category: str
+    size: Array
+    gaussians: Gaussians
+    shadow: Gaussians
+    provenance: Provenance
+    source: NDArray[np.uint8]
+
+    def validate(self) -> None:
+        """Raise ValueError naming the field at fault."""
+        if self.size.shape != (3,) or not np.all(self.size > 0):
+            raise ValueError(f"Actor.size: three positive metres, got {self.size}")
+        if len(self.gaussians) == 0:
+            raise ValueError("Actor.gaussians: none")
+        self.gaussians.validate()
+        self.shadow.validate()
+        if self.source.ndim != 3 or self.source.shape[2] != 4 or self.source.dtype != np.uint8:
+            raise ValueError(
+                f"Actor.source: (H, W, 4) uint8, got {self.source.shape} {self.source.dtype}"
+            )

@@ -1,0 +1,60 @@
+"""Axis conventions of generated vehicles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AxisConvention:
+    """How an asset's frame relates to the actor frame (x forward, y left, z up).
+
+    Attributes:
+        name: for messages.
+        forward, up: signed axes of the asset, such as "+x" or "-z". The yaw search of the
+            registration corrects a wrong `forward`, but not a wrong `up`.
+        metric: whether lengths are metres; otherwise registration scales by the logged length.
+    """
+
+    name: str
+    forward: str
+    up: str
+    metric: bool
+
+    def rotation(self) -> Array:
+        """(3, 3) actor axes from asset axes, a proper rotation.
+
+        Raises:
+            ValueError: an axis is not one of +x -x +y -y +z -z, or both are the same axis.
+        """
+        forward, up = _axis(self.forward), _axis(self.up)
+        if abs(float(forward @ up)) > 0.5:
+            raise ValueError(
+                f"AxisConvention: forward {self.forward} and up {self.up} are parallel"
+            )
+        return np.stack([forward, np.cross(up, forward), up])
+
+
+def _axis(name: str) -> Array:
+    if len(name) != 2 or name[0] not in "+-" or name[1] not in "xyz":
+        raise ValueError(f"AxisConvention: axis {name!r}, expected a sign and a letter such as +x")
+    axis = np.zeros(3)
+    axis["xyz".index(name[1])] = 1.0 if name[0] == "+" else -1.0
+    return axis
+
+
+VEHICLE = AxisConvention("vehicle", "+x", "+z", metric=True)
+"""Metres, x forward, z up: what `template` makes."""
+UNIT_CUBE_Z_UP = AxisConvention("unit_cube_z_up", "+x", "+z", metric=False)
+"""A cube of edge one, z up, any heading: TRELLIS and its relatives."""
+UNIT_CUBE_Y_UP = AxisConvention("unit_cube_y_up", "+z", "+y", metric=False)
+"""A cube of edge one, y up, facing +z: glTF and most mesh tools."""
+RECAR_BOX = AxisConvention("rear_right_up", "-x", "+z", metric=True)
+"""Metres, x to the rear, y to the right: boxes of some vehicle datasets."""
+
+CONVENTIONS = {c.name: c for c in (VEHICLE, UNIT_CUBE_Z_UP, UNIT_CUBE_Y_UP, RECAR_BOX)}

@@ -1,0 +1,117 @@
+"""Which end is the front: how an asset, turned one way or the other, explains what was seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from recast.actors.icp import Fit
+from recast.actors.observation import Observation
+from recast.logs import Track
+from recast.splats import Gaussians, rasterize
+
+Array = NDArray[np.float64]
+
+_RENDER_WIDTH = 160  # pixels: enough to tell lamps from grilles
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How a turned asset agrees with the observation.
+
+    Attributes:
+        lidar: fit to the LiDAR points after a short alignment.
+        silhouette: intersection over union of its outline, seen from the crop's camera, and the
+            mask.
+        colour: mean absolute difference to the crop where both are, display values, after the best
+            gain a channel.
+    """
+
+    lidar: Fit
+    silhouette: float
+    colour: float
+
+
+# Differences that count as one unit of evidence, and the weight of the declared forward axis.
+_LIDAR_UNIT = 0.015
+_SILHOUETTE_UNIT = 0.03
+_COLOUR_UNIT = 0.02
+_AXES_WEIGHT = 1.5
+_LIMIT = 4.0
+
+
+def compare_views(gaussians: Gaussians, observation: Observation) -> tuple[float, float]:
+    """Silhouette overlap and colour difference of an asset placed in the actor frame.
+
+    Args:
+        gaussians: actor frame, metres.
+        observation: crop, mask and camera.
+    """
+    height, width = observation.rgba.shape[:2]
+    small = (min(width, _RENDER_WIDTH), max(1, round(height * min(1.0, _RENDER_WIDTH / width))))
+    camera = observation.camera.resized(*small)
+    with torch.no_grad():
+        picture = rasterize(
+            gaussians,
+            torch.from_numpy(observation.camera_from_object).float(),
+            torch.from_numpy(camera.matrix).float(),
+            camera.width,
+            camera.height,
+        )
+    rendered = picture.rgb.numpy().astype(np.float64)
+    alpha = picture.alpha.numpy() > 0.5
+    crop = cv2.resize(observation.rgba, small, interpolation=cv2.INTER_AREA)
+    mask = crop[..., 3] > 127
+    union = int((alpha | mask).sum())
+    both = alpha & mask
+    if union == 0 or both.sum() < 20:
+        return 0.0, 1.0
+    wanted = crop[..., :3][both].astype(np.float64) / 255
+    shown = rendered[both]
+    gain = np.sum(wanted * shown, axis=0) / np.maximum(np.sum(shown * shown, axis=0), 1e-6)
+    difference = np.abs(wanted - np.clip(shown * np.clip(gain, 0.3, 3.0), 0, 1))
+    return float(both.sum() / union), float(difference.mean())
+
+
+def heading_agreement(track: Track) -> float:
+    """Cosine between the track's heading and its motion, averaged over the way; 0 when it stands.
+
+    Labels may be reversed: then the box's front is not the vehicle's.
+    """
+    positions = track.trajectory.poses[:, :2, 3]
+    steps = np.diff(positions, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    if np.linalg.norm(positions[-1] - positions[0]) < 2.0:
+        return 0.0
+    headings = track.trajectory.poses[:-1, :2, 0]
+    return float(np.sum(steps * headings) / max(float(lengths.sum()), 1e-9))
+
+
+def front_votes(
+    as_is: Agreement, turned: Agreement, declared: bool, heading: float
+) -> dict[str, float]:
+    """Evidence, in units, for the first of two orientations half a turn apart; each at most 4.
+
+    Args:
+        as_is: agreement with the asset's forward axis along the box's.
+        turned: agreement after half a turn.
+        declared: whether the asset's axis convention says where its front is.
+        heading: from `heading_agreement`.
+    """
+
+    def vote(difference: float, unit: float) -> float:
+        return float(np.clip(difference / unit, -_LIMIT, _LIMIT))
+
+    # a box labelled back to front makes the declared front the wrong one; a standing vehicle's
+    # label is believed a little
+    direction = heading if heading != 0.0 else 0.5
+    return {
+        "lidar": vote(turned.lidar.mean - as_is.lidar.mean, _LIDAR_UNIT),
+        "silhouette": vote(as_is.silhouette - turned.silhouette, _SILHOUETTE_UNIT),
+        "colour": vote(turned.colour - as_is.colour, _COLOUR_UNIT),
+        "heading": _AXES_WEIGHT * direction if declared else 0.0,
+    }

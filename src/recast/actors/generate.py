@@ -1,0 +1,55 @@
+"""The `ActorGenerator` seam: from one observation to a vehicle seen from all sides."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from recast.actors.axes import AxisConvention
+from recast.actors.observation import Observation
+from recast.plugins import Registry
+from recast.splats.gaussians import Gaussians
+
+GENERATORS = Registry(
+    "generator", "recast.generators", {"template": "recast.actors.template:TemplateGenerator"}
+)
+"""Generators by name; each is a class or function that makes an `ActorGenerator`."""
+
+
+@dataclass(frozen=True)
+class Asset:
+    """A generated vehicle before registration.
+
+    Attributes:
+        gaussians: in the generator's own frame and units.
+        axes: what that frame is.
+        generator: name, for the record.
+        seed: that made it.
+        details: facts about how it was made, plain values.
+    """
+
+    gaussians: Gaussians
+    axes: AxisConvention
+    generator: str
+    seed: int
+    details: Mapping[str, str | float | int] = field(default_factory=dict)
+
+
+class ActorGenerator(Protocol):
+    """Makes a view-complete vehicle from one view of it."""
+
+    name: str
+
+    def generate(self, observation: Observation, seed: int) -> Asset:
+        """The vehicle; the same observation and seed give the same asset."""
+
+
+def make_generator(name: str) -> ActorGenerator:
+    """Make the generator of that name.
+
+    Raises:
+        InputError: there is no such generator.
+    """
+    generator: ActorGenerator = GENERATORS.load(name)()
+    return generator

@@ -1,0 +1,30 @@
+"""Put an actor in the place of a scene's own model of a track."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from recast.actors.actor import Actor
+from recast.errors import InputError
+from recast.scene import StreetScene
+
+
+def insert(scene: StreetScene, actor: Actor) -> StreetScene:
+    """The scene with the track's Gaussians replaced; logged (refined) poses are kept.
+
+    Vehicle and contact shadow are both actor-local and so move under one transform.
+
+    Raises:
+        InputError: the scene has no model of the track.
+    """
+    if actor.track_id not in scene.actors:
+        known = ", ".join(scene.actors) or "none"
+        raise InputError(
+            scene.log_name or "scene", f"track {actor.track_id}",
+            f"is not an actor of the scene (actors: {known})",
+            "train the scene with the track in force_dynamic",
+        )  # fmt: skip
+    native = scene.actors[actor.track_id]
+    return scene.with_actor(
+        replace(native, gaussians=actor.gaussians, size=actor.size, shadow=actor.shadow)
+    )

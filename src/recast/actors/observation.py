@@ -1,0 +1,148 @@
+"""What was seen of a track: the best crop, where its camera stood, and why it was chosen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.geometry import PinholeCamera
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ViewScore:
+    """How good one frame is as the only view of a track; the terms multiply to `score`.
+
+    Attributes:
+        camera: name of the camera stream.
+        frame: index of the frame in it.
+        timestamp_us: its time.
+        size_px: square root of the area of the projected box inside the image, pixels.
+        in_image: share of the projected box that lies inside the image.
+        unoccluded: share of the box that no other track's box hides.
+        unblocked: share of the LiDAR returns towards the box that are not in front of it.
+        score: size_px * in_image^3 * unoccluded^2 * unblocked.
+    """
+
+    camera: str
+    frame: int
+    timestamp_us: int
+    size_px: float
+    in_image: float
+    unoccluded: float
+    unblocked: float
+
+    @property
+    def score(self) -> float:
+        """Larger is better."""
+        return self.size_px * self.in_image**3 * self.unoccluded**2 * self.unblocked
+
+    def explain(self) -> str:
+        """One line with the score and its terms."""
+        return (
+            f"{self.camera} frame {self.frame}: score {self.score:.0f} = "
+            f"size {self.size_px:.0f} px x in image {self.in_image:.2f}^3 x "
+            f"not hidden by other tracks {self.unoccluded:.2f}^2 x "
+            f"no LiDAR return in front {self.unblocked:.2f}"
+        )
+
+
+@dataclass(frozen=True)
+class MaskQuality:
+    """Numbers that tell a good vehicle mask from a bad one.
+
+    Attributes:
+        box_coverage: share of the projected 3D box's outline that the mask fills.
+        border_contact: share of the crop's border pixels that the mask touches; 0 is best.
+        lidar_inside: share of the vehicle's projected LiDAR points that lie in the mask.
+        lidar_outside: share of the background's projected LiDAR points that lie outside it.
+    """
+
+    box_coverage: float
+    border_contact: float
+    lidar_inside: float
+    lidar_outside: float
+
+    def warnings(self) -> tuple[str, ...]:
+        """What a person should look at, empty for a mask without complaint."""
+        found = []
+        if not 0.45 <= self.box_coverage <= 0.97:
+            found.append(f"mask fills {self.box_coverage:.0%} of the projected box")
+        if self.border_contact > 0.02:
+            found.append(f"mask touches {self.border_contact:.0%} of the crop's border")
+        if self.lidar_inside < 0.85:
+            found.append(
+                f"only {self.lidar_inside:.0%} of the vehicle's LiDAR points are in the mask"
+            )
+        if self.lidar_outside < 0.85:
+            found.append(f"only {self.lidar_outside:.0%} of the background's points are outside it")
+        return tuple(found)
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One view of a track, cut out and ready for a generator.
+
+    Attributes:
+        track_id, category: of the track.
+        size: (3,) length, width, height of its box, metres.
+        rgba: (H, W, 4) uint8 crop, alpha from the segmenter, nearly square.
+        camera: pinhole of the crop, without distortion.
+        camera_from_object: (4, 4), object frame: box centre, x forward, y left, z up.
+        points: (N, 3) float32 LiDAR points in the box over all sweeps, object frame.
+        view: score terms of the frame taken.
+        candidates: all frames considered, best first.
+        mask_quality: see `MaskQuality`.
+    """
+
+    track_id: str
+    category: str
+    size: Array
+    rgba: NDArray[np.uint8]
+    camera: PinholeCamera
+    camera_from_object: Array
+    points: NDArray[np.float32]
+    view: ViewScore
+    candidates: tuple[ViewScore, ...]
+    mask_quality: MaskQuality
+
+    @property
+    def eye(self) -> Array:
+        """(3,) position of the camera in the object frame, metres."""
+        rotation, translation = self.camera_from_object[:3, :3], self.camera_from_object[:3, 3]
+        eye: Array = -rotation.T @ translation
+        return eye
+
+    @property
+    def azimuth(self) -> float:
+        """Direction to the camera in the object frame, radians: 0 ahead, +pi/2 to its left."""
+        return float(np.arctan2(self.eye[1], self.eye[0]))
+
+    def sides_seen(self) -> tuple[str, ...]:
+        """Sides of the box that face the camera: front, rear, left, right, top."""
+        x, y, z = self.eye
+        half = self.size / 2
+        faces = {
+            "front": x > half[0],
+            "rear": x < -half[0],
+            "left": y > half[1],
+            "right": y < -half[1],
+            "top": z > half[2],
+        }
+        return tuple(name for name, seen in faces.items() if seen)
+
+    def explain(self) -> str:
+        """Why this frame: its score, the runners-up, and what the mask looks like."""
+        seen = ", ".join(self.sides_seen()) or "none"
+        lines = [
+            f"track {self.track_id}: {self.view.explain()}",
+            f"seen from azimuth {np.degrees(self.azimuth):.0f} degrees (sides: {seen}), "
+            f"distance {np.linalg.norm(self.eye):.1f} m, {len(self.points)} LiDAR points",
+        ]
+        others = [c for c in self.candidates if c is not self.view][:3]
+        lines += [f"next: {c.explain()}" for c in others]
+        lines += [f"warning: {text}" for text in self.mask_quality.warnings()]
+        return "\n".join(lines)

@@ -1,0 +1,168 @@
+"""Pick the best view of a track and cut it out."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.actors.observation import Observation, ViewScore
+from recast.actors.segment import SegmentationTarget, Segmenter, mask_quality
+from recast.actors.view_score import NearestSweeps, score_frame
+from recast.errors import InputError
+from recast.geometry import PinholeCamera, boxes, se3
+from recast.geometry.camera import distort
+from recast.logs import CameraStream, DrivingLog, Track, track_points
+
+Array = NDArray[np.float64]
+
+MIN_LIDAR_POINTS = 20
+_CROP_MARGIN = 0.18  # share of the box's longer side left around it
+_BOX_GROWTH = 0.12  # metres around the label within which a return belongs to the vehicle
+
+
+def observe(
+    log: DrivingLog, track_id: str, *, segmenter: Segmenter, camera: str | None = None
+) -> Observation:
+    """The best view of a track: largest, least truncated and occluded.
+
+    Args:
+        log: the drive.
+        track_id: which track.
+        segmenter: separates the vehicle from its background.
+        camera: consider only this camera stream.
+
+    Raises:
+        InputError: no such track or camera, a track that is never visible, or one with fewer than
+            20 LiDAR points.
+    """
+    track = _track(log, track_id)
+    points = track_points(log, track).points
+    if len(points) < MIN_LIDAR_POINTS:
+        raise InputError(
+            log.name, f"track {track_id}",
+            f"has {len(points)} LiDAR points in its boxes, at least {MIN_LIDAR_POINTS} are needed",
+            "choose a track that comes nearer: recast log info lists them",
+        )  # fmt: skip
+    candidates = rank_views(log, track, camera)
+    if not candidates:
+        raise InputError(
+            log.name, f"track {track_id}", "is never visible in " + (camera or "any camera"),
+            "choose another track or camera: recast log info lists them",
+        )  # fmt: skip
+    best = candidates[0]
+    stream = log.cameras[best.camera]
+    target = _cut(log, track, stream, best, np.asarray(points, np.float64))
+    alpha = segmenter.segment(target)
+    return Observation(
+        track_id=track_id,
+        category=track.category,
+        size=np.asarray(track.size, np.float64),
+        rgba=np.dstack([target.image, alpha]),
+        camera=target.camera,
+        camera_from_object=target.camera_from_object,
+        points=points,
+        view=best,
+        candidates=tuple(candidates),
+        mask_quality=mask_quality(target, alpha),
+    )
+
+
+def rank_views(log: DrivingLog, track: Track, camera: str | None = None) -> list[ViewScore]:
+    """All frames in which the track is in view, best first; ties go to the earlier frame.
+
+    Raises:
+        InputError: the log has no such camera.
+    """
+    if camera is not None and camera not in log.cameras:
+        names = ", ".join(log.cameras)
+        raise InputError(log.name, f"camera {camera}", "is not in the log", f"choose from {names}")
+    streams = [log.cameras[camera]] if camera is not None else list(log.cameras.values())
+    sweeps = NearestSweeps(log)
+    scores = [
+        score
+        for stream in streams
+        for frame in range(len(stream.timestamps_us))
+        if (score := score_frame(log, track, stream, frame, sweeps)) is not None and score.score > 0
+    ]
+    return sorted(scores, key=lambda s: -s.score)
+
+
+def _track(log: DrivingLog, track_id: str) -> Track:
+    if track_id not in log.tracks:
+        known = ", ".join(sorted(log.tracks, key=lambda k: (len(k), k)))
+        raise InputError(
+            log.name, f"track {track_id}", "is not in the log", f"choose one of: {known}"
+        )
+    return log.tracks[track_id]
+
+
+def _cut(
+    log: DrivingLog, track: Track, stream: CameraStream, view: ViewScore, object_points: Array
+) -> SegmentationTarget:
+    """The crop around the track in one frame with the LiDAR evidence for its mask."""
+    time = view.timestamp_us
+    camera_from_world = se3.inverse(log.world_from_rig.at(time) @ stream.rig_from_camera)
+    camera_from_object = camera_from_world @ track.trajectory.at(time)
+    rectangle = boxes.project(track.size, camera_from_object, stream.camera)
+    assert rectangle is not None  # scored frames show the box
+    crop = _crop_window(stream.camera, rectangle)
+    camera = stream.camera.rectified().cropped(*crop)
+    other_points = np.zeros((0, 3))
+    sweep = NearestSweeps(log).at(time)
+    if sweep is not None and track.trajectory.covers(sweep.timestamp_us):
+        world = se3.apply(log.world_from_rig.at(sweep.timestamp_us), sweep.points)
+        own = boxes.contains(
+            world, track.size, track.trajectory.at(sweep.timestamp_us), margin=2 * _BOX_GROWTH
+        )
+        moved = se3.apply(camera_from_world, world[~own])
+        # a static point behind the vehicle now is seen through it: only what is not hidden by the
+        # box is evidence of background
+        other_points = _not_behind(moved, camera_from_object, track.size)
+    return SegmentationTarget(
+        image=_rectified_crop(stream, view.frame, crop),
+        camera=camera,
+        camera_from_object=camera_from_object,
+        size=np.asarray(track.size, np.float64),
+        object_points=object_points,
+        other_points=other_points,
+    )
+
+
+def _not_behind(points: Array, camera_from_object: Array, size: Array) -> Array:
+    """Camera-frame points (N, 3) that lie before the camera and not behind the object's box."""
+    object_from_camera = se3.inverse(camera_from_object)
+    eye = object_from_camera[:3, 3]
+    step = se3.apply(object_from_camera, points) - eye
+    step = np.where(np.abs(step) < 1e-9, 1e-9, step)
+    half = size / 2 + _BOX_GROWTH
+    first, last = (-half - eye) / step, (half - eye) / step
+    enter, leave = np.minimum(first, last).max(axis=1), np.maximum(first, last).min(axis=1)
+    through = (enter < leave) & (leave > 0) & (enter < 1)
+    return points[(points[:, 2] > 0.5) & ~through]
+
+
+def _crop_window(camera: PinholeCamera, rectangle: Array) -> tuple[int, int, int, int]:
+    """Left, top, width, height of a nearly square window around a rectangle, inside the image."""
+    centre = (rectangle[:2] + rectangle[2:]) / 2
+    side = float(np.max(rectangle[2:] - rectangle[:2])) * (1 + 2 * _CROP_MARGIN)
+    low = np.maximum(np.floor(centre - side / 2), 0).astype(int)
+    high = np.minimum(np.ceil(centre + side / 2), [camera.width, camera.height]).astype(int)
+    return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
+
+
+def _rectified_crop(
+    stream: CameraStream, frame: int, crop: tuple[int, int, int, int]
+) -> NDArray[np.uint8]:
+    """The crop (height, width, 3) of one frame, distortion undone."""
+    left, top, width, height = crop
+    image = stream.images[frame]
+    if stream.camera.is_rectified:
+        return np.ascontiguousarray(image[top : top + height, left : left + width])
+    camera = stream.camera
+    grid = camera.cropped(left, top, width, height).pixel_grid()
+    normalised = (grid - [camera.cx - left, camera.cy - top]) / [camera.fx, camera.fy]
+    source = distort(normalised, camera.distortion) * [camera.fx, camera.fy]
+    source += [camera.cx - 0.5, camera.cy - 0.5]  # OpenCV counts pixel centres from zero
+    x, y = np.moveaxis(source.astype(np.float32), -1, 0)
+    return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR), dtype=np.uint8)

@@ -1,0 +1,208 @@
+"""Registration: a generated vehicle to the logged box and its LiDAR points.
+
+Axes, isotropic scale from the length, yaw over the whole circle with front and back decided by
+evidence, then constrained ICP; the wheels stand on the box's ground plane throughout.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from recast.actors.actor import Actor, FrontEvidence, Provenance, RegistrationReport
+from recast.actors.evidence import Agreement, compare_views, front_votes, heading_agreement
+from recast.actors.generate import Asset
+from recast.actors.hull import Surface, bounds, outer_surface
+from recast.actors.icp import IcpLimits, align, fit_of
+from recast.actors.observation import Observation
+from recast.actors.observe import MIN_LIDAR_POINTS
+from recast.actors.shadow import contact_shadow
+from recast.errors import InputError
+from recast.geometry import se3
+from recast.logs import DrivingLog, Track, track_points
+from recast.splats import Gaussians
+
+Array = NDArray[np.float64]
+
+_LIDAR_POINTS = 6000
+_COARSE_STEP = np.radians(15.0)
+_SURFACE_POINTS = 4000  # used in the yaw search
+_SIDE_BAND = 0.25  # metres inside a face of the box within which points count for that side
+
+
+@dataclass(frozen=True)
+class _Start:
+    """asset_placed = R (scale x) + translation, before ICP."""
+
+    yaw: float
+    scale: float
+    matrix: Array
+
+    def apply(self, surface: Surface) -> Surface:
+        points = se3.apply(self.matrix, surface.points * self.scale)
+        return Surface(points, surface.normals @ self.matrix[:3, :3].T, surface.index)
+
+
+def register(asset: Asset, observation: Observation, log: DrivingLog, track: Track) -> Actor:
+    """Place an asset in the actor frame of a track.
+
+    Args:
+        asset: from an `ActorGenerator`.
+        observation: that it was made from.
+        log: the drive.
+        track: the vehicle it stands for.
+
+    Raises:
+        InputError: fewer than 20 LiDAR points on the track, or an asset that is hardly opaque.
+    """
+    points = track_points(log, track).points
+    if len(points) < MIN_LIDAR_POINTS:
+        raise InputError(
+            log.name, f"track {track.track_id}",
+            f"has {len(points)} LiDAR points in its boxes, at least {MIN_LIDAR_POINTS} are needed",
+            "choose a track that comes nearer: recast log info lists them",
+        )  # fmt: skip
+    lidar = _thinned(np.asarray(points, np.float64), _LIDAR_POINTS)
+    size = np.asarray(track.size, np.float64)
+    upright = se3.from_rotation_translation(asset.axes.rotation(), np.zeros(3))
+    gaussians = asset.gaussians.detach().transformed(torch.from_numpy(upright))
+    try:
+        surface = outer_surface(gaussians)
+    except ValueError as error:
+        raise InputError(
+            f"asset of {asset.generator}", "opacity", str(error), "export the asset again"
+        ) from None
+
+    start, front = _orientation(gaussians, surface, lidar, size, observation, track, asset)
+    placed = start.apply(surface)
+    before = fit_of(placed.points, lidar)
+    free = align(placed, lidar)
+    result = align(placed, lidar, floor=-size[2] / 2)
+    after = fit_of(result.apply(placed.points), lidar)
+
+    scale = start.scale * result.scale
+    matrix = result.matrix @ se3.from_rotation_translation(
+        start.matrix[:3, :3], start.matrix[:3, 3] * result.scale
+    )
+    registered = gaussians.transformed(torch.from_numpy(matrix), scale)
+    extent = np.subtract(*bounds(placed.points)[::-1])
+    low, high = bounds(result.apply(placed.points))
+    report = RegistrationReport(
+        axes=asset.axes.name,
+        initial_scale=start.scale,
+        initial_yaw=start.yaw,
+        width_over_box=float(extent[1] / size[1]),
+        height_over_box=float(extent[2] / size[2]),
+        front=front,
+        before=before,
+        after=after,
+        icp_scale=result.scale,
+        icp_yaw=result.yaw,
+        icp_translation=_triple(result.translation),
+        icp_iterations=result.iterations,
+        icp_converged=result.converged,
+        ground_gap=float(free.apply(placed.points)[:, 2].min() + size[2] / 2),
+        lidar_points=len(points),
+        lidar_by_side=lidar_by_side(np.asarray(points, np.float64), size),
+    )
+    return Actor(
+        track_id=track.track_id,
+        category=track.category,
+        size=size,
+        gaussians=registered,
+        shadow=contact_shadow(low, high, floor=-size[2] / 2),
+        provenance=Provenance.of(asset, observation, report),
+        source=observation.rgba,
+    )
+
+
+def _triple(vector: Array) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in vector)
+    return x, y, z
+
+
+def _thinned(points: Array, count: int) -> Array:
+    """At most about `count` points, evenly through the list (sweeps come in order)."""
+    return points[:: max(1, -(-len(points) // count))]
+
+
+def lidar_by_side(points: Array, size: Array) -> dict[str, int]:
+    """LiDAR points (N, 3) within 0.25 m of each face of the box, or beyond it."""
+    half = size / 2
+    return {
+        "front": int(np.sum(points[:, 0] > half[0] - _SIDE_BAND)),
+        "rear": int(np.sum(points[:, 0] < -half[0] + _SIDE_BAND)),
+        "left": int(np.sum(points[:, 1] > half[1] - _SIDE_BAND)),
+        "right": int(np.sum(points[:, 1] < -half[1] + _SIDE_BAND)),
+        "top": int(np.sum(points[:, 2] > half[2] - _SIDE_BAND)),
+    }
+
+
+def _place(points: Array, yaw: float, size: Array) -> _Start:
+    """Turn by `yaw`, scale the length to the box's, centre on the box, stand on its floor."""
+    rotation = se3.rotation_z(yaw)
+    low, high = bounds(points @ rotation.T)
+    scale = float(size[0] / (high[0] - low[0]))
+    centre = (low + high) / 2 * scale
+    bottom = float((points @ rotation.T)[:, 2].min()) * scale
+    shift = np.array([-centre[0], -centre[1], -size[2] / 2 - bottom])
+    return _Start(yaw, scale, se3.from_rotation_translation(rotation, shift))
+
+
+def _orientation(
+    gaussians: Gaussians, surface: Surface, lidar: Array, size: Array, observation: Observation,
+    track: Track, asset: Asset,
+) -> tuple[_Start, FrontEvidence]:  # fmt: skip
+    """Search the yaw over the circle, then decide between the best one and its opposite."""
+    sparse = _thinned(surface.points, _SURFACE_POINTS)
+    few = _thinned(lidar, 1500)
+    yaws = np.arange(0, 2 * np.pi, _COARSE_STEP)
+    costs = [_search_cost(sparse, few, _place(sparse, yaw, size), size) for yaw in yaws]
+    best = yaws[int(np.argmin(costs))]
+    finer = best + np.radians([-7.5, -5.0, -2.5, 0.0, 2.5, 5.0, 7.5])
+    costs = [_search_cost(sparse, few, _place(sparse, yaw, size), size) for yaw in finer]
+    best = float(finer[int(np.argmin(costs))])
+    if np.cos(best) < 0:
+        best -= np.pi
+    best = float((best + np.pi) % (2 * np.pi) - np.pi)
+
+    starts = [_place(surface.points, best, size), _place(surface.points, best + np.pi, size)]
+    agreements = [_agreement(gaussians, surface, lidar, start, observation) for start in starts]
+    declared = asset.axes.metric
+    heading = heading_agreement(track)
+    votes = front_votes(agreements[0], agreements[1], declared, heading)
+    total = sum(votes.values())
+    chosen = 0 if total >= 0 else 1
+    return starts[chosen], FrontEvidence(
+        votes=votes, flipped=chosen == 1, heading_agreement=heading, margin=abs(total)
+    )
+
+
+def _search_cost(points: Array, lidar: Array, start: _Start, size: Array) -> float:
+    """Trimmed mean distance plus what width and height miss of the box, metres."""
+    placed = se3.apply(start.matrix, points * start.scale)
+    distance, _ = cKDTree(placed).query(lidar)
+    kept = np.sort(distance)[: int(0.85 * len(distance)) or 1]
+    extent = np.subtract(*bounds(placed)[::-1])
+    misfit = np.abs(np.log(extent[1:] / size[1:])) * size[1:]
+    return float(kept.mean() + 0.1 * misfit.sum())
+
+
+def _agreement(
+    gaussians: Gaussians, surface: Surface, lidar: Array, start: _Start, observation: Observation
+) -> Agreement:
+    """What speaks for one orientation after a short alignment."""
+    placed = start.apply(surface)
+    floor = -observation.size[2] / 2
+    result = align(placed, _thinned(lidar, 1500), IcpLimits(iterations=15), floor=floor)
+    matrix = result.matrix @ se3.from_rotation_translation(
+        start.matrix[:3, :3], start.matrix[:3, 3] * result.scale
+    )
+    moved = gaussians.transformed(torch.from_numpy(matrix), start.scale * result.scale)
+    silhouette, colour = compare_views(moved, observation)
+    points = result.apply(placed.points)
+    return Agreement(fit_of(points, lidar), silhouette, colour)

@@ -1,0 +1,215 @@
+"""The `Segmenter` seam, and a segmenter that needs no weights: box, LiDAR and GrabCut."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.actors.observation import MaskQuality
+from recast.geometry import PinholeCamera, boxes, se3
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class SegmentationTarget:
+    """A crop with everything known about the object in it.
+
+    Attributes:
+        image: (H, W, 3) uint8 RGB crop.
+        camera: pinhole of the crop, without distortion.
+        camera_from_object: (4, 4).
+        size: (3,) length, width, height of the object's box, metres.
+        object_points: (N, 3) LiDAR points on the object over all sweeps, object frame.
+        other_points: (M, 3) LiDAR points of the scene near this time that are not on the object,
+            camera frame; empty where there was no sweep.
+    """
+
+    image: NDArray[np.uint8]
+    camera: PinholeCamera
+    camera_from_object: Array
+    size: Array
+    object_points: Array
+    other_points: Array
+
+
+class Segmenter(Protocol):
+    """Separates an object from its background."""
+
+    def segment(self, target: SegmentationTarget) -> NDArray[np.uint8]:
+        """Alpha (H, W) uint8 of the object, 255 on it."""
+
+
+class BoxLidarSegmenter:
+    """GrabCut between what the LiDAR hit on the vehicle and what lies outside its projected box.
+
+    Sure foreground: the core of the hull of the vehicle's LiDAR points. Sure background: outside
+    the box (grown to hold the points), on LiDAR returns of the scene, and under the body between
+    the wheels, where a dark car's shadow looks like the car. Colour models and edges decide the
+    rest; holes are filled and only the largest piece is kept.
+
+    Args:
+        iterations: of GrabCut.
+        grow: metres by which the box is grown, since labels are often a little small.
+    """
+
+    def __init__(self, iterations: int = 6, grow: float = 0.08) -> None:
+        self.iterations = iterations
+        self.grow = grow
+
+    def segment(self, target: SegmentationTarget) -> NDArray[np.uint8]:
+        """See `Segmenter.segment`; the same crop always gives the same mask."""
+        trimap = self.trimap(target)
+        background, foreground = np.zeros((1, 65)), np.zeros((1, 65))
+        cv2.setRNGSeed(0)  # GrabCut seeds its colour clusters from OpenCV's global generator
+        cv2.grabCut(
+            np.ascontiguousarray(target.image[..., ::-1]), trimap, (0, 0, 1, 1),
+            background, foreground, self.iterations, cv2.GC_INIT_WITH_MASK,
+        )  # fmt: skip
+        mask = (trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)
+        mask = _smooth(_largest_piece(mask), 0.006 * _extent(trimap))
+        return _feather(mask)
+
+    def trimap(self, target: SegmentationTarget) -> NDArray[np.uint8]:
+        """GrabCut labels (H, W) before any look at the colours."""
+        height, width = target.image.shape[:2]
+        outline = _vehicle_outline(target, self.grow)
+        trimap = np.where(outline, cv2.GC_PR_BGD, cv2.GC_BGD).astype(np.uint8)
+        vehicle = _lidar_hull(target)
+        extent = _extent(outline)
+        trimap[vehicle & outline] = cv2.GC_PR_FGD
+        core = cv2.erode(vehicle.astype(np.uint8), _disc(0.07 * extent)) > 0
+        trimap[core & outline] = cv2.GC_FGD
+        pixels, depth = _project(target.camera, target.other_points)
+        behind = np.zeros((height, width), np.uint8)
+        for (u, v), z in zip(pixels, depth, strict=True):
+            if z > 0.5 and 0 <= u < width and 0 <= v < height:
+                cv2.circle(behind, (int(u), int(v)), 1, 1, -1)
+        trimap[(behind > 0) & ~core] = cv2.GC_BGD
+        return trimap
+
+
+def _project(camera: PinholeCamera, points: Array) -> tuple[Array, Array]:
+    return camera.project(points) if len(points) else (np.zeros((0, 2)), np.zeros(0))
+
+
+def _project_box(target: SegmentationTarget, low: Array, high: Array) -> Mask:
+    """Outline (H, W) of the object-frame box between two corners (3,)."""
+    corners = boxes.corners(high - low) + (low + high) / 2
+    pixels, depth = target.camera.project(se3.apply(target.camera_from_object, corners))
+    return _hull(pixels[depth > 0.1], (target.image.shape[0], target.image.shape[1]))
+
+
+def _vehicle_outline(target: SegmentationTarget, grow: float) -> Mask:
+    """Where the vehicle can be: its body above the ground clearance, and its wheels."""
+    half = target.size / 2
+    low, high = -half, half.copy()
+    if len(target.object_points):
+        seen = np.quantile(target.object_points, [0.005, 0.995], axis=0)
+        low[:2] = np.minimum(low[:2], seen[0, :2])
+        high = np.maximum(high, seen[1])
+    low[:2] -= grow
+    high += grow
+    floor = low[2]
+    clearance, wheel_top = 0.13 * target.size[2], 0.45 * target.size[2]
+    outline = _project_box(target, np.array([*low[:2], floor + clearance]), high)
+    for end in (0.30, -0.30):  # axles lie about 0.3 lengths from the middle
+        for inner, outer in ((high[1] - 0.35, high[1]), (low[1], low[1] + 0.35)):
+            x = end * target.size[0]
+            reach = 0.11 * target.size[0]
+            outline |= _project_box(
+                target, np.array([x - reach, inner, floor - 0.03]),
+                np.array([x + reach, outer, floor + wheel_top]),
+            )  # fmt: skip
+    return outline
+
+
+def _hull(pixels: Array, shape: tuple[int, int]) -> Mask:
+    mask = np.zeros(shape, np.uint8)
+    if len(pixels) >= 3:
+        hull = cv2.convexHull(pixels.astype(np.float32))
+        # a far corner of a cut box would overflow the fixed-point coordinates of fillConvexPoly
+        cv2.fillConvexPoly(mask, np.clip(hull, -8000, 8000).astype(np.int32), 1)
+    return mask > 0
+
+
+def _lidar_hull(target: SegmentationTarget) -> Mask:
+    """Hull of the projected points of the vehicle, without the loneliest two in a hundred."""
+    shape = target.image.shape[:2]
+    points = se3.apply(target.camera_from_object, target.object_points)
+    pixels, depth = _project(target.camera, points)
+    pixels = pixels[depth > 0.1]
+    cell = max(0.02 * min(shape), 1.0)
+    keys, which, count = np.unique(
+        np.floor(pixels / cell), axis=0, return_inverse=True, return_counts=True
+    )
+    del keys
+    enough = count[which.ravel()] >= max(2.0, np.quantile(count, 0.02))
+    return _hull(pixels[enough], (shape[0], shape[1]))
+
+
+def _extent(mask: NDArray[np.generic]) -> float:
+    rows, columns = np.nonzero(mask)
+    if len(rows) == 0:
+        return 1.0
+    return float(min(np.ptp(rows), np.ptp(columns)) + 1)
+
+
+def _disc(radius: float) -> NDArray[np.uint8]:
+    size = 2 * max(round(radius), 1) + 1
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
+
+
+def _largest_piece(mask: Mask) -> Mask:
+    """The largest connected piece with its holes filled."""
+    count, pieces, stats, _ = cv2.connectedComponentsWithStats(
+        mask.astype(np.uint8), connectivity=4
+    )
+    if count <= 1:
+        return mask
+    piece = (pieces == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))).astype(np.uint8)
+    contours, _ = cv2.findContours(piece, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(piece, contours, -1, 1, thickness=-1)
+    return piece > 0
+
+
+def _smooth(mask: Mask, radius: float) -> Mask:
+    """Remove spikes and notches narrower than `radius` pixels."""
+    element = _disc(max(radius, 1.0))
+    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, element)
+    closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, element)
+    return _largest_piece(closed > 0)
+
+
+def _feather(mask: Mask) -> NDArray[np.uint8]:
+    """Alpha with an edge one pixel soft."""
+    alpha = cv2.GaussianBlur(mask.astype(np.float32) * 255, (3, 3), 0.6)
+    return np.round(alpha).astype(np.uint8)
+
+
+def mask_quality(target: SegmentationTarget, alpha: NDArray[np.uint8]) -> MaskQuality:
+    """Judge a mask by the box, the crop's border and the LiDAR."""
+    mask = alpha > 127
+    height, width = mask.shape
+    outline = _project_box(target, -target.size / 2, target.size / 2)
+    border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
+
+    def share(points: Array) -> float:
+        pixels, depth = _project(target.camera, points)
+        inside = (depth > 0.1) & np.all((pixels >= 0) & (pixels < [width, height]), axis=1)
+        u, v = pixels[inside].astype(int).T
+        return float(mask[v, u].mean()) if inside.any() else float("nan")
+
+    on_object = share(se3.apply(target.camera_from_object, target.object_points))
+    on_other = share(target.other_points)
+    return MaskQuality(
+        box_coverage=float((mask & outline).sum() / max(int(outline.sum()), 1)),
+        border_contact=float(border.mean()),
+        lidar_inside=on_object,
+        lidar_outside=1.0 - on_other if np.isfinite(on_other) else 1.0,
+    )

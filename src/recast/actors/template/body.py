@@ -1,0 +1,194 @@
+"""A car body as an implicit surface: negative inside, about metres near the surface.
+
+Box frame shifted to the ground: x forward from the middle, y left, z up from the ground. The lower
+body and the greenhouse are each a rounded intersection of curved half spaces (one for every panel),
+joined by a rounded union; wheel wells are cut out. A panel's own function also tells how far a
+surface point lies from the panel's border, which is how windows get their frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+
+from recast.actors.template.proportions import Proportions
+
+Array = NDArray[np.float64]
+
+
+def smooth_max(a: Array, b: Array, radius: float) -> Array:
+    """Maximum with a rounded edge: the polynomial smooth maximum, never below `max(a, b)`."""
+    overlap: Array = np.maximum(radius - np.abs(a - b), 0.0)
+    return np.maximum(a, b) + overlap * overlap / (4 * radius)
+
+
+@dataclass(frozen=True)
+class Panels:
+    """Signed distances (N,) to the single panels at N points, negative on the inner side."""
+
+    windscreen: Array
+    rear_window: Array
+    roof: Array
+    side_window: Array
+    shoulder: Array
+    side: Array
+    nose: Array
+    tail: Array
+    bottom: Array
+    greenhouse: Array
+    lower: Array
+
+
+class Body:
+    """The implicit body of a vehicle of given box and proportions.
+
+    Args:
+        size: (3,) length, width, height in metres; the body touches all faces of the box but the
+            bottom one, which the wheels touch.
+        proportions: landmarks.
+    """
+
+    def __init__(self, size: Array, proportions: Proportions) -> None:
+        self.size = np.asarray(size, np.float64)
+        self.proportions = p = proportions
+        self.length, self.width, self.height = (float(v) for v in self.size)
+        lateral = self.width / 1.75
+        self.tumblehome = p.tumblehome * lateral
+        self.wheel_radius = min(p.wheel_radius, 0.27 * self.height)
+        self.wheel_width = 0.205 * lateral
+        self.axles = (self.x_at(p.front_axle_x), self.x_at(p.rear_axle_x))
+        self.clearance = p.clearance_z * self.height
+        knots = [
+            (1.02, p.deck_z - 0.015),
+            (max(0.985, p.tail_x + 0.006), p.deck_z),
+            (p.tail_x, p.tail_z),
+            (0.55, 0.5 * (p.cowl_z + p.belt_rear_z)), (p.cowl_x, p.cowl_z),
+            (0.5 * p.cowl_x + 0.02, 0.45 * p.bonnet_z + 0.55 * p.cowl_z),
+            (min(0.045, 0.3 * p.cowl_x), p.bonnet_z), (-0.02, p.bonnet_z - 0.05),
+        ]  # fmt: skip
+        if p.tail_x < 0.7:  # a bed, not a boot: flat behind the cab
+            knots[2] = (0.62, p.deck_z)
+        knots = sorted((self.x_at(fraction), z * self.height) for fraction, z in knots)
+        xs, zs = np.array(knots).T
+        grid = np.linspace(-0.6, 0.6, 241) * self.length
+        profile = PchipInterpolator(xs, zs)(np.clip(grid, xs[0], xs[-1]))
+        self._profile = (grid, profile)
+
+    def x_at(self, fraction: float) -> float:
+        """x in metres of a fraction of the length behind the front bumper."""
+        return self.length * (0.5 - fraction)
+
+    def shoulder_z(self, x: Array) -> Array:
+        """Height of the lower body's upper profile along x: bonnet, window sill, boot lid."""
+        return np.interp(x, *self._profile)
+
+    def half_width(self, x: Array, z: Array) -> Array:
+        """Half width of the lower body: a barrel with a shoulder and flared wheel arches."""
+        s = self.width / 1.75
+        widest = 0.42 * self.height
+        above = np.maximum(z - widest, 0.0) / (0.30 * self.height)
+        below = np.maximum(widest - z, 0.0) / (0.32 * self.height)
+        taper = 0.045 * s * np.abs(2 * x / self.length) ** 4
+        crease = 0.010 * s * np.exp(-(((z - 0.555 * self.height) / 0.03) ** 2))
+        flare = sum(
+            (
+                np.exp(-(((np.hypot(x - a, z - self.wheel_radius) - self.arch_radius) / 0.05) ** 2))
+                for a in self.axles
+            ),
+            start=np.zeros_like(x),
+        )
+        return (
+            self.width / 2 - 0.016 - s * (0.055 * above**2 + 0.05 * below**2)
+            - taper + crease + 0.012 * s * flare
+        )  # fmt: skip
+
+    @property
+    def arch_radius(self) -> float:
+        """Radius of the wheel arch openings, metres."""
+        return 1.13 * self.wheel_radius
+
+    def panels(self, points: Array) -> Panels:
+        """Distances of points (N, 3) to each panel."""
+        p, H, L = self.proportions, self.height, self.length
+        x, y, z = points.T
+        across = np.abs(2 * y / self.width)
+        lateral = self.width / 1.75
+        middle_z = 0.36 * H
+
+        nose = (
+            x - L / 2 + p.nose_bow * lateral * across**2.6
+            + p.nose_lean * (np.maximum(z - middle_z, 0.0) / (0.2 * H)) ** 2
+            + 0.035 * (np.maximum(middle_z - z, 0.0) / (0.22 * H)) ** 2
+        )  # fmt: skip
+        tail = (
+            -L / 2 - x + p.tail_bow * lateral * across**3
+            + p.tail_lean * (np.maximum(z - middle_z, 0.0) / (0.25 * H)) ** 2
+            + 0.06 * (np.maximum(middle_z - z, 0.0) / (0.22 * H)) ** 2
+        )  # fmt: skip
+        side = np.abs(y) - self.half_width(x, z)
+        shoulder = (z - self.shoulder_z(x) + 0.055 * lateral * across**2) * 0.95
+        ends = np.maximum(np.abs(x) - 0.36 * L, 0.0)
+        bottom = self.clearance + 0.20 * ends**2 / (0.14 * L) - z
+        edge = 0.09 * lateral
+        lower = smooth_max(smooth_max(shoulder, side, edge), smooth_max(nose, tail, 0.05), edge)
+        lower = smooth_max(lower, bottom, 0.06)
+
+        windscreen = self._raked(
+            x + 0.13 * lateral * across**2, z, p.cowl_x, p.cowl_z, p.roof_front_x, 0.985, 1.0
+        )
+        rear_window = self._raked(
+            x - 0.09 * lateral * across**2, z, p.tail_x, p.tail_z, p.roof_rear_x,
+            p.roof_rear_z, -1.0,
+        )  # fmt: skip
+        crown_x = self.x_at(0.55 * p.roof_front_x + 0.45 * p.roof_rear_x)
+        reach = self.x_at(p.roof_rear_x) - crown_x
+        drop = (1 - p.roof_rear_z) * np.minimum(((x - crown_x) / reach) ** 2, 2.0)
+        roof = z - H * (1 - drop) + 0.045 * lateral * across**2
+        belt = p.cowl_z * H
+        rise = np.clip((z - belt) / max(H - belt, 0.2), -0.5, 1.2)
+        plan = 0.30 * self.tumblehome * (2 * (x + 0.05 * L) / L) ** 2
+        side_window = np.abs(y) - (self.width / 2 - 0.055 * lateral - plan
+                                   - self.tumblehome * rise - 0.03 * rise**2)  # fmt: skip
+        radius = p.edge_radius * lateral
+        greenhouse = smooth_max(smooth_max(windscreen, rear_window, 0.05), side_window, radius)
+        greenhouse = smooth_max(greenhouse, roof, radius)
+        greenhouse = smooth_max(
+            greenhouse, np.maximum(np.maximum(nose, tail), 0.6 * belt - z), 0.04
+        )
+        return Panels(windscreen, rear_window, roof, side_window, shoulder, side, nose, tail,
+                      bottom, greenhouse, lower)  # fmt: skip
+
+    def _raked(
+        self,
+        x: Array,
+        z: Array,
+        low_x: float,
+        low_z: float,
+        top_x: float,
+        top_z: float,
+        sign: float,
+    ) -> Array:
+        """Distance to the slightly bulging pane through two landmarks; `sign` +1 faces forward."""
+        x0, x1 = self.x_at(low_x), self.x_at(top_x)
+        z0, z1 = low_z * self.height, top_z * self.height
+        norm = np.hypot(x1 - x0, z1 - z0)
+        along = np.clip((z - z0) / (z1 - z0), 0.0, 1.0)
+        bulge = 0.05 * norm * along * (1 - along)
+        return sign * ((z1 - z0) * (x - x0) - (x1 - x0) * (z - z0)) / norm - bulge
+
+    def wells(self, points: Array) -> Array:
+        """Distance to the wheel wells (N,), negative inside them."""
+        x, y, z = points.T
+        inner = self.width / 2 - 0.30 * self.width / 1.75
+        nearest = np.min([np.hypot(x - a, z - self.wheel_radius) for a in self.axles], axis=0)
+        return np.maximum(nearest - self.arch_radius, inner - np.abs(y))
+
+    def distance(self, points: Array) -> Array:
+        """Signed distance (N,), approximate, of points (N, 3) to the body without wheels."""
+        panels = self.panels(points)
+        union = -smooth_max(-panels.lower, -panels.greenhouse, 0.04)
+        beyond = np.max(np.abs(points[:, :2]) - self.size[:2] / 2, axis=1)
+        return np.maximum(np.maximum(union, -self.wells(points)), beyond)

@@ -1,0 +1,138 @@
+"""The generator `template`: a parametric vehicle painted from one photograph."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.actors.axes import VEHICLE
+from recast.actors.generate import Asset
+from recast.actors.observation import Observation
+from recast.actors.template.body import Body
+from recast.actors.template.cloud import SurfaceCloud, build_cloud, tangents
+from recast.actors.template.fit import fit_shape
+from recast.actors.template.lighting import SH_C0, fit_harmonics, sh_basis, to_display, to_linear
+from recast.actors.template.materials import SRGB, Material
+from recast.actors.template.merge import flat_gaussians, group_means, group_patches, shell_groups
+from recast.actors.template.placement import find_axles, place
+from recast.actors.template.texture import (
+    Texture,
+    estimate_paint,
+    estimate_sheen,
+    mirrored_texture,
+    view_surface,
+)
+from recast.splats.gaussians import Gaussians, concatenate
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_OPACITY = 0.99
+_CELLS = (0.055, 0.03)  # metres: patches that look alike are merged in voxels of these edges
+_TOLERANCE = 0.03  # display values
+_BACKING_DEPTH = 0.05  # metres behind the surface
+_BACKING_CELL = 0.10
+_VIEW_DEPENDENCE = 0.3  # of the model's changing reflections, how much a photographed patch keeps
+
+
+class TemplateGenerator:
+    """Parametric vehicle in the style of AutoSplat's template: class shape, symmetry, one photo.
+
+    A body of the class, bent to the LiDAR points, with wheels, windows, lamps and plates, covered
+    with flat Gaussians. Colours come from the crop where it shows the surface, from the mirror
+    image where it shows the other side, else from the template with the observed paint.
+
+    Args:
+        spacing: metres between surface patches before merging; larger is coarser and faster.
+        style: body style to use instead of the fitted one.
+    """
+
+    name = "template"
+
+    def __init__(self, spacing: float = 0.016, style: str | None = None) -> None:
+        self.spacing = spacing
+        self.style = style
+
+    def generate(self, observation: Observation, seed: int) -> Asset:
+        """Build the vehicle; it fills the logged box. See `ActorGenerator.generate`."""
+        rng = np.random.default_rng(seed)
+        size = observation.size
+        fit = fit_shape(observation.category, size, observation.points, rng, self.style)
+        body = Body(size, fit.proportions)
+        cloud = build_cloud(body, self.spacing, rng)
+        sparse = cloud.points[:: max(1, len(cloud.points) // 40_000)]
+        lidar = np.asarray(
+            observation.points[:: max(1, len(observation.points) // 1200)], np.float64
+        )
+        placement = place(body, sparse, observation, lidar)
+        moved = find_axles(body, observation, placement)
+        if moved != fit.proportions:
+            body = Body(size, moved)
+            cloud = build_cloud(body, self.spacing, rng)
+        seen = view_surface(cloud, observation, placement)
+        sheen = estimate_sheen(cloud, seen)
+        cloud = replace(cloud, gloss=cloud.gloss * (1 + (sheen - 1) * cloud.paint))
+        observed_paint = estimate_paint(cloud, seen)
+        paint = to_linear(SRGB[Material.PAINT]) if observed_paint is None else observed_paint
+        gaussians = _gaussians(body, cloud, paint, mirrored_texture(cloud, seen))
+        shift = gaussians.means.new_tensor([0.0, 0.0, -size[2] / 2])
+        return Asset(
+            gaussians=replace(gaussians, means=gaussians.means + shift),
+            axes=VEHICLE,
+            generator=self.name,
+            seed=seed,
+            details={
+                "style": fit.style,
+                "paint_srgb": " ".join(f"{v:.3f}" for v in to_display(paint)),
+                "sheen": round(sheen, 3),
+                "median_lidar_distance_m": round(fit.median_distance, 4),
+                "silhouette_overlap": round(placement.overlap, 4),
+                "seen_share": round(float((seen.weight > 0.5).mean()), 4),
+            },
+        )
+
+
+def _gaussians(body: Body, cloud: SurfaceCloud, paint: Array, texture: Texture) -> Gaussians:
+    """Merge the patches, bake light and photograph into harmonics, and back them with a shell."""
+    albedo = cloud.painted(paint)
+    weight = texture.weight[:, None]
+    look = (1 - weight) * to_display(albedo) + weight * texture.colour
+    group = group_patches(
+        cloud.points, cloud.normals, np.c_[look, 0.1 * cloud.gloss], _CELLS, _TOLERANCE
+    )
+    sh = _harmonics(group, cloud, albedo, texture)
+    outside = flat_gaussians(group, cloud.points, cloud.normals, cloud.spacing, sh, _OPACITY)
+    return concatenate([outside, _backing(body, cloud, sh[group])])
+
+
+def _backing(body: Body, cloud: SurfaceCloud, sh: Array) -> Gaussians:
+    """A coarse shell behind the surface, so that the far side does not shine through its gaps."""
+    inner = cloud.points - _BACKING_DEPTH * cloud.normals
+    first, second = tangents(cloud.normals)
+    covered = cloud.on_body.copy()
+    for direction in (first, -first, second, -second):
+        # a wide Gaussian must not stick out at sills and wheel arches
+        covered &= body.distance(inner + 1.3 * _BACKING_CELL * direction) < -0.01
+    kept = np.flatnonzero(covered)
+    shell = shell_groups(cloud.points[kept], cloud.normals[kept], _BACKING_CELL)
+    return flat_gaussians(
+        shell, inner[kept], cloud.normals[kept], cloud.spacing[kept],
+        group_means(shell, sh[kept])[0], _OPACITY,
+    )  # fmt: skip
+
+
+def _harmonics(group: Ints, cloud: SurfaceCloud, albedo: Array, texture: Texture) -> Array:
+    """Harmonics (G, 4, 3) of each group: the lit model, moved onto the photograph where seen."""
+    points, normals, albedo, gloss, colour, weight, views = group_means(
+        group, cloud.points, cloud.normals, albedo, cloud.gloss, texture.colour, texture.weight,
+        texture.views,
+    )  # fmt: skip
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    views = views / np.maximum(np.linalg.norm(views, axis=1, keepdims=True), 1e-9)
+    sh = fit_harmonics(albedo, gloss, normals, points[:, 2])
+    sh[:, 1:] *= (1 - (1 - _VIEW_DEPENDENCE) * weight)[:, None, None]
+    modelled = 0.5 + np.einsum("nk,nkc->nc", sh_basis(-views), sh)
+    sh[:, 0] += weight[:, None] * (colour - modelled) / SH_C0
+    return sh

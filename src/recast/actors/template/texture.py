@@ -1,0 +1,171 @@
+"""Colours from the one photograph: which patches it shows, and how they look there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.actors.observation import Observation
+from recast.actors.template.cloud import SurfaceCloud
+from recast.actors.template.lighting import diffuse, mirrored, to_linear
+from recast.actors.template.placement import Placement
+from recast.geometry import se3
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SurfaceView:
+    """What the crop says about each of N patches.
+
+    Attributes:
+        colour: (N, 3) display values; meaningless where `weight` is 0.
+        weight: (N,) 0 unseen to 1 seen squarely and well inside the mask.
+        views: (N, 3) unit directions from the patch to the camera, vehicle frame.
+    """
+
+    colour: Array
+    weight: Array
+    views: Array
+
+
+def view_surface(
+    cloud: SurfaceCloud, observation: Observation, placement: Placement
+) -> SurfaceView:
+    """Sample the crop at every patch that it shows.
+
+    Args:
+        cloud: the vehicle, z up from the ground.
+        observation: crop, camera and mask.
+        placement: of the vehicle in the logged box.
+    """
+    placed = placement.points(cloud.points)
+    normals = placement.normals(cloud.normals)
+    rays = observation.eye - placed
+    views = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    facing = np.sum(normals * views, axis=1)
+    pixels, depth = observation.camera.project(se3.apply(observation.camera_from_object, placed))
+    front = _frontmost(pixels, depth, facing, observation)
+    alpha = observation.rgba[..., 3] > 127
+    margin = cv2.distanceTransform(alpha.astype(np.uint8), cv2.DIST_L2, 5)
+    inside = _sample(margin[..., None].astype(np.float32), pixels)[:, 0]
+    weight = _ramp(facing, 0.12, 0.35) * _ramp(inside, 1.0, 3.5) * front
+    colour = _sample(_calm_chroma(observation.rgba[..., :3]).astype(np.float32) / 255, pixels)
+    return SurfaceView(colour, weight, views)
+
+
+def _frontmost(
+    pixels: Array, depth: Array, facing: Array, observation: Observation
+) -> NDArray[np.bool_]:
+    """Patches not hidden behind nearer ones, by a depth buffer of cells a few pixels wide."""
+    height, width = observation.rgba.shape[:2]
+    # a cell must hold several patches, or far sides show through the gaps
+    metres_per_pixel = np.median(depth) / observation.camera.fx
+    cell = max(1.0, 0.045 / metres_per_pixel)
+    columns, rows = int(width / cell) + 1, int(height / cell) + 1
+    u, v = np.floor(pixels / cell).astype(int).T
+    inside = (u >= 0) & (u < columns) & (v >= 0) & (v < rows) & (depth > 0.1)
+    nearest = np.full((rows, columns), np.inf)
+    facing_in = inside & (facing > 0.05)
+    np.minimum.at(nearest, (v[facing_in], u[facing_in]), depth[facing_in])
+    # slanted surfaces span depth within one cell
+    slack = 0.05 + cell * metres_per_pixel / np.clip(facing, 0.1, 1.0)
+    front = np.zeros(len(depth), bool)
+    front[inside] = depth[inside] < nearest[v[inside], u[inside]] + slack[inside]
+    return front & (facing > 0.05)
+
+
+def _calm_chroma(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The image without the colour fringes that demosaicing leaves on plates and lamps."""
+    channels = cv2.cvtColor(rgb, cv2.COLOR_RGB2YCrCb)
+    for c in (1, 2):
+        channels[..., c] = cv2.medianBlur(np.ascontiguousarray(channels[..., c]), 5)
+    return np.asarray(cv2.cvtColor(channels, cv2.COLOR_YCrCb2RGB), np.uint8)
+
+
+def _sample(image: NDArray[np.floating], pixels: Array) -> Array:
+    """Bilinear values (N, C) at pixels (N, 2), pixel centres at +0.5, clamped at the border."""
+    height, width, channels = image.shape
+    x = np.clip(pixels[:, 0] - 0.5, 0, width - 1.001)
+    y = np.clip(pixels[:, 1] - 0.5, 0, height - 1.001)
+    u, v = x.astype(int), y.astype(int)
+    a, b = (x - u)[:, None], (y - v)[:, None]
+    values = image[v, u] * (1 - a) * (1 - b) + image[v, u + 1] * a * (1 - b)
+    values = values + image[v + 1, u] * (1 - a) * b + image[v + 1, u + 1] * a * b
+    return values.astype(np.float64).reshape(-1, channels)
+
+
+def _ramp(x: Array, low: float, high: float) -> Array:
+    t = np.clip((x - low) / (high - low), 0.0, 1.0)
+    return t * t * (3 - 2 * t)
+
+
+@dataclass(frozen=True)
+class Texture:
+    """Observed colours spread over both sides of the vehicle.
+
+    Attributes:
+        colour: (N, 3) display values.
+        weight: (N,) how far `colour` replaces the model's own.
+        views: (N, 3) unit directions to the camera that saw `colour`, mirrored with it.
+    """
+
+    colour: Array
+    weight: Array
+    views: Array
+
+
+_MIRROR = np.array([1.0, -1.0, 1.0])
+
+
+def mirrored_texture(cloud: SurfaceCloud, seen: SurfaceView) -> Texture:
+    """Fill what the view did not see from its mirror image; wheels and recesses keep the model's.
+
+    A side seen poorly yields to its twin seen well.
+    """
+    textured = cloud.on_body & (cloud.gloss > 0)
+    own = np.where(textured, seen.weight, 0.0)
+    twin = own[cloud.twin]
+    borrowed = twin * (1 - own)
+    total = np.maximum(own + borrowed, 1e-9)
+    share = (own / total)[:, None]
+    return Texture(
+        colour=share * seen.colour + (1 - share) * seen.colour[cloud.twin],
+        weight=np.where(textured, np.minimum(own + borrowed, 1.0), 0.0),
+        views=np.where(share > 0.5, seen.views, seen.views[cloud.twin] * _MIRROR),
+    )
+
+
+def estimate_sheen(cloud: SurfaceCloud, seen: SurfaceView) -> float:
+    """How strongly this photograph's daylight is mirrored against the model's, 0.6 to 1.6.
+
+    From painted patches in which the model expects a clear reflection; 1 where there are few.
+    """
+    painted = (cloud.paint > 0.9) & (seen.weight > 0.5)
+    expected = mirrored(cloud.normals[painted], seen.views[painted], cloud.gloss[painted]).mean(1)
+    found = to_linear(seen.colour[painted]).mean(1)
+    bright = expected > 0.05
+    if bright.sum() < 50:
+        return 1.0
+    # what diffuse paint adds shows where nothing is mirrored
+    base = float(np.median(found[~bright])) if (~bright).any() else 0.0
+    return float(np.clip(np.median((found[bright] - base) / expected[bright]), 0.6, 1.6))
+
+
+def estimate_paint(cloud: SurfaceCloud, seen: SurfaceView) -> Array | None:
+    """Linear reflectance (3,) of the body paint, or None where the view shows too little of it.
+
+    Each painted patch seen gives reflectance = (light - mirrored light) / diffuse light; the
+    median over them resists windows, dirt and glare.
+    """
+    painted = (cloud.paint > 0.9) & (seen.weight > 0.5)
+    if painted.sum() < 50:
+        return None
+    normals, gloss = cloud.normals[painted], cloud.gloss[painted]
+    light = to_linear(seen.colour[painted]) - mirrored(normals, seen.views[painted], gloss)
+    albedo = light / diffuse(normals, cloud.points[painted, 2])
+    paint: Array = np.clip(np.median(albedo, axis=0), 0.003, 0.85)
+    return paint

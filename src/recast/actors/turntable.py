@@ -1,0 +1,71 @@
+"""Pictures of an actor from all around."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from recast.actors.actor import Actor
+from recast.geometry import PinholeCamera, se3
+from recast.splats import concatenate, rasterize
+
+Array = NDArray[np.float64]
+
+_DISTANCE = 2.1  # of the camera, in diagonals of the box
+
+
+def turntable(
+    actor: Actor, *, views: int = 8, width: int = 640, height: int = 360,
+    elevation: float = float(np.radians(10.0)),
+    background: tuple[float, float, float] = (0.55, 0.56, 0.58), with_shadow: bool = True,
+) -> list[NDArray[np.uint8]]:  # fmt: skip
+    """Render an actor from azimuths evenly around it; the first view faces its front.
+
+    Args:
+        actor: the vehicle.
+        views: number of pictures, counter-clockwise seen from above.
+        width, height: pixels.
+        elevation: of the camera above the box centre, radians.
+        background: display colour behind it.
+        with_shadow: also draw the contact shadow.
+
+    Returns:
+        `views` images (height, width, 3) uint8.
+    """
+    parts = [actor.gaussians, actor.shadow] if with_shadow else [actor.gaussians]
+    gaussians = concatenate([part.detach() for part in parts])
+    camera = framing_camera(actor.size, width, height)
+    distance = _DISTANCE * float(np.linalg.norm(actor.size))
+    images = []
+    for azimuth in np.arange(views) * 2 * np.pi / views:
+        direction = np.array(
+            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
+             np.sin(elevation)]
+        )  # fmt: skip
+        pose = look_at(distance * direction, np.zeros(3))
+        with torch.no_grad():
+            picture = rasterize(
+                gaussians, torch.from_numpy(pose).float(), torch.from_numpy(camera.matrix).float(),
+                width, height, background=torch.tensor(background),
+            )  # fmt: skip
+        images.append((picture.rgb.clamp(0, 1) * 255).round().to(torch.uint8).numpy())
+    return images
+
+
+def framing_camera(size: Array, width: int, height: int) -> PinholeCamera:
+    """A camera that sees the whole box from `turntable`'s distance in every direction."""
+    distance = _DISTANCE * float(np.linalg.norm(size))
+    radius = 0.5 * float(np.linalg.norm(size[:2]))
+    nearest = distance - radius
+    focal = 0.92 * min(width / 2 / (1.03 * radius), height / (size[2] + 0.5 * radius)) * nearest
+    return PinholeCamera(width, height, focal, focal, width / 2, height / 2)
+
+
+def look_at(eye: Array, target: Array) -> Array:
+    """`camera_from_object` (4, 4) of a level OpenCV camera at `eye` that looks at `target`."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return se3.from_rotation_translation(rotation, -rotation @ eye)
