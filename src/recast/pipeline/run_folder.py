@@ -1,8 +1,8 @@
 """A run folder: its resolved configuration, and which steps are finished.
 
 `run.json` says what the run is: the configuration, the content hash of the log, versions. A
-finished step leaves `steps/NAME.json` with the hash of everything it was made from; a rerun skips it
-while that hash stays the same, and makes it and all later steps anew where it changed.
+finished step leaves `steps/NAME.json` with the hash of everything it was made from; a rerun skips
+it while that hash stays the same, and makes it and all later steps anew where it changed.
 """
 
 from __future__ import annotations

@@ -1,0 +1,1 @@
+"""The `recast` command: argument handling, one file a verb group."""

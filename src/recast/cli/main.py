@@ -1,0 +1,50 @@
+"""Entry point of the `recast` command."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
+
+from recast.cli.actor import Actor
+from recast.cli.doctor import Doctor
+from recast.cli.log import Log
+from recast.cli.report import Report
+from recast.cli.run import Run
+from recast.cli.scene import Scene
+from recast.errors import InputError
+
+Command = (
+    Annotated[Log, tyro.conf.subcommand("log")]
+    | Annotated[Scene, tyro.conf.subcommand("scene")]
+    | Annotated[Actor, tyro.conf.subcommand("actor")]
+    | Annotated[Run, tyro.conf.subcommand("run")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
+    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
+)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run one command; bad input ends in one line on stderr and exit code 2."""
+    command = tyro.cli(
+        Command,
+        prog="recast",
+        description="Closed-loop driving simulation from recorded logs.",
+        config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
+        args=args,
+    )
+    try:
+        command()
+    except InputError as error:
+        print(f"recast: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("recast: interrupted; the same command resumes", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

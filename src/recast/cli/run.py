@@ -1,0 +1,75 @@
+"""`recast run`: the whole job."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+
+@dataclass(frozen=True)
+class Run:
+    """Everything from a log to a report: scene, actor, closed-loop rollouts, metrics.
+
+    Finished steps are kept, so the same command resumes where it was stopped or killed.
+    """
+
+    log: tyro.conf.Positional[Path]
+    """Log folder."""
+    track: str
+    """Track to replace and control; `recast log info LOG` lists them."""
+    out: Path
+    """Run folder."""
+    motion: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """What the actor does: cut-in, oncoming, stationary, advancing (both settings), or one setting
+    such as cut-in-a. Give it several times for several. Default: cut-in and stationary."""
+    config: Path | None = None
+    """Configuration file (JSON, see docs/runs.md). The options override it."""
+    planner: str | None = None
+    """Planner under test: a name, or package.module:attribute. Default: idm-follower."""
+    generator: str | None = None
+    """What makes the actor: template, an installed generator's name, or the path of a PLY."""
+    scene_config: Path | None = None
+    """Scene configuration file (JSON, see docs/scenes.md)."""
+    cameras: tuple[str, ...] | None = None
+    """Cameras to reconstruct and render; all of the log where none is named."""
+    scale: float | None = None
+    """Image scale: 0.5 works at half the recorded width and height."""
+    iterations: int | None = None
+    """Training steps of the scene."""
+    steps: int | None = None
+    """Steps of 0.1 s a rollout; cut where log or road end. Default: 160."""
+    seed: int | None = None
+    """Seed of everything random."""
+    threads: int | None = None
+    """CPU threads, 0 for all."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from rich.console import Console
+
+        from recast.pipeline.options import resolve_config
+        from recast.pipeline.run import run
+
+        config = resolve_config(
+            track=self.track,
+            motions=self.motion,
+            config_file=self.config,
+            scene_config_file=self.scene_config,
+            run_options={
+                "planner": self.planner,
+                "generator": self.generator,
+                "steps": self.steps,
+                "seed": self.seed,
+                "threads": self.threads,
+            },
+            scene_options={
+                "cameras": self.cameras,
+                "scale": self.scale,
+                "iterations": self.iterations,
+                "seed": self.seed,
+                "threads": self.threads,
+            },
+        )
+        run(self.log, self.out, config, Console())

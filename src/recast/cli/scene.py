@@ -1,0 +1,81 @@
+"""`recast scene`: reconstruct a street, judge it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True)
+class Train:
+    """Reconstruct the street of a log; resumes from its last checkpoint when run again."""
+
+    log: tyro.conf.Positional[Path]
+    """Log folder."""
+    out: Path
+    """Scene folder to write."""
+    config: Path | None = None
+    """Configuration file (JSON, see docs/scenes.md). The options below override it."""
+    cameras: tuple[str, ...] | None = None
+    """Cameras to train on; all of the log where none is named."""
+    scale: float | None = None
+    """Image scale: 0.5 trains at half the recorded width and height."""
+    iterations: int | None = None
+    """Training steps."""
+    force_dynamic: tuple[str, ...] | None = None
+    """Tracks to model as actors though they hardly move."""
+    seed: int | None = None
+    """Seed of everything random."""
+    threads: int | None = None
+    """CPU threads, 0 for all."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from recast.logs import read_log
+        from recast.pipeline.scene import train_with_display
+        from recast.scene import SceneConfig, read_config
+
+        base = SceneConfig() if self.config is None else read_config(self.config)
+        given = {
+            name: getattr(self, name)
+            for name in ("cameras", "scale", "iterations", "force_dynamic", "seed", "threads")
+            if getattr(self, name) is not None
+        }
+        config = SceneConfig.model_validate({**base.model_dump(), **given})
+        train_with_display(read_log(self.log), self.out, config)
+
+
+@dataclass(frozen=True)
+class Eval:
+    """Held-out PSNR and SSIM, whole image and inside the actors' boxes, with pictures."""
+
+    scene: tyro.conf.Positional[Path]
+    """Scene folder."""
+    log: Path
+    """Log folder the scene was made from."""
+    out: Path | None = None
+    """Folder to write to; SCENE/eval where none is named."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from recast.logs import read_log
+        from recast.pipeline.scene import evaluate_and_print
+
+        evaluate_and_print(self.scene, read_log(self.log), self.out or self.scene / "eval")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Reconstruct a street, judge it."""
+
+    command: (
+        Annotated[Train, tyro.conf.subcommand("train")]
+        | Annotated[Eval, tyro.conf.subcommand("eval")]
+    )
+
+    def __call__(self) -> None:
+        """Run the command."""
+        self.command()

@@ -1,0 +1,99 @@
+"""The actor of a run: observe the target, generate a vehicle, register it, film it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from recast import storage
+from recast.actors import (
+    Actor,
+    ActorGenerator,
+    BoxLidarSegmenter,
+    Observation,
+    PlyGenerator,
+    make_generator,
+    observe,
+    register,
+    save_actor,
+    turntable,
+)
+from recast.errors import InputError
+from recast.geometry import boxes, se3
+from recast.logs import DrivingLog
+from recast.pipeline.layout import ACTOR_FOLDER, OBSERVATION_FOLDER, TURNTABLE_FILE
+from recast.reporting.video import write_video
+
+_TURNTABLE_VIEWS = 72
+_TURNTABLE_SIZE = (640, 360)
+_BOX_COLOUR = (255, 170, 0)
+
+
+def generator_of(name: str) -> ActorGenerator:
+    """A generator by its name, or one that reads the PLY file of that path.
+
+    Raises:
+        InputError: no such generator, no such file.
+    """
+    if name.lower().endswith(".ply"):
+        path = Path(name)
+        if not path.is_file():
+            raise InputError(path, "file", "is missing", "check the path given as --generator")
+        return PlyGenerator(path)
+    return make_generator(name)
+
+
+def make_actor(
+    log: DrivingLog,
+    track_id: str,
+    generator: str,
+    seed: int,
+    out: Path,
+    cameras: tuple[str, ...] = (),
+) -> Actor:
+    """Observe, generate, register; write `observation/`, `actor/` and `turntable.mp4` below `out`.
+
+    Args:
+        cameras: observe from these only; none named: from all.
+
+    Raises:
+        InputError: see `observe` and `register`.
+    """
+    source = generator_of(generator)
+    camera = cameras[0] if len(cameras) == 1 else None
+    observation = observe(log, track_id, segmenter=BoxLidarSegmenter(), camera=camera)
+    with storage.atomic_folder(out / OBSERVATION_FOLDER) as folder:
+        save_observation(observation, log, folder)
+    actor = register(source.generate(observation, seed), observation, log, log.tracks[track_id])
+    save_actor(actor, out / ACTOR_FOLDER)
+    width, height = _TURNTABLE_SIZE
+    frames = turntable(actor, views=_TURNTABLE_VIEWS, width=width, height=height)
+    write_video(out / TURNTABLE_FILE, frames, fps=_TURNTABLE_VIEWS / 6)
+    return actor
+
+
+def save_observation(observation: Observation, log: DrivingLog, folder: Path) -> None:
+    """Write the crop, the frame it was cut from with the box drawn in, and why this view."""
+    Image.fromarray(observation.rgba, "RGBA").save(folder / "crop.png")
+    Image.fromarray(_frame_with_box(observation, log)).save(folder / "frame.png")
+    storage.write_text(folder / "explanation.txt", observation.explain() + "\n")
+
+
+def _frame_with_box(observation: Observation, log: DrivingLog) -> NDArray[np.uint8]:
+    stream = log.cameras[observation.view.camera]
+    frame = observation.view.frame
+    image = np.ascontiguousarray(stream.images[frame])
+    time = int(stream.timestamps_us[frame])
+    pose = log.tracks[observation.track_id].trajectory.at(time)
+    camera_from_world = se3.inverse(log.world_from_rig.at(time) @ stream.rig_from_camera)
+    corners = boxes.corners(observation.size, camera_from_world @ pose)
+    pixels, depth = stream.camera.project(corners)
+    for i, j in boxes.EDGES:
+        if min(depth[i], depth[j]) > 0.1:
+            start, end = (pixels[k].clip(-1e4, 1e4).astype(int).tolist() for k in (i, j))
+            cv2.line(image, start, end, _BOX_COLOUR, 2, cv2.LINE_AA)
+    return image

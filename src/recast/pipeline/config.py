@@ -1,0 +1,65 @@
+"""What one run is asked to do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from recast.errors import InputError
+from recast.scene import SceneConfig
+from recast.storage import read_json
+
+CONFIG_VERSION: Literal[1] = 1
+
+
+class RunConfig(BaseModel):
+    """The resolved configuration of a run, as written to `run.json`.
+
+    `motions` are scenario names with their setting, such as "cut-in-a".
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    version: Literal[1] = CONFIG_VERSION
+    track: str
+    motions: tuple[str, ...] = Field(min_length=1)
+    planner: str = "idm-follower"
+    generator: str = Field("template", description="name of a generator, or path of a PLY")
+    steps: int = Field(160, ge=1, description="of 0.1 s; cut where log or road end")
+    plan_every: int = Field(5, ge=1)
+    keep_other_actors: bool = False
+    seed: int = 0
+    threads: int = Field(0, ge=0, description="CPU threads, 0: all")
+    scene: SceneConfig = SceneConfig()
+
+    def resolved(self) -> dict[str, Any]:
+        """JSON-able, every default filled in."""
+        return self.model_dump(mode="json")
+
+
+def read_run_config(path: str | Path) -> RunConfig:
+    """Read a configuration file: the `config` member of a `run.json`, or the same by hand.
+
+    Raises:
+        InputError: missing, not JSON, of another version, or with a wrong field.
+    """
+    value = read_json(path)
+    if isinstance(value, dict) and isinstance(value.get("config"), dict):
+        value = value["config"]
+    if not isinstance(value, dict):
+        raise InputError(path, "config", "is no JSON object", "see docs/runs.md")
+    if value.get("version") != CONFIG_VERSION:
+        raise InputError(
+            path, "version", f"is {value.get('version')!r}, this recast reads {CONFIG_VERSION}",
+            "write the file anew for this version, see docs/runs.md",
+        )  # fmt: skip
+    try:
+        return RunConfig.model_validate(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(str(part) for part in first["loc"]) or "config"
+        raise InputError(
+            path, field, first["msg"].lower(), "correct it, see docs/runs.md"
+        ) from None

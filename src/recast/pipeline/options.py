@@ -1,0 +1,60 @@
+"""From a configuration file and options that override it to one resolved configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from recast.errors import InputError
+from recast.pipeline.config import RunConfig, read_run_config
+from recast.scene import SceneConfig, read_config
+from recast.simulation import parse_motions, scenario_name
+
+DEFAULT_MOTIONS = ("cut-in", "stationary")
+
+
+def resolve_config(
+    track: str,
+    motions: Sequence[str],
+    config_file: Path | None,
+    scene_config_file: Path | None,
+    run_options: Mapping[str, Any],
+    scene_options: Mapping[str, Any],
+) -> RunConfig:
+    """Merge files and options; an option that is None was not given.
+
+    The target is always modelled as an actor, however little it moved, or it could not be replaced.
+
+    Raises:
+        InputError: a file or an option is wrong.
+    """
+    base = None if config_file is None else read_run_config(config_file)
+    names = tuple(motions) or (base.motions if base else DEFAULT_MOTIONS)
+    scene = base.scene if base else SceneConfig()
+    if scene_config_file is not None:
+        scene = read_config(scene_config_file)
+    scene_values = {**scene.model_dump(), **_given(scene_options)}
+    scene_values["force_dynamic"] = tuple(dict.fromkeys((*scene.force_dynamic, track)))
+    values = {
+        **(base.model_dump() if base else {}),
+        **_given(run_options),
+        "track": track,
+        "motions": tuple(dict.fromkeys(scenario_name(m) for n in names for m in parse_motions(n))),
+    }
+    try:
+        return RunConfig.model_validate(
+            {**values, "scene": SceneConfig.model_validate(scene_values).model_dump()}
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = "--" + "-".join(str(part) for part in first["loc"])
+        raise InputError(
+            "command line", name, first["msg"].lower(), "give a value in range"
+        ) from None
+
+
+def _given(options: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}

@@ -1,0 +1,226 @@
+"""Gather what a run made into the inputs of its report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recast import storage
+from recast.actors import load_actor
+from recast.actors.icp import INLIER_DISTANCE
+from recast.errors import InputError
+from recast.evaluation import rollout_metrics
+from recast.logs import DrivingLog, HdMap, derive_map, read_log
+from recast.pipeline.config import RunConfig
+from recast.pipeline.layout import (
+    ACTOR_FOLDER,
+    EVALUATION_FOLDER,
+    METHODS,
+    OBSERVATION_FOLDER,
+    REPORT_FOLDER,
+    ROLLOUTS_FOLDER,
+    SCENE_FOLDER,
+    TURNTABLE_FILE,
+)
+from recast.pipeline.rollouts import films, read_rollout
+from recast.pipeline.run_folder import RunFolder
+from recast.reporting import (
+    NOT_MADE,
+    ActorPart,
+    Comparison,
+    Fact,
+    ImageScore,
+    NotMade,
+    ObservationPart,
+    ProvenancePart,
+    RegistrationPart,
+    ReportInputs,
+    RolloutPart,
+    ScenarioPart,
+    ScenePart,
+    write_report,
+)
+from recast.scene import load_scene
+from recast.simulation import MOTIONS, RolloutFailure
+
+_DESCRIPTIONS = {
+    "cut-in": "The actor drives in the next lane, moves in ahead of the ego and slows down.",
+    "oncoming": "The actor comes towards the ego in its lane and stops.",
+    "stationary": "The actor stands in the ego's lane and faces it.",
+    "advancing": "The actor drives slowly in the next lane and the ego passes it.",
+}
+
+REGISTRATION_LIMIT = 0.15
+"""Metres; a larger median LiDAR-to-actor distance is flagged on the page."""
+
+
+def report_run(run: str | Path, out: str | Path | None = None) -> Path:
+    """Write the report of a run, finished or not; return its `index.html`.
+
+    Args:
+        run: run folder.
+        out: folder to write; RUN/report where none is named.
+
+    Raises:
+        InputError: `run` is no run folder, its log is gone, or `out` holds something else.
+    """
+    folder = RunFolder.open(run)
+    log_path = Path(folder.record["log"]["path"])
+    if not log_path.is_dir():
+        raise InputError(
+            folder.path / "run.json", "log.path", f"names {log_path}, which is not there",
+            "put the log back, or run from the folder that `recast run` was called in",
+        )  # fmt: skip
+    inputs = gather(folder, read_log(log_path))
+    return write_report(inputs, folder.path / REPORT_FOLDER if out is None else Path(out))
+
+
+def gather(folder: RunFolder, log: DrivingLog) -> ReportInputs:
+    """Everything the page shows; what the run did not make yet says so."""
+    config = RunConfig.model_validate(folder.record["config"])
+    hd_map = derive_map(log) if log.map is None else log.map
+    timings = folder.path / "timings.json"
+    category = log.tracks[config.track].category
+    return ReportInputs(
+        title=f"{category} {config.track} of {log.name}",
+        log=log.name,
+        methods=METHODS,
+        facts=_facts(config, log),
+        actor=_actor(folder.path, config, log),
+        scenarios=tuple(_scenario(folder.path, motion, hd_map) for motion in config.motions),
+        scene=_scene(folder.path),
+        hd_map=hd_map,
+        config=folder.record["config"],
+        provenance=ProvenancePart(
+            versions=folder.record["versions"],
+            seeds={"run": config.seed, "scene": config.scene.seed},
+            hashes={"log": folder.record["log"]["hash"]},
+        ),
+        timings=storage.read_json(timings) if timings.exists() else NOT_MADE,
+        warnings=_warnings(hd_map),
+    )
+
+
+def _facts(config: RunConfig, log: DrivingLog) -> tuple[Fact, ...]:
+    cameras = config.scene.cameras or tuple(log.cameras)
+    sizes = {
+        f"{round(camera.width * config.scene.scale)} x {round(camera.height * config.scene.scale)}"
+        for camera in (log.cameras[name].camera for name in cameras)
+    }
+    return (
+        Fact("Planner", config.planner),
+        Fact("Generator", config.generator),
+        Fact("Cameras", ", ".join(cameras)),
+        Fact("Image size", ", ".join(sorted(sizes)), "pixels, as rendered"),
+        Fact("Length asked for", f"{config.steps * 0.1:g} s", "cut where log or road end"),
+    )
+
+
+def _warnings(hd_map: HdMap) -> tuple[str, ...]:
+    if not hd_map.derived:
+        return ()
+    return ("The log has no HD map: lanes and drivable area were derived from the drive itself.",)
+
+
+def _actor(run: Path, config: RunConfig, log: DrivingLog) -> ActorPart | NotMade:
+    if not (run / ACTOR_FOLDER).is_dir():
+        return NOT_MADE
+    actor = load_actor(run / ACTOR_FOLDER)
+    provenance = actor.provenance
+    report = provenance.registration
+    frame = run / OBSERVATION_FOLDER / "frame.png"
+    film = run / TURNTABLE_FILE
+    return ActorPart(
+        name=f"track {actor.track_id} ({actor.category})",
+        generator=provenance.generator,
+        observation=ObservationPart(
+            crop=actor.source,
+            frame=frame if frame.exists() else NOT_MADE,
+            facts=(
+                Fact("View", f"{provenance.camera}, frame {provenance.frame}"),
+                Fact("Seen from", f"{np.degrees(provenance.azimuth):.0f} degrees",
+                     "azimuth of the camera about the vehicle: 0 ahead of it, 90 to its left"),
+                Fact("Sides seen", ", ".join(provenance.sides_seen)),
+                *(Fact("Why this view", line) for line in provenance.observation.splitlines()[:1]),
+            ),
+        ),
+        turntable=film if film.exists() else NOT_MADE,
+        registration=RegistrationPart(
+            median_before=report.before.median,
+            median_after=report.after.median,
+            limit=REGISTRATION_LIMIT,
+            points=report.lidar_points,
+            scale=report.icp_scale,
+            yaw=report.icp_yaw,
+            translation=np.array(report.icp_translation),
+            size_misfit=np.array([report.width_over_box, report.height_over_box]),
+            sides=_shares(report.lidar_by_side),
+            facts=(
+                Fact("Front", ", ".join(f"{k} {v:+.1f}" for k, v in report.front.votes.items()),
+                     "evidence for the way the vehicle faces; negative speaks against it"),
+                Fact(f"Within {INLIER_DISTANCE:g} m", f"{report.after.inlier_share:.0%}",
+                     "share of LiDAR points this near to the actor"),
+            ),
+        ),
+        log_path=log.tracks[config.track].trajectory.poses[:, :2, 3],
+    )  # fmt: skip
+
+
+def _shares(counts: dict[str, int]) -> dict[str, float]:
+    total = sum(counts.values())
+    return {side: count / total for side, count in counts.items()} if total else {}
+
+
+def _scenario(run: Path, name: str, hd_map: HdMap) -> ScenarioPart:
+    motion = MOTIONS[name]
+    return ScenarioPart(
+        title=f"{motion.name}, setting {motion.setting}".capitalize(),
+        description=_DESCRIPTIONS[motion.name],
+        rollouts=tuple(
+            _rollout(run / ROLLOUTS_FOLDER / name / method, method, hd_map) for method in METHODS
+        ),
+    )
+
+
+def _rollout(folder: Path, method: str, hd_map: HdMap) -> RolloutPart:
+    if not folder.is_dir():
+        return RolloutPart(method, NOT_MADE)
+    rollout = read_rollout(folder)
+    if isinstance(rollout, RolloutFailure):
+        return RolloutPart(method, rollout, NotMade(rollout.reason), NotMade(rollout.reason))
+    return RolloutPart(method, rollout, rollout_metrics(rollout, hd_map), films(folder))
+
+
+def _scene(run: Path) -> ScenePart | NotMade:
+    path = run / EVALUATION_FOLDER / "eval.json"
+    if not path.exists():
+        return NotMade("no image was held out" if path.parent.exists() else NOT_MADE.reason)
+    evaluation = storage.read_json(path)
+    scene = load_scene(run / SCENE_FOLDER)
+    frames: list[dict[str, Any]] = evaluation["frames"]
+    scores = [ImageScore("whole image", evaluation["psnr"], len(frames), evaluation["ssim"])]
+    for track, value in evaluation["box_psnr_by_track"].items():
+        seen = sum(track in frame["boxes"] for frame in frames)
+        scores.append(ImageScore(f"inside the box of track {track}", value, seen))
+    actors = sum(len(actor.gaussians) for actor in scene.actors.values())
+    return ScenePart(
+        scores=tuple(scores),
+        comparisons=tuple(
+            Comparison(
+                f"{frame['camera']}, frame {frame['frame']}: {frame['psnr']:.1f} dB",
+                {"recorded, rendered, difference x 3": path.parent / _picture(frame)},
+            )
+            for frame in frames
+        ),
+        facts=(
+            Fact("Gaussians of the background", f"{len(scene.background):,}"),
+            Fact("Gaussians of the actors", f"{actors:,}"),
+            Fact("Actors", ", ".join(scene.actors)),
+        ),
+    )
+
+
+def _picture(frame: dict[str, Any]) -> str:
+    return f"{frame['camera']}_{frame['frame']:06d}.png"

@@ -1,0 +1,90 @@
+"""One rollout as a finished folder: states, plans, and a film of every camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast import storage
+from recast.errors import InputError
+from recast.planning import Planner
+from recast.reporting.video import VideoWriter
+from recast.simulation import (
+    Rollout,
+    RolloutFailure,
+    RolloutSetup,
+    SensorRenderer,
+    SimState,
+    failure,
+    load_rollout,
+    run_rollout,
+    save_rollout,
+)
+
+_FAILURE = "failure.json"
+_STATES = "states"
+
+
+def make_rollout(
+    setup: RolloutSetup,
+    planner: Planner,
+    renderer: SensorRenderer,
+    folder: Path,
+    on_step: Callable[[], None] = lambda: None,
+) -> None:
+    """Run one rollout and write it to a new folder, whole or not at all.
+
+    A rollout that is refused, or whose planner fails, is written as `failure.json`: a row of the
+    report, not the end of the run.
+
+    Args:
+        folder: gets `states/` (see `save_rollout`) and `CAMERA.mp4`, or `failure.json`.
+        on_step: called after each rendered step.
+    """
+    with storage.atomic_folder(folder) as partial, ExitStack() as films:
+        writers: dict[str, VideoWriter] = {}
+
+        def film(state: SimState, images: Mapping[str, NDArray[np.uint8]]) -> None:
+            for name, image in images.items():
+                if name not in writers:
+                    path = partial / f"{name}.mp4"
+                    writers[name] = films.enter_context(VideoWriter(path, fps=1 / setup.dt))
+                writers[name].add(image)
+            on_step()
+
+        try:
+            save_rollout(run_rollout(setup, planner, renderer, film), partial / _STATES)
+        except Exception as error:
+            films.close()
+            for name in writers:
+                (partial / f"{name}.mp4").unlink(missing_ok=True)
+            _save_failure(failure(setup, planner.name, error), partial / _FAILURE)
+
+
+def read_rollout(folder: Path) -> Rollout | RolloutFailure:
+    """Read what `make_rollout` wrote.
+
+    Raises:
+        InputError: the folder holds neither a rollout nor a failure.
+    """
+    path = folder / _FAILURE
+    if not path.exists():
+        return load_rollout(folder / _STATES)
+    record = storage.read_json(path)
+    try:
+        return RolloutFailure(**record)
+    except TypeError as error:
+        raise InputError(path, "failure", str(error), "run `recast run` again") from None
+
+
+def films(folder: Path) -> dict[str, Path]:
+    """Camera name to film."""
+    return {path.stem: path for path in sorted(folder.glob("*.mp4"))}
+
+
+def _save_failure(row: RolloutFailure, path: Path) -> None:
+    storage.write_json(path, vars(row))
