@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from recast import plugins
 from recast.errors import InputError
-from recast.planning import IdmLaneFollower, make_planner, planner_names, registry
+from recast.planning import PLANNERS, IdmLaneFollower, make_planner
 
 PLUGIN = """
 class Mine:
@@ -30,7 +31,7 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 @pytest.mark.parametrize("name", ["constant-velocity", "idm-follower", "log-replay"])
 def test_built_in_planners_by_name(name: str) -> None:
-    assert name in planner_names()
+    assert name in PLANNERS.names()
     assert make_planner(name).name == name
 
 
@@ -49,9 +50,9 @@ def test_a_path_to_a_class(plugin: str) -> None:
 
 
 def test_installed_plugins_are_found(plugin: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = EntryPoints([EntryPoint("mine", f"{plugin}:Mine", registry.ENTRY_POINT_GROUP)])
-    monkeypatch.setattr(registry, "entry_points", lambda group: found.select(group=group))
-    assert "mine" in planner_names()
+    found = EntryPoints([EntryPoint("mine", f"{plugin}:Mine", PLANNERS.group)])
+    monkeypatch.setattr(plugins, "entry_points", lambda group: found.select(group=group))
+    assert "mine" in PLANNERS.names()
     assert make_planner("mine").needs_images
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -48,7 +49,7 @@ class FrameProgress:
 def results_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """The headline metrics by method, from the `table` member of metrics.json."""
     headline = {name: column for name, column in COLUMNS.items() if column.headline}
-    table = Table(title="closed loop", title_justify="left")
+    table = Table(title="closed loop", title_justify="left", box=SIMPLE_HEAD)
     for heading in ("method", "run", "failed", "cut"):
         table.add_column(heading, no_wrap=True)
     for column in headline.values():

@@ -3,7 +3,7 @@
 from recast.planning.constant_velocity import ConstantVelocity
 from recast.planning.idm_follower import IdmFollowerConfig, IdmLaneFollower
 from recast.planning.log_replay import LogReplay
-from recast.planning.registry import ENTRY_POINT_GROUP, make_planner, planner_names
+from recast.planning.registry import PLANNERS, make_planner
 from recast.planning.route import DrivingCommand, ReferenceRoute, route_lanes
 from recast.planning.types import (
     WAYPOINTS,
@@ -16,7 +16,7 @@ from recast.planning.types import (
 )
 
 __all__ = [
-    "ENTRY_POINT_GROUP",
+    "PLANNERS",
     "WAYPOINTS",
     "ActorState",
     "CameraMount",
@@ -31,6 +31,5 @@ __all__ = [
     "PlanningContext",
     "ReferenceRoute",
     "make_planner",
-    "planner_names",
     "route_lanes",
 ]

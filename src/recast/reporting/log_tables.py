@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from recast.logs.info import LogInfo
@@ -18,6 +19,10 @@ def log_info_tables(info: LogInfo) -> tuple[Table, Table]:
         size = "" if sensor.width is None else f"{sensor.width} x {sensor.height}"
         sensors.add_row(sensor.name, sensor.kind, str(sensor.frames), f"{sensor.rate:.1f}", size)
     tracks = Table(
+        box=SIMPLE_HEAD,
+        padding=(0, 1),
+        collapse_padding=True,
+        pad_edge=False,
         title="tracks: LiDAR points, and camera frames that show the track and each of its sides",
         title_justify="left",
     )
