@@ -45,10 +45,30 @@ class Make:
 
 
 @dataclass(frozen=True)
+class Turntable:
+    """Film an actor turning once."""
+
+    actor: tyro.conf.Positional[Path]
+    """Actor folder, such as RUN/actor."""
+    out: Path
+    """Film to write, such as car.mp4."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from recast.actors import load_actor
+        from recast.pipeline.actor import film_turntable
+
+        film_turntable(load_actor(self.actor), self.out)
+
+
+@dataclass(frozen=True)
 class Actor:
     """A view-complete vehicle from a log."""
 
-    command: Annotated[Make, tyro.conf.subcommand("make")]
+    command: (
+        Annotated[Make, tyro.conf.subcommand("make")]
+        | Annotated[Turntable, tyro.conf.subcommand("turntable")]
+    )
 
     def __call__(self) -> None:
         """Run the command."""

@@ -10,39 +10,30 @@ import tyro
 
 
 @dataclass(frozen=True)
-class ImportKitti:
-    """Import a KITTI raw drive (synced and rectified)."""
+class Import:
+    """Import a recorded drive into the log folder that everything else reads."""
 
+    importer: tyro.conf.Positional[str]
+    """Kind of the dataset: kitti (raw, synced and rectified), or an installed importer."""
     root: tyro.conf.Positional[Path]
-    """Folder that holds the date folder, such as 2011_09_26."""
+    """The dataset's folder; for kitti the one that holds the date folder, such as 2011_09_26."""
     drive: str
     """Name of the drive, such as 2011_09_26_drive_0013."""
     out: Path
-    """Folder to write the log to; must not exist."""
+    """Log folder to write; must not exist."""
     labels: Path | None = None
-    """KITTI tracking label file of this drive. Without it, tracklet_labels.xml is read."""
-    cameras: tuple[str, ...] = ("image_02",)
-    """Colour cameras to take: image_02, image_03."""
+    """Box labels that lie apart from the drive; for kitti a tracking label file. Without it, the
+    drive's own tracklet_labels.xml is read."""
 
     def __call__(self) -> None:
         """Run the command."""
         from rich.console import Console
 
-        from recast.logs.importers.kitti import import_kitti
+        from recast.logs.importers import IMPORTERS, LogImporter
 
-        import_kitti(self.root, self.drive, self.out, self.labels, self.cameras)
-        Console().print(f"wrote {self.out}; next: [bold]recast log info {self.out}[/bold]")
-
-
-@dataclass(frozen=True)
-class Import:
-    """Import a recorded drive into the log store that everything else reads."""
-
-    command: Annotated[ImportKitti, tyro.conf.subcommand("kitti")]
-
-    def __call__(self) -> None:
-        """Run the command."""
-        self.command()
+        importer: LogImporter = IMPORTERS.load(self.importer)
+        importer(self.root, self.drive, self.out, self.labels)
+        Console().print(f"wrote {self.out}; next: recast log info {self.out}", markup=False)
 
 
 @dataclass(frozen=True)

@@ -70,10 +70,15 @@ def make_actor(
         save_observation(observation, log, folder)
     actor = register(source.generate(observation, seed), observation, log, log.tracks[track_id])
     save_actor(actor, out / ACTOR_FOLDER)
+    film_turntable(actor, out / TURNTABLE_FILE)
+    return actor
+
+
+def film_turntable(actor: Actor, path: Path) -> None:
+    """Write a film of an actor turning once in six seconds."""
     width, height = _TURNTABLE_SIZE
     frames = turntable(actor, views=_TURNTABLE_VIEWS, width=width, height=height)
-    write_video(out / TURNTABLE_FILE, frames, fps=_TURNTABLE_VIEWS / 6)
-    return actor
+    write_video(path, frames, fps=_TURNTABLE_VIEWS / 6)
 
 
 def save_observation(observation: Observation, log: DrivingLog, folder: Path) -> None:
