@@ -12,11 +12,13 @@ from recast.errors import InputError
 from recast.logs.track_points import all_track_points
 from recast.logs.types import DrivingLog, Int64Array, Track
 
-RANGE = 25.0  # metres; farther boxes can be empty, hidden behind others
+RANGE = 40.0  # metres; farther boxes can be empty, hidden behind others
 SWEEP_US = 60_000  # a label and its sweep are less than half a turn apart
 MIN_POINTS = 5
 MIN_BOXES = 5
-MIN_FRACTION = 0.5  # right drives have 0.9 and more, wrong ones few
+MIN_FRACTION = (
+    0.5  # right labels fill nearly all; shifted, reversed or mirrored ones a third or less
+)
 
 
 def check_labels_fit(log: DrivingLog, tracks: Mapping[str, Track], path: Path) -> None:

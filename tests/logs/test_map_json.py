@@ -1,0 +1,96 @@
+"""map.json keeps every digit, its bytes are fixed, and broken files say what is wrong."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recast.errors import InputError
+from recast.logs import GroundHeight, HdMap, Lane
+from recast.logs.map_json import read_map, write_map
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "map.json"
+
+
+def two_lanes() -> HdMap:
+    x = np.array([0.0, 10.0, 20.5])
+
+    def line(y: float) -> np.ndarray:
+        return np.column_stack([x, np.full(3, y), 0.1 * x])
+
+    def lane(name: str, y: float, **links: object) -> Lane:
+        left, right = line(y + 1.75), line(y - 1.75)
+        outline = np.concatenate([right, left[::-1]])[:, :2]
+        return Lane(name, line(y), left, right, outline, **links)  # type: ignore[arg-type]
+
+    return HdMap(
+        lanes={
+            "a": lane("a", 0.0, speed_limit=13.9, successors=("b",), left_neighbour="b"),
+            "b": lane("b", 3.5, is_intersection=True, right_neighbour="a"),
+        },
+        drivable_area=(np.array([[0.0, -2.0], [20.5, -2.0], [20.5, 1 / 3]]),),
+        ground=GroundHeight(
+            np.array([-1.0, 2.0]), 0.5, np.array([[0.1, np.nan, 0.3], [1 / 3, 0.5, 0.6]])
+        ),
+        derived=True,
+        notes={"lanes": "drawn by hand"},
+    )
+
+
+def test_the_bytes_are_fixed(tmp_path: Path) -> None:
+    """A change of these bytes is a change of the format: raise its version then."""
+    write_map(two_lanes(), tmp_path / "map.json")
+    assert (tmp_path / "map.json").read_bytes() == GOLDEN.read_bytes()
+
+
+def test_a_map_comes_back_as_it_was(tmp_path: Path) -> None:
+    before = two_lanes()
+    write_map(before, tmp_path / "map.json")
+    after = read_map(tmp_path / "map.json")
+    assert (after.derived, dict(after.notes)) == (True, {"lanes": "drawn by hand"})
+    assert list(after.lanes) == ["a", "b"]
+    for name, lane in before.lanes.items():
+        other = after.lanes[name]
+        for field in ("centreline", "left_boundary", "right_boundary", "polygon"):
+            np.testing.assert_array_equal(getattr(other, field), getattr(lane, field))
+        assert (other.speed_limit, other.successors) == (lane.speed_limit, lane.successors)
+        assert (other.left_neighbour, other.right_neighbour, other.is_intersection) == (
+            lane.left_neighbour,
+            lane.right_neighbour,
+            lane.is_intersection,
+        )
+    np.testing.assert_array_equal(after.drivable_area[0], before.drivable_area[0])
+    assert after.ground is not None and before.ground is not None
+    np.testing.assert_array_equal(after.ground.height, before.ground.height)
+    np.testing.assert_array_equal(after.ground.origin, before.ground.origin)
+
+
+def test_a_map_without_ground(tmp_path: Path) -> None:
+    write_map(HdMap({}, ()), tmp_path / "map.json")
+    after = read_map(tmp_path / "map.json")
+    assert after.ground is None
+    assert (after.lanes, after.drivable_area, after.derived) == ({}, (), False)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format": "geojson"}, "format: is not a recast map"),
+        ({"version": 7}, "version: is 7, this recast reads 1"),
+        ({"drivable_area": [[[0, 1], [2, "far"]]]}, "drivable_area.0.1.1: "),
+        ({"drivable_area": [[[0, 1], [2, 3]]]}, "HdMap.drivable_area[0]: expected (N >= 3, 2)"),
+        ({"lanes": [{"lane_id": "a"}]}, "lanes.0.speed_limit: Field required"),
+        ({"ground": {"origin": [0, 0], "cell": 1, "height": [[1], [1, 2]]}}, "map: "),
+        ({"surprise": 1}, "surprise: Extra inputs"),
+    ],
+)
+def test_broken_maps_say_what_is_wrong(tmp_path: Path, change: dict, message: str) -> None:
+    data = json.loads(GOLDEN.read_text())
+    (tmp_path / "map.json").write_text(json.dumps({**data, **change}))
+    with pytest.raises(InputError) as error:
+        read_map(tmp_path / "map.json")
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
