@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,8 +19,10 @@ from recast.scene.trainer import Trainer
 from recast.splats import Gaussians
 
 
-def save_checkpoint(trainer: Trainer, history: list[dict[str, float]], path: Path) -> None:
+def save_checkpoint(trainer: Trainer, notes: Mapping[str, Any], path: Path) -> None:
     """Write parameters, optimiser states, statistics and the iteration, atomically.
+
+    `notes` are the caller's own, JSON-able, and come back from `load_checkpoint`.
 
     Random numbers need no state: each is drawn from a generator seeded by seed and iteration.
     """
@@ -33,11 +37,11 @@ def save_checkpoint(trainer: Trainer, history: list[dict[str, float]], path: Pat
     tensors |= _prefixed("track_poses", trainer.track_poses.table.state_dict())
     for name in ("background_statistics", "local_statistics"):
         tensors |= _prefixed(name, getattr(model, name).state_dict())
-    write_tensors(path, tensors, {"iteration": trainer.iteration, "history": history})
+    write_tensors(path, tensors, {"iteration": trainer.iteration, "notes": notes})
 
 
-def load_checkpoint(trainer: Trainer, path: Path) -> list[dict[str, float]]:
-    """Put a fresh trainer of the same run where the checkpoint left off; returns the history.
+def load_checkpoint(trainer: Trainer, path: Path) -> dict[str, Any]:
+    """Put a fresh trainer of the same run where the checkpoint left off; returns the notes.
 
     Raises:
         InputError: the file is missing or broken.
@@ -59,7 +63,7 @@ def load_checkpoint(trainer: Trainer, path: Path) -> list[dict[str, float]]:
     trainer.camera_poses.table.load_state_dict(_group(tensors, "camera_poses"))
     trainer.track_poses.table.load_state_dict(_group(tensors, "track_poses"))
     trainer.iteration = int(header["iteration"])
-    return list(header["history"])
+    return dict(header["notes"])
 
 
 def save_initialisation(start: Initialisation, path: Path) -> None:

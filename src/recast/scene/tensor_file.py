@@ -24,7 +24,7 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str
         InputError: the disk is full.
     """
     plain = {name: tensor.detach().contiguous().clone() for name, tensor in tensors.items()}
-    write_bytes(path, save(plain, metadata={HEADER: json.dumps(header, sort_keys=True)}))
+    write_bytes(path, save(plain, metadata={HEADER: json.dumps(header)}))
 
 
 def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:

@@ -112,7 +112,11 @@ class _Run:
         held_out = [view for view in views if view.held_out]
         trainer = self._trainer(views)
         checkpoint = self._work / "checkpoint.safetensors"
-        history = load_checkpoint(trainer, checkpoint) if checkpoint.is_file() else []
+        history: list[dict[str, float]] = []
+        if checkpoint.is_file():
+            notes = load_checkpoint(trainer, checkpoint)
+            history = notes["history"]
+            self._recent.extend((loss, psnr) for loss, psnr in notes["recent"])
         config = self._config
         while trainer.iteration < config.iterations:
             report = trainer.step()
@@ -125,7 +129,8 @@ class _Run:
                 history.append(self._evaluate(trainer, held_out))
                 self._clock.clear()
             if trainer.iteration % config.checkpoint_every == 0 and not last:
-                save_checkpoint(trainer, history, checkpoint)
+                notes = {"history": history, "recent": list(self._recent)}
+                save_checkpoint(trainer, notes, checkpoint)
         scene = trainer.scene(self._log)
         write_json(self._out / HISTORY_FILE, history)
         save_scene(scene, self._out)

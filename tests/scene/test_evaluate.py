@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from recast.errors import InputError
+from recast.logs import DrivingLog
+from recast.scene import SceneConfig, TrainResult, evaluate_scene, load_scene, psnr
+
+from .conftest import TINY
+
+
+def test_scores_pictures_and_repeatability(
+    trained: TrainResult, tiny_log: DrivingLog, tmp_path: Path
+) -> None:
+    result = evaluate_scene(trained.scene, tiny_log, TINY, tmp_path / "a")
+    assert [frame.frame for frame in result.frames] == [3, 11, 19]
+    assert result.psnr == pytest.approx(trained.history[-1]["held_out_psnr"], abs=1e-9)
+    record = json.loads((tmp_path / "a" / "eval.json").read_text())
+    assert record["psnr"] == result.psnr and record["ssim"] == result.ssim
+    assert 0.5 < result.ssim < 1.0
+    assert set(result.box_psnr_by_track()) == {"0"}
+
+    picture = np.asarray(Image.open(tmp_path / "a" / "image_02_000003.png")) / 255.0
+    recorded, rendered, _ = np.split(picture, 3)
+    assert psnr(rendered, recorded) == pytest.approx(result.frames[0].psnr, abs=0.05)
+
+    evaluate_scene(load_scene(trained.folder), tiny_log, TINY, tmp_path / "b")
+    for path in (tmp_path / "a").iterdir():
+        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
+
+
+def test_box_score_looks_at_the_actor_only(trained: TrainResult, tiny_log: DrivingLog) -> None:
+    whole = evaluate_scene(trained.scene, tiny_log, TINY)
+    actor = trained.scene.actors["0"]
+    faint = replace(
+        actor.gaussians, logit_opacities=actor.gaussians.logit_opacities - 8
+    )  # as good as gone
+    broken = evaluate_scene(
+        trained.scene.with_actor(replace(actor, gaussians=faint)), tiny_log, TINY
+    )
+    assert whole.box_psnr is not None and broken.box_psnr is not None
+    assert whole.box_psnr - broken.box_psnr > 2 * max(0.1, whole.psnr - broken.psnr)
+
+
+def test_nothing_held_out(trained: TrainResult, tiny_log: DrivingLog) -> None:
+    with pytest.raises(InputError, match="holdout_every"):
+        evaluate_scene(trained.scene, tiny_log, SceneConfig(scale=1.0, holdout_every=0))

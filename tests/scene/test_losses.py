@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from recast.scene.image_metrics import ssim_map
+from recast.scene.losses import depth_loss, photometric_loss, sky_loss
+
+
+@pytest.fixture
+def pair() -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    target = torch.rand(37, 52, 3, generator=generator)
+    image = target + 0.1 * torch.randn(target.shape, generator=generator)
+    return image.clamp(0, 1), target
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
+def test_photometric_matches_the_plain_form(
+    pair: tuple[torch.Tensor, torch.Tensor], threads: int, weight: float
+) -> None:
+    image, target = pair
+    plain = image.double().requires_grad_()
+    similarity = ssim_map(plain, target.double()).mean()
+    expected = (1 - weight) * (plain - target).abs().mean() + weight * (1 - similarity)
+    expected.backward()
+    fused = image.clone().requires_grad_()
+    loss = photometric_loss(fused, target, weight, threads)
+    (3 * loss).backward()
+    assert loss.item() == pytest.approx(expected.item(), abs=1e-6)
+    assert plain.grad is not None and fused.grad is not None
+    largest = plain.grad.abs().max()
+    # where image and target are both clipped to the same value, |x| has no derivative
+    smooth = image != target
+    assert ((fused.grad / 3 - plain.grad).abs()[smooth] < 1e-4 * largest).all()
+
+
+def test_photometric_gradient_hangs_not_on_threads(
+    pair: tuple[torch.Tensor, torch.Tensor],
+) -> None:
+    image, target = pair
+    gradients = []
+    for threads in (1, 2):
+        leaf = image.clone().requires_grad_()
+        photometric_loss(leaf, target, 0.2, threads).backward()
+        gradients.append(leaf.grad)
+    assert torch.equal(gradients[0], gradients[1])
+
+
+def test_depth_loss_is_relative_and_trimmed() -> None:
+    alpha = torch.full((4, 10), 0.5)
+    depth = alpha * 10.0  # expected depth 10 m everywhere
+    pixels = torch.arange(40)
+    measured = torch.full((40,), 8.0)
+    measured[:2] = 1000.0  # two outliers of forty: the 5 % that are dropped
+    assert depth_loss(depth, alpha, pixels, measured).item() == pytest.approx(0.25, abs=1e-6)
+    nothing = depth_loss(depth, alpha, pixels[:0], measured[:0])
+    assert nothing.item() == 0.0
+
+
+def test_sky_loss_counts_sky_pixels_only() -> None:
+    alpha = torch.zeros(2, 5, requires_grad=True)
+    with torch.no_grad():
+        alpha[0] = 1.0
+    loss = sky_loss(alpha, torch.tensor([0, 1, 7]))
+    assert loss.item() == pytest.approx(2 / 10)
+    loss.backward()
+    assert alpha.grad is not None
+    assert alpha.grad.flatten().nonzero().flatten().tolist() == [0, 1, 7]

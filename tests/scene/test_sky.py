@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from recast.scene.sky import OPAQUE, SkyMap, bilinear_cells, composite, sky_from_pixels
+from recast.scene.sky_mask import sky_mask
+
+
+def direction(azimuth: float, elevation: float) -> torch.Tensor:
+    flat = math.cos(elevation)
+    return torch.tensor([[flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)]])
+
+
+@given(
+    azimuth=st.floats(-math.pi, math.pi),
+    elevation=st.floats(-math.pi / 2, math.pi / 2),
+)
+def test_weights_sum_to_one_and_a_constant_map_is_constant(
+    azimuth: float, elevation: float
+) -> None:
+    ray = direction(azimuth, elevation)
+    cells, weights = bilinear_cells(ray, 16, 32)
+    assert torch.allclose(weights.sum(0), torch.ones(1), atol=1e-4)
+    assert (weights >= -1e-5).all() and (cells >= 0).all() and (cells < 16 * 32).all()
+    colour = torch.tensor([0.2, 0.5, 0.9])
+    assert torch.allclose(SkyMap.constant(colour, 16, 32)(3 * ray)[0], colour, atol=1e-5)
+
+
+def test_no_seam_behind() -> None:
+    generator = torch.Generator().manual_seed(1)
+    sky = SkyMap(torch.rand(16, 32, 3, generator=generator))
+    left, right = direction(math.pi - 1e-5, 0.3), direction(-math.pi + 1e-5, 0.3)
+    assert torch.allclose(sky(left), sky(right), atol=1e-3)
+
+
+def test_up_is_row_zero_and_azimuth_grows_to_the_right() -> None:
+    colours = torch.zeros(16, 32, 3)
+    colours[0, :, 0] = 1  # zenith red
+    colours[8, 24, 1] = 1  # a quarter turn to the left of x, just below the horizon: green
+    sky = SkyMap(colours)
+    assert sky(torch.tensor([[0.0, 0.0, 1.0]]))[0, 0] > 0.9
+    centre = direction((24.5 / 32) * 2 * math.pi - math.pi, math.pi / 2 - 8.5 / 16 * math.pi)
+    assert centre[0, 1] > 0.9  # y is left
+    assert torch.allclose(sky(centre)[0, 1], torch.tensor(1.0), atol=1e-4)
+
+
+def test_composite_matches_the_plain_expression() -> None:
+    generator = torch.Generator().manual_seed(2)
+    rgb, alpha = (torch.rand(*s, generator=generator) for s in ((5, 7, 3), (5, 7)))
+    alpha[0, 0] = 1.0  # opaque: no sky there
+    colours = torch.rand(8, 16, 3, generator=generator)
+    directions = torch.randn(5, 7, 3, generator=generator)
+    weights = torch.rand(5, 7, 3, generator=generator)
+    leaves = [t.clone().requires_grad_() for t in (rgb, alpha, colours)]
+    plain = [t.clone().requires_grad_() for t in (rgb, alpha, colours)]
+    (composite(*leaves, directions) * weights).sum().backward()
+    shown = (plain[1] < OPAQUE)[..., None]
+    sky = SkyMap(plain[2])(directions.view(-1, 3)).view(5, 7, 3)
+    expected = plain[0] + torch.where(shown, (1 - plain[1])[..., None] * sky, 0.0)
+    (expected * weights).sum().backward()
+    for own, other in zip(leaves, plain, strict=True):
+        assert own.grad is not None and other.grad is not None
+        assert torch.allclose(own.grad, other.grad, atol=1e-5)
+
+
+def test_first_sky_has_the_seen_colours_and_no_holes() -> None:
+    rng = np.random.default_rng(0)
+    azimuth, elevation = rng.uniform(-0.5, 0.5, 4000), rng.uniform(0.1, 0.4, 4000)
+    rays = np.stack(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ],
+        axis=-1,
+    ).astype(np.float32)
+    colours = np.stack([0.5 + azimuth, np.full(4000, 0.6), elevation], -1).astype(np.float32)
+    sky = sky_from_pixels(rays, colours)
+    seen = sky(torch.from_numpy(rays)).numpy()
+    assert np.abs(seen - np.clip(colours, 0, 1)).mean() < 0.02
+    behind = sky(direction(math.pi, 0.5))[0]
+    assert torch.isfinite(sky.colours).all() and abs(float(behind[1]) - 0.6) < 0.05
+
+
+def test_mask_takes_the_bright_top_and_leaves_walls_and_returns() -> None:
+    image = np.zeros((40, 60, 3), np.uint8)
+    image[:20] = (190, 210, 240)
+    image[5:20, 10:20] = (200, 120, 80)  # a warm wall before the sky
+    image[25:30, 30:50] = (200, 215, 240)  # a bright thing that does not reach the top
+    occupied = np.zeros((40, 60), bool)
+    occupied[:20, 50:] = True  # LiDAR returns: no sky
+    mask = sky_mask(image, occupied)
+    assert mask[2:15, 25:45].all() and mask[0, 30]
+    assert not mask[:, 10:20][5:].any()
+    assert not mask[21:].any() and not mask[:, 50:].any()

@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recast.errors import InputError
+from recast.logs import DrivingLog
+from recast.scene import TrainingStatus, TrainResult, train_scene
+from recast.scene.train import WORK_FOLDER
+
+from .conftest import TINY
+
+
+class KilledError(Exception):
+    pass
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def test_training_raises_held_out_psnr(trained: TrainResult) -> None:
+    held_out = [record["held_out_psnr"] for record in trained.history]
+    assert [record["iteration"] for record in trained.history] == [20, 40, 60]
+    assert held_out[-1] > held_out[0] + 1.0
+    assert held_out[-1] > 24.0
+
+
+def test_only_the_moving_track_becomes_an_actor(trained: TrainResult, tiny_log: DrivingLog) -> None:
+    assert set(tiny_log.tracks) == {"0", "1"}
+    assert set(trained.scene.actors) == {"0"}
+
+
+def test_progress_is_told(trained: TrainResult, told: list[TrainingStatus]) -> None:
+    assert [status.phase for status in told if status.phase != "train"] == [
+        "initialise", "evaluate", "evaluate", "evaluate", "done",
+    ]  # fmt: skip
+    steps = [status for status in told if status.phase == "train"]
+    assert [status.iteration for status in steps] == [10, 20, 30, 40, 50, 60]
+    assert all(status.loss and status.psnr and status.gaussians for status in steps)
+    assert steps[2].held_out_psnr == trained.history[0]["held_out_psnr"]
+    assert steps[1].seconds_left is not None
+
+
+def test_a_killed_run_ends_in_the_same_bytes(
+    trained: TrainResult, tiny_log: DrivingLog, tmp_path: Path
+) -> None:
+    def kill_at(iteration: int):
+        def callback(status: TrainingStatus) -> None:
+            if status.iteration >= iteration:
+                raise KilledError
+
+        return callback
+
+    folder = tmp_path / "scene"
+    with pytest.raises(KilledError):  # before the first checkpoint
+        train_scene(tiny_log, folder, TINY, progress=kill_at(10))
+    with pytest.raises(KilledError):  # 10 steps after the second one, past a densification
+        train_scene(tiny_log, folder, TINY, progress=kill_at(40))
+    assert (folder / WORK_FOLDER / "checkpoint.safetensors").is_file()
+    first_told: list[int] = []
+    train_scene(tiny_log, folder, TINY, progress=lambda status: first_told.append(status.iteration))
+    assert first_told[1] == 40  # not from the start
+    assert contents(folder) == contents(trained.folder)
+
+
+def test_a_finished_run_is_loaded_not_trained(trained: TrainResult, tiny_log: DrivingLog) -> None:
+    told: list[TrainingStatus] = []
+    again = train_scene(tiny_log, trained.folder, TINY, progress=told.append)
+    assert told == [] and again.history == trained.history
+    assert np.array_equal(again.scene.background.means, trained.scene.background.means)
+
+
+def test_another_seed_gives_another_scene(
+    trained: TrainResult, tiny_log: DrivingLog, tmp_path: Path
+) -> None:
+    config = TINY.model_copy(update={"seed": 1, "iterations": 2, "evaluate_every": 2})
+    same = train_scene(tiny_log, tmp_path / "a", config.model_copy(update={"seed": 0}))
+    other = train_scene(tiny_log, tmp_path / "b", config)
+    assert not np.array_equal(same.scene.sky.colours, other.scene.sky.colours)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("iterations", 61), ("voxel_m", 0.5), ("force_dynamic", ("1",))]
+)
+def test_a_folder_with_another_configuration_is_refused(
+    trained: TrainResult, tiny_log: DrivingLog, field: str, value: object
+) -> None:
+    before = contents(trained.folder)
+    with pytest.raises(InputError, match=field):
+        train_scene(tiny_log, trained.folder, TINY.model_copy(update={field: value}))
+    assert contents(trained.folder) == before
+
+
+def test_a_folder_of_another_log_is_refused(trained: TrainResult, tiny_log: DrivingLog) -> None:
+    with pytest.raises(InputError, match="holds a run of"):
+        train_scene(replace(tiny_log, name="x"), trained.folder.parent / "scene", TINY)
+    moved = replace(tiny_log, world_offset=tiny_log.world_offset + 1)
+    with pytest.raises(InputError, match="in another state"):
+        train_scene(moved, trained.folder, TINY)
+
+
+def test_a_folder_with_strangers_is_refused(tiny_log: DrivingLog, tmp_path: Path) -> None:
+    (tmp_path / "photo.jpg").write_bytes(b"x")
+    with pytest.raises(InputError, match=r"photo\.jpg"):
+        train_scene(tiny_log, tmp_path, TINY)
+    assert [path.name for path in tmp_path.iterdir()] == ["photo.jpg"]
+
+
+def test_no_image_to_train_on(tiny_log: DrivingLog, tmp_path: Path) -> None:
+    config = TINY.model_copy(update={"holdout_every": 1, "holdout_offset": 0})
+    with pytest.raises(InputError, match="no image to train on"):
+        train_scene(tiny_log, tmp_path / "scene", config)
