@@ -2,8 +2,7 @@
 
 Sensors keep their own timestamps, less the delay of the images. Sweeps as recorded are smeared by
 the ego motion of one turn: every point gets the time at which the scanner pointed at it, and the
-motion is undone. Boxes were drawn on the sweeps as recorded, so a box holds at the time at which
-the scanner pointed at it, too (docs/data.md has the measurements).
+motion is undone (docs/data.md has the measurements).
 """
 
 from __future__ import annotations
@@ -15,19 +14,18 @@ from pathlib import Path
 import numpy as np
 
 from recast.errors import InputError
-from recast.geometry import se3
+from recast.geometry import PinholeCamera, se3
 from recast.logs import motion
 from recast.logs.derive_map import derive_map, ego_path
 from recast.logs.importers import kitti_files
 from recast.logs.importers.kitti_calibration import KittiCalibration, read_calibration
 from recast.logs.importers.kitti_check import check_labels_fit
 from recast.logs.importers.kitti_files import KittiDrive, KittiImages, SensorFiles
-from recast.logs.importers.kitti_labels import read_tracking_labels, read_tracklets
 from recast.logs.importers.kitti_oxts import poses_from_oxts, read_oxts
+from recast.logs.importers.kitti_tracks import place_tracks, read_labels
 from recast.logs.importers.kitti_velodyne import (
     VelodyneSweeps,
     VelodyneTurns,
-    firing_times,
     list_turns,
     turn_times,
 )
@@ -38,7 +36,6 @@ from recast.logs.types import (
     CameraStream,
     DrivingLog,
     LidarStream,
-    Track,
     Trajectory,
 )
 
@@ -96,6 +93,13 @@ def load_kitti(
     calibration = read_calibration(files.calibration, tuple(cameras))
     turns = list_turns(files.folder / "velodyne_points")
     images = {name: _image_files(files, name) for name in cameras}
+    # What can be found wrong in the files is found before the long work.
+    for name, listed in images.items():
+        _image_source(calibration.cameras[name], listed.paths).check()
+    own = files.folder / "tracklet_labels.xml"
+    chosen = Path(labels) if labels is not None else own if own.is_file() else None
+    turn_count = len(turn_times(files.folder / "velodyne_points")[0])
+    labelled = [] if chosen is None else read_labels(chosen, turn_count)
     covered = (
         min(turns.start_us[0], *(listed.timestamps_us[0] for listed in images.values())),
         max(turns.end_us[-1], *(listed.timestamps_us[-1] for listed in images.values())),
@@ -123,11 +127,10 @@ def load_kitti(
             "poses": "OXTS refined by LiDAR" if refine else "OXTS",
         },
     )
-    own = files.folder / "tracklet_labels.xml"
-    chosen = Path(labels) if labels is not None else own if own.is_file() else None
     if chosen is None:
         return log
-    tracks = _tracks(chosen, files, calibration, trajectory)
+    times = turn_times(files.folder / "velodyne_points")
+    tracks = place_tracks(labelled, chosen, times, calibration, trajectory)
     check_labels_fit(log, tracks, chosen)
     return replace(log, tracks=tracks)
 
@@ -169,8 +172,12 @@ def _camera(
         camera=camera,
         rig_from_camera=calibration.rig_from_camera[name],
         timestamps_us=listed.timestamps_us[kept],
-        images=KittiImages(tuple(listed.paths[i] for i in kept), camera.width, camera.height),
+        images=_image_source(camera, tuple(listed.paths[i] for i in kept)),
     )
+
+
+def _image_source(camera: PinholeCamera, paths: tuple[Path, ...]) -> KittiImages:
+    return KittiImages(paths, camera.width, camera.height)
 
 
 def _lidar(
@@ -186,40 +193,3 @@ def _lidar(
     return LidarStream(
         VELODYNE, mount, kept_turns.trigger_us, VelodyneSweeps(kept_turns, mount, trajectory)
     )
-
-
-def _tracks(
-    path: Path, files: KittiDrive, calibration: KittiCalibration, trajectory: Trajectory
-) -> dict[str, Track]:
-    """Labelled boxes in the world, each at the moment at which the scanner pointed at it."""
-    trigger, start, end = turn_times(files.folder / "velodyne_points")
-    velodyne_from_rig = se3.inverse(calibration.rig_from_velodyne)
-    if path.suffix == ".xml":
-        labelled, rig_from_sensor = read_tracklets(path), calibration.rig_from_velodyne
-    else:
-        labelled, rig_from_sensor = read_tracking_labels(path), calibration.rig_from_rectified
-    tracks = {}
-    for track in labelled:
-        frames = track.frames
-        if frames[-1] >= len(trigger):
-            raise InputError(
-                path,
-                f"track {track.track_id}",
-                f"frame {frames[-1]}, but the drive has {len(trigger)} frames",
-                "name the label file of this drive",
-            )
-        rig_from_box = rig_from_sensor @ track.sensor_from_box
-        centres = se3.apply(velodyne_from_rig, rig_from_box[:, :3, 3])
-        times = firing_times(centres, trigger[frames], start[frames], end[frames])
-        first, last = trajectory.timestamps_us[[0, -1]]
-        kept = (first <= times) & (times <= last)
-        # Behind the car one turn ends and the next begins: a box there can be met twice at once.
-        kept[1:] &= np.diff(times) > 0
-        if not np.any(kept):
-            continue
-        poses = trajectory.at(times[kept]) @ rig_from_box[kept]
-        # A labelled frame counts as the whole turn: its image may come before the scanner did.
-        turn = max(start[frames[0]], first), min(end[frames[-1]], last)
-        boxes = motion.extended(Trajectory(times[kept], poses), *turn)
-        tracks[track.track_id] = Track(track.track_id, track.category, track.size, boxes)
-    return tracks

@@ -136,7 +136,7 @@ def read_numbers(path: Path) -> Array:
 
 @dataclass(frozen=True)
 class KittiImages:
-    """Image files of one camera, checked when read; an `EncodedImageSource`."""
+    """Image files of one camera; an `EncodedImageSource`."""
 
     paths: tuple[Path, ...]
     width: int
@@ -151,11 +151,18 @@ class KittiImages:
         return self._decode(self.paths[index].read_bytes(), self.paths[index])
 
     def encoded(self, index: int) -> tuple[bytes, str]:
-        """The file's own bytes, decoded once to be sure that they are whole."""
+        """The file's own bytes."""
         path = self.paths[index]
-        data = path.read_bytes()
-        self._decode(data, path)
-        return data, "jpeg" if path.suffix in (".jpg", ".jpeg") else "png"
+        return path.read_bytes(), "jpeg" if path.suffix in (".jpg", ".jpeg") else "png"
+
+    def check(self) -> None:
+        """Decode every file once.
+
+        Raises:
+            InputError: one is cut off, is no image, or has another size.
+        """
+        for index in range(len(self)):
+            self[index]
 
     def _decode(self, data: bytes, path: Path) -> Image:
         try:
