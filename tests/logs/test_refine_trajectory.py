@@ -68,6 +68,14 @@ def test_one_sweep_cannot_be_matched(tiny_log: DrivingLog) -> None:
     assert refine_trajectory(alone, tiny_log.world_from_rig) is tiny_log.world_from_rig
 
 
+def test_empty_sweeps_leave_the_recorded_poses() -> None:
+    lidar, _, recorded = drive_through(wander=0.3)
+    nothing = LidarSweep(0, np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
+    empty = LidarStream("top", np.eye(4), lidar.timestamps_us, [nothing] * 12)
+    refined = refine_trajectory(empty, recorded)
+    np.testing.assert_allclose(refined.poses, recorded.poses, atol=1e-9)
+
+
 def test_a_tunnel_leaves_the_guess_alone_along_it() -> None:
     rng = np.random.default_rng(0)
     walls = room(rng)[:36000]  # floor and the two long walls only

@@ -55,6 +55,8 @@ def thin(points: Array) -> Array:
 
 def surfels(points: Array, at: Array) -> Surfels:
     """Surfels at points `at` (M, 3) of a sweep (N, 3), where the sweep is flat there."""
+    if len(points) < NEIGHBOURS:
+        return Surfels(np.zeros((0, 3)), np.zeros((0, 3)))
     tree = cKDTree(points)
     _, index = tree.query(at, k=NEIGHBOURS)
     around = points[index]
