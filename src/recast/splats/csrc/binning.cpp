@@ -27,6 +27,45 @@ inline uint32_t tiles_of(Footprint print) {
   return w > 4 || h > 4 ? w * h : uint32_t(__builtin_popcount(uint32_t(print & 0xFFFF)));
 }
 
+constexpr int kLeadBits = 8;
+constexpr int kAhead = 24;  // Gaussians fetched in advance
+
+// Sorts n pairs by bits 32 .. 32 + bits - 1, ties by the low half, which ascends already.
+void sort_bucket(uint64_t* pairs, uint64_t* spare, uint32_t n, int bits) {
+  if (n < 2 || bits == 0) return;
+  if (n < 48) {
+    for (uint32_t i = 1; i < n; ++i) {
+      const uint64_t pair = pairs[i];
+      uint32_t j = i;
+      for (; j && pairs[j - 1] > pair; --j) pairs[j] = pairs[j - 1];
+      pairs[j] = pair;
+    }
+    return;
+  }
+  // An even number of passes ends where it began.
+  const int passes = bits <= 22 ? 2 : 4, width = (bits + passes - 1) / passes;
+  uint32_t count[1 << 11];
+  const uint32_t mask = (1u << width) - 1u;
+  for (int pass = 0; pass < passes; ++pass) {
+    const int shift = 32 + pass * width;
+    std::memset(count, 0, (size_t(mask) + 1) * sizeof(uint32_t));
+    for (uint32_t i = 0; i < n; ++i) ++count[pairs[i] >> shift & mask];
+    uint32_t total = 0;
+    for (uint32_t k = 0; k <= mask; ++k) {
+      const uint32_t c = count[k];
+      count[k] = total;
+      total += c;
+    }
+    for (uint32_t i = 0; i < n; ++i) {
+      const uint64_t pair = pairs[i];
+      spare[count[pair >> shift & mask]++] = pair;
+    }
+    uint64_t* swap = pairs;
+    pairs = spare;
+    spare = swap;
+  }
+}
+
 }  // namespace
 
 uint64_t Binning::compact(Frame& f, int64_t chunks) {
@@ -63,43 +102,46 @@ uint64_t Binning::compact(Frame& f, int64_t chunks) {
 }
 
 void Binning::sort() {
-  uint64_t* from = pairs_[0].reserve(visible_ + 1);
-  uint64_t* to = pairs_[1].reserve(visible_ + 1);
-  sorted_ = from;
-  if (visible_ < 2) return;
-  const uint32_t range = key_max_ - key_min_;
+  uint64_t* pairs = pairs_[0].reserve(visible_ + 1);
+  uint64_t* spare = pairs_[1].reserve(visible_ + 1);
+  sorted_ = pairs;
+  const uint32_t range = visible_ ? key_max_ - key_min_ : 0;
   if (range == 0) return;
-  const int bits = 32 - __builtin_clz(range);
-  const int passes = (bits + 10) / 11, width = (bits + passes - 1) / passes;
-  const int64_t n = visible_, buckets = int64_t(1) << width;
+  // First the leading bits, over all: few enough buckets for the first-level cache. Then the rest,
+  // bucket by bucket, each in the cache and on a thread of its own.
+  const int key_bits = 32 - __builtin_clz(range);
+  const int lead = key_bits < kLeadBits ? key_bits : kLeadBits, left = key_bits - lead;
+  const int64_t n = visible_, buckets = int64_t(1) << lead;
   const int64_t parts = n < 16384 ? 1 : thread_count();
-  uint32_t* counts = counts_.reserve(parts * buckets);
-  for (int pass = 0; pass < passes; ++pass) {
-    const int shift = 32 + pass * width;
-    const uint64_t mask = uint64_t(buckets) - 1;
-    parallel_for(parts, [=](int64_t p) {
-      uint32_t* count = counts + p * buckets;
-      std::memset(count, 0, size_t(buckets) * sizeof(uint32_t));
-      for (int64_t i = n * p / parts; i < n * (p + 1) / parts; ++i)
-        ++count[from[i] >> shift & mask];
-    });
-    uint32_t total = 0;
-    for (int64_t b = 0; b < buckets; ++b)
-      for (int64_t p = 0; p < parts; ++p) {
-        const uint32_t c = counts[p * buckets + b];
-        counts[p * buckets + b] = total;
-        total += c;
-      }
-    parallel_for(parts, [=](int64_t p) {
-      uint32_t* next = counts + p * buckets;
-      for (int64_t i = n * p / parts; i < n * (p + 1) / parts; ++i)
-        to[next[from[i] >> shift & mask]++] = from[i];
-    });
-    uint64_t* swap = from;
-    from = to;
-    to = swap;
+  const int shift = 32 + left;
+  uint32_t* counts = counts_.reserve((parts + 1) * buckets + 1);
+  uint32_t* begins = counts + parts * buckets;
+  parallel_for(parts, [=](int64_t p) {
+    uint32_t* count = counts + p * buckets;
+    std::memset(count, 0, size_t(buckets) * sizeof(uint32_t));
+    for (int64_t i = n * p / parts; i < n * (p + 1) / parts; ++i) ++count[pairs[i] >> shift];
+  });
+  uint32_t total = 0;
+  for (int64_t b = 0; b < buckets; ++b) {
+    begins[b] = total;
+    for (int64_t p = 0; p < parts; ++p) {
+      const uint32_t c = counts[p * buckets + b];
+      counts[p * buckets + b] = total;
+      total += c;
+    }
   }
-  sorted_ = from;
+  begins[buckets] = total;
+  parallel_for(parts, [=](int64_t p) {
+    uint32_t* next = counts + p * buckets;
+    for (int64_t i = n * p / parts; i < n * (p + 1) / parts; ++i) {
+      const uint64_t pair = pairs[i];
+      spare[next[pair >> shift]++] = pair;
+    }
+  });
+  parallel_for(buckets, [=](int64_t b) {
+    sort_bucket(spare + begins[b], pairs + begins[b], begins[b + 1] - begins[b], left);
+  });
+  sorted_ = spare;
 }
 
 void Binning::scatter(Frame& f) {
@@ -113,6 +155,11 @@ void Binning::scatter(Frame& f) {
     uint32_t* count = counts + p * tiles;
     std::memset(count, 0, size_t(tiles) * sizeof(uint32_t));
     for (int64_t i = n * p / parts; i < n * (p + 1) / parts; ++i) {
+      // Depth order jumps all over the memory.
+      if (i + kAhead < n) {
+        __builtin_prefetch(f.footprints + uint32_t(sorted[i + kAhead]));
+        __builtin_prefetch(f.slots + uint32_t(sorted[i + kAhead]));
+      }
       const uint32_t id = uint32_t(sorted[i]);
       const Footprint print = f.footprints[id];
       placed[i] = {print, id, f.slots[id]};

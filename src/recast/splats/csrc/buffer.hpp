@@ -4,6 +4,10 @@
 #include <cstdlib>
 #include <new>
 
+#if defined(__linux__)
+#include <sys/mman.h>
+#endif
+
 namespace recast {
 
 class Memory {
@@ -19,12 +23,16 @@ class Memory {
   void* reserve(int64_t bytes) {
     if (bytes > capacity_) {
       release();
-      // Some room to grow, in whole pages.
-      const int64_t wanted = (bytes + bytes / 8 + 4095) / 4096 * 4096;
+      // Some room to grow. Large buffers in huge pages: the sort and the bins jump all over them.
+      const int64_t page = bytes < 2 * kHugePage ? 4096 : kHugePage;
+      const int64_t wanted = (bytes + bytes / 8 + page - 1) / page * page;
 #if defined(_WIN32)
-      data_ = _aligned_malloc(size_t(wanted), 4096);
+      data_ = _aligned_malloc(size_t(wanted), size_t(page));
 #else
-      data_ = std::aligned_alloc(4096, size_t(wanted));
+      data_ = std::aligned_alloc(size_t(page), size_t(wanted));
+#endif
+#if defined(__linux__)
+      if (data_ && page == kHugePage) madvise(data_, size_t(wanted), MADV_HUGEPAGE);
 #endif
       if (!data_) throw std::bad_alloc();
       capacity_ = wanted;
@@ -33,6 +41,8 @@ class Memory {
   }
 
  private:
+  static constexpr int64_t kHugePage = 2 << 20;
+
   void release() {
 #if defined(_WIN32)
     _aligned_free(data_);

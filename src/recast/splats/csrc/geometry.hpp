@@ -11,8 +11,14 @@ struct Parameters {
   vf mean[3], quat[4], log_scale[3], logit;
 };
 
+// Whether W ascending rows lie behind one another; a short group repeats its last row.
+static inline bool contiguous(const uint32_t* rows) {
+  return rows[W - 1] - rows[0] == W - 1 && rows[W - 2] != rows[W - 1];
+}
+
 template <int Stride>
-static inline void load_columns(const float* base, const uint32_t* rows, vf* out) {
+static inline void gather_columns(const float* base, const uint32_t* rows, vf (&out)[Stride]) {
+  if (contiguous(rows)) return load_columns(base + int64_t(rows[0]) * Stride, out);
   alignas(64) float stage[Stride][W];
   for (int lane = 0; lane < W; ++lane) {
     const float* p = base + int64_t(rows[lane]) * Stride;
@@ -23,10 +29,12 @@ static inline void load_columns(const float* base, const uint32_t* rows, vf* out
 
 static inline Parameters load_parameters(const Frame& f, const uint32_t* rows) {
   Parameters p;
-  load_columns<3>(f.means, rows, p.mean);
-  load_columns<4>(f.quats, rows, p.quat);
-  load_columns<3>(f.log_scales, rows, p.log_scale);
-  load_columns<1>(f.logits, rows, &p.logit);
+  gather_columns(f.means, rows, p.mean);
+  gather_columns(f.quats, rows, p.quat);
+  gather_columns(f.log_scales, rows, p.log_scale);
+  alignas(64) float logits[W];
+  for (int lane = 0; lane < W; ++lane) logits[lane] = f.logits[rows[lane]];
+  p.logit = load(logits);
   return p;
 }
 
@@ -44,7 +52,7 @@ struct Projection {
   vf xx, xy, yy;            // covariance, blurred
   vf minors[3];             // of axes; their squares add up to the determinant without blur
   vf exact_det, det;
-  vf l1, l2, l3;            // see Splat
+  vf l1, l2, l3, slope_x, slope_y;  // see Splat
   vf sigmoid, opacity;      // before and after compensation
   vf x, y;                  // pixels
 };
@@ -115,7 +123,9 @@ static inline Projection project(const Frame& f, const Parameters& p) {
   o.yy = exact_yy + eps;
   const vf unit = kSplatUnit;
   o.l1 = unit * vsqrt(o.yy / o.det);
-  o.l2 = -o.l1 * o.xy / o.yy;
+  o.slope_x = o.xy / o.yy;
+  o.slope_y = o.xy / o.xx;
+  o.l2 = -o.l1 * o.slope_x;
   o.l3 = unit / vsqrt(o.yy);
 
   o.sigmoid = one / (one + vexp(-p.logit));

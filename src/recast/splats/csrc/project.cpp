@@ -1,4 +1,5 @@
 // Forward, per Gaussian: project, find the tiles, colour.
+#include "footprint.hpp"
 #include "geometry.hpp"
 #include "harmonics.hpp"
 #include "kernels.hpp"
@@ -21,44 +22,6 @@ void note_fault(ChunkResult& result, vm good, uint32_t lanes, uint32_t row, uint
     result.fault = fault;
     result.fault_row = row + uint32_t(__builtin_ctz(bad));
   }
-}
-
-// Least (l1 dx + l2 dy)^2 + (l3 dy)^2 over a box given relative to the centre.
-float least_distance(const Splat& s, float x0, float x1, float y0, float y1) {
-  const float dx = maximum(minimum(0.0f, x1), x0), dy = maximum(minimum(0.0f, y1), y0);
-  const float ey = minimum(maximum(s.slope_y * dx, y0), y1);
-  const float ex = minimum(maximum(s.slope_x * dy, x0), x1);
-  const float u = s.l1 * dx + s.l2 * ey, v = s.l3 * ey;
-  const float p = s.l1 * ex + s.l2 * dy, q = s.l3 * dy;
-  return minimum(u * u + v * v, p * p + q * q);
-}
-
-// The tiles of a rectangle of pixels; tiles that the ellipse misses are left out of small ones.
-Footprint footprint(const Splat& s, int x0, int x1, int y0, int y1, uint32_t* tiles) {
-  *tiles = 0;
-  if (x0 > x1 || y0 > y1) return 0;  // 1x1 tile with an empty mask
-  const int tx = x0 / kTile, ty = y0 / kTile;
-  const int w = x1 / kTile - tx + 1, h = y1 / kTile - ty + 1;
-  uint32_t mask = 0;
-  if (w > 4 || h > 4) {
-    *tiles = uint32_t(w) * uint32_t(h);
-  } else {
-    const float reach = s.log2_opacity - kLog2AlphaThreshold + 0.01f;
-    for (int j = 0; j < h; ++j)
-      for (int i = 0; i < w; ++i) {
-        bool hit = true;
-        if (w > 1 && h > 1) {
-          const float left = float((tx + i) * kTile) + 0.5f - s.x;
-          const float top = float((ty + j) * kTile) + 0.5f - s.y;
-          hit = least_distance(s, left, left + float(kTile - 1), top, top + float(kTile - 1)) <=
-                reach;
-        }
-        mask |= uint32_t(hit) << (4 * j + i);
-      }
-    *tiles = uint32_t(__builtin_popcount(mask));
-  }
-  return Footprint(tx) << 52 | Footprint(ty) << 40 | Footprint(w - 1) << 28 |
-         Footprint(h - 1) << 16 | mask;
 }
 
 // Projects rows first .. first + lanes - 1 and appends the visible ones to the chunk's list.
@@ -121,8 +84,8 @@ void project_group(const Frame& f, uint32_t first, int lanes, ChunkResult& resul
   columns[5] = log2_opacity;
   columns[6] = columns[7] = columns[8] = vf(0.0f);
   columns[9] = o.point[2];
-  columns[10] = o.xy / o.xx;
-  columns[11] = o.xy / o.yy;
+  columns[10] = o.slope_y;
+  columns[11] = o.slope_x;
   for (int i = 12; i < 16; ++i) columns[i] = vf(0.0f);
   for (int c = 0; c < 16; c += W) {
     transpose(columns + c);
@@ -132,24 +95,18 @@ void project_group(const Frame& f, uint32_t first, int lanes, ChunkResult& resul
     }
   }
 
-  // Pixels whose centres lie in the box, with a little slack for rounding.
-  alignas(64) int32_t x0[W], x1[W], y0[W], y1[W];
-  const vf slack = 0.01f, zero = 0.0f, one = 1.0f, minus = -1.0f;
-  store(x0, round_to_int(vmin(vmax(o.x - extent_x - slack, zero), size_x)));
-  store(x1, round_to_int(vmax(vmin(o.x + extent_x + slack, size_x) - one, minus)));
-  store(y0, round_to_int(vmin(vmax(o.y - extent_y - slack, zero), size_y)));
-  store(y1, round_to_int(vmax(vmin(o.y + extent_y + slack, size_y) - one, minus)));
+  Footprints prints;
+  find_footprints(f, o, extent_x, extent_y, log2_opacity, visible, prints);
   for (uint32_t m = visible; m; m &= m - 1) {
     const int i = __builtin_ctz(m);
     const uint32_t row = rows[i];
-    uint32_t tiles;
-    f.footprints[row] = footprint(f.splats[row], x0[i], x1[i], y0[i], y1[i], &tiles);
+    f.footprints[row] = prints.print[i];
     uint32_t key;
     __builtin_memcpy(&key, &f.splats[row].depth, 4);  // positive floats sort as integers
     ids[result.visible] = row;
     keys[result.visible] = key;
     ++result.visible;
-    result.intersections += tiles;
+    result.intersections += prints.tiles[i];
     if (key < result.key_min) result.key_min = key;
     if (key > result.key_max) result.key_max = key;
   }
@@ -166,8 +123,11 @@ void colour(const Frame& f, const uint32_t* ids, ChunkResult& result) {
     uint32_t rows[W];
     for (int i = 0; i < W; ++i) rows[i] = ids[begin + i < n ? begin + i : n - 1];
     const int lanes = n - begin < W ? n - begin : W;
+    // The rows of the group after the next: they are too far apart for the machine to foresee.
+    for (int i = begin + 2 * W; i < begin + 3 * W && i < n; ++i)
+      for (int c = 0; c < 3 * K; c += 16) __builtin_prefetch(f.sh + int64_t(ids[i]) * 3 * K + c);
     vf mean[3], d[3], b[16], sh[3 * K];
-    load_columns<3>(f.means, rows, mean);
+    gather_columns(f.means, rows, mean);
     view_direction(mean, offset, d);
     harmonics<K>(d, b);
     load_rows<3 * K>(f.sh, rows, sh);

@@ -111,6 +111,31 @@ static inline void transpose(vf* r) {
   }
 }
 
+// Columns of W contiguous rows of three or four floats.
+static inline void load_columns(const float* p, vf (&out)[3]) {
+  const __m256 a = _mm256_loadu_ps(p), b = _mm256_loadu_ps(p + 8), c = _mm256_loadu_ps(p + 16);
+  // Of each column every lane holds one element in exactly one of the three vectors.
+  const int m0 = 0x49, m1 = 0x92, m2 = 0x24;  // lanes 3 i, 3 i + 1, 3 i + 2
+  out[0] = _mm256_permutevar8x32_ps(_mm256_blend_ps(_mm256_blend_ps(a, b, m1), c, m2),
+                                    _mm256_setr_epi32(0, 3, 6, 1, 4, 7, 2, 5));
+  out[1] = _mm256_permutevar8x32_ps(_mm256_blend_ps(_mm256_blend_ps(a, b, m2), c, m0),
+                                    _mm256_setr_epi32(1, 4, 7, 2, 5, 0, 3, 6));
+  out[2] = _mm256_permutevar8x32_ps(_mm256_blend_ps(_mm256_blend_ps(a, b, m0), c, m1),
+                                    _mm256_setr_epi32(2, 5, 0, 3, 6, 1, 4, 7));
+}
+static inline void load_columns(const float* p, vf (&out)[4]) {
+  __m256 t[4];
+  for (int i = 0; i < 4; ++i)
+    t[i] = _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(p + 4 * i)),
+                                _mm_loadu_ps(p + 16 + 4 * i), 1);
+  const __m256 a = _mm256_unpacklo_ps(t[0], t[1]), b = _mm256_unpackhi_ps(t[0], t[1]);
+  const __m256 c = _mm256_unpacklo_ps(t[2], t[3]), d = _mm256_unpackhi_ps(t[2], t[3]);
+  out[0] = _mm256_shuffle_ps(a, c, 0x44);
+  out[1] = _mm256_shuffle_ps(a, c, 0xEE);
+  out[2] = _mm256_shuffle_ps(b, d, 0x44);
+  out[3] = _mm256_shuffle_ps(b, d, 0xEE);
+}
+
 // Appends start + stride * lane for the lanes in m.
 static inline int append_lanes(int32_t* list, int n, uint32_t m, int start, int stride) {
   for (; m; m &= m - 1) list[n++] = start + stride * __builtin_ctz(m);

@@ -122,6 +122,36 @@ static inline int append_lanes(int32_t* list, int n, uint32_t m, int start, int 
   return n + __builtin_popcount(m);
 }
 
+// Columns of W contiguous rows of three or four floats, and back.
+static inline __m512i three_times_lane(int offset) {
+  alignas(64) int32_t i[16];
+  for (int l = 0; l < 16; ++l) i[l] = (3 * l + offset) % 16;
+  return _mm512_load_si512(i);
+}
+static inline void load_columns(const float* p, vf (&out)[3]) {
+  const __m512 a = _mm512_loadu_ps(p), b = _mm512_loadu_ps(p + 16), c = _mm512_loadu_ps(p + 32);
+  // Of each column every lane holds one element in exactly one of the three vectors.
+  const __mmask16 m0 = 0x9249, m1 = 0x2492, m2 = 0x4924;  // lanes 3 i, 3 i + 1, 3 i + 2
+  out[0] = _mm512_permutexvar_ps(three_times_lane(0),
+                                 _mm512_mask_mov_ps(_mm512_mask_mov_ps(a, m2, b), m1, c));
+  out[1] = _mm512_permutexvar_ps(three_times_lane(1),
+                                 _mm512_mask_mov_ps(_mm512_mask_mov_ps(a, m0, b), m2, c));
+  out[2] = _mm512_permutexvar_ps(three_times_lane(2),
+                                 _mm512_mask_mov_ps(_mm512_mask_mov_ps(a, m1, b), m0, c));
+}
+static inline void load_columns(const float* p, vf (&out)[4]) {
+  const __m512i perm = _mm512_set_epi32(15, 11, 7, 3, 14, 10, 6, 2, 13, 9, 5, 1, 12, 8, 4, 0);
+  __m512 r[4];
+  for (int i = 0; i < 4; ++i) r[i] = _mm512_permutexvar_ps(perm, _mm512_loadu_ps(p + 16 * i));
+  // r[i] holds, in lane group c, component c of rows 4 i .. 4 i + 3.
+  const __m512 a = _mm512_shuffle_f32x4(r[0], r[1], 0x44), b = _mm512_shuffle_f32x4(r[0], r[1], 0xEE);
+  const __m512 c = _mm512_shuffle_f32x4(r[2], r[3], 0x44), d = _mm512_shuffle_f32x4(r[2], r[3], 0xEE);
+  out[0] = _mm512_shuffle_f32x4(a, c, 0x88);
+  out[1] = _mm512_shuffle_f32x4(a, c, 0xDD);
+  out[2] = _mm512_shuffle_f32x4(b, d, 0x88);
+  out[3] = _mm512_shuffle_f32x4(b, d, 0xDD);
+}
+
 static inline __m512 pair_sum(__m512 a, __m512 b) {
   return _mm512_add_ps(_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b));
 }

@@ -157,6 +157,17 @@ static inline void transpose(vf* r) {
   }
 }
 
+// Columns of W contiguous rows of three or four floats.
+template <int Stride>
+static inline void load_columns(const float* p, vf (&out)[Stride]) {
+  for (int c = 0; c < Stride; ++c) {
+    const float* q = p + c;
+    out[c].a = f4{q[0], q[Stride], q[2 * Stride], q[3 * Stride]};
+    q += 4 * Stride;
+    out[c].b = f4{q[0], q[Stride], q[2 * Stride], q[3 * Stride]};
+  }
+}
+
 // Appends start + stride * lane for the lanes in m.
 static inline int append_lanes(int32_t* list, int n, uint32_t m, int start, int stride) {
   for (; m; m &= m - 1) list[n++] = start + stride * __builtin_ctz(m);
