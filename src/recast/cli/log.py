@@ -32,8 +32,10 @@ class Import:
         from recast.logs.importers import IMPORTERS, LogImporter
 
         importer: LogImporter = IMPORTERS.load(self.importer)
-        importer(self.root, self.drive, self.out, self.labels)
-        Console().print(f"wrote {self.out}; next: recast log info {self.out}", markup=False)
+        console = Console()
+        with console.status(f"importing {self.drive}"):
+            importer(self.root, self.drive, self.out, self.labels)
+        console.print(f"wrote {self.out}; next: recast log info {self.out}", markup=False)
 
 
 @dataclass(frozen=True)

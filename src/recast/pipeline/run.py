@@ -33,7 +33,7 @@ from recast.pipeline.layout import (
 from recast.pipeline.report import report_run
 from recast.pipeline.rollouts import make_rollout, read_rollout
 from recast.pipeline.run_folder import RunFolder
-from recast.pipeline.scene import train_with_display
+from recast.pipeline.scene import evaluation_table, train_with_display
 from recast.planning import make_planner
 from recast.scene import evaluate_scene, load_scene
 from recast.simulation import (
@@ -148,9 +148,12 @@ class _Job:
 
     def _make_actor(self) -> None:
         config = self.config
-        make_actor(
-            self.log, config.track, config.generator, config.seed, self.path, config.scene.cameras
-        )
+        with self.console.status("observing, generating, registering"):
+            actor = make_actor(
+                self.log, config.track, config.generator, config.seed, self.path,
+                config.scene.cameras,
+            )  # fmt: skip
+        self.console.print(actor.provenance.registration.explain(), markup=False, highlight=False)
 
     def _train(self) -> None:
         train_with_display(self.log, self.path / SCENE_FOLDER, self.config.scene, self.console)
@@ -161,7 +164,8 @@ class _Job:
             return
         scene = load_scene(self.path / SCENE_FOLDER)
         with storage.atomic_folder(self.path / EVALUATION_FOLDER) as partial:
-            evaluate_scene(scene, self.log, self.config.scene, partial)
+            evaluation = evaluate_scene(scene, self.log, self.config.scene, partial)
+        self.console.print(evaluation_table(evaluation))
 
     def _rollout(self, motion: str, method: str, scene: str, actor: str) -> str:
         config = self.config
@@ -231,7 +235,8 @@ class _Job:
         )
 
     def _report(self) -> None:
-        report_run(self.path)
+        with self.console.status("writing the report"):
+            report_run(self.path)
 
     def _announce(self) -> None:
         """Say before the long steps how far each rollout can go.

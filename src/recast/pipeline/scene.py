@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -39,7 +40,7 @@ def evaluate_and_print(
 
 def evaluation_table(evaluation: SceneEvaluation) -> Table:
     """Held-out scores as a table for the console."""
-    table = Table(title="held-out images", title_justify="left")
+    table = Table(title="held-out images", title_justify="left", box=SIMPLE_HEAD)
     for heading in ("region", "images", "PSNR dB", "SSIM"):
         table.add_column(heading)
     frames = str(len(evaluation.frames))
