@@ -78,7 +78,7 @@ def test_a_map_without_ground(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format": "geojson"}, "format: is not a recast map"),
+        ({"format": "geojson"}, "format: is 'geojson', not 'recast-map'"),
         ({"version": 7}, "version: is 7, this recast reads 1"),
         ({"drivable_area": [[[0, 1], [2, "far"]]]}, "drivable_area.0.1.1: "),
         ({"drivable_area": [[[0, 1], [2, 3]]]}, "HdMap.drivable_area[0]: expected (N >= 3, 2)"),

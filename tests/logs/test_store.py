@@ -188,7 +188,7 @@ def _edit(path: Path, **changes: object) -> None:
             lambda f: _edit(f / "log.json", version=2),
             "log.json: version: is 2, this recast reads 1",
         ),
-        (lambda f: _edit(f / "log.json", format="other"), "format: is not a recast log"),
+        (lambda f: _edit(f / "log.json", format="other"), "format: is "),
         (lambda f: _edit(f / "log.json", lidars=3), "log.json: lidars: "),
         (lambda f: _edit(f / "log.json", lidars=["roof"]), "'roof'"),
         (lambda f: _cut(f / "log.ncore4.zarr.itar"), "NCore store: cannot be opened"),

@@ -70,7 +70,7 @@ def test_no_scene_there(tmp_path: Path) -> None:
 def test_another_version(folder: Path) -> None:
     record = json.loads((folder / "scene.json").read_text())
     (folder / "scene.json").write_text(json.dumps({**record, "version": 2}))
-    with pytest.raises(InputError, match="is 2, this release reads 1"):
+    with pytest.raises(InputError, match="is 2, this recast reads 1"):
         load_scene(folder)
 
 

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from recast import storage
 from recast.actors.actor import Actor, Provenance
 from recast.errors import InputError
+from recast.records import read_record
 from recast.splats import Gaussians, read_ply, write_ply
 
 ACTOR_VERSION = 1
@@ -68,21 +69,8 @@ def load_actor(folder: str | Path) -> Actor:
         InputError: no such folder, another version, or a file of it missing or broken.
     """
     folder = Path(folder)
-    raw = storage.read_json(folder / ACTOR_FILE)
-    version = raw.get("version") if isinstance(raw, dict) else None
-    if version != ACTOR_VERSION:
-        raise InputError(
-            folder / ACTOR_FILE, "version", f"is {version}, this program reads {ACTOR_VERSION}",
-            "generate the actor again",
-        )  # fmt: skip
-    try:
-        record = ActorRecord.model_validate(raw)
-    except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"])
-        raise InputError(
-            folder / ACTOR_FILE, field, first["msg"], "generate the actor again"
-        ) from None
+    mend = "generate the actor again with this recast"
+    record = read_record(folder / ACTOR_FILE, ActorRecord, ACTOR_VERSION, mend)
     return Actor(
         track_id=record.track_id,
         category=record.category,

@@ -8,10 +8,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
-from recast import storage
-from recast.errors import InputError
+from recast import records, storage
 from recast.geometry import PinholeCamera
 
 VERSION = 1
@@ -74,19 +73,6 @@ def read_record(path: Path) -> LogRecord:
     Raises:
         InputError: missing, not a log.json, of another version, or a field of the wrong kind.
     """
-    data = storage.read_json(path)
-    if not isinstance(data, dict) or data.get("format") != "recast-log":
-        raise InputError(path, "format", "is not a recast log", "name a folder that import wrote")
-    if data.get("version") != VERSION:
-        raise InputError(
-            path,
-            "version",
-            f"is {data.get('version')!r}, this recast reads {VERSION}",
-            "import the drive again with this recast",
-        )
-    try:
-        return LogRecord.model_validate(data)
-    except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"])
-        raise InputError(path, field, first["msg"], "import the drive again") from None
+    return records.read_record(
+        path, LogRecord, VERSION, "name a folder that import wrote, or import again", "recast-log"
+    )

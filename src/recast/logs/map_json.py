@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from recast import storage
 from recast.errors import InputError
 from recast.logs.hdmap import Array, GroundHeight, HdMap, Lane
+from recast.records import read_record
 
 VERSION = 1
 
@@ -68,26 +69,13 @@ def read_map(path: str | Path) -> HdMap:
     Raises:
         InputError: missing, not a map.json, of another version, or a field of the wrong kind.
     """
-    data = storage.read_json(path)
-    if not isinstance(data, dict) or data.get("format") != "recast-map":
-        raise InputError(path, "format", "is not a recast map", "import the drive again")
-    if data.get("version") != VERSION:
-        raise InputError(
-            path,
-            "version",
-            f"is {data.get('version')!r}, this recast reads {VERSION}",
-            "import the drive again with this recast",
-        )
+    mend = "import the drive again with this recast"
+    model = read_record(path, _MapModel, VERSION, mend, "recast-map")
     try:
-        model = _MapModel.model_validate(data)
         hd_map = _from_model(model)
         hd_map.validate()
-    except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"])
-        raise InputError(path, field, first["msg"], "import the drive again") from None
     except ValueError as error:
-        raise InputError(path, "map", str(error), "import the drive again") from None
+        raise InputError(path, "map", str(error), mend) from None
     return hd_map
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
-from recast.errors import InputError
+from recast.records import parse_record
 from recast.scene import SceneConfig
 from recast.storage import read_json
 
@@ -48,18 +48,4 @@ def read_run_config(path: str | Path) -> RunConfig:
     value = read_json(path)
     if isinstance(value, dict) and isinstance(value.get("config"), dict):
         value = value["config"]
-    if not isinstance(value, dict):
-        raise InputError(path, "config", "is no JSON object", "see docs/runs.md")
-    if value.get("version") != CONFIG_VERSION:
-        raise InputError(
-            path, "version", f"is {value.get('version')!r}, this recast reads {CONFIG_VERSION}",
-            "write the file anew for this version, see docs/runs.md",
-        )  # fmt: skip
-    try:
-        return RunConfig.model_validate(value)
-    except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"]) or "config"
-        raise InputError(
-            path, field, first["msg"].lower(), "correct it, see docs/runs.md"
-        ) from None
+    return parse_record(path, value, RunConfig, CONFIG_VERSION, "correct it, see docs/runs.md")

@@ -8,8 +8,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from recast.errors import InputError
 from recast.pipeline.config import RunConfig, read_run_config
+from recast.records import validation_error
 from recast.scene import SceneConfig, read_config
 from recast.simulation import parse_motions, scenario_name
 
@@ -49,11 +49,7 @@ def resolve_config(
             {**values, "scene": SceneConfig.model_validate(scene_values).model_dump()}
         )
     except ValidationError as error:
-        first = error.errors()[0]
-        name = "--" + "-".join(str(part) for part in first["loc"])
-        raise InputError(
-            "command line", name, first["msg"].lower(), "give a value in range"
-        ) from None
+        raise validation_error("options", error, "give a value in range") from None
 
 
 def _given(options: Mapping[str, Any]) -> dict[str, Any]:

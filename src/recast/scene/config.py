@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
-from recast.errors import InputError
+from recast.records import parse_record
 from recast.storage import read_json, write_json
 
 CONFIG_VERSION = 1
@@ -90,24 +90,8 @@ def read_config(path: str | Path) -> SceneConfig:
 
 def parse_config(where: str | Path, value: Any) -> SceneConfig:
     """Check a configuration read from `where`; raises InputError as `read_config` does."""
-    if not isinstance(value, dict):
-        raise InputError(where, "configuration", "is not an object", "write it anew")
-    version = value.get("version")
-    if version != CONFIG_VERSION:
-        raise InputError(
-            where,
-            "version",
-            f"is {version!r}, this release reads {CONFIG_VERSION}",
-            "train with the release that wrote it, or start from a fresh configuration",
-        )
-    try:
-        return SceneConfig.model_validate(value)
-    except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"]) or "configuration"
-        raise InputError(
-            where, field, f"{first['msg']} (got {first['input']!r})", "correct it"
-        ) from None
+    mend = "correct it, train with the release that wrote it, or start from a fresh one"
+    return parse_record(where, value, SceneConfig, CONFIG_VERSION, mend)
 
 
 def write_config(config: SceneConfig, path: str | Path) -> None:

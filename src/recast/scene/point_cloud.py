@@ -9,10 +9,15 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from recast.geometry import se3
 from recast.splats import Gaussians, morton_order
 from recast.splats.sh import C0
 
+Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
+
+FLATNESS = 0.3
+"""A neighbourhood counts as flat where it is this much thinner than narrow."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,23 @@ def neighbour_distance(points: Float32Array, neighbours: int = 3) -> Float32Arra
     return rms
 
 
+def surface_frames(points: Float32Array, neighbours: int = 10) -> tuple[Array, Array]:
+    """Principal axes of every point's neighbourhood.
+
+    Returns:
+        rotations (N, 3, 3), columns the axes from the thinnest on, right-handed, and the spread
+        (N, 3) along them in metres. Identity and equal spreads where there are too few points.
+    """
+    n = len(points)
+    if n <= neighbours:
+        return np.broadcast_to(np.eye(3), (n, 3, 3)).copy(), np.ones((n, 3))
+    _, index = cKDTree(points).query(points, k=neighbours + 1)
+    offsets = points[index] - points[index].mean(axis=1, keepdims=True)
+    values, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets).astype(np.float64))
+    axes[np.linalg.det(axes) < 0, :, 2] *= -1
+    return axes, np.sqrt(np.maximum(values, 0) / (neighbours + 1))
+
+
 def gaussians_from_points(
     cloud: PointCloud,
     sh_degree: int,
@@ -84,22 +106,28 @@ def gaussians_from_points(
     scale: float = 0.7,
     sigma_range: tuple[float, float] = (0.01, 3.0),
 ) -> Gaussians:
-    """Isotropic Gaussians in Morton order, sigma = scale x rms distance to three neighbours.
+    """Gaussians in Morton order, sigma = scale x rms distance to three neighbours.
+
+    Where the neighbourhood is flat, they are discs in its plane, `FLATNESS` as thick as wide, so
+    that a road seen from another lane is still one surface; elsewhere they are balls.
 
     Args:
-        sigma_range: least and largest standard deviation, metres.
+        sigma_range: least and largest standard deviation along the surface, metres.
     """
     cloud = cloud.select(morton_order(torch.from_numpy(cloud.points)).numpy())
     n = len(cloud)
     sigma = np.clip(scale * neighbour_distance(cloud.points), *sigma_range)
+    axes, spread = surface_frames(cloud.points)
+    flat = spread[:, 0] < FLATNESS * spread[:, 1]
+    axes[~flat] = np.eye(3)
+    scales = np.repeat(sigma[:, None], 3, axis=1)
+    scales[flat, 0] = np.maximum(FLATNESS * sigma[flat], sigma_range[0])
     sh = torch.zeros(n, (sh_degree + 1) ** 2, 3)
     sh[:, 0] = (torch.from_numpy(cloud.colours) - 0.5) / C0
-    quats = torch.zeros(n, 4)
-    quats[:, 0] = 1
     return Gaussians(
         means=torch.from_numpy(cloud.points.astype(np.float32)),
-        quats=quats,
-        log_scales=torch.from_numpy(np.log(sigma).astype(np.float32))[:, None].repeat(1, 3),
+        quats=torch.from_numpy(se3.matrix_to_quat(axes).astype(np.float32)),
+        log_scales=torch.from_numpy(np.log(scales).astype(np.float32)),
         logit_opacities=torch.full((n,), float(np.log(opacity / (1 - opacity)))),
         sh=sh,
     )

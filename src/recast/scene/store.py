@@ -8,16 +8,17 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 from torch import Tensor
 
 from recast.errors import InputError
 from recast.logs import Trajectory
+from recast.records import read_record
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.scene.tensor_file import read_tensors, write_tensors
 from recast.splats import Gaussians, read_ply, write_ply
-from recast.storage import read_json, write_json
+from recast.storage import write_json
 
 SCENE_VERSION = 1
 SCENE_FILE = "scene.json"
@@ -99,7 +100,8 @@ def load_scene(folder: str | Path) -> StreetScene:
         InputError: no scene there, of another version, a member missing or broken.
     """
     folder = Path(folder)
-    record = _read_record(folder / SCENE_FILE)
+    mend = "train the scene anew, or use the release that wrote it"
+    record = read_record(folder / SCENE_FILE, SceneRecord, SCENE_VERSION, mend)
     tensors, _ = read_tensors(folder / record.tensors)
 
     def tensor(name: str) -> Tensor:
@@ -138,24 +140,6 @@ def load_scene(folder: str | Path) -> StreetScene:
 def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
     x, y, z = values.tolist()
     return float(x), float(y), float(z)
-
-
-def _read_record(path: Path) -> SceneRecord:
-    value = read_json(path)
-    version = value.get("version") if isinstance(value, dict) else None
-    if version != SCENE_VERSION:
-        raise InputError(
-            path,
-            "version",
-            f"is {version!r}, this release reads {SCENE_VERSION}",
-            "train the scene anew, or use the release that wrote it",
-        )
-    try:
-        return SceneRecord.model_validate(value)
-    except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"])
-        raise InputError(path, field, str(first["msg"]), "train the scene anew") from None
 
 
 def _read_part(path: Path) -> Gaussians:

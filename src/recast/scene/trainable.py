@@ -21,6 +21,8 @@ from recast.splats.sh import C0
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 MIN_LOG_SCALE = -4.8
 """8 mm. Smaller ones hide between the pixel centres of the training views and show elsewhere."""
+MAX_ACTOR_LOG_SCALE = -1.2
+"""30 cm. Larger ones would paint what lies outside an actor's box."""
 COLOUR_LIMIT = 0.5 / C0
 """Keeps the constant colour in [0, 1]: below 0 the rasterizer's clamp kills the gradient."""
 REST_RATE = 0.05
@@ -72,8 +74,8 @@ class TrainableScene:
         self.place(background, concatenate([nothing, *actors.values()]), owner)
         self.background_statistics = GradientStatistics(len(self.background))
         self.local_statistics = GradientStatistics(len(self.local))
-        self.background_adam = _adam(self.background)
-        self.local_adam = _adam(self.local)
+        self.background_adam = _adam(self.background, math.inf)
+        self.local_adam = _adam(self.local, MAX_ACTOR_LOG_SCALE)
 
     def place(self, background: Gaussians, local: Gaussians, owner: Tensor) -> None:
         """Lay out new parameter values; optimiser states are the caller's business."""
@@ -187,7 +189,7 @@ def rows(gaussians: Gaussians) -> dict[str, Tensor]:
     return {name: getattr(gaussians, name) for name in FIELDS}
 
 
-def _adam(gaussians: Gaussians) -> RowAdam:
+def _adam(gaussians: Gaussians, max_log_scale: float) -> RowAdam:
     bases = gaussians.sh.shape[1]
     rates = torch.full((bases, 3), REST_RATE)
     rates[0] = 1
@@ -197,5 +199,5 @@ def _adam(gaussians: Gaussians) -> RowAdam:
         rows(gaussians),
         {},
         column_rates={"sh": rates},
-        bounds={"sh": (-limit, limit), "log_scales": (MIN_LOG_SCALE, math.inf)},
+        bounds={"sh": (-limit, limit), "log_scales": (MIN_LOG_SCALE, max_log_scale)},
     )

@@ -19,11 +19,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from recast.errors import InputError
+from recast.records import read_record
 from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, WAYPOINTS, Rollout
-from recast.storage import atomic_folder, read_json, write_json
+from recast.storage import atomic_folder, write_json
 
 Array = NDArray[np.float64]
 
@@ -103,17 +104,8 @@ def load_rollout(folder: str | Path) -> Rollout:
     """
     folder = Path(folder)
     header_path = folder / "rollout.json"
-    try:
-        header = RolloutHeader.model_validate(read_json(header_path))
-    except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"]) or "header"
-        raise InputError(
-            header_path,
-            field,
-            f"{first['msg']} (found {first['input']!r})",
-            f"write the rollout anew with this version of recast (layout {VERSION})",
-        ) from None
+    mend = "write the rollout anew with this recast"
+    header = read_record(header_path, RolloutHeader, VERSION, mend, "recast-rollout")
     states = _Table(folder / "rollout.parquet")
     plans = _Table(folder / "plans.parquet")
     route = _Table(folder / "route.parquet")
