@@ -80,6 +80,13 @@ static inline void load_rows(const float* base, const uint32_t* rows, vf* column
   }
 }
 
+// Rows that a later group will read: too far apart for the machine to foresee.
+template <int Floats>
+static inline void prefetch_rows(const float* base, const uint32_t* rows, int count) {
+  for (int i = 0; i < count; ++i)
+    for (int c = 0; c < Floats; c += 16) __builtin_prefetch(base + int64_t(rows[i]) * Floats + c);
+}
+
 // Writes columns back as rows; `lanes` rows are valid.
 template <int Floats>
 static inline void store_rows(float* base, const uint32_t* rows, int lanes, const vf* columns) {

@@ -123,9 +123,8 @@ void colour(const Frame& f, const uint32_t* ids, ChunkResult& result) {
     uint32_t rows[W];
     for (int i = 0; i < W; ++i) rows[i] = ids[begin + i < n ? begin + i : n - 1];
     const int lanes = n - begin < W ? n - begin : W;
-    // The rows of the group after the next: they are too far apart for the machine to foresee.
-    for (int i = begin + 2 * W; i < begin + 3 * W && i < n; ++i)
-      for (int c = 0; c < 3 * K; c += 16) __builtin_prefetch(f.sh + int64_t(ids[i]) * 3 * K + c);
+    const int ahead = begin + 2 * W, more = n - ahead < W ? n - ahead : W;
+    prefetch_rows<3 * K>(f.sh, ids + ahead, more);
     vf mean[3], d[3], b[16], sh[3 * K];
     gather_columns(f.means, rows, mean);
     view_direction(mean, offset, d);

@@ -223,6 +223,8 @@ void chunk_gradient(const Frame& f, int64_t chunk) {
   for (int first = 0; first < n; first += W) {
     uint32_t rows[W];
     for (int i = 0; i < W; ++i) rows[i] = ids[first + i < n ? first + i : n - 1];
+    const int ahead = first + 2 * W, more = n - ahead < W ? n - ahead : W;
+    if (K > 1) prefetch_rows<3 * K>(f.sh, ids + ahead, more);
     group<K>(f, rows, n - first < W ? n - first : W, offset, pose);
   }
   double* out = f.pose_grad_chunks + 12 * chunk;

@@ -13,7 +13,8 @@ struct State {
 };
 
 // Blends the listed Gaussians over block `block`; false once all its pixels have stopped.
-bool blend(State& state, const Batch& batch, const int32_t* list, int n, int block, float max_alpha) {
+bool blend(State& state, const Batch& batch, const uint8_t* list, int n, int block,
+           float max_alpha) {
   alignas(64) float lane_x[W], lane_y[W];
   for (int i = 0; i < W; ++i) {
     lane_x[i] = float(block % kBlockColumns * kBlockWidth + i % kBlockWidth) + 0.5f;
@@ -26,8 +27,7 @@ bool blend(State& state, const Batch& batch, const int32_t* list, int n, int blo
   vf depth = load(state.depth + at), open = load(state.open + at);
   bool alive = true;
   for (int i = 0; i < n; ++i) {
-    const Splat& s =
-        *reinterpret_cast<const Splat*>(reinterpret_cast<const char*>(batch.splats) + list[i]);
+    const Splat& s = batch.splats[list[i]];
     const vf dx = px - vf(s.x), dy = py - vf(s.y);
     const vf u = fma(vf(s.l1), dx, vf(s.l2) * dy), v = vf(s.l3) * dy;
     const vf power = fnma(v, v, fnma(u, u, vf(s.log2_opacity)));
@@ -56,22 +56,39 @@ bool blend(State& state, const Batch& batch, const int32_t* list, int n, int blo
   return alive;
 }
 
-void write_images(const Frame& f, const Tile& t, const State& state) {
-  const float* back = f.background;
+// Gaussians of the batch that may touch each block: W bits a group.
+struct Touched {
+  static constexpr int kBytes = kBatch / 8;
+  alignas(64) uint8_t bits[kBlocks][kBytes];
+
+  void set(int block, int first, uint32_t mask) {
+    for (int i = 0; i < W / 8; ++i) bits[block][first / 8 + i] = uint8_t(mask >> (8 * i));
+  }
+  // Their indices; writes up to W past the end.
+  int list(int block, uint8_t* out) const { return list_bits(bits[block], kBytes, out); }
+};
+
+void write_images(const Frame& f, const Tile& t, State& s) {
+  const vf one = 1.0f;
+  for (int i = 0; i < kTilePixels; i += W) {
+    const vf through = load(s.final + i);
+    store(s.r + i, fma(through, vf(f.background[0]), load(s.r + i)));
+    store(s.g + i, fma(through, vf(f.background[1]), load(s.g + i)));
+    store(s.b + i, fma(through, vf(f.background[2]), load(s.b + i)));
+    store(s.final + i, one - through);
+  }
   for (int y = 0; y < t.height; ++y) {
-    for (int column = 0; column * kBlockWidth < t.width; ++column) {
-      const int at = block_offset(y, column);
-      const int64_t pixel = int64_t(t.y + y) * f.width + t.x + column * kBlockWidth;
-      const int n = t.width - column * kBlockWidth < kBlockWidth ? t.width - column * kBlockWidth
-                                                                 : kBlockWidth;
+    const int64_t row = int64_t(t.y + y) * f.width + t.x;
+    for (int x = 0; x < t.width; x += kBlockWidth) {
+      const int at = block_offset(y, x / kBlockWidth);
+      const int n = t.width - x < kBlockWidth ? t.width - x : kBlockWidth;
+      float* rgb = f.rgb + 3 * (row + x);
       for (int i = 0; i < n; ++i) {
-        const float through = state.final[at + i];
-        float* rgb = f.rgb + 3 * (pixel + i);
-        rgb[0] = state.r[at + i] + through * back[0];
-        rgb[1] = state.g[at + i] + through * back[1];
-        rgb[2] = state.b[at + i] + through * back[2];
-        f.depth[pixel + i] = state.depth[at + i];
-        f.alpha[pixel + i] = 1.0f - through;
+        rgb[3 * i] = s.r[at + i];
+        rgb[3 * i + 1] = s.g[at + i];
+        rgb[3 * i + 2] = s.b[at + i];
+        f.depth[row + x + i] = s.depth[at + i];
+        f.alpha[row + x + i] = s.final[at + i];
       }
     }
   }
@@ -83,6 +100,7 @@ void raster_tile(const Frame& f, int64_t index) {
   const Tile t = tile_at(f, index);
   State state;
   Batch batch;
+  Touched touched;
   __builtin_memset(&state, 0, sizeof state);
   for (int y = 0; y < t.height; ++y)
     for (int column = 0; column < kBlockColumns; ++column)
@@ -93,19 +111,16 @@ void raster_tile(const Frame& f, int64_t index) {
   for (uint32_t begin = t.begin; begin < t.end && alive; begin += kBatch) {
     const int count = int(t.end - begin < kBatch ? t.end - begin : kBatch);
     load_batch(f, t, begin, count, batch);
-    uint32_t touched[kBatch / W][kBlocks];
+    __builtin_memset(&touched, 0, sizeof touched);
     for (int first = 0; first < count; first += W) {
       const uint32_t valid = count - first >= W ? (1u << W) - 1u : (1u << (count - first)) - 1u;
-      uint32_t* masks = touched[first / W];
-      test_blocks(batch, first, alive, [&](int b, vm m) { masks[b] = bits(m) & valid; });
+      test_blocks(batch, first, alive,
+                  [&](int b, vm m) { touched.set(b, first, bits(m) & valid); });
     }
     for (uint32_t left = alive; left; left &= left - 1) {
       const int block = __builtin_ctz(left);
-      int32_t list[kBatch + W];
-      int n = 0;
-      for (int first = 0; first < count; first += W)
-        n = append_lanes(list, n, touched[first / W][block], first * int(sizeof(Splat)),
-                         int(sizeof(Splat)));
+      uint8_t list[kBatch + W];
+      const int n = touched.list(block, list);
       if (n && !blend(state, batch, list, n, block, f.max_alpha)) alive &= ~(1u << block);
     }
   }
@@ -113,13 +128,13 @@ void raster_tile(const Frame& f, int64_t index) {
     const vf open = load(state.open + i);
     store(state.final + i, select(open > vf(0.0f), open, load(state.final + i)));
   }
-  write_images(f, t, state);
   if (f.training) {
     float* out = f.tile_state + index * 5 * kTilePixels;
     const float* planes[5] = {state.r, state.g, state.b, state.depth, state.final};
     for (int p = 0; p < 5; ++p)
       for (int i = 0; i < kTilePixels; i += W) store(out + p * kTilePixels + i, load(planes[p] + i));
   }
+  write_images(f, t, state);
 }
 
 }  // namespace RECAST_ISA

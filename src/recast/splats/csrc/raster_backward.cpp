@@ -128,6 +128,9 @@ void raster_tile_backward(const Frame& f, int64_t index) {
     }
     for (int i = 0; i < count && alive; ++i) {
       const uint32_t mask = uint32_t(touched[i]) & alive;
+      if (i + 6 < count)
+        __builtin_prefetch(
+            f.records + int64_t(f.intersections[begin + uint32_t(i) + 6].slot) * kSums, 1);
       if (!mask) continue;
       const uint32_t slot = f.intersections[begin + uint32_t(i)].slot;
       f.record_used[slot] = 1;

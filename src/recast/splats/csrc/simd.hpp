@@ -76,8 +76,27 @@ static inline vf vlog2(vf x) {
   return fma(vf(2.88539008f) * t, s, ef);
 }
 
-static inline float minimum(float a, float b) { return a < b ? a : b; }
-static inline float maximum(float a, float b) { return a > b ? a : b; }
+// Indices of the bits set in `bytes` bytes (a multiple of eight); writes up to W past the end.
+static inline int list_bits(const uint8_t* from, int bytes, uint8_t* out) {
+  int n = 0;
+#if defined(RECAST_AVX512)
+  const __m512i lane = _mm512_set_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0);
+  for (int k = 0; k < bytes; k += 2) {
+    const __mmask16 mask = __mmask16(from[k] | from[k + 1] << 8);
+    const __m512i index = _mm512_add_epi32(lane, _mm512_set1_epi32(8 * k));
+    _mm_storeu_si128(reinterpret_cast<__m128i*>(out + n),
+                     _mm512_cvtepi32_epi8(_mm512_maskz_compress_epi32(mask, index)));
+    n += __builtin_popcount(mask);
+  }
+#else
+  for (int k = 0; k < bytes; k += 8) {
+    uint64_t m = 0;
+    for (int i = 0; i < 8; ++i) m |= uint64_t(from[k + i]) << (8 * i);  // one load where it may be
+    for (; m; m &= m - 1) out[n++] = uint8_t(8 * k + __builtin_ctzll(m));
+  }
+#endif
+  return n;
+}
 
 }  // namespace RECAST_ISA
 }  // namespace recast

@@ -112,16 +112,6 @@ static inline void transpose(vf* r) {
   }
 }
 
-// Appends start + stride * lane for the lanes in m; may write up to W values past the end.
-static inline int append_lanes(int32_t* list, int n, uint32_t m, int start, int stride) {
-  const __m512i lane =
-      _mm512_set_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0);
-  __m512i value = _mm512_add_epi32(_mm512_mullo_epi32(lane, _mm512_set1_epi32(stride)),
-                                   _mm512_set1_epi32(start));
-  _mm512_storeu_si512(list + n, _mm512_maskz_compress_epi32(__mmask16(m), value));
-  return n + __builtin_popcount(m);
-}
-
 // Columns of W contiguous rows of three or four floats, and back.
 static inline __m512i three_times_lane(int offset) {
   alignas(64) int32_t i[16];

@@ -168,12 +168,6 @@ static inline void load_columns(const float* p, vf (&out)[Stride]) {
   }
 }
 
-// Appends start + stride * lane for the lanes in m.
-static inline int append_lanes(int32_t* list, int n, uint32_t m, int start, int stride) {
-  for (; m; m &= m - 1) list[n++] = start + stride * __builtin_ctz(m);
-  return n;
-}
-
 // Writes the sums over the lanes of ten vectors.
 static inline void store_ten_sums(float* out, const vf* x) {
   for (int i = 0; i < 10; ++i) {

@@ -61,6 +61,8 @@ static inline void load_batch(const Frame& f, const Tile& tile, uint32_t begin, 
   const vf slack = kLog2AlphaThreshold - 0.01f;
   for (int first = 0; first < count; first += W) {
     vf part[16 / W][W];
+    for (uint32_t i = begin + uint32_t(first) + 2 * W; i < begin + uint32_t(first) + 3 * W; ++i)
+      if (i < tile.end) __builtin_prefetch(f.splats + f.intersections[i].id);
     for (int lane = 0; lane < W; ++lane) {
       const int i = first + lane < count ? first + lane : count - 1;
       const float* row = &f.splats[f.intersections[begin + uint32_t(i)].id].x;
