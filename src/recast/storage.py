@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import json
-import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,7 +18,8 @@ from recast.errors import InputError
 
 
 def _partial_name(path: Path) -> Path:
-    return path.with_name(f".{path.name}.partial-{os.getpid()}")
+    # The same name every time, so that what a kill left behind is gone with the next write.
+    return path.with_name(f".{path.name}.partial")
 
 
 @contextmanager
