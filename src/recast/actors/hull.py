@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.spatial import cKDTree
 
 from recast.geometry import se3
@@ -15,7 +16,7 @@ from recast.splats import Gaussians
 Array = NDArray[np.float64]
 
 _MIN_OPACITY = 0.3
-_GRID = 96  # cells along the longest extent of the depth maps that decide what is outside
+_PER_CELL = 8  # Gaussians per cell of the depth maps that decide what is outside
 _FLAT = 0.5  # a Gaussian whose least deviation is below this share of its middle one has a normal
 
 
@@ -48,7 +49,9 @@ def outer_surface(gaussians: Gaussians) -> Surface:
     if len(opaque) < 50:
         raise ValueError(f"outer_surface: {len(opaque)} opaque Gaussians, at least 50 are needed")
     points = gaussians.means.detach().numpy().astype(np.float64)[opaque]
-    cell = float(np.ptp(points, axis=0).max()) / _GRID
+    # empty cells would let inner Gaussians through
+    cells = np.clip(np.sqrt(len(points) / _PER_CELL), 8, 128)
+    cell = float(np.ptp(points, axis=0).max()) / float(cells)
     outside = np.zeros(len(points), bool)
     for direction in _directions():
         outside |= _frontmost(points, direction, cell)
@@ -65,18 +68,22 @@ def _directions() -> Array:
 
 
 def _frontmost(points: Array, direction: Array, cell: float) -> NDArray[np.bool_]:
-    """Points (N, 3) within 1.5 cells of the first one met along `direction`, cell by cell."""
+    """Points (N, 3) not more than 1.5 cells behind a depth map seen along `direction`.
+
+    A median over 3x3 cells closes the map where a cell happens to hold no outer point.
+    """
     helper = np.array([0.0, 0.0, 1.0]) if abs(direction[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     across = np.cross(helper, direction)
     across /= np.linalg.norm(across)
     basis = np.stack([across, np.cross(direction, across)], axis=-1)
     cells = np.floor(points @ basis / cell).astype(np.int64)
-    cells -= cells.min(axis=0)
-    number = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    row, column = (cells - cells.min(axis=0)).T
     depth = points @ direction
-    nearest = np.full(number.max() + 1, np.inf)
-    np.minimum.at(nearest, number, depth)
-    front: NDArray[np.bool_] = depth < nearest[number] + 1.5 * cell
+    beyond = float(depth.max()) + 10 * cell
+    nearest = np.full((row.max() + 1, column.max() + 1), beyond)
+    np.minimum.at(nearest, (row, column), depth)
+    closed = median_filter(nearest, size=3, mode="constant", cval=beyond)
+    front: NDArray[np.bool_] = depth < closed[row, column] + 1.5 * cell
     return front
 
 

@@ -94,7 +94,7 @@ class Observation:
         camera_from_object: (4, 4), object frame: box centre, x forward, y left, z up.
         points: (N, 3) float32 LiDAR points in the box over all sweeps, object frame.
         view: score terms of the frame taken.
-        candidates: all frames considered, best first.
+        candidates: the best frames, best first.
         mask_quality: see `MaskQuality`.
     """
 

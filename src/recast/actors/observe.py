@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from recast.actors.observation import Observation, ViewScore
 from recast.actors.segment import SegmentationTarget, Segmenter, mask_quality
-from recast.actors.view_score import NearestSweeps, score_frame
+from recast.actors.view_score import NearestSweeps, check_lidar, score_frame
 from recast.errors import InputError
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.geometry.camera import distort
@@ -17,6 +17,7 @@ from recast.logs import CameraStream, DrivingLog, Track, track_points
 Array = NDArray[np.float64]
 
 MIN_LIDAR_POINTS = 20
+_MIN_CHECKED = 4
 _CROP_MARGIN = 0.18  # share of the box's longer side left around it
 _BOX_GROWTH = 0.12  # metres around the label within which a return belongs to the vehicle
 
@@ -69,7 +70,10 @@ def observe(
 
 
 def rank_views(log: DrivingLog, track: Track, camera: str | None = None) -> list[ViewScore]:
-    """All frames in which the track is in view, best first; ties go to the earlier frame.
+    """The best frames in which the track is in view, best first; ties go to the earlier frame.
+
+    LiDAR occlusion can only lower a score, so it is checked from the top of the list down until no
+    frame left could win, and for at least four frames; the rest is left out.
 
     Raises:
         InputError: the log has no such camera.
@@ -78,14 +82,22 @@ def rank_views(log: DrivingLog, track: Track, camera: str | None = None) -> list
         names = ", ".join(log.cameras)
         raise InputError(log.name, f"camera {camera}", "is not in the log", f"choose from {names}")
     streams = [log.cameras[camera]] if camera is not None else list(log.cameras.values())
-    sweeps = NearestSweeps(log)
-    scores = [
+    bounds = [
         score
         for stream in streams
         for frame in range(len(stream.timestamps_us))
-        if (score := score_frame(log, track, stream, frame, sweeps)) is not None and score.score > 0
+        if (score := score_frame(log, track, stream, frame)) is not None
     ]
-    return sorted(scores, key=lambda s: -s.score)
+    sweeps = NearestSweeps(log)
+    checked: list[ViewScore] = []
+    for bound in sorted(bounds, key=lambda s: -s.score):
+        best = max((score.score for score in checked), default=0.0)
+        if len(checked) >= _MIN_CHECKED and best >= bound.score:
+            break
+        score = check_lidar(log, track, bound, sweeps)
+        if score.score > 0:
+            checked.append(score)
+    return sorted(checked, key=lambda s: -s.score)
 
 
 def _track(log: DrivingLog, track_id: str) -> Track:

@@ -59,7 +59,8 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
     Raises:
         InputError: fewer than 20 LiDAR points on the track, or an asset that is hardly opaque.
     """
-    points = track_points(log, track).points
+    same = observation.track_id == track.track_id  # reading all sweeps again takes seconds
+    points = observation.points if same else track_points(log, track).points
     if len(points) < MIN_LIDAR_POINTS:
         raise InputError(
             log.name, f"track {track.track_id}",

@@ -11,9 +11,9 @@ from recast.splats import Gaussians
 Array = NDArray[np.float64]
 
 _SPACING = 0.14  # metres between Gaussians
-_DARKNESS = 0.42  # peak opacity of one; neighbours overlap to about 0.8
+_DARKNESS = 0.55  # peak opacity of one; neighbours overlap to about 0.9
 _FADE = 0.32  # metres over which the shadow fades out around the footprint
-_LIFT = 0.012  # metres above the ground plane
+_LIFT = 0.06  # metres: splats of the road are thick and sort by centre, lower ones hide the shadow
 _THICKNESS = 0.003
 _SH_C0 = 0.28209479177387814
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,9 +18,12 @@ _OCCLUDER_GAP = 0.4  # metres before the box from which a LiDAR return counts as
 
 
 def score_frame(
-    log: DrivingLog, track: Track, stream: CameraStream, frame: int, sweeps: NearestSweeps
+    log: DrivingLog, track: Track, stream: CameraStream, frame: int
 ) -> ViewScore | None:
-    """Terms of one frame, or None where the track is not there or not in view."""
+    """Terms of one frame but for `unblocked`, which stays 1 until `check_lidar`.
+
+    None where the track is not there or not in view.
+    """
     time = int(stream.timestamps_us[frame])
     if not track.trajectory.covers(time):
         return None
@@ -44,9 +49,7 @@ def score_frame(
         size_px=float(np.sqrt(inside)),
         in_image=float(inside / ((right - left) * (bottom - top))),
         unoccluded=_unoccluded(log, track, time, camera_from_world),
-        unblocked=_unblocked(
-            log, track, time, camera_from_world, stream, rectangle, sweeps.at(time)
-        ),
+        unblocked=1.0,
     )
 
 
@@ -103,20 +106,28 @@ class NearestSweeps:
         return self._last[2]
 
 
-def _unblocked(
-    log: DrivingLog, track: Track, time: int, camera_from_world: Array, stream: CameraStream,
-    rectangle: Array, sweep: LidarSweep | None,
-) -> float:  # fmt: skip
-    """One minus the share of returns inside the box's rectangle that are nearer than the box."""
-    if sweep is None:
-        return 1.0
+def check_lidar(
+    log: DrivingLog, track: Track, score: ViewScore, sweeps: NearestSweeps
+) -> ViewScore:
+    """The score with `unblocked` filled in: one minus the share of LiDAR returns inside the box's
+    rectangle that are nearer than the box.
+    """
+    time = score.timestamp_us
+    stream = log.cameras[score.camera]
+    sweep = sweeps.at(time)
+    camera_from_world = se3.inverse(log.world_from_rig.at(time) @ stream.rig_from_camera)
+    camera_from_object = camera_from_world @ track.trajectory.at(time)
+    rectangle = boxes.project(track.size, camera_from_object, stream.camera)
+    if sweep is None or rectangle is None:
+        return score
     world = se3.apply(log.world_from_rig.at(sweep.timestamp_us), sweep.points)
     points = se3.apply(camera_from_world, world)
     points = points[points[:, 2] > 0.5]
     pixels, depth = stream.camera.rectified().project(points)
     pad = 0.15 * (rectangle[2:] - rectangle[:2])
     aimed = np.all((pixels > rectangle[:2] + pad) & (pixels < rectangle[2:] - pad), axis=1)
-    box = boxes.corners(track.size, camera_from_world @ track.trajectory.at(time))
+    box = boxes.corners(track.size, camera_from_object)
     # the near side of the box along each line of sight is at least as far as its nearest corner
     in_front = aimed & (depth < box[:, 2].min() - _OCCLUDER_GAP)
-    return float(1 - in_front.sum() / max(int(aimed.sum()), 1))
+    unblocked = float(1 - in_front.sum() / max(int(aimed.sum()), 1))
+    return replace(score, unblocked=unblocked)

@@ -14,7 +14,7 @@ from recast.actors.template.proportions import FITTED, STYLES, Proportions, cand
 
 Array = NDArray[np.float64]
 
-_POINTS = 1200
+_POINTS = 800
 _NOISE = 0.04  # metres: LiDAR noise, label jitter and what the model cannot follow
 _EFFECTIVE = 250.0  # independent measurements in a cloud, however many points it has
 _SPREAD = {"tumblehome": 0.05, "tail_bow": 0.05, "tail_lean": 0.05}

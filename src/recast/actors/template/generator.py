@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _OPACITY = 0.99
+_SKETCH_SPACING = 0.024  # metres: enough for a silhouette
 _CELLS = (0.055, 0.03)  # metres: patches that look alike are merged in voxels of these edges
 _TOLERANCE = 0.03  # display values
 _BACKING_DEPTH = 0.05  # metres behind the surface
@@ -61,16 +62,12 @@ class TemplateGenerator:
         size = observation.size
         fit = fit_shape(observation.category, size, observation.points, rng, self.style)
         body = Body(size, fit.proportions)
+        coarse = max(self.spacing, _SKETCH_SPACING)
+        sketch = build_cloud(body, coarse, rng).points
+        lidar = np.asarray(observation.points, np.float64)
+        placement = place(body, sketch, coarse, observation, lidar[:: max(1, len(lidar) // 1200)])
+        body = Body(size, find_axles(body, observation, placement))
         cloud = build_cloud(body, self.spacing, rng)
-        sparse = cloud.points[:: max(1, len(cloud.points) // 40_000)]
-        lidar = np.asarray(
-            observation.points[:: max(1, len(observation.points) // 1200)], np.float64
-        )
-        placement = place(body, sparse, observation, lidar)
-        moved = find_axles(body, observation, placement)
-        if moved != fit.proportions:
-            body = Body(size, moved)
-            cloud = build_cloud(body, self.spacing, rng)
         seen = view_surface(cloud, observation, placement)
         sheen = estimate_sheen(cloud, seen)
         cloud = replace(cloud, gloss=cloud.gloss * (1 + (sheen - 1) * cloud.paint))

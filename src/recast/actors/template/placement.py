@@ -53,17 +53,22 @@ class Placement:
         return turned / np.linalg.norm(turned, axis=1, keepdims=True)
 
 
-def place(body: Body, surface: Array, observation: Observation, lidar: Array) -> Placement:
+def place(
+    body: Body, surface: Array, spacing: float, observation: Observation, lidar: Array
+) -> Placement:
     """Move and stretch the model onto mask and LiDAR points, with the logged box as prior.
 
     Args:
         body: the model.
         surface: (N, 3) points on it and its wheels, ground at z = 0.
+        spacing: metres between them.
         observation: mask, camera and box.
         lidar: (M, 3) points in the box frame.
     """
     mask = observation.rgba[..., 3] > 127
-    cell = max(1, int(0.02 * observation.camera.fx / np.linalg.norm(observation.eye)))
+    # coarser than the points, or the silhouette has holes
+    pixels_per_metre = observation.camera.fx / np.linalg.norm(observation.eye)
+    cell = max(1, round(0.9 * spacing * pixels_per_metre))
     shape = (mask.shape[0] // cell, mask.shape[1] // cell)
     small = cv2.resize(mask.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA) > 0.5
     base = np.array([0.0, 0.0, -observation.size[2] / 2])

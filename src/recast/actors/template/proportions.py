@@ -149,4 +149,4 @@ def candidate_styles(category: str, size: ArrayLike) -> dict[str, float]:
         for style, usual in typical.items()
     }
     least = min(costs.values())
-    return {style: cost - least for style, cost in costs.items() if cost - least < 12.0}
+    return {style: cost - least for style, cost in costs.items() if cost - least < 5.0}

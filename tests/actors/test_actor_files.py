@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recast.actors import Actor, PlyGenerator, load_actor, make_generator, save_actor
+from recast.actors.observation import Observation
+from recast.errors import InputError
+from recast.splats import write_ply
+
+
+def test_round_trip(actor: Actor, tmp_path: Path) -> None:
+    save_actor(actor, tmp_path / "actor")
+    back = load_actor(tmp_path / "actor")
+    assert back.track_id == actor.track_id
+    assert back.provenance == actor.provenance
+    np.testing.assert_array_equal(back.size, actor.size)
+    np.testing.assert_array_equal(back.source, actor.source)
+    for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
+        assert getattr(back.gaussians, name).equal(getattr(actor.gaussians, name))
+        assert getattr(back.shadow, name).equal(getattr(actor.shadow, name))
+
+
+def test_same_actor_same_bytes(actor: Actor, tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        save_actor(actor, tmp_path / name)
+    for file in sorted((tmp_path / "one").iterdir()):
+        assert file.read_bytes() == (tmp_path / "two" / file.name).read_bytes()
+
+
+def test_an_existing_folder_is_left_alone(actor: Actor, tmp_path: Path) -> None:
+    (tmp_path / "actor").mkdir()
+    with pytest.raises(InputError, match="exists already"):
+        save_actor(actor, tmp_path / "actor")
+    assert list((tmp_path / "actor").iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["actor.json", "vehicle.ply", "shadow.safetensors", "source.png"])
+def test_broken_files_are_named(actor: Actor, tmp_path: Path, name: str) -> None:
+    save_actor(actor, tmp_path / "actor")
+    file = tmp_path / "actor" / name
+    file.write_bytes(file.read_bytes()[:40])
+    with pytest.raises(InputError, match=name):
+        load_actor(tmp_path / "actor")
+
+
+def test_another_version(actor: Actor, tmp_path: Path) -> None:
+    save_actor(actor, tmp_path / "actor")
+    file = tmp_path / "actor" / "actor.json"
+    record = json.loads(file.read_text())
+    record["version"] = 99
+    file.write_text(json.dumps(record))
+    with pytest.raises(InputError, match="version"):
+        load_actor(tmp_path / "actor")
+
+
+def test_provenance_tells_the_whole_story(actor: Actor) -> None:
+    provenance = actor.provenance
+    assert (provenance.generator, provenance.seed) == ("template", 0)
+    assert (provenance.camera, provenance.frame) == ("front", 1)
+    assert provenance.details["style"] == "estate"
+    assert provenance.registration.after.median > 0
+
+
+def test_ply_generator_takes_what_is_there(
+    actor: Actor, observation: Observation, tmp_path: Path
+) -> None:
+    write_ply(tmp_path / "car.ply", actor.gaussians)
+    asset = PlyGenerator(tmp_path / "car.ply", axes="vehicle").generate(observation, 5)
+    assert asset.gaussians.means.equal(actor.gaussians.means)
+    assert asset.seed == 5
+    assert asset.axes.metric
+
+
+def test_ply_errors_pass_through(actor: Actor, observation: Observation, tmp_path: Path) -> None:
+    path = tmp_path / "car.ply"
+    write_ply(path, actor.gaussians)
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"property float opacity", b"property float opaqueX"))
+    with pytest.raises(InputError, match="opacity"):
+        PlyGenerator(path).generate(observation, 0)
+    path.write_bytes(data[:-4] + np.float32(np.nan).tobytes())
+    with pytest.raises(InputError, match=r"car\.ply"):
+        PlyGenerator(path).generate(observation, 0)
+    with pytest.raises(InputError):
+        PlyGenerator(tmp_path / "nowhere.ply").generate(observation, 0)
+
+
+def test_unknown_axes(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="unit_cube_y_up"):
+        PlyGenerator(tmp_path / "car.ply", axes="upside_down")
+
+
+def test_unknown_generator() -> None:
+    with pytest.raises(InputError, match="is not known"):
+        make_generator("no-such-generator")
