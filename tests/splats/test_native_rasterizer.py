@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
 import pytest
@@ -136,6 +137,23 @@ def test_views_alive_at_once_do_not_disturb_each_other() -> None:
     assert torch.equal(first.rgb, kept)
     (second.rgb.sum() * 0 + first.rgb.sum()).backward()
     assert torch.equal(leaves.means.grad, wanted)
+
+
+@pytest.mark.usefixtures("compiled")
+def test_python_threads_at_once() -> None:
+    kinds = KINDS * 3
+    wanted = {
+        kind: render_with_gradients(random_gaussians(kind), "native", torch.float32)
+        for kind in KINDS
+    }
+    with ThreadPoolExecutor(3) as threads:
+        outcomes = threads.map(
+            lambda kind: render_with_gradients(random_gaussians(kind), "native", torch.float32),
+            kinds,
+        )
+        for kind, outcome in zip(kinds, outcomes, strict=True):
+            assert torch.equal(outcome.image.rgb, wanted[kind].image.rgb)
+            assert torch.equal(outcome.gradients["means"], wanted[kind].gradients["means"])
 
 
 @pytest.mark.usefixtures("compiled")

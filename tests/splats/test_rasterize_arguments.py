@@ -81,6 +81,13 @@ def test_bad_shapes_are_named() -> None:
         rasterize(Gaussians(**{**good, "sh": good["sh"].double()}), camera(), K, WIDTH, HEIGHT)
 
 
+def test_other_devices_are_refused() -> None:
+    good = vars(random_gaussians("normal", count=5))
+    elsewhere = Gaussians(**{**good, "sh": good["sh"].to("meta")})
+    with pytest.raises(ValueError, match=r"Gaussians\.sh: on meta"):
+        rasterize(elsewhere, camera(), K, WIDTH, HEIGHT)
+
+
 @pytest.fixture
 def no_library(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if recast had been installed without a compiler."""

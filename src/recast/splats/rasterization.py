@@ -126,7 +126,7 @@ def check_settings(
 
 
 def check_shapes(gaussians: Gaussians) -> None:
-    """Check shapes only: the values are checked where they are read.
+    """Check shapes, types and devices: the values are checked where they are read.
 
     Raises:
         ValueError: names the field at fault.
@@ -147,6 +147,8 @@ def check_shapes(gaussians: Gaussians) -> None:
         value: Tensor = getattr(gaussians, name)
         if tuple(value.shape) != shape:
             raise ValueError(f"Gaussians.{name}: shape {tuple(value.shape)}, expected {shape}")
+        if value.device.type != "cpu":
+            raise ValueError(f"Gaussians.{name}: on {value.device}, expected on the CPU")
         if value.dtype != gaussians.means.dtype or not value.is_floating_point():
             raise ValueError(
                 f"Gaussians.{name}: dtype {value.dtype}, expected that of the means, floating point"

@@ -28,7 +28,7 @@ from recast.splats.rotations import quat_to_matrix
 
 
 @dataclass(frozen=True)
-class _Splats:
+class Splats:
     """The M visible Gaussians projected to the image, nearest first.
 
     Attributes: ids (M,) rows of the Gaussians; means2d (M, 2) px; conics (M, 3) entries xx, xy, yy
@@ -53,7 +53,7 @@ def rasterize_reference(
     """Render by dense compositing in tiles; arguments as `rasterize`, checked by it."""
     gaussians.validate()
     n = len(gaussians)
-    splats = _project(gaussians, camera_from_world.to(gaussians.means), settings)
+    splats = project(gaussians, camera_from_world.to(gaussians.means), settings)
 
     meta = RasterMeta(
         visible=torch.zeros(n, dtype=torch.bool).index_fill_(0, splats.ids, True),
@@ -71,8 +71,8 @@ def rasterize_reference(
 
     rows = []
     for top in range(0, settings.height, TILE):
-        tiles = [_tile(splats, left, top, settings) for left in range(0, settings.width, TILE)]
-        rows.append(torch.cat(tiles, dim=1))
+        row = [tile(splats, left, top, settings) for left in range(0, settings.width, TILE)]
+        rows.append(torch.cat(row, dim=1))
     image = torch.cat(rows, dim=0)
     rgb, depth, alpha = image[..., :3], image[..., 3], image[..., 4]
     if background is not None:
@@ -80,7 +80,7 @@ def rasterize_reference(
     return Rasterization(rgb, depth, alpha, meta)
 
 
-def _project(gaussians: Gaussians, camera_from_world: Tensor, settings: RasterSettings) -> _Splats:
+def project(gaussians: Gaussians, camera_from_world: Tensor, settings: RasterSettings) -> Splats:
     """Project, colour, cull and sort by depth."""
     rotation, translation = camera_from_world[:3, :3], camera_from_world[:3, 3]
     all_depths = gaussians.means @ rotation[2] + translation[2]
@@ -122,7 +122,7 @@ def _project(gaussians: Gaussians, camera_from_world: Tensor, settings: RasterSe
     # -R^T t is the camera centre of a rigid pose; its derivative is taken in this form.
     directions = torch.nn.functional.normalize(g.means[kept] + translation @ rotation, dim=-1)
     colours = (harmonics.evaluate(g.sh[kept], directions) + 0.5).clamp(min=0)
-    return _Splats(
+    return Splats(
         ids=ids[kept],
         means2d=means2d[kept],
         conics=conics,
@@ -153,7 +153,7 @@ def _jacobian(centres: Tensor, settings: RasterSettings) -> Tensor:
     return torch.stack(rows, dim=1)
 
 
-def _tile(splats: _Splats, left: int, top: int, settings: RasterSettings) -> Tensor:
+def tile(splats: Splats, left: int, top: int, settings: RasterSettings) -> Tensor:
     """Composite one tile: (h, w, 5) with channels rgb, depth, alpha."""
     width, height = min(TILE, settings.width - left), min(TILE, settings.height - top)
     dtype = splats.means2d.dtype
