@@ -4,9 +4,9 @@
     python benchmarks/raster.py --counts 100000 --isas avx2 --no-reference
 
 All times are CPU milliseconds of the process, minimum of the repeats, so that other work on the
-machine disturbs little; the kernels take turns, so that ratios compare like with like. The reference
-is projected whole, but composited on a sample of the tiles and scaled up: whole images would take
-minutes.
+machine disturbs little; the kernels take turns, so that ratios compare like with like. The torch
+reference is projected whole, but composited on a sample of the tiles and scaled up: whole images
+would take minutes.
 """
 
 from __future__ import annotations

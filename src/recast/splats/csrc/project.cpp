@@ -33,11 +33,10 @@ void project_group(const Frame& f, uint32_t first, int lanes, ChunkResult& resul
   const Parameters p = load_parameters(f, rows);
   const Projection o = project(f, p);
 
-  const vf largest_exponent = 60.0f;  // e^60 squared is still a float
   vm ok_mean = all_finite(p.mean, 3), ok_quat = all_finite(p.quat, 4);
-  vm ok_scale = (vabs(p.log_scale[0]) < largest_exponent) &
-                (vabs(p.log_scale[1]) < largest_exponent) &
-                (vabs(p.log_scale[2]) < largest_exponent);
+  vm ok_scale = all_finite(p.log_scale, 3);
+  for (int i = 0; i < 3; ++i)  // larger ones would overflow the determinant
+    ok_scale = ok_scale & (p.log_scale[i] < vf(14.0f)) & (p.log_scale[i] > vf(-60.0f));
   vm ok_logit = finite(p.logit);
   vm ok_norm = (o.norm2 > vf(1e-30f)) & (o.norm2 < vf(1e30f));
   if ((bits(ok_mean & ok_quat & ok_scale & ok_logit & ok_norm) & valid) != valid) {

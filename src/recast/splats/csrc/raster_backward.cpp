@@ -18,38 +18,46 @@ struct Pixels {
   alignas(64) float rest[kTilePixels];  // part of the loss still to come
 };
 
+// Copies an image of `channels` interleaved channels into block order; zero outside of the image.
+void load_plane(const Frame& f, const Tile& t, const float* image, int channels, float* out) {
+  if (!image) return;
+  for (int y = 0; y < t.height; ++y) {
+    const float* row = image + (int64_t(t.y + y) * f.width + t.x) * channels;
+    for (int x = 0; x < t.width; x += kBlockWidth) {
+      float* to = out + block_offset(y, x / kBlockWidth);
+      const int n = t.width - x < kBlockWidth ? t.width - x : kBlockWidth;
+      for (int i = 0; i < n; ++i) to[i] = row[(x + i) * channels];
+    }
+  }
+}
+
 void load_pixels(const Frame& f, const Tile& t, int64_t index, Pixels& p) {
   __builtin_memset(&p, 0, sizeof p);
-  const float* saved = f.tile_state + index * 5 * kTilePixels;
-  const float* back = f.background;
+  alignas(64) float alpha[kTilePixels] = {};
   for (int y = 0; y < kTile; ++y)
-    for (int column = 0; column < kBlockColumns; ++column) {
-      const int at = block_offset(y, column);
-      for (int i = 0; i < kBlockWidth; ++i) {
-        const int x = column * kBlockWidth + i;
-        p.x[at + i] = float(x) + 0.5f;
-        p.y[at + i] = float(y) + 0.5f;
-        if (x >= t.width || y >= t.height) continue;
-        const int64_t pixel = int64_t(t.y + y) * f.width + t.x + x;
-        float r = 0, g = 0, b = 0, depth = 0, alpha = 0;
-        if (f.rgb_grad) {
-          r = f.rgb_grad[3 * pixel];
-          g = f.rgb_grad[3 * pixel + 1];
-          b = f.rgb_grad[3 * pixel + 2];
-        }
-        if (f.depth_grad) depth = f.depth_grad[pixel];
-        if (f.alpha_grad) alpha = f.alpha_grad[pixel];
-        const float* s = saved + at + i;
-        p.r[at + i] = r;
-        p.g[at + i] = g;
-        p.b[at + i] = b;
-        p.depth[at + i] = depth;
-        p.open[at + i] = 1.0f;
-        p.rest[at + i] = r * s[0] + g * s[kTilePixels] + b * s[2 * kTilePixels] +
-                         depth * s[3 * kTilePixels] +
-                         (r * back[0] + g * back[1] + b * back[2] - alpha) * s[4 * kTilePixels];
-      }
+    for (int x = 0; x < kTile; ++x) {
+      const int at = block_offset(y, x / kBlockWidth) + x % kBlockWidth;
+      p.x[at] = float(x) + 0.5f;
+      p.y[at] = float(y) + 0.5f;
+      p.open[at] = x < t.width && y < t.height ? 1.0f : 0.0f;
     }
+  const float* rgb = f.rgb_grad;
+  load_plane(f, t, rgb, 3, p.r);
+  load_plane(f, t, rgb ? rgb + 1 : rgb, 3, p.g);
+  load_plane(f, t, rgb ? rgb + 2 : rgb, 3, p.b);
+  load_plane(f, t, f.depth_grad, 1, p.depth);
+  load_plane(f, t, f.alpha_grad, 1, alpha);
+  const float* back = f.background;
+  for (int i = 0; i < kTilePixels; i += W) {
+    const float* saved = f.tile_state + index * 5 * kTilePixels + i;
+    const vf r = load(p.r + i), g = load(p.g + i), b = load(p.b + i);
+    const vf behind = fma(r, vf(back[0]), fma(g, vf(back[1]), fma(b, vf(back[2]), -load(alpha + i))));
+    vf rest = behind * load(saved + 4 * kTilePixels);
+    rest = fma(load(p.depth + i), load(saved + 3 * kTilePixels), rest);
+    rest = fma(b, load(saved + 2 * kTilePixels), rest);
+    rest = fma(g, load(saved + kTilePixels), rest);
+    store(p.rest + i, fma(r, load(saved), rest));
+  }
 }
 
 // Adds the gradient of one Gaussian over the blocks in `mask` to ten sums; returns the blocks whose

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-_KEEP = 24
+_KEEP = 16
 _store: list[np.ndarray] = []
 _lock = threading.Lock()
 # Blocks come back whenever Python collects a tensor, even while the lock is held: they wait here.
@@ -31,6 +31,13 @@ def empty(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
     weakref.finalize(lease, _returned.append, block).atexit = False
     flat: Tensor = torch.from_numpy(lease)[:size].view(dtype)
     return flat.view(shape)
+
+
+def clear() -> None:
+    """Give the stored memory back to the operating system."""
+    with _lock:
+        _returned.clear()
+        _store.clear()
 
 
 def _take(size: int) -> np.ndarray:

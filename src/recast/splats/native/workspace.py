@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import weakref
 
+from recast.splats.native import memory
 from recast.splats.native.library import library
 
 STAGES = ("project", "sort", "bin", "raster", "raster_backward", "project_backward")
@@ -44,6 +45,7 @@ class Workspace:
 
 
 def free_memory() -> None:
-    """Free the contexts that no view holds."""
+    """Free the working memory that no view and no tensor holds."""
+    memory.clear()
     while _idle:
         library().recast_destroy(_idle.pop())
