@@ -11,7 +11,7 @@ from recast.splats import Gaussians
 Array = NDArray[np.float64]
 
 _SPACING = 0.14  # metres between Gaussians
-_DARKNESS = 0.55  # peak opacity of one; neighbours overlap to about 0.9
+_DARKNESS = 0.45  # peak opacity of one; neighbours overlap to about 0.9
 _FADE = 0.32  # metres over which the shadow fades out around the footprint
 _LIFT = 0.06  # metres: splats of the road are thick and sort by centre, lower ones hide the shadow
 _THICKNESS = 0.003
@@ -42,7 +42,7 @@ def contact_shadow(low: Array, high: Array, floor: float) -> Gaussians:
     opacity = _DARKNESS * t * t * (3 - 2 * t)
     kept = opacity > 0.01
     count = int(kept.sum())
-    deviations = np.log([0.62 * _SPACING, 0.62 * _SPACING, _THICKNESS])
+    deviations = np.log([0.85 * _SPACING, 0.85 * _SPACING, _THICKNESS])
     means = np.stack(
         [centre[0] + x[kept], centre[1] + y[kept], np.full(count, floor + _LIFT)], axis=-1
     )

@@ -57,8 +57,10 @@ def framing_camera(size: Array, width: int, height: int) -> PinholeCamera:
     """A camera that sees the whole box from `turntable`'s distance in every direction."""
     distance = _DISTANCE * float(np.linalg.norm(size))
     radius = 0.5 * float(np.linalg.norm(size[:2]))
-    nearest = distance - radius
-    focal = 0.92 * min(width / 2 / (1.03 * radius), height / (size[2] + 0.5 * radius)) * nearest
+    # the widest part is about as far as the middle, the lowest visible one half a radius nearer
+    across = width / 2 / (1.08 * radius) * distance
+    upright = height / (size[2] + 0.45 * radius) * (distance - 0.5 * radius)
+    focal = 0.9 * min(across, upright)
     return PinholeCamera(width, height, focal, focal, width / 2, height / 2)
 
 
