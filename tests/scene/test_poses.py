@@ -62,13 +62,27 @@ def test_true_yaw_about_the_box_centre() -> None:
     assert np.allclose(se3.yaw(refined.poses), 0.3, atol=1e-6)
 
 
-def test_labels_only_a_held_out_view_could_correct_follow_their_neighbours() -> None:
+def test_labels_only_a_held_out_view_could_correct_are_dropped() -> None:
+    noisy = track()
+    noisy.trajectory.poses[3, 1, 3] = 0.3  # label noise that training cannot see
     views = [view(i, held_out=i == 3) for i in range(6)]
+    poses = TrackPoses({"7": noisy}, views)
+    with torch.no_grad():
+        poses.table.value[:, 1] = 0.2
+    refined = poses.refined("7")
+    assert len(refined.timestamps_us) == poses.table.value.shape[0] == 5
+    assert refined.at(300_000)[1, 3] == pytest.approx(0.2, abs=1e-6)
+    assert refined.at(300_000)[0, 3] == pytest.approx(11.0, abs=1e-6)
+
+
+def test_first_and_last_label_stay_and_follow_their_neighbour() -> None:
+    views = [view(i, held_out=i in (0, 5)) for i in range(6)]
     poses = TrackPoses({"7": track()}, views)
     with torch.no_grad():
-        poses.table.value[:, 1] = 0.2  # every knot that training reaches
-    assert np.allclose(poses.refined("7").poses[:, 1, 3], 0.2, atol=1e-6)
-    assert poses.table.value.shape[0] == 5
+        poses.table.value[:, 1] = 0.2
+    refined = poses.refined("7")
+    assert refined.timestamps_us[[0, -1]].tolist() == [0, 500_000]
+    assert np.allclose(refined.poses[:, 1, 3], 0.2, atol=1e-6)
 
 
 def test_absent_outside_the_labels_but_held_within_the_clock_tolerance() -> None:

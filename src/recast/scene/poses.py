@@ -94,31 +94,36 @@ class TrackPoses:
     """Offsets (dx, dy, dz, dyaw) of tracks in the world frame, at knots in time.
 
     world_from_object(t) = translate(d) rotate_z(dyaw) about the box centre, applied to the logged
-    pose at t. Knots are the labels that a training view is nearest to: a label that only a held-out
-    image could correct would stay where it was while its neighbours move.
+    pose at t. Knots are the labels that a training view is nearest to. Labels that only a held-out
+    image could correct are dropped, but for the first and the last: what their neighbours have
+    learned, carried over a fifth of a second, is nearer to the truth than a raw label.
     """
 
     def __init__(self, tracks: Mapping[str, Track], views: Sequence[View]) -> None:
-        self._tracks = dict(tracks)
+        self._logged: dict[str, Trajectory] = {}
         self._knots: dict[str, Int64Array] = {}
         self._first_row: dict[str, int] = {}
         rows = 0
         for track_id, track in tracks.items():
-            knots = _knots(track.trajectory, views)
+            trained = _trained_labels(track.trajectory, views)
+            knots = track.trajectory.timestamps_us[trained]
             self._knots[track_id], self._first_row[track_id] = knots, rows
             rows += len(knots)
+            trained[[0, -1]] = True
+            times, poses = track.trajectory.timestamps_us, track.trajectory.poses
+            self._logged[track_id] = Trajectory(times[trained], poses[trained])
         self.table = AdamTable(torch.zeros(rows, 4))
 
     def world_from_actor(self, track_id: str, timestamp_us: int) -> Tensor | None:
         """(4, 4) float32, differentiable in the offsets, or None where the track is absent."""
-        logged = pose_at(self._tracks[track_id].trajectory, timestamp_us)
+        logged = pose_at(self._logged[track_id], timestamp_us)
         if logged is None:
             return None
         return _offset(torch.from_numpy(logged).float(), self._at(track_id, timestamp_us))
 
     def refined(self, track_id: str) -> Trajectory:
-        """The track's trajectory at its label times with the offsets applied."""
-        logged = self._tracks[track_id].trajectory
+        """The track's trajectory with the offsets applied, at the times of the labels kept."""
+        logged = self._logged[track_id]
         with torch.no_grad():
             poses = [
                 _offset(torch.from_numpy(pose), self._at(track_id, int(time)).double()).numpy()
@@ -138,11 +143,13 @@ class TrackPoses:
         return (1 - weight) * table[row + left] + weight * table[row + right]
 
 
-def _knots(trajectory: Trajectory, views: Sequence[View]) -> Int64Array:
+def _trained_labels(trajectory: Trajectory, views: Sequence[View]) -> NDArray[np.bool_]:
+    """Labels (T,) whose nearest view in time is one to train on."""
     times = np.array([view.timestamp_us for view in views], np.int64)
     held_out = np.array([view.held_out for view in views], bool)
     nearest = np.abs(trajectory.timestamps_us[:, None] - times[None]).argmin(axis=1)
-    return trajectory.timestamps_us[~held_out[nearest]]
+    trained: NDArray[np.bool_] = ~held_out[nearest]
+    return trained
 
 
 def _offset(pose: Tensor, offset: Tensor) -> Tensor:
