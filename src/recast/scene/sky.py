@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
+import torch.nn.functional as functional
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from recast.geometry import PinholeCamera
+
 HEIGHT, WIDTH = 128, 512
+NODE_PX = 8
 OPAQUE = 1.0 - 1.0 / 255.0
 """Pixels more opaque than this show no sky: what is lost is below one grey level."""
 
@@ -36,91 +39,80 @@ class SkyMap:
 
     def __call__(self, directions: Tensor) -> Tensor:
         """Colours (M, 3) in world directions (M, 3) of any length, bilinear."""
-        cells, weights = bilinear_cells(directions, *self.colours.shape[:2])
-        return _gather(self.colours.reshape(-1, 3), cells, weights)
+        return _sample(self.colours, direction_coordinates(directions))
 
 
-def bilinear_cells(directions: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
-    """The four map cells around directions (M, 3): flat indices (4, M) and weights (4, M)."""
+def direction_coordinates(directions: Tensor) -> Tensor:
+    """Place on the map of directions (..., 3): (..., 2) shares of its width and height.
+
+    Width runs from azimuth -pi to pi, height from the zenith down.
+    """
     x, y, z = directions.unbind(-1)
     azimuth = torch.atan2(y, x)
     elevation = torch.atan2(z, torch.sqrt(x * x + y * y))
-    column = (azimuth + math.pi) * (width / (2 * math.pi)) - 0.5
-    row = ((math.pi / 2 - elevation) * (height / math.pi) - 0.5).clamp(0, height - 1)
-    left, top = column.floor(), row.floor().clamp(max=height - 2)
-    right_weight, lower_weight = column - left, row - top
-    left_index = left.long() % width
-    right_index = (left_index + 1) % width
-    top_index = top.long() * width
-    cells = torch.stack(
-        [
-            top_index + left_index,
-            top_index + right_index,
-            top_index + width + left_index,
-            top_index + width + right_index,
-        ]
-    )
-    weights = torch.stack(
-        [
-            (1 - right_weight) * (1 - lower_weight),
-            right_weight * (1 - lower_weight),
-            (1 - right_weight) * lower_weight,
-            right_weight * lower_weight,
-        ]
-    )
-    return cells, weights
+    return torch.stack([azimuth / (2 * math.pi) + 0.5, 0.5 - elevation / math.pi], dim=-1)
 
 
-def _gather(colours: Tensor, cells: Tensor, weights: Tensor) -> Tensor:
-    return (colours[cells] * weights[..., None]).sum(0)
+def pixel_coordinates(camera: PinholeCamera, camera_from_world: ArrayLike) -> Tensor:
+    """`direction_coordinates` of all pixels (H, W, 2) float32 of a rectified camera.
+
+    Azimuth and elevation bend little across a few pixels: they are computed on every eighth and
+    interpolated (error below a hundredth of a cell at driving cameras' focal lengths).
+
+    Raises:
+        ValueError: the camera has distortion.
+    """
+    if not camera.is_rectified:
+        raise ValueError("the sky needs a rectified camera: use camera.rectified()")
+    axes = np.asarray(camera_from_world, np.float64)[:3, :3]  # rows: camera axes in the world
+    # A rim of one more node: cv2.resize repeats the outermost nodes instead of going on.
+    columns, rows = -(-camera.width // NODE_PX), -(-camera.height // NODE_PX)
+    u = (np.arange(-1, columns + 1) + 0.5) * NODE_PX
+    v = (np.arange(-1, rows + 1) + 0.5) * NODE_PX
+    along = ((u - camera.cx) / camera.fx)[None, :, None] * axes[0]
+    down = ((v - camera.cy) / camera.fy)[:, None, None] * axes[1]
+    directions = torch.from_numpy(along + down + axes[2])
+    nodes = direction_coordinates(directions).numpy()
+    # Unroll the turn from pi to -pi about the middle of the image.
+    nodes[..., 0] -= np.rint(nodes[..., 0] - nodes[rows // 2, columns // 2, 0])
+    size = ((columns + 2) * NODE_PX, (rows + 2) * NODE_PX)
+    fine = cv2.resize(nodes.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+    inner = fine[NODE_PX : NODE_PX + camera.height, NODE_PX : NODE_PX + camera.width]
+    return torch.from_numpy(np.ascontiguousarray(inner))
 
 
-class _Composite(torch.autograd.Function):
-    """rgb + (1 - alpha) sky, looked up only where it shows."""
-
-    @staticmethod
-    def forward(
-        ctx: Any, rgb: Tensor, alpha: Tensor, colours: Tensor, directions: Tensor
-    ) -> Tensor:
-        shown = (alpha.reshape(-1) < OPAQUE).nonzero()[:, 0]
-        height, width = colours.shape[:2]
-        cells, weights = bilinear_cells(directions.reshape(-1, 3)[shown], height, width)
-        sky = _gather(colours.reshape(-1, 3), cells, weights)
-        through = (1 - alpha.reshape(-1)[shown])[:, None]
-        image = rgb.clone()
-        image.view(-1, 3).index_add_(0, shown, through * sky)
-        ctx.save_for_backward(shown, cells, weights, sky, through)
-        ctx.shape = colours.shape
-        return image
-
-    @staticmethod
-    def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor, Tensor, Tensor, None]:
-        (gradient,) = grad_outputs
-        shown, cells, weights, sky, through = ctx.saved_tensors
-        rows = gradient.reshape(-1, 3)[shown]
-        by_alpha = gradient.new_zeros(gradient.shape[0] * gradient.shape[1])
-        by_alpha[shown] = -(rows * sky).sum(1)
-        by_colour = gradient.new_zeros(ctx.shape[0] * ctx.shape[1], 3)
-        scaled = rows * through
-        for cell, weight in zip(cells, weights, strict=True):
-            by_colour.index_add_(0, cell, scaled * weight[:, None])
-        return gradient, by_alpha.view(gradient.shape[:2]), by_colour.view(ctx.shape), None
-
-
-def composite(rgb: Tensor, alpha: Tensor, colours: Tensor, directions: Tensor) -> Tensor:
-    """Put the sky behind a rendered image.
+def composite(rgb: Tensor, alpha: Tensor, colours: Tensor, coordinates: Tensor) -> Tensor:
+    """Put the sky behind a rendered image: rgb + (1 - alpha) sky.
 
     Args:
         rgb: (H, W, 3) premultiplied colour on black.
         alpha: (H, W) accumulated opacity.
         colours: (h, w, 3) the sky map's.
-        directions: (H, W, 3) world directions of the pixels.
+        coordinates: (H, W, 2) as `pixel_coordinates` gives.
 
     Returns:
-        (H, W, 3), differentiable in all but the directions; pixels above `OPAQUE` are left alone.
+        (H, W, 3), differentiable in all but the coordinates; pixels above `OPAQUE` are left alone.
     """
-    image: Tensor = _Composite.apply(rgb, alpha, colours, directions)
-    return image
+    flat = alpha.reshape(-1)
+    shown = (flat.detach() < OPAQUE).nonzero()[:, 0]
+    sky = _sample(colours, coordinates.reshape(-1, 2)[shown])
+    through = 1 - flat.index_select(0, shown)
+    return rgb.reshape(-1, 3).index_add(0, shown, through[:, None] * sky).view_as(rgb)
+
+
+def _sample(colours: Tensor, coordinates: Tensor) -> Tensor:
+    """Bilinear colours (M, 3) at map shares (M, 2); columns wrap around, rows end."""
+    width = colours.shape[1]
+    ring = torch.cat([colours[:, -1:], colours, colours[:, :1]], dim=1)
+    across = (coordinates[:, 0] % 1.0 * width + 1) / (width + 2)
+    grid = 2 * torch.stack([across, coordinates[:, 1]], dim=-1) - 1
+    sampled = functional.grid_sample(
+        ring.movedim(-1, 0)[None],
+        grid[None, None].to(colours.dtype),
+        padding_mode="border",
+        align_corners=False,
+    )
+    return sampled[0, :, 0].T
 
 
 def sky_from_pixels(
@@ -136,8 +128,10 @@ def sky_from_pixels(
     """
     if len(directions) == 0:
         return SkyMap.constant(torch.full((3,), 0.8), height, width)
-    cells, weights = bilinear_cells(torch.from_numpy(directions), height, width)
-    nearest = cells.gather(0, weights.argmax(0, keepdim=True))[0].numpy()
+    place = direction_coordinates(torch.from_numpy(directions)).numpy()
+    column = np.minimum((place[:, 0] * width).astype(np.int64), width - 1)
+    row = np.minimum((place[:, 1] * height).astype(np.int64), height - 1)
+    nearest = row * width + column
     count = np.bincount(nearest, minlength=height * width).astype(np.float64)
     sums = [np.bincount(nearest, colours[:, c], minlength=height * width) for c in range(3)]
     total = np.stack(sums, axis=-1).astype(np.float64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import time
 from collections import deque
@@ -77,12 +78,14 @@ def train_scene(
     claim_folder(out, log, config)
     if (out / SCENE_FILE).is_file():
         return TrainResult(load_scene(out), out, read_json(out / HISTORY_FILE))
-    threads = config.threads or torch.get_num_threads()
+    threads = config.threads or os.cpu_count() or 1
     run = _Run(log, out, config, threads, progress or (lambda status: None))
     before = torch.get_num_threads(), cv2.getNumThreads()
     try:
-        torch.set_num_threads(threads)
-        cv2.setNumThreads(1)  # the trainer brings its own threads
+        # The rasterizer and the losses bring their own threads; torch's and OpenCV's would spin
+        # against them for tensors that one core handles in microseconds.
+        torch.set_num_threads(1)
+        cv2.setNumThreads(1)
         set_threads(threads)
         return run.finish()
     finally:

@@ -17,9 +17,8 @@ from recast.scene.levels import Level, full_level, half_level
 from recast.scene.losses import depth_loss, photometric_loss, sky_loss
 from recast.scene.population import change_population
 from recast.scene.poses import CameraPoses, TrackPoses
-from recast.scene.render import pixel_directions
 from recast.scene.schedule import gaussian_rates, pose_factor, sky_rate
-from recast.scene.sky import SkyMap, composite
+from recast.scene.sky import SkyMap, composite, pixel_coordinates
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.scene.trainable import TrainableScene, copy
 from recast.scene.views import View
@@ -78,14 +77,14 @@ class Trainer:
         level = (self._coarse if u < config.coarse_fraction else self._fine)[index]
         report = self._fit(self._views[index], level, u)
         self.iteration += 1
-        if (
-            self.iteration % config.densify_every == 0
-            and self.iteration < config.densify_until * config.iterations
-        ):
+        if self.iteration % config.densify_every == 0 and self._densifies():
             seed = np.random.SeedSequence([config.seed, self.iteration]).generate_state(1)[0]
             generator = torch.Generator().manual_seed(int(seed))
             change_population(self.model, self._tracks, config, generator)
         return report
+
+    def _densifies(self) -> bool:
+        return self.iteration < self.config.densify_until * self.config.iterations
 
     def _pick(self) -> int:
         """Each epoch visits every view once, in an order that hangs on seed and epoch alone."""
@@ -107,8 +106,9 @@ class Trainer:
         pose = self.camera_poses.camera_from_world(view)
         result = rasterize(drawn.gaussians, pose, level.K, camera.width, camera.height)
         sky = self.sky.value.view(self.sky_shape)
-        directions = pixel_directions(camera, view.camera_from_world)
-        image = composite(result.rgb, result.alpha, sky, directions)
+        # The sky is smooth and far: the logged pose does for it.
+        coordinates = pixel_coordinates(camera, view.camera_from_world)
+        image = composite(result.rgb, result.alpha, sky, coordinates)
         if level.usable is not None:
             image = image * level.usable
         target = level.target
@@ -120,7 +120,8 @@ class Trainer:
             loss = loss + config.sky_weight * sky_loss(result.alpha, level.sky)
         loss.backward()
         self.model.take_gradients(drawn)
-        self.model.count(drawn, result.meta, camera.width, camera.height)
+        if self._densifies():
+            self.model.count(drawn, result.meta, camera.width, camera.height)
         self._update(*self.model.visible(drawn, result.meta), u)
         squared = float((image.detach() - target).square().mean())
         return StepReport(float(loss.detach()), -10 * float(np.log10(max(squared, 1e-10))))
