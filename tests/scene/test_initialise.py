@@ -143,3 +143,10 @@ def test_a_forced_track_that_is_never_visible(tiny_log: DrivingLog, views: list[
     log = replace(tiny_log, tracks={**tiny_log.tracks, "1": hidden})
     with pytest.raises(InputError, match="never visible"):
         choose_actors(log, views, CONFIG.model_copy(update={"force_dynamic": ("1",)}))
+
+
+def test_a_log_without_sweeps_or_parallax(tiny_log: DrivingLog, views: list[View]) -> None:
+    blind = replace(tiny_log, lidars={})
+    config = CONFIG.model_copy(update={"sweep_points": 0})
+    with pytest.raises(InputError, match="LiDAR: 0 points"):
+        initialise(blind, views, {}, config, np.random.default_rng(0))
