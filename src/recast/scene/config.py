@@ -26,12 +26,12 @@ class SceneConfig(BaseModel):
     scale: float = Field(
         default=0.5, gt=0, le=1, description="image scale: 0.5 makes 1242x375 621x188"
     )
-    iterations: int = Field(default=3200, ge=1)
-    seed: int = 0
+    iterations: int = Field(default=3000, ge=1, description="training steps, one view each")
+    seed: int = Field(default=0, description="of everything random")
     holdout_every: int = Field(
         default=8, ge=0, description="frames kept from training: every n-th, 0: none"
     )
-    holdout_offset: int = Field(default=3, ge=0)
+    holdout_offset: int = Field(default=3, ge=0, description="first frame kept")
     force_dynamic: tuple[str, ...] = Field(
         default=(), description="tracks to model though they hardly move"
     )
@@ -43,29 +43,31 @@ class SceneConfig(BaseModel):
         default=0.15, ge=0, le=1, description="share of the run at half the scale"
     )
     voxel_m: float = Field(default=0.22, gt=0, description="LiDAR voxel of the background")
-    actor_voxel_m: float = Field(default=0.05, gt=0)
+    actor_voxel_m: float = Field(default=0.05, gt=0, description="LiDAR voxel of the actors")
     sweep_points: int = Field(
         default=50_000, ge=0, description="most points from the plane sweep, 0: none"
     )
-    sh_degree: int = Field(default=1, ge=0, le=3)
-    max_gaussians: int = Field(default=240_000, ge=1)
+    sh_degree: int = Field(default=1, ge=0, le=3, description="of view-dependent colour")
+    max_gaussians: int = Field(default=240_000, ge=1, description="densification stops there")
 
-    means_lr: float = Field(default=1.2e-2, description="metres")
-    quats_lr: float = 6e-3
-    scales_lr: float = 3e-2
-    opacities_lr: float = 0.18
-    colours_lr: float = 1.5e-2
-    sky_lr: float = 1e-2
+    means_lr: float = Field(default=1.2e-2, description="of centres, metres a step")
+    quats_lr: float = Field(default=6e-3, description="of quaternions, constant")
+    scales_lr: float = Field(default=3e-2, description="of log scales")
+    opacities_lr: float = Field(default=0.18, description="of logits")
+    colours_lr: float = Field(
+        default=1.5e-2, description="of the constant harmonic; the others get a twentieth"
+    )
+    sky_lr: float = Field(default=1e-2, description="of the sky map")
     camera_pose_lr: float = Field(
         default=1e-3, ge=0, description="metres; radians get a tenth; 0: fixed"
     )
     actor_pose_lr: float = Field(default=2e-3, ge=0, description="metres and radians; 0: fixed")
 
-    ssim_weight: float = Field(default=0.2, ge=0, le=1)
-    depth_weight: float = Field(default=0.05, ge=0)
-    sky_weight: float = Field(default=0.02, ge=0)
+    ssim_weight: float = Field(default=0.2, ge=0, le=1, description="the rest is L1")
+    depth_weight: float = Field(default=0.1, ge=0, description="of relative LiDAR depth")
+    sky_weight: float = Field(default=0.02, ge=0, description="of opacity before the sky")
 
-    densify_every: int = Field(default=100, ge=1)
+    densify_every: int = Field(default=100, ge=1, description="steps")
     densify_until: float = Field(default=0.6, ge=0, le=1, description="share of the run")
     densify_growth: float = Field(
         default=0.08, ge=0, description="most new rows a time, share of all"
@@ -74,8 +76,8 @@ class SceneConfig(BaseModel):
         default=3e-4, gt=0, description="mean image-plane gradient, NDC units"
     )
 
-    evaluate_every: int = Field(default=500, ge=1)
-    checkpoint_every: int = Field(default=200, ge=1)
+    evaluate_every: int = Field(default=500, ge=1, description="steps between held-out PSNRs")
+    checkpoint_every: int = Field(default=200, ge=1, description="steps that a kill costs at most")
     threads: int = Field(default=0, ge=0, description="CPU threads, 0: all")
 
 
