@@ -78,7 +78,7 @@ def train_scene(
     claim_folder(out, log, config)
     if (out / SCENE_FILE).is_file():
         return TrainResult(load_scene(out), out, read_json(out / HISTORY_FILE))
-    threads = config.threads or os.cpu_count() or 1
+    threads = config.threads or _available_cores()
     run = _Run(log, out, config, threads, progress or (lambda status: None))
     before = torch.get_num_threads(), cv2.getNumThreads()
     try:
@@ -91,6 +91,12 @@ def train_scene(
     finally:
         torch.set_num_threads(before[0])
         cv2.setNumThreads(before[1])
+
+
+def _available_cores() -> int:
+    if hasattr(os, "sched_getaffinity"):  # not on macOS
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 class _Run:
