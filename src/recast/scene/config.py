@@ -26,7 +26,7 @@ class SceneConfig(BaseModel):
     scale: float = Field(
         default=0.5, gt=0, le=1, description="image scale: 0.5 makes 1242x375 621x188"
     )
-    iterations: int = Field(default=3000, ge=1, description="training steps, one view each")
+    iterations: int = Field(default=2800, ge=1, description="training steps, one view each")
     seed: int = Field(default=0, description="of everything random")
     holdout_every: int = Field(
         default=8, ge=0, description="frames kept from training: every n-th, 0: none"
