@@ -39,12 +39,7 @@ def observe(
     """
     track = _track(log, track_id)
     points = track_points(log, track).points
-    if len(points) < MIN_LIDAR_POINTS:
-        raise InputError(
-            log.name, f"track {track_id}",
-            f"has {len(points)} LiDAR points in its boxes, at least {MIN_LIDAR_POINTS} are needed",
-            "choose a track that comes nearer: recast log info lists them",
-        )  # fmt: skip
+    require_points(points, log, track_id)
     candidates = rank_views(log, track, camera)
     if not candidates:
         raise InputError(
@@ -67,6 +62,20 @@ def observe(
         candidates=tuple(candidates),
         mask_quality=mask_quality(target, alpha),
     )
+
+
+def require_points(points: NDArray[np.float32], log: DrivingLog, track_id: str) -> None:
+    """Refuse a track whose LiDAR points (N, 3) are too few to place a vehicle by.
+
+    Raises:
+        InputError: fewer than 20.
+    """
+    if len(points) < MIN_LIDAR_POINTS:
+        raise InputError(
+            log.name, f"track {track_id}",
+            f"has {len(points)} LiDAR points in its boxes, at least {MIN_LIDAR_POINTS} are needed",
+            "choose a track that comes nearer: recast log info lists them",
+        )  # fmt: skip
 
 
 def rank_views(log: DrivingLog, track: Track, camera: str | None = None) -> list[ViewScore]:

@@ -19,7 +19,7 @@ from recast.actors.generate import Asset
 from recast.actors.hull import Surface, bounds, outer_surface
 from recast.actors.icp import IcpLimits, align, fit_of
 from recast.actors.observation import Observation
-from recast.actors.observe import MIN_LIDAR_POINTS
+from recast.actors.observe import require_points
 from recast.actors.shadow import contact_shadow
 from recast.errors import InputError
 from recast.geometry import se3
@@ -61,12 +61,7 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
     """
     same = observation.track_id == track.track_id  # reading all sweeps again takes seconds
     points = observation.points if same else track_points(log, track).points
-    if len(points) < MIN_LIDAR_POINTS:
-        raise InputError(
-            log.name, f"track {track.track_id}",
-            f"has {len(points)} LiDAR points in its boxes, at least {MIN_LIDAR_POINTS} are needed",
-            "choose a track that comes nearer: recast log info lists them",
-        )  # fmt: skip
+    require_points(points, log, track.track_id)
     lidar = _thinned(np.asarray(points, np.float64), _LIDAR_POINTS)
     size = np.asarray(track.size, np.float64)
     upright = se3.from_rotation_translation(asset.axes.rotation(), np.zeros(3))
