@@ -1,0 +1,1 @@
+"""Vehicle sets: many views of many vehicles."""

@@ -1,0 +1,1 @@
+"""The procedural driving world: streets, vehicles, sensors with ground truth."""

@@ -1,0 +1,1 @@
+"""Ray-traced cameras and LiDAR."""

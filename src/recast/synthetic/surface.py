@@ -1,0 +1,147 @@
+"""Triangles with colours, materials and shading normals: what the ray tracer draws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from recast.synthetic.materials import MATERIAL_INDEX, MATERIALS
+
+Array = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+Faces = NDArray[np.int32]
+
+CREASE_ANGLE = np.deg2rad(35)
+"""Edges that bend by more than this stay sharp in the shading."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A triangle mesh, counter-clockwise seen from outside.
+
+    Attributes:
+        vertices: (V, 3) float64 metres.
+        faces: (F, 3) int32 indices of vertices.
+        normals: (F, 3, 3) float32 unit shading normal at each corner of each face.
+        colours: (F, 3) float32 linear RGB diffuse reflectance in [0, 1].
+        materials: (F,) uint8 indices into `MATERIALS`.
+    """
+
+    vertices: Array
+    faces: Faces
+    normals: Float32Array
+    colours: Float32Array
+    materials: NDArray[np.uint8]
+
+    @classmethod
+    def make(
+        cls,
+        vertices: ArrayLike,
+        faces: ArrayLike,
+        colour: ArrayLike,
+        material: str,
+        crease: float = CREASE_ANGLE,
+    ) -> Surface:
+        """A surface of one material, with smooth shading over edges that bend less than `crease`.
+
+        Args:
+            vertices: (V, 3). Corners at the same place must share a vertex to be shaded smoothly.
+            faces: (F, 3).
+            colour: (3,) or (F, 3) linear RGB.
+            material: a name in `MATERIALS`.
+            crease: radians; 0 gives flat shading.
+        """
+        vertices = np.asarray(vertices, np.float64).reshape(-1, 3)
+        faces = np.asarray(faces, np.int32).reshape(-1, 3)
+        colours = np.broadcast_to(np.asarray(colour, np.float32), (len(faces), 3)).copy()
+        materials = np.full(len(faces), MATERIAL_INDEX[material], np.uint8)
+        return cls(vertices, faces, corner_normals(vertices, faces, crease), colours, materials)
+
+    def __len__(self) -> int:
+        return len(self.faces)
+
+    def transformed(self, target_from_source: Array) -> Surface:
+        """Moved by a rigid transform (4, 4)."""
+        rotation, translation = target_from_source[:3, :3], target_from_source[:3, 3]
+        return Surface(
+            self.vertices @ rotation.T + translation,
+            self.faces,
+            (self.normals @ rotation.T.astype(np.float32)).astype(np.float32),
+            self.colours,
+            self.materials,
+        )
+
+    def bounds(self) -> Array:
+        """(2, 3) least and greatest coordinates."""
+        return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    def validate(self) -> None:
+        """Raise ValueError naming the field at fault."""
+        count = len(self.faces)
+        if self.vertices.ndim != 2 or self.vertices.shape[1] != 3:
+            raise ValueError(f"Surface.vertices: expected (V, 3), got {self.vertices.shape}")
+        if not np.all(np.isfinite(self.vertices)):
+            raise ValueError("Surface.vertices: not all are finite")
+        if count and (self.faces.min() < 0 or self.faces.max() >= len(self.vertices)):
+            raise ValueError("Surface.faces: names a vertex that is not there")
+        for name, shape in (("normals", (count, 3, 3)), ("colours", (count, 3))):
+            value = getattr(self, name)
+            if value.shape != shape or value.dtype != np.float32:
+                raise ValueError(f"Surface.{name}: expected {shape} float32, got {value.shape}")
+        if self.materials.shape != (count,) or np.any(self.materials >= len(MATERIALS)):
+            raise ValueError(f"Surface.materials: expected ({count},) indices of MATERIALS")
+
+
+def concatenate(surfaces: Sequence[Surface]) -> Surface:
+    """All triangles of all surfaces; an empty sequence gives an empty surface."""
+    parts = [surface for surface in surfaces if len(surface)]
+    if not parts:
+        empty = np.zeros((0, 3), np.float32)
+        return Surface(
+            np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3, 3), np.float32), empty,
+            np.zeros(0, np.uint8),
+        )  # fmt: skip
+    offsets = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+    return Surface(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate(
+            [part.faces + np.int32(offset) for part, offset in zip(parts, offsets, strict=True)]
+        ),
+        np.concatenate([part.normals for part in parts]),
+        np.concatenate([part.colours for part in parts]),
+        np.concatenate([part.materials for part in parts]),
+    )
+
+
+def corner_normals(vertices: Array, faces: Faces, crease: float = CREASE_ANGLE) -> Float32Array:
+    """Shading normals (F, 3, 3) at the corners of faces.
+
+    A corner's normal is the mean, weighted by area, of the faces around its vertex whose own normal
+    lies within `crease` radians of the corner's face.
+    """
+    triangles = vertices[faces]
+    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    area = np.linalg.norm(cross, axis=1, keepdims=True)
+    flat = cross / np.maximum(area, 1e-20)
+    if crease <= 0 or not len(faces):
+        return np.repeat(flat[:, None], 3, axis=1).astype(np.float32)
+    corner_face = np.repeat(np.arange(len(faces)), 3)
+    order = np.argsort(faces.ravel(), kind="stable")
+    vertex = faces.ravel()[order]
+    start = np.searchsorted(vertex, np.arange(len(vertices)))
+    valence = np.bincount(vertex, minlength=len(vertices))
+    mean = np.zeros((len(corner_face), 3))
+    own = flat[corner_face]
+    # One pass for each neighbour: the k-th face around every corner's vertex.
+    corner_vertex = faces.ravel()
+    for k in range(int(valence.max())):
+        has = valence[corner_vertex] > k
+        other = corner_face[order[start[corner_vertex[has]] + k]]
+        near = np.einsum("ij,ij->i", own[has], flat[other]) >= np.cos(crease)
+        mean[np.flatnonzero(has)[near]] += cross[other[near]]
+    length = np.linalg.norm(mean, axis=1, keepdims=True)
+    smooth = np.where(length > 1e-20, mean / np.maximum(length, 1e-20), own)
+    return smooth.reshape(-1, 3, 3).astype(np.float32)
