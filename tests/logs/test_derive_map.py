@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import shapely
 
+from recast.errors import InputError
 from recast.geometry import boxes, se2, se3
 from recast.logs import DrivingLog, HdMap, Trajectory, derive_map
 from recast.logs.derive_map import ego_path
@@ -111,7 +112,7 @@ def test_a_standing_ego_has_no_path(tiny_log: DrivingLog) -> None:
     ego = tiny_log.world_from_rig
     still = Trajectory(ego.timestamps_us, np.broadcast_to(ego.poses[0], ego.poses.shape))
     assert ego_path(still) is None
-    with pytest.raises(ValueError, match="less than 2 m"):
+    with pytest.raises(InputError, match="less than 2 m"):
         derive_map(replace(tiny_log, world_from_rig=still))
 
 

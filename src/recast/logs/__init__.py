@@ -1,6 +1,6 @@
 """Driving logs: the data, the store, importers, and what can be derived from a drive."""
 
-from recast.logs.derive_map import derive_map
+from recast.logs.derive_map import derive_map, map_of
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
 from recast.logs.info import LogInfo, TrackInfo, TrackVisibility, log_info
 from recast.logs.store import read_log, write_log
@@ -31,6 +31,7 @@ __all__ = [
     "all_track_points",
     "derive_map",
     "log_info",
+    "map_of",
     "read_log",
     "track_points",
     "write_log",

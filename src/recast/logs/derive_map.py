@@ -13,6 +13,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.polygon import orient
 
+from recast.errors import InputError
 from recast.geometry import Polyline, se3
 from recast.logs.ground import CELL, Grid, GroundGrid, ground_grid, height_map, surface_of
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
@@ -28,6 +29,15 @@ EDGE_QUANTILE = 0.1  # of the room seen along a lane: a few odd cells do not nar
 EGO_FRONT, EGO_REAR, EGO_HALF_WIDTH = 3.9, 1.0, 1.0  # metres from the rear axle
 
 
+def map_of(log: DrivingLog) -> HdMap:
+    """The log's map, or one derived from the drive where it came without.
+
+    Raises:
+        InputError: the log has no map and its ego never drives, so none can be derived.
+    """
+    return derive_map(log) if log.map is None else log.map
+
+
 def derive_map(log: DrivingLog) -> HdMap:
     """Lanes, drivable area and ground height of a drive, in its world frame.
 
@@ -38,11 +48,16 @@ def derive_map(log: DrivingLog) -> HdMap:
     - drivable area: ground one can reach without crossing a kerb, and wherever the ego was.
 
     Raises:
-        ValueError: the ego moves less than 2 m, so there is no path.
+        InputError: the ego moves less than 2 m, so there is no path.
     """
     path = ego_path(log.world_from_rig)
     if path is None:
-        raise ValueError("derive_map: the ego moves less than 2 m")
+        raise InputError(
+            log.name,
+            "ego trajectory",
+            "moves less than 2 m, so no map can be derived from it",
+            "choose a drive in which the ego moves, or a log with a map",
+        )
     grid = ground_grid(log, path)
     surface = surface_of(grid, path)
     ground = height_map(grid, path)

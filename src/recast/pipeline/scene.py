@@ -16,7 +16,7 @@ from recast.scene import (
     TrainResult,
     evaluate_scene,
     load_scene,
-    read_run_config,
+    read_training_config,
     train_scene,
 )
 
@@ -33,7 +33,7 @@ def evaluate_and_print(
     scene: str | Path, log: DrivingLog, out: str | Path, console: Console | None = None
 ) -> SceneEvaluation:
     """Score a trained scene's held-out images, write eval.json and pictures, print a table."""
-    evaluation = evaluate_scene(load_scene(scene), log, read_run_config(scene), out)
+    evaluation = evaluate_scene(load_scene(scene), log, read_training_config(scene), out)
     (console or Console()).print(evaluation_table(evaluation), f"pictures: {out}", sep="\n")
     return evaluation
 

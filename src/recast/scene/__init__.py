@@ -5,7 +5,7 @@ from recast.scene.evaluate import FrameScore, SceneEvaluation, evaluate_scene
 from recast.scene.image_metrics import psnr, ssim
 from recast.scene.progress import ProgressCallback, TrainingDisplay, TrainingStatus
 from recast.scene.render import SceneImage, SceneRasterizer, render_scene
-from recast.scene.run_identity import read_run_config
+from recast.scene.run_identity import read_training_config
 from recast.scene.sky import SkyMap
 from recast.scene.store import load_scene, save_scene
 from recast.scene.street_scene import SceneActor, StreetScene
@@ -28,7 +28,7 @@ __all__ = [
     "load_scene",
     "psnr",
     "read_config",
-    "read_run_config",
+    "read_training_config",
     "render_scene",
     "save_scene",
     "ssim",

@@ -78,7 +78,7 @@ def claim_folder(folder: Path, log: DrivingLog, config: SceneConfig) -> None:
     write_config(config, folder / CONFIG_FILE)
 
 
-def read_run_config(folder: str | Path) -> SceneConfig:
+def read_training_config(folder: str | Path) -> SceneConfig:
     """The configuration that a scene folder was trained with.
 
     Raises:
@@ -90,7 +90,7 @@ def read_run_config(folder: str | Path) -> SceneConfig:
 
 def _check_same(folder: Path, source: Source, config: SceneConfig) -> None:
     mend = "name another folder or remove this one"
-    found = read_run_config(folder)
+    found = read_training_config(folder)
     for name in SceneConfig.model_fields:
         before, asked = getattr(found, name), getattr(config, name)
         if name not in FREE_FIELDS and before != asked:
