@@ -1,1 +1,42 @@
-"""What stands beside roads."""
+"""What stands beside roads: every function gives a `Surface` that stands on z = 0."""
+
+from recast.synthetic.scenery.barriers import FENCE_STYLES, WALL_STYLES, fence, guard_rail, wall
+from recast.synthetic.scenery.bridges import bridge
+from recast.synthetic.scenery.buildings import BUILDING_STYLES, building
+from recast.synthetic.scenery.bushes import bush, hedge
+from recast.synthetic.scenery.furniture import bench, bollard, hydrant, litter_bin, parking_meter
+from recast.synthetic.scenery.hoardings import hoarding
+from recast.synthetic.scenery.industry import container, pallets
+from recast.synthetic.scenery.poles import lamp_post, pole_line
+from recast.synthetic.scenery.signals import SIGNAL_STATES, traffic_signal
+from recast.synthetic.scenery.signs import SIGN_KINDS, road_sign
+from recast.synthetic.scenery.trees import TREE_STYLES, tree
+
+__all__ = [
+    "BUILDING_STYLES",
+    "FENCE_STYLES",
+    "SIGNAL_STATES",
+    "SIGN_KINDS",
+    "TREE_STYLES",
+    "WALL_STYLES",
+    "bench",
+    "bollard",
+    "bridge",
+    "building",
+    "bush",
+    "container",
+    "fence",
+    "guard_rail",
+    "hedge",
+    "hoarding",
+    "hydrant",
+    "lamp_post",
+    "litter_bin",
+    "pallets",
+    "parking_meter",
+    "pole_line",
+    "road_sign",
+    "traffic_signal",
+    "tree",
+    "wall",
+]

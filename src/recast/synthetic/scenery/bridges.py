@@ -1,0 +1,135 @@
+"""A bridge that carries another road over ours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from recast.synthetic.scenery.arguments import require_size
+from recast.synthetic.scenery.primitives import boxes, quads, tube
+from recast.synthetic.surface import Surface, concatenate
+
+SLOPE = 1.6
+"""Metres across for each metre up, of the earth beside the ramps."""
+DECK_DEPTH = 1.3
+SLAB = 0.3
+
+
+def bridge(
+    rng: np.random.Generator,
+    span: float,
+    width: float,
+    clearance: float,
+    piers: Sequence[float] = (),
+    approach: float = 50.0,
+) -> Surface:
+    """A girder bridge whose road runs along y, over a road that runs along x.
+
+    The abutments' faces are at y = +-span/2 and the deck lies at x in [-width/2, width/2]. Ramps of
+    earth reach the ground at |y| = span/2 + approach. Nothing between the abutments is lower than
+    `clearance` but the piers.
+
+    Args:
+        rng: chooses colours and the railing.
+        span: metres between the abutments, 4 to 120.
+        width: metres of the deck, 3 to 60.
+        clearance: metres from the ground to the girders' underside, 2 to 15.
+        piers: y of rows of piers, between the abutments.
+        approach: metres of the ramps, 10 to 300.
+
+    Raises:
+        InputError: for impossible sizes.
+    """
+    require_size("bridge", "span", span, 4.0, 120.0)
+    require_size("bridge", "width", width, 3.0, 60.0)
+    require_size("bridge", "clearance", clearance, 2.0, 15.0)
+    require_size("bridge", "approach", approach, 10.0, 300.0)
+    for y in piers:
+        require_size("bridge", "piers", y, -span / 2, span / 2)
+    tone = np.array([0.40, 0.39, 0.36]) * rng.uniform(0.85, 1.1)
+    half, ends = width / 2, span / 2
+    top = clearance + DECK_DEPTH
+    parts = [_deck(half, ends, clearance, tone), _railings(rng, half, ends, top)]
+    for side in (-1.0, 1.0):
+        parts.append(_approach(half, ends, approach, top, tone, side))
+    for y in piers:
+        parts.append(_pier_row(half, y, clearance, tone))
+    return concatenate(parts)
+
+
+def _deck(half: float, ends: float, clearance: float, tone: np.ndarray) -> Surface:
+    """Slab, edge beams, girders, and the road on top."""
+    top = clearance + DECK_DEPTH
+    count = max(2, round(2 * half / 2.6))
+    xs = np.linspace(-half + 0.6, half - 0.6, count)
+    low = np.column_stack([xs - 0.25, np.full(count, -ends), np.full(count, clearance)])
+    girders = boxes(low, low + [0.5, 2 * ends, DECK_DEPTH - SLAB], tone * 0.9, "concrete")
+    reach = ends + 0.6
+    slab = boxes((-half, -reach, top - SLAB), (half, reach, top), tone, "concrete")
+    edges = boxes(
+        [(-half - 0.12, -reach, top - 0.55), (half - 0.2, -reach, top - 0.55)],
+        [(-half + 0.2, reach, top + 0.25), (half + 0.12, reach, top + 0.25)], tone * 1.1, "concrete",
+    )  # fmt: skip
+    road = boxes(
+        (-half + 0.2, -reach, top), (half - 0.2, reach, top + 0.02), (0.06,) * 3, "asphalt"
+    )
+    return concatenate([girders, slab, edges, road])
+
+
+def _railings(rng: np.random.Generator, half: float, ends: float, top: float) -> Surface:
+    """A railing of posts and bars on both edges."""
+    paint = [(0.45, 0.46, 0.47), (0.04, 0.11, 0.07), (0.06, 0.09, 0.16)][rng.integers(3)]
+    ys = np.linspace(-ends - 0.5, ends + 0.5, max(2, int(ends / 1.0) + 1))
+    parts = []
+    for x in (-half - 0.02, half + 0.02):
+        low = np.column_stack([np.full_like(ys, x - 0.03), ys - 0.03, np.full_like(ys, top + 0.25)])
+        parts.append(boxes(low, low + [0.06, 0.06, 0.85], paint, "metal"))
+        parts += [
+            tube([[x, ys[0], top + z], [x, ys[-1], top + z]], 0.03, 6, paint, "metal")
+            for z in (0.5, 0.8, 1.1)
+        ]
+    return concatenate(parts)
+
+
+def _approach(
+    half: float, ends: float, approach: float, top: float, tone: np.ndarray, side: float
+) -> Surface:
+    """Abutment with wing walls, and the ramp of earth behind it, on the side of +y or -y."""
+    foot = half + SLOPE * top
+    near, far = side * ends, side * (ends + approach)
+    # Seen along +y for side = 1: the wall is the ramp's cross section, so the earth ends at it.
+    outline = np.array([(-foot, -0.4), (foot, -0.4), (foot, 0.02), (half, top), (-half, top),
+                        (-foot, 0.02)])  # fmt: skip
+    front = np.column_stack([outline[:, 0], np.full(6, near), outline[:, 1]])
+    back = front + [0, side * 0.7, 0]
+    fan = np.array([(0, 1, 2), (0, 2, 5), (5, 2, 3), (5, 3, 4)])
+    a = np.arange(6)
+    b = (a + 1) % 6
+    rim = np.concatenate([np.stack([a, a + 6, b + 6], 1), np.stack([a, b + 6, b], 1)])
+    faces = np.concatenate([fan, fan[:, ::-1] + 6, rim])
+    lift = np.array([0, 0, 0.12])
+    back[2:] += lift
+    front[2:] += lift
+    faces = faces if side > 0 else faces[:, ::-1]
+    wall = Surface.make(np.concatenate([front, back]), faces, tone, "concrete", 0.0)
+    crest = [(-half, near, top), (half, near, top), (half, far, 0.0), (-half, far, 0.0)]
+    left = [(-foot, near, 0.0), (-half, near, top), (-half, far, 0.0), (-half, far, 0.0)]
+    right = [(half, near, top), (foot, near, 0.0), (half, far, 0.0), (half, far, 0.0)]
+    road = [(-half + 0.8, near, top), (half - 0.8, near, top), (half - 0.8, far, 0.0),
+            (-half + 0.8, far, 0.0)]  # fmt: skip
+    order = slice(None) if side > 0 else slice(None, None, -1)
+    grass = quads([q[order] for q in (crest, left, right)], (0.09, 0.14, 0.035), "grass")
+    asphalt = quads([np.asarray(road)[order] + [0, 0, 0.03]], (0.06,) * 3, "asphalt")
+    return concatenate([wall, grass, asphalt])
+
+
+def _pier_row(half: float, y: float, clearance: float, tone: np.ndarray) -> Surface:
+    """Columns under a cross beam that touches the girders from below... beside them."""
+    count = max(2, round(2 * half / 5))
+    xs = np.linspace(-half + 1.0, half - 1.0, count)
+    low = np.column_stack([xs - 0.4, np.full(count, y - 0.4), np.full(count, -0.4)])
+    columns = boxes(low, low + [0.8, 0.8, clearance + 0.4], tone, "concrete")
+    beam = boxes((-half + 0.3, y - 0.5, clearance), (half - 0.3, y + 0.5, clearance + 0.9), tone,
+                 "concrete")  # fmt: skip
+    return concatenate([columns, beam])
