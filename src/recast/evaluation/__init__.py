@@ -1,20 +1,36 @@
-"""Closed-loop metrics of rollouts, their table and their confidence."""
+"""Closed-loop metrics of rollouts, and actors against the truth where there is one."""
 
 from recast.evaluation.bootstrap import Bootstrap, cluster_bootstrap, exact_bootstrap
 from recast.evaluation.metric import Metric
+from recast.evaluation.oracle_directions import logged_views
+from recast.evaluation.oracle_draw import Oracle
+from recast.evaluation.oracle_poses import ViewSettings
+from recast.evaluation.oracle_record import OracleView, OracleViews, read_oracle_views
+from recast.evaluation.oracle_scores import Agreement
+from recast.evaluation.oracle_summary import AngleBin
+from recast.evaluation.oracle_views import evaluate_oracle_views
 from recast.evaluation.rollout_metrics import RolloutMetrics, rollout_metrics
 from recast.evaluation.table import COLUMNS, Column, TableRow, paired_differences, table
 
 __all__ = [
     "COLUMNS",
+    "Agreement",
+    "AngleBin",
     "Bootstrap",
     "Column",
     "Metric",
+    "Oracle",
+    "OracleView",
+    "OracleViews",
     "RolloutMetrics",
     "TableRow",
+    "ViewSettings",
     "cluster_bootstrap",
+    "evaluate_oracle_views",
     "exact_bootstrap",
+    "logged_views",
     "paired_differences",
+    "read_oracle_views",
     "rollout_metrics",
     "table",
 ]

@@ -1,0 +1,166 @@
+"""Views that a closed loop needs: the vehicle before the ego, turned through all headings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.dynamics import PACIFICA, VehicleParameters
+from recast.errors import InputError
+from recast.geometry import boxes, se2
+from recast.logs import DrivingLog, Track
+from recast.planning import CameraMount, ReferenceRoute
+from recast.scene.dynamic import moves
+from recast.simulation.lift import RoadSurface
+
+Array = NDArray[np.float64]
+
+_CLEARANCE = 1.0
+"""Metres between the ego's front bumper and the vehicle, however it is turned."""
+
+
+@dataclass(frozen=True)
+class ViewSettings:
+    """Which views are compared.
+
+    Attributes:
+        moments: logged frames to stand at, spread over those with enough road ahead.
+        distances: metres along the road from the camera to the vehicle's box centre; raised where
+            the vehicle would touch the ego.
+        headings: how many, regular over the circle. The first is half a step off the road's
+            heading: no view is exactly along an axis of the vehicle.
+        camera: name, or None for the one that looks most nearly straight ahead.
+        exposure: of the truth's images, as the log's camera had it.
+    """
+
+    moments: int = 1
+    distances: tuple[float, ...] = (8.0, 14.0)
+    headings: int = 12
+    camera: str | None = None
+    exposure: float = 1.0
+
+    def validate(self) -> None:
+        """Raise ValueError naming the field at fault."""
+        if self.moments < 1 or self.headings < 1:
+            raise ValueError("ViewSettings.moments, headings: must be at least 1")
+        if not self.distances or min(self.distances) <= 0:
+            raise ValueError(f"ViewSettings.distances: positive metres, got {self.distances}")
+        if not self.exposure > 0:
+            raise ValueError(f"ViewSettings.exposure: must be positive, got {self.exposure}")
+
+
+@dataclass(frozen=True)
+class PlacedView:
+    """One view to draw.
+
+    Attributes:
+        camera, frame, timestamp_us: the logged frame whose camera pose is used.
+        distance: metres along the road from the camera to the vehicle's box centre.
+        heading: radians in [-pi, pi) against the road's: 0 drives ahead of the ego, pi faces it.
+        world_from_camera, world_from_actor: (4, 4).
+    """
+
+    camera: str
+    frame: int
+    timestamp_us: int
+    distance: float
+    heading: float
+    world_from_camera: Array
+    world_from_actor: Array
+
+
+def place_views(
+    log: DrivingLog,
+    track: Track,
+    mounts: Mapping[str, CameraMount],
+    settings: ViewSettings,
+    vehicle: VehicleParameters = PACIFICA,
+) -> list[PlacedView]:
+    """Place the vehicle on the logged path before the logged ego.
+
+    Views in which it would stand in a parked vehicle are left out.
+
+    Args:
+        mounts: cameras as they are rendered.
+        vehicle: the ego's outline.
+
+    Raises:
+        InputError: no camera, or none of that name; no logged frame with enough road ahead.
+    """
+    settings.validate()
+    name = _camera(log, mounts, settings.camera)
+    mount = mounts[name]
+    route = ReferenceRoute.from_trajectory(log.world_from_rig)
+    ground = None if log.map is None else log.map.ground
+    surface = RoadSurface.from_log(log.world_from_rig, route, ground)
+    radius = float(np.hypot(*track.size[:2])) / 2
+    forward = float(mount.rig_from_camera[0, 3])
+    least = vehicle.front_length - forward + _CLEARANCE + radius
+    distances = tuple(dict.fromkeys(max(d, least) for d in settings.distances))
+
+    views = []
+    for frame in _frames(log, name, route, forward + max(distances) + radius, settings.moments):
+        time = int(log.cameras[name].timestamps_us[frame])
+        rig = log.world_from_rig.at(time)
+        here = float(route.project(rig[:2, 3])[0]) + forward
+        for distance in distances:
+            place = route.pose(here + distance)
+            for k in range(settings.headings):
+                turn = float(se2.wrap_angle(2 * np.pi * (k + 0.5) / settings.headings))
+                pose = np.array([place[0], place[1], place[2] + turn])
+                if _stands_in_another(log, track, pose):
+                    continue
+                views.append(
+                    PlacedView(
+                        camera=name,
+                        frame=frame,
+                        timestamp_us=time,
+                        distance=distance,
+                        heading=turn,
+                        world_from_camera=rig @ mount.rig_from_camera,
+                        world_from_actor=surface.actor_poses(pose[None], track.size)[0],
+                    )
+                )
+    return views
+
+
+def _camera(log: DrivingLog, mounts: Mapping[str, CameraMount], wanted: str | None) -> str:
+    names = [name for name in mounts if name in log.cameras]
+    if wanted is not None and wanted not in names:
+        raise InputError(
+            log.name, f"camera {wanted}", "is not rendered", f"choose of {', '.join(names)}"
+        )
+    if not names:
+        raise InputError(log.name, "cameras", "there is none to compare", "render a camera")
+    return wanted or max(names, key=lambda name: float(mounts[name].rig_from_camera[0, 2]))
+
+
+def _frames(
+    log: DrivingLog, camera: str, route: ReferenceRoute, ahead: float, count: int
+) -> Sequence[int]:
+    """Frames spread over those with `ahead` metres of recorded road before the rear axle."""
+    times = log.cameras[camera].timestamps_us
+    positions = log.world_from_rig.at(times)[:, :2, 3]
+    usable = np.flatnonzero(route.project(positions)[0] + ahead <= route.length)
+    if len(usable) == 0:
+        raise InputError(
+            log.name, f"camera {camera}",
+            f"no frame has {ahead:.0f} m of recorded road ahead ({route.length:.0f} m in all)",
+            "ask for shorter distances or use a longer log",
+        )  # fmt: skip
+    count = min(count, len(usable))
+    return [int(usable[int((i + 0.5) / count * len(usable))]) for i in range(count)]
+
+
+def _stands_in_another(log: DrivingLog, track: Track, pose: Array) -> bool:
+    """Whether the vehicle at a planar pose (3,) overlaps one that never moves."""
+    for other in log.tracks.values():
+        if other.track_id == track.track_id or moves(other.trajectory):
+            continue
+        standing = se2.from_se3(other.trajectory.poses[0])
+        if boxes.bev_overlap_area(pose, track.size, standing, other.size) > 0:
+            return True
+    return False
