@@ -1,1 +1,22 @@
-"""Ray-traced cameras and LiDAR."""
+"""Cameras and LiDARs in the synthetic world, by ray tracing.
+
+`RayScene` holds the triangles; `render_camera` and `scan_lidar` are the sensors. Needs the extra
+`synthetic` (embreex) when a scene is made, not when this package is imported.
+"""
+
+from recast.synthetic.rendering.camera import CameraFrame, render_camera
+from recast.synthetic.rendering.lidar import WAYMO_TOP, LidarScan, LidarSpec, scan_lidar
+from recast.synthetic.rendering.ray_scene import SKY, STREET, Hits, RayScene
+
+__all__ = [
+    "SKY",
+    "STREET",
+    "WAYMO_TOP",
+    "CameraFrame",
+    "Hits",
+    "LidarScan",
+    "LidarSpec",
+    "RayScene",
+    "render_camera",
+    "scan_lidar",
+]

@@ -1,0 +1,52 @@
+"""From linear radiance to an sRGB image."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.synthetic.rendering.embree import Float32Array
+
+WHITE_LEVEL = 0.62
+"""What a white level surface in the open becomes before the tone curve, at exposure 1."""
+CLIP = 4.0
+"""Radiance, in units of a white surface, at which a pixel's samples saturate before averaging."""
+
+_TABLE_SIZE = 4096
+
+
+def filmic(linear: Float32Array) -> Float32Array:
+    """Film-like curve from scene-linear to display-linear [0, 1]: toe, straight part, shoulder.
+
+    The rational fit of K. Narkowicz, "ACES filmic tone mapping curve" (2015).
+    """
+    curve = linear * (2.51 * linear + 0.03) / (linear * (2.43 * linear + 0.59) + 0.14)
+    return np.clip(curve, 0, 1)
+
+
+def srgb(linear: Float32Array) -> Float32Array:
+    """IEC 61966-2-1 encoding of display-linear [0, 1]."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def _table() -> NDArray[np.float32]:
+    level = np.linspace(0, 1, _TABLE_SIZE) ** 2 * 16
+    return (srgb(filmic(level)) * 255).astype(np.float32)
+
+
+_CURVE = _table()
+
+
+def develop(radiance: Float32Array, white: float, exposure: float) -> NDArray[np.uint8]:
+    """Image (..., 3) uint8 of linear radiance (..., 3).
+
+    Args:
+        white: radiance of a white level surface in the open.
+        exposure: factor on the light; 1 is right for the day.
+    """
+    scale = np.float32(exposure * WHITE_LEVEL / white / 16)
+    position = np.sqrt(np.clip(radiance * scale, 0, 1)) * np.float32(_TABLE_SIZE - 1)
+    below = np.minimum(position.astype(np.int32), _TABLE_SIZE - 2)
+    value = _CURVE[below]
+    value += (_CURVE[below + 1] - value) * (position - below)
+    return (value + np.float32(0.5)).astype(np.uint8)
