@@ -1,1 +1,34 @@
-"""Vehicle sets: many views of many vehicles."""
+"""Vehicle sets: many views of many vehicles, with labels and a split; see docs/data.md."""
+
+from recast.recar.camera import camera_pose, fitting_distance, pinhole, view_camera
+from recast.recar.record import IdentityRecord, SetRecord, Split, regular_azimuths
+from recast.recar.split import HELD_OUT_SHARE, split_of
+from recast.recar.statistics import SetStatistics, set_statistics, statistics_table
+from recast.recar.synthesis import synthesize_set
+from recast.recar.synthesis_plan import SynthesisSettings
+from recast.recar.vehicle_set import Identity, VehicleSet, read_set
+from recast.recar.writer import begin_set, finish_set, write_identity
+
+__all__ = [
+    "HELD_OUT_SHARE",
+    "Identity",
+    "IdentityRecord",
+    "SetRecord",
+    "SetStatistics",
+    "Split",
+    "SynthesisSettings",
+    "VehicleSet",
+    "begin_set",
+    "camera_pose",
+    "finish_set",
+    "fitting_distance",
+    "pinhole",
+    "read_set",
+    "regular_azimuths",
+    "set_statistics",
+    "split_of",
+    "statistics_table",
+    "synthesize_set",
+    "view_camera",
+    "write_identity",
+]

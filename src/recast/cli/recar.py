@@ -1,0 +1,104 @@
+"""`recast recar`: sets of many views of many vehicles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True)
+class Synth:
+    """Render a set of parametric vehicles from all around, background-free, with labels."""
+
+    vehicles: int
+    """Number of vehicles."""
+    out: Path
+    """Set folder; new, or one of the same settings, which is finished or grows."""
+    seed: int = 0
+    """Seed of everything random."""
+    views: int = 30
+    """Pictures of each vehicle, at regular azimuths; the first one shows its front."""
+    width: int = 1200
+    """Of the pictures, pixels."""
+    height: int = 800
+    """Of the pictures, pixels."""
+    kinds: tuple[str, ...] = ()
+    """Only these kinds, evenly; all, as often as on the road, where none is named."""
+    shapes: int = 0
+    """Number of other shapes: furniture, signs and the like."""
+    mesh: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
+    """A closed mesh of your own (glTF, OBJ, PLY, STL); may be given again."""
+    licence: str = "CC0-1.0"
+    """Licence of the pictures, for set.json."""
+    workers: int = 1
+    """Processes; the files are the same for any number."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from rich.console import Console
+
+        from recast.recar import SynthesisSettings, synthesize_set
+        from recast.recar.progress import PictureProgress
+
+        settings = SynthesisSettings(
+            self.seed, self.views, self.width, self.height, self.kinds, self.licence
+        )
+        console = Console()
+        with PictureProgress("pictures", console) as progress:
+            made = synthesize_set(
+                self.out,
+                self.vehicles,
+                settings,
+                shapes=self.shapes,
+                meshes=self.mesh,
+                workers=self.workers,
+                progress=progress,
+            )
+        console.print(f"wrote {self.out}: {len(made.identities)} identities", markup=False)
+
+
+@dataclass(frozen=True)
+class Stats:
+    """Count what is in a set, check its pictures, and draw its figure."""
+
+    set: tyro.conf.Positional[Path]
+    """Set folder."""
+    out: Path | None = None
+    """Folder for dataset.png, views.png, colours.png and types.png."""
+    decode: bool = False
+    """Check every pixel instead of every header; minutes to hours."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from rich.console import Console
+
+        from recast.recar import read_set, set_statistics, statistics_table
+        from recast.recar.figure import FIGURE_FILES, write_figure
+        from recast.recar.progress import PictureProgress
+
+        vehicle_set = read_set(self.set)
+        console = Console()
+        with PictureProgress("checked", console) as progress:
+            vehicle_set.check_pictures(self.decode, progress)
+        statistics = set_statistics(vehicle_set)
+        console.print(statistics_table(vehicle_set, statistics))
+        if self.out is not None:
+            write_figure(vehicle_set, statistics, self.out)
+            console.print(f"wrote {', '.join(FIGURE_FILES)} in {self.out}", markup=False)
+
+
+@dataclass(frozen=True)
+class Recar:
+    """Sets of many views of many vehicles."""
+
+    command: (
+        Annotated[Synth, tyro.conf.subcommand("synth")]
+        | Annotated[Stats, tyro.conf.subcommand("stats")]
+    )
+
+    def __call__(self) -> None:
+        """Run the command."""
+        self.command()

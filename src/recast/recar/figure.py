@@ -1,0 +1,198 @@
+"""The dataset figure of the paper (section 2): view sheet, colours as bars, types as a pie."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import is_color_like, to_rgb
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from recast.recar.picture import Image
+from recast.recar.statistics import SetStatistics
+from recast.recar.vehicle_set import Identity, VehicleSet
+from recast.synthetic.vehicles import COLOURS
+
+FIGURE_FILES = ("dataset.png", "views.png", "colours.png", "types.png")
+
+_INK, _MUTED, _EDGE = "#1f2430", "#6b7280", "#9aa1ad"
+_CELL = (300, 200)  # pixels of the longest side's cell, scaled to the aspect of the views
+_PANEL = (245, 246, 248)  # behind the cars
+_PIE = (
+    "#3b6ea8", "#e08a3c", "#5b9e6f", "#c2555a", "#8b78b5", "#8f7360", "#cf84b0", "#7d858f",
+    "#b3ab4b", "#58a9b4",
+)  # fmt: skip
+_SMALLEST_SLICE = 0.025  # narrower ones have no room for a label of their own
+
+
+def write_figure(vehicle_set: VehicleSet, statistics: SetStatistics, folder: Path) -> None:
+    """Write dataset.png, and its panels as views.png, colours.png and types.png.
+
+    Args:
+        vehicle_set: whose pictures are shown.
+        statistics: of that set.
+        folder: to write to; made where it is missing.
+
+    Raises:
+        InputError: a picture is broken.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    chosen = representatives(vehicle_set, 6)
+    sheet = view_sheet(chosen, _columns(vehicle_set.record.views, 6))
+    height = 0.96 * 11.2 * sheet.shape[0] / sheet.shape[1] + 0.8
+
+    figure = Figure(figsize=(17.0, max(height, 6.4)), facecolor="white")
+    grid = figure.add_gridspec(
+        2, 2, width_ratios=(11.2, 5.0), left=0.062, right=0.985, top=0.93, bottom=0.055,
+        wspace=0.13, hspace=0.24,
+    )  # fmt: skip
+    _draw_views(figure.add_subplot(grid[:, 0]), sheet, chosen)
+    _draw_colours(figure.add_subplot(grid[0, 1]), statistics.colours)
+    _draw_types(figure.add_subplot(grid[1, 1]), statistics.kinds)
+    record = vehicle_set.record
+    figure.suptitle(
+        f"{record.name}: {statistics.identities:,} vehicles, {record.views} views each, "
+        f"{statistics.pictures:,} RGBA images of {record.width}x{record.height}",
+        x=0.062, ha="left", fontsize=15, color=_INK, weight="bold",
+    )  # fmt: skip
+    _save(figure, folder / "dataset.png")
+
+    many = representatives(vehicle_set, 12)
+    sheet = view_sheet(many, _columns(vehicle_set.record.views, 8))
+    figure = Figure(figsize=(16, 15.0 * sheet.shape[0] / sheet.shape[1] + 0.5), facecolor="white")
+    _draw_views(figure.add_axes((0.07, 0.005, 0.925, 0.965)), sheet, many)
+    _save(figure, folder / "views.png")
+    for name, draw, counts in (
+        ("colours.png", _draw_colours, statistics.colours),
+        ("types.png", _draw_types, statistics.kinds),
+    ):
+        figure = Figure(figsize=(7, 5), facecolor="white", layout="constrained")
+        draw(figure.add_subplot(), counts)
+        _save(figure, folder / name)
+
+
+def representatives(vehicle_set: VehicleSet, count: int) -> list[Identity]:
+    """Up to `count` identities: all kinds in turn, the most frequent first, colours varied."""
+    by_kind: dict[str, list[Identity]] = {}
+    for identity in vehicle_set.identities.values():
+        by_kind.setdefault(identity.record.kind, []).append(identity)
+    queues = sorted(by_kind.values(), key=len, reverse=True)
+    chosen: list[Identity] = []
+    shown: dict[str | None, int] = {}
+    while len(chosen) < min(count, len(vehicle_set.identities)):
+        for queue in queues:
+            if queue and len(chosen) < count:
+                rarest = min(queue, key=lambda one: shown.get(one.record.colour, 0))
+                queue.remove(rarest)
+                shown[rarest.record.colour] = shown.get(rarest.record.colour, 0) + 1
+                chosen.append(rarest)
+    return chosen
+
+
+def view_sheet(identities: list[Identity], views: list[int]) -> Image:
+    """A sheet (rows, columns, 3) uint8: a row for each identity, a column for each view."""
+    record = identities[0].set_record
+    shrink = min(_CELL[0] / record.width, _CELL[1] / record.height)
+    cell = (max(round(record.width * shrink), 1), max(round(record.height * shrink), 1))
+    rows = [np.hstack([_cell(one.view(i), cell) for i in views]) for one in identities]
+    return np.vstack(rows)
+
+
+def _columns(views: int, count: int) -> list[int]:
+    return [i * views // min(count, views) for i in range(min(count, views))]
+
+
+def _cell(rgba: Image, size: tuple[int, int]) -> Image:
+    alpha = rgba[..., 3:].astype(np.float32) / 255
+    over = rgba[..., :3] * alpha + np.array(_PANEL, np.float32) * (1 - alpha)
+    shrunk = cv2.resize(over, size, interpolation=cv2.INTER_AREA)
+    shrunk[:1], shrunk[:, :1] = 255, 255  # a thin white line between cells
+    return np.clip(np.round(shrunk), 0, 255).astype(np.uint8)
+
+
+def _draw_views(axes: Axes, sheet: Image, identities: list[Identity]) -> None:
+    record = identities[0].set_record
+    rows = len(identities)
+    axes.imshow(sheet, interpolation="antialiased", aspect="equal", extent=(0, 1, 0, 1))
+    axes.set_aspect(sheet.shape[0] / sheet.shape[1])
+    axes.set_anchor("N")
+    axes.axis("off")
+    shrink = min(_CELL[0] / record.width, _CELL[1] / record.height)
+    columns = round(sheet.shape[1] / max(round(record.width * shrink), 1))
+    for column, view in enumerate(_columns(record.views, columns)):
+        axes.text(
+            (column + 0.5) / columns, 1.004, f"{record.azimuths_deg[view]:g}°",
+            ha="center", va="bottom", color=_MUTED, fontsize=10,
+        )  # fmt: skip
+    for row, identity in enumerate(identities):
+        one = identity.record
+        axes.text(
+            -0.008, 1 - (row + 0.5) / rows, f"{one.kind}\n{one.colour or ''}",
+            ha="right", va="center", color=_INK, fontsize=10, linespacing=1.4,
+        )  # fmt: skip
+
+
+def _draw_colours(axes: Axes, counts: dict[str, int]) -> None:
+    total = sum(counts.values())
+    shares = [100 * count / total for count in counts.values()]
+    places = list(range(len(counts)))
+    faces = [swatch(name) for name in counts]
+    bars = axes.bar(places, shares, width=0.72, linewidth=0.8, edgecolor=_EDGE)
+    for bar, face in zip(bars, faces, strict=True):
+        bar.set_facecolor(face if face is not None else "white")
+        bar.set_hatch(None if face is not None else "////")
+    for place, share in zip(places, shares, strict=True):
+        axes.text(
+            place, share + 0.015 * max(shares), f"{share:.0f}" if share >= 1 else f"{share:.1f}",
+            ha="center", va="bottom", color=_INK, fontsize=9,
+        )  # fmt: skip
+    axes.set_xticks(places, list(counts), rotation=38, ha="right", rotation_mode="anchor")
+    axes.set_xlim(-0.6, max(len(counts), 4) - 0.4)
+    axes.set_ylim(0, 1.12 * max(shares))
+    axes.set_yticks([])
+    axes.tick_params(axis="x", length=0, colors=_INK, labelsize=10)
+    for side in ("left", "top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.spines["bottom"].set_color(_EDGE)
+    axes.set_title("Colours, % of vehicles", loc="left", fontsize=12, color=_INK, weight="bold")
+
+
+def _draw_types(axes: Axes, counts: dict[str, int]) -> None:
+    total = sum(counts.values())
+    shown = {name: count for name, count in counts.items() if count >= _SMALLEST_SLICE * total}
+    if rest := total - sum(shown.values()):
+        shown["others"] = shown.get("others", 0) + rest
+    colours = [_PIE[i % len(_PIE)] for i in range(len(shown))]
+    axes.pie(
+        list(shown.values()), colors=colours, startangle=90, counterclock=False, radius=1.0,
+        labels=[f"{name}\n{100 * count / total:.0f} %" for name, count in shown.items()],
+        labeldistance=1.13, wedgeprops={"width": 0.46, "edgecolor": "white", "linewidth": 1.5},
+        textprops={"fontsize": 10, "color": _INK, "linespacing": 1.2},
+    )  # fmt: skip
+    axes.set_title("Types", loc="left", fontsize=12, color=_INK, weight="bold")
+
+
+def swatch(name: str) -> tuple[float, float, float] | None:
+    """sRGB in [0, 1] of a colour's name, or None for a name that nobody knows."""
+    if name in COLOURS:
+        return _srgb(np.asarray(COLOURS[name].rgb, np.float64))
+    if not is_color_like(name):
+        return None
+    red, green, blue = to_rgb(name)
+    return red, green, blue
+
+
+def _srgb(linear: NDArray[np.float64]) -> tuple[float, float, float]:
+    # IEC 61966-2-1
+    value = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    red, green, blue = np.clip(value, 0, 1)
+    return float(red), float(green), float(blue)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    FigureCanvasAgg(figure)
+    figure.savefig(path, dpi=110, metadata={"Software": None})

@@ -1,0 +1,69 @@
+"""One view on disk: a PNG with straight alpha."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.errors import InputError
+
+Image = NDArray[np.uint8]
+
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_RGBA = 6  # PNG colour type of truecolour with alpha
+_MEND = "replace the picture, or remove its identity from the set"
+
+
+def encode_picture(rgba: Image) -> bytes:
+    """PNG of an image (H, W, 4) uint8; colour without alpha becomes black, which packs better."""
+    rgba = np.where(rgba[..., 3:] > 0, rgba, np.uint8(0))
+    written, data = cv2.imencode(".png", cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA))
+    assert written
+    return data.tobytes()
+
+
+def check_header(path: Path, width: int, height: int) -> None:
+    """Look at size and channels of a view without decoding it.
+
+    Raises:
+        InputError: missing, no PNG, of another size, or without alpha.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(26)
+    except FileNotFoundError:
+        raise InputError(path, "view", "is missing", _MEND) from None
+    if len(head) < 26 or not head.startswith(_SIGNATURE) or head[12:16] != b"IHDR":
+        raise InputError(path, "view", "is no PNG", _MEND)
+    found_width, found_height, depth, colour_type = struct.unpack(">IIBB", head[16:26])
+    if (found_width, found_height) != (width, height):
+        raise InputError(
+            path, "size", f"is {found_width}x{found_height} in a set of {width}x{height}", _MEND
+        )
+    if colour_type != _RGBA or depth != 8:
+        raise InputError(
+            path, "alpha", f"is absent (PNG colour type {colour_type}, {depth} bits)",
+            "write 8-bit RGBA with the background removed",
+        )  # fmt: skip
+
+
+def read_picture(path: Path, width: int, height: int) -> Image:
+    """Decode a view.
+
+    Returns:
+        (height, width, 4) uint8 RGBA, alpha straight (colours not multiplied by it).
+
+    Raises:
+        InputError: as `check_header`, or cut short, or transparent everywhere.
+    """
+    check_header(path, width, height)
+    bgra = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+    if bgra is None:
+        raise InputError(path, "view", "cannot be decoded", _MEND)
+    if not np.any(bgra[..., 3]):
+        raise InputError(path, "alpha", "is zero everywhere", _MEND)
+    return np.asarray(cv2.cvtColor(bgra, cv2.COLOR_BGRA2RGBA), np.uint8)

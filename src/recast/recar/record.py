@@ -1,0 +1,127 @@
+"""The records of a vehicle set: set.json, and identity.json of every vehicle in it."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
+
+SET_FORMAT = "recast-vehicle-set"
+SET_VERSION = 1
+SET_FILE = "set.json"
+IDENTITY_FILE = "identity.json"
+REGULAR_WITHIN_DEG = 1e-3
+
+Split = Literal["train", "held-out"]
+SPLITS: tuple[Split, ...] = ("train", "held-out")
+
+_IDENTITY_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+
+
+def regular_azimuths(views: int) -> tuple[float, ...]:
+    """Azimuths in degrees of `views` cameras evenly around a vehicle, the first one ahead of it."""
+    return tuple(360.0 * i / views for i in range(views))
+
+
+def _check_regular(azimuths: tuple[float, ...]) -> tuple[float, ...]:
+    step = 360.0 / len(azimuths)
+    for i, azimuth in enumerate(azimuths):
+        error = (azimuth - azimuths[0] - i * step + 180.0) % 360.0 - 180.0
+        if not 0.0 <= azimuth < 360.0 or abs(error) > REGULAR_WITHIN_DEG:
+            raise ValueError(
+                f"azimuths are not regular: view {i} at {azimuth:g} degrees where "
+                f"{(azimuths[0] + i * step) % 360.0:g} is expected"
+            )
+    return azimuths
+
+
+def _check_identity_name(name: str) -> str:
+    if not _IDENTITY_NAME.fullmatch(name):
+        raise ValueError(
+            "an identity is named by letters, digits, '.', '_' and '-', at most 100, the first "
+            "one a letter or digit"
+        )
+    return name
+
+
+Azimuths = Annotated[tuple[FiniteFloat, ...], Field(min_length=1), AfterValidator(_check_regular)]
+IdentityName = Annotated[str, AfterValidator(_check_identity_name)]
+Text = Annotated[str, Field(min_length=1)]
+Metres = Annotated[FiniteFloat, Field(gt=0)]
+
+
+class SetRecord(BaseModel):
+    """Contents of set.json: what all identities have in common.
+
+    Attributes:
+        complete: False while identities are still being added.
+        licence: SPDX identifier or words; every use of the pictures needs it.
+        source: where the pictures are from, for people.
+        identities: how many there are, or will be.
+        azimuths_deg: of the camera about the vehicle, one for each view: 0 ahead of it, 90 to its
+            left; regular and rising.
+        elevation_deg: of the camera above the horizontal through the box centre; None where it was
+            not measured.
+        fov_deg: angle of view across the image's width; None where it was not measured.
+        width, height: of every view, pixels.
+        split_seed, held_out_share: decide the split of new identities, see `split_of`.
+        generator: settings of what made the set; None for photographs.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    format: Literal["recast-vehicle-set"] = "recast-vehicle-set"
+    version: int = SET_VERSION
+    complete: bool
+    name: Text
+    licence: Text
+    source: Text
+    identities: int = Field(ge=1)
+    azimuths_deg: Azimuths
+    elevation_deg: Annotated[FiniteFloat, Field(gt=-90, lt=90)] | None
+    fov_deg: Annotated[FiniteFloat, Field(gt=0, lt=180)] | None
+    width: int = Field(ge=1)
+    height: int = Field(ge=1)
+    split_seed: int = Field(ge=0)
+    held_out_share: float = Field(ge=0, le=1)
+    generator: dict[str, Any] | None
+
+    @property
+    def views(self) -> int:
+        """Pictures of each identity."""
+        return len(self.azimuths_deg)
+
+
+class IdentityRecord(BaseModel):
+    """Contents of identity.json: one vehicle.
+
+    Attributes:
+        id: unique in the set; the name of its folder.
+        kind: body type, such as "sedan".
+        category: of the label, see `recast.logs.Track`.
+        colour: name, such as "white".
+        size: length, width, height in metres of the box around it; None where not measured.
+        distance_m: from the camera to the box centre; None where not measured.
+        split: whether it may be trained on.
+        source: where this vehicle is from, if that is more than the set says: a file, an address.
+        seed: with which a generator made it; None for photographs.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    version: int = SET_VERSION
+    id: IdentityName
+    kind: Text
+    category: Text
+    colour: Text | None
+    size: tuple[Metres, Metres, Metres] | None
+    distance_m: Metres | None
+    split: Split
+    source: str | None = None
+    seed: tuple[int, ...] | None = None
+
+
+def view_file(index: int) -> str:
+    """File name of a view."""
+    return f"view_{index:02d}.png"

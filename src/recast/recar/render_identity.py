@@ -1,0 +1,105 @@
+"""All views of one synthetic vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from recast.recar.camera import camera_pose, fitting_distance, pinhole
+from recast.recar.picture import Image
+from recast.recar.record import IdentityRecord, SetRecord
+from recast.recar.synthesis_plan import PlannedIdentity, SynthesisSettings
+from recast.synthetic.rendering import RayScene, render_camera
+from recast.synthetic.surface import concatenate
+from recast.synthetic.vehicles import read_mesh, sample_shape, sample_vehicle
+from recast.synthetic.world import Sky, VehicleModel
+
+_SHAPE, _LIGHT, _VIEWS = 0, 1, 2  # random streams of one identity
+
+
+def make_model(planned: PlannedIdentity, settings: SynthesisSettings) -> VehicleModel:
+    """The shape of a planned identity.
+
+    Raises:
+        InputError: its mesh file cannot be used.
+    """
+    if planned.mesh is not None:
+        return read_mesh(planned.mesh)
+    rng = np.random.default_rng([*planned.seed, _SHAPE])
+    if planned.group == "shape":
+        return sample_shape(rng)
+    kinds = settings.kinds
+    return sample_vehicle(rng, kinds[int(rng.integers(len(kinds)))] if kinds else None)
+
+
+def studio_sky(rng: np.random.Generator) -> Sky:
+    """Soft daylight: a high, large, weak sun somewhere around the vehicle, and a bright sky."""
+    azimuth = rng.uniform(0, 2 * np.pi)
+    elevation = np.radians(rng.uniform(45, 70))
+    strength = rng.uniform(0.8, 1.3)
+    warmth = rng.uniform(-0.04, 0.04)
+    return Sky(
+        sun_direction=np.array(
+            [
+                np.cos(elevation) * np.cos(azimuth),
+                np.cos(elevation) * np.sin(azimuth),
+                np.sin(elevation),
+            ]
+        ),
+        sun=strength * np.array([1.0 + warmth, 1.0, 1.0 - warmth]),
+        zenith=np.array([0.62, 0.66, 0.72]),
+        horizon=np.array([0.70, 0.71, 0.73]),
+        sun_radius=0.15,
+        clouds=0.0,
+        seed=int(rng.integers(2**31)),
+    )
+
+
+def identity_record(
+    planned: PlannedIdentity, model: VehicleModel, record: SetRecord
+) -> IdentityRecord:
+    """What identity.json says about a model, the distance of its cameras included."""
+    assert record.fov_deg is not None and record.elevation_deg is not None
+    # Mirrors reach beyond the box; the cameras look at the centre of the box nonetheless.
+    reach = 2 * np.abs(model.surface.bounds()).max(axis=0)
+    camera = pinhole(record.width, record.height, record.fov_deg)
+    distance = fitting_distance(np.maximum(reach, model.size), camera, record.elevation_deg)
+    length, width, height = (round(float(metres), 4) for metres in model.size)
+    return IdentityRecord(
+        id=planned.id,
+        kind=model.kind,
+        category=model.category,
+        colour=model.colour,
+        size=(length, width, height),
+        distance_m=round(distance, 4),
+        split=planned.split,
+        source=None if planned.mesh is None else planned.mesh.name,
+        seed=planned.seed,
+    )
+
+
+def render_views(
+    model: VehicleModel, identity: IdentityRecord, record: SetRecord
+) -> Iterator[Image]:
+    """The pictures of a model, (height, width, 4) uint8 RGBA with straight alpha, in order.
+
+    Raises:
+        InputError: embreex is not installed.
+    """
+    assert identity.seed is not None and identity.distance_m is not None
+    assert record.fov_deg is not None and record.elevation_deg is not None
+    scene = RayScene(concatenate([]), {"vehicle": model.surface})
+    sky = studio_sky(np.random.default_rng([*identity.seed, _LIGHT]))
+    camera = pinhole(record.width, record.height, record.fov_deg)
+    for index, azimuth in enumerate(record.azimuths_deg):
+        frame = render_camera(
+            scene,
+            sky,
+            camera,
+            camera_pose(azimuth, record.elevation_deg, identity.distance_m),
+            {"vehicle": np.eye(4)},
+            rng=np.random.default_rng([*identity.seed, _VIEWS, index]),
+        )
+        alpha = np.round(255 * frame.alpha).astype(np.uint8)
+        yield np.dstack([frame.rgb, alpha])

@@ -1,0 +1,113 @@
+"""What is in a vehicle set, in figures."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Group
+from rich.table import Table
+
+from recast.recar.record import SPLITS
+from recast.recar.vehicle_set import VehicleSet
+
+
+@dataclass(frozen=True)
+class SetStatistics:
+    """Counts over a set.
+
+    Attributes:
+        identities, pictures: how many.
+        bytes: of all picture files.
+        splits: identities by split.
+        kinds, colours: identities by kind and by colour, the most frequent first.
+        sizes: least, median and greatest length, width, height in metres (3, 3), or None where no
+            identity has a size.
+    """
+
+    identities: int
+    pictures: int
+    bytes: int
+    splits: dict[str, int]
+    kinds: dict[str, int]
+    colours: dict[str, int]
+    sizes: tuple[tuple[float, float, float], ...] | None
+
+
+def set_statistics(vehicle_set: VehicleSet) -> SetStatistics:
+    """Count what is in a set."""
+    records = [identity.record for identity in vehicle_set.identities.values()]
+    splits = Counter(record.split for record in records)
+    sizes = np.array([record.size for record in records if record.size is not None])
+    return SetStatistics(
+        identities=len(records),
+        pictures=len(records) * vehicle_set.record.views,
+        bytes=sum(
+            path.stat().st_size
+            for identity in vehicle_set.identities.values()
+            for path in identity.folder.glob("view_*.png")
+        ),
+        splits={split: splits[split] for split in SPLITS},
+        kinds=_by_count(record.kind for record in records),
+        colours=_by_count(record.colour or "unknown" for record in records),
+        sizes=tuple(
+            (float(row[0]), float(row[1]), float(row[2]))
+            for row in (sizes.min(axis=0), np.median(sizes, axis=0), sizes.max(axis=0))
+        )
+        if len(sizes)
+        else None,
+    )
+
+
+def statistics_table(vehicle_set: VehicleSet, statistics: SetStatistics) -> Group:
+    """The figures for a terminal: the set, and its kinds and colours with their shares."""
+    record, total = vehicle_set.record, statistics.identities
+    summary = Table(title=record.name, title_justify="left", box=SIMPLE_HEAD, show_header=False)
+    held_out = statistics.splits["held-out"]
+    rows = [
+        ("source", record.source),
+        ("licence", record.licence),
+        ("identities", f"{total:,}"),
+        ("split", f"{statistics.splits['train']:,} train, {held_out:,} held out"),
+        (
+            "views",
+            f"{record.views} an identity, {record.width}x{record.height}, "
+            f"{statistics.pictures:,} pictures, {statistics.bytes / 1e6:,.1f} MB",
+        ),
+        ("camera", f"elevation {_degrees(record.elevation_deg)}, fov {_degrees(record.fov_deg)}"),
+    ]
+    if statistics.sizes is not None:
+        least, median, most = statistics.sizes
+        rows += [
+            (name, f"{median[i]:.2f} m median, {least[i]:.2f} to {most[i]:.2f}")
+            for i, name in enumerate(("length", "width", "height"))
+        ]
+    for row in rows:
+        summary.add_row(*row)
+    return Group(
+        summary,
+        _count_table("kind", statistics.kinds, total),
+        _count_table("colour", statistics.colours, total),
+    )
+
+
+def _by_count(names: Iterable[str]) -> dict[str, int]:
+    counts = Counter(names)
+    return {name: counts[name] for name in sorted(counts, key=lambda name: (-counts[name], name))}
+
+
+def _count_table(heading: str, counts: dict[str, int], total: int) -> Table:
+    table = Table(box=SIMPLE_HEAD)
+    table.add_column(heading, min_width=14)
+    table.add_column("identities", justify="right")
+    table.add_column("share", justify="right")
+    for name, count in counts.items():
+        table.add_row(name, f"{count:,}", f"{100 * count / total:.1f} %")
+    return table
+
+
+def _degrees(value: float | None) -> str:
+    return "not measured" if value is None else f"{value:g} degrees"

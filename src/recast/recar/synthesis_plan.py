@@ -1,0 +1,154 @@
+"""What a synthetic set is to hold, decided and checked before any work."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from recast.errors import InputError
+from recast.recar.camera import ELEVATION_DEG, FOV_DEG
+from recast.recar.record import SetRecord, Split, regular_azimuths
+from recast.recar.split import HELD_OUT_SHARE, split_of
+
+SYNTHESIS_VERSION = 1
+"""Changes when the same settings give other pictures; a killed run never mixes two."""
+
+LARGEST_SIDE = 8192
+MOST_VIEWS = 720
+
+Group = Literal["vehicle", "shape", "mesh"]
+
+
+@dataclass(frozen=True)
+class SynthesisSettings:
+    """What all identities of a synthetic set share.
+
+    Attributes:
+        seed: of everything random, the split too.
+        views: pictures of each identity.
+        width, height: pixels.
+        kinds: of vehicles, drawn evenly; as often as on the road where none is named.
+        licence: of the pictures.
+    """
+
+    seed: int = 0
+    views: int = 30
+    width: int = 1200
+    height: int = 800
+    kinds: tuple[str, ...] = ()
+    licence: str = "CC0-1.0"
+
+    def validate(self) -> None:
+        """Raise InputError naming the option at fault."""
+        from recast.synthetic.vehicles import KINDS
+
+        if self.seed < 0:
+            raise InputError("--seed", "value", f"is {self.seed}", "give 0 or more")
+        if not 1 <= self.views <= MOST_VIEWS:
+            raise InputError("--views", "value", f"is {self.views}", f"give 1 to {MOST_VIEWS}")
+        for option, pixels in (("--width", self.width), ("--height", self.height)):
+            if not 16 <= pixels <= LARGEST_SIDE:
+                raise InputError(option, "value", f"is {pixels}", f"give 16 to {LARGEST_SIDE}")
+        for kind in self.kinds:
+            if kind not in KINDS:
+                raise InputError("--kinds", kind, "is unknown", f"choose of {', '.join(KINDS)}")
+        if not self.licence.strip():
+            raise InputError("--licence", "value", "is empty", "name the licence of the pictures")
+
+    def record(self, name: str, identities: int) -> SetRecord:
+        """The record of the finished set."""
+        return SetRecord(
+            complete=True,
+            name=name,
+            licence=self.licence,
+            source="renders of parametric vehicles by `recast recar synth`",
+            identities=identities,
+            azimuths_deg=regular_azimuths(self.views),
+            elevation_deg=ELEVATION_DEG,
+            fov_deg=FOV_DEG,
+            width=self.width,
+            height=self.height,
+            split_seed=self.seed,
+            held_out_share=HELD_OUT_SHARE,
+            generator={
+                "name": "recast.recar.synthesize_set",
+                "synthesis_version": SYNTHESIS_VERSION,
+                "seed": self.seed,
+                "kinds": list(self.kinds),
+            },
+        )
+
+
+@dataclass(frozen=True)
+class PlannedIdentity:
+    """One identity to make.
+
+    Attributes:
+        id: its name in the set.
+        group: what makes its shape.
+        seed: of its shape and light; depends on nothing but the set's seed and its own place.
+        split: decided beforehand.
+        mesh: the file, of the group "mesh".
+    """
+
+    id: str
+    group: Group
+    seed: tuple[int, ...]
+    split: Split
+    mesh: Path | None = None
+
+
+def plan_identities(
+    settings: SynthesisSettings, vehicles: int, shapes: int, meshes: Sequence[Path]
+) -> list[PlannedIdentity]:
+    """All identities of a set, in the order in which they are made.
+
+    Raises:
+        InputError: a negative count, nothing at all, or a mesh file that is missing or named twice.
+    """
+    for option, count in (("--vehicles", vehicles), ("--shapes", shapes)):
+        if count < 0:
+            raise InputError(option, "value", f"is {count}", "give 0 or more")
+    if vehicles + shapes + len(meshes) == 0:
+        raise InputError("--vehicles", "value", "is 0 with nothing else asked", "give 1 or more")
+    plan = [_planned(settings, "vehicle", i, f"vehicle-{i:05d}", i) for i in range(vehicles)]
+    plan += [_planned(settings, "shape", i, f"shape-{i:05d}", i) for i in range(shapes)]
+    for index, path in enumerate(meshes):
+        digest = _content_digest(path)
+        stem = re.sub(r"[^A-Za-z0-9_-]", "-", path.stem)[:60]
+        name = f"mesh-{stem}-{digest}"
+        plan.append(_planned(settings, "mesh", index, name, int(digest, 16), path))
+    ids = [one.id for one in plan]
+    for one in plan:
+        if ids.count(one.id) > 1:
+            raise InputError(one.mesh or one.id, "mesh", "is named twice", "name it once")
+    return plan
+
+
+def _planned(
+    settings: SynthesisSettings,
+    group: Group,
+    index: int,
+    name: str,
+    own_seed: int,
+    mesh: Path | None = None,
+) -> PlannedIdentity:
+    stream = ("vehicle", "shape", "mesh").index(group)
+    return PlannedIdentity(
+        id=name,
+        group=group,
+        seed=(settings.seed, stream, own_seed),
+        split=split_of(name, settings.seed, HELD_OUT_SHARE, index),
+        mesh=mesh,
+    )
+
+
+def _content_digest(path: Path) -> str:
+    # Named by its content, so that a file that changed is never taken for the finished one.
+    if not path.is_file():
+        raise InputError(path, "mesh", "is missing", "check the path")
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:8]

@@ -1,0 +1,178 @@
+"""Vehicle sets: folders with many views of many vehicles.
+
+    SET/set.json
+    SET/ID/identity.json, view_00.png, view_01.png, ...
+
+The same for photographs and for renders; docs/data.md says how to bring one's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.errors import InputError
+from recast.geometry import PinholeCamera
+from recast.recar.camera import view_camera
+from recast.recar.picture import Image, check_header, read_picture
+from recast.recar.record import (
+    IDENTITY_FILE,
+    SET_FILE,
+    SET_FORMAT,
+    SET_VERSION,
+    IdentityRecord,
+    SetRecord,
+    Split,
+    view_file,
+)
+from recast.records import read_record
+
+Array = NDArray[np.float64]
+
+_MEND = "see docs/data.md, section Vehicle sets"
+
+
+@dataclass(frozen=True)
+class Identity:
+    """One vehicle of a set; its pictures are decoded when asked for.
+
+    Attributes:
+        folder: where its pictures are.
+        record: what is known about it.
+        set_record: what it shares with all of the set.
+    """
+
+    folder: Path
+    record: IdentityRecord
+    set_record: SetRecord
+
+    def view(self, index: int) -> Image:
+        """(height, width, 4) uint8 RGBA with straight alpha.
+
+        Raises:
+            InputError: the file is missing or broken, of another size, or has no alpha.
+        """
+        path = self.folder / view_file(index)
+        return read_picture(path, self.set_record.width, self.set_record.height)
+
+    def camera(self, index: int) -> tuple[PinholeCamera, Array]:
+        """The camera of a view and `actor_from_camera` (4, 4); see `view_camera`."""
+        return view_camera(self.set_record, self.record, index)
+
+
+@dataclass(frozen=True)
+class VehicleSet:
+    """A set that was read.
+
+    Attributes:
+        folder: where it lies.
+        record: set.json.
+        identities: by id, sorted.
+    """
+
+    folder: Path
+    record: SetRecord
+    identities: dict[str, Identity]
+
+    def of_split(self, split: Split) -> Iterator[Identity]:
+        """The identities of one split, sorted."""
+        return (one for one in self.identities.values() if one.record.split == split)
+
+    def check_pictures(
+        self, decode: bool = False, progress: Callable[[int, int], None] | None = None
+    ) -> None:
+        """Look at every picture: its header, or all of it.
+
+        Args:
+            decode: also find pictures cut short and alpha that is zero everywhere; slow.
+            progress: called with pictures done and all pictures.
+
+        Raises:
+            InputError: the first picture that is wrong.
+        """
+        views, done = self.record.views, 0
+        for identity in self.identities.values():
+            for index in range(views):
+                if decode:
+                    identity.view(index)
+                else:
+                    path = identity.folder / view_file(index)
+                    check_header(path, self.record.width, self.record.height)
+                done += 1
+                if progress is not None:
+                    progress(done, views * len(self.identities))
+
+
+def read_set(folder: str | Path) -> VehicleSet:
+    """Read the records of a set; pictures are only looked for, see `VehicleSet.check_pictures`.
+
+    Raises:
+        InputError: no such set or one in the making, a record with missing, unknown or wrong
+            members, azimuths not regular, a view missing, an identity twice or in both splits, or
+            not as many identities as set.json says.
+    """
+    folder = Path(folder)
+    record = read_set_record(folder)
+    if not record.complete:
+        raise InputError(
+            folder / SET_FILE, "complete", "is false: the set is still in the making",
+            "run the command that makes it again; it resumes",
+        )  # fmt: skip
+    identities = read_identities(folder, record)
+    if len(identities) != record.identities:
+        raise InputError(
+            folder, "identities", f"{len(identities)} folders where set.json says "
+            f"{record.identities}", "restore the missing ones, or correct set.json",
+        )  # fmt: skip
+    return VehicleSet(folder, record, identities)
+
+
+def read_set_record(folder: Path) -> SetRecord:
+    """Read set.json, of a set in the making too."""
+    if not folder.is_dir():
+        raise InputError(folder, "vehicle set", "is missing", "check the path")
+    return read_record(folder / SET_FILE, SetRecord, SET_VERSION, _MEND, SET_FORMAT)
+
+
+def read_identities(folder: Path, record: SetRecord) -> dict[str, Identity]:
+    """The finished identities of a set, by id; see `read_set` for what is wrong with them."""
+    identities: dict[str, Identity] = {}
+    # Names that begin with a dot are identities that a killed run left unfinished.
+    for path in sorted(p for p in folder.iterdir() if p.is_dir() and p.name[0] != "."):
+        one = read_record(path / IDENTITY_FILE, IdentityRecord, SET_VERSION, _MEND)
+        found = Identity(path, one, record)
+        if one.id in identities:
+            _refuse_twice(identities[one.id], found)
+        identities[one.id] = found
+    for identity in identities.values():
+        _check_folder(identity)
+    return dict(sorted(identities.items()))
+
+
+def _refuse_twice(first: Identity, second: Identity) -> None:
+    splits = {first.record.split, second.record.split}
+    raise InputError(
+        second.folder / IDENTITY_FILE, "id",
+        f"{second.record.id} is in {'both splits' if len(splits) == 2 else 'the set twice'}, "
+        f"also as {first.folder.name}", "keep one of them",
+    )  # fmt: skip
+
+
+def _check_folder(identity: Identity) -> None:
+    if identity.folder.name != identity.record.id:
+        raise InputError(
+            identity.folder / IDENTITY_FILE, "id",
+            f"is {identity.record.id!r} in the folder {identity.folder.name!r}",
+            "name the folder by the identity",
+        )  # fmt: skip
+    present = {path.name for path in identity.folder.iterdir()}
+    for index in range(identity.set_record.views):
+        if view_file(index) not in present:
+            raise InputError(
+                identity.folder / view_file(index), "view", "is missing",
+                f"every identity needs all {identity.set_record.views} views",
+            )  # fmt: skip
