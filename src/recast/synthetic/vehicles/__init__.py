@@ -1,1 +1,20 @@
-"""Parametric vehicles."""
+"""Parametric vehicles and other shapes, and the reader of a user's own mesh."""
+
+from recast.synthetic.vehicles.build import build_vehicle, sample_vehicle, vehicle_parts
+from recast.synthetic.vehicles.colours import COLOURS, colour_shares, sample_colour
+from recast.synthetic.vehicles.kinds import KIND_SHARES, sample_kind, sample_parameters
+from recast.synthetic.vehicles.parameters import KINDS, VehicleParameters
+
+__all__ = [
+    "COLOURS",
+    "KINDS",
+    "KIND_SHARES",
+    "VehicleParameters",
+    "build_vehicle",
+    "colour_shares",
+    "sample_colour",
+    "sample_kind",
+    "sample_parameters",
+    "sample_vehicle",
+    "vehicle_parts",
+]

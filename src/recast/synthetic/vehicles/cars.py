@@ -1,0 +1,220 @@
+"""Hatchbacks, sedans, estates, SUVs, pickups and vans: one body with a bonnet."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.synthetic.surface import Surface
+from recast.synthetic.vehicles import fittings
+from recast.synthetic.vehicles.finishes import CHROME, TRIM, Area, smooth_max, strip, xyz
+from recast.synthetic.vehicles.front import front_face
+from recast.synthetic.vehicles.glazing import SideGlass, screen, side_windows
+from recast.synthetic.vehicles.loft import Body
+from recast.synthetic.vehicles.panels import doors, seam, underside, wheel_wells
+from recast.synthetic.vehicles.parameters import VehicleParameters
+from recast.synthetic.vehicles.profile import Profile
+from recast.synthetic.vehicles.rear import rear_face
+from recast.synthetic.vehicles.solid import Finish, Solid
+from recast.synthetic.vehicles.wheels import wheel
+
+Array = NDArray[np.float64]
+Parts = list[tuple[str, Surface]]
+
+
+def car(p: VehicleParameters, paint: Finish) -> Parts:
+    """Closed parts of a car, by name; heights above the ground."""
+    body = car_body(p)
+    solid = body.half(paint)
+    end = p.length / 2
+    cowl, brow = end - p.bonnet_length, end - p.bonnet_length - _run(p)
+    deck = -end + p.deck_length
+    gutter = deck + (p.height - p.roof_drop - p.deck_height) * np.tan(p.rear_rake)
+    underside(solid, p)
+    _bonnet_lines(solid, p, end, cowl)
+    screen(solid, body, brow + 0.02, cowl - 0.07, 0.075)
+    glass, pillars, edges = _side(p, body, gutter)
+    side_windows(solid, body, glass, pillars, p.chrome)
+    doors(solid, body, p, edges)
+    _rear_window(solid, body, p, deck, gutter)
+    front_face(solid, p, end, p.nose_height)
+    plate = {"sedan": 0.46, "pickup": 0.5, "van": 0.5, "suv": 0.55}.get(p.kind, 0.48)
+    low = p.ground_clearance + plate * (p.deck_height - p.ground_clearance)
+    top = {"van": 1.0, "sedan": 0.95, "pickup": 0.97}.get(p.kind, 0.97) * p.deck_height
+    rear_face(solid, p, -end, top, low, exhaust=p.chrome and p.kind != "van")
+    wheel_wells(solid, body, p)
+    if p.kind == "pickup":
+        _bed(solid, p, deck, -end)
+    parts: Parts = [("body", solid.mirrored().surface())]
+    side = _fittings(p, body, paint, cowl, edges, brow, gutter)
+    parts += [(f"{name}-left", part) for name, part in side]
+    parts += [(f"{name}-right", fittings.mirrored(part)) for name, part in side]
+    return parts
+
+
+def car_body(p: VehicleParameters) -> Body:
+    """The shape of the body."""
+    front, rear = p.axles
+    radius = p.wheel_radius
+    gap = 1.12 if p.kind in ("suv", "pickup") else 1.09
+    boxy = p.kind == "van"
+    return Body(
+        length=p.length, width=p.width, top=_outline(p), bottom=p.ground_clearance,
+        belt=p.belt_height + p.wedge * front, wedge=p.wedge, tumblehome=p.tumblehome,
+        shoulder=p.shoulder, crown=0.06 if boxy else 0.05, wrap=0.16 if boxy else 0.14,
+        bow_front=p.bow, bow_rear=0.4 * p.bow, lean_front=0.22 if not boxy else 0.12,
+        lean_rear=0.02 if boxy else 0.1, corner=p.corner, taper=0.05, edge=0.11,
+        arches=((front, radius, gap * radius + 0.01), (rear, radius, gap * radius + 0.01)),
+        flare=p.flare, crease=p.crease, bumper=0.5 * (p.ground_clearance + p.nose_height) - 0.05,
+        cells=(40, 5, 11),
+    )  # fmt: skip
+
+
+def _run(p: VehicleParameters) -> float:
+    return (p.height - p.roof_arch - p.cowl_height) * float(np.tan(p.windscreen_rake))
+
+
+def _outline(p: VehicleParameters) -> Profile:
+    roof = p.height - p.roof_arch
+    screen_end = p.bonnet_length + _run(p)
+    deck = p.length - p.deck_length
+    gutter_height = p.height - p.roof_drop
+    gutter = deck - (gutter_height - p.deck_height) * float(np.tan(p.rear_rake))
+    gutter = max(gutter, screen_end + 0.2)
+    peak = screen_end + 0.35 * (gutter - screen_end)
+    half = 0.5 * p.bonnet_length
+    rise = p.cowl_height - p.nose_height
+    bed = p.kind == "pickup"
+    return Profile.rounded(
+        [
+            (0.0, p.nose_height, 0.0),
+            (half, p.nose_height + 0.66 * rise, 0.4),
+            (p.bonnet_length, p.cowl_height, 0.12),
+            (screen_end, roof, 0.3),
+            (peak, p.height, 0.6),
+            (gutter, gutter_height, 0.12 if p.rear_rake < 0.4 else 0.25),
+            (deck, p.deck_height, 0.06 if bed else 0.12),
+            (p.length, p.deck_height - (0.0 if bed else 0.02), 0.0),
+        ]
+    )
+
+
+def _side(
+    p: VehicleParameters, body: Body, gutter: float
+) -> tuple[SideGlass, list[float], list[float]]:
+    """Outline of the side glass, x of the pillars, x of the door edges."""
+    front, rear = p.axles
+    first = front - p.wheel_radius - 0.16
+    cabin_rear = min(gutter, rear + 0.9)
+    if p.kind == "van":
+        middle = first - 1.05
+        if p.side_windows == 0:
+            return SideGlass(middle + 0.03, 0.02, 0.13), [], [first, middle]
+        glass = SideGlass(-p.length / 2 + 0.25, 0.03, 0.13)
+        posts = [middle, middle - 0.5 * (middle + p.length / 2)]
+        return glass, posts[: p.side_windows], [first, middle, middle - 1.1]
+    if p.kind == "pickup":
+        middle = first - 0.98
+        glass = SideGlass(gutter + 0.12, -0.05, 0.1)
+        return glass, [middle], [first, middle, gutter + 0.06]
+    share = {"hatchback": 0.52, "sedan": 0.49, "estate": 0.47, "suv": 0.48}[p.kind]
+    middle = first - share * (first - rear) - 0.14
+    third = rear + 0.12
+    if p.kind == "sedan":
+        # The rear pillar stands wide: the glass ends above the rear axle.
+        glass = SideGlass(rear - 0.12, 0.55, 0.085)
+        return glass, [middle] if p.side_windows == 1 else [middle, third], [first, middle, third]
+    end = {"hatchback": rear - 0.12, "estate": rear - 0.62, "suv": rear - 0.42}[p.kind]
+    end = max(end, -p.length / 2 + 0.3)
+    glass = SideGlass(end, 0.45 if p.kind == "hatchback" else 0.7, 0.085)
+    del cabin_rear
+    posts = [middle] if p.side_windows == 1 else [middle, third]
+    return glass, posts, [first, middle, third]
+
+
+def _bonnet_lines(solid: Solid, p: VehicleParameters, end: float, cowl: float) -> None:
+    edge = 0.4 * p.width
+    seam_x = end - 0.16
+
+    def sides(s: Solid) -> Area:
+        x, y, _ = xyz(s)
+        off = y - edge + 0.04 * (x - cowl)
+        return strip(off, 0.004), [x - seam_x, cowl - 0.03 - x, 0.8 - s.coords[:, 2]]
+
+    from recast.synthetic.vehicles.finishes import SEAM
+
+    if p.bonnet_length > 0.6:
+        solid.paint(sides, SEAM, over=("paint",))
+    # The cowl between bonnet and windscreen is black.
+    def grille(s: Solid) -> Array:
+        station, across, up = s.coords.T
+        fields = [cowl - 0.08 - station, station - cowl + 0.005, across - 0.88, 0.8 - up]
+        return np.maximum.reduce(fields)
+
+    solid.paint(grille, TRIM)
+    seam(solid, 0, end - 0.42, (p.ground_clearance + 0.1, p.nose_height - p.lamp_height - 0.1), None)
+
+
+def _rear_window(
+    solid: Solid, body: Body, p: VehicleParameters, deck: float, gutter: float
+) -> None:
+    if p.kind == "van" and p.side_windows == 0:
+        return
+    run = gutter - deck
+    upper, lower = gutter - 0.04 * run - 0.02, deck + 0.1 * run
+    if p.kind == "sedan":
+        lower = deck + 0.06
+    screen(solid, body, lower, upper, 0.1, low_z=p.deck_height + 0.05)
+
+
+def _bed(solid: Solid, p: VehicleParameters, front: float, rear: float) -> None:
+    floor = p.ground_clearance + 0.42
+
+    def area(s: Solid) -> Array:
+        x, y, _ = xyz(s)
+        fields = [x - front + 0.06, rear + 0.09 - x, y - p.width / 2 + 0.13]
+        return np.maximum(smooth_max(fields, 0.04), 0.8 - s.coords[:, 2])
+
+    def down(points: Array) -> Array:
+        moved = points.copy()
+        moved[:, 2] = floor
+        return moved
+
+    from recast.synthetic.vehicles.finishes import CLADDING
+
+    solid.paint(lambda s: area(s) - 0.06, TRIM)
+    solid.push(area, down, CLADDING)
+
+
+def _fittings(
+    p: VehicleParameters, body: Body, paint: Finish, cowl: float, edges: list[float],
+    brow: float, gutter: float,
+) -> Parts:  # fmt: skip
+    """Parts of the left side."""
+
+    def skin(x: float, z: float) -> float:
+        return float(body.half_width(np.array(x), np.array(z)))
+
+    parts: Parts = []
+    front, rear = p.axles
+    turned = wheel(p.wheel_radius, p.tyre_width, p.rim_share, p.spokes, dished=False)
+    for name, x in (("wheel-front", front), ("wheel-rear", rear)):
+        pose = np.eye(4)
+        pose[:3, 3] = x, p.width / 2 - p.tyre_width / 2 - 0.035, p.wheel_radius
+        parts.append((name, turned.transformed(pose)))
+    mx = min(cowl - 0.38, edges[0] - 0.05) if p.kind != "van" else edges[0] - 0.1
+    mz = float(body.belt_at(np.array(mx))) + 0.05
+    pieces = fittings.mirror(mx, skin(mx, mz) - 0.01, mz, paint, tall=p.kind == "van")
+    parts += [("mirror", pieces[0].surface()), ("mirror-foot", pieces[1].surface())]
+    finish = CHROME if p.chrome else paint
+    for k, x in enumerate(edges[1:]):
+        hx = x + 0.16
+        hz = float(body.belt_at(np.array(hx))) - 0.1
+        parts.append((f"handle-{k}", fittings.handle(hx, skin(hx, hz), hz, finish).surface()))
+    if p.roof_rails:
+        start, stop = brow - 0.25, gutter + 0.25
+        y = 0.5 * p.width - np.tan(p.tumblehome) * (p.height - p.belt_height) - 0.14
+        z = [float(body.outline(np.array(x))) - 0.015 for x in (start, stop)]
+        pieces = fittings.rail((start, y, z[0]), (stop, y, z[1]))
+        parts += [(f"rail-{k}", piece.surface()) for k, piece in enumerate(pieces)]
+    return parts

@@ -1,0 +1,220 @@
+"""A closed skin of triangles that can be painted and dented along exact curves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.synthetic.materials import MATERIAL_INDEX
+from recast.synthetic.surface import CREASE_ANGLE, Surface, corner_normals
+
+Array = NDArray[np.float64]
+
+
+class Finish(NamedTuple):
+    """What a patch of skin is made of: linear RGB and a name in `MATERIALS`."""
+
+    colour: tuple[float, float, float]
+    material: str
+
+
+Region = Callable[["Solid"], "Array | tuple[list[Array], list[Array]]"]
+"""Where something is on a solid, see `Solid.paint`."""
+
+
+@dataclass
+class Solid:
+    """Triangles under construction.
+
+    Attributes:
+        points: (V, 3) metres; x forward, y left, z up.
+        coords: (V, 3) coordinates of the undeformed shape, carried along by every cut.
+        faces: (F, 3) counter-clockwise from outside.
+        normals: (F, 3, 3) shading normals at the corners.
+        colours: (F, 3) linear RGB.
+        materials: (F,) indices of `MATERIALS`.
+    """
+
+    points: Array
+    coords: Array
+    faces: NDArray[np.int64]
+    normals: Array
+    colours: Array
+    materials: NDArray[np.uint8]
+
+    @classmethod
+    def of(
+        cls,
+        points: Array,
+        faces: NDArray[np.int64],
+        finish: Finish,
+        coords: Array | None = None,
+        crease: float = CREASE_ANGLE,
+    ) -> Solid:
+        """One finish all over, shaded smoothly over edges that bend less than `crease`."""
+        normals = corner_normals(points, faces.astype(np.int32), crease).astype(np.float64)
+        colours = np.tile(np.asarray(finish.colour, np.float64), (len(faces), 1))
+        materials = np.full(len(faces), MATERIAL_INDEX[finish.material], np.uint8)
+        return cls(points, points if coords is None else coords, faces, normals, colours, materials)
+
+    def cut(self, field: Array, limits: Sequence[Array] = ()) -> None:
+        """Split faces along the zero line of `field` (V,), where no limit exceeds `MARGIN`."""
+        field = np.where(np.abs(field) < 1e-6, 1e-6, field)
+        above = field > 0
+        count = above[self.faces].sum(axis=1)
+        crossed = np.flatnonzero((count == 1) | (count == 2))
+        if len(limits) and len(crossed):
+            near = np.maximum.reduce(limits)[self.faces[crossed]].min(axis=1) < MARGIN
+            crossed = crossed[near]
+        if not len(crossed):
+            return
+        # The neighbours of a split face share its split edges, so they are cut as well.
+        count_points = len(self.points)
+        sides = np.sort(self.faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
+        keys = sides[..., 0] * count_points + sides[..., 1]
+        changes = above[sides[..., 0]] != above[sides[..., 1]]
+        chosen = np.unique(keys[crossed][changes[crossed]])
+        place = np.searchsorted(chosen, keys).clip(0, len(chosen) - 1)
+        split = changes & (chosen[place] == keys)
+        first, last = np.divmod(chosen, count_points)
+        share = (field[first] / (field[first] - field[last]))[:, None]
+        for name in ("points", "coords"):
+            value = getattr(self, name)
+            new = value[first] * (1 - share) + value[last] * share
+            setattr(self, name, np.concatenate([value, new]))
+        self._split(field, split, count_points + place)
+
+    def _split(self, field: Array, split: NDArray[np.bool_], middle: NDArray[np.int64]) -> None:
+        """Replace faces whose sides are split (F, 3) at the points `middle` (F, 3)."""
+        number = split.sum(axis=1)
+        kept = number == 0
+        parts = [(self.faces[kept], self.normals[kept], np.flatnonzero(kept))]
+        for sides in (1, 2):
+            rows = np.flatnonzero(number == sides)
+            # Turn: the split sides come first and, with two of them, last.
+            start = np.argmax(split[rows] if sides == 1 else ~split[rows], axis=1)
+            turn = (start[:, None] + np.arange(3) + (0 if sides == 1 else 2)) % 3
+            a, b, c = np.take_along_axis(self.faces[rows], turn, axis=1).T
+            na, nb, nc = np.moveaxis(
+                np.take_along_axis(self.normals[rows], turn[:, :, None], axis=1), 1, 0
+            )
+            mids = np.take_along_axis(middle[rows], turn, axis=1)
+            p, q = mids[:, 0], mids[:, 2]
+            np_ = _mix(na, nb, field[a] / np.where(field[a] == field[b], 1, field[a] - field[b]))
+            nq = _mix(na, nc, field[a] / np.where(field[a] == field[c], 1, field[a] - field[c]))
+            if sides == 1:
+                pieces = [((a, p, c), (na, np_, nc)), ((p, b, c), (np_, nb, nc))]
+            else:
+                pieces = [
+                    ((a, p, q), (na, np_, nq)), ((p, b, c), (np_, nb, nc)), ((p, c, q), (np_, nc, nq))
+                ]  # fmt: skip
+            parts += [(np.stack(f, 1), np.stack(n, 1), rows) for f, n in pieces]
+        self.faces = np.concatenate([part[0] for part in parts])
+        self.normals = np.concatenate([part[1] for part in parts])
+        rows = np.concatenate([part[2] for part in parts])
+        self.colours, self.materials = self.colours[rows], self.materials[rows]
+
+    def paint(
+        self,
+        region: Region,
+        finish: Finish,
+        over: Sequence[str] = (),
+    ) -> None:
+        """Give the faces where `region` is negative a finish.
+
+        Args:
+            region: gives a field (V,) in metres, or borders and limits, which mean where all fields
+                are negative. Every border is cut exactly, so that even strips thinner than a face
+                come out whole; limits are not cut.
+            over: materials that may be painted over; none means all.
+        """
+        inside = self._inside(region)
+        if over:
+            inside &= np.isin(self.materials, [MATERIAL_INDEX[name] for name in over])
+        self.colours[inside] = finish.colour
+        self.materials[inside] = MATERIAL_INDEX[finish.material]
+
+    def push(
+        self,
+        region: Region,
+        move: Callable[[Array], Array],
+        finish: Finish,
+    ) -> None:
+        """Displace the faces where `region` is negative and close the step with walls.
+
+        Args:
+            region: as in `paint`.
+            move: new places of points (N, 3).
+            finish: of the displaced faces and the walls.
+        """
+        inside = self._inside(region)
+        moved = self.faces[inside]
+        used, local = np.unique(moved, return_inverse=True)
+        local = local.reshape(-1, 3) + len(self.points)
+        edges = moved[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        copies = local[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        outside = self.faces[~inside][:, [1, 0, 2, 1, 0, 2]].reshape(-1, 2)
+        big = len(self.points)
+        rim = np.isin(edges[:, 0] * big + edges[:, 1], outside[:, 0] * big + outside[:, 1])
+        (a, b), (c, d) = edges[rim].T, copies[rim].T
+        walls = np.concatenate([np.stack([a, b, d], 1), np.stack([a, d, c], 1)])
+        self.points = np.concatenate([self.points, move(self.points[used])])
+        self.coords = np.concatenate([self.coords, self.coords[used]])
+        new = Solid.of(self.points, np.concatenate([local, walls]), finish)
+        self.faces = np.concatenate([self.faces[~inside], new.faces])
+        self.normals = np.concatenate([self.normals[~inside], new.normals])
+        self.colours = np.concatenate([self.colours[~inside], new.colours])
+        self.materials = np.concatenate([self.materials[~inside], new.materials])
+
+    def mirrored(self) -> Solid:
+        """Both halves of a half at y >= 0 that is open at y = 0, welded there."""
+        count = len(self.points)
+        seam = np.abs(self.points[:, 1]) < 1e-9
+        index = np.where(seam, np.arange(count), count + np.cumsum(~seam) - 1)
+        flip = np.array([1.0, -1.0, 1.0])
+        return Solid(
+            np.concatenate([self.points, self.points[~seam] * flip]),
+            np.concatenate([self.coords, self.coords[~seam] * flip]),
+            np.concatenate([self.faces, index[self.faces][:, [0, 2, 1]]]),
+            np.concatenate([self.normals, self.normals[:, [0, 2, 1]] * flip]),
+            np.concatenate([self.colours, self.colours]),
+            np.concatenate([self.materials, self.materials]),
+        )
+
+    def surface(self) -> Surface:
+        """The finished part."""
+        length = np.linalg.norm(self.normals, axis=2, keepdims=True)
+        return Surface(
+            self.points,
+            self.faces.astype(np.int32),
+            (self.normals / np.maximum(length, 1e-12)).astype(np.float32),
+            self.colours.astype(np.float32),
+            self.materials,
+        )
+
+    def _inside(self, region: Region) -> NDArray[np.bool_]:
+        area = region(self)
+        if isinstance(area, np.ndarray):
+            self.cut(area)
+            # Points on the border are near zero: the corner farthest from it decides.
+            corners = region(self)[self.faces]  # type: ignore[call-overload]
+            return np.asarray(corners.sum(axis=1) < 0)
+        for k in range(len(area[0])):
+            borders, limits = region(self)
+            others = [field for i, field in enumerate(borders) if i != k]
+            self.cut(borders[k], [*others, *limits])
+        borders, limits = region(self)
+        means = [field[self.faces].mean(axis=1) for field in (*borders, *limits)]
+        return np.asarray(np.maximum.reduce(means) < 0)
+
+
+MARGIN = 0.06
+"""Metres: borders are cut this far past each other, half a face."""
+
+
+def _mix(a: Array, b: Array, share: Array) -> Array:
+    return a * (1 - share[:, None]) + b * share[:, None]
