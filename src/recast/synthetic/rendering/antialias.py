@@ -30,18 +30,18 @@ def edge_pixels(
     """
     count = height * width
     # Sky keeps zeros: its normal differs from all.
-    planes = np.zeros((8, count), np.float32)
-    planes[0:3, pixels] = points.flat.T
-    planes[3, pixels] = 1 / points.distance
-    planes[4, pixels] = points.colour @ np.float32([0.5, 0.9, 0.25])
+    flat_planes = np.zeros((8, count), np.float32)
+    flat_planes[0:3, pixels] = points.flat.T
+    flat_planes[3, pixels] = 1 / points.distance
+    flat_planes[4, pixels] = points.colour @ np.array([0.5, 0.9, 0.25], np.float32)
     mirror = (TABLE.specular[points.material] > 0) & (
         TABLE.roughness[points.material] <= MIRROR_ROUGHNESS
     )
     shown = np.sqrt(np.minimum(radiance[:, 1] / np.float32(white), 2))
-    planes[5, pixels] = np.where(mirror, shown, 0) / CONTRAST
-    planes[6, pixels] = points.material
-    planes[7, pixels] = points.instance
-    planes = planes.reshape(8, height, width)
+    flat_planes[5, pixels] = np.where(mirror, shown, 0) / CONTRAST
+    flat_planes[6, pixels] = points.material
+    flat_planes[7, pixels] = points.instance
+    planes = flat_planes.reshape(8, height, width)
     edge = np.zeros((height, width), bool)
     for axis in (0, 1):
         first = (slice(None),) * axis + (slice(None, -1),)

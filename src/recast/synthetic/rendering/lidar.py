@@ -15,7 +15,9 @@ Array = NDArray[np.float64]
 
 MID_GREY = np.float32(0.18)
 """Luminance of the face for which `Material.lidar` is given."""
-LUMINANCE = np.float32([0.2126, 0.7152, 0.0722])
+GLASS_RETURN = np.float32(0.15)
+"""Share of pulses on glass that come back; the others go through or are mirrored away."""
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 
 @dataclass(frozen=True)
@@ -143,10 +145,12 @@ def scan_lidar(
     lobe = np.where(mirror_like, np.sqrt(facing), facing)
     brightness = np.clip(reflectivity, 0, 8) * lobe
     energy = brightness * (10 / np.maximum(points.distance, 10)) ** 2
+    glass = ((TABLE.specular > 0) & (TABLE.lidar <= 0.05))[points.material]
     # Returned energy against the detector's floor: a logistic curve in decades.
     floor = max(spec.noise_floor, 1e-12)
     decades = np.log10(np.maximum(energy, 1e-9) / np.float32(floor))
-    kept = chance[rays] < 1 / (1 + np.exp(-np.float32(spec.steepness) * decades))
+    seen = np.where(glass, GLASS_RETURN, np.float32(1))
+    kept = chance[rays] < seen / (1 + np.exp(-np.float32(spec.steepness) * decades))
     true = points.distance[kept]
     rays = rays[kept]
     measured = np.maximum(true + noise[rays], np.float32(0.01))

@@ -28,15 +28,16 @@ def smooth_light(
     points: SurfacePoints, pixels: NDArray[np.int64], arriving: Light, height: int, width: int
 ) -> Light:
     """Smoothed light of points that lie at `pixels` (row major) of an image, one each."""
-    guide = np.zeros((7, height * width), np.float32)
-    guide[:3, pixels] = points.position.T
-    guide[3:6, pixels] = points.normal.T
-    guide[6, pixels] = 1 / (PLANE_TOLERANCE * (1 + np.float32(0.1) * points.distance))
-    guide = guide.reshape(7, height, width)
-    value = np.zeros((4, height * width), np.float32)
-    value[0, pixels] = arriving.sun
-    value[1:, pixels] = arriving.sky.T
-    value = value.reshape(4, height, width)
+    tolerance = PLANE_TOLERANCE * (1 + np.float32(0.1) * points.distance)
+    guide_rows = np.zeros((7, height * width), np.float32)
+    guide_rows[:3, pixels] = points.position.T
+    guide_rows[3:6, pixels] = points.normal.T
+    guide_rows[6, pixels] = 1 / tolerance
+    value_rows = np.zeros((4, height * width), np.float32)
+    value_rows[0, pixels] = arriving.sun
+    value_rows[1:, pixels] = arriving.sky.T
+    guide = guide_rows.reshape(7, height, width)
+    value = value_rows.reshape(4, height, width)
     for step in SKY_STEPS:
         channels = slice(0 if step in SUN_STEPS else 1, 4)
         for axis in (1, 2):

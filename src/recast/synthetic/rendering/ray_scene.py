@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from recast.geometry import se3
-from recast.synthetic.rendering.embree import NO_HIT, BoolArray, Float32Array, Mesh
+from recast.synthetic.rendering.embree import BoolArray, Float32Array, Mesh
 from recast.synthetic.rendering.face_attributes import FaceAttributes
 from recast.synthetic.surface import Surface
 
@@ -107,7 +107,8 @@ class PosedScene:
         count = len(scene.names) + 1
         self.rotation = np.tile(np.eye(3, dtype=np.float32), (count, 1, 1))
         self.translation = np.zeros((count, 3), np.float32)
-        self._actors: list[tuple[int, Array, Float32Array, float]] = []
+        actors: list[tuple[int, Array]] = []
+        spheres: list[tuple[Array, float]] = []
         for instance, name in enumerate(scene.names, 1):
             surface = scene.models[name]
             if name not in poses or not len(surface):
@@ -115,17 +116,19 @@ class PosedScene:
             pose = np.asarray(poses[name], np.float64)
             self.rotation[instance], self.translation[instance] = pose[:3, :3], pose[:3, 3]
             low, high = surface.bounds()
+            actors.append((instance, se3.inverse(pose)))
             centre = se3.apply(pose, ((low + high) / 2)[None])[0]
-            radius = float(np.linalg.norm(high - low)) / 2 + 1e-3
-            self._actors.append((instance, se3.inverse(pose), centre.astype(np.float32), radius))
+            spheres.append((centre, float(np.linalg.norm(high - low)) / 2))
+        self._actors = actors
+        self._spheres = _Spheres(spheres)
 
     def cast(self, origins: Float32Array, directions: Float32Array) -> Hits:
         """First hits of rays from `origins` (N, 3) along unit `directions` (N, 3), contiguous."""
-        found = self.scene.mesh(STREET).first_hits(origins, directions)
-        distance, face, u, v = found
+        distance, face, u, v = self.scene.mesh(STREET).first_hits(origins, directions)
         instance = np.where(face >= 0, np.uint16(STREET), np.uint16(SKY))
-        for index, local, centre, radius in self._actors:
-            rays = self._near(origins, directions, distance, centre, radius)
+        enter = self._spheres.entered(origins, directions)
+        for (index, local), entry in zip(self._actors, enter, strict=True):
+            rays = np.flatnonzero(entry < distance)
             if not len(rays):
                 continue
             moved = _move(local, origins[rays], directions[rays])
@@ -140,32 +143,49 @@ class PosedScene:
     def occluded(self, origins: Float32Array, directions: Float32Array) -> BoolArray:
         """Whether rays from `origins` (N, 3) along unit `directions` (N, 3) meet anything."""
         blocked = self.scene.mesh(STREET).occluded(origins, directions)
-        limit = np.where(blocked, np.float32(0), NO_HIT)
-        for index, local, centre, radius in self._actors:
-            rays = self._near(origins, directions, limit, centre, radius)
+        free = np.flatnonzero(~blocked)
+        if not self._actors or not len(free):
+            return blocked
+        enter = self._spheres.entered(origins[free], directions[free])
+        for (index, local), entry in zip(self._actors, enter, strict=True):
+            rays = free[entry < np.inf]
+            rays = rays[~blocked[rays]]
             if len(rays):
                 moved = _move(local, origins[rays], directions[rays])
-                at = rays[self.scene.mesh(index).occluded(*moved)]
-                blocked[at] = True
-                limit[at] = 0
+                blocked[rays] = self.scene.mesh(index).occluded(*moved)
         return blocked
 
-    @staticmethod
-    def _near(
-        origins: Float32Array,
-        directions: Float32Array,
-        limit: Float32Array,
-        centre: Float32Array,
-        radius: float,
-    ) -> NDArray[np.int64]:
-        """Indices of the rays that enter a sphere before their `limit`."""
-        to_centre = centre - origins
-        along = np.einsum("ij,ij->i", to_centre, directions)
-        squared = np.einsum("ij,ij->i", to_centre, to_centre)
-        meets = squared - along * along < radius**2
-        meets &= (along > 0) | (squared < radius**2)
-        meets &= along - radius < limit
-        return np.flatnonzero(meets)
+
+class _Spheres:
+    """Bounding spheres of the posed models, all tested at once."""
+
+    def __init__(self, spheres: list[tuple[Array, float]]) -> None:
+        # Relative to the spheres' mean, so that float32 keeps its digits far from the origin.
+        centres = np.array([centre for centre, _ in spheres]).reshape(-1, 3)
+        self._middle = centres.mean(axis=0).astype(np.float32) if len(centres) else np.zeros(3)
+        self._centres = (centres - self._middle).astype(np.float32)
+        self._radii = np.array([radius + 0.05 for _, radius in spheres], np.float32)
+
+    def entered(self, origins: Float32Array, directions: Float32Array) -> Float32Array:
+        """Distance (spheres, N) at which rays enter, at most; inf where they miss."""
+        if not len(self._centres):
+            return np.zeros((0, len(origins)), np.float32)
+        origins = origins - self._middle.astype(np.float32)
+        own = np.einsum("ij,ij->i", origins, origins)
+        along = self._centres @ directions.T
+        along -= np.einsum("ij,ij->i", origins, directions)
+        squared = self._centres @ origins.T
+        squared *= -2
+        squared += own
+        squared += np.einsum("ij,ij->i", self._centres, self._centres)[:, None]
+        reach = (self._radii**2)[:, None]
+        outside = squared > reach
+        squared -= along * along
+        missed = squared > reach
+        missed |= outside & (along < 0)
+        along -= self._radii[:, None]
+        along[missed] = np.inf
+        return along
 
 
 def _move(

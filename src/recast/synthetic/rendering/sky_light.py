@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.synthetic.rendering.embree import Float32Array
+from recast.synthetic.rendering.image_lookup import gather_image
 from recast.synthetic.rendering.noise import spectral_noise
 from recast.synthetic.world import Sky
 
@@ -56,7 +57,7 @@ class SkyLight:
         self.ambient = np.average(above.mean(axis=1), axis=0, weights=weight).astype(np.float32)
         beam = self.sun * np.float32(max(self.sun_direction[2], 0.0) / np.pi)
         white = beam + self.ambient
-        self.white = float(white @ np.float32([0.2126, 0.7152, 0.0722]))
+        self.white = float(white @ np.array([0.2126, 0.7152, 0.0722], np.float32))
         self.ground = (GROUND_ALBEDO * white).astype(np.float32)
         clear = np.exp(_EYE_HEIGHT / np.minimum(z[z <= 0], -1e-6) / HAZE_LENGTH)[:, None, None]
         below = np.broadcast_to(
@@ -88,7 +89,9 @@ class SkyLight:
         cosine = directions @ self.sun_direction.astype(np.float32)
         angle = np.arccos(np.clip(cosine, -1, 1))
         radius = np.float32(max(self.sky.sun_radius, 0.005))
-        return np.clip(2 - angle / radius, 0, 1) * (directions[:, 2] > 0)
+        shown = np.clip(2 - angle / radius, 0, 1).astype(np.float32)
+        shown[directions[:, 2] <= 0] = 0
+        return shown
 
     def _above(self, directions: Array) -> Array:
         """Radiance (..., 3) of the upper hemisphere: gradient, glow, clouds."""
@@ -123,24 +126,6 @@ class SkyLight:
         threshold = np.quantile(noise, 1 - min(self.sky.clouds, 1.0))
         soft = np.clip((value - threshold + 0.5) / 1.6, 0, 1)
         return soft * soft * (3 - 2 * soft)
-
-
-def gather_image(image: NDArray, x: Float32Array, y: Float32Array) -> NDArray:
-    """Bilinear samples (at least N, channels) of an image at pixel coordinates x, y (N,).
-
-    Pixel centres at whole numbers. The points are folded into a grid, as `cv2.remap` takes no side
-    longer than 32767; the result is padded to full rows of that grid.
-    """
-    row = 1024
-    count = len(x)
-    height = -(-count // row)
-    grid = np.zeros((2, height * row), np.float32)
-    grid[0, :count], grid[1, :count] = x, y
-    grid = grid.reshape(2, height, row)
-    if not count:
-        return np.zeros((0, image.shape[-1]), image.dtype)
-    samples = cv2.remap(image, grid[0], grid[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return samples.reshape(height * row, -1)
 
 
 def sky_light(sky: Sky) -> SkyLight:
