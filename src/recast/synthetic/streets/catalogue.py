@@ -1,0 +1,52 @@
+"""Scenes by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.random import Generator
+
+from recast.errors import InputError
+from recast.synthetic.streets.kinds.arterial_median import arterial_median
+from recast.synthetic.streets.kinds.urban_straight import urban_straight
+from recast.synthetic.streets.site import Site
+from recast.synthetic.world import Street
+
+_KINDS: dict[str, tuple[Callable[[Generator, float], Site], tuple[float, float]]] = {
+    "urban-straight": (urban_straight, (35.0, 60.0)),
+    "arterial-median": (arterial_median, (25.0, 60.0)),
+}
+"""By name: what builds the scene, and between which degrees its sun stands."""
+
+SCENES: tuple[str, ...] = tuple(_KINDS)
+"""Names of all scenes."""
+
+MIN_LENGTH, MAX_LENGTH = 20.0, 400.0
+
+
+def make_street(name: str, rng: Generator, length: float) -> Street:
+    """A street of the kind `name`.
+
+    The ego drives `length` metres along the lanes of `Street.ego_route`, from `EGO_START` metres
+    after their beginning; they go on for at least 120 m more.
+
+    Args:
+        name: one of `SCENES`.
+        rng: source of everything that differs between two streets of a kind.
+        length: metres.
+
+    Raises:
+        InputError: a name that is not known, or a length out of range.
+    """
+    if name not in _KINDS:
+        raise InputError("scene", "name", f"'{name}' is unknown", f"use one of {', '.join(SCENES)}")
+    if not np.isfinite(length) or not MIN_LENGTH <= length <= MAX_LENGTH:
+        raise InputError(
+            "scene",
+            "length",
+            f"{length} m is not possible",
+            f"give metres from {MIN_LENGTH:g} to {MAX_LENGTH:g}",
+        )
+    build, elevation = _KINDS[name]
+    return build(rng, length).finish(name, elevation)

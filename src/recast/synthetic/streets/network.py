@@ -1,0 +1,191 @@
+"""The lane graph: roads, and the connections through junctions."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.geometry import se2
+from recast.logs import Lane
+from recast.synthetic.streets.reference_line import Pose, ReferenceLine
+from recast.synthetic.streets.road import Road, make_lane
+
+Array = NDArray[np.float64]
+
+_STRAIGHT = np.deg2rad(35)
+_TURN_SPEED = 8.0
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A road's end at a junction.
+
+    Attributes:
+        road: the road.
+        at_end: its forward lanes enter the junction; else its backward lanes do.
+    """
+
+    road: Road
+    at_end: bool
+
+    def incoming(self) -> list[str]:
+        """Ids of lanes that enter the junction, from the middle outwards."""
+        return self._lanes(1 if self.at_end else -1)
+
+    def outgoing(self) -> list[str]:
+        """Ids of lanes that leave the junction, from the middle outwards."""
+        return self._lanes(-1 if self.at_end else 1)
+
+    def _lanes(self, direction: int) -> list[str]:
+        section = self.road.section
+        count = section.forward if direction > 0 else section.backward
+        block = len(self.road.blocks()) - 2 if self.at_end else 0
+        return [self.road.lane_id(block, direction * k) for k in range(1, count + 1)]
+
+
+class Network:
+    """Collects roads and lanes.
+
+    Attributes:
+        roads: by name.
+        lanes: by id.
+    """
+
+    def __init__(self, roads: Sequence[Road]) -> None:
+        self.roads = {road.name: road for road in roads}
+        self.lanes: dict[str, Lane] = {
+            lane.lane_id: lane for road in roads for lane in road.lanes()
+        }
+
+    def add(self, lane_id: str, line: ReferenceLine, widths: tuple[float, float]) -> str:
+        """Add a lane of a junction along `line`; its width changes evenly between `widths`."""
+        s = np.linspace(0.0, line.length, max(int(np.ceil(line.length / 1.0)), 2) + 1)
+        half = np.linspace(widths[0], widths[1], len(s)) / 2
+        self.lanes[lane_id] = make_lane(
+            lane_id,
+            line.offset(s, np.zeros_like(s)),
+            line.offset(s, half),
+            line.offset(s, -half),
+            _TURN_SPEED,
+            is_intersection=True,
+        )
+        return lane_id
+
+    def follow(self, lane_id: str, *successors: str) -> None:
+        """Let `successors` be driven on into from a lane."""
+        lane = self.lanes[lane_id]
+        self.lanes[lane_id] = replace(lane, successors=(*lane.successors, *successors))
+
+    def connect(self, lane_id: str, source: str, target: str, reach: float = np.inf) -> str:
+        """Add a lane from the end of one to the start of another."""
+        first, last = self.lanes[source], self.lanes[target]
+        line = ReferenceLine.between(end_pose(first), start_pose(last), reach)
+        self.add(lane_id, line, (_width(first, -1), _width(last, 0)))
+        # The ends are those of the lanes joined, to the last digit.
+        joined = self.lanes[lane_id]
+        lines = []
+        for name in ("centreline", "left_boundary", "right_boundary"):
+            points = getattr(joined, name).copy()
+            points[0], points[-1] = getattr(first, name)[-1], getattr(last, name)[0]
+            lines.append(points[:, :2])
+        middle, left, right = lines
+        self.lanes[lane_id] = make_lane(
+            lane_id, middle, left, right, _TURN_SPEED, (target,), is_intersection=True
+        )
+        self.follow(source, lane_id)
+        return lane_id
+
+    def junction(
+        self,
+        name: str,
+        arms: Sequence[Arm],
+        right_reach: float,
+        barred: Sequence[tuple[str, str]] = (),
+    ) -> None:
+        """Connect all arms: straight on lane by lane, left from the inner, right from the outer.
+
+        Args:
+            name: first part of the ids of its lanes.
+            arms: the roads' ends.
+            right_reach: metres before the corner at which right turns begin.
+            barred: names of roads (from, to) between which one cannot turn.
+        """
+        for arm in arms:
+            for other in arms:
+                if (arm.road.name, other.road.name) in barred:
+                    continue
+                if other is arm or not arm.incoming() or not other.outgoing():
+                    continue
+                self._movement(name, arm, other, right_reach)
+
+    def _movement(self, name: str, arm: Arm, other: Arm, right_reach: float) -> None:
+        sources, targets = arm.incoming(), other.outgoing()
+        turn = float(
+            se2.wrap_angle(
+                start_pose(self.lanes[targets[0]]).heading
+                - end_pose(self.lanes[sources[0]]).heading
+            )
+        )
+        stem = f"{name}-{arm.road.name}-{other.road.name}"
+        if abs(turn) < _STRAIGHT:
+            made = [
+                self.connect(f"{stem}-{k + 1}", source, target)
+                for k, (source, target) in enumerate(zip(sources, targets, strict=False))
+            ]
+            limit = self.lanes[sources[0]].speed_limit
+            for k, lane_id in enumerate(made):
+                self.lanes[lane_id] = replace(
+                    self.lanes[lane_id],
+                    speed_limit=limit,
+                    left_neighbour=made[k - 1] if k > 0 else None,
+                    right_neighbour=made[k + 1] if k + 1 < len(made) else None,
+                )
+        elif turn > 0:
+            self.connect(f"{stem}-left", sources[0], targets[0])
+        else:
+            self.connect(f"{stem}-right", sources[-1], targets[-1], right_reach)
+
+    def route(self, start: str, goal: str) -> tuple[str, ...]:
+        """Ids of the lanes from start to goal, the fewest.
+
+        Raises:
+            ValueError: the goal cannot be reached.
+        """
+        before = {start: ""}
+        queue = deque([start])
+        while queue:
+            here = queue.popleft()
+            if here == goal:
+                chain = [here]
+                while before[chain[-1]]:
+                    chain.append(before[chain[-1]])
+                return tuple(reversed(chain))
+            for ahead in self.lanes[here].successors:
+                if ahead not in before:
+                    before[ahead] = here
+                    queue.append(ahead)
+        raise ValueError(f"no way from lane {start!r} to {goal!r}")
+
+
+def start_pose(lane: Lane) -> Pose:
+    """Where a lane begins; the heading is square to the line between its boundaries' ends."""
+    return _end(lane, 0)
+
+
+def end_pose(lane: Lane) -> Pose:
+    """Where a lane ends; the heading is square to the line between its boundaries' ends."""
+    return _end(lane, -1)
+
+
+def _end(lane: Lane, k: int) -> Pose:
+    across = lane.left_boundary[k] - lane.right_boundary[k]
+    heading = float(np.arctan2(-across[0], across[1]))
+    return Pose(float(lane.centreline[k, 0]), float(lane.centreline[k, 1]), heading)
+
+
+def _width(lane: Lane, k: int) -> float:
+    return float(np.linalg.norm(lane.left_boundary[k] - lane.right_boundary[k]))
