@@ -52,6 +52,22 @@ def test_cast_agrees_with_every_ray_against_every_triangle(seed: int) -> None:
     hit = agree & (slow.instance != SKY)
     assert np.allclose(fast.distance[hit], slow.distance[hit], atol=2e-3)
     assert set(np.unique(fast.instance)) <= {0, 1, 3, SKY}
+    assert np.allclose(fast.u[hit], slow.u[hit], atol=5e-3)
+    assert np.allclose(fast.v[hit], slow.v[hit], atol=5e-3)
+
+
+def test_barycentrics_of_a_vehicle_alone() -> None:
+    rng = np.random.default_rng(0)
+    scene = RayScene(nothing(), {"a": soup(rng, 40, 1.0)})
+    directions = rng.normal(size=(400, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    poses = {"a": random_pose(rng)}
+    origins = poses["a"][:3, 3] - 5 * directions
+    fast, slow = scene.cast(origins, directions, poses), cast(scene, origins, directions, poses)
+    hit = (fast.face >= 0) & (fast.face == slow.face)
+    assert hit.sum() > 100
+    assert np.allclose(fast.u[hit], slow.u[hit], atol=5e-3)
+    assert np.allclose(fast.v[hit], slow.v[hit], atol=5e-3)
 
 
 @settings(max_examples=15, deadline=None)

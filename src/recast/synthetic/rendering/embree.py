@@ -53,9 +53,8 @@ class Mesh:
         """Nearest hits of rays (N, 3), (N, 3), nearer than `limit` (N,) where given."""
         count = len(origins)
         if self._scene is None or not count:
-            nothing = np.zeros(count, np.float32)
-            far = np.full(count, NO_HIT)
-            return MeshHits(far, np.full(count, -1, np.int32), nothing, nothing)
+            far, none = np.full(count, NO_HIT), np.full(count, -1, np.int32)
+            return MeshHits(far, none, np.zeros(count, np.float32), np.zeros(count, np.float32))
         # Embree writes into the limits.
         far = np.full(count, NO_HIT) if limit is None else limit.astype(np.float32)
         found = self._scene.run(origins, directions, dists=far, output=1)
