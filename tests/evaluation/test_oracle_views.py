@@ -43,7 +43,8 @@ def compared(tmp_path_factory: pytest.TempPathFactory):
     result = evaluate_oracle_views(
         LOG, scene(REAR_ONLY, LOG), scene(WHOLE, LOG), oracle, "7", MOUNTS, out,
         rng=np.random.default_rng(0),
-        settings=ViewSettings(distances=(9.0,), headings=8, exposure=1.0),
+        settings=ViewSettings(distances=(9.0,), headings=8),
+        exposures={"front": 0.97},
         progress=lambda done, of: told.append((done, of)),
     )  # fmt: skip
     return result, out, oracle, told
@@ -122,7 +123,8 @@ def test_a_road_too_short_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "settings", [ViewSettings(moments=0), ViewSettings(distances=()), ViewSettings(exposure=0.0)]
+    "settings",
+    [ViewSettings(moments=0), ViewSettings(distances=()), ViewSettings(distances=(-1.0,))],
 )
 def test_impossible_settings_are_refused(settings: ViewSettings) -> None:
     with pytest.raises(ValueError, match="ViewSettings"):
@@ -198,7 +200,7 @@ def test_the_folder_holds_what_was_seen(compared) -> None:
     left, top, right, bottom = grown(shown.rectangle, 24, CAMERA.width, CAMERA.height)
     assert (height, width) == (bottom - top, 3 * (right - left) + 8)
     np.testing.assert_array_equal(beside[:, -(right - left) :], truth[top:bottom, left:right])
-    assert oracle.calls[0][2:] == (shown.timestamp_us, 1.0)
+    assert oracle.calls[0][2:] == (shown.timestamp_us, 0.97)
 
 
 def test_the_same_again_gives_the_same_bytes(compared, tmp_path: Path) -> None:
@@ -206,7 +208,7 @@ def test_the_same_again_gives_the_same_bytes(compared, tmp_path: Path) -> None:
     settings = ViewSettings(distances=(9.0,), headings=8)
     evaluate_oracle_views(
         LOG, scene(REAR_ONLY, LOG), scene(WHOLE, LOG), BoxOracle(), "7", MOUNTS, tmp_path / "truth",
-        rng=np.random.default_rng(0), settings=settings,
+        rng=np.random.default_rng(0), settings=settings, exposures={"front": 0.97},
     )  # fmt: skip
     for path in out.iterdir():
         again = (tmp_path / "truth" / path.name).read_bytes()

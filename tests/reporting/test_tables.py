@@ -8,9 +8,10 @@ import numpy as np
 from recast.evaluation import COLUMNS, rollout_metrics
 from recast.reporting import NotMade, RolloutPart, ScenarioPart, palette, plots, tables
 from recast.reporting.checks import checks
+from recast.reporting.drives_compared import driving_note, truth_gaps
 from recast.reporting.inputs import ReportInputs
 from recast.reporting.series import series
-from recast.reporting.summary import headline, outcomes, rollout_events, same_driving
+from recast.reporting.summary import headline, outcomes, rollout_events
 from reporting.made_up_rollouts import cut_in, straight_map
 
 METHODS = {"native": "Native", "recast": "Replaced"}
@@ -87,12 +88,54 @@ def test_outcomes_headline_and_checks() -> None:
     assert by_name["Held-out images"].found == "not made"
 
 
+def with_truth() -> tuple[ReportInputs, ScenarioPart]:
+    """Both methods and a truth that drives as the second does, only a little harder."""
+    first = scenario()
+    rollout = cut_in("oracle", steps=40, brake=1.6, cut=False)
+    truth = RolloutPart("oracle", rollout, rollout_metrics(rollout, straight_map()))
+    part = dataclasses.replace(first, rollouts=(*first.rollouts, truth))
+    methods = {**METHODS, "oracle": "truth"}
+    return ReportInputs("t", "l", methods, scenarios=(part,), truth_method="oracle"), part
+
+
 def test_same_driving_is_noticed() -> None:
-    assert not same_driving(scenario())
+    assert driving_note(scenario(), METHODS) is None
     first = scenario().rollouts[0]
     twin = dataclasses.replace(first, method="recast")
-    assert same_driving(ScenarioPart("Cut-in", "", (first, twin)))
-    assert not same_driving(ScenarioPart("Cut-in", "", (first,)))
+    note = driving_note(ScenarioPart("Cut-in", "", (first, twin)), METHODS)
+    assert note is not None and "exactly alike with all methods" in note
+    assert driving_note(ScenarioPart("Cut-in", "", (first,)), METHODS) is None
+    run, part = with_truth()
+    alike = dataclasses.replace(part.rollouts[1], method="oracle")
+    some = dataclasses.replace(part, rollouts=(*part.rollouts[:2], alike))
+    assert driving_note(some, run.methods) == "The ego drove exactly alike with Replaced and truth."
+
+
+def test_the_truth_measures_and_is_not_judged() -> None:
+    run, part = with_truth()
+    *_, between, native, recast = tables.aggregate_lines([part], run.methods, "oracle")
+    assert between.label == "Replaced minus Native"
+    assert native.label == "Native minus truth" and recast.label == "Replaced minus truth"
+    assert (native.sub or "").startswith("gap to the truth")
+    assert cell(recast, "nc").tone == "good" and cell(native, "nc").tone == "plain"
+    assert cell(native, "dac").tone == cell(recast, "dac").tone == "plain"  # equal: nobody wins
+    [(_, (_, _, truth))] = outcomes(run)
+    assert truth.tone == "plain"
+    told = " ".join(headline(run))
+    assert "Native and Replaced, and with the truth" in told
+    assert (
+        "Ended as with the truth, in contact or without: Native: 0 of 1; Replaced: 1 of 1" in told
+    )
+
+
+def test_gap_to_the_truth_is_the_distance_between_the_egos() -> None:
+    run, part = with_truth()
+    truth, native = part.rollouts[2].rollout, part.rollouts[0].rollout
+    away = np.abs(truth.ego[:, 0] - native.ego[:, 0])  # type: ignore[union-attr]
+    told = truth_gaps(run, part)
+    assert told is not None
+    assert f"Native {away.mean():.2f} m on average, {away.max():.2f} m at most" in told
+    assert truth_gaps(dataclasses.replace(run, truth_method=None), part) is None
 
 
 def test_plots_are_the_same_twice_and_take_the_page_s_colours() -> None:

@@ -65,7 +65,7 @@ class Painter:
         scenes: by method.
         size: (3,) of the vehicle's box.
         mounts: cameras as they are rendered.
-        exposure: of the truth's images.
+        exposures: of the truth's images, by camera; 1 where one is missing.
 
     Raises:
         InputError: a scene has no model of the track.
@@ -78,7 +78,7 @@ class Painter:
         track_id: str,
         size: Array,
         mounts: Mapping[str, CameraMount],
-        exposure: float,
+        exposures: Mapping[str, float],
     ) -> None:
         for method, scene in scenes.items():
             if track_id not in scene.actors:
@@ -89,7 +89,7 @@ class Painter:
         self._actors = {method: scene.actors[track_id] for method, scene in scenes.items()}
         self._rasterizers = {method: SceneRasterizer(scene) for method, scene in scenes.items()}
         self._oracle, self._track_id, self._size = oracle, track_id, size
-        self._mounts, self._exposure = mounts, exposure
+        self._mounts, self._exposures = mounts, exposures
 
     def rectangle(self, view: PlacedView) -> Rectangle | None:
         """Where the vehicle's box is in the image; see `box_pixels`."""
@@ -143,5 +143,5 @@ class Painter:
             view.world_from_camera,
             {self._track_id: view.world_from_actor},
             timestamp_us=view.timestamp_us,
-            exposure=self._exposure,
+            exposure=self._exposures.get(view.camera, 1.0),
         )

@@ -33,14 +33,12 @@ class ViewSettings:
         headings: how many, regular over the circle. The first is half a step off the road's
             heading: no view is exactly along an axis of the vehicle.
         camera: name, or None for the one that looks most nearly straight ahead.
-        exposure: of the truth's images, as the log's camera had it.
     """
 
     moments: int = 1
-    distances: tuple[float, ...] = (8.0, 14.0)
+    distances: tuple[float, ...] = (10.0, 16.0)
     headings: int = 12
     camera: str | None = None
-    exposure: float = 1.0
 
     def validate(self) -> None:
         """Raise ValueError naming the field at fault."""
@@ -48,8 +46,6 @@ class ViewSettings:
             raise ValueError("ViewSettings.moments, headings: must be at least 1")
         if not self.distances or min(self.distances) <= 0:
             raise ValueError(f"ViewSettings.distances: positive metres, got {self.distances}")
-        if not self.exposure > 0:
-            raise ValueError(f"ViewSettings.exposure: must be positive, got {self.exposure}")
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,7 @@ def _bin(
             by_heading.setdefault(round(view.heading, 6), []).append(change)
         if by_heading:
             difference[measure] = cluster_bootstrap(list(by_heading.values()), rng, SAMPLES)
-        better[measure] = sum(change > 0 for group in by_heading.values() for change in group)
+        better[measure] = sum(bool(change > 0) for group in by_heading.values() for change in group)
     return AngleBin(
         low=low,
         high=high,

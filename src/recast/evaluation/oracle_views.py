@@ -38,6 +38,7 @@ def evaluate_oracle_views(
     *,
     rng: np.random.Generator,
     settings: ViewSettings | None = None,
+    exposures: Mapping[str, float] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> OracleViews:
     """Compare both actors with the truth where a closed loop may put them.
@@ -56,6 +57,7 @@ def evaluate_oracle_views(
             `showcase_native.png`, `showcase_replaced.png`, `showcase_truth.png` of one view.
         rng: for the intervals.
         settings: which views; the default draws 24.
+        exposures: of the log's images, by camera, which the truth's are given too; 1 if missing.
         progress: told the number of views done, and of all.
 
     Raises:
@@ -79,7 +81,7 @@ def evaluate_oracle_views(
         track_id,
         track.size,
         mounts,
-        settings.exposure,
+        exposures or {},
     )
     placed = [
         (view, rectangle)

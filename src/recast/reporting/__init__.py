@@ -18,6 +18,8 @@ from recast.reporting.inputs import (
     ScenePart,
 )
 from recast.reporting.report import write_report
+from recast.reporting.truth import truth_parts
+from recast.reporting.truth_inputs import ShowcasePart, TruthPart
 from recast.reporting.video import VideoWriter, read_video, side_by_side, write_video
 
 __all__ = [
@@ -36,11 +38,14 @@ __all__ = [
     "RolloutPart",
     "ScenarioPart",
     "ScenePart",
+    "ShowcasePart",
+    "TruthPart",
     "VideoWriter",
     "draw_frames",
     "draw_still",
     "read_video",
     "side_by_side",
+    "truth_parts",
     "write_report",
     "write_video",
 ]

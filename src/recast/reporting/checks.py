@@ -14,6 +14,7 @@ from recast.reporting.inputs import (
     ScenePart,
 )
 from recast.reporting.tables import Tone
+from recast.reporting.truth_inputs import TruthPart
 from recast.simulation.rollout import Rollout, RolloutFailure
 
 
@@ -54,6 +55,8 @@ def checks(run: ReportInputs) -> tuple[Check, ...]:
         )
     else:
         found.append(Check("Registration to the LiDAR", "not made", "", "warn"))
+    if isinstance(run.truth, TruthPart):
+        found.extend(_beyond_the_log(run.truth))
     if not isinstance(run.hd_map, NotMade):
         derived = run.hd_map.derived
         found.append(
@@ -68,6 +71,22 @@ def checks(run: ReportInputs) -> tuple[Check, ...]:
         found.append(Check("Map", "none: DAC has no value", "", "warn"))
     if not isinstance(run.scenarios, NotMade):
         found.append(_completeness(run.scenarios))
+    return tuple(found)
+
+
+def _beyond_the_log(truth: TruthPart) -> tuple[Check, ...]:
+    beyond = truth.views.beyond_60
+    if beyond.native is None or beyond.replaced is None:
+        return ()
+    found = []
+    for label, before, after, digits, unit in (
+        ("Mask IoU", beyond.native.mask_iou, beyond.replaced.mask_iou, 2, ""),
+        ("PSNR", beyond.native.psnr, beyond.replaced.psnr, 1, " dB"),
+    ):
+        text = f"{before:.{digits}f}{unit} native, {after:.{digits}f}{unit} replaced"
+        wanted = "the replaced actor nearer to the truth"
+        tone: Tone = "good" if after > before else "bad"
+        found.append(Check(f"{label}, 60° and more from the log", text, wanted, tone))
     return tuple(found)
 
 

@@ -12,40 +12,11 @@ from numpy.typing import NDArray
 
 from recast.evaluation import RolloutMetrics
 from recast.logs.hdmap import HdMap
+from recast.reporting.basics import NOT_MADE, Fact, NotMade, Picture
+from recast.reporting.truth_inputs import ShowcasePart, TruthPart
 from recast.simulation.rollout import Rollout, RolloutFailure
 
 Array = NDArray[np.float64]
-
-Picture = Path | NDArray[np.uint8]
-"""A PNG or JPEG file, or (H, W, 3) RGB or (H, W, 4) RGBA uint8."""
-
-
-@dataclass(frozen=True)
-class NotMade:
-    """Stands where a part is missing.
-
-    Attributes:
-        reason: in words, shown on the page.
-    """
-
-    reason: str = "this run did not make it"
-
-
-NOT_MADE = NotMade()
-
-
-@dataclass(frozen=True)
-class Fact:
-    """One line of a list of facts.
-
-    Attributes:
-        name, value: for people, with units.
-        help: what it means, shown on hover, or None.
-    """
-
-    name: str
-    value: str
-    help: str | None = None
 
 
 @dataclass(frozen=True)
@@ -219,6 +190,10 @@ class ReportInputs:
         log: name of the log.
         methods: method to its name for people, in the order of the columns; the first is the
             baseline.
+        truth_method: the one of `methods` that the others are measured against because it shows
+            what is really there, or None.
+        showcase: the first screen; without one the page begins with the overview.
+        truth: views beyond the log against the truth; left out of the page where nothing is given.
         facts: of the run: cameras, image size, planner, length.
         actor, scenarios, scene, hd_map, config, provenance: see there.
         timings: step to seconds.
@@ -237,9 +212,14 @@ class ReportInputs:
     provenance: ProvenancePart | NotMade = NOT_MADE
     timings: Mapping[str, float] | NotMade = NOT_MADE
     warnings: tuple[str, ...] = ()
+    truth_method: str | None = None
+    showcase: ShowcasePart | NotMade = NOT_MADE
+    truth: TruthPart | NotMade = NOT_MADE
 
     def validate(self) -> None:
         """Raise ValueError naming the field at fault."""
+        if self.truth_method is not None and self.truth_method not in self.methods:
+            raise ValueError(f"truth_method: {self.truth_method!r} is not in methods")
         if isinstance(self.scenarios, NotMade):
             return
         for scenario in self.scenarios:

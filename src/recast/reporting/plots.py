@@ -1,51 +1,20 @@
-"""Curves over time as SVG that takes its text colour from the page around it."""
+"""Curves of a scenario over time."""
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from recast.evaluation.comfort import LIMITS
 from recast.evaluation.ttc import CAP
 from recast.reporting import palette
+from recast.reporting.figure import FAINT, INK, Plot, blank_axes, finish
 from recast.reporting.series import Series
 
 Array = NDArray[np.float64]
-
-_INCHES = (5.6, 2.4)
-_LEFT, _RIGHT, _BOTTOM, _TOP = 0.085, 0.985, 0.16, 0.97
-# Stand-ins that matplotlib takes for colours, replaced by what CSS knows once the SVG is text.
-_INK, _FAINT = "#010203", "#040506"
-_CSS = {_INK: "currentColor", _FAINT: "var(--line)"}
-
-
-@dataclass(frozen=True)
-class Plot:
-    """One plot, ready to be put into HTML.
-
-    Attributes:
-        title: with the unit.
-        alt: what it shows, in words.
-        svg: `<svg>` element with `currentColor` as ink and no background.
-        left, right: where time 0 and `time_end` lie, as shares of the width.
-        time_end: seconds at the right end of the axis.
-    """
-
-    title: str
-    alt: str
-    svg: str
-    left: float
-    right: float
-    time_end: float
 
 
 @dataclass(frozen=True)
@@ -83,7 +52,7 @@ def rollout_plots(name: str, methods: Sequence[Curves]) -> tuple[Plot, ...]:
 
 
 def _speed(name: str, methods: Sequence[Curves], longest: Series, end: float) -> Plot:
-    figure, axes = _axes(end)
+    figure, axes = blank_axes(end)
     for method, width in _with_widths(methods):
         axes.plot(
             method.series.time,
@@ -92,25 +61,25 @@ def _speed(name: str, methods: Sequence[Curves], longest: Series, end: float) ->
             lw=width,
         )
     axes.plot(longest.time, longest.actor_speed, color=palette.css(palette.ACTOR), lw=1.6)
-    axes.plot(longest.time, longest.log_ego_speed, color=_INK, lw=1, ls=":")
+    axes.plot(longest.time, longest.log_ego_speed, color=INK, lw=1, ls=":")
     axes.set_ylim(bottom=0.0)
     alt = "; ".join(
         f"ego with {m.label}: {m.series.ego_speed[0]:.1f} m/s at the start, "
         f"{m.series.ego_speed[-1]:.1f} m/s at the end"
         for m in methods
     )
-    return _finish(name, "Speed [m/s]", alt, figure, end)
+    return finish(name, "Speed [m/s]", alt, figure, end)
 
 
 def _gap(name: str, methods: Sequence[Curves], end: float) -> Plot:
-    figure, axes = _axes(end)
+    figure, axes = blank_axes(end)
     for method, width in _with_widths(methods):
         colour, curves = palette.css(method.colour), method.series
         axes.plot(curves.time, curves.gap, color=colour, lw=width)
         hit = curves.collision_step
         if hit is not None:
             axes.plot(
-                curves.time[hit], 0.0, "X", color=colour, ms=9, mec=_INK, mew=0.6, clip_on=False
+                curves.time[hit], 0.0, "X", color=colour, ms=9, mec=INK, mew=0.6, clip_on=False
             )
     axes.set_ylim(bottom=0.0)
     alt = "; ".join(
@@ -118,12 +87,12 @@ def _gap(name: str, methods: Sequence[Curves], end: float) -> Plot:
         + ("" if m.series.collision_step is None else ", contact (marked with a cross)")
         for m in methods
     )
-    return _finish(name, "Gap between the boxes [m]", alt, figure, end)
+    return finish(name, "Gap between the boxes [m]", alt, figure, end)
 
 
 def _ttc(name: str, methods: Sequence[Curves], end: float) -> Plot:
-    figure, axes = _axes(end)
-    axes.axhline(CAP, color=_FAINT, lw=1, ls="--")
+    figure, axes = blank_axes(end)
+    axes.axhline(CAP, color=FAINT, lw=1, ls="--")
     told = []
     for method, width in _with_widths(methods):
         if method.ttc is None or len(method.ttc) == 0:
@@ -138,17 +107,17 @@ def _ttc(name: str, methods: Sequence[Curves], end: float) -> Plot:
         )
         told.append(f"{method.label}: least {method.ttc.min():.1f} s")
     axes.set_ylim(-0.1, CAP + 0.3)
-    return _finish(
+    return finish(
         name, f"Time to collision of each plan [s], capped at {CAP:g}",
         "; ".join(told) or "no metrics", figure, end,
     )  # fmt: skip
 
 
 def _acceleration(name: str, methods: Sequence[Curves], end: float) -> Plot:
-    figure, axes = _axes(end)
+    figure, axes = blank_axes(end)
     low, high = LIMITS["lon_accel"]
     for limit in (low, high):
-        axes.axhline(limit, color=_INK, lw=0.8, ls="--", alpha=0.5)
+        axes.axhline(limit, color=INK, lw=0.8, ls="--", alpha=0.5)
     for method, width in _with_widths(methods):
         axes.plot(
             method.series.time,
@@ -162,48 +131,9 @@ def _acceleration(name: str, methods: Sequence[Curves], end: float) -> Plot:
         for m in methods
     )
     title = f"Ego acceleration, driven [m/s²]; dashed: comfort {low:g} to {high:g}"
-    return _finish(name, title, alt, figure, end)
+    return finish(name, title, alt, figure, end)
 
 
 def _with_widths(methods: Sequence[Curves]) -> list[tuple[Curves, float]]:
     # Methods often drive alike: the earlier ones are wider, so that they show under the later.
     return [(m, 1.6 + 1.8 * (len(methods) - 1 - i)) for i, m in enumerate(methods)]
-
-
-def _axes(end: float) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=_INCHES)
-    axes = figure.add_axes((_LEFT, _BOTTOM, _RIGHT - _LEFT, _TOP - _BOTTOM))
-    axes.set_xlim(0.0, end)
-    axes.set_xlabel("time [s]", color=_INK, fontsize=8.5, labelpad=1)
-    axes.patch.set_visible(False)
-    figure.patch.set_visible(False)
-    axes.grid(color=_FAINT, lw=0.6)
-    axes.tick_params(colors=_INK, labelsize=8.5, length=0)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side == "bottom")
-        spine.set_color(_INK)
-    return figure, axes
-
-
-def _finish(name: str, title: str, alt: str, figure: Figure, end: float) -> Plot:
-    stream = io.StringIO()
-    # Ids in the SVG are hashes of this salt: without one they are random, and with the same one
-    # two plots of a page would share them.
-    with matplotlib.rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):
-        FigureCanvasSVG(figure).print_svg(
-            stream, metadata={"Date": None, "Creator": None, "Format": None, "Type": None}
-        )
-    text = stream.getvalue()
-    return Plot(title, alt, _for_html(text), _LEFT, _RIGHT, end)
-
-
-def _for_html(svg: str) -> str:
-    """The bare element: no XML head, no styles that would reach the page, no ids that repeat."""
-    text = svg[svg.index("<svg") :]
-    text = re.sub(r"<style.*?</style>", "", text, flags=re.DOTALL)
-    text = re.sub(r'\s+xmlns(:xlink)?="[^"]*"', "", text)
-    text = re.sub(r' id="([^"]*)"', lambda m: m[0] if f"#{m[1]}" in text else "", text)
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    for colour, css in _CSS.items():
-        text = text.replace(colour, css)
-    return text

@@ -17,6 +17,7 @@ from recast.reporting import palette, summary, tables
 from recast.reporting.assets import Assets
 from recast.reporting.checks import checks
 from recast.reporting.inputs import (
+    NOT_MADE,
     ActorPart,
     NotMade,
     ObservationPart,
@@ -24,6 +25,8 @@ from recast.reporting.inputs import (
     ScenePart,
 )
 from recast.reporting.scenario_view import ScenarioView, scenario_view
+from recast.reporting.truth import truth_view
+from recast.reporting.truth_inputs import ShowcasePart, TruthPart
 from recast.storage import atomic_folder
 
 _GENERATOR = "recast report"
@@ -91,7 +94,7 @@ def _render(run: ReportInputs, assets: Assets) -> str:
             scenario_view(run, part, f"scenario-{i + 1}", assets)
             for i, part in enumerate(run.scenarios)
         )
-        aggregate = tables.aggregate_lines(run.scenarios, run.methods)
+        aggregate = tables.aggregate_lines(run.scenarios, run.methods, run.truth_method)
     return environment.get_template("report.html").render(
         run=run,
         generator=f"{_GENERATOR} {__version__}",
@@ -105,9 +108,22 @@ def _render(run: ReportInputs, assets: Assets) -> str:
         actor=_actor(run.actor, assets),
         scenarios=scenarios,
         scene=_scene(run.scene, assets),
+        showcase=_showcase(run.showcase, assets),
+        truth=truth_view(run.truth, assets) if isinstance(run.truth, TruthPart) else run.truth,
+        nothing_on_truth=run.truth == NOT_MADE,
         config=_config(run.config),
         markup=Markup,
     )
+
+
+def _showcase(showcase: ShowcasePart | NotMade, assets: Assets) -> dict[str, Any] | NotMade:
+    if isinstance(showcase, NotMade):
+        return showcase
+    pictures = [
+        (label, assets.picture(f"showcase-{label}", picture))
+        for label, picture in showcase.pictures.items()
+    ]
+    return {"part": showcase, "pictures": pictures}
 
 
 def _actor(actor: ActorPart | NotMade, assets: Assets) -> dict[str, Any] | NotMade:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from recast.logs.hdmap import HdMap
-from recast.reporting import birdseye, palette, plots, summary, tables
+from recast.reporting import birdseye, drives_compared, palette, plots, summary, tables
 from recast.reporting.assets import Assets, Media
 from recast.reporting.inputs import ActorPart, NotMade, ReportInputs, RolloutPart, ScenarioPart
 from recast.reporting.series import Series, series
@@ -41,11 +41,11 @@ class ScenarioView:
         anchor: its id in the page.
         columns: one a method.
         cameras: all that some method has a film of.
-        joined: camera and film with two methods side by side.
+        joined: camera and methods in words, and the film with the two side by side.
         lines: of the metric table, one a method.
         legend: colour and meaning of the curves in `plots`.
         seconds: the length of the longest rollout; `dt` between states.
-        same_driving: the ego drove alike with all methods.
+        notes: sentences on how the methods compare: who drove alike, and how far from the truth.
     """
 
     part: ScenarioPart
@@ -58,7 +58,7 @@ class ScenarioView:
     legend: tuple[tuple[str, str], ...]
     seconds: float
     dt: float
-    same_driving: bool
+    notes: tuple[str, ...]
 
 
 def scenario_view(
@@ -97,8 +97,8 @@ def scenario_view(
         anchor=anchor,
         columns=columns,
         cameras=tuple(cameras),
-        joined=_joined(part, columns, tuple(cameras), assets),
-        lines=tuple(_line(p, run.methods[p.method], order[p.method]) for p in parts),
+        joined=_joined(run, part, columns, tuple(cameras), assets),
+        lines=tuple(_line(run, p, order[p.method]) for p in parts),
         plots=plots.rollout_plots(anchor, curves) if curves else (),
         legend=(
             *((palette.css(curve.colour), f"ego, {curve.label}") for curve in curves),
@@ -107,7 +107,14 @@ def scenario_view(
         ),
         seconds=max((float(c.time[-1]) for c in driven.values()), default=0.0),
         dt=steps[0] if steps else 0.1,
-        same_driving=summary.same_driving(part),
+        notes=tuple(
+            note
+            for note in (
+                drives_compared.driving_note(part, run.methods),
+                drives_compared.truth_gaps(run, part),
+            )
+            if note is not None
+        ),
     )
 
 
@@ -132,9 +139,11 @@ def _draw(
     )
 
 
-def _line(part: RolloutPart, title: str, method: int) -> tables.Line:
+def _line(run: ReportInputs, part: RolloutPart, method: int) -> tables.Line:
+    title = run.methods[part.method]
     if not isinstance(part.metrics, NotMade):
-        return tables.rollout_line(title, method, part.metrics)
+        line = tables.rollout_line(title, method, part.metrics)
+        return tables.untoned(line) if part.method == run.truth_method else line
     reason = part.metrics.reason
     if not isinstance(part.rollout, Rollout):
         reason = summary.why_missing(part.rollout)
@@ -142,20 +151,30 @@ def _line(part: RolloutPart, title: str, method: int) -> tables.Line:
 
 
 def _joined(
-    part: ScenarioPart, columns: tuple[MethodColumn, ...], cameras: tuple[str, ...], assets: Assets
+    run: ReportInputs,
+    part: ScenarioPart,
+    columns: tuple[MethodColumn, ...],
+    cameras: tuple[str, ...],
+    assets: Assets,
 ) -> tuple[tuple[str, Media | NotMade], ...]:
-    """For each camera, each method beside the first one: films to pass on outside of the page."""
+    """For each camera, each method beside the first one, and beside the truth where there is one:
+    films to pass on outside of the page."""
+    truth = None if run.truth_method is None else run.methods[run.truth_method]
     joined = []
     for camera in cameras:
-        found = [
-            (column.title, film)
+        found = {
+            column.title: film
             for column in columns
             if isinstance(column.drawn, Drawn)
             and not isinstance(column.drawn.films, NotMade)
             and isinstance(film := column.drawn.films.get(camera), Media)
-        ]
-        for title, film in found[1:]:
-            first, first_film = found[0]
-            name = f"{part.title}-{camera}-{first}-beside-{title}"
-            joined.append((camera, assets.joined_film(name, first_film, film, (first, title))))
+        }
+        first, *others = [title for title in found if title != truth] or [""]
+        pairs = [(first, other) for other in others]
+        if truth in found:
+            pairs += [(other, truth) for other in (others or [first]) if other]
+        for left, right in pairs:
+            name = f"{part.title}-{camera}-{left}-beside-{right}"
+            film = assets.joined_film(name, found[left], found[right], (left, right))
+            joined.append((f"{camera}, {left} and {right}", film))
     return tuple(joined)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from recast.reporting.drives_compared import listed, same_endings
 from recast.reporting.inputs import (
     ActorPart,
     NotMade,
@@ -93,6 +94,9 @@ def outcomes(run: ReportInputs) -> tuple[tuple[str, tuple[Outcome, ...]], ...]:
             _outcome(parts[method]) if method in parts else Outcome("not driven", "warn")
             for method in run.methods
         ]
+        if run.truth_method is not None:  # it is not judged: the others are judged by it
+            truth = list(run.methods).index(run.truth_method)
+            cells[truth] = replace(cells[truth], tone="plain")
         rows.append((scenario.title, tuple(cells)))
     return tuple(rows)
 
@@ -109,33 +113,29 @@ def headline(run: ReportInputs) -> tuple[str, ...]:
     if isinstance(run.scenarios, NotMade) or not run.scenarios:
         return ("No rollouts were made.",)
     actor = run.actor.name if isinstance(run.actor, ActorPart) else "the chosen vehicle"
-    names = list(run.methods.values())
+    names = [title for method, title in run.methods.items() if method != run.truth_method]
     parts = [part for scenario in run.scenarios for part in scenario.rollouts]
     rollouts = [part.rollout for part in parts if isinstance(part.rollout, Rollout)]
     planners = sorted({r.planner for r in rollouts})
     motions = "; ".join(scenario.title for scenario in run.scenarios)
     first = f"On the log {run.log}, {actor} was made to do what it did not do there: {motions}. "
     first += (
-        f"Each was driven with {_listed(names)}" if len(names) > 1 else f"Driven with {names[0]}"
+        f"Each was driven with {listed(names)}" if len(names) > 1 else f"Driven with {names[0]}"
     )
-    first += f"; planner: {_listed(planners)}." if planners else "."
+    if run.truth_method is not None:
+        first += f", and with the {run.methods[run.truth_method]}, which tells what is right"
+    first += f"; planner: {listed(planners)}." if planners else "."
     lines = [first]
     outcomes = [
         f"{title}: {_contacts(run.scenarios, method)}" for method, title in run.methods.items()
     ]
     lines.append("Rollouts that ended without contact: " + "; ".join(outcomes) + ".")
+    if run.truth_method is not None:
+        lines.extend(same_endings(run, run.scenarios, run.truth_method))
     failed = [part for part in parts if not isinstance(part.rollout, Rollout)]
     if failed:
         lines.append(f"{len(failed)} of {len(parts)} rollouts did not come about; see below.")
     return tuple(lines)
-
-
-def same_driving(scenario: ScenarioPart) -> bool:
-    """Whether the ego drove exactly alike under all methods of a scenario (two or more)."""
-    rollouts = [part.rollout for part in scenario.rollouts if isinstance(part.rollout, Rollout)]
-    return len(rollouts) > 1 and all(
-        np.array_equal(rollouts[0].ego, other.ego) for other in rollouts[1:]
-    )
 
 
 def _outcome(part: RolloutPart) -> Outcome:
@@ -174,7 +174,3 @@ def _closing_speed(rollout: Rollout, step: int) -> float:
     relative = rollout.actor[:, :2] - rollout.ego[:, :2]
     moved = relative[first + 1] - relative[first]
     return float(np.hypot(*moved) / rollout.dt)
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]

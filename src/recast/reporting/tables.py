@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from recast.evaluation import (
@@ -43,11 +43,15 @@ _SHORT_TTC = 1.0  # seconds: below, a driver hardly reacts
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell: the number with its unit, how it is to be taken, and what explains it."""
+    """One cell: the number with its unit, how it is to be taken, and what explains it.
+
+    `size` is the magnitude of a difference, None for all else.
+    """
 
     text: str
     tone: Tone = "plain"
     note: str | None = None
+    size: float | None = None
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,11 @@ def rollout_line(label: str, method: int | None, metrics: RolloutMetrics) -> Lin
     )
 
 
+def untoned(line: Line) -> Line:
+    """The line of a method that is not judged."""
+    return replace(line, cells=tuple(replace(cell, tone="plain") for cell in line.cells))
+
+
 def missing_line(label: str, method: int | None, reason: str) -> Line:
     """A rollout without metrics."""
     cells = tuple(Cell("-") for _ in COLUMNS)
@@ -90,9 +99,13 @@ def missing_line(label: str, method: int | None, reason: str) -> Line:
 
 
 def aggregate_lines(
-    scenarios: Sequence[ScenarioPart], methods: Mapping[str, str]
+    scenarios: Sequence[ScenarioPart], methods: Mapping[str, str], truth: str | None = None
 ) -> tuple[Line, ...]:
-    """Means by planner and method, then each method minus the first, over pairs of rollouts."""
+    """Means by planner and method, then differences over pairs of rollouts.
+
+    Each method minus the first; and, where one of them is the truth, each minus the truth: the gap
+    to it, marked where it is the smallest.
+    """
     scored = [
         part.metrics
         for scenario in scenarios
@@ -108,12 +121,28 @@ def aggregate_lines(
     order = {method: i for i, method in enumerate(methods)}
     rows = sorted(table(scored, failures), key=lambda row: order.get(row.method, len(order)))
     lines = [_aggregate_line(row, methods, order) for row in rows]
-    baseline, *others = methods
-    for candidate in others:
-        line = _difference_line(scored, methods, candidate, baseline)
-        if line is not None:
-            lines.append(line)
+    baseline, *others = [method for method in methods if method != truth]
+    found = [_difference_line(scored, methods, other, baseline) for other in others]
+    lines += [line for line in found if line is not None]
+    if truth is not None:
+        gaps = [_difference_line(scored, methods, m, truth) for m in (baseline, *others)]
+        lines += _nearest_marked([line for line in gaps if line is not None])
     return tuple(lines)
+
+
+def _nearest_marked(gaps: Sequence[Line]) -> list[Line]:
+    """Lines of gaps to the truth, the smallest of each column in the tone "good"."""
+    marked = [list(line.cells) for line in gaps]
+    for column in range(len(COLUMNS) if len(gaps) > 1 else 0):
+        sizes = [line.cells[column].size for line in gaps]
+        known = [size for size in sizes if size is not None]
+        if len(known) == len(gaps) and min(known) < max(known):
+            best = sizes.index(min(known))
+            marked[best][column] = replace(marked[best][column], tone="good")
+    return [
+        replace(line, cells=tuple(cells), sub=f"gap to the truth; {line.sub}")
+        for line, cells in zip(gaps, marked, strict=True)
+    ]
 
 
 def _rollout_cell(key: str, metric: Metric) -> Cell:
@@ -156,7 +185,8 @@ def _difference_line(
         pairs = max(pairs, len(found[""]))
         unit = "points" if column.unit == "%" else column.unit
         difference = column.scale * float(found[""].mean())
-        cells.append(Cell(f"{difference:+.{_digits(key)}f}\u00a0{unit}"))
+        text = f"{difference:+.{_digits(key)}f}\u00a0{unit}"
+        cells.append(Cell(text, size=abs(round(difference, _digits(key)))))
     if pairs == 0:
         return None
     label = f"{methods[candidate]} minus {methods[baseline]}"

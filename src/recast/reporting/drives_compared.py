@@ -1,0 +1,82 @@
+"""How the methods' drives compare with each other and with the truth's, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from recast.reporting.inputs import NotMade, ReportInputs, RolloutPart, ScenarioPart
+from recast.simulation.rollout import Rollout
+
+
+def driving_note(scenario: ScenarioPart, methods: Mapping[str, str]) -> str | None:
+    """Which methods led to exactly the same driving, in words; None where none did."""
+    groups: list[list[RolloutPart]] = []
+    for part in sorted(scenario.rollouts, key=lambda part: list(methods).index(part.method)):
+        rollout = part.rollout
+        if not isinstance(rollout, Rollout):
+            continue
+        for group in groups:
+            other = group[0].rollout
+            assert isinstance(other, Rollout)
+            if np.array_equal(other.ego, rollout.ego):
+                group.append(part)
+                break
+        else:
+            groups.append([part])
+    if len(groups) == 1 and len(groups[0]) > 1:
+        return (
+            "The ego drove exactly alike with all methods: to this planner, or in this scenario, "
+            "the pictures made no difference."
+        )
+    alike = [listed([methods[part.method] for part in group]) for group in groups if group[1:]]
+    return f"The ego drove exactly alike with {'; and with '.join(alike)}." if alike else None
+
+
+def truth_gaps(run: ReportInputs, scenario: ScenarioPart) -> str | None:
+    """How far from the truth's path each method led the ego, in words; None without a truth."""
+    parts = {part.method: part.rollout for part in scenario.rollouts}
+    truth = parts.get(run.truth_method or "")
+    if not isinstance(truth, Rollout):
+        return None
+    told = []
+    for method, title in run.methods.items():
+        rollout = parts.get(method)
+        if method == run.truth_method or not isinstance(rollout, Rollout):
+            continue
+        steps = min(len(rollout.ego), len(truth.ego))
+        away = np.hypot(*(rollout.ego[:steps, :2] - truth.ego[:steps, :2]).T)
+        told.append(f"{title} {away.mean():.2f} m on average, {away.max():.2f} m at most")
+    if not told:
+        return None
+    return f"Gap to the truth, distance of the ego from where it led: {'; '.join(told)}."
+
+
+def same_endings(
+    run: ReportInputs, scenarios: Sequence[ScenarioPart], truth: str
+) -> tuple[str, ...]:
+    """In how many scenarios each method ended as the truth did, contact or none."""
+    told = []
+    for method, title in run.methods.items():
+        pairs = [
+            (scored[method], scored[truth])
+            for scenario in scenarios
+            if {method, truth} <= (scored := _contact_by_method(scenario)).keys()
+        ]
+        if method != truth and pairs:
+            told.append(f"{title}: {sum(a == b for a, b in pairs)} of {len(pairs)}")
+    return (f"Ended as with the truth, in contact or without: {'; '.join(told)}.",) if told else ()
+
+
+def _contact_by_method(scenario: ScenarioPart) -> dict[str, float]:
+    return {
+        part.method: part.metrics.collision.nc.value
+        for part in scenario.rollouts
+        if not isinstance(part.metrics, NotMade) and part.metrics.collision.nc.value is not None
+    }
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names as in a sentence: a, a and b, a, b and c."""
+    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
