@@ -1,14 +1,19 @@
-"""Buildings."""
+"""Buildings of four styles."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from recast.synthetic.scenery.arguments import require_count, require_known, require_size
-from recast.synthetic.scenery.primitives import boxes
+from recast.synthetic.scenery.industrial import industrial
+from recast.synthetic.scenery.offices import office
+from recast.synthetic.scenery.suburban import suburban
+from recast.synthetic.scenery.urban import urban
 from recast.synthetic.surface import Surface
 
 BUILDING_STYLES = ("urban", "suburban", "industrial", "office")
+
+_BUILDERS = {"urban": urban, "suburban": suburban, "industrial": industrial, "office": office}
 
 
 def building(
@@ -31,15 +36,6 @@ def building(
     require_size("building", "width", width, 4.0, 120.0)
     require_size("building", "depth", depth, 4.0, 120.0)
     require_known("building", "style", style, BUILDING_STYLES)
-    count = (
-        int(rng.integers(2, 6))
-        if storeys is None
-        else require_count("building", "storeys", storeys, 1, 20)
-    )
-    return boxes(
-        (-width / 2, 0, -0.3),
-        (width / 2, depth, 3.2 * count),
-        (0.4, 0.3, 0.25),
-        "plaster",
-        bottom=False,
-    )
+    if storeys is not None:
+        require_count("building", "storeys", storeys, 1, 20)
+    return _BUILDERS[style](rng, width, depth, storeys)
