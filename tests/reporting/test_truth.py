@@ -169,6 +169,22 @@ def test_an_unknown_truth_is_refused(tmp_path: Path) -> None:
         write_report(run, tmp_path / "report")
 
 
+def test_methods_that_were_not_driven_have_names_all_the_same(folder: Path) -> None:
+    show, truth = truth_parts(folder, {"replaced": "mine"})
+    assert list(show.pictures) == ["native actor", "mine", "truth"]
+    assert truth.colours == {"native": 1, "replaced": 0}
+
+
+def test_a_truth_alone_is_compared_with_nothing(tmp_path: Path) -> None:
+    rollout = cut_in("oracle", steps=10, cut=False)
+    part = RolloutPart("oracle", rollout, rollout_metrics(rollout, straight_map()))
+    run = ReportInputs(
+        "t", "log", {"oracle": "truth"}, scenarios=(ScenarioPart("Cut-in", "", (part,)),),
+        truth_method="oracle",
+    )  # fmt: skip
+    assert "minus" not in Page(write_report(run, tmp_path / "report")).text.split("What the")[0]
+
+
 def test_ranges_of_angles_in_words() -> None:
     assert angle_label(0.0, 180.0) == "all views"
     assert angle_label(90.0, 180.0) == "90° and more"

@@ -119,10 +119,9 @@ def headline(run: ReportInputs) -> tuple[str, ...]:
     planners = sorted({r.planner for r in rollouts})
     motions = "; ".join(scenario.title for scenario in run.scenarios)
     first = f"On the log {run.log}, {actor} was made to do what it did not do there: {motions}. "
-    first += (
-        f"Each was driven with {listed(names)}" if len(names) > 1 else f"Driven with {names[0]}"
-    )
-    if run.truth_method is not None:
+    driven = names or list(run.methods.values())
+    first += f"Each was driven with {listed(driven)}" if driven[1:] else f"Driven with {driven[0]}"
+    if run.truth_method is not None and names:
         first += f", and with the {run.methods[run.truth_method]}, which tells what is right"
     first += f"; planner: {listed(planners)}." if planners else "."
     lines = [first]

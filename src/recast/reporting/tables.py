@@ -121,11 +121,11 @@ def aggregate_lines(
     order = {method: i for i, method in enumerate(methods)}
     rows = sorted(table(scored, failures), key=lambda row: order.get(row.method, len(order)))
     lines = [_aggregate_line(row, methods, order) for row in rows]
-    baseline, *others = [method for method in methods if method != truth]
-    found = [_difference_line(scored, methods, other, baseline) for other in others]
+    judged = [method for method in methods if method != truth]
+    found = [_difference_line(scored, methods, other, judged[0]) for other in judged[1:]]
     lines += [line for line in found if line is not None]
     if truth is not None:
-        gaps = [_difference_line(scored, methods, m, truth) for m in (baseline, *others)]
+        gaps = [_difference_line(scored, methods, method, truth) for method in judged]
         lines += _nearest_marked([line for line in gaps if line is not None])
     return tuple(lines)
 

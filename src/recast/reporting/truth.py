@@ -25,6 +25,10 @@ _MEASURES: Mapping[str, tuple[str, int, str]] = {
 """Field of `Agreement` to label, digits and unit."""
 
 
+_NAMES = {"native": "native actor", "replaced": "replaced actor", "truth": "truth"}
+"""Where the run did not drive with one of them."""
+
+
 @dataclass(frozen=True)
 class TruthCell:
     """One number of the table; `note` is the paired difference with its interval."""
@@ -67,15 +71,17 @@ def truth_parts(
     """First screen and section from the folder that `evaluate_oracle_views` wrote.
 
     Args:
-        methods: as in `ReportInputs`, with keys "native", "replaced" and the one named `truth`.
+        methods: as in `ReportInputs`; "native", "replaced" and the one named `truth` give names
+            and colours where they are among them.
 
     Raises:
         InputError: the folder's record is missing or broken.
     """
     folder = Path(folder)
     views = read_oracle_views(folder)
-    names = {"native": methods["native"], "replaced": methods["replaced"], "truth": methods[truth]}
-    order = list(methods)
+    keys = {"native": "native", "replaced": "replaced", "truth": truth}
+    names = {side: methods.get(key, _NAMES[side]) for side, key in keys.items()}
+    order = list(dict.fromkeys([*methods, "native", "replaced"]))
     colours = {method: order.index(method) for method in ("native", "replaced")}
     pictures = {view.index: folder / view.picture for view in views.views}
     return _showcase(folder, views, names), TruthPart(views, names, colours, pictures)
