@@ -1,4 +1,4 @@
-"""`recast log`: bring logs in, look at them."""
+"""`recast log`: bring logs in, make them, look at them."""
 
 from __future__ import annotations
 
@@ -56,12 +56,65 @@ class Info:
 
 
 @dataclass(frozen=True)
+class Synth:
+    """Make the log of a synthetic drive, whose true look is known from anywhere."""
+
+    scene: str
+    """Which street: urban-straight, suburban-curve, signalled-intersection, rural-two-lane,
+    arterial-median, parked-street, roundabout-approach, industrial or underpass."""
+    out: Path
+    """Log folder to write; must not exist."""
+    seed: int = 0
+    """Decides everything random; the same seed gives the same bytes."""
+    seconds: float = 8.0
+    """Duration, up to 20."""
+    width: int = 480
+    """Of the images, pixels."""
+    height: int = 320
+    """Of the images, pixels."""
+    workers: int = 0
+    """Processes that render side by side, 0 for one for each core."""
+    truth: bool = False
+    """Also write exact depth and instance masks, into the folder truth."""
+    label_noise: float = 0.0
+    """Standard deviation of the boxes' places and sizes, metres."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from rich.console import Console
+
+        from recast.pipeline.display import FrameProgress
+        from recast.synthetic import CAMERAS, make_world, synthesize_log
+
+        console = Console()
+        with console.status(f"building {self.scene}"):
+            world = make_world(self.scene, self.seed, self.seconds)
+        frames = (len(CAMERAS) + 1) * (len(world.ego.timestamps_us) - 1)
+        with FrameProgress(console, frames, "images and sweeps") as bar:
+            synthesize_log(
+                world,
+                self.out,
+                width=self.width,
+                height=self.height,
+                workers=self.workers,
+                truth=self.truth,
+                label_noise=self.label_noise,
+                progress=bar.reach,
+            )
+        console.print(
+            f"wrote {self.out}, target track {world.target}; next: recast log info {self.out}",
+            markup=False,
+        )
+
+
+@dataclass(frozen=True)
 class Log:
-    """Bring logs in, look at them."""
+    """Bring logs in, make them, look at them."""
 
     command: (
         Annotated[Import, tyro.conf.subcommand("import")]
         | Annotated[Info, tyro.conf.subcommand("info")]
+        | Annotated[Synth, tyro.conf.subcommand("synth")]
     )
 
     def __call__(self) -> None:

@@ -1,1 +1,22 @@
-"""The procedural driving world: streets, vehicles, sensors with ground truth."""
+"""Synthetic drives with ground truth: streets, vehicles, traffic, sensors, and the oracle."""
+
+from recast.synthetic.oracle import Oracle
+from recast.synthetic.populate import WORLD_VERSION, make_world, world_of
+from recast.synthetic.rig import CAMERAS, make_rig
+from recast.synthetic.streets import SCENES
+from recast.synthetic.truth import read_truth
+from recast.synthetic.world import World
+from recast.synthetic.write import synthesize_log
+
+__all__ = [
+    "CAMERAS",
+    "SCENES",
+    "WORLD_VERSION",
+    "Oracle",
+    "World",
+    "make_rig",
+    "make_world",
+    "read_truth",
+    "synthesize_log",
+    "world_of",
+]

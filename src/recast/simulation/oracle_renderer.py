@@ -1,0 +1,100 @@
+"""The sensor renderer over a synthetic world: what the cameras would truly see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import TracebackType
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.geometry import PinholeCamera
+from recast.planning import CameraMount
+from recast.simulation.state import SimState
+from recast.synthetic.oracle import Oracle
+from recast.synthetic.oracle_pool import OraclePool
+from recast.synthetic.rig import exposure, sensor_number
+from recast.synthetic.world import World
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_STREAM = 701
+
+
+class _Job(NamedTuple):
+    name: str
+    camera: PinholeCamera
+    world_from_camera: Array
+    poses: dict[str, Array]
+    step: int
+
+
+class OracleRenderer:
+    """Renders a synthetic world, each camera with the exposure it has in the log.
+
+    Close it, or use it as a context manager: it may hold processes.
+
+    Args:
+        world: see `recast.synthetic.populate.world_of`.
+        mounts: cameras to render, see `camera_mounts`.
+        workers: processes that render the cameras of a step side by side; 0 for one for each core,
+            but not more than cameras; 1 for none.
+
+    Raises:
+        InputError: workers is negative, or embreex is not installed.
+    """
+
+    def __init__(self, world: World, mounts: Mapping[str, CameraMount], workers: int = 0) -> None:
+        self._mounts = dict(mounts)
+        self._pool = OraclePool(world, workers)
+        self._pool.workers = max(1, min(self._pool.workers, len(self._mounts)))
+        self._world = world
+
+    @property
+    def mounts(self) -> Mapping[str, CameraMount]:
+        """Cameras by name."""
+        return self._mounts
+
+    def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
+        """Render the world with its vehicles at the poses of `state`.
+
+        Raises:
+            InputError: the world has no such vehicle.
+        """
+        jobs = []
+        for name in camera_names:
+            mount = self._mounts[name]
+            world_from_camera = state.world_from_rig @ mount.rig_from_camera
+            jobs.append(_Job(name, mount.camera, world_from_camera, state.poses, state.step))
+        return dict(zip(camera_names, self._pool.map(_render, jobs), strict=True))
+
+    def close(self) -> None:
+        """End the processes."""
+        self._pool.close()
+
+    def __enter__(self) -> Self:
+        """Nothing starts before it is needed."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End the processes."""
+        self.close()
+
+
+def _render(oracle: Oracle, job: _Job) -> Image:
+    seed = oracle.world.seed
+    frame = oracle.render(
+        job.camera,
+        job.world_from_camera,
+        job.poses,
+        exposure=exposure(seed, job.name),
+        rng=np.random.default_rng([seed, _STREAM, sensor_number(job.name), job.step]),
+    )
+    return frame.rgb

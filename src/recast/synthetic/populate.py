@@ -1,0 +1,168 @@
+"""A whole drive from a scene's name, a seed and a duration."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.errors import InputError
+from recast.geometry import se2
+from recast.logs import DrivingLog, Trajectory
+from recast.synthetic import rig
+from recast.synthetic.ego import ego_drive
+from recast.synthetic.others import Placed, Scene, near_spots, try_driving, try_parking
+from recast.synthetic.streets import SCENES, make_street
+from recast.synthetic.target import MANNERS, TARGET_KINDS, target_drive
+from recast.synthetic.vehicles import sample_vehicle
+from recast.synthetic.world import Street, Vehicle, World
+
+Array = NDArray[np.float64]
+
+WORLD_VERSION = 1
+"""Counted up whenever the same name, seed and duration give another world or another log."""
+
+DATASET = "synthetic"
+TARGET = "target"
+START_US = 1_600_000_000_000_000
+_MAX_SECONDS = 20.0
+_USUAL_SPEED = 10.5
+"""m/s; decides where along a street its junctions and bends lie. Streets go on far enough for a
+faster ego."""
+_SHORTEST_STREET = 20.0
+_PARKED_MOST, _PARKED_SHARE = 16, 0.75
+_DRIVING_LEAST, _DRIVING_MOST = 2, 5
+_TRIES = 60
+_STREET, _EGO, _TARGET, _DRIVING, _PARKED = range(5)
+_PARKED_KINDS = ("hatchback", "sedan", "estate", "suv", "pickup", "van")
+
+
+def make_world(name: str, seed: int = 0, seconds: float = 8.0) -> World:
+    """The drive that `name`, `seed` and `seconds` stand for; always the same.
+
+    Poses are at 10 Hz from 0 to `seconds`, rounded down to whole tenths.
+
+    Raises:
+        InputError: no such scene, a negative seed, or seconds not within 0.1 to 20.
+    """
+    if name not in SCENES:
+        raise InputError("scene", name, "is not known", f"choose one of {', '.join(SCENES)}")
+    if seed < 0:
+        raise InputError("scene", "seed", f"{seed} is negative", "choose 0 or more")
+    if not 1 / rig.RATE_HZ <= seconds <= _MAX_SECONDS:
+        problem = f"{seconds:g} is not within {1 / rig.RATE_HZ:g} to {_MAX_SECONDS:g}"
+        raise InputError("scene", "seconds", problem, "choose a duration between them")
+    street = make_street(
+        name, _generator(name, seed, _STREET), max(_USUAL_SPEED * seconds, _SHORTEST_STREET)
+    )
+    return populate(street, name, seed, seconds)
+
+
+def populate(street: Street, name: str, seed: int, seconds: float) -> World:
+    """A street with the ego's drive, the target and other vehicles, see `make_world`."""
+    count = int(np.floor(seconds * rig.RATE_HZ + 1e-6))
+    times = np.arange(count + 1) / rig.RATE_HZ
+    ego = ego_drive(street, times, _generator(name, seed, _EGO))
+    rng = _generator(name, seed, _TARGET)
+    kind = TARGET_KINDS[int(rng.integers(len(TARGET_KINDS)))]
+    model = sample_vehicle(rng, kind)
+    driven = target_drive(street.map, ego, MANNERS.get(street.kind, "leading"), rng)
+    target = Placed(model, driven.poses(float(model.size[0])))
+    scene = Scene(street, ego, target)
+    moving = _driving(scene, name, seed)
+    parked = _parked(scene, moving, name, seed)
+
+    vehicles = {TARGET: _vehicle(TARGET, target, False, times)}
+    for i, placed in enumerate(moving, 1):
+        vehicles[f"moving-{i}"] = _vehicle(f"moving-{i}", placed, False, times)
+    for i, placed in enumerate(parked, 1):
+        vehicles[f"parked-{i:02d}"] = _vehicle(f"parked-{i:02d}", placed, True, times)
+    trajectory = Trajectory(_stamps(times), se2.to_se3(ego.poses))
+    return World(name, seed, seconds, street, vehicles, trajectory, TARGET)
+
+
+def world_metadata(world: World) -> dict[str, str]:
+    """What a log says of the world it shows; `world_of` reads it back."""
+    return {
+        "dataset": DATASET,
+        "licence": "Apache-2.0",
+        "scene": world.name,
+        "seed": str(world.seed),
+        "seconds": repr(float(world.seconds)),
+        "world_version": str(WORLD_VERSION),
+        "target": world.target,
+    }
+
+
+def world_of(log: DrivingLog) -> World:
+    """The world that a synthetic log shows, made again.
+
+    Raises:
+        InputError: the log is not synthetic, or another version of recast made it.
+    """
+    metadata: Mapping[str, str] = log.metadata
+    if metadata.get("dataset") != DATASET:
+        raise InputError(
+            log.name,
+            "dataset",
+            f"is {metadata.get('dataset', 'not named')!r}: only synthetic worlds can be made again",
+            "use a log made by recast log synth",
+        )
+    if metadata.get("world_version") != str(WORLD_VERSION):
+        raise InputError(
+            log.name,
+            "world_version",
+            f"is {metadata.get('world_version')!r}, this recast makes {WORLD_VERSION}",
+            "make the log anew: recast log synth",
+        )
+    try:
+        name, seed, seconds = metadata["scene"], int(metadata["seed"]), float(metadata["seconds"])
+    except (KeyError, ValueError) as error:
+        raise InputError(
+            log.name, "metadata", f"does not name a world ({error})", "make the log anew"
+        ) from None
+    return make_world(name, seed, seconds)
+
+
+def _driving(scene: Scene, name: str, seed: int) -> list[Placed]:
+    rng = _generator(name, seed, _DRIVING)
+    wanted = int(rng.integers(_DRIVING_LEAST, _DRIVING_MOST + 1))
+    moving: list[Placed] = []
+    for number in range(wanted):
+        model = sample_vehicle(_generator(name, seed, _DRIVING, number))
+        for _ in range(_TRIES):
+            placed = try_driving(scene, model, moving, rng)
+            if placed is not None:
+                moving.append(placed)
+                break
+    return moving
+
+
+def _parked(scene: Scene, moving: list[Placed], name: str, seed: int) -> list[Placed]:
+    rng = _generator(name, seed, _PARKED)
+    parked: list[Placed] = []
+    for number, spot in enumerate(near_spots(scene)):
+        taken, kind = rng.uniform() < _PARKED_SHARE, int(rng.integers(len(_PARKED_KINDS)))
+        if not taken or len(parked) >= _PARKED_MOST:
+            continue
+        model = sample_vehicle(_generator(name, seed, _PARKED, number), _PARKED_KINDS[kind])
+        placed = try_parking(scene, spot, model, [*moving, *parked])
+        if placed is not None:
+            parked.append(placed)
+    return parked
+
+
+def _vehicle(track_id: str, placed: Placed, parked: bool, times: Array) -> Vehicle:
+    poses = se2.to_se3(placed.poses, placed.model.size[2] / 2)
+    return Vehicle(track_id, placed.model, Trajectory(_stamps(times), poses), parked)
+
+
+def _stamps(times: Array) -> NDArray[np.int64]:
+    stamps: NDArray[np.int64] = START_US + np.rint(times * 1e6).astype(np.int64)
+    return stamps
+
+
+def _generator(name: str, seed: int, *stream: int) -> np.random.Generator:
+    return np.random.default_rng([seed, zlib.crc32(name.encode()), *stream])

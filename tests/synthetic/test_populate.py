@@ -1,0 +1,170 @@
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+
+from recast.errors import InputError
+from recast.geometry import boxes, se2
+from recast.logs import DrivingLog
+from recast.synthetic import ego, populate
+from recast.synthetic.clearance import hiding
+from recast.synthetic.populate import (
+    START_US,
+    WORLD_VERSION,
+    make_world,
+    world_metadata,
+    world_of,
+)
+from recast.synthetic.speed import LATERAL_LIMIT
+from recast.synthetic.world import World
+from synthetic.conftest import small_world
+from synthetic.small_street import small_street
+
+KINDS = ("urban-straight", "arterial-median", "suburban-curve")
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def drive(request: pytest.FixtureRequest) -> World:
+    """8 s with the target overtaking, passed, and leading."""
+    return small_world(KINDS.index(request.param), 8.0, request.param)
+
+
+def outlines(world: World) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    rig = se2.from_se3(world.ego.poses)
+    middle = se2.compose(rig, np.array([ego.CENTRE_OFFSET, 0.0, 0.0]))
+    found = {"ego": (middle, np.array([ego.LENGTH, ego.WIDTH]))}
+    for key, vehicle in world.vehicles.items():
+        found[key] = se2.from_se3(vehicle.trajectory.poses), vehicle.model.size
+    return found
+
+
+def test_poses_are_at_ten_hertz_and_all_cover_the_same_time(drive: World) -> None:
+    times = START_US + 100_000 * np.arange(81)
+    np.testing.assert_array_equal(drive.ego.timestamps_us, times)
+    for vehicle in drive.vehicles.values():
+        np.testing.assert_array_equal(vehicle.trajectory.timestamps_us, times)
+
+
+def test_no_two_boxes_ever_overlap(drive: World) -> None:
+    for (a, (pose_a, size_a)), (b, (pose_b, size_b)) in itertools.combinations(
+        outlines(drive).items(), 2
+    ):
+        for at_a, at_b in zip(pose_a, pose_b, strict=True):
+            assert boxes.bev_overlap_area(at_a, size_a, at_b, size_b) == 0, (a, b)
+
+
+def test_every_vehicle_stands_on_the_ground_and_follows_a_lane(drive: World) -> None:
+    lanes = [shapely.LineString(lane.centreline[:, :2]) for lane in drive.street.map.lanes.values()]
+    for vehicle in drive.vehicles.values():
+        poses = vehicle.trajectory.poses
+        np.testing.assert_allclose(poses[:, 2, 3], vehicle.model.size[2] / 2)
+        if vehicle.parked:
+            assert np.all(poses == poses[0])
+            continue
+        planar = se2.from_se3(poses)
+        for place in planar[:, :2]:
+            assert min(line.distance(shapely.Point(place)) for line in lanes) < 0.1
+        moved = np.diff(planar[:, :2], axis=0)
+        turn = se2.wrap_angle(np.arctan2(moved[:, 1], moved[:, 0]) - planar[:-1, 2])
+        assert np.abs(turn).max() < 0.1
+
+
+def test_the_ego_drives_smoothly_inside_the_drivable_area(drive: World) -> None:
+    area = shapely.unary_union([shapely.Polygon(p) for p in drive.street.map.drivable_area])
+    poses = se2.from_se3(drive.ego.poses)
+    corners = boxes.bev_corners(outlines(drive)["ego"][0], ego.LENGTH, ego.WIDTH)
+    assert all(area.contains(shapely.Point(p)) for p in corners.reshape(-1, 2))
+    speed = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1) / 0.1
+    yaw_rate = np.diff(np.unwrap(poses[:, 2])) / 0.1
+    assert np.abs(speed * yaw_rate).max() <= LATERAL_LIMIT
+    assert np.abs(np.diff(speed) / 0.1).max() < 2.0
+    assert speed.min() > 3.0
+
+
+def test_the_target_is_ahead_in_sight_and_seen_from_some_sides_only(drive: World) -> None:
+    found = outlines(drive)
+    rig = se2.from_se3(drive.ego.poses)
+    target, size = found["target"]
+    seen = se2.relative(rig, target)
+    assert seen[:, 0].min() > 5.0
+    assert seen[:, 0].max() < 30.0
+    bearing = np.abs(np.arctan2(seen[:, 1], seen[:, 0]))
+    assert np.mean(bearing < np.deg2rad(25)) > 0.7, "in the front camera"
+    from_target = se2.relative(target, rig)
+    assert np.all(from_target[:, 0] < 0), "its front is never seen"
+    for key, (poses, other) in found.items():
+        if key not in ("ego", "target"):
+            assert not hiding(found["ego"][0][:, :2], target, size, poses, other).any(), key
+
+
+def test_the_target_overtakes_is_passed_or_leads() -> None:
+    ends = {}
+    for kind in KINDS:
+        world = small_world(0, 8.0, kind)
+        target = se2.from_se3(world.vehicles["target"].trajectory.poses)
+        ends[kind] = se2.relative(se2.from_se3(world.ego.poses), target)[[0, -1], :2]
+    (x0, y0), (x1, y1) = ends["urban-straight"]
+    assert x1 > x0 + 15
+    assert abs(y0) == abs(y1) == pytest.approx(3.5, abs=0.1)
+    assert ends["arterial-median"][0, 0] > ends["arterial-median"][1, 0] + 15
+    np.testing.assert_allclose(ends["suburban-curve"][:, 1], 0.0, atol=0.05)
+
+
+def test_others_drive_and_park(drive: World) -> None:
+    assert 2 <= sum(key.startswith("moving") for key in drive.vehicles) <= 5
+    assert any(vehicle.parked for vehicle in drive.vehicles.values())
+
+
+def test_a_world_is_its_name_seed_and_duration() -> None:
+    first, again, other = small_world(3), small_world(3), small_world(4)
+    assert list(first.vehicles) == list(again.vehicles)
+    for key, vehicle in first.vehicles.items():
+        np.testing.assert_array_equal(
+            vehicle.trajectory.poses, again.vehicles[key].trajectory.poses
+        )
+        np.testing.assert_array_equal(vehicle.model.size, again.vehicles[key].model.size)
+    assert not np.array_equal(
+        first.vehicles["target"].model.size, other.vehicles["target"].model.size
+    )
+
+
+def test_a_longer_drive_over_a_road_that_ends_is_refused() -> None:
+    with pytest.raises(InputError, match="m are needed"):
+        populate.populate(small_street(length=0.0), "urban-straight", 0, 20.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "seed", "seconds", "message"),
+    [
+        ("moon", 0, 8.0, "choose one of urban-straight"),
+        ("urban-straight", -1, 8.0, "negative"),
+        ("urban-straight", 0, 0.0, "seconds"),
+        ("urban-straight", 0, -2.0, "seconds"),
+        ("urban-straight", 0, 20.5, "seconds"),
+        ("urban-straight", 0, float("nan"), "seconds"),
+    ],
+)
+def test_what_cannot_be_made_is_refused(name: str, seed: int, seconds: float, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make_world(name, seed, seconds)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"dataset": "kitti"}, "only synthetic"),
+        ({"world_version": str(WORLD_VERSION + 1)}, "make the log anew"),
+        ({"seed": "x"}, "does not name a world"),
+        ({"scene": "moon"}, "is not known"),
+    ],
+)
+def test_only_synthetic_logs_of_this_version_have_a_world(
+    small: World, small_log: DrivingLog, changed: dict[str, str], message: str
+) -> None:
+    metadata = {**world_metadata(small), **changed}
+    with pytest.raises(InputError, match=message):
+        world_of(replace(small_log, metadata=metadata))
