@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from recast.synthetic.surface import Surface, concatenate
-from recast.synthetic.vehicles.cars import Parts, car
+from recast.synthetic.vehicles.cars import car
+from recast.synthetic.vehicles.details import Parts
 from recast.synthetic.vehicles.colours import paint_rgb, sample_colour
 from recast.synthetic.vehicles.heavy import box_truck, bus
 from recast.synthetic.vehicles.kinds import CATEGORIES, sample_kind, sample_parameters

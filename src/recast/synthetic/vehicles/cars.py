@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.synthetic.surface import Surface
 from recast.synthetic.vehicles import fittings
-from recast.synthetic.vehicles.finishes import CHROME, TRIM, Area, smooth_max, strip, xyz
+from recast.synthetic.vehicles.finishes import CHROME, CLADDING, SEAM, TRIM, Area, smooth_max, strip, xyz
+from recast.synthetic.vehicles.details import Parts
 from recast.synthetic.vehicles.front import front_face
 from recast.synthetic.vehicles.glazing import SideGlass, screen, side_windows
 from recast.synthetic.vehicles.loft import Body
@@ -19,7 +19,6 @@ from recast.synthetic.vehicles.solid import Finish, Solid
 from recast.synthetic.vehicles.wheels import wheel
 
 Array = NDArray[np.float64]
-Parts = list[tuple[str, Surface]]
 
 
 def car(p: VehicleParameters, paint: Finish) -> Parts:
@@ -37,15 +36,15 @@ def car(p: VehicleParameters, paint: Finish) -> Parts:
     side_windows(solid, body, glass, pillars, p.chrome)
     doors(solid, body, p, edges)
     _rear_window(solid, body, p, deck, gutter)
-    front_face(solid, p, end, p.nose_height)
+    set_in = front_face(solid, p, end, p.nose_height)
     plate = {"sedan": 0.46, "pickup": 0.5, "van": 0.5, "suv": 0.55}.get(p.kind, 0.48)
     low = p.ground_clearance + plate * (p.deck_height - p.ground_clearance)
     top = {"van": 1.0, "sedan": 0.95, "pickup": 0.97}.get(p.kind, 0.97) * p.deck_height
-    rear_face(solid, p, -end, top, low, exhaust=p.chrome and p.kind != "van")
+    set_in += rear_face(solid, p, -end, top, low, exhaust=p.chrome and p.kind != "van")
     wheel_wells(solid, body, p)
     if p.kind == "pickup":
         _bed(solid, p, deck, -end)
-    parts: Parts = [("body", solid.mirrored().surface())]
+    parts: Parts = [("body", solid.mirrored().surface()), *set_in]
     side = _fittings(p, body, paint, cowl, edges, brow, gutter)
     parts += [(f"{name}-left", part) for name, part in side]
     parts += [(f"{name}-right", fittings.mirrored(part)) for name, part in side]
@@ -141,15 +140,12 @@ def _bonnet_lines(solid: Solid, p: VehicleParameters, end: float, cowl: float) -
         off = y - edge + 0.04 * (x - cowl)
         return strip(off, 0.004), [x - seam_x, cowl - 0.03 - x, 0.8 - s.coords[:, 2]]
 
-    from recast.synthetic.vehicles.finishes import SEAM
-
     if p.bonnet_length > 0.6:
         solid.paint(sides, SEAM, over=("paint",))
     # The cowl between bonnet and windscreen is black.
-    def grille(s: Solid) -> Array:
+    def grille(s: Solid) -> Area:
         station, across, up = s.coords.T
-        fields = [cowl - 0.08 - station, station - cowl + 0.005, across - 0.88, 0.8 - up]
-        return np.maximum.reduce(fields)
+        return [cowl - 0.08 - station, station - cowl + 0.005, across - 0.88], [0.8 - up]
 
     solid.paint(grille, TRIM)
     seam(solid, 0, end - 0.42, (p.ground_clearance + 0.1, p.nose_height - p.lamp_height - 0.1), None)
@@ -179,8 +175,6 @@ def _bed(solid: Solid, p: VehicleParameters, front: float, rear: float) -> None:
         moved = points.copy()
         moved[:, 2] = floor
         return moved
-
-    from recast.synthetic.vehicles.finishes import CLADDING
 
     solid.paint(lambda s: area(s) - 0.06, TRIM)
     solid.push(area, down, CLADDING)

@@ -22,7 +22,7 @@ TYRE = Finish((0.02, 0.02, 0.021), "rubber")
 ALLOY = Finish((0.45, 0.46, 0.47), "metal")
 STEEL = Finish((0.12, 0.12, 0.125), "metal")
 BEZEL = Finish((0.02, 0.02, 0.022), "plastic")
-LAMP = Finish((0.5, 0.52, 0.55), "headlamp")
+LAMP = Finish((0.3, 0.31, 0.33), "headlamp")
 PROJECTOR = Finish((0.9, 0.92, 0.95), "chrome")
 DAYLIGHT = Finish((0.85, 0.87, 0.9), "headlamp")
 INDICATOR = Finish((0.75, 0.25, 0.02), "taillamp")
@@ -49,12 +49,6 @@ def smooth_max(fields: Sequence[Array], radius: float) -> Array:
 def strip(distance: Array, half: float) -> list[Array]:
     """Fields of what lies within `half` metres of the zero of `distance`."""
     return [distance - half, -distance - half]
-
-
-def polygon(u: Array, v: Array, centre: tuple[float, float], radius: float) -> list[Array]:
-    """Fields of an octagon of that inner radius."""
-    angles = np.arange(8) * np.pi / 4 + np.pi / 8
-    return [(u - centre[0]) * np.cos(a) + (v - centre[1]) * np.sin(a) - radius for a in angles]
 
 
 def rectangle(u: Array, v: Array, centre: tuple[float, float], size: tuple[float, float]) -> list[Array]:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from recast.synthetic.surface import Surface
 from recast.synthetic.vehicles.finishes import CHROME, TRIM
+from recast.synthetic.vehicles.loft import half_box
 from recast.synthetic.vehicles.solid import Finish, Solid
 
 Array = NDArray[np.float64]
@@ -52,17 +53,23 @@ def pebble(
     return Solid.of(points, faces, finish, crease=np.deg2rad(50))
 
 
-def block(low: tuple[float, float, float], high: tuple[float, float, float], finish: Finish) -> Solid:
+def grid_block(xs: Array, ys: Array, zs: Array, finish: Finish) -> Solid:
+    """A closed box whose sides are divided at the given coordinates (increasing)."""
+    points, faces = half_box((xs, ys - ys[0], zs))
+    points[:, 1] += ys[0]
+    # `half_box` leaves the side at the first y open.
+    at = {tuple(point): k for k, point in enumerate(np.round(points, 9).tolist())}
+    index = np.array([[at[tuple(np.round((x, ys[0], z), 9))] for z in zs] for x in xs])
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    side = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+    return Solid.of(points, np.concatenate([faces, side]), finish)
+
+
+def block(
+    low: tuple[float, float, float], high: tuple[float, float, float], finish: Finish
+) -> Solid:
     """A closed box between two corners."""
-    corners = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], np.float64)
-    points = np.array(low) + corners * (np.array(high) - np.array(low))
-    faces = np.array(
-        [
-            [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
-            [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
-        ]
-    )  # fmt: skip
-    return Solid.of(points, faces, finish)
+    return grid_block(*(np.array([low[k], high[k]]) for k in range(3)), finish)
 
 
 def mirror(x: float, y: float, z: float, paint: Finish, tall: bool = False) -> list[Solid]:

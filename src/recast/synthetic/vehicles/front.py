@@ -5,31 +5,29 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.synthetic.vehicles.details import Parts, badge, disc, number_plate
 from recast.synthetic.vehicles.finishes import (
     BEZEL,
     CHROME,
     DAYLIGHT,
     INDICATOR,
     LAMP,
-    PLATE,
     PROJECTOR,
-    SEAM,
     TRIM,
     Area,
-    polygon,
     rectangle,
     smooth_max,
     strip,
     xyz,
 )
 from recast.synthetic.vehicles.parameters import VehicleParameters
-from recast.synthetic.vehicles.solid import Solid
+from recast.synthetic.vehicles.solid import Finish, Solid
 
 Array = NDArray[np.float64]
 
 
-def front_face(solid: Solid, p: VehicleParameters, end: float, edge: float) -> None:
-    """Paint the front of half a body.
+def front_face(solid: Solid, p: VehicleParameters, end: float, edge: float) -> Parts:
+    """Paint the front of half a body; returns the parts that are set into it.
 
     Args:
         solid: half of the body.
@@ -66,14 +64,28 @@ def front_face(solid: Solid, p: VehicleParameters, end: float, edge: float) -> N
         solid.paint(bar, CHROME, over=("plastic",))
     solid.paint(lower, TRIM, over=("paint",))
 
-    def badge(s: Solid) -> Area:
-        x, y, z = xyz(s)
-        centre = (0.0, top - min(0.5 * p.grille_height, 0.09))
-        return polygon(y, z, centre, 0.05), [near - x]
+    _fog_pocket(solid, p, end, intake)
+    spots = _spots(p, top)
+    parts: Parts = []
+    for name, (y, z, radius, finish) in spots.items():
+        for side, sign in (("left", 1), ("right", -1)):
+            parts.append((f"{name}-{side}", disc(solid, sign * y, z, 1.0, radius, finish)))
+    parts.append(("badge", badge(solid, top - min(0.5 * p.grille_height, 0.09), 1.0)))
+    parts.append(("plate-front", number_plate(solid, intake + p.intake_height + 0.02, 1.0)))
+    return parts
 
-    solid.paint(badge, CHROME)
-    _fog_lamp(solid, p, end, intake)
-    number_plate(solid, 1.0, end, intake + p.intake_height + 0.06)
+
+def _spots(p: VehicleParameters, top: float) -> dict[str, tuple[float, float, float, Finish]]:
+    """Round lamps: y, z, radius and finish."""
+    inner, middle = p.width / 2 - p.lamp_width, top - 0.5 * p.lamp_height
+    spots = {}
+    for k, share in enumerate((0.27, 0.55)):
+        along = share * min(p.lamp_width, 0.46)
+        height = middle + 0.85 * p.lamp_slant * (along - 0.22)
+        radius = min(0.33 * p.lamp_height, 0.05)
+        spots[f"projector-{k}"] = (inner + along, height, radius, PROJECTOR)
+    spots["fog-lamp"] = (0.385 * p.width, p.ground_clearance + 0.16, 0.035, LAMP)
+    return spots
 
 
 def _headlamp(solid: Solid, p: VehicleParameters, end: float, top: float) -> None:
@@ -96,17 +108,6 @@ def _headlamp(solid: Solid, p: VehicleParameters, end: float, top: float) -> Non
 
     solid.paint(lamp, BEZEL)
     solid.paint(lambda s: lamp(s) + 0.014, LAMP)
-    for share in (0.3, 0.62):
-
-        def projector(s: Solid, share: float = share) -> Area:
-            x, y, z = xyz(s)
-            centre_y = inner + share * min(p.lamp_width, 0.45)
-            height = (low + top) / 2 + p.lamp_slant * (share * p.lamp_width - 0.2)
-            radius = min(0.36 * p.lamp_height, 0.055)
-            return polygon(y, z, (centre_y, height), radius), [end - 0.4 - x, lamp(s) + 0.01]
-
-        solid.paint(projector, BEZEL if share > 0.5 else PROJECTOR, over=("headlamp",))
-
     def daylight(s: Solid) -> Area:
         x, y, z = xyz(s)
         rise = p.lamp_slant * ((y - inner) + 0.8 * (end - x) - 0.3)
@@ -115,44 +116,16 @@ def _headlamp(solid: Solid, p: VehicleParameters, end: float, top: float) -> Non
     solid.paint(daylight, DAYLIGHT, over=("headlamp",))
 
     def indicator(s: Solid) -> Area:
-        return [s.points[:, 0] - end + 0.34], [lamp(s) + 0.012]
+        return [s.points[:, 0] - end + 0.36], [lamp(s) + 0.012]
 
     solid.paint(indicator, INDICATOR, over=("headlamp",))
 
 
-def _fog_lamp(solid: Solid, p: VehicleParameters, end: float, low: float) -> None:
+def _fog_pocket(solid: Solid, p: VehicleParameters, end: float, low: float) -> None:
     centre = (0.385 * p.width, low + 0.09)
 
     def pocket(s: Solid) -> Area:
         x, y, z = xyz(s)
         return rectangle(y, z, centre, (0.17, 0.11)), [end - 0.6 - x]
 
-    def lamp(s: Solid) -> Area:
-        x, y, z = xyz(s)
-        return polygon(y, z, centre, 0.036), [end - 0.6 - x]
-
     solid.paint(pocket, TRIM, over=("paint", "plastic"))
-    solid.paint(lamp, LAMP)
-
-
-def number_plate(solid: Solid, sign: float, end: float, low: float, wide: float = 0.52) -> None:
-    """A plate in the middle of the front (sign 1) or the rear (-1) whose lower edge is at `low`."""
-    from recast.synthetic.vehicles.finishes import INK, REAR_PLATE
-
-    centre = (0.0, low + 0.055)
-
-    def area(s: Solid, grow: float = 0.0) -> Area:
-        x, y, z = xyz(s)
-        size = (wide + grow, 0.11 + grow)
-        return rectangle(y, z, centre, size)[:1] + rectangle(y, z, centre, size)[2:], [sign * (end - sign * 0.4 - x)]
-
-    solid.paint(lambda s: area(s, 0.024), SEAM)
-    solid.paint(area, PLATE if sign > 0 else REAR_PLATE)
-    for k in range(4):
-
-        def letter(s: Solid, k: int = k) -> Area:
-            x, y, z = xyz(s)
-            middle = 0.028 + 0.058 * k
-            return rectangle(y, z, (middle, centre[1]), (0.03, 0.062)), area(s)[1]
-
-        solid.paint(letter, INK, over=("plate",))

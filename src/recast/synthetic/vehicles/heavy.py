@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from recast.synthetic.vehicles.cars import Parts, car
+from recast.synthetic.vehicles.cars import car
+from recast.synthetic.vehicles.details import Parts
 from recast.synthetic.vehicles.parameters import VehicleParameters
 from recast.synthetic.vehicles.solid import Finish
 

@@ -93,7 +93,7 @@ class Body:
 
     def half(self, finish: Finish) -> Solid:
         """The half at y >= 0, open at y = 0; `coords` are x, y / half width and share of height."""
-        grid, faces = _half_box(self._grid())
+        grid, faces = half_box(self._grid())
         box = _round(grid, self._extents(), self._radii())
         x, across, up = box[:, 0].copy(), box[:, 1] / (self.width / 2), box[:, 2]
         station = x + self.wrap * across**2 * np.tanh(x / (0.2 * self.length))
@@ -169,7 +169,7 @@ def _smooth(t: Array) -> Array:
     return t * t * (3 - 2 * t)
 
 
-def _half_box(grid: tuple[Array, Array, Array]) -> tuple[Array, NDArray[np.int64]]:
+def half_box(grid: tuple[Array, Array, Array]) -> tuple[Array, NDArray[np.int64]]:
     """Points and faces of a box's skin on a grid, without the side at the first y."""
     nx, ny, nz = (len(axis) - 1 for axis in grid)
     i, j, k = np.meshgrid(*(np.arange(len(axis)) for axis in grid), indexing="ij")

@@ -5,22 +5,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.synthetic.vehicles.details import Parts, badge, number_plate, pipe
 from recast.synthetic.vehicles.finishes import (
     BEZEL,
-    CHROME,
     INDICATOR,
     REVERSE,
     SEAM,
     TAIL,
     TRIM,
     Area,
-    polygon,
     rectangle,
     smooth_max,
     strip,
     xyz,
 )
-from recast.synthetic.vehicles.front import number_plate
 from recast.synthetic.vehicles.parameters import VehicleParameters
 from recast.synthetic.vehicles.solid import Solid
 
@@ -29,8 +27,8 @@ Array = NDArray[np.float64]
 
 def rear_face(
     solid: Solid, p: VehicleParameters, end: float, top: float, plate_low: float, exhaust: bool
-) -> None:
-    """Paint the rear of half a body.
+) -> Parts:
+    """Paint the rear of half a body; returns the parts that are set into it.
 
     Args:
         solid: half of the body.
@@ -64,25 +62,19 @@ def rear_face(
     solid.paint(gate_edge, SEAM, over=("paint",))
     solid.paint(gate_foot, SEAM, over=("paint",))
 
-    def badge(s: Solid) -> Area:
-        x, y, z = xyz(s)
-        return polygon(y, z, (0.0, top - 0.05), 0.04), [x - near]
-
-    solid.paint(badge, CHROME, over=("paint",))
-
     def reflector(s: Solid) -> Area:
         x, y, z = xyz(s)
         return rectangle(y, z, (0.38 * p.width, sill + 0.19), (0.16, 0.04)), [x - near]
 
     solid.paint(reflector, TAIL, over=("paint", "plastic"))
+    parts: Parts = [
+        ("badge-rear", badge(solid, top - 0.05, -1.0, 0.04)),
+        ("plate-rear", number_plate(solid, plate_low, -1.0)),
+    ]
     if exhaust:
-
-        def pipe(s: Solid) -> Area:
-            x, y, z = xyz(s)
-            return rectangle(y, z, (0.3 * p.width, sill + 0.07), (0.13, 0.05)), [x - near]
-
-        solid.paint(pipe, CHROME, over=("plastic",))
-    number_plate(solid, -1.0, end, plate_low)
+        for side, sign in (("left", 1), ("right", -1)):
+            parts.append((f"pipe-{side}", pipe(solid, sign * 0.3 * p.width, sill + 0.06)))
+    return parts
 
 
 def tail_lamp(solid: Solid, p: VehicleParameters, end: float, top: float) -> None:
@@ -112,5 +104,5 @@ def tail_lamp(solid: Solid, p: VehicleParameters, end: float, top: float) -> Non
         size = p.tail_height if upright else p.tail_width
         return [(start - share) * size, (share - stop) * size], [lamp(s) + 0.011]
 
-    solid.paint(lambda s: band(s, 0.1, 0.24), REVERSE, over=("taillamp",))
-    solid.paint(lambda s: band(s, 0.26, 0.42), INDICATOR, over=("taillamp",))
+    solid.paint(lambda s: band(s, 0.05, 0.2), REVERSE, over=("taillamp",))
+    solid.paint(lambda s: band(s, 0.22, 0.34), INDICATOR, over=("taillamp",))

@@ -72,43 +72,52 @@ class Solid:
             crossed = crossed[near]
         if not len(crossed):
             return
-        # The neighbours of a split face share its split edges, so they are cut as well.
-        count_points = len(self.points)
-        sides = np.sort(self.faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
-        keys = sides[..., 0] * count_points + sides[..., 1]
+        # A face beyond the limits is split as well where it shares a split edge.
+        every = np.flatnonzero((count == 1) | (count == 2))
+        stride = len(self.points)
+        sides = np.sort(self.faces[every][:, [[0, 1], [1, 2], [2, 0]]], axis=2)
+        keys = sides[..., 0] * stride + sides[..., 1]
         changes = above[sides[..., 0]] != above[sides[..., 1]]
-        chosen = np.unique(keys[crossed][changes[crossed]])
+        wanted = changes & np.isin(every, crossed, assume_unique=True)[:, None]
+        chosen = np.unique(keys[wanted])
         place = np.searchsorted(chosen, keys).clip(0, len(chosen) - 1)
         split = changes & (chosen[place] == keys)
-        first, last = np.divmod(chosen, count_points)
+        first, last = np.divmod(chosen, stride)
         share = (field[first] / (field[first] - field[last]))[:, None]
         for name in ("points", "coords"):
             value = getattr(self, name)
             new = value[first] * (1 - share) + value[last] * share
             setattr(self, name, np.concatenate([value, new]))
-        self._split(field, split, count_points + place)
+        self._split(field, every, split, stride + place)
 
-    def _split(self, field: Array, split: NDArray[np.bool_], middle: NDArray[np.int64]) -> None:
-        """Replace faces whose sides are split (F, 3) at the points `middle` (F, 3)."""
+    def _split(
+        self,
+        field: Array,
+        which: NDArray[np.int64],
+        split: NDArray[np.bool_],
+        middle: NDArray[np.int64],
+    ) -> None:
+        """Replace the faces `which` (N,) whose sides are split (N, 3) at points `middle` (N, 3)."""
         number = split.sum(axis=1)
-        kept = number == 0
+        kept = np.ones(len(self.faces), bool)
+        kept[which[number > 0]] = False
         parts = [(self.faces[kept], self.normals[kept], np.flatnonzero(kept))]
         for sides in (1, 2):
-            rows = np.flatnonzero(number == sides)
+            chosen = number == sides
+            rows, cut, mids = which[chosen], split[chosen], middle[chosen]
             # Turn: the split sides come first and, with two of them, last.
-            start = np.argmax(split[rows] if sides == 1 else ~split[rows], axis=1)
+            start = np.argmax(cut if sides == 1 else ~cut, axis=1)
             turn = (start[:, None] + np.arange(3) + (0 if sides == 1 else 2)) % 3
             a, b, c = np.take_along_axis(self.faces[rows], turn, axis=1).T
-            na, nb, nc = np.moveaxis(
-                np.take_along_axis(self.normals[rows], turn[:, :, None], axis=1), 1, 0
-            )
-            mids = np.take_along_axis(middle[rows], turn, axis=1)
+            normals = np.take_along_axis(self.normals[rows], turn[:, :, None], axis=1)
+            na, nb, nc = normals[:, 0], normals[:, 1], normals[:, 2]
+            mids = np.take_along_axis(mids, turn, axis=1)
             p, q = mids[:, 0], mids[:, 2]
-            np_ = _mix(na, nb, field[a] / np.where(field[a] == field[b], 1, field[a] - field[b]))
-            nq = _mix(na, nc, field[a] / np.where(field[a] == field[c], 1, field[a] - field[c]))
+            np_ = _mix(na, nb, field[a], field[b])
             if sides == 1:
                 pieces = [((a, p, c), (na, np_, nc)), ((p, b, c), (np_, nb, nc))]
             else:
+                nq = _mix(na, nc, field[a], field[c])
                 pieces = [
                     ((a, p, q), (na, np_, nq)), ((p, b, c), (np_, nb, nc)), ((p, c, q), (np_, nc, nq))
                 ]  # fmt: skip
@@ -135,8 +144,12 @@ class Solid:
         inside = self._inside(region)
         if over:
             inside &= np.isin(self.materials, [MATERIAL_INDEX[name] for name in over])
-        self.colours[inside] = finish.colour
-        self.materials[inside] = MATERIAL_INDEX[finish.material]
+        self.paint_faces(inside, finish)
+
+    def paint_faces(self, chosen: NDArray[np.bool_], finish: Finish) -> None:
+        """Give faces (F,) a finish."""
+        self.colours[chosen] = finish.colour
+        self.materials[chosen] = MATERIAL_INDEX[finish.material]
 
     def push(
         self,
@@ -185,6 +198,23 @@ class Solid:
             np.concatenate([self.materials, self.materials]),
         )
 
+    def reach(self, y: float, z: float, sign: float) -> float:
+        """x of the skin at (y, z), seen from the front (sign 1) or from behind (-1)."""
+        a, b, c = (self.points[self.faces[:, k]] for k in range(3))
+        low = np.minimum(np.minimum(a, b), c)[:, 1:] <= (y, z)
+        high = np.maximum(np.maximum(a, b), c)[:, 1:] >= (y, z)
+        near = np.flatnonzero(low.all(axis=1) & high.all(axis=1))
+        a, b, c = a[near], b[near], c[near]
+        ab, ac = b - a, c - a
+        det = ab[:, 1] * ac[:, 2] - ab[:, 2] * ac[:, 1]
+        det = np.where(np.abs(det) < 1e-12, np.inf, det)
+        u = ((y - a[:, 1]) * ac[:, 2] - (z - a[:, 2]) * ac[:, 1]) / det
+        v = ((z - a[:, 2]) * ab[:, 1] - (y - a[:, 1]) * ab[:, 2]) / det
+        inside = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9) & np.isfinite(det)
+        if not inside.any():
+            return float((sign * self.points[:, 0]).max() * sign)
+        return float(sign * (sign * (a[:, 0] + u * ab[:, 0] + v * ac[:, 0]))[inside].max())
+
     def surface(self) -> Surface:
         """The finished part."""
         length = np.linalg.norm(self.normals, axis=2, keepdims=True)
@@ -216,5 +246,7 @@ MARGIN = 0.06
 """Metres: borders are cut this far past each other, half a face."""
 
 
-def _mix(a: Array, b: Array, share: Array) -> Array:
-    return a * (1 - share[:, None]) + b * share[:, None]
+def _mix(a: Array, b: Array, field_a: Array, field_b: Array) -> Array:
+    """Between a and b, where a field that changes sign between them is zero."""
+    share = (field_a / (field_a - field_b))[:, None]
+    return np.asarray(a * (1 - share) + b * share)

@@ -63,20 +63,14 @@ def wheel(
     ring_of = np.concatenate([ring_of, np.full(count, -1), np.full(count, len(rings))])
     solid = Solid.of(points, faces, TYRE)
     bright = STEEL if dished else ALLOY
-    _dress(solid, (ring_of >= -1) & (ring_of <= 4), bright)
+    solid.paint_faces((ring_of >= -1) & (ring_of <= 4), bright)
     low = y.ravel()[np.minimum(faces, y.size - 1)].min(axis=1)
     in_disc = (ring_of >= 0) & (ring_of <= 3)
     face_y = np.array([ring[1] for ring in rings])[np.clip(ring_of, 0, len(rings) - 1)]
-    _dress(solid, in_disc & (low < face_y - deep * 0.8 - (half if dished else 0)), STEEL)
+    solid.paint_faces(in_disc & (low < face_y - deep * 0.8 - (half if dished else 0)), STEEL)
     if not dished:
         pressed = in_disc & (low < face_y - 0.045)
-        _dress(solid, pressed, Finish((0.02, 0.02, 0.02), "matte"))
+        solid.paint_faces(pressed, Finish((0.02, 0.02, 0.02), "matte"))
     solid.normals = corner_normals(points, faces.astype(np.int32), np.deg2rad(40)).astype(float)
     return solid.surface()
 
-
-def _dress(solid: Solid, chosen: NDArray[np.bool_], finish: Finish) -> None:
-    from recast.synthetic.materials import MATERIAL_INDEX
-
-    solid.colours[chosen] = finish.colour
-    solid.materials[chosen] = MATERIAL_INDEX[finish.material]
