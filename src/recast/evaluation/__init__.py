@@ -3,7 +3,7 @@
 from recast.evaluation.bootstrap import Bootstrap, cluster_bootstrap, exact_bootstrap
 from recast.evaluation.metric import Metric
 from recast.evaluation.oracle_directions import logged_views
-from recast.evaluation.oracle_draw import Oracle
+from recast.evaluation.oracle_draw import TrueWorld
 from recast.evaluation.oracle_poses import ViewSettings
 from recast.evaluation.oracle_record import OracleView, OracleViews, read_oracle_views
 from recast.evaluation.oracle_scores import Agreement
@@ -19,11 +19,11 @@ __all__ = [
     "Bootstrap",
     "Column",
     "Metric",
-    "Oracle",
     "OracleView",
     "OracleViews",
     "RolloutMetrics",
     "TableRow",
+    "TrueWorld",
     "ViewSettings",
     "cluster_bootstrap",
     "evaluate_oracle_views",

@@ -41,7 +41,7 @@ class OracleFrame(Protocol):
         """(H, W)."""
 
 
-class Oracle(Protocol):
+class TrueWorld(Protocol):
     """A world that can be looked at from anywhere."""
 
     def render(
@@ -74,7 +74,7 @@ class Painter:
     def __init__(
         self,
         scenes: Mapping[str, StreetScene],
-        oracle: Oracle,
+        oracle: TrueWorld,
         track_id: str,
         size: Array,
         mounts: Mapping[str, CameraMount],

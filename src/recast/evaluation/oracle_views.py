@@ -17,7 +17,7 @@ from recast.evaluation.oracle_directions import (
     logged_views,
     view_direction,
 )
-from recast.evaluation.oracle_draw import Oracle, Painter
+from recast.evaluation.oracle_draw import Painter, TrueWorld
 from recast.evaluation.oracle_poses import ViewSettings, place_views
 from recast.evaluation.oracle_record import RECORD_FILE, OracleView, OracleViews
 from recast.evaluation.oracle_summary import summarise
@@ -31,7 +31,7 @@ def evaluate_oracle_views(
     log: DrivingLog,
     native: StreetScene,
     replaced: StreetScene,
-    oracle: Oracle,
+    oracle: TrueWorld,
     track_id: str,
     mounts: Mapping[str, CameraMount],
     out: str | Path | None = None,
