@@ -6,14 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.synthetic.rendering.embree import BoolArray, Float32Array
+from recast.synthetic.rendering.light_filter import PLANE_TOLERANCE
 from recast.synthetic.rendering.lighting import Light
 from recast.synthetic.rendering.reflection import MIRROR_ROUGHNESS
 from recast.synthetic.rendering.surface_points import TABLE, SurfacePoints
+from recast.synthetic.rendering.vectors import dot, rows, scaled
+
+Array = NDArray[np.float64]
 
 OFFSETS = np.array([[-1, -3], [3, -1], [1, 3], [-3, 1]], np.float64) / 8
 """Places of the further rays in a pixel, from its centre: a rotated grid."""
 COLOUR_STEP = np.float32(0.04)
+"""Difference of two face colours that makes an edge."""
 CONTRAST = np.float32(0.15)
+"""Difference of what two mirrors show, in square roots of white, that makes an edge."""
+LEAST_LIKENESS = np.float32(0.2)
+"""Sum of weights that neighbours must have for light to be borrowed from them."""
 
 
 def edge_pixels(
@@ -74,6 +82,7 @@ def borrow_light(
     arriving: Light,
     others: SurfacePoints,
     other_pixels: NDArray[np.int64],
+    place: Array,
     height: int,
     width: int,
 ) -> tuple[Light, NDArray[np.int64]]:
@@ -82,26 +91,52 @@ def borrow_light(
     Args:
         points, pixels, arriving: of the centre rays.
         others, other_pixels: the further points and the pixel that each lies in.
+        place: (2,) where in the pixel, one of `OFFSETS`.
 
     Returns:
         their light, and the indices of those that found no like surface nearby.
     """
-    table = np.zeros(((height + 2) * (width + 2), 10), np.float32)
-    row = (pixels // width + 1) * (width + 2) + pixels % width + 1
+    wide = width + 2
+    table = np.zeros(((height + 2) * wide, 10), np.float32)
+    row = (pixels // width + 1) * wide + pixels % width + 1
     table[row, 0:3], table[row, 3:6] = points.position, points.normal
     table[row, 6], table[row, 7:] = arriving.sun, arriving.sky
-    centre = (other_pixels // width + 1) * (width + 2) + other_pixels % width + 1
-    tolerance = 1 / (np.float32(0.02) * (1 + np.float32(0.1) * others.distance))
-    total = np.zeros(len(others), np.float32)
-    value = np.zeros((len(others), 4), np.float32)
-    for down in (-1, 0, 1):
-        for right in (-1, 0, 1):
-            near = table[centre + down * (width + 2) + right]
-            weight = np.maximum(np.einsum("ij,ij->i", near[:, 3:6], others.normal), 0) ** 8
-            off = np.einsum("ij,ij->i", near[:, :3] - others.position, others.normal) * tolerance
-            weight /= 1 + off * off
-            total += weight
-            value += weight[:, None] * near[:, 6:]
-    alone = np.flatnonzero(total < 0.2)
-    value /= np.maximum(total, np.float32(1e-6))[:, None]
-    return Light(value[:, 0], value[:, 1:]), alone
+    centre = (other_pixels // width + 1) * wide + other_pixels % width + 1
+    borrowed = np.zeros((len(others), 4), np.float32)
+    # The four pixels whose centres lie nearest serve most; the rest look further.
+    right, down = (1 if offset > 0 else -1 for offset in place)
+    near = ((0, 0), (right, 0), (0, down), (right, down))
+    far = [(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1) if (x, y) not in near]
+    left = np.arange(len(others))
+    for steps in (near, far):
+        total, value = _gather(
+            table,
+            [rows(centre, left) + x + y * wide for x, y in steps],
+            others.take(left) if len(left) < len(others) else others,
+        )
+        found = total >= LEAST_LIKENESS
+        index = np.flatnonzero(found)
+        borrowed[left[index]] = rows(value, index) / rows(total, index)[:, None]
+        left = left[~found]
+    return Light(borrowed[:, 0].copy(), np.ascontiguousarray(borrowed[:, 1:])), left
+
+
+def _gather(
+    table: Float32Array, places: list[NDArray[np.int64]], points: SurfacePoints
+) -> tuple[Float32Array, Float32Array]:
+    """Sums of likeness (N,) and of light times likeness (N, 4) over rows of `table`."""
+    tolerance = 1 / (PLANE_TOLERANCE * (1 + np.float32(0.1) * points.distance))
+    foot = dot(points.position, points.normal)
+    total = np.zeros(len(points), np.float32)
+    value = np.zeros((len(points), 4), np.float32)
+    for place in places:
+        near = rows(table, place)
+        weight = np.maximum(dot(near[:, 3:6], points.normal), 0)
+        weight *= weight
+        weight *= weight
+        weight *= weight
+        off = (dot(near[:, :3], points.normal) - foot) * tolerance
+        weight /= 1 + off * off
+        total += weight
+        value += scaled(near[:, 6:], weight)
+    return total, value

@@ -13,11 +13,12 @@ from recast.synthetic.rendering.embree import Float32Array
 from recast.synthetic.rendering.light_filter import smooth_light
 from recast.synthetic.rendering.lighting import Light, sample_light
 from recast.synthetic.rendering.ray_scene import SKY, PosedScene, Poses, RayScene
-from recast.synthetic.rendering.sampling import normalise, pixel_samples
+from recast.synthetic.rendering.sampling import pixel_samples
 from recast.synthetic.rendering.shading import shade
 from recast.synthetic.rendering.sky_light import SkyLight, sky_light
 from recast.synthetic.rendering.surface_points import SurfacePoints, surface_points
 from recast.synthetic.rendering.tone import CLIP, WHITE_LEVEL, develop
+from recast.synthetic.rendering.vectors import dot, normalise
 from recast.synthetic.world import Sky
 
 Array = NDArray[np.float64]
@@ -103,7 +104,7 @@ def render_camera(
         further = posed.cast(origins, directions)
         index, others = surface_points(posed, origins, directions, further)
         borrowed, alone = borrow_light(
-            points, pixels, arriving, others, edges[index], height, width
+            points, pixels, arriving, others, edges[index], offset, height, width
         )
         _light_alone(posed, light, others, borrowed, alone, rng)
         shaded = shade(posed, light, others, borrowed, pixel_angle)
@@ -131,7 +132,7 @@ def _rays(
     """Origins, unit directions, and the lengths of the directions at unit depth."""
     local = camera.rays(pixels)
     directions = (local @ pose[:3, :3].T).astype(np.float32)
-    stretch = np.sqrt(np.einsum("ij,ij->i", directions, directions))
+    stretch = np.sqrt(dot(directions, directions))
     origins = np.empty_like(directions)
     origins[:] = pose[:3, 3]
     return origins, normalise(directions), stretch

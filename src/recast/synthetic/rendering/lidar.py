@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from recast.synthetic.rendering.embree import Float32Array
 from recast.synthetic.rendering.ray_scene import SKY, Poses, RayScene
 from recast.synthetic.rendering.surface_points import TABLE, surface_points
+from recast.synthetic.rendering.vectors import dot, scaled
 
 Array = NDArray[np.float64]
 
@@ -134,9 +135,9 @@ def scan_lidar(
     hits = posed.cast(origins, directions)
     within = (hits.distance >= spec.minimum_range) & (hits.distance <= spec.maximum_range)
     rays = np.flatnonzero(within & (hits.instance != SKY))
-    _, points = surface_points(posed, origins, directions, hits, rays)
+    _, points = surface_points(posed, origins, directions, hits, rays, smooth=False)
 
-    facing = np.maximum(-np.einsum("ij,ij->i", points.view, points.flat), 0)
+    facing = np.maximum(-dot(points.view, points.flat), 0)
     luminance = points.colour @ LUMINANCE
     mirror_like = TABLE.retroreflective[points.material]
     # A dark face absorbs at 905 nm too, though less than to the eye.
@@ -157,7 +158,7 @@ def scan_lidar(
     # Real sensors correct for range, so that intensity speaks of the surface alone.
     intensity = np.clip(brightness[kept], 0, 1).astype(np.float32)
     return LidarScan(
-        points=local[rays] * measured[:, None],
+        points=scaled(local[rays], measured),
         intensity=intensity,
         instance=points.instance[kept],
         ranges=measured,

@@ -11,6 +11,7 @@ from recast.synthetic.rendering.ray_scene import PosedScene
 from recast.synthetic.rendering.sampling import cosine_directions, disc_directions
 from recast.synthetic.rendering.sky_light import SkyLight
 from recast.synthetic.rendering.surface_points import TABLE, SurfacePoints, surface_points
+from recast.synthetic.rendering.vectors import dot, outer, rows, shift
 
 PI = np.float32(np.pi)
 BOUNCE_OPENNESS = np.float32(0.55)
@@ -45,8 +46,8 @@ def sample_light(
     sun = np.zeros(len(points), np.float32)
     towards = sun_cosine(light, points) > 0
     lit = np.flatnonzero(towards)
-    directions = disc_directions(light.sun_direction, light.sky.sun_radius, sun_samples[lit])
-    sun[lit] = ~posed.occluded(points.origin[lit], directions)
+    directions = disc_directions(light.sun_direction, light.sky.sun_radius, rows(sun_samples, lit))
+    sun[lit] = ~posed.occluded(rows(points.origin, lit), directions)
     directions = cosine_directions(points.normal, sky_samples)
     _above_face(directions, points)
     return Light(sun, incoming(posed, light, points.origin, directions, diffuse=True))
@@ -66,10 +67,10 @@ def incoming(
         diffuse: passed to `SkyLight.radiance`.
     """
     hits = posed.cast(origins, directions)
-    rays, points = surface_points(posed, origins, directions, hits)
+    rays, points = surface_points(posed, origins, directions, hits, smooth=False)
     missed = np.flatnonzero(hits.face < 0)
     radiance = np.empty((len(origins), 3), np.float32)
-    radiance[missed] = light.radiance(directions[missed], diffuse=diffuse)
+    radiance[missed] = light.radiance(rows(directions, missed), diffuse=diffuse)
     radiance[rays] = flat_shading(posed, light, points)
     return radiance
 
@@ -81,19 +82,22 @@ def flat_shading(posed: PosedScene, light: SkyLight, points: SurfacePoints) -> F
     towards = np.ascontiguousarray(
         np.broadcast_to(light.sun_direction.astype(np.float32), (len(lit), 3))
     )
-    shadowed = posed.occluded(points.origin[lit], towards)
+    shadowed = posed.occluded(rows(points.origin, lit), towards)
     cosine[lit[shadowed]] = 0
-    radiance = (cosine / PI)[:, None] * light.sun
+    radiance = outer(cosine / PI, light.sun)
     radiance += open_ambient(light, points.normal) * BOUNCE_OPENNESS
-    radiance += (TABLE.emission[points.material] * np.float32(light.white))[:, None]
+    glowing = np.flatnonzero(TABLE.emission[points.material] > 0)
+    radiance[glowing] += (TABLE.emission[points.material[glowing]] * np.float32(light.white))[
+        :, None
+    ]
     radiance *= points.colour
     return radiance
 
 
 def open_ambient(light: SkyLight, normals: Float32Array) -> Float32Array:
     """Irradiance over pi (N, 3) on surfaces in the open: sky from above, ground from below."""
-    up = (np.float32(0.5) + np.float32(0.5) * normals[:, 2])[:, None]
-    return light.ground + up * (light.ambient - light.ground)
+    up = np.float32(0.5) + np.float32(0.5) * normals[:, 2]
+    return shift(outer(up, light.ambient - light.ground), light.ground)
 
 
 def sun_cosine(light: SkyLight, points: SurfacePoints) -> Float32Array:
@@ -109,6 +113,6 @@ def sun_cosine(light: SkyLight, points: SurfacePoints) -> Float32Array:
 
 def _above_face(directions: Float32Array, points: SurfacePoints) -> None:
     """Mirror directions that a bent shading normal sent into the surface, in place."""
-    below = np.einsum("ij,ij->i", directions, points.flat)
+    below = dot(directions, points.flat)
     into = np.flatnonzero(below < 0)
     directions[into] -= 2 * below[into][:, None] * points.flat[into]

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from recast.geometry import se3
 from recast.synthetic.rendering.embree import BoolArray, Float32Array, Mesh
 from recast.synthetic.rendering.face_attributes import FaceAttributes
+from recast.synthetic.rendering.vectors import dot, rows, shift
 from recast.synthetic.surface import Surface
 
 Array = NDArray[np.float64]
@@ -63,6 +64,7 @@ class RayScene:
         self.models = dict(models)
         self.names: tuple[str, ...] = tuple(sorted(models))
         self._meshes = [Mesh(static), *(Mesh(models[name]) for name in self.names)]
+        self.bounds = [_bounds(static), *(_bounds(models[name]) for name in self.names)]
         self.attributes = self._attributes()
 
     def with_static(self, static: Surface) -> RayScene:
@@ -70,6 +72,7 @@ class RayScene:
         scene = RayScene.__new__(RayScene)
         scene.static, scene.models, scene.names = static, self.models, self.names
         scene._meshes = [Mesh(static), *self._meshes[1:]]
+        scene.bounds = [_bounds(static), *self.bounds[1:]]
         scene.attributes = scene._attributes()
         return scene
 
@@ -115,7 +118,7 @@ class PosedScene:
                 continue
             pose = np.asarray(poses[name], np.float64)
             self.rotation[instance], self.translation[instance] = pose[:3, :3], pose[:3, 3]
-            low, high = surface.bounds()
+            low, high = scene.bounds[instance]
             actors.append((instance, se3.inverse(pose)))
             centre = se3.apply(pose, ((low + high) / 2)[None])[0]
             spheres.append((centre, float(np.linalg.norm(high - low)) / 2))
@@ -131,7 +134,7 @@ class PosedScene:
             rays = np.flatnonzero(entry < distance)
             if not len(rays):
                 continue
-            moved = _move(local, origins[rays], directions[rays])
+            moved = _move(local, rows(origins, rays), rows(directions, rays))
             hits = self.scene.mesh(index).first_hits(*moved, distance[rays])
             hit = hits.face >= 0
             at = rays[hit]
@@ -146,12 +149,12 @@ class PosedScene:
         free = np.flatnonzero(~blocked)
         if not self._actors or not len(free):
             return blocked
-        enter = self._spheres.entered(origins[free], directions[free])
+        enter = self._spheres.entered(rows(origins, free), rows(directions, free))
         for (index, local), entry in zip(self._actors, enter, strict=True):
             rays = free[entry < np.inf]
             rays = rays[~blocked[rays]]
             if len(rays):
-                moved = _move(local, origins[rays], directions[rays])
+                moved = _move(local, rows(origins, rays), rows(directions, rays))
                 blocked[rays] = self.scene.mesh(index).occluded(*moved)
         return blocked
 
@@ -162,7 +165,8 @@ class _Spheres:
     def __init__(self, spheres: list[tuple[Array, float]]) -> None:
         # Relative to the spheres' mean, so that float32 keeps its digits far from the origin.
         centres = np.array([centre for centre, _ in spheres]).reshape(-1, 3)
-        self._middle = centres.mean(axis=0).astype(np.float32) if len(centres) else np.zeros(3)
+        middle = centres.mean(axis=0) if len(centres) else np.zeros(3)
+        self._middle = middle.astype(np.float32)
         self._centres = (centres - self._middle).astype(np.float32)
         self._radii = np.array([radius + 0.05 for _, radius in spheres], np.float32)
 
@@ -170,10 +174,10 @@ class _Spheres:
         """Distance (spheres, N) at which rays enter, at most; inf where they miss."""
         if not len(self._centres):
             return np.zeros((0, len(origins)), np.float32)
-        origins = origins - self._middle.astype(np.float32)
-        own = np.einsum("ij,ij->i", origins, origins)
+        origins = shift(origins.copy(), -self._middle)
+        own = dot(origins, origins)
         along = self._centres @ directions.T
-        along -= np.einsum("ij,ij->i", origins, directions)
+        along -= dot(origins, directions)
         squared = self._centres @ origins.T
         squared *= -2
         squared += own
@@ -188,9 +192,13 @@ class _Spheres:
         return along
 
 
+def _bounds(surface: Surface) -> Array:
+    return surface.bounds() if len(surface) else np.zeros((2, 3))
+
+
 def _move(
     local_from_world: Array, origins: Float32Array, directions: Float32Array
 ) -> tuple[Float32Array, Float32Array]:
     rotation = local_from_world[:3, :3].astype(np.float32)
-    shift = local_from_world[:3, 3].astype(np.float32)
-    return origins @ rotation.T + shift, directions @ rotation.T
+    offset = local_from_world[:3, 3].astype(np.float32)
+    return shift(origins @ rotation.T, offset), directions @ rotation.T

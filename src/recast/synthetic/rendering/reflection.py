@@ -7,9 +7,9 @@ import numpy as np
 from recast.synthetic.rendering.embree import Float32Array
 from recast.synthetic.rendering.lighting import PI, Light, incoming
 from recast.synthetic.rendering.ray_scene import PosedScene
-from recast.synthetic.rendering.sampling import normalise
 from recast.synthetic.rendering.sky_light import SkyLight
 from recast.synthetic.rendering.surface_points import TABLE, SurfacePoints
+from recast.synthetic.rendering.vectors import dot, normalise, outer, scaled
 
 MIRROR_ROUGHNESS = 0.1
 """Up to here a surface mirrors; beyond, its reflection is a blur like its diffuse light."""
@@ -53,9 +53,9 @@ def reflected(
 
 def mirror_directions(view: Float32Array, normal: Float32Array, flat: Float32Array) -> Float32Array:
     """Unit directions (N, 3) of `view` mirrored at `normal`, kept outside the face `flat`."""
-    directions = view - 2 * np.einsum("ij,ij->i", view, normal)[:, None] * normal
-    below = np.minimum(np.einsum("ij,ij->i", directions, flat) - np.float32(0.01), 0)
-    directions -= 2 * below[:, None] * flat
+    directions = view - scaled(normal, 2 * dot(view, normal))
+    below = np.minimum(dot(directions, flat) - np.float32(0.01), 0)
+    directions -= scaled(flat, 2 * below)
     return normalise(directions)
 
 
@@ -65,7 +65,7 @@ def _highlight(light: SkyLight, points: SurfacePoints, sun: Float32Array) -> Flo
     half = normalise(towards - points.view + np.float32(1e-6))
     width = np.maximum(TABLE.roughness[points.material], HIGHLIGHT_ROUGHNESS) ** 2
     exponent = 2 / width**2 - 2
-    cosine = np.clip(np.einsum("ij,ij->i", points.normal, half), 0, 1)
+    cosine = np.clip(dot(points.normal, half), 0, 1)
     lobe = np.minimum((exponent + 2) / (8 * PI) * cosine**exponent, HIGHLIGHT_LIMIT)
     facing = points.normal @ towards > 0
-    return (lobe * facing * sun)[:, None] * light.sun
+    return outer(lobe * facing * sun, light.sun)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.synthetic.rendering.embree import Float32Array
+from recast.synthetic.rendering.vectors import normalise, shift
 
 Array = NDArray[np.float64]
 TILE = 8
@@ -66,10 +67,4 @@ def disc_directions(centre: Array, radius: float, samples: Float32Array) -> Floa
     angle = np.float32(2 * np.pi) * samples[:, 1]
     axes = np.stack([side, np.cross(centre, side)]).astype(np.float32)
     plane = np.stack([reach * np.cos(angle), reach * np.sin(angle)], axis=1)
-    return normalise(plane @ axes + centre.astype(np.float32))
-
-
-def normalise(vectors: Float32Array) -> Float32Array:
-    """Vectors (N, 3), not zero, at unit length, in place."""
-    vectors /= np.sqrt(np.einsum("ij,ij->i", vectors, vectors))[:, None]
-    return vectors
+    return normalise(shift(plane @ axes, centre.astype(np.float32)))

@@ -11,6 +11,7 @@ from recast.synthetic.rendering.reflection import fresnel, reflected
 from recast.synthetic.rendering.sky_light import HAZE_LENGTH, SkyLight
 from recast.synthetic.rendering.surface_points import TABLE, SurfacePoints
 from recast.synthetic.rendering.textures import textured
+from recast.synthetic.rendering.vectors import outer, rows, scale, scaled
 
 
 def shade(
@@ -25,20 +26,21 @@ def shade(
     Args:
         pixel_angle: radians between neighbouring rays, for the detail of textures.
     """
-    radiance = (arriving.sun * sun_cosine(light, points) / PI)[:, None] * light.sun
+    radiance = outer(arriving.sun * sun_cosine(light, points) / PI, light.sun)
     radiance += arriving.sky
-    coat = np.flatnonzero(TABLE.specular[points.material] > 0)
-    radiance += (TABLE.emission[points.material] * np.float32(light.white))[:, None]
+    glowing = np.flatnonzero(TABLE.emission[points.material] > 0)
+    emission = TABLE.emission[points.material[glowing]] * np.float32(light.white)
+    radiance[glowing] += emission[:, None]
     radiance *= textured(points, pixel_angle)
-    mirror = points.take(coat)
-    share = fresnel(mirror)
-    bare = np.where(TABLE.metallic[mirror.material], 0, 1 - share.max(axis=1))
-    coat_light = Light(arriving.sun[coat], arriving.sky[coat])
-    radiance[coat] = radiance[coat] * bare[:, None].astype(np.float32) + share * reflected(
-        posed, light, mirror, coat_light
-    )
-    clear = np.exp(points.distance / np.float32(-HAZE_LENGTH))[:, None]
-    radiance -= light.haze
-    radiance *= clear
-    radiance += light.haze
+    index = np.flatnonzero(TABLE.specular[points.material] > 0)
+    coat = points.take(index)
+    share = fresnel(coat)
+    bare = np.where(TABLE.metallic[coat.material], np.float32(0), 1 - share.max(axis=1))
+    light_there = Light(rows(arriving.sun, index), rows(arriving.sky, index))
+    share *= reflected(posed, light, coat, light_there)
+    share += scaled(rows(radiance, index), bare)
+    radiance[index] = share
+    clear = np.exp(points.distance / np.float32(-HAZE_LENGTH))
+    scale(radiance, clear)
+    radiance += outer(1 - clear, light.haze)
     return radiance

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from recast.synthetic.materials import MATERIALS
 from recast.synthetic.rendering.embree import Float32Array
 from recast.synthetic.rendering.ray_scene import SKY, STREET, Hits, PosedScene
-from recast.synthetic.rendering.sampling import normalise
+from recast.synthetic.rendering.vectors import dot, normalise, rows, scale, scaled
 
 
 @dataclass(frozen=True)
@@ -72,19 +72,22 @@ class SurfacePoints:
     def origin(self) -> Float32Array:
         """Where rays that leave the surface start: lifted off it by its rounding error."""
         lift = np.float32(2e-3) + np.float32(3e-5) * self.distance
-        return self.position + self.flat * lift[:, None]
+        origin = scaled(self.flat, lift)
+        origin += self.position
+        return origin
 
     @cached_property
     def cosine(self) -> Float32Array:
         """Of the angle (N,) between viewer and shading normal."""
-        return np.clip(-np.einsum("ij,ij->i", self.view, self.normal), 0, 1)
+        return np.clip(-dot(self.view, self.normal), 0, 1)
 
-    def local(self) -> tuple[Float32Array, Float32Array]:
-        """Position and flat normal (N, 3) in the frame of the surface that they belong to."""
-        position, flat = self.position.copy(), self.flat.copy()
-        moved = np.flatnonzero(self.instance != STREET)
+    def local(self, index: NDArray[np.int64]) -> tuple[Float32Array, Float32Array]:
+        """Position and flat normal (M, 3) of some, in the frame of the surface they belong to."""
+        position, flat = rows(self.position, index), rows(self.flat, index)
+        instance = rows(self.instance, index)
+        moved = np.flatnonzero(instance != STREET)
         if len(moved):
-            which = self.instance[moved]
+            which = instance[moved]
             rotation = self.posed.rotation[which]
             shifted = position[moved] - self.posed.translation[which]
             position[moved] = np.einsum("ij,ijk->ik", shifted, rotation)
@@ -94,14 +97,14 @@ class SurfacePoints:
     def take(self, index: NDArray[np.int64]) -> SurfacePoints:
         """Some of the points."""
         return SurfacePoints(
-            self.position[index],
-            self.view[index],
-            self.distance[index],
-            self.flat[index],
-            self.normal[index],
-            self.colour[index],
-            self.material[index],
-            self.instance[index],
+            rows(self.position, index),
+            rows(self.view, index),
+            rows(self.distance, index),
+            rows(self.flat, index),
+            rows(self.normal, index),
+            rows(self.colour, index),
+            rows(self.material, index),
+            rows(self.instance, index),
             self.posed,
         )
 
@@ -115,6 +118,8 @@ def surface_points(
     directions: Float32Array,
     hits: Hits,
     rays: NDArray[np.int64] | None = None,
+    *,
+    smooth: bool = True,
 ) -> tuple[NDArray[np.int64], SurfacePoints]:
     """The points that rays met, and the indices of those rays.
 
@@ -122,39 +127,44 @@ def surface_points(
         origins, directions: (N, 3) of the rays cast.
         hits: what they met.
         rays: only these; all that met something when None.
+        smooth: False takes the faces' own normals for shading: enough where nobody looks.
     """
     if rays is None:
         rays = np.flatnonzero(hits.instance != SKY)
     attributes = posed.scene.attributes
-    instance = hits.instance[rays]
-    face = hits.face[rays] + attributes.first[instance]
-    view, distance = directions[rays], hits.distance[rays]
-    u, v = hits.u[rays][:, None], hits.v[rays][:, None]
-    corners = attributes.corner_normals[face]
-    normal = corners[:, 0] * (1 - u - v)
-    normal += corners[:, 1] * u
-    normal += corners[:, 2] * v
-    flat = attributes.flat_normals[face]
+    instance = rows(hits.instance, rays)
+    face = rows(hits.face, rays) + rows(attributes.first, instance)
+    view, distance = rows(directions, rays), rows(hits.distance, rays)
     moved = np.flatnonzero(instance != STREET)
-    if len(moved):
-        rotation = posed.rotation[instance[moved]]
+    rotation = posed.rotation[instance[moved]]
+    flat = rows(attributes.flat_normals, face)
+    flat[moved] = np.einsum("ikj,ij->ik", rotation, flat[moved])
+    # Both sides of a face are seen; its normal looks at the viewer.
+    side = np.where(dot(view, flat) > 0, np.float32(-1), np.float32(1))
+    scale(flat, side)
+    normal = flat
+    if smooth:
+        u, v = rows(hits.u, rays), rows(hits.v, rays)
+        corners = rows(attributes.corner_normals, face)
+        normal = scaled(corners[:, 0], 1 - u - v)
+        normal += scaled(corners[:, 1], u)
+        normal += scaled(corners[:, 2], v)
         normal[moved] = np.einsum("ikj,ij->ik", rotation, normal[moved])
-        flat[moved] = np.einsum("ikj,ij->ik", rotation, flat[moved])
-    behind = np.einsum("ij,ij->i", view, flat) > 0
-    flat[behind] *= -1
-    normal[behind] *= -1
-    # A shading normal may turn away from the viewer near an outline: bend it back to a right angle.
-    facing = np.einsum("ij,ij->i", view, normal)
-    normal -= view * np.maximum(facing, 0)[:, None]
-    normal += flat * np.float32(1e-4)
+        scale(normal, side)
+        # Near an outline a shading normal may look away: bend it back to a right angle.
+        normal -= scaled(view, np.maximum(dot(view, normal), 0))
+        normal += flat * np.float32(1e-4)
+        normalise(normal)
+    position = scaled(view, distance)
+    position += rows(origins, rays)
     points = SurfacePoints(
-        position=origins[rays] + view * distance[:, None],
+        position=position,
         view=view,
         distance=distance,
         flat=flat,
-        normal=normalise(normal),
-        colour=attributes.colours[face],
-        material=attributes.materials[face],
+        normal=normal,
+        colour=rows(attributes.colours, face),
+        material=rows(attributes.materials, face),
         instance=instance,
         posed=posed,
     )

@@ -17,6 +17,7 @@ from recast.synthetic.rendering.embree import Float32Array
 from recast.synthetic.rendering.image_lookup import gather_image
 from recast.synthetic.rendering.patterns import SIZE, Pattern, coarse_patterns, fine_patterns
 from recast.synthetic.rendering.surface_points import SurfacePoints
+from recast.synthetic.rendering.vectors import dot, rows, scale
 
 LEVELS = 9
 _SCALE = np.float32(100.0)
@@ -37,7 +38,8 @@ class Atlas:
         self.row = np.array(
             [names.index(m.texture) if m.texture in patterns else -1 for m in MATERIALS], np.int64
         )
-        self.metres = np.array([pattern.metres for pattern in patterns.values()], np.float32)
+        self._frequency = np.array([1 / p.metres for p in patterns.values()], np.float32)
+        self._top = (np.arange(len(patterns)) * (SIZE + 2) + 0.5).astype(np.float32)
         width = int(_LEVEL_START[-1] + _LEVEL_SIZE[-1] + 1)
         self.image = np.zeros((len(patterns) * (SIZE + 2), width, 3), np.uint8)
         for row, pattern in enumerate(patterns.values()):
@@ -53,28 +55,33 @@ class Atlas:
                 level = cv2.resize(level, half, interpolation=cv2.INTER_AREA)
 
     def factors(
-        self, rows: NDArray[np.int64], u: Float32Array, v: Float32Array, footprint: Float32Array
+        self, row: NDArray[np.int64], u: Float32Array, v: Float32Array, footprint: Float32Array
     ) -> Float32Array:
-        """Factors (N, 3) of patterns `rows` (N,) at u, v (N,) metres, no finer than `footprint`."""
-        metres = self.metres[rows]
-        u, v = u / metres, v / metres
+        """Factors (N, 3) of patterns `row` (N,) at u, v (N,) metres, no finer than `footprint`."""
+        periods = self._frequency[row]
+        u, v = u * periods, v * periods
         u -= np.floor(u)
         v -= np.floor(v)
-        level = np.log2(np.maximum(footprint / metres * np.float32(SIZE), 1))
+        level = np.log2(np.maximum(footprint * periods * np.float32(SIZE), 1))
         level = np.minimum(level, np.float32(LEVELS - 1.001))
-        below = level.astype(np.int64)
-        blend = (level - below)[:, None]
-        finer = self._level(rows, u, v, below)
-        finer += (self._level(rows, u, v, below + 1) - finer) * blend
+        finer_level = np.floor(level)
+        blend = level - finer_level
+        below = finer_level.astype(np.int64)
+        top = self._top[row]
+        finer = self._level(top, u, v, below)
+        coarser = self._level(top, u, v, below + 1)
+        coarser -= finer
+        finer += scale(coarser, blend)
         return finer
 
     def _level(
-        self, rows: NDArray[np.int64], u: Float32Array, v: Float32Array, level: NDArray[np.int64]
+        self, top: Float32Array, u: Float32Array, v: Float32Array, level: NDArray[np.int64]
     ) -> Float32Array:
         size = _LEVEL_SIZE[level]
-        x = u * size + (_LEVEL_START[level] - np.float32(0.5))
-        y = v * size + (rows * np.float32(SIZE + 2) + np.float32(0.5)).astype(np.float32)
-        return gather_image(self.image, x, y)[: len(rows)] * (1 / _SCALE)
+        x, y = u * size, v * size
+        x += _LEVEL_START[level] - np.float32(0.5)
+        y += top
+        return gather_image(self.image, x, y)[: len(top)] * (1 / _SCALE)
 
 
 @lru_cache(maxsize=1)
@@ -93,17 +100,19 @@ def textured(points: SurfacePoints, pixel_angle: float) -> Float32Array:
     index = np.flatnonzero(fine.row[points.material] >= 0)
     if not len(index):
         return colour
-    u, v = surface_coordinates(*points.take(index).local())
+    u, v = surface_coordinates(*points.local(index))
     # A pixel covers more of a surface seen at an angle; the mean of both axes of the ellipse.
-    facing = -np.einsum("ij,ij->i", points.view[index], points.flat[index])
-    footprint = points.distance[index] * np.float32(pixel_angle)
+    facing = rows(-dot(points.view, points.flat), index)
+    footprint = rows(points.distance, index) * np.float32(pixel_angle)
     footprint /= np.sqrt(np.maximum(facing, np.float32(0.02)))
-    material = points.material[index]
+    material = rows(points.material, index)
     factors = fine.factors(fine.row[material], u, v, footprint)
     wide = np.flatnonzero(coarse.row[material] >= 0)
-    factors[wide] *= coarse.factors(coarse.row[material[wide]], u[wide], v[wide], footprint[wide])
-    colour[index] *= factors
-    return np.minimum(colour, np.float32(0.95))
+    stains = coarse.factors(coarse.row[material[wide]], u[wide], v[wide], footprint[wide])
+    factors[wide] = rows(factors, wide) * stains
+    factors *= rows(colour, index)
+    colour[index] = factors
+    return np.minimum(colour, np.float32(0.95), out=colour)
 
 
 def surface_coordinates(
