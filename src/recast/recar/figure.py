@@ -20,7 +20,7 @@ from recast.synthetic.vehicles import COLOURS
 FIGURE_FILES = ("dataset.png", "views.png", "colours.png", "types.png")
 
 _INK, _MUTED, _EDGE = "#1f2430", "#6b7280", "#9aa1ad"
-_CELL = (300, 200)  # pixels of the longest side's cell, scaled to the aspect of the views
+_CELL = (360, 240)  # pixels at most of a view in the sheet, before it is cut
 _PANEL = (245, 246, 248)  # behind the cars
 _PIE = (
     "#3b6ea8", "#e08a3c", "#5b9e6f", "#c2555a", "#8b78b5", "#8f7360", "#cf84b0", "#7d858f",
@@ -42,36 +42,38 @@ def write_figure(vehicle_set: VehicleSet, statistics: SetStatistics, folder: Pat
     """
     folder.mkdir(parents=True, exist_ok=True)
     chosen = representatives(vehicle_set, 6)
-    sheet = view_sheet(chosen, _columns(vehicle_set.record.views, 6))
-    height = 0.96 * 11.2 * sheet.shape[0] / sheet.shape[1] + 0.8
+    columns = _columns(vehicle_set.record.views, 6)
+    sheet = view_sheet(chosen, columns)
+    height = max(0.96 * 11.2 * sheet.shape[0] / sheet.shape[1] + 1.0, 6.4)
 
-    figure = Figure(figsize=(17.0, max(height, 6.4)), facecolor="white")
+    figure = Figure(figsize=(17.0, height), facecolor="white")
     grid = figure.add_gridspec(
-        2, 2, width_ratios=(11.2, 5.0), left=0.062, right=0.985, top=0.93, bottom=0.055,
-        wspace=0.13, hspace=0.24,
+        2, 2, width_ratios=(11.2, 5.0), left=0.062, right=0.985, top=1 - 0.8 / height, bottom=0.05,
+        wspace=0.13, hspace=0.34,
     )  # fmt: skip
-    _draw_views(figure.add_subplot(grid[:, 0]), sheet, chosen)
+    _draw_views(figure.add_subplot(grid[:, 0]), sheet, chosen, columns)
     _draw_colours(figure.add_subplot(grid[0, 1]), statistics.colours)
     _draw_types(figure.add_subplot(grid[1, 1]), statistics.kinds)
     record = vehicle_set.record
     figure.suptitle(
         f"{record.name}: {statistics.identities:,} vehicles, {record.views} views each, "
         f"{statistics.pictures:,} RGBA images of {record.width}x{record.height}",
-        x=0.062, ha="left", fontsize=15, color=_INK, weight="bold",
+        x=0.062, y=1 - 0.12 / height, ha="left", fontsize=15, color=_INK, weight="bold",
     )  # fmt: skip
     _save(figure, folder / "dataset.png")
 
     many = representatives(vehicle_set, 12)
-    sheet = view_sheet(many, _columns(vehicle_set.record.views, 8))
+    columns = _columns(vehicle_set.record.views, 10)
+    sheet = view_sheet(many, columns)
     figure = Figure(figsize=(16, 15.0 * sheet.shape[0] / sheet.shape[1] + 0.5), facecolor="white")
-    _draw_views(figure.add_axes((0.07, 0.005, 0.925, 0.965)), sheet, many)
+    _draw_views(figure.add_axes((0.07, 0.005, 0.925, 0.965)), sheet, many, columns)
     _save(figure, folder / "views.png")
     for name, draw, counts in (
         ("colours.png", _draw_colours, statistics.colours),
         ("types.png", _draw_types, statistics.kinds),
     ):
-        figure = Figure(figsize=(7, 5), facecolor="white", layout="constrained")
-        draw(figure.add_subplot(), counts)
+        figure = Figure(figsize=(7, 5), facecolor="white")
+        draw(figure.add_axes((0.04, 0.16, 0.92, 0.76)), counts)
         _save(figure, folder / name)
 
 
@@ -94,38 +96,52 @@ def representatives(vehicle_set: VehicleSet, count: int) -> list[Identity]:
 
 
 def view_sheet(identities: list[Identity], views: list[int]) -> Image:
-    """A sheet (rows, columns, 3) uint8: a row for each identity, a column for each view."""
-    record = identities[0].set_record
-    shrink = min(_CELL[0] / record.width, _CELL[1] / record.height)
-    cell = (max(round(record.width * shrink), 1), max(round(record.height * shrink), 1))
-    rows = [np.hstack([_cell(one.view(i), cell) for i in views]) for one in identities]
-    return np.vstack(rows)
+    """A sheet (rows, columns, 3) uint8: a row for each identity, a column for each view.
+
+    All cells are cut alike, to what is not empty in every one of them.
+    """
+    cells = [[_cell(one.view(view)) for view in views] for one in identities]
+    rows, columns = np.nonzero(np.max([cell[..., 3] for row in cells for cell in row], axis=0))
+    height, width = cells[0][0].shape[:2]
+    edge = round(0.03 * width)
+    top, bottom = max(rows.min() - edge, 0), min(rows.max() + 1 + edge, height)
+    left, right = max(columns.min() - edge, 0), min(columns.max() + 1 + edge, width)
+    cut = [[_over_panel(cell[top:bottom, left:right]) for cell in row] for row in cells]
+    return np.vstack([np.hstack(row) for row in cut])
 
 
 def _columns(views: int, count: int) -> list[int]:
-    return [i * views // min(count, views) for i in range(min(count, views))]
+    """About `count` views, evenly apart where the number of views has a fitting divisor."""
+    even = [n for n in range(count - 2, count + 3) if n > 0 and views % n == 0]
+    columns = min(even, key=lambda n: (abs(n - count), -n)) if even else min(count, views)
+    return [i * views // columns for i in range(columns)]
 
 
-def _cell(rgba: Image, size: tuple[int, int]) -> Image:
+def _cell(rgba: Image) -> NDArray[np.float32]:
+    """Shrunk to fit `_CELL`: colour multiplied by alpha, and alpha, in [0, 1]."""
     alpha = rgba[..., 3:].astype(np.float32) / 255
-    over = rgba[..., :3] * alpha + np.array(_PANEL, np.float32) * (1 - alpha)
-    shrunk = cv2.resize(over, size, interpolation=cv2.INTER_AREA)
-    shrunk[:1], shrunk[:, :1] = 255, 255  # a thin white line between cells
-    return np.clip(np.round(shrunk), 0, 255).astype(np.uint8)
+    light = np.concatenate([rgba[..., :3] * (alpha / 255), alpha], axis=-1)
+    shrink = min(_CELL[0] / rgba.shape[1], _CELL[1] / rgba.shape[0])
+    size = (max(round(rgba.shape[1] * shrink), 1), max(round(rgba.shape[0] * shrink), 1))
+    return np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _draw_views(axes: Axes, sheet: Image, identities: list[Identity]) -> None:
+def _over_panel(cell: NDArray[np.float32]) -> Image:
+    over = 255 * cell[..., :3] + np.array(_PANEL, np.float32) * (1 - cell[..., 3:])
+    over[:1], over[:, :1] = 255, 255  # a thin white line between cells
+    return np.clip(np.round(over), 0, 255).astype(np.uint8)
+
+
+def _draw_views(axes: Axes, sheet: Image, identities: list[Identity], columns: list[int]) -> None:
     record = identities[0].set_record
     rows = len(identities)
     axes.imshow(sheet, interpolation="antialiased", aspect="equal", extent=(0, 1, 0, 1))
     axes.set_aspect(sheet.shape[0] / sheet.shape[1])
     axes.set_anchor("N")
     axes.axis("off")
-    shrink = min(_CELL[0] / record.width, _CELL[1] / record.height)
-    columns = round(sheet.shape[1] / max(round(record.width * shrink), 1))
-    for column, view in enumerate(_columns(record.views, columns)):
+    for place, view in enumerate(columns):
         axes.text(
-            (column + 0.5) / columns, 1.004, f"{record.azimuths_deg[view]:g}°",
+            (place + 0.5) / len(columns), 1.004, f"{record.azimuths_deg[view]:g}°",
             ha="center", va="bottom", color=_MUTED, fontsize=10,
         )  # fmt: skip
     for row, identity in enumerate(identities):
@@ -167,12 +183,19 @@ def _draw_types(axes: Axes, counts: dict[str, int]) -> None:
     if rest := total - sum(shown.values()):
         shown["others"] = shown.get("others", 0) + rest
     colours = [_PIE[i % len(_PIE)] for i in range(len(shown))]
-    axes.pie(
+    _, labels = axes.pie(
         list(shown.values()), colors=colours, startangle=90, counterclock=False, radius=1.0,
         labels=[f"{name}\n{100 * count / total:.0f} %" for name, count in shown.items()],
-        labeldistance=1.13, wedgeprops={"width": 0.46, "edgecolor": "white", "linewidth": 1.5},
+        labeldistance=1.22, wedgeprops={"width": 0.46, "edgecolor": "white", "linewidth": 1.5},
         textprops={"fontsize": 10, "color": _INK, "linespacing": 1.2},
     )  # fmt: skip
+    for label in labels:
+        if abs(label.get_position()[0]) < 0.3:
+            label.set_horizontalalignment("center")
+    # Limits in the shape of the axes, which `equal` would narrow otherwise, title and all.
+    box = axes.get_window_extent()
+    axes.set_xlim(-1.3 * box.width / box.height, 1.3 * box.width / box.height)
+    axes.set_ylim(-1.3, 1.3)
     axes.set_title("Types", loc="left", fontsize=12, color=_INK, weight="bold")
 
 
