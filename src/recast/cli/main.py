@@ -11,6 +11,7 @@ import tyro
 from recast.cli.actor import Actor
 from recast.cli.doctor import Doctor
 from recast.cli.log import Log
+from recast.cli.recar import Recar
 from recast.cli.report import Report
 from recast.cli.run import Run
 from recast.cli.scene import Scene
@@ -20,6 +21,7 @@ Command = (
     Annotated[Log, tyro.conf.subcommand("log")]
     | Annotated[Scene, tyro.conf.subcommand("scene")]
     | Annotated[Actor, tyro.conf.subcommand("actor")]
+    | Annotated[Recar, tyro.conf.subcommand("recar")]
     | Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
