@@ -6,12 +6,13 @@ NATIVE := CMakeLists.txt $(wildcard src/recast/splats/csrc/*)
 # Two workers suit two cores; each runs torch on one thread.
 WORKERS ?= 2
 
-.PHONY: help setup test lint types contracts unit bench clean
+.PHONY: help setup demo test lint types contracts unit bench clean
 
 help:
 	@echo "make setup   install into $(VENV)"
+	@echo "make demo    a made-up drive, from log to report (about ten minutes)"
 	@echo "make test    lint, types, layer contracts and the tests (what CI runs)"
-	@echo "make bench   the rasterizer benchmark"
+	@echo "make bench   the benchmarks of rasterizer and ray tracer"
 	@echo "make clean   remove $(VENV) and build folders"
 
 setup: $(VENV)/.ready
@@ -28,6 +29,9 @@ $(VENV)/.ready: pyproject.toml constraints.txt $(NATIVE)
 	  $(BIN)/python -m pip install -q -c constraints.txt -e '.[dev]'; \
 	fi
 	touch $@
+
+demo: setup
+	$(BIN)/recast demo
 
 test: lint types contracts unit
 
@@ -46,6 +50,7 @@ unit: setup
 
 bench: setup
 	$(BIN)/python benchmarks/raster.py
+	$(BIN)/python benchmarks/synthetic.py
 
 clean:
 	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from recast.cli.actor import Actor
+from recast.cli.demo import Demo
 from recast.cli.doctor import Doctor
 from recast.cli.log import Log
 from recast.cli.recar import Recar
@@ -18,7 +19,8 @@ from recast.cli.scene import Scene
 from recast.errors import InputError
 
 Command = (
-    Annotated[Log, tyro.conf.subcommand("log")]
+    Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Log, tyro.conf.subcommand("log")]
     | Annotated[Scene, tyro.conf.subcommand("scene")]
     | Annotated[Actor, tyro.conf.subcommand("actor")]
     | Annotated[Recar, tyro.conf.subcommand("recar")]

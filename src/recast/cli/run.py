@@ -7,6 +7,8 @@ from pathlib import Path
 
 import tyro
 
+from recast.pipeline.layout import Method
+
 
 @dataclass(frozen=True)
 class Run:
@@ -24,6 +26,9 @@ class Run:
     motion: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """What the actor does: cut-in, oncoming, stationary, advancing (both settings), or one setting
     such as cut-in-a. Give it several times for several. Default: cut-in and stationary."""
+    method: tyro.conf.UseAppendAction[tuple[Method, ...]] = ()
+    """What renders the street: native (the vehicle as reconstructed), replaced (the generated one),
+    oracle (the truth, of a synthetic log). Give it several times. Default: native and replaced."""
     config: Path | None = None
     """Configuration file (JSON, see docs/runs.md). The options override it."""
     planner: str | None = None
@@ -58,6 +63,7 @@ class Run:
             config_file=self.config,
             scene_config_file=self.scene_config,
             run_options={
+                "methods": self.method or None,
                 "planner": self.planner,
                 "generator": self.generator,
                 "steps": self.steps,

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from recast.pipeline.layout import Method
 from recast.records import parse_record
 from recast.scene import SceneConfig
 from recast.storage import read_json
@@ -17,7 +18,8 @@ CONFIG_VERSION: Literal[1] = 1
 class RunConfig(BaseModel):
     """The resolved configuration of a run, as written to `run.json`.
 
-    `motions` are scenario names with their setting, such as "cut-in-a".
+    `motions` are scenario names with their setting, such as "cut-in-a". `methods` say what renders
+    the scene; the first is the baseline. "oracle" needs a synthetic log.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -25,13 +27,14 @@ class RunConfig(BaseModel):
     version: Literal[1] = CONFIG_VERSION
     track: str
     motions: tuple[str, ...] = Field(min_length=1)
+    methods: tuple[Method, ...] = Field(default=("native", "replaced"), min_length=1)
     planner: str = "idm-follower"
-    generator: str = Field("template", description="name of a generator, or path of a PLY")
-    steps: int = Field(160, ge=1, description="of 0.1 s; cut where log or road end")
-    plan_every: int = Field(5, ge=1)
+    generator: str = Field(default="template", description="name of a generator, or path of a PLY")
+    steps: int = Field(default=160, ge=1, description="of 0.1 s; cut where log or road end")
+    plan_every: int = Field(default=5, ge=1)
     keep_other_actors: bool = False
     seed: int = 0
-    threads: int = Field(0, ge=0, description="CPU threads, 0: all")
+    threads: int = Field(default=0, ge=0, description="CPU threads, 0: all")
     scene: SceneConfig = SceneConfig()
 
     def resolved(self) -> dict[str, Any]:

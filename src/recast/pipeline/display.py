@@ -11,25 +11,29 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from recast.evaluation import COLUMNS
+from recast.evaluation import COLUMNS, OracleViews
 
 
 class FrameProgress:
-    """A bar over the steps of a rollout, with the time left; call it after each step."""
+    """A bar over equal pieces of work, with the time left; call it after each."""
 
-    def __init__(self, console: Console, steps: int) -> None:
+    def __init__(self, console: Console, total: int, what: str = "steps") -> None:
         self._bar = Progress(
-            TextColumn("  steps"),
+            TextColumn(f"  {what}"),
             BarColumn(),
             MofNCompleteColumn(),
             TimeRemainingColumn(),
             console=console,
         )
-        self._task = self._bar.add_task("steps", total=steps)
+        self._task = self._bar.add_task(what, total=total)
 
     def __call__(self) -> None:
-        """One step more is done."""
+        """One piece more is done."""
         self._bar.advance(self._task)
+
+    def reach(self, done: int, total: int) -> None:
+        """`done` of `total` pieces are done."""
+        self._bar.update(self._task, completed=done, total=total)
 
     def __enter__(self) -> Self:
         """Start drawing."""
@@ -61,4 +65,23 @@ def results_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             *(str(row[key]) for key in ("rollouts", "failed", "cut")),
             *("n/a" if value is None else f"{value:.2f}" for value in values),
         )
+    return table
+
+
+def truth_table(views: OracleViews) -> Table:
+    """Native and replaced actor against the truth, by angle from the nearest logged view."""
+    table = Table(
+        title="actor's box against the truth, native → replaced", title_justify="left",
+        box=SIMPLE_HEAD,
+    )  # fmt: skip
+    for heading in ("degrees from the log", "views", "PSNR dB", "SSIM", "mask IoU"):
+        table.add_column(heading, no_wrap=True)
+    for row in views.summary:
+        if row.native is None or row.replaced is None:
+            continue
+        values = (
+            f"{getattr(row.native, name):.{digits}f} → {getattr(row.replaced, name):.{digits}f}"
+            for name, digits in (("psnr", 2), ("ssim", 3), ("mask_iou", 2))
+        )
+        table.add_row(f"{row.low:.0f}-{row.high:.0f}", str(row.views), *values)
     return table

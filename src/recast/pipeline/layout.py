@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 OBSERVATION_FOLDER = "observation"
 ACTOR_FOLDER = "actor"
 TURNTABLE_FILE = "turntable.mp4"
 SCENE_FOLDER = "scene"
 EVALUATION_FOLDER = "evaluation"
 ROLLOUTS_FOLDER = "rollouts"
+TRUTH_FOLDER = "truth"
 METRICS_FILE = "metrics.json"
 REPORT_FOLDER = "report"
 
-METHODS = {"native": "native actor", "replaced": "replaced actor"}
+Method = Literal["native", "replaced", "oracle"]
+
+METHODS: dict[Method, str] = {
+    "native": "native actor",
+    "replaced": "replaced actor",
+    "oracle": "truth (oracle)",
+}
 """Rendering methods in the order of the report, with their names for people."""

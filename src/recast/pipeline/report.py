@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from recast.actors import load_actor
 from recast.actors.icp import INLIER_DISTANCE
 from recast.errors import InputError
 from recast.evaluation import rollout_metrics
-from recast.logs import DrivingLog, HdMap, derive_map, read_log
+from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import (
     ACTOR_FOLDER,
@@ -22,7 +23,9 @@ from recast.pipeline.layout import (
     REPORT_FOLDER,
     ROLLOUTS_FOLDER,
     SCENE_FOLDER,
+    TRUTH_FOLDER,
     TURNTABLE_FILE,
+    Method,
 )
 from recast.pipeline.rollouts import films, read_rollout
 from recast.pipeline.run_folder import RunFolder
@@ -40,6 +43,9 @@ from recast.reporting import (
     RolloutPart,
     ScenarioPart,
     ScenePart,
+    ShowcasePart,
+    TruthPart,
+    truth_parts,
     write_report,
 )
 from recast.scene import load_scene
@@ -80,16 +86,23 @@ def report_run(run: str | Path, out: str | Path | None = None) -> Path:
 def gather(folder: RunFolder, log: DrivingLog) -> ReportInputs:
     """Everything the page shows; what the run did not make yet says so."""
     config = RunConfig.model_validate(folder.record["config"])
-    hd_map = derive_map(log) if log.map is None else log.map
+    hd_map = map_of(log)
     timings = folder.path / "timings.json"
+    methods: dict[str, str] = {method: METHODS[method] for method in config.methods}
+    showcase, truth = _truth(folder.path, methods)
     category = log.tracks[config.track].category
     return ReportInputs(
         title=f"{category} {config.track} of {log.name}",
         log=log.name,
-        methods=METHODS,
+        methods=methods,
+        truth_method="oracle" if "oracle" in methods else None,
+        showcase=showcase,
+        truth=truth,
         facts=_facts(config, log),
         actor=_actor(folder.path, config, log),
-        scenarios=tuple(_scenario(folder.path, motion, hd_map) for motion in config.motions),
+        scenarios=tuple(
+            _scenario(folder.path, motion, config.methods, hd_map) for motion in config.motions
+        ),
         scene=_scene(folder.path),
         hd_map=hd_map,
         config=folder.record["config"],
@@ -122,6 +135,14 @@ def _warnings(hd_map: HdMap) -> tuple[str, ...]:
     if not hd_map.derived:
         return ()
     return ("The log has no HD map: lanes and drivable area were derived from the drive itself.",)
+
+
+def _truth(
+    run: Path, methods: Mapping[str, str]
+) -> tuple[ShowcasePart | NotMade, TruthPart | NotMade]:
+    if not (run / TRUTH_FOLDER).is_dir():
+        return NOT_MADE, NOT_MADE
+    return truth_parts(run / TRUTH_FOLDER, methods, truth="oracle")
 
 
 def _actor(run: Path, config: RunConfig, log: DrivingLog) -> ActorPart | NotMade:
@@ -173,13 +194,13 @@ def _shares(counts: dict[str, int]) -> dict[str, float]:
     return {side: count / total for side, count in counts.items()} if total else {}
 
 
-def _scenario(run: Path, name: str, hd_map: HdMap) -> ScenarioPart:
+def _scenario(run: Path, name: str, methods: Sequence[Method], hd_map: HdMap) -> ScenarioPart:
     motion = MOTIONS[name]
     return ScenarioPart(
         title=f"{motion.name}, setting {motion.setting}".capitalize(),
         description=_DESCRIPTIONS[motion.name],
         rollouts=tuple(
-            _rollout(run / ROLLOUTS_FOLDER / name / method, method, hd_map) for method in METHODS
+            _rollout(run / ROLLOUTS_FOLDER / name / method, method, hd_map) for method in methods
         ),
     )
 

@@ -7,29 +7,32 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from rich.console import Console
 
 from recast import storage
-from recast.actors import insert, load_actor
+from recast.actors import load_actor
 from recast.errors import InputError
-from recast.evaluation import rollout_metrics, table
-from recast.logs import DrivingLog, HdMap, derive_map, read_log
+from recast.evaluation import evaluate_oracle_views, rollout_metrics, table
+from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.pipeline.actor import generator_of, make_actor
 from recast.pipeline.config import RunConfig
-from recast.pipeline.display import FrameProgress, results_table
+from recast.pipeline.display import FrameProgress, results_table, truth_table
 from recast.pipeline.fingerprint import file_hash, folder_hash
 from recast.pipeline.layout import (
     ACTOR_FOLDER,
     EVALUATION_FOLDER,
-    METHODS,
     METRICS_FILE,
     OBSERVATION_FOLDER,
     REPORT_FOLDER,
     ROLLOUTS_FOLDER,
     SCENE_FOLDER,
+    TRUTH_FOLDER,
     TURNTABLE_FILE,
+    Method,
 )
+from recast.pipeline.methods import method_renderer, method_scene
 from recast.pipeline.report import report_run
 from recast.pipeline.rollouts import make_rollout, read_rollout
 from recast.pipeline.run_folder import RunFolder
@@ -43,8 +46,9 @@ from recast.simulation import (
     camera_mounts,
     prepare,
 )
-from recast.simulation.scene_renderer import SceneRenderer
 from recast.splats import set_threads
+from recast.synthetic import Oracle, world_of
+from recast.synthetic.rig import exposure
 
 
 def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Console) -> Path:
@@ -66,6 +70,8 @@ def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Conso
             log_path, f"track {config.track}", "is not in the log",
             f"choose one of {', '.join(log.tracks)}",
         )  # fmt: skip
+    if "oracle" in config.methods:
+        world_of(log)
     make_planner(config.planner)
     generator_of(config.generator)
     threads = config.threads or os.cpu_count() or 1
@@ -85,10 +91,10 @@ class _Job:
     ) -> None:
         self.log, self.folder, self.config, self.console = log, folder, config, console
         self.path = folder.path
-        self.map: HdMap = derive_map(log) if log.map is None else log.map
+        self.map: HdMap = map_of(log)
         self.possible_steps: dict[str, int] = {}
         self.done = 0
-        self.total = 5 + len(config.motions) * len(METHODS)
+        self.total = 5 + len(config.motions) * len(config.methods) + ("oracle" in config.methods)
 
     def finish(self) -> Path:
         """Make what is not finished yet; return the report's page."""
@@ -104,13 +110,20 @@ class _Job:
         evaluation = self._step(
             "evaluation", {"scene": scene}, self._evaluate, (EVALUATION_FOLDER,)
         )
+        truth = None
+        if "oracle" in self.config.methods:
+            truth = self._step(
+                "truth", {"scene": scene, "actor": actor, "seed": self.config.seed},
+                self._compare_with_truth, (TRUTH_FOLDER,),
+            )  # fmt: skip
         rollouts = {
             f"{motion}/{method}": self._rollout(motion, method, scene, actor)
             for motion in self.config.motions
-            for method in METHODS
+            for method in self.config.methods
         }
         metrics = self._step(
-            "metrics", {"rollouts": rollouts, "evaluation": evaluation, "actor": actor},
+            "metrics",
+            {"rollouts": rollouts, "evaluation": evaluation, "actor": actor, "truth": truth},
             self._score, (METRICS_FILE,),
         )  # fmt: skip
         self._step("report", {"metrics": metrics}, self._report, (REPORT_FOLDER,))
@@ -167,7 +180,30 @@ class _Job:
             evaluation = evaluate_scene(scene, self.log, self.config.scene, partial)
         self.console.print(evaluation_table(evaluation))
 
-    def _rollout(self, motion: str, method: str, scene: str, actor: str) -> str:
+    def _compare_with_truth(self) -> None:
+        config = self.config
+        world = world_of(self.log)
+        mounts = camera_mounts(self.log, self._cameras, config.scene.scale)
+        with FrameProgress(self.console, 1, "views") as progress:
+            views = evaluate_oracle_views(
+                self.log,
+                method_scene("native", self.path),
+                method_scene("replaced", self.path),
+                Oracle(world),
+                config.track,
+                mounts,
+                self.path / TRUTH_FOLDER,
+                rng=np.random.default_rng(config.seed),
+                exposures={name: exposure(world.seed, name) for name in mounts},
+                progress=progress.reach,
+            )
+        self.console.print(truth_table(views))
+
+    @property
+    def _cameras(self) -> tuple[str, ...]:
+        return self.config.scene.cameras or tuple(self.log.cameras)
+
+    def _rollout(self, motion: str, method: Method, scene: str, actor: str) -> str:
         config = self.config
         inputs: dict[str, Any] = {
             "log": self._log_hash,
@@ -178,8 +214,11 @@ class _Job:
             "steps": config.steps,
             "plan_every": config.plan_every,
             "keep_other_actors": config.keep_other_actors,
-            "scene": scene,
         }
+        if method == "oracle":
+            inputs |= {"cameras": list(config.scene.cameras), "scale": config.scene.scale}
+        else:
+            inputs["scene"] = scene
         if method == "replaced":
             inputs["actor"] = actor
         target = f"{ROLLOUTS_FOLDER}/{motion}/{method}"
@@ -199,29 +238,30 @@ class _Job:
             steps=config.steps,
             plan_every=config.plan_every,
             keep_other_actors=config.keep_other_actors,
-            camera_names=config.scene.cameras or tuple(self.log.cameras),
+            camera_names=self._cameras,
         )
 
-    def _make_rollout(self, motion: str, method: str, target: Path) -> None:
-        scene = load_scene(self.path / SCENE_FOLDER)
-        if method == "replaced":
-            scene = insert(scene, load_actor(self.path / ACTOR_FOLDER))
+    def _make_rollout(self, motion: str, method: Method, target: Path) -> None:
         setup = self._setup(motion, method)
         mounts = camera_mounts(self.log, setup.camera_names, self.config.scene.scale)
         planner = make_planner(self.config.planner)
-        with FrameProgress(self.console, self.possible_steps[motion]) as progress:
-            make_rollout(setup, planner, SceneRenderer(scene, mounts), target, progress)
+        with (
+            method_renderer(method, self.path, self.log, mounts) as renderer,
+            FrameProgress(self.console, self.possible_steps[motion]) as progress,
+        ):
+            make_rollout(setup, planner, renderer, target, progress)
 
     def _score(self) -> None:
         metrics, failures = [], []
         for motion in self.config.motions:
-            for method in METHODS:
+            for method in self.config.methods:
                 result = read_rollout(self.path / ROLLOUTS_FOLDER / motion / method)
                 if isinstance(result, RolloutFailure):
                     failures.append(result)
                 else:
                     metrics.append(rollout_metrics(result, self.map))
         evaluation = self.path / EVALUATION_FOLDER / "eval.json"
+        views = self.path / TRUTH_FOLDER / "oracle_views.json"
         storage.write_json(
             self.path / METRICS_FILE,
             {
@@ -230,6 +270,7 @@ class _Job:
                 "rollouts": [m.to_json() for m in metrics],
                 "failures": [vars(f) for f in failures],
                 "scene": storage.read_json(evaluation) if evaluation.exists() else None,
+                "truth": storage.read_json(views) if views.exists() else None,
                 "actor": load_actor(self.path / ACTOR_FOLDER).provenance.model_dump(mode="json"),
             },
         )
@@ -247,7 +288,7 @@ class _Job:
         refusals = []
         for motion in self.config.motions:
             try:
-                prepared = prepare(self._setup(motion, "native"))
+                prepared = prepare(self._setup(motion, self.config.methods[0]))
             except InputError as error:  # becomes a row of the report
                 refusals.append(error)
                 self.possible_steps[motion] = 0
