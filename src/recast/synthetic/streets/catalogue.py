@@ -9,13 +9,27 @@ from numpy.random import Generator
 
 from recast.errors import InputError
 from recast.synthetic.streets.kinds.arterial_median import arterial_median
+from recast.synthetic.streets.kinds.industrial import industrial
+from recast.synthetic.streets.kinds.parked_street import parked_street
+from recast.synthetic.streets.kinds.roundabout_approach import roundabout_approach
+from recast.synthetic.streets.kinds.rural_two_lane import rural_two_lane
+from recast.synthetic.streets.kinds.signalled_intersection import signalled_intersection
+from recast.synthetic.streets.kinds.suburban_curve import suburban_curve
+from recast.synthetic.streets.kinds.underpass import underpass
 from recast.synthetic.streets.kinds.urban_straight import urban_straight
 from recast.synthetic.streets.site import Site
 from recast.synthetic.world import Street
 
 _KINDS: dict[str, tuple[Callable[[Generator, float], Site], tuple[float, float]]] = {
     "urban-straight": (urban_straight, (35.0, 60.0)),
+    "suburban-curve": (suburban_curve, (22.0, 55.0)),
+    "signalled-intersection": (signalled_intersection, (30.0, 60.0)),
+    "rural-two-lane": (rural_two_lane, (18.0, 50.0)),
     "arterial-median": (arterial_median, (25.0, 60.0)),
+    "parked-street": (parked_street, (38.0, 62.0)),
+    "roundabout-approach": (roundabout_approach, (22.0, 58.0)),
+    "industrial": (industrial, (25.0, 60.0)),
+    "underpass": (underpass, (25.0, 55.0)),
 }
 """By name: what builds the scene, and between which degrees its sun stands."""
 

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import shapely
 from numpy.random import Generator
+from numpy.typing import NDArray
 
 from recast.synthetic import scenery
-from recast.synthetic.streets.ground import KERB_HEIGHT, forest_belt
+from recast.synthetic.streets.ground import KERB_HEIGHT, Colour, forest_belt
 from recast.synthetic.streets.placement import Prop
 from recast.synthetic.streets.reference_line import Pose
 from recast.synthetic.streets.road import Road
 from recast.synthetic.streets.site import Site
+from recast.synthetic.surface import Surface
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -67,9 +72,9 @@ def _rectangle(pose: Pose, width: float, depth: float) -> shapely.Polygon:
     return shapely.Polygon(corners @ np.array([[c, s], [-s, c]]) + np.array([pose.x, pose.y]))
 
 
-def several(rng: Generator, make: Callable[[Generator], object], count: int) -> list[Prop]:
+def several(rng: Generator, make: Callable[[Generator], Surface], count: int) -> list[Prop]:
     """`count` variants of something."""
-    return [Prop.of(make(rng)) for _ in range(count)]  # type: ignore[arg-type]
+    return [Prop.of(make(rng)) for _ in range(count)]
 
 
 def trees(
@@ -142,7 +147,57 @@ def joints(site: Site, road: Road, side: int, width: float, pitch: float = 1.9) 
             site.decals.strip(left[k : k + 2], right[k : k + 2], height, tone, "concrete")
 
 
-def _left_of(left: np.ndarray, right: np.ndarray) -> bool:
+def line_along(
+    site: Site,
+    road: Road,
+    side: int,
+    away: float,
+    make: Callable[[float], Surface],
+    start: float,
+    end: float,
+    piece: float = 8.0,
+    chance: float = 1.0,
+) -> None:
+    """Hedges, fences, rails or walls along a road, in straight pieces.
+
+    Args:
+        site: the street.
+        road: the road.
+        side: +1 left, -1 right.
+        away: metres outside the kerb.
+        make: from a length in metres, along x.
+        start, end: arc lengths.
+        piece: metres of a piece, about.
+        chance: that a piece is there.
+    """
+    if end - start < 1.5:
+        return
+    lateral = road.section.kerb(side) + side * away
+    edges = road.stations(start, end, piece)
+    for a, b in itertools.pairwise(road.point(edges, lateral)):
+        if side < 0:
+            a, b = b, a
+        if site.rng.random() >= chance:
+            continue
+        heading = float(np.arctan2(b[1] - a[1], b[0] - a[0]))
+        prop = Prop.of(make(float(np.hypot(*(b - a)))))
+        site.placer.place(prop, Pose(float(a[0]), float(a[1]), heading), overlap=0.3)
+
+
+def driveway(
+    site: Site, road: Road, s: float, side: int, width: float, depth: float, colour: Colour
+) -> None:
+    """A paved way from the kerb to a plot."""
+    laterals = road.section.kerb(side) + side * np.array([0.02, depth])
+    ends = np.array([s - width / 2, s + width / 2])
+    corners = np.stack([road.point(np.full(2, e), laterals) for e in ends])
+    outline = shapely.Polygon([corners[0, 0], corners[1, 0], corners[1, 1], corners[0, 1]])
+    outline = outline.difference(site.ground.filled)
+    site.decals.polygon(outline, KERB_HEIGHT + 0.004, colour, "concrete")
+    site.placer.reserve(outline)
+
+
+def _left_of(left: Array, right: Array) -> bool:
     along, across = right[1] - right[0], left[0] - right[0]
     return bool(along[0] * across[1] - along[1] * across[0] > 0)
 

@@ -73,6 +73,18 @@ def paint_road(site: Site, road: Road, paint: RoadPaint, solid_ends: tuple[bool,
             marks.line(road, start, end, lateral, 0.14, side=side)
 
 
+def paint_through(site: Site, before: Road, after: Road) -> None:
+    """Broken dividers between the lanes of a through road across a junction."""
+    section = before.section
+    for side, count in ((1, section.backward), (-1, section.forward)):
+        for k in range(1, count):
+            lateral = side * (section.median / 2 + k * section.lane_width)
+            site.markings.dashes(before, before.end + 3, after.start, lateral, 1.5, 3.0)
+        if section.median > 0.5:
+            lateral = side * (section.median / 2 + 0.02)
+            site.markings.line(before, before.end, after.start, lateral)
+
+
 def paint_arm(
     site: Site,
     arm: Arm,
@@ -109,48 +121,44 @@ def paint_arm(
             marks.arrow(pose, kind)
 
 
+def bays(start: float, end: float, pitch: float, block: int) -> tuple[list[float], list[float]]:
+    """Middles of parking places along a road, and of those left out: each after `block` places."""
+    middles = np.arange(start, end - pitch, pitch) + pitch / 2
+    out = [k % (block + 1) == block for k in range(len(middles))]
+    kept = [float(s) for s, skip in zip(middles, out, strict=True) if not skip]
+    return kept, [float(s) for s, skip in zip(middles, out, strict=True) if skip]
+
+
 def park_along(
     site: Site,
     road: Road,
     side: int,
-    start: float,
-    end: float,
+    middles: Sequence[float],
     share: float = 1.0,
     pitch: float = 6.1,
     length: float = 5.4,
     ticks: bool = True,
-    block: int = 0,
-) -> list[float]:
+) -> None:
     """Parking spots in the parking lane of a road.
 
     Args:
         site: the street.
         road: has a parking lane on that side.
         side: +1 left, -1 right.
-        start, end: arc lengths.
+        middles: arc lengths of places, see `bays`.
         share: of the places that are spots.
-        pitch: metres from one spot to the next.
+        pitch: metres from one place to the next.
         length: metres that a vehicle may have.
-        ticks: painted between spots.
-        block: after every so many spots one place is left out; 0 for never.
-
-    Returns:
-        Arc lengths of the places left out.
+        ticks: painted between places.
     """
     section = road.section
     depth = section.parking_left if side > 0 else section.parking_right
-    middle = section.lanes_edge(side) + side * (depth / 2 + 0.1)
-    left_out = []
-    places = np.arange(start, end - pitch, pitch)
-    for k, s in enumerate(places):
-        skip = block > 0 and k % (block + 1) == block
-        if skip:
-            left_out.append(float(s) + pitch / 2)
-        elif site.rng.random() < share:
-            pose = road.pose(float(s) + pitch / 2, middle, reverse=side > 0)
+    middle = section.lanes_edge(side) + side * (depth / 2 + 0.12)
+    for s in middles:
+        if site.rng.random() < share:
+            pose = road.pose(s, middle, reverse=side > 0)
             site.parking.append(ParkingSpot(pose.x, pose.y, float(pose.heading), length))
         if ticks:
-            outer = section.kerb(side)
             inner = section.lanes_edge(side) + side * 0.15
-            site.markings.across(road, float(s), inner, outer, width=0.1, side=side)
-    return left_out
+            for at in (s - pitch / 2, s + pitch / 2):
+                site.markings.across(road, at, inner, section.kerb(side), width=0.1, side=side)

@@ -109,6 +109,12 @@ class ReferenceLine:
         heading = angle + np.copysign(np.pi / 2, turn)
         return cls(radius * np.abs(angle - start), points, heading)
 
+    def part(self, start: float, end: float) -> ReferenceLine:
+        """The curve between two arc lengths, which count from 0 again."""
+        count = max(int(np.ceil((end - start) / _STEP)), 2) + 1
+        s = np.linspace(start, end, count)
+        return ReferenceLine(s - start, self.offset(s, 0.0), self.heading(s))
+
     @property
     def length(self) -> float:
         """Metres from end to end."""
@@ -124,7 +130,7 @@ class ReferenceLine:
 
         Continued straight beyond both ends.
         """
-        s = np.asarray(s, np.float64)
+        s, lateral = np.broadcast_arrays(np.asarray(s, np.float64), lateral)
         inside = np.clip(s, 0.0, self.length)
         heading = self.heading(inside)
         forward = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
@@ -133,7 +139,7 @@ class ReferenceLine:
             [np.interp(inside, self.arc_lengths, self.points[:, k]) for k in range(2)], axis=-1
         )
         moved: Array = on + (s - inside)[..., None] * forward
-        return moved + np.asarray(lateral, np.float64)[..., None] * left
+        return moved + lateral[..., None] * left
 
     def pose(self, s: float, lateral: float = 0.0) -> Pose:
         """The pose at arc length s, `lateral` metres to the left."""

@@ -17,8 +17,9 @@ from recast.synthetic.streets.dress import (
     woods,
 )  # fmt: skip
 from recast.synthetic.streets.ground import GRASS, PAVING, Band, Edge, Island
-from recast.synthetic.streets.network import Arm, Network
-from recast.synthetic.streets.paint import RoadPaint, paint_arm, paint_road
+from recast.synthetic.streets.junctions import tee
+from recast.synthetic.streets.network import Arm
+from recast.synthetic.streets.paint import RoadPaint, paint_arm, paint_road, paint_through
 from recast.synthetic.streets.reference_line import Pose, ReferenceLine
 from recast.synthetic.streets.road import Road, Section
 from recast.synthetic.streets.site import EGO_START, RUN_OUT, Layout, Site
@@ -37,8 +38,9 @@ def arterial_median(rng: Generator, length: float) -> Site:
     layout_rng, site_rng = rng.spawn(2)
     site = Site(_layout(layout_rng, length), site_rng)
     main, ahead, side = site.road("main"), site.road("ahead"), site.road("side")
-    paint_road(site, main, RoadPaint(), (False, True))
-    paint_road(site, ahead, RoadPaint(), (True, False))
+    paint_road(site, main, RoadPaint(solid=0.0), (False, True))
+    paint_road(site, ahead, RoadPaint(solid=0.0), (True, False))
+    paint_through(site, main, ahead)
     paint_road(site, side, RoadPaint("solid", solid=12), (True, False))
     paint_arm(site, Arm(side, False), "yield", zebra=False)
     for way in (1, -1):
@@ -58,26 +60,18 @@ def _layout(rng: Generator, length: float) -> Layout:
         transition=60.0,
     )
     section = Section(3, 3, lane_width=3.5, median=float(rng.uniform(4.5, 6.0)), edge=0.5)
-    minor = Section(1, 1, lane_width=3.3, edge=0.4)
     crossing = EGO_START + length * float(rng.uniform(0.6, 0.8)) + 15.0
-    half = minor.kerb(1) + 10.0
-    main = Road("main", line, section, 0.0, crossing - half, SPEED, (0.0, crossing))
-    ahead = Road("ahead", line, section, crossing + half, total, SPEED, (crossing, total))
-    here = line.pose(crossing)
-    side_line = ReferenceLine.straight(here._replace(heading=here.heading - np.pi / 2), 90.0)
-    out = section.kerb(1) + 9.5
-    side = Road("side", side_line, minor, out, 90.0, 8.3, (8.0, 90.0))
-    network = Network([main, ahead, side])
-    arms = [Arm(main, True), Arm(ahead, False), Arm(side, False)]
-    network.junction("exit", arms, 11.0, barred=[("ahead", "side"), ("side", "main")])
+    roads = tee(
+        line, section, Section(1, 1, lane_width=3.3, edge=0.4), crossing, -1, SPEED, fillet=9.0,
+        zebra=False, barred=[("ahead", "side"), ("side", "main")],
+    )  # fmt: skip
+    main = roads.main
     s = main.stations(6.0, total - 6.0)
     half_median = section.median / 2 - 0.35
     rim = np.concatenate([main.point(s, -half_median), main.point(s, half_median)[::-1]])
     median = shapely.Polygon(rim).buffer(-0.3).buffer(0.3)
-    route = network.route(main.lane_id(0, 2), ahead.lane_id(len(ahead.blocks()) - 2, 2))
-    return Layout(
-        network, route, SPEED - 2.5, EDGE, fillet=9.0, islands=(Island(median, GRASS, "grass"),)
-    )
+    islands = (Island(median, GRASS, "grass"),)
+    return Layout(roads.network, roads.route(2), SPEED - 2.5, EDGE, 9.0, islands)
 
 
 def _furnish(site: Site, main: Road, ahead: Road) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from numpy.random import Generator
 
 from recast.synthetic import scenery
@@ -18,7 +17,8 @@ from recast.synthetic.streets.dress import (
     woods,
 )  # fmt: skip
 from recast.synthetic.streets.ground import PAVING, Band, Edge
-from recast.synthetic.streets.network import Arm, Network
+from recast.synthetic.streets.junctions import tee
+from recast.synthetic.streets.network import Arm
 from recast.synthetic.streets.paint import RoadPaint, paint_arm, paint_road
 from recast.synthetic.streets.reference_line import Pose, ReferenceLine
 from recast.synthetic.streets.road import Road, Section
@@ -61,20 +61,10 @@ def _layout(rng: Generator, length: float) -> Layout:
     total = EGO_START + length + RUN_OUT
     line = ReferenceLine.straight(Pose(-EGO_START, 0.0, 0.0), total)
     section = Section(2, 2, lane_width=float(rng.uniform(3.25, 3.4)), edge=0.35)
-    minor = Section(1, 1, lane_width=3.3)
-    half = 7.0 + minor.kerb(1) + 5.5
     crossing = EGO_START + length * float(rng.uniform(0.55, 0.75)) + 12.0
-    way = float(rng.choice([-1.0, 1.0]))
-    main = Road("main", line, section, 0.0, crossing - half, SPEED, (0.0, crossing))
-    ahead = Road("ahead", line, section, crossing + half, total, SPEED, (crossing, total))
-    reach = section.kerb(1)
-    side_line = ReferenceLine.straight(line.pose(crossing)._replace(heading=way * np.pi / 2), 95.0)
-    side = Road("side", side_line, minor, reach + 7.5, 95.0, 8.3, (0.0, 95.0))
-    network = Network([main, ahead, side])
-    arms = [Arm(main, True), Arm(ahead, False), Arm(side, False)]
-    network.junction("crossing", arms, right_reach=10.0)
-    route = network.route(main.lane_id(0, 2), ahead.lane_id(len(ahead.blocks()) - 2, 2))
-    return Layout(network, route, SPEED - 1.5, EDGE)
+    way = int(rng.choice([-1, 1]))
+    roads = tee(line, section, Section(1, 1, lane_width=3.3), crossing, way, SPEED, fillet=7.0)
+    return Layout(roads.network, roads.route(2), SPEED - 1.5, EDGE)
 
 
 def _furnish(site: Site, main: Road, ahead: Road, side: Road) -> None:
