@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from recast.synthetic.scenery.arguments import require_known, require_size
 from recast.synthetic.scenery.primitives import boxes, prism, quads, tube
@@ -13,9 +14,17 @@ WALL_STYLES = ("brick", "concrete", "stone")
 
 STEEL = (0.5, 0.51, 0.52)
 RAIL_PROFILE = np.array(
-    [(0.0, 0.44), (-0.045, 0.48), (-0.045, 0.53), (0.02, 0.57), (0.02, 0.61), (-0.045, 0.65),
-     (-0.045, 0.70), (0.0, 0.75)]
-)  # fmt: skip
+    [
+        (0.0, 0.44),
+        (-0.045, 0.48),
+        (-0.045, 0.53),
+        (0.02, 0.57),
+        (0.02, 0.61),
+        (-0.045, 0.65),
+        (-0.045, 0.70),
+        (0.0, 0.75),
+    ]
+)
 """(y, z) of the W-shaped beam, from below."""
 
 
@@ -40,14 +49,16 @@ def fence(rng: np.random.Generator, length: float, style: str = "wood") -> Surfa
     return {"wood": _boards, "picket": _pickets, "mesh": _mesh, "iron": _iron}[style](rng, length)
 
 
-def _posts(xs: np.ndarray, half: float, height: float, colour: object, material: str) -> Surface:
+def _posts(xs: np.ndarray, half: float, height: float, colour: ArrayLike, material: str) -> Surface:
     low = np.column_stack([xs - half, np.full_like(xs, -half), np.full_like(xs, -0.2)])
-    return boxes(low, low + [2 * half, 2 * half, height + 0.2], colour, material, bottom=False)
+    return boxes(
+        low, low + np.array([2 * half, 2 * half, height + 0.2]), colour, material, bottom=False
+    )
 
 
-def _rails(length: float, heights: tuple[float, ...], y: float, colour: object) -> Surface:
+def _rails(length: float, heights: tuple[float, ...], y: float, colour: ArrayLike) -> Surface:
     low = np.array([(0.0, y, z) for z in heights])
-    return boxes(low, low + [length, 0.04, 0.08], colour, "wood")
+    return boxes(low, low + np.array([length, 0.04, 0.08]), colour, "wood")
 
 
 def _boards(rng: np.random.Generator, length: float) -> Surface:
@@ -73,13 +84,29 @@ def _pickets(rng: np.random.Generator, length: float) -> Surface:
     left, right = xs, xs + 0.1
     y = np.full_like(xs, -0.03)
     front = np.stack(
-        [np.column_stack(p) for p in ((left, y, zero), (right, y, zero), (right, y, tops - 0.07),
-                                      (left, y, tops - 0.07))], axis=1
-    )  # fmt: skip
+        [
+            np.column_stack(p)
+            for p in (
+                (left, y, zero),
+                (right, y, zero),
+                (right, y, tops - 0.07),
+                (left, y, tops - 0.07),
+            )
+        ],
+        axis=1,
+    )
     tip = np.stack(
-        [np.column_stack(p) for p in ((left, y, tops - 0.07), (right, y, tops - 0.07),
-                                      (xs + 0.06, y, tops), (xs + 0.04, y, tops))], axis=1
-    )  # fmt: skip
+        [
+            np.column_stack(p)
+            for p in (
+                (left, y, tops - 0.07),
+                (right, y, tops - 0.07),
+                (xs + 0.06, y, tops),
+                (xs + 0.04, y, tops),
+            )
+        ],
+        axis=1,
+    )
     faces = np.concatenate([front, tip])
     back = faces[:, ::-1] + [0.0, 0.02, 0.0]
     colour = tone * rng.uniform(0.92, 1.05, (len(xs), 1))
@@ -105,7 +132,7 @@ def _mesh(rng: np.random.Generator, length: float) -> Surface:
     ]
     xs = _stations(length, 0.25)[1:-1]
     low = np.column_stack([xs - 0.006, np.full_like(xs, -0.006), np.full_like(xs, 0.08)])
-    wires = boxes(low, low + [0.012, 0.012, height - 0.08], paint, material, bottom=False)
+    wires = boxes(low, low + np.array([0.012, 0.012, height - 0.08]), paint, material, bottom=False)
     return concatenate([*bars, wires])
 
 
@@ -114,10 +141,12 @@ def _iron(rng: np.random.Generator, length: float) -> Surface:
     paint = [(0.02, 0.022, 0.024), (0.03, 0.07, 0.05)][rng.integers(2)]
     xs = _stations(length, 0.16)
     low = np.column_stack([xs - 0.01, np.full_like(xs, -0.01), np.full_like(xs, 0.06)])
-    bars = boxes(low, low + [0.02, 0.02, height - 0.06], paint, "plastic", bottom=False)
+    bars = boxes(low, low + np.array([0.02, 0.02, height - 0.06]), paint, "plastic", bottom=False)
     rails = np.array([(0.0, -0.02, 0.12), (0.0, -0.02, height - 0.16)])
     posts = _posts(_stations(length, 2.5), 0.035, height + 0.1, paint, "plastic")
-    return concatenate([bars, boxes(rails, rails + [length, 0.04, 0.04], paint, "plastic"), posts])
+    return concatenate(
+        [bars, boxes(rails, rails + np.array([length, 0.04, 0.04]), paint, "plastic"), posts]
+    )
 
 
 def guard_rail(rng: np.random.Generator, length: float) -> Surface:
@@ -133,20 +162,27 @@ def guard_rail(rng: np.random.Generator, length: float) -> Surface:
     require_size("guard_rail", "length", length, 0.5, 2000.0)
     tone = np.array(STEEL) * rng.uniform(0.75, 1.05)
     front = np.column_stack([np.zeros(8), RAIL_PROFILE])
-    ends = np.concatenate([front, front + [length, 0, 0]])
+    ends = np.concatenate([front, front + np.array([length, 0, 0])])
     a = np.arange(7)
     outside = np.concatenate(
         [np.stack([a + 1, a, a + 8], axis=1), np.stack([a + 1, a + 8, a + 9], axis=1)]
     )
     beam = Surface.make(ends, outside, tone, "metal", 0.0)
-    behind = Surface.make(ends + [0, 0.006, 0], outside[:, ::-1], tone * 0.8, "metal", 0.0)
+    behind = Surface.make(
+        ends + np.array([0, 0.006, 0]), outside[:, ::-1], tone * 0.8, "metal", 0.0
+    )
     xs = _stations(length, 2.0)
     xs = np.clip(xs, 0.05, length - 0.05)
     low = np.column_stack([xs - 0.04, np.full_like(xs, 0.05), np.full_like(xs, -0.3)])
-    posts = boxes(low, low + [0.08, 0.12, 1.0], tone * 0.85, "metal", bottom=False)
+    posts = boxes(low, low + np.array([0.08, 0.12, 1.0]), tone * 0.85, "metal", bottom=False)
     block = np.column_stack([xs - 0.04, np.full_like(xs, 0.0), np.full_like(xs, 0.5)])
     return concatenate(
-        [beam, behind, posts, boxes(block, block + [0.08, 0.05, 0.2], tone * 0.85, "metal")]
+        [
+            beam,
+            behind,
+            posts,
+            boxes(block, block + np.array([0.08, 0.05, 0.2]), tone * 0.85, "metal"),
+        ]
     )
 
 
@@ -175,19 +211,29 @@ def wall(rng: np.random.Generator, length: float, height: float, style: str = "b
     colour = np.array(tone) * rng.uniform(0.8, 1.15)
     body = boxes((0, -half, -0.3), (length, half, height - cope), colour, material, bottom=False)
     coping = prism(
-        [(-half - 0.04, height - cope), (half + 0.04, height - cope), (half + 0.04, height - 0.4 * cope),
-         (0.0, height), (-half - 0.04, height - 0.4 * cope)],
-        0.0, length, colour * 0.85 if style == "brick" else colour * 1.1, "concrete",
-    )  # fmt: skip
+        [
+            (-half - 0.04, height - cope),
+            (half + 0.04, height - cope),
+            (half + 0.04, height - 0.4 * cope),
+            (0.0, height),
+            (-half - 0.04, height - 0.4 * cope),
+        ],
+        0.0,
+        length,
+        colour * 0.85 if style == "brick" else colour * 1.1,
+        "concrete",
+    )
     along = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], np.float64)
     parts = [body, coping.transformed(along)]
     xs = _stations(length, 3.0 if style == "brick" else 4.0)
     xs = np.clip(xs, 0.18, length - 0.18)
     if style == "brick":
         low = np.column_stack([xs - 0.18, np.full_like(xs, -0.17), np.full_like(xs, -0.3)])
-        parts.append(boxes(low, low + [0.36, 0.34, height + 0.28], colour, "brick", bottom=False))
+        parts.append(
+            boxes(low, low + np.array([0.36, 0.34, height + 0.28]), colour, "brick", bottom=False)
+        )
     if style == "concrete":
         low = np.column_stack([xs - 0.015, np.full_like(xs, -half - 0.004), np.zeros_like(xs)])
-        high = low + [0.03, 2 * half + 0.008, height - cope]
+        high = low + np.array([0.03, 2 * half + 0.008, height - cope])
         parts.append(boxes(low, high, colour * 0.45, "concrete", bottom=False))
     return concatenate(parts)

@@ -7,13 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from recast.synthetic.scenery.arguments import require_size
-from recast.synthetic.scenery.primitives import boxes, quads, tube
+from recast.synthetic.scenery.panels import Panels, Point
+from recast.synthetic.scenery.primitives import boxes, tube
 from recast.synthetic.surface import Surface, concatenate
 
 SLOPE = 1.6
 """Metres across for each metre up, of the earth beside the ramps."""
 DECK_DEPTH = 1.3
 SLAB = 0.3
+ASPHALT = (0.06, 0.06, 0.06)
+GRASS = (0.09, 0.14, 0.035)
 
 
 def bridge(
@@ -64,16 +67,16 @@ def _deck(half: float, ends: float, clearance: float, tone: np.ndarray) -> Surfa
     count = max(2, round(2 * half / 2.6))
     xs = np.linspace(-half + 0.6, half - 0.6, count)
     low = np.column_stack([xs - 0.25, np.full(count, -ends), np.full(count, clearance)])
-    girders = boxes(low, low + [0.5, 2 * ends, DECK_DEPTH - SLAB], tone * 0.9, "concrete")
+    girders = boxes(low, low + np.array([0.5, 2 * ends, DECK_DEPTH - SLAB]), tone * 0.9, "concrete")
     reach = ends + 0.6
     slab = boxes((-half, -reach, top - SLAB), (half, reach, top), tone, "concrete")
     edges = boxes(
         [(-half - 0.12, -reach, top - 0.55), (half - 0.2, -reach, top - 0.55)],
-        [(-half + 0.2, reach, top + 0.25), (half + 0.12, reach, top + 0.25)], tone * 1.1, "concrete",
-    )  # fmt: skip
-    road = boxes(
-        (-half + 0.2, -reach, top), (half - 0.2, reach, top + 0.02), (0.06,) * 3, "asphalt"
+        [(-half + 0.2, reach, top + 0.25), (half + 0.12, reach, top + 0.25)],
+        tone * 1.1,
+        "concrete",
     )
+    road = boxes((-half + 0.2, -reach, top), (half - 0.2, reach, top + 0.02), ASPHALT, "asphalt")
     return concatenate([girders, slab, edges, road])
 
 
@@ -84,7 +87,7 @@ def _railings(rng: np.random.Generator, half: float, ends: float, top: float) ->
     parts = []
     for x in (-half - 0.02, half + 0.02):
         low = np.column_stack([np.full_like(ys, x - 0.03), ys - 0.03, np.full_like(ys, top + 0.25)])
-        parts.append(boxes(low, low + [0.06, 0.06, 0.85], paint, "metal"))
+        parts.append(boxes(low, low + np.array([0.06, 0.06, 0.85]), paint, "metal"))
         parts += [
             tube([[x, ys[0], top + z], [x, ys[-1], top + z]], 0.03, 6, paint, "metal")
             for z in (0.5, 0.8, 1.1)
@@ -99,10 +102,11 @@ def _approach(
     foot = half + SLOPE * top
     near, far = side * ends, side * (ends + approach)
     # Seen along +y for side = 1: the wall is the ramp's cross section, so the earth ends at it.
-    outline = np.array([(-foot, -0.4), (foot, -0.4), (foot, 0.02), (half, top), (-half, top),
-                        (-foot, 0.02)])  # fmt: skip
+    outline = np.array(
+        [(-foot, -0.4), (foot, -0.4), (foot, 0.02), (half, top), (-half, top), (-foot, 0.02)]
+    )
     front = np.column_stack([outline[:, 0], np.full(6, near), outline[:, 1]])
-    back = front + [0, side * 0.7, 0]
+    back = front + np.array([0, side * 0.7, 0])
     fan = np.array([(0, 1, 2), (0, 2, 5), (5, 2, 3), (5, 3, 4)])
     a = np.arange(6)
     b = (a + 1) % 6
@@ -113,23 +117,35 @@ def _approach(
     front[2:] += lift
     faces = faces if side > 0 else faces[:, ::-1]
     wall = Surface.make(np.concatenate([front, back]), faces, tone, "concrete", 0.0)
-    crest = [(-half, near, top), (half, near, top), (half, far, 0.0), (-half, far, 0.0)]
-    left = [(-foot, near, 0.0), (-half, near, top), (-half, far, 0.0), (-half, far, 0.0)]
-    right = [(half, near, top), (foot, near, 0.0), (half, far, 0.0), (half, far, 0.0)]
-    road = [(-half + 0.8, near, top), (half - 0.8, near, top), (half - 0.8, far, 0.0),
-            (-half + 0.8, far, 0.0)]  # fmt: skip
-    order = slice(None) if side > 0 else slice(None, None, -1)
-    grass = quads([q[order] for q in (crest, left, right)], (0.09, 0.14, 0.035), "grass")
-    asphalt = quads([np.asarray(road)[order] + [0, 0, 0.03]], (0.06,) * 3, "asphalt")
-    return concatenate([wall, grass, asphalt])
+    inner = half - 0.8
+    pieces: list[tuple[list[Point], tuple[float, float, float], str]] = [
+        ([(-half, near, top), (half, near, top), (half, far, 0), (-half, far, 0)], GRASS, "grass"),
+        ([(-foot, near, 0.0), (-half, near, top), (-half, far, 0.0)], GRASS, "grass"),
+        ([(half, near, top), (foot, near, 0.0), (half, far, 0.0)], GRASS, "grass"),
+        (
+            [
+                (-inner, near, top + 0.03),
+                (inner, near, top + 0.03),
+                (inner, far, 0.03),
+                (-inner, far, 0.03),
+            ],
+            ASPHALT,
+            "asphalt",
+        ),
+    ]
+    earth = Panels()
+    for points, colour, material in pieces:
+        earth.polygon(points if side > 0 else points[::-1], colour, material)
+    return concatenate([wall, earth.surface()])
 
 
 def _pier_row(half: float, y: float, clearance: float, tone: np.ndarray) -> Surface:
-    """Columns under a cross beam that touches the girders from below... beside them."""
+    """Columns and the cross beam that the girders run into."""
     count = max(2, round(2 * half / 5))
     xs = np.linspace(-half + 1.0, half - 1.0, count)
     low = np.column_stack([xs - 0.4, np.full(count, y - 0.4), np.full(count, -0.4)])
-    columns = boxes(low, low + [0.8, 0.8, clearance + 0.4], tone, "concrete")
-    beam = boxes((-half + 0.3, y - 0.5, clearance), (half - 0.3, y + 0.5, clearance + 0.9), tone,
-                 "concrete")  # fmt: skip
+    columns = boxes(low, low + np.array([0.8, 0.8, clearance + 0.4]), tone, "concrete")
+    beam = boxes(
+        (-half + 0.3, y - 0.5, clearance), (half - 0.3, y + 0.5, clearance + 0.9), tone, "concrete"
+    )
     return concatenate([columns, beam])

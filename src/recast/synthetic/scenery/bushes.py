@@ -63,7 +63,9 @@ def hedge(
     require_size("hedge", "width", width, 0.2, 3.0)
     green = GREENS[rng.integers(len(GREENS))] * rng.uniform(0.8, 1.1)
     return _above_ground(
-        concatenate([_body(rng, length, height, width, green), _skin(rng, length, height, width, green)])
+        concatenate(
+            [_body(rng, length, height, width, green), _skin(rng, length, height, width, green)]
+        )
     )
 
 
@@ -73,13 +75,23 @@ def _body(
     """A long uneven body with rounded shoulders, closed at both ends."""
     half = width / 2
     section = np.array(
-        [(-half, 0.0), (-half, 0.55 * height), (-0.8 * half, 0.93 * height), (0.0, 0.97 * height),
-         (0.8 * half, 0.93 * height), (half, 0.55 * height), (half, 0.0)]
-    ) * [0.92, 1.0]  # fmt: skip
+        [
+            (-half, 0.0),
+            (-half, 0.55 * height),
+            (-0.8 * half, 0.93 * height),
+            (0.0, 0.97 * height),
+            (0.8 * half, 0.93 * height),
+            (half, 0.55 * height),
+            (half, 0.0),
+        ]
+    ) * [0.92, 1.0]
     steps = max(2, round(length / 0.7))
     xs = np.linspace(0.02, length - 0.02, steps + 1)
     rings = np.concatenate(
-        [np.broadcast_to(xs[:, None, None], (steps + 1, 7, 1)), np.broadcast_to(section, (steps + 1, 7, 2))],
+        [
+            np.broadcast_to(xs[:, None, None], (steps + 1, 7, 1)),
+            np.broadcast_to(section, (steps + 1, 7, 2)),
+        ],
         axis=2,
     )
     rings = rings + rng.normal(0, 0.02, rings.shape) * [0.5, 1, 1]

@@ -21,12 +21,16 @@ def conifer(rng: np.random.Generator, height: float, detail: float) -> Surface:
     half = height * rng.uniform(0.18, 0.27)
     trunk = lathe(
         [(0.022 * height, -0.2), (0.016 * height, 0.1 * height), (0.006 * height, 0.8 * height)],
-        7, (0.09, 0.065, 0.05), "bark",
-    )  # fmt: skip
+        7,
+        (0.09, 0.065, 0.05),
+        "bark",
+    )
     core = lathe(
         [(0.0, low + 0.02 * height), (0.45 * half, low + 0.04 * height), (0.0, 0.96 * height)],
-        9, 0.4 * green, "foliage",
-    )  # fmt: skip
+        9,
+        0.4 * green,
+        "foliage",
+    )
     tiers = max(6, round(TIERS * detail**0.5))
     parts = [trunk, core]
     for k in range(tiers):
@@ -61,9 +65,15 @@ def _tier(
 
     # Root, ridge, tip, and the two hanging edges beside the ridge.
     corners = np.stack(
-        [point(0.0, 0, -0.35), point(0.6, 0, 0.25), point(1.0, 0, 1.0), point(0.55, -1, 0.75),
-         point(0.62, 1, 0.75)], axis=1,
-    )  # fmt: skip
+        [
+            point(0.0, 0, -0.35),
+            point(0.6, 0, 0.25),
+            point(1.0, 0, 1.0),
+            point(0.55, -1, 0.75),
+            point(0.62, 1, 0.75),
+        ],
+        axis=1,
+    )
     corners[..., 2] = np.clip(corners[..., 2], 0.05, height)
     kite = np.array([(0, 3, 1), (3, 2, 1), (1, 2, 4), (0, 1, 4)], np.int32)
     faces = (kite + 5 * np.arange(count, dtype=np.int32)[:, None, None]).reshape(-1, 3)
@@ -74,8 +84,9 @@ def _tier(
     # The new growth at the tips is lighter.
     shade *= np.tile([0.85, 1.2, 1.2, 0.85], count)[:, None]
     return Surface(
-        corners.reshape(-1, 3), faces,
+        corners.reshape(-1, 3),
+        faces,
         np.repeat(normal[:, None], 3, axis=1).astype(np.float32),
         np.clip(green * shade, 0, 1).astype(np.float32),
         np.full(len(faces), MATERIAL_INDEX["foliage"], np.uint8),
-    )  # fmt: skip
+    )

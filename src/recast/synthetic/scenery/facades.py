@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,9 +12,14 @@ from recast.synthetic.scenery.panels import Panels
 
 
 def wall_storey(
-    panels: Panels, rng: np.random.Generator, width: float, low: float, high: float,
-    holes: Sequence[Opening], look: Look,
-) -> None:  # fmt: skip
+    panels: Panels,
+    rng: np.random.Generator,
+    width: float,
+    low: float,
+    high: float,
+    holes: Sequence[Opening],
+    look: Look,
+) -> None:
     """One storey of wall, x in [0, width] and z in [low, high], around its filled holes.
 
     Args:
@@ -63,7 +69,7 @@ def plain_wall(
     panels = Panels()
     centres = bays(width, 3.4, 0.6)
     column = rng.random(len(centres)) < chance
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in itertools.pairwise(edges):
         tall = min(1.35, 0.5 * (high - low))
         sill = max(low, 0.0) + 0.3 * (high - max(low, 0.0))
         holes = window_row(centres[column], 1.0, sill, sill + tall) if high - low > 2 else []

@@ -13,9 +13,15 @@ from recast.synthetic.surface import Surface
 Array = NDArray[np.float64]
 
 GREENS = np.array(
-    [(0.080, 0.145, 0.028), (0.060, 0.125, 0.034), (0.110, 0.155, 0.030), (0.070, 0.110, 0.040),
-     (0.120, 0.135, 0.025), (0.050, 0.105, 0.028)]
-)  # fmt: skip
+    [
+        (0.080, 0.145, 0.028),
+        (0.060, 0.125, 0.034),
+        (0.110, 0.155, 0.030),
+        (0.070, 0.110, 0.040),
+        (0.120, 0.135, 0.025),
+        (0.050, 0.105, 0.028),
+    ]
+)
 """Linear RGB of leaves in sunlight, by species."""
 
 SPRAY_SHAPE = np.array([1.25, 0.6, 1.1, 0.6])
@@ -36,9 +42,14 @@ def icosphere(level: int) -> tuple[Array, NDArray[np.int32]]:
     near = np.linalg.norm(vertices[:, None] - vertices, axis=2) < 1.1
     np.fill_diagonal(near, False)
     faces = np.array(
-        [(a, b, c) for a in range(12) for b in range(a + 1, 12) for c in range(b + 1, 12)
-         if near[a, b] and near[b, c] and near[a, c]]
-    )  # fmt: skip
+        [
+            (a, b, c)
+            for a in range(12)
+            for b in range(a + 1, 12)
+            for c in range(b + 1, 12)
+            if near[a, b] and near[b, c] and near[a, c]
+        ]
+    )
     inward = np.linalg.det(vertices[faces]) < 0
     faces[inward] = faces[inward][:, ::-1]
     for _ in range(level):
@@ -49,8 +60,9 @@ def icosphere(level: int) -> tuple[Array, NDArray[np.int32]]:
         m = index.reshape(-1, 3) + len(vertices)
         vertices = np.concatenate([vertices, middle])
         a, b, c = faces.T
-        corners = [(a, m[:, 0], m[:, 2]), (b, m[:, 1], m[:, 0]), (c, m[:, 2], m[:, 1]), m.T]
-        faces = np.concatenate([np.stack(list(corner), axis=1) for corner in corners])
+        ab, bc, ca = m.T
+        quarters = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
+        faces = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
     return vertices, faces.astype(np.int32)
 
 
@@ -123,7 +135,9 @@ def sprays(
         + (reach * np.sin(angle))[..., None] * up[:, None]
     )
     first = 4 * np.arange(count, dtype=np.int32)[:, None]
-    faces = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]], axis=1).reshape(-1, 3)
+    faces = np.concatenate(
+        [first + np.array([0, 1, 2]), first + np.array([0, 2, 3])], axis=1
+    ).reshape(-1, 3)
     normal = 0.75 * outward + 0.45 * facing
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     shade = rng.uniform(0.72, 1.3, (count, 1)) * np.column_stack(

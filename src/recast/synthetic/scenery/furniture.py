@@ -18,12 +18,18 @@ def bench(rng: np.random.Generator) -> Surface:
     seat_y = np.array([-0.25, -0.13, -0.01, 0.11])
     seat_low = np.column_stack([np.full(4, -half), seat_y, np.full(4, 0.42)])
     seat = boxes(
-        seat_low, seat_low + [2 * half, 0.1, 0.035], wood * rng.uniform(0.8, 1.2, (4, 1)), "wood"
+        seat_low,
+        seat_low + np.array([2 * half, 0.1, 0.035]),
+        wood * rng.uniform(0.8, 1.2, (4, 1)),
+        "wood",
     )
     rest_z = np.array([0.55, 0.68, 0.81])
     rest_low = np.column_stack([np.full(3, -half), 0.23 + 0.25 * (rest_z - 0.55), rest_z])
     rest = boxes(
-        rest_low, rest_low + [2 * half, 0.03, 0.1], wood * rng.uniform(0.8, 1.2, (3, 1)), "wood"
+        rest_low,
+        rest_low + np.array([2 * half, 0.03, 0.1]),
+        wood * rng.uniform(0.8, 1.2, (3, 1)),
+        "wood",
     )
     frame = []
     for x in (-half + 0.15, half - 0.15):
@@ -42,9 +48,16 @@ def litter_bin(rng: np.random.Generator) -> Surface:
     if rng.random() < 0.5:
         body = lathe([(0.22, 0.0), (0.25, 0.05), (0.26, height - 0.3)], 14, paint, "plastic")
         hood = lathe(
-            [(0.28, height - 0.14), (0.27, height - 0.04), (0.15, height + 0.02), (0.0, height + 0.03)],
-            14, paint, "plastic",
-        )  # fmt: skip
+            [
+                (0.28, height - 0.14),
+                (0.27, height - 0.04),
+                (0.15, height + 0.02),
+                (0.0, height + 0.03),
+            ],
+            14,
+            paint,
+            "plastic",
+        )
         rim = lathe([(0.2, height - 0.32), (0.2, height - 0.1)], 14, (0.01,) * 3, "rubber")
         band = lathe([(0.265, height - 0.4), (0.265, height - 0.3)], 14, GALVANISED, "metal")
         return concatenate([body, hood, rim, band])
@@ -68,10 +81,18 @@ def hydrant(rng: np.random.Generator) -> Surface:
     cap = paint if rng.random() < 0.5 else (0.55, 0.56, 0.57)
     top = rng.uniform(0.7, 0.8)
     profile = [
-        (0.17, 0.0), (0.17, 0.04), (0.11, 0.05), (0.11, top - 0.22), (0.15, top - 0.21),
-        (0.15, top - 0.17), (0.12, top - 0.16), (0.10, top - 0.07), (0.05, top - 0.03),
-        (0.03, top), (0.0, top),
-    ]  # fmt: skip
+        (0.17, 0.0),
+        (0.17, 0.04),
+        (0.11, 0.05),
+        (0.11, top - 0.22),
+        (0.15, top - 0.21),
+        (0.15, top - 0.17),
+        (0.12, top - 0.16),
+        (0.10, top - 0.07),
+        (0.05, top - 0.03),
+        (0.03, top),
+        (0.0, top),
+    ]
     arm_z = top - 0.33
     outlets = [
         tube([[-0.2, 0, arm_z], [0.2, 0, arm_z]], 0.055, 8, cap, "plastic"),
@@ -84,9 +105,11 @@ def parking_meter(rng: np.random.Generator) -> Surface:
     """A parking meter facing -y: a post with a head, or a pay cabinet, at the origin."""
     if rng.random() < 0.5:
         head = lathe(
-            [(0.05, 1.02), (0.1, 1.06), (0.11, 1.22), (0.09, 1.33), (0.0, 1.38)], 12,
-            (0.16, 0.17, 0.19), "plastic",
-        )  # fmt: skip
+            [(0.05, 1.02), (0.1, 1.06), (0.11, 1.22), (0.09, 1.33), (0.0, 1.38)],
+            12,
+            (0.16, 0.17, 0.19),
+            "plastic",
+        )
         face = boxes((-0.06, -0.115, 1.14), (0.06, -0.09, 1.24), (0.04, 0.05, 0.06), "window")
         return concatenate(
             [lathe([(0.035, 0.0), (0.035, 1.04)], 8, GALVANISED, "metal"), head, face]
@@ -99,12 +122,17 @@ def parking_meter(rng: np.random.Generator) -> Surface:
     return concatenate(
         [
             boxes((-0.16, -0.13, 0.0), (0.16, 0.13, height), paint, "plastic", bottom=False),
-            boxes((-0.1, -0.14, height - 0.4), (0.1, -0.13, height - 0.2), (0.04, 0.06, 0.06), "window"),
+            boxes(
+                (-0.1, -0.14, height - 0.4),
+                (0.1, -0.13, height - 0.2),
+                (0.04, 0.06, 0.06),
+                "window",
+            ),
             boxes((-0.06, -0.145, height - 0.6), (0.06, -0.13, height - 0.46), GALVANISED, "metal"),
             at(lathe([(0.03, height), (0.03, height + 0.2)], 8, GALVANISED, "metal"), 0.0, 0.0),
             disc,
         ]
-    )  # fmt: skip
+    )
 
 
 def bollard(rng: np.random.Generator) -> Surface:
@@ -113,9 +141,14 @@ def bollard(rng: np.random.Generator) -> Surface:
     radius = rng.uniform(0.05, 0.09)
     paint = [DARK_IRON, (0.25, 0.26, 0.27), (0.03, 0.08, 0.05)][rng.integers(3)]
     profile = [
-        (radius * 1.4, 0.0), (radius * 1.4, 0.06), (radius, 0.1), (radius, height - 0.12),
-        (radius * 1.2, height - 0.1), (radius * 1.2, height - 0.05), (0.0, height),
-    ]  # fmt: skip
+        (radius * 1.4, 0.0),
+        (radius * 1.4, 0.06),
+        (radius, 0.1),
+        (radius, height - 0.12),
+        (radius * 1.2, height - 0.1),
+        (radius * 1.2, height - 0.05),
+        (0.0, height),
+    ]
     band = [(radius * 1.03, height - 0.32), (radius * 1.03, height - 0.2)]
     return concatenate(
         [

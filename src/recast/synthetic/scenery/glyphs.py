@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,7 +41,7 @@ STROKES: dict[str, list[list[list[float]]]] = {
     "^": [[[0.3, 0.0], [0.3, 1.0]], [[0.0, 0.62], [0.3, 1.0], [0.6, 0.62]]],
     "<": [[[0.62, 0.5], [0.0, 0.5]], [[0.3, 0.85], [0.0, 0.5], [0.3, 0.15]]],
     ">": [[[0.0, 0.5], [0.62, 0.5]], [[0.3, 0.85], [0.62, 0.5], [0.3, 0.15]]],
-}  # fmt: skip
+}
 
 
 def text_quads(text: str, height: float, weight: float = 0.17) -> Array:
@@ -60,9 +62,7 @@ def text_quads(text: str, height: float, weight: float = 0.17) -> Array:
     for k, character in enumerate(text):
         for stroke in STROKES[character]:
             points = np.asarray(stroke) * [1.0, inner] + [first + k * advance, -inner / 2]
-            pieces += [
-                _segment(a, b, weight / 2) for a, b in zip(points[:-1], points[1:], strict=True)
-            ]
+            pieces += [_segment(a, b, weight / 2) for a, b in itertools.pairwise(points)]
     return np.stack(pieces) * height
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,9 @@ from recast.synthetic.scenery.panels import Panels
 
 Colour = tuple[float, float, float]
 
-GLASS = np.array([(0.020, 0.025, 0.030), (0.035, 0.040, 0.042), (0.014, 0.016, 0.020), (0.05, 0.05, 0.045)])
+GLASS = np.array(
+    [(0.020, 0.025, 0.030), (0.035, 0.040, 0.042), (0.014, 0.016, 0.020), (0.05, 0.05, 0.045)]
+)
 """Rooms behind windows, as seen by day."""
 BLINDS = np.array([(0.48, 0.46, 0.40), (0.40, 0.36, 0.30), (0.52, 0.52, 0.50), (0.3, 0.24, 0.2)])
 
@@ -66,7 +69,9 @@ def reveal(panels: Panels, hole: Opening, depth: float, colour: Colour, material
     panels.polygon([(a, 0, low), (a, depth, low), (a, depth, high), (a, 0, high)], shade, material)
     panels.polygon([(b, depth, low), (b, 0, low), (b, 0, high), (b, depth, high)], shade, material)
     panels.polygon([(a, 0, low), (b, 0, low), (b, depth, low), (a, depth, low)], shade, material)
-    panels.polygon([(a, depth, high), (b, depth, high), (b, 0, high), (a, 0, high)], shade, material)
+    panels.polygon(
+        [(a, depth, high), (b, depth, high), (b, 0, high), (a, 0, high)], shade, material
+    )
 
 
 def fill(panels: Panels, rng: np.random.Generator, hole: Opening, look: Look) -> None:
@@ -81,7 +86,9 @@ def fill(panels: Panels, rng: np.random.Generator, hole: Opening, look: Look) ->
         panels.rect(hole.left, hole.right, hole.low, hole.high, look.reveal, shade, "corrugated")
 
 
-def bars(panels: Panels, hole: Opening, y: float, width: float, lights: tuple[int, int], colour: Colour) -> None:
+def bars(
+    panels: Panels, hole: Opening, y: float, width: float, lights: tuple[int, int], colour: Colour
+) -> None:
     """A frame round the hole and the bars that part it into `lights` panes across and up."""
     a, b, low, high = hole.left, hole.right, hole.low, hole.high
     panels.rect(a, b, low, low + width, y, colour, "plastic")
@@ -92,7 +99,9 @@ def bars(panels: Panels, hole: Opening, y: float, width: float, lights: tuple[in
         end = start + (width if k in (0, lights[0]) else 0.8 * width)
         panels.rect(start, end, low + width, high - width, y, colour, "plastic")
     for z in np.linspace(low, high, lights[1] + 1)[1:-1]:
-        panels.rect(a + width, b - width, z - 0.3 * width, z + 0.3 * width, y - 0.003, colour, "plastic")
+        panels.rect(
+            a + width, b - width, z - 0.3 * width, z + 0.3 * width, y - 0.003, colour, "plastic"
+        )
 
 
 def _window(panels: Panels, rng: np.random.Generator, hole: Opening, look: Look) -> None:
@@ -105,14 +114,26 @@ def _window(panels: Panels, rng: np.random.Generator, hole: Opening, look: Look)
     panels.rect(a, b, low, blind, look.reveal, glass, "window")
     if look.lean:
         middle = 0.5 * (a + b)
-        panels.rect(middle - 0.04, middle + 0.04, low, high, look.reveal - 0.03, look.frame, "plastic")
+        panels.rect(
+            middle - 0.04, middle + 0.04, low, high, look.reveal - 0.03, look.frame, "plastic"
+        )
     else:
         bars(panels, hole, look.reveal - 0.03, 0.075, look.lights, look.frame)
         out = 0.06 + look.surround * 0.3
-        panels.box((a - 0.06, -out, low - 0.07), (b + 0.06, look.reveal - 0.03, low), look.trim, "concrete", "klr")
+        panels.box(
+            (a - 0.06, -out, low - 0.07),
+            (b + 0.06, look.reveal - 0.03, low),
+            look.trim,
+            "concrete",
+            "klr",
+        )
     if look.surround > 0:
         s = look.surround
-        for left, right, bottom, top in ((a - s, a, low, high), (b, b + s, low, high), (a - s, b + s, high, high + 1.3 * s)):
+        for left, right, bottom, top in (
+            (a - s, a, low, high),
+            (b, b + s, low, high),
+            (a - s, b + s, high, high + 1.3 * s),
+        ):
             panels.rect(left, right, bottom, top, -0.025, look.trim, "concrete")
 
 
@@ -126,11 +147,19 @@ def _door(panels: Panels, hole: Opening, look: Look) -> None:
         panels.rect(a, b, leaf - 0.03, leaf + 0.04, y - 0.02, look.frame, "plastic")
     count = 2 if b - a > 1.3 else 1
     edges = np.linspace(a, b, count + 1)
-    for left, right in zip(edges[:-1], edges[1:], strict=True):
+    for left, right in itertools.pairwise(edges):
         inset = 0.16 * (right - left)
         for bottom, top in ((0.2, 0.8), (1.0, 1.85)):
             shade = 0.6 * np.asarray(look.door)
-            panels.rect(left + inset, right - inset, low + bottom, low + top, y - 0.01, shade, "wood")
-        panels.box((right - 0.14, y - 0.07, low + 0.98), (right - 0.08, y, low + 1.08), (0.6, 0.5, 0.3), "metal", "k")
+            panels.rect(
+                left + inset, right - inset, low + bottom, low + top, y - 0.01, shade, "wood"
+            )
+        panels.box(
+            (right - 0.14, y - 0.07, low + 0.98),
+            (right - 0.08, y, low + 1.08),
+            (0.6, 0.5, 0.3),
+            "metal",
+            "k",
+        )
     bars(panels, Opening(a, b, low, high), y - 0.03, 0.06, (count, 1), look.frame)
     panels.box((a - 0.2, -0.45, -0.3), (b + 0.2, 0.0, low), look.trim, "concrete", "bk")

@@ -28,9 +28,15 @@ class Panels:
         self._pieces.setdefault(material, []).append((points, colour))
 
     def rect(
-        self, left: float, right: float, low: float, high: float, y: float, colour: ArrayLike,
+        self,
+        left: float,
+        right: float,
+        low: float,
+        high: float,
+        y: float,
+        colour: ArrayLike,
         material: str,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """An upright rectangle that looks to -y; none where it would have no area."""
         if right - left > 1e-6 and high - low > 1e-6:
             points = [(left, y, low), (right, y, low), (right, y, high), (left, y, high)]
@@ -62,7 +68,11 @@ class Panels:
             vertices = np.concatenate([np.asarray(points, np.float64) for points, _ in pieces])
             counts = [len(points) for points, _ in pieces]
             first = np.cumsum([0, *counts[:-1]])
-            faces = [(s, s + k, s + k + 1) for s, n in zip(first, counts, strict=True) for k in range(1, n - 1)]
+            faces = [
+                (s, s + k, s + k + 1)
+                for s, n in zip(first, counts, strict=True)
+                for k in range(1, n - 1)
+            ]
             colours = np.repeat([colour for _, colour in pieces], np.array(counts) - 2, axis=0)
             parts.append(Surface.make(vertices, faces, colours, material, 0.0))
         return concatenate(parts)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from recast.synthetic.scenery.arguments import require_size
@@ -57,11 +59,15 @@ def _lamp_head(length: float, colour: tuple[float, float, float]) -> Surface:
     shape = [(0.0, 0.06, 0.03), (-0.2, 0.13, 0.06), (-0.75, 0.14, 0.05), (-1.0, 0.06, 0.02)]
     rings = np.array(
         [
-            [(-w, y * length, -0.04), (w, y * length, -0.04), (0.7 * w, y * length, h - 0.01),
-             (-0.7 * w, y * length, h - 0.01)]
+            [
+                (-w, y * length, -0.04),
+                (w, y * length, -0.04),
+                (0.7 * w, y * length, h - 0.01),
+                (-0.7 * w, y * length, h - 0.01),
+            ]
             for y, w, h in shape
         ]
-    )  # fmt: skip
+    )
     vertices = rings.reshape(-1, 3)
     faces = []
     for k in range(len(shape) - 1):
@@ -106,14 +112,15 @@ def pole_line(
         boxes(
             np.column_stack([xs - 0.06, np.full_like(xs, -arm_half), np.full_like(xs, arm_z)]),
             np.column_stack([xs + 0.06, np.full_like(xs, arm_half), np.full_like(xs, arm_z + 0.1)]),
-            shade, "wood",
+            shade,
+            "wood",
         )
-    )  # fmt: skip
+    )
     knob = lathe([(0.03, 0.0), (0.05, 0.06), (0.03, 0.14), (0.0, 0.16)], 5, (0.4,) * 3, "plastic")
     parts += [at(knob, x, y, arm_z + 0.1) for x in xs for y in arm_y]
     wires = [(y, arm_z + 0.22, 0.014) for y in arm_y] + [(0.13, height - 2.2, 0.03)]
     share = np.linspace(0, 1, 9)
-    for start, end in zip(xs[:-1], xs[1:], strict=True):
+    for start, end in itertools.pairwise(xs):
         sag = 4 * share * (1 - share) * (end - start) * WIRE_SAG
         for y, z, radius in wires:
             path = np.column_stack([start + share * (end - start), np.full(9, y), z - sag])

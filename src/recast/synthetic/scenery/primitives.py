@@ -26,7 +26,7 @@ def quads(corners: ArrayLike, colour: ArrayLike, material: str) -> Surface:
     """
     points = np.asarray(corners, np.float64).reshape(-1, 4, 3)
     first = 4 * np.arange(len(points))[:, None]
-    faces = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]], axis=1)
+    faces = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])], axis=1)
     per_quad = np.broadcast_to(np.asarray(colour, np.float32), (len(points), 3))
     return Surface.make(points.reshape(-1, 3), faces, np.repeat(per_quad, 2, axis=0), material, 0.0)
 

@@ -34,19 +34,33 @@ def traffic_signal(rng: np.random.Generator, state: str = "red", reach: float = 
     if reach != 0.0:
         require_size("traffic_signal", "reach", reach, 2.0, 12.0)
     paint, material = [
-        ((0.42, 0.43, 0.44), "metal"), ((0.02, 0.02, 0.022), "plastic"), ((0.2, 0.21, 0.2), "plastic")
-    ][rng.integers(3)]  # fmt: skip
+        ((0.42, 0.43, 0.44), "metal"),
+        ((0.02, 0.02, 0.022), "plastic"),
+        ((0.2, 0.21, 0.2), "plastic"),
+    ][rng.integers(3)]
     bordered = rng.random() < 0.5
     radius = 0.06 if reach == 0.0 else 0.11
     top = 3.6 if reach == 0.0 else 6.2
     pole = lathe(
-        [(2.2 * radius, -0.2), (2.2 * radius, 0.03), (1.25 * radius, 0.05), (radius, 0.5),
-         (0.8 * radius, top), (0.0, top + 0.02)],
-        10, paint, material,
-    )  # fmt: skip
+        [
+            (2.2 * radius, -0.2),
+            (2.2 * radius, 0.03),
+            (1.25 * radius, 0.05),
+            (radius, 0.5),
+            (0.8 * radius, top),
+            (0.0, top + 0.02),
+        ],
+        10,
+        paint,
+        material,
+    )
     low = at(_head(state, bordered), -0.2, 0.0, 2.45)
-    parts = [pole, low, boxes((-0.2, -0.03, 2.6), (0.0, 0.03, 2.66), HOUSING, "plastic"),
-             boxes((-0.2, -0.03, 3.2), (0.0, 0.03, 3.26), HOUSING, "plastic")]  # fmt: skip
+    parts = [
+        pole,
+        low,
+        boxes((-0.2, -0.03, 2.6), (0.0, 0.03, 2.66), HOUSING, "plastic"),
+        boxes((-0.2, -0.03, 3.2), (0.0, 0.03, 3.26), HOUSING, "plastic"),
+    ]
     if reach:
         share = np.linspace(0, 1, 6)
         arm = np.column_stack([0 * share, share * reach, top - 0.35 + 0.35 * np.sin(1.57 * share)])
@@ -60,16 +74,27 @@ def _head(state: str, bordered: bool) -> Surface:
     parts = [boxes((-0.12, -0.16, 0.0), (0.1, 0.16, 1.0), HOUSING, "plastic")]
     if bordered:
         parts.append(boxes((-0.01, -0.27, -0.1), (0.01, 0.27, 1.1), HOUSING, "plastic"))
-        edge = np.array([(-0.013, -0.27, -0.1), (-0.013, 0.245, -0.1), (-0.013, -0.27, 1.075),
-                         (-0.013, -0.27, -0.1)])  # fmt: skip
-        size = np.array([(0.004, 0.025, 1.2), (0.004, 0.025, 1.2), (0.004, 0.54, 0.025),
-                         (0.004, 0.54, 0.025)])  # fmt: skip
+        edge = np.array(
+            [
+                (-0.013, -0.27, -0.1),
+                (-0.013, 0.245, -0.1),
+                (-0.013, -0.27, 1.075),
+                (-0.013, -0.27, -0.1),
+            ]
+        )
+        size = np.array(
+            [(0.004, 0.025, 1.2), (0.004, 0.025, 1.2), (0.004, 0.54, 0.025), (0.004, 0.54, 0.025)]
+        )
         parts.append(boxes(edge, edge + size, (0.6, 0.6, 0.58), "sign"))
     for name, foot in LAMP_HEIGHTS.items():
         centre = foot + 0.14
         lit = name == state
-        lens = lathe([(0.105, 0.0), (0.085, 0.025), (0.0, 0.04)], 14,
-                     LIT[name] if lit else UNLIT[name], "signal" if lit else "plastic")  # fmt: skip
+        lens = lathe(
+            [(0.105, 0.0), (0.085, 0.025), (0.0, 0.04)],
+            14,
+            LIT[name] if lit else UNLIT[name],
+            "signal" if lit else "plastic",
+        )
         parts.append(at(lens.transformed(FACING_MINUS_X), -0.121, 0.0, centre))
         parts.append(_visor(centre))
     return concatenate(parts)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from recast.synthetic.scenery.arguments import require_count, require_known
 from recast.synthetic.scenery.glyphs import text_quads
@@ -65,7 +65,7 @@ def _polygon(sides: int, radius: float, phase: float) -> Array:
     return radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def _layer(outline: Array, level: int, colour: object, material: str = "sign") -> Surface:
+def _layer(outline: Array, level: int, colour: ArrayLike, material: str = "sign") -> Surface:
     """A convex painted area (K, 2) that looks to +z, `level` layers above the plate."""
     vertices = np.column_stack([outline, np.full(len(outline), level * LAYER)])
     a = np.arange(1, len(outline) - 1)
@@ -78,9 +78,16 @@ def _plate(outline: Array) -> Surface:
     return Surface.make(back.vertices - [0, 0, 0.01], back.faces[:, ::-1], GREY, "metal", 0.0)
 
 
-def _text(text: str, height: float, colour: object, level: int = 3, u: float = 0.0, v: float = 0.0,
-          weight: float = 0.17) -> Surface:  # fmt: skip
-    flat = text_quads(text, height, weight) + [u, v]
+def _text(
+    text: str,
+    height: float,
+    colour: ArrayLike,
+    level: int = 3,
+    u: float = 0.0,
+    v: float = 0.0,
+    weight: float = 0.17,
+) -> Surface:
+    flat = text_quads(text, height, weight) + np.array([u, v])
     corners = np.concatenate([flat, np.full((*flat.shape[:2], 1), level * LAYER)], axis=2)
     return quads(corners, colour, "sign")
 
@@ -88,9 +95,13 @@ def _text(text: str, height: float, colour: object, level: int = 3, u: float = 0
 def _stop(half: float) -> Surface:
     octagon = _polygon(8, half / np.cos(np.pi / 8), np.pi / 8)
     return concatenate(
-        [_plate(octagon), _layer(octagon, 1, WHITE), _layer(0.92 * octagon, 2, RED),
-         _text("STOP", 0.62 * half, WHITE, weight=0.15)]
-    )  # fmt: skip
+        [
+            _plate(octagon),
+            _layer(octagon, 1, WHITE),
+            _layer(0.92 * octagon, 2, RED),
+            _text("STOP", 0.5 * half, WHITE, weight=0.15),
+        ]
+    )
 
 
 def _yield(half: float) -> Surface:
@@ -103,7 +114,7 @@ def _yield(half: float) -> Surface:
 def _speed(half: float, speed: int) -> Surface:
     disc = _polygon(28, half, 0.0)
     text = str(speed)
-    height = (1.0 if len(text) < 3 else 0.72) * half
+    height = (0.86 if len(text) < 3 else 0.6) * half
     return concatenate(
         [
             _plate(disc),
@@ -117,17 +128,25 @@ def _speed(half: float, speed: int) -> Surface:
 def _warning(half: float) -> Surface:
     diamond = _polygon(4, 1.35 * half, 0.0)
     return concatenate(
-        [_plate(diamond), _layer(diamond, 1, BLACK), _layer(0.94 * diamond, 2, YELLOW),
-         _text("!", 1.15 * half, BLACK, weight=0.2)]
-    )  # fmt: skip
+        [
+            _plate(diamond),
+            _layer(diamond, 1, BLACK),
+            _layer(0.94 * diamond, 2, YELLOW),
+            _text("!", 1.15 * half, BLACK, weight=0.2),
+        ]
+    )
 
 
 def _parking(half: float) -> Surface:
     square = _polygon(4, 1.2 * half, np.pi / 4)
     return concatenate(
-        [_plate(square), _layer(square, 1, WHITE), _layer(0.93 * square, 2, BLUE),
-         _text("P", 1.15 * half, WHITE)]
-    )  # fmt: skip
+        [
+            _plate(square),
+            _layer(square, 1, WHITE),
+            _layer(0.93 * square, 2, BLUE),
+            _text("P", 1.15 * half, WHITE),
+        ]
+    )
 
 
 def _direction_board(rng: np.random.Generator) -> Surface:
@@ -151,8 +170,11 @@ def _direction_board(rng: np.random.Generator) -> Surface:
     mount[:3, 3] = (-0.08, 0.0, low + height / 2)
     posts = boxes(
         [(-0.05, s * width * 0.3 - 0.05, -0.3) for s in (-1, 1)],
-        [(0.05, s * width * 0.3 + 0.05, low + height) for s in (-1, 1)], STEEL, "metal", bottom=False,
-    )  # fmt: skip
+        [(0.05, s * width * 0.3 + 0.05, low + height) for s in (-1, 1)],
+        STEEL,
+        "metal",
+        bottom=False,
+    )
     return concatenate([concatenate(parts).transformed(mount), posts])
 
 

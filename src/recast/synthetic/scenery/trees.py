@@ -64,7 +64,7 @@ def _broad_leaved(rng: np.random.Generator, height: float, slim: bool, detail: f
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         light = 0.78 + 0.34 * (points[:, 2:] - low) / (height - low)
         skins.append(sprays(rng, points[seen], normal[seen], size, (green * light)[seen]))
-    body = cores(rng, centres, 0.7 * radii, green, 1)
+    body = cores(rng, centres, 0.7 * radii, green, 1 if detail > 0.5 else 0)
     return concatenate([_trunk(rng, height, low, centres, bark, slim), body, *skins])
 
 
@@ -112,5 +112,7 @@ def _trunk(
         start = bend[2] + 0.6 * (bend[3] - bend[2])
         for target in centres[order]:
             knee = 0.5 * (start + target) + [0, 0, -0.02 * height]
-            parts.append(tube([start, knee, target], foot * np.array([0.5, 0.36, 0.2]), 5, bark, "bark"))
+            parts.append(
+                tube([start, knee, target], foot * np.array([0.5, 0.36, 0.2]), 5, bark, "bark")
+            )
     return concatenate(parts)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from recast.synthetic.scenery.openings import GLASS, Colour, Look, Opening, bars, reveal
@@ -9,12 +11,22 @@ from recast.synthetic.scenery.panels import Panels
 
 IRON: Colour = (0.025, 0.027, 0.03)
 SHOP_PAINTS = np.array(
-    [(0.03, 0.07, 0.05), (0.04, 0.06, 0.14), (0.16, 0.025, 0.03), (0.02, 0.02, 0.022), (0.45, 0.42, 0.35),
-     (0.30, 0.17, 0.03), (0.06, 0.20, 0.22), (0.24, 0.08, 0.16)]
-)  # fmt: skip
+    [
+        (0.03, 0.07, 0.05),
+        (0.04, 0.06, 0.14),
+        (0.16, 0.025, 0.03),
+        (0.02, 0.02, 0.022),
+        (0.45, 0.42, 0.35),
+        (0.30, 0.17, 0.03),
+        (0.06, 0.20, 0.22),
+        (0.24, 0.08, 0.16),
+    ]
+)
 
 
-def cornice(panels: Panels, width: float, z: float, reach: float, height: float, colour: Colour) -> None:
+def cornice(
+    panels: Panels, width: float, z: float, reach: float, height: float, colour: Colour
+) -> None:
     """Two steps that stand out of the wall's top, the upper further."""
     middle = z + 0.45 * height
     panels.box((0, -0.5 * reach, z), (width, 0, middle), colour, "concrete", "tk")
@@ -33,11 +45,15 @@ def balcony(panels: Panels, left: float, right: float, floor: float, colour: Col
     panels.box((left, -1.0, top - 0.05), (right, -0.95, top), IRON, "plastic")
     for x in (left, right - 0.05):
         panels.box((x, -0.95, top - 0.05), (x + 0.05, 0, top), IRON, "plastic", "fk")
-    for x in np.linspace(left, right - 0.03, max(3, round((right - left) / 0.2))):
+    for x in np.linspace(left, right - 0.03, max(3, round((right - left) / 0.24))):
         panels.rect(x, x + 0.03, floor, top - 0.05, -0.975, IRON, "plastic")
-    for y in (-0.75, -0.5, -0.25):
+    for y in (-0.65, -0.3):
         for x in (left + 0.02, right - 0.02):
-            panels.polygon([(x, y, floor), (x, y + 0.03, floor), (x, y + 0.03, top), (x, y, top)], IRON, "plastic")
+            panels.polygon(
+                [(x, y, floor), (x, y + 0.03, floor), (x, y + 0.03, top), (x, y, top)],
+                IRON,
+                "plastic",
+            )
 
 
 def shop_front(
@@ -66,21 +82,29 @@ def shop_front(
     return hole
 
 
-def _show_window(panels: Panels, rng: np.random.Generator, hole: Opening, depth: float, paint: np.ndarray) -> None:
+def _show_window(
+    panels: Panels, rng: np.random.Generator, hole: Opening, depth: float, paint: np.ndarray
+) -> None:
     """Glass over goods: darker above, patches of colour below."""
     panes = max(1, round((hole.right - hole.left) / 1.5))
     edges = np.linspace(hole.left, hole.right, panes + 1)
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in itertools.pairwise(edges):
         split = hole.low + rng.uniform(0.25, 0.5) * (hole.high - hole.low)
         panels.rect(a, b, split, hole.high, depth, GLASS[rng.integers(4)] * 1.3, "window")
-        panels.rect(a, b, hole.low, split, depth, rng.uniform(0.04, 0.28, 3), "window")
+        goods = rng.uniform(0.04, 0.2) * (1 + 0.35 * rng.normal(0, 1, 3).clip(-1, 1))
+        panels.rect(a, b, hole.low, split, depth, goods, "window")
     bars(panels, hole, depth - 0.03, 0.07, (panes, 1), tuple(paint))
 
 
 def _sign_board(
-    panels: Panels, rng: np.random.Generator, left: float, right: float, low: float, high: float,
+    panels: Panels,
+    rng: np.random.Generator,
+    left: float,
+    right: float,
+    low: float,
+    high: float,
     paint: np.ndarray,
-) -> None:  # fmt: skip
+) -> None:
     """The board over a shop with letters as blocks."""
     panels.box((left, -0.12, low), (right, 0, high), paint, "plastic", "k")
     ink = np.array([(0.7, 0.68, 0.6), (0.62, 0.5, 0.12), (0.75, 0.75, 0.75)])[rng.integers(3)]
@@ -107,8 +131,10 @@ def _awning(panels: Panels, rng: np.random.Generator, left: float, right: float,
     second = np.array((0.6, 0.58, 0.52))
     stripes = max(2, round((right - left) / 0.4))
     edges = np.linspace(left + 0.05, right - 0.05, stripes + 1)
-    for k, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for k, (a, b) in enumerate(itertools.pairwise(edges)):
         colour = first if k % 2 else second
         top, out, drop = z + 0.1, z - 0.45, z - 0.65
-        panels.polygon([(a, -1.2, out), (b, -1.2, out), (b, -0.13, top), (a, -0.13, top)], colour, "fabric")
+        panels.polygon(
+            [(a, -1.2, out), (b, -1.2, out), (b, -0.13, top), (a, -0.13, top)], colour, "fabric"
+        )
         panels.rect(a, b, drop, out, -1.2, colour, "fabric")
