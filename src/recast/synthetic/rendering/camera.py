@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from recast.geometry import PinholeCamera
 from recast.synthetic.rendering.antialias import OFFSETS, borrow_light, edge_pixels
 from recast.synthetic.rendering.embree import Float32Array
-from recast.synthetic.rendering.light_filter import smooth_light
-from recast.synthetic.rendering.lighting import Light, sample_light
+from recast.synthetic.rendering.light_filter import LightFilter
+from recast.synthetic.rendering.lighting import Light, add_light_samples, sample_light
 from recast.synthetic.rendering.ray_scene import SKY, PosedScene, Poses, RayScene
 from recast.synthetic.rendering.sampling import pixel_samples
 from recast.synthetic.rendering.shading import shade
@@ -22,6 +22,9 @@ from recast.synthetic.rendering.vectors import dot, normalise
 from recast.synthetic.world import Sky
 
 Array = NDArray[np.float64]
+
+LONELY_SAMPLES = 4
+"""Further samples of light where the filter finds no neighbours to average with."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,9 @@ def render_camera(
     sun_samples = pixel_samples(height, width, rng).reshape(-1, 2)[pixels]
     sky_samples = pixel_samples(height, width, rng).reshape(-1, 2)[pixels]
     noisy = sample_light(posed, light, points, sun_samples, sky_samples)
-    arriving = smooth_light(points, pixels, noisy, height, width)
+    light_filter = LightFilter(points, pixels, height, width)
+    add_light_samples(posed, light, points, noisy, light_filter.lonely(), LONELY_SAMPLES, rng)
+    arriving = light_filter.smooth(noisy)
     pixel_angle = 1 / np.sqrt(camera.fx * camera.fy)
     shaded = shade(posed, light, points, arriving, pixel_angle)
 

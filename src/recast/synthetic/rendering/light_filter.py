@@ -22,36 +22,64 @@ PLANE_TOLERANCE = np.float32(0.02)
 """Metres off each other's plane at which neighbours 1 m away from the camera count a quarter."""
 NORMAL_POWER = 16
 """Of the cosine between normals; a power of two."""
+LEAST_SUPPORT = np.float32(0.9)
+"""Sum of the weights of the four neighbours, each at most 1/2, below which a point is alone."""
 
 
-def smooth_light(
-    points: SurfacePoints, pixels: NDArray[np.int64], arriving: Light, height: int, width: int
-) -> Light:
-    """Smoothed light of points that lie at `pixels` (row major) of an image, one each."""
-    tolerance = PLANE_TOLERANCE * (1 + np.float32(0.1) * points.distance)
-    guide_rows = np.zeros((7, height * width), np.float32)
-    guide_rows[:3, pixels] = points.position.T
-    guide_rows[3:6, pixels] = points.normal.T
-    guide_rows[6, pixels] = 1 / tolerance
-    value_rows = np.zeros((4, height * width), np.float32)
-    value_rows[0, pixels] = arriving.sun
-    value_rows[1:, pixels] = arriving.sky.T
-    guide = guide_rows.reshape(7, height, width)
-    value = value_rows.reshape(4, height, width)
-    for step in SKY_STEPS:
-        channels = slice(0 if step in SUN_STEPS else 1, 4)
+class LightFilter:
+    """The filter for one image.
+
+    Args:
+        points: what the pixels' centres show.
+        pixels: (N,) row-major index of each point's pixel; the others are sky.
+        height, width: of the image.
+    """
+
+    def __init__(
+        self, points: SurfacePoints, pixels: NDArray[np.int64], height: int, width: int
+    ) -> None:
+        self._pixels, self._shape = pixels, (height, width)
+        guide = np.zeros((7, height * width), np.float32)
+        guide[:3, pixels] = points.position.T
+        guide[3:6, pixels] = points.normal.T
+        guide[6, pixels] = 1 / (PLANE_TOLERANCE * (1 + np.float32(0.1) * points.distance))
+        self._guide = guide.reshape(7, height, width)
+
+    def lonely(self) -> NDArray[np.int64]:
+        """Indices of points with hardly a neighbour to share samples with: poles, leaves."""
+        support = np.zeros(self._shape, np.float32)
         for axis in (1, 2):
-            value[channels] = _pass(value[channels], guide, step, axis)
-    flat = value.reshape(4, -1)[:, pixels]
-    return Light(flat[0], np.ascontiguousarray(flat[1:].T))
+            ahead, behind = _shifted(axis, 1)
+            weight = _pair_weight(self._guide[behind], self._guide[ahead])
+            support[ahead[1:]] += weight
+            support[behind[1:]] += weight
+        return np.flatnonzero(support.ravel()[self._pixels] < LEAST_SUPPORT)
+
+    def smooth(self, noisy: Light) -> Light:
+        """Smoothed light of the points."""
+        rows = np.zeros((4, self._shape[0] * self._shape[1]), np.float32)
+        rows[0, self._pixels] = noisy.sun
+        rows[1:, self._pixels] = noisy.sky.T
+        value = rows.reshape(4, *self._shape)
+        for step in SKY_STEPS:
+            channels = slice(0 if step in SUN_STEPS else 1, 4)
+            for axis in (1, 2):
+                value[channels] = _pass(value[channels], self._guide, step, axis)
+        flat = value.reshape(4, -1)[:, self._pixels]
+        return Light(flat[0], np.ascontiguousarray(flat[1:].T))
+
+
+def _shifted(axis: int, step: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+    """Index of (channels, H, W) without the first, and without the last `step` of an axis."""
+    before = (slice(None),) * axis
+    return (*before, slice(step, None)), (*before, slice(None, -step))
 
 
 def _pass(value: Float32Array, guide: Float32Array, step: int, axis: int) -> Float32Array:
     """Three taps (1/4, 1/2, 1/4), `step` pixels apart, along one axis of (channels, H, W)."""
     if value.shape[axis] <= step:
         return value
-    ahead = (slice(None),) * axis + (slice(step, None),)
-    behind = (slice(None),) * axis + (slice(None, -step),)
+    ahead, behind = _shifted(axis, step)
     # The weight between two pixels is the same both ways: computed once for each pair.
     weight = _pair_weight(guide[behind], guide[ahead])
     total = np.ones(value.shape[1:], np.float32)

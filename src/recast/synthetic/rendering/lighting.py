@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from recast.synthetic.rendering.embree import BoolArray, Float32Array
 from recast.synthetic.rendering.ray_scene import PosedScene
@@ -51,6 +52,28 @@ def sample_light(
     directions = cosine_directions(points.normal, sky_samples)
     _above_face(directions, points)
     return Light(sun, incoming(posed, light, points.origin, directions, diffuse=True))
+
+
+def add_light_samples(
+    posed: PosedScene,
+    light: SkyLight,
+    points: SurfacePoints,
+    arriving: Light,
+    index: NDArray[np.int64],
+    count: int,
+    rng: np.random.Generator,
+) -> None:
+    """Average `count` more samples into the light of some points that have one, in place."""
+    some = points.take(index)
+    sun, sky = arriving.sun[index], arriving.sky[index]
+    start = rng.random((2, len(index), 2), np.float32)
+    for turn in range(count):
+        # Steps of the R2 sequence: spread evenly over the square from any start.
+        samples = (start + np.array([0.7549, 0.5698], np.float32) * np.float32(turn)) % 1
+        further = sample_light(posed, light, some, samples[0], samples[1])
+        sun += further.sun
+        sky += further.sky
+    arriving.sun[index], arriving.sky[index] = sun / (count + 1), sky / np.float32(count + 1)
 
 
 def incoming(

@@ -12,6 +12,9 @@ WHITE_LEVEL = 0.78
 CLIP = 4.0
 """Radiance, in units of a white surface, at which a pixel's samples saturate before averaging."""
 
+SATURATION = np.float32(1.12)
+"""Cameras render colours a little stronger than they are."""
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 _TABLE_SIZE = 4096
 
 
@@ -46,7 +49,9 @@ def develop(radiance: Float32Array, white: float, exposure: float) -> NDArray[np
         exposure: factor on the light; 1 is right for the day.
     """
     scale = np.float32(exposure * WHITE_LEVEL / white / 16)
-    position = np.sqrt(np.clip(radiance * scale, 0, 1)) * np.float32(_TABLE_SIZE - 1)
+    grey = radiance @ _LUMINANCE
+    vivid = radiance * SATURATION + ((1 - SATURATION) * grey)[..., None]
+    position = np.sqrt(np.clip(vivid * scale, 0, 1)) * np.float32(_TABLE_SIZE - 1)
     below = np.minimum(position.astype(np.int32), _TABLE_SIZE - 2)
     value = _CURVE[below]
     value += (_CURVE[below + 1] - value) * (position - below)
