@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.synthetic.vehicles import fittings
-from recast.synthetic.vehicles.finishes import CHROME, CLADDING, SEAM, TRIM, Area, smooth_max, strip, xyz
+from recast.synthetic.vehicles.finishes import CHROME, CLADDING, GLASS, SEAM, TRIM, Area, smooth_max, strip, xyz
 from recast.synthetic.vehicles.details import Parts
 from recast.synthetic.vehicles.front import front_face
 from recast.synthetic.vehicles.glazing import SideGlass, screen, side_windows
@@ -61,11 +61,12 @@ def car_body(p: VehicleParameters) -> Body:
         length=p.length, width=p.width, top=_outline(p), bottom=p.ground_clearance,
         belt=p.belt_height + p.wedge * front, wedge=p.wedge, tumblehome=p.tumblehome,
         shoulder=p.shoulder, crown=0.06 if boxy else 0.05, wrap=0.16 if boxy else 0.14,
+        wrap_rear=0.0 if boxy else min(0.14, 0.25 * p.rear_rake),
         bow_front=p.bow, bow_rear=0.4 * p.bow, lean_front=0.22 if not boxy else 0.12,
-        lean_rear=0.02 if boxy else 0.1, corner=p.corner, taper=0.05, edge=0.11,
+        lean_rear=float(np.tan(p.rear_rake)) if boxy else 0.1, corner=p.corner, taper=0.05, edge=0.11,
         arches=((front, radius, gap * radius + 0.01), (rear, radius, gap * radius + 0.01)),
         flare=p.flare, crease=p.crease, bumper=0.5 * (p.ground_clearance + p.nose_height) - 0.05,
-        cells=(40, 5, 11),
+        cells=(34, 4, 9),
     )  # fmt: skip
 
 
@@ -84,6 +85,15 @@ def _outline(p: VehicleParameters) -> Profile:
     half = 0.5 * p.bonnet_length
     rise = p.cowl_height - p.nose_height
     bed = p.kind == "pickup"
+    if p.kind == "van":
+        # The rear is one upright face up to the roof.
+        tail = [(p.length - 0.25, gutter_height + 0.02, 0.3), (p.length, gutter_height - 0.03, 0.0)]
+    else:
+        tail = [
+            (gutter, gutter_height, 0.12 if p.rear_rake < 0.4 else 0.25),
+            (deck, p.deck_height, 0.06 if bed else 0.12),
+            (p.length, p.deck_height - (0.0 if bed else 0.02), 0.0),
+        ]
     return Profile.rounded(
         [
             (0.0, p.nose_height, 0.0),
@@ -91,9 +101,7 @@ def _outline(p: VehicleParameters) -> Profile:
             (p.bonnet_length, p.cowl_height, 0.12),
             (screen_end, roof, 0.3),
             (peak, p.height, 0.6),
-            (gutter, gutter_height, 0.12 if p.rear_rake < 0.4 else 0.25),
-            (deck, p.deck_height, 0.06 if bed else 0.12),
-            (p.length, p.deck_height - (0.0 if bed else 0.02), 0.0),
+            *tail,
         ]
     )
 
@@ -154,7 +162,8 @@ def _bonnet_lines(solid: Solid, p: VehicleParameters, end: float, cowl: float) -
 def _rear_window(
     solid: Solid, body: Body, p: VehicleParameters, deck: float, gutter: float
 ) -> None:
-    if p.kind == "van" and p.side_windows == 0:
+    if p.kind == "van":
+        _van_rear(solid, p)
         return
     run = gutter - deck
     upper, lower = gutter - 0.04 * run - 0.02, deck + 0.1 * run
@@ -163,8 +172,28 @@ def _rear_window(
     screen(solid, body, lower, upper, 0.1, low_z=p.deck_height + 0.05)
 
 
+def _van_rear(solid: Solid, p: VehicleParameters) -> None:
+    """Two doors behind, glazed where the sides are."""
+    rear = -p.length / 2
+    low, high = p.belt_height + 0.05, p.height - 0.25
+
+    def joint(s: Solid) -> Area:
+        return strip(s.points[:, 1], 0.005), [s.points[:, 0] - rear - 0.3]
+
+    def pane(s: Solid) -> Array:
+        x, y, z = xyz(s)
+        fields = [0.07 - y, y - 0.38 * p.width, low - z, z - min(high, low + 0.65)]
+        return np.maximum(smooth_max(fields, 0.07), x - rear - 0.4)
+
+    solid.paint(joint, SEAM)
+    if p.side_windows:
+        solid.paint(lambda s: pane(s) - 0.02, TRIM)
+        solid.paint(pane, GLASS)
+
+
 def _bed(solid: Solid, p: VehicleParameters, front: float, rear: float) -> None:
-    floor = p.ground_clearance + 0.42
+    # Above the wheel wells.
+    floor = p.wheel_radius * 2.12 + 0.06
 
     def area(s: Solid) -> Array:
         x, y, _ = xyz(s)

@@ -30,6 +30,7 @@ TAIL = Finish((0.42, 0.008, 0.01), "taillamp")
 REVERSE = Finish((0.6, 0.58, 0.58), "taillamp")
 PLATE = Finish((0.72, 0.72, 0.7), "plate")
 REAR_PLATE = Finish((0.72, 0.68, 0.5), "plate")
+DISPLAY = Finish((0.9, 0.42, 0.05), "signal")
 INK = Finish((0.015, 0.015, 0.02), "plate")
 
 

@@ -30,7 +30,7 @@ class Body:
         tumblehome: lean above the belt line, radians.
         shoulder: width of the ledge at the belt line.
         crown: fall of roof and bonnet from the middle to the sides.
-        wrap: how far windscreen and rear window stand before their outer edges.
+        wrap, wrap_rear: how far windscreen and rear window stand before their outer edges.
         bow_front, bow_rear: how far the ends' middle stands out.
         lean_front, lean_rear: how far the ends fall back from the bumper to the top.
         corner: radius of the upright edges in plan.
@@ -54,6 +54,7 @@ class Body:
     shoulder: float = 0.0
     crown: float = 0.04
     wrap: float = 0.1
+    wrap_rear: float = 0.1
     bow_front: float = 0.1
     bow_rear: float = 0.06
     lean_front: float = 0.06
@@ -96,7 +97,8 @@ class Body:
         grid, faces = half_box(self._grid())
         box = _round(grid, self._extents(), self._radii())
         x, across, up = box[:, 0].copy(), box[:, 1] / (self.width / 2), box[:, 2]
-        station = x + self.wrap * across**2 * np.tanh(x / (0.2 * self.length))
+        bent = np.where(x > 0, self.wrap, self.wrap_rear)
+        station = x + bent * across**2 * np.tanh(x / (0.2 * self.length))
         height = self.outline(station)
         end = np.clip(np.abs(2 * x / self.length), 0, 1)
         low = self.bottom + self.rise * end**6

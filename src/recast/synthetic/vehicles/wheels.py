@@ -24,7 +24,7 @@ def wheel(
         spokes: of the rim.
         dished: a steel rim with holes, as heavy vehicles have.
     """
-    per_spoke = 6 if spokes <= 7 else 4
+    per_spoke = 6 if spokes == 5 else 4
     count = spokes * per_spoke
     angle = np.arange(count) * 2 * np.pi / count
     rim, half = radius * rim_share, width / 2
@@ -32,9 +32,8 @@ def wheel(
     rings: list[tuple[float, float]] = [
         (0.2 * rim, half - 0.035), (0.34 * rim, half - 0.04), (0.62 * rim, half - 0.03),
         (0.88 * rim, half - 0.02), (0.97 * rim, half - 0.012), (1.03 * rim, half - 0.004),
-        (0.5 * (rim + radius), half + 0.002), (0.93 * radius, half - 0.006),
-        (0.985 * radius, half - 0.03), (radius, 0.5 * half), (radius, -0.5 * half),
-        (0.985 * radius, -half + 0.03), (0.9 * radius, -half), (rim, -half), (0.2 * rim, -half),
+        (0.5 * (rim + radius), half + 0.002), (0.96 * radius, half - 0.01), (radius, 0.5 * half), (radius, -0.5 * half),
+        (0.96 * radius, -half), (0.6 * rim, -half),
     ]  # fmt: skip
     r = np.array([ring[0] for ring in rings])
     y = np.tile(np.array([ring[1] for ring in rings])[:, None], (1, count))
