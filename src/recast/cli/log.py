@@ -84,9 +84,10 @@ class Synth:
         from rich.console import Console
 
         from recast.pipeline.display import FrameProgress
-        from recast.synthetic import CAMERAS, make_world, synthesize_log
+        from recast.synthetic import CAMERAS, check_request, make_world, synthesize_log
 
         console = Console()
+        check_request(self.out, self.width, self.height, self.label_noise)
         with console.status(f"building {self.scene}"):
             world = make_world(self.scene, self.seed, self.seconds)
         frames = (len(CAMERAS) + 1) * (len(world.ego.timestamps_us) - 1)

@@ -6,7 +6,7 @@ from recast.synthetic.rig import CAMERAS, make_rig
 from recast.synthetic.streets import SCENES
 from recast.synthetic.truth import read_truth
 from recast.synthetic.world import World
-from recast.synthetic.write import synthesize_log
+from recast.synthetic.write import check_request, synthesize_log
 
 __all__ = [
     "CAMERAS",
@@ -14,6 +14,7 @@ __all__ = [
     "WORLD_VERSION",
     "Oracle",
     "World",
+    "check_request",
     "make_rig",
     "make_world",
     "read_truth",

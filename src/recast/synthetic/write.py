@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast import storage
+from recast.errors import InputError
 from recast.logs import CameraStream, DrivingLog, LidarStream, Track, write_log
 from recast.synthetic.label_noise import check_label_noise, with_label_noise
-from recast.synthetic.populate import world_metadata
 from recast.synthetic.oracle import instances
 from recast.synthetic.oracle_pool import OraclePool
+from recast.synthetic.populate import world_metadata
 from recast.synthetic.rig import LIDAR, Rig, make_rig
 from recast.synthetic.sensors import Measurement, SpooledImages, SpooledSweeps, measure
 from recast.synthetic.truth import FOLDER, TruthRecord, write_truth_record
@@ -54,9 +55,8 @@ def synthesize_log(
         InputError: an impossible size, an unknown camera, negative noise or workers; `out` exists;
             embreex is missing; the disk is full.
     """
+    check_request(out, width, height, label_noise, cameras)
     rig = make_rig(width, height, cameras)
-    check_label_noise(label_noise)
-    out = Path(out)
     with OraclePool(world, workers) as pool, storage.atomic_folder(out) as folder:
         spool, truth_folder = folder / "spool", folder / FOLDER if truth else None
         for sensor in (*rig.cameras, LIDAR):
@@ -78,6 +78,24 @@ def synthesize_log(
             frames = dict.fromkeys(rig.cameras, len(moments(world)))
             names = {number: track_id for track_id, number in instances(world).items()}
             write_truth_record(truth_folder, TruthRecord(frames=frames, instances=names))
+
+
+def check_request(
+    out: str | Path,
+    width: int,
+    height: int,
+    label_noise: float,
+    cameras: tuple[str, ...] | None = None,
+) -> None:
+    """Refuse what `synthesize_log` would refuse, before a world is made for it.
+
+    Raises:
+        InputError: an impossible size, an unknown camera, negative noise, or `out` exists.
+    """
+    make_rig(width, height, cameras)
+    check_label_noise(label_noise)
+    if Path(out).exists():
+        raise InputError(out, "output folder", "exists already", "name another one or remove it")
 
 
 def moments(world: World) -> NDArray[np.int64]:

@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from recast.errors import InputError
+from recast.geometry import se2
+from recast.planning import CameraMount
+from recast.simulation import SimState
+from recast.simulation.oracle_renderer import OracleRenderer
+from recast.synthetic.oracle import Oracle
+from recast.synthetic.rig import exposure, make_rig
+from recast.synthetic.world import World
+from synthetic.conftest import small_world
+
+WIDTH, HEIGHT = 96, 64
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return small_world()
+
+
+@pytest.fixture(scope="module")
+def mounts() -> dict[str, CameraMount]:
+    rig = make_rig(WIDTH, HEIGHT)
+    return {k: CameraMount(c.camera, c.rig_from_camera) for k, c in rig.cameras.items()}
+
+
+def state_of(world: World, step: int) -> SimState:
+    """The logged state with all other moving vehicles."""
+    poses = {k: v.trajectory.poses[step] for k, v in world.vehicles.items() if not v.parked}
+    actor = poses.pop(world.target)
+    return SimState(
+        step=step,
+        timestamp_us=int(world.ego.timestamps_us[step]),
+        ego=np.zeros(11),
+        log_ego=np.zeros(4),
+        world_from_rig=world.ego.poses[step],
+        track_id=world.target,
+        actor=np.append(se2.from_se3(actor), 9.0),
+        world_from_actor=actor,
+        others=poses,
+    )
+
+
+def test_at_the_logged_state_it_shows_what_the_log_shows(
+    world: World, mounts: dict[str, CameraMount]
+) -> None:
+    oracle, state = Oracle(world), state_of(world, 3)
+    with OracleRenderer(world, mounts, workers=1) as renderer:
+        images = renderer.render(state, list(mounts))
+    for name, mount in mounts.items():
+        frame = oracle.render(
+            mount.camera,
+            state.world_from_rig @ mount.rig_from_camera,
+            timestamp_us=state.timestamp_us,
+            exposure=exposure(world.seed, name),
+            rng=np.random.default_rng(99),
+        )
+        error = np.mean((frame.rgb.astype(float) - images[name]) ** 2)
+        assert 10 * np.log10(255**2 / max(error, 1e-9)) > 35, name
+
+
+def test_images_do_not_depend_on_workers_or_order(
+    world: World, mounts: dict[str, CameraMount]
+) -> None:
+    state = state_of(world, 2)
+    with OracleRenderer(world, mounts, workers=1) as renderer:
+        expected = renderer.render(state, list(mounts))
+        backwards = renderer.render(state, list(mounts)[::-1])
+    with OracleRenderer(world, mounts, workers=2) as renderer:
+        found = renderer.render(state, list(mounts))
+    for name in mounts:
+        assert expected[name].shape == (HEIGHT, WIDTH, 3)
+        assert expected[name].dtype == np.uint8
+        np.testing.assert_array_equal(expected[name], found[name])
+        np.testing.assert_array_equal(expected[name], backwards[name])
+
+
+def test_the_actor_goes_where_the_state_has_it(
+    world: World, mounts: dict[str, CameraMount]
+) -> None:
+    state = state_of(world, 0)
+    moved = state.world_from_actor.copy()
+    moved[:3, 3] += 9.0 * moved[:3, 0]
+    with OracleRenderer(world, mounts, workers=1) as renderer:
+        before = renderer.render(state, ["front"])["front"]
+        after = renderer.render(replace(state, world_from_actor=moved), ["front"])["front"]
+    assert np.mean(before != after) > 0.02
+
+
+def test_an_actor_that_the_world_lacks(world: World, mounts: dict[str, CameraMount]) -> None:
+    state = replace(state_of(world, 0), track_id="9")
+    with (
+        OracleRenderer(world, mounts, workers=1) as renderer,
+        pytest.raises(InputError, match="track 9"),
+    ):
+        renderer.render(state, ["front"])
