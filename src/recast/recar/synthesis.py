@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +137,11 @@ def _make_in_processes(
                     counter.advance(finished_pictures.get())
                 for future in done:
                     future.result()
+        except BrokenProcessPool:
+            raise InputError(
+                "--workers", "process", "ended, perhaps for want of memory",
+                "run again with fewer; finished identities stay",
+            ) from None  # fmt: skip
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
@@ -147,6 +155,15 @@ _advance: Callable[[int], Any]
 def _set_up_worker(queue: Any) -> None:
     global _advance
     _advance = queue.put
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    # Without this, workers of a killed run would go on and write into the folders of the next.
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 def _make_in_worker(
