@@ -12,7 +12,7 @@ from recast.synthetic.surface import Surface, concatenate
 FENCE_STYLES = ("wood", "picket", "mesh", "iron")
 WALL_STYLES = ("brick", "concrete", "stone")
 
-STEEL = (0.5, 0.51, 0.52)
+STEEL = (0.62, 0.63, 0.64)
 RAIL_PROFILE = np.array(
     [
         (0.0, 0.44),

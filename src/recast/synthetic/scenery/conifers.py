@@ -8,7 +8,7 @@ from recast.synthetic.materials import MATERIAL_INDEX
 from recast.synthetic.scenery.primitives import lathe
 from recast.synthetic.surface import Surface, concatenate
 
-NEEDLES = np.array([(0.024, 0.055, 0.020), (0.034, 0.060, 0.036), (0.040, 0.062, 0.018)])
+NEEDLES = np.array([(0.042, 0.090, 0.032), (0.058, 0.096, 0.058), (0.066, 0.098, 0.030)])
 TIERS = 17
 FANS = 15
 """Branches in the lowest tier of full detail, 4 triangles each; fewer further up."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
-from recast.synthetic.scenery.openings import Look, Opening, fill
+from recast.synthetic.scenery.openings import GLASS, Look, Opening, fill
 from recast.synthetic.scenery.panels import Panels
 
 
@@ -59,19 +59,25 @@ def plain_wall(
 ) -> Panels:
     """A side or back wall: small windows in some places, blank elsewhere.
 
+    The windows are flat, a frame on the wall and glass on the frame: no road runs close to them.
+
     Args:
         rng: chooses where windows are.
         width: metres.
         edges: heights of the storeys' floors, and of the top.
-        look: of the wall; its openings are drawn lean.
+        look: of the wall and the frames.
         chance: share of bays with a window.
     """
     panels = Panels()
+    panels.rect(0, width, edges[0], edges[-1], 0.0, look.wall, look.wall_material)
     centres = bays(width, 3.4, 0.6)
-    column = rng.random(len(centres)) < chance
-    for low, high in itertools.pairwise(edges):
-        tall = min(1.35, 0.5 * (high - low))
-        sill = max(low, 0.0) + 0.3 * (high - max(low, 0.0))
-        holes = window_row(centres[column], 1.0, sill, sill + tall) if high - low > 2 else []
-        wall_storey(panels, rng, width, low, high, holes, look)
+    centres = centres[rng.random(len(centres)) < chance]
+    for floor, ceiling in pairwise(edges):
+        low = max(floor, 0.0)
+        high = low + min(2.2, 0.8 * (ceiling - low))
+        for x in centres:
+            glass = GLASS[rng.integers(len(GLASS))] * rng.uniform(0.7, 1.3)
+            panels.rect(x - 0.58, x + 0.58, low + 0.9, high, -0.02, look.frame, "plastic")
+            for left in (x - 0.52, x + 0.03):
+                panels.rect(left, left + 0.49, low + 0.96, high - 0.06, -0.025, glass, "window")
     return panels

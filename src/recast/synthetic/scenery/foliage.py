@@ -14,20 +14,20 @@ Array = NDArray[np.float64]
 
 GREENS = np.array(
     [
-        (0.080, 0.145, 0.028),
-        (0.060, 0.125, 0.034),
-        (0.110, 0.155, 0.030),
-        (0.070, 0.110, 0.040),
-        (0.120, 0.135, 0.025),
-        (0.050, 0.105, 0.028),
+        (0.125, 0.205, 0.040),
+        (0.090, 0.175, 0.045),
+        (0.165, 0.215, 0.042),
+        (0.105, 0.160, 0.055),
+        (0.170, 0.185, 0.035),
+        (0.080, 0.150, 0.038),
     ]
 )
-"""Linear RGB of leaves in sunlight, by species."""
+"""Linear RGB of leaves by species, with the light that shines through them."""
 
 SPRAY_SHAPE = np.array([1.25, 0.6, 1.1, 0.6])
 """How far a spray's four corners reach: pointed at both ends."""
 
-CORE_SHADE = 0.5
+CORE_SHADE = 0.55
 """Leaves deep inside get this share of the outer leaves' colour: they shade each other."""
 
 

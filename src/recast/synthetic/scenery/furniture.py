@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from recast.synthetic.scenery.primitives import at, boxes, lathe, tube
+from recast.synthetic.scenery.glyphs import text_quads
+from recast.synthetic.scenery.primitives import at, boxes, lathe, quads, tube
 from recast.synthetic.surface import Surface, concatenate
 
 DARK_IRON = (0.035, 0.038, 0.04)
-GALVANISED = (0.42, 0.43, 0.44)
+GALVANISED = (0.58, 0.59, 0.60)
 
 
 def bench(rng: np.random.Generator) -> Surface:
@@ -131,8 +132,17 @@ def parking_meter(rng: np.random.Generator) -> Surface:
             boxes((-0.06, -0.145, height - 0.6), (0.06, -0.13, height - 0.46), GALVANISED, "metal"),
             at(lathe([(0.03, height), (0.03, height + 0.2)], 8, GALVANISED, "metal"), 0.0, 0.0),
             disc,
+            _letter_p(height + 0.35),
         ]
     )
+
+
+def _letter_p(z: float) -> Surface:
+    """The letter on the disc of a pay cabinet."""
+    flat = text_quads("P", 0.24)
+    y = np.full((*flat.shape[:2], 1), -0.034)
+    corners = np.concatenate([flat[..., :1], y, flat[..., 1:] + z], axis=2)
+    return quads(corners, (0.75, 0.75, 0.73), "sign")
 
 
 def bollard(rng: np.random.Generator) -> Surface:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,7 @@ def text_quads(text: str, height: float, weight: float = 0.17) -> Array:
     for k, character in enumerate(text):
         for stroke in STROKES[character]:
             points = np.asarray(stroke) * [1.0, inner] + [first + k * advance, -inner / 2]
-            pieces += [_segment(a, b, weight / 2) for a, b in itertools.pairwise(points)]
+            pieces += [_segment(a, b, weight / 2) for a, b in pairwise(points)]
     return np.stack(pieces) * height
 
 

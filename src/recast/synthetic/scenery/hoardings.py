@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+from itertools import pairwise
 
 import numpy as np
 
@@ -63,7 +63,7 @@ def _poster(
     ground, ink, picture = POSTERS[rng.integers(len(POSTERS))] * rng.uniform(0.85, 1.1)
     width, height = right - left, high - low
     edges = np.linspace(low, high, 7)
-    for k, (a, b) in enumerate(itertools.pairwise(edges)):
+    for k, (a, b) in enumerate(pairwise(edges)):
         panels.rect(
             left, right, a, b, -0.105, np.clip(ground * (0.8 + 0.07 * k), 0, 0.9), "plastic"
         )

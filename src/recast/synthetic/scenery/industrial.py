@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+from itertools import pairwise
 
 import numpy as np
 
@@ -123,7 +123,7 @@ def _front(
         panes = np.linspace(
             strip.left, strip.right, max(2, round((strip.right - strip.left) / 2.0)) + 1
         )
-        for a, b in itertools.pairwise(panes):
+        for a, b in pairwise(panes):
             panels.rect(
                 a + 0.05,
                 b - 0.05,

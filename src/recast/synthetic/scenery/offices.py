@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+from itertools import pairwise
 
 import numpy as np
 
@@ -26,7 +26,7 @@ CLADDINGS = np.array(
 TINTS = np.array(
     [(0.02, 0.035, 0.05), (0.03, 0.05, 0.05), (0.025, 0.03, 0.03), (0.04, 0.06, 0.085)]
 )
-PANES = 285
+PANES = 310
 """At most on the whole building; panes get wider before there are more."""
 
 
@@ -46,7 +46,7 @@ def office(rng: np.random.Generator, width: float, depth: float, storeys: int | 
     for k, length in enumerate((width, depth, width, depth)):
         panels = Panels()
         _ground(panels, rng, length, ground, look, tint, entrance=k == 0)
-        for low, high in itertools.pairwise(edges):
+        for low, high in pairwise(edges[1:]):
             _storey(panels, rng, form, length, low, high, pane, look, tint, k == 0)
         if form == "curtain":
             _fins(panels, length, ground, float(edges[-1]), 2 * pane, look.frame)
@@ -96,7 +96,9 @@ def _ground(
         panels.rect(x - 0.05, x + 0.05, 0.25, high - 0.7, 0.37, look.frame, "plastic")
     panels.rect(0, length, 2.5, 2.6, 0.36, look.frame, "plastic")
     for x in np.linspace(0.35, length - 0.35, len(centres) + 1):
-        panels.box((x - 0.35, 0, -0.3), (x + 0.35, 0.5, high - 0.7), look.wall, "concrete", "btk")
+        panels.box(
+            (x - 0.35, -0.06, -0.3), (x + 0.35, 0.5, high - 0.7), look.wall, "concrete", "btk"
+        )
     if entrance:
         x = centres[len(centres) // 2]
         panels.box((x - 2.2, -1.5, 2.9), (x + 2.2, 0.3, 3.15), look.frame, "metal")
@@ -154,7 +156,7 @@ def _storey(
         )
     top = high - 0.3 if form == "bands" else high
     edges = np.linspace(0, length, max(2, round(length / pane)) + 1)
-    for a, b in itertools.pairwise(edges):
+    for a, b in pairwise(edges):
         shade = np.asarray(tint) * rng.uniform(0.6, 1.5)
         if rng.random() < 0.16:
             shade = shade + rng.uniform(0.05, 0.2)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -31,7 +31,7 @@ class Look:
         lights: panes across and up of a window.
         surround: metres of the band round windows, 0 for none.
         blinds: share of windows with a blind or curtain half down.
-        lean: leaves out frames, for facades of very many windows.
+        lean: draws simpler frames, for facades of very many windows.
     """
 
     wall: Colour
@@ -114,9 +114,11 @@ def _window(panels: Panels, rng: np.random.Generator, hole: Opening, look: Look)
     panels.rect(a, b, low, blind, look.reveal, glass, "window")
     if look.lean:
         middle = 0.5 * (a + b)
-        panels.rect(
-            middle - 0.04, middle + 0.04, low, high, look.reveal - 0.03, look.frame, "plastic"
-        )
+        y = look.reveal - 0.03
+        panels.rect(middle - 0.04, middle + 0.04, low, high, y, look.frame, "plastic")
+        for edge in (a, b - 0.07):
+            panels.rect(edge, edge + 0.07, low, high, y, look.frame, "plastic")
+        panels.rect(a - 0.06, b + 0.06, low - 0.08, low, -0.02, look.trim, "concrete")
     else:
         bars(panels, hole, look.reveal - 0.03, 0.075, look.lights, look.frame)
         out = 0.06 + look.surround * 0.3
@@ -147,7 +149,7 @@ def _door(panels: Panels, hole: Opening, look: Look) -> None:
         panels.rect(a, b, leaf - 0.03, leaf + 0.04, y - 0.02, look.frame, "plastic")
     count = 2 if b - a > 1.3 else 1
     edges = np.linspace(a, b, count + 1)
-    for left, right in itertools.pairwise(edges):
+    for left, right in pairwise(edges):
         inset = 0.16 * (right - left)
         for bottom, top in ((0.2, 0.8), (1.0, 1.85)):
             shade = 0.6 * np.asarray(look.door)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+from itertools import pairwise
 
 import numpy as np
 
@@ -28,7 +28,7 @@ def lamp_post(rng: np.random.Generator, height: float = 8.0, reach: float = 1.6)
     require_size("lamp_post", "height", height, 3.0, 15.0)
     require_size("lamp_post", "reach", reach, 0.3, 4.0)
     paint, material = [
-        ((0.45, 0.47, 0.48), "metal"),
+        ((0.6, 0.62, 0.63), "metal"),
         ((0.05, 0.06, 0.055), "plastic"),
         ((0.03, 0.09, 0.06), "plastic"),
         ((0.22, 0.23, 0.24), "plastic"),
@@ -120,7 +120,7 @@ def pole_line(
     parts += [at(knob, x, y, arm_z + 0.1) for x in xs for y in arm_y]
     wires = [(y, arm_z + 0.22, 0.014) for y in arm_y] + [(0.13, height - 2.2, 0.03)]
     share = np.linspace(0, 1, 9)
-    for start, end in itertools.pairwise(xs):
+    for start, end in pairwise(xs):
         sag = 4 * share * (1 - share) * (end - start) * WIRE_SAG
         for y, z, radius in wires:
             path = np.column_stack([start + share * (end - start), np.full(9, y), z - sag])

@@ -34,7 +34,7 @@ def traffic_signal(rng: np.random.Generator, state: str = "red", reach: float = 
     if reach != 0.0:
         require_size("traffic_signal", "reach", reach, 2.0, 12.0)
     paint, material = [
-        ((0.42, 0.43, 0.44), "metal"),
+        ((0.6, 0.61, 0.62), "metal"),
         ((0.02, 0.02, 0.022), "plastic"),
         ((0.2, 0.21, 0.2), "plastic"),
     ][rng.integers(3)]

@@ -21,7 +21,7 @@ BLUE = (0.01, 0.08, 0.42)
 GREEN = (0.005, 0.17, 0.075)
 BLACK = (0.012, 0.012, 0.012)
 GREY = (0.3, 0.31, 0.32)
-STEEL = (0.45, 0.46, 0.47)
+STEEL = (0.6, 0.61, 0.62)
 
 LAYER = 0.004
 """Metres between a sign's painted layers."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+from itertools import pairwise
 
 import numpy as np
 
@@ -88,7 +88,7 @@ def _front(
     holes += window_row(ground, wide, 0.95, 2.3)
     wall_storey(panels, rng, width, edges[0], edges[1], holes, look)
     centres = bays(width, rng.uniform(2.7, 3.6), 0.4)
-    for low, high in itertools.pairwise(edges):
+    for low, high in pairwise(edges[1:]):
         upper = window_row(centres, rng.uniform(1.1, 1.5), low + 0.95, low + 2.2)
         wall_storey(panels, rng, width, low, high, upper, look)
         if rng.random() < 0.4:

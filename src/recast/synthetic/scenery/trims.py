@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+from itertools import pairwise
 
 import numpy as np
 
@@ -88,7 +88,7 @@ def _show_window(
     """Glass over goods: darker above, patches of colour below."""
     panes = max(1, round((hole.right - hole.left) / 1.5))
     edges = np.linspace(hole.left, hole.right, panes + 1)
-    for a, b in itertools.pairwise(edges):
+    for a, b in pairwise(edges):
         split = hole.low + rng.uniform(0.25, 0.5) * (hole.high - hole.low)
         panels.rect(a, b, split, hole.high, depth, GLASS[rng.integers(4)] * 1.3, "window")
         goods = rng.uniform(0.04, 0.2) * (1 + 0.35 * rng.normal(0, 1, 3).clip(-1, 1))
@@ -129,9 +129,9 @@ def _awning(panels: Panels, rng: np.random.Generator, left: float, right: float,
     """Striped cloth that slopes out 1.2 m over the pavement."""
     first = SHOP_PAINTS[rng.integers(len(SHOP_PAINTS))] * 1.3
     second = np.array((0.6, 0.58, 0.52))
-    stripes = max(2, round((right - left) / 0.4))
+    stripes = max(2, round((right - left) / 0.6))
     edges = np.linspace(left + 0.05, right - 0.05, stripes + 1)
-    for k, (a, b) in enumerate(itertools.pairwise(edges)):
+    for k, (a, b) in enumerate(pairwise(edges)):
         colour = first if k % 2 else second
         top, out, drop = z + 0.1, z - 0.45, z - 0.65
         panels.polygon(

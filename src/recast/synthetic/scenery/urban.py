@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+from itertools import pairwise
 
 import numpy as np
 
@@ -36,6 +36,7 @@ def urban(rng: np.random.Generator, width: float, depth: float, storeys: int | N
     ground = rng.uniform(3.7, 4.5) if shop else rng.uniform(3.1, 3.6)
     upper = rng.uniform(2.9, 3.4)
     edges = [-0.3, *(ground + upper * np.arange(count))]
+    windows = len(centres) * (count - 1)
     look = Look(
         wall,
         "brick" if brick else "plaster",
@@ -44,8 +45,8 @@ def urban(rng: np.random.Generator, width: float, depth: float, storeys: int | N
         door=pick(rng, DOORS),
         reveal=rng.uniform(0.1, 0.2),
         lights=((1, 2), (2, 1), (2, 2), (2, 3))[rng.integers(4)],
-        surround=rng.choice([0.0, 0.12, 0.18]),
-        lean=len(centres) * (count - 1) > 14,
+        surround=float(rng.choice([0.0, 0.12, 0.18])) if windows < 30 else 0.0,
+        lean=windows > 20,
     )
     front = Panels()
     _ground_floor(front, rng, width, ground, look, shop, centres)
@@ -95,7 +96,7 @@ def _ground_floor(
         start = door.right + 0.35
     shops = max(1, round((end - start) / rng.uniform(5.5, 9.0)))
     edges = np.linspace(start, end + 0.4, shops + 1)
-    for a, b in itertools.pairwise(edges):
+    for a, b in pairwise(edges):
         holes.append(shop_front(panels, rng, a, b - 0.4, ground - 0.3, look))
     wall_storey(panels, rng, width, -0.3, ground, holes, look)
     course(panels, width, ground, look.trim)
@@ -117,7 +118,7 @@ def _upper_floors(
     if rng.random() < 0.4:
         with_balcony[int(rng.integers(2)) :: int(rng.integers(2, 4))] = True
     courses = rng.random() < 0.5
-    for k, (low, high) in enumerate(itertools.pairwise(edges)):
+    for k, (low, high) in enumerate(pairwise(edges[1:])):
         # Upper rooms are lower, and their windows with them.
         height = min(tall * (1 - 0.06 * k), high - low - 0.9)
         holes = window_row(centres, wide, low + 0.85, low + 0.85 + height)
