@@ -59,7 +59,7 @@ def test_a_view_that_is_not_there() -> None:
         view_camera(set_record(1), identity_record(0), 4)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=15)
 @given(
     st.tuples(st.floats(1, 14), st.floats(0.5, 3), st.floats(0.5, 4)),
     st.sampled_from([(1200, 800), (256, 256), (60, 200)]),

@@ -69,9 +69,9 @@ def test_two_processes_make_a_grown_set_of_the_same_bytes(
 ) -> None:
     folder = tmp_path / "set"
     shutil.copytree(whole.folder, folder)
-    for name in ("vehicle-00001", "vehicle-00002", "shape-00000"):
+    for name in ("vehicle-00002", "shape-00000"):
         shutil.rmtree(folder / name)
-    record = json.loads((folder / "set.json").read_text()) | {"identities": 1}
+    record = json.loads((folder / "set.json").read_text()) | {"identities": 2}
     (folder / "set.json").write_text(json.dumps(record))
     calls: list[tuple[int, int]] = []
     synthesize_set(folder, 3, TINY, shapes=1, workers=2, progress=lambda *c: calls.append(c))
@@ -93,7 +93,7 @@ def test_only_the_kinds_asked_for(tmp_path: Path) -> None:
 @pytest.fixture
 def block(tmp_path: Path) -> Path:
     """A mesh that fills its box, glTF axes: y up, facing +z."""
-    path = tmp_path / "block.ply"
+    path = tmp_path / "block.glb"
     trimesh.creation.box((1.8, 1.5, 4.4)).export(path)
     return path
 
@@ -102,9 +102,9 @@ def test_the_silhouette_is_where_the_camera_says(block: Path, tmp_path: Path) ->
     settings = SynthesisSettings(views=4, width=240, height=160)
     made = synthesize_set(tmp_path / "set", 0, settings, meshes=[block])
     (identity,) = made.identities.values()
-    assert identity.record.source == "block.ply"
+    assert identity.record.source == "block.glb"
     size = identity.record.size
-    assert size is not None
+    assert size == pytest.approx((4.4, 1.8, 1.5))
     for view in range(4):
         camera, actor_from_camera = identity.camera(view)
         expected = boxes.project(size, se3.inverse(actor_from_camera), camera)
@@ -114,16 +114,24 @@ def test_the_silhouette_is_where_the_camera_says(block: Path, tmp_path: Path) ->
         assert np.abs(found - expected).max() < 1.0
 
 
+def test_other_axes_are_another_identity(block: Path, tmp_path: Path) -> None:
+    synthesize_set(tmp_path / "set", 0, TINY, meshes=[block])
+    with pytest.raises(InputError, match="not among the 1 asked for"):
+        synthesize_set(tmp_path / "set", 0, TINY, meshes=[block], mesh_axes="-z,y")
+    with pytest.raises(InputError, match="--mesh-axes"):
+        synthesize_set(tmp_path / "set", 0, TINY, meshes=[block], mesh_axes="z")
+
+
 def test_a_mesh_is_checked_before_any_work(block: Path, tmp_path: Path) -> None:
-    mesh = trimesh.load(block)
+    mesh = trimesh.load(block, force="mesh")
     mesh.update_faces(np.arange(len(mesh.faces)) > 1)
-    mesh.export(tmp_path / "open.ply")
+    mesh.export(tmp_path / "open.glb")
     with pytest.raises(InputError, match="watertight"):
-        synthesize_set(tmp_path / "set", 1, TINY, meshes=[block, tmp_path / "open.ply"])
+        synthesize_set(tmp_path / "set", 1, TINY, meshes=[block, tmp_path / "open.glb"])
     with pytest.raises(InputError, match="named twice"):
         synthesize_set(tmp_path / "set", 1, TINY, meshes=[block, block])
     with pytest.raises(InputError, match="is missing"):
-        synthesize_set(tmp_path / "set", 1, TINY, meshes=[tmp_path / "none.ply"])
+        synthesize_set(tmp_path / "set", 1, TINY, meshes=[tmp_path / "none.glb"])
     assert not (tmp_path / "set").exists()
 
 

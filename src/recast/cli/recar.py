@@ -31,6 +31,9 @@ class Synth:
     """Number of other shapes: furniture, signs and the like."""
     mesh: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
     """A closed mesh of your own (glTF, OBJ, PLY, STL); may be given again."""
+    mesh_axes: str | None = None
+    """Forward and up axes of the meshes, such as x,z (write --mesh-axes=-y,z with a minus); by the
+    format where not given: z,y for glTF, x,z for all others."""
     licence: str = "CC0-1.0"
     """Licence of the pictures, for set.json."""
     workers: int = 1
@@ -54,6 +57,7 @@ class Synth:
                 settings,
                 shapes=self.shapes,
                 meshes=self.mesh,
+                mesh_axes=self.mesh_axes,
                 workers=self.workers,
                 progress=progress,
             )

@@ -29,7 +29,8 @@ def make_model(planned: PlannedIdentity, settings: SynthesisSettings) -> Vehicle
         InputError: its mesh file cannot be used.
     """
     if planned.mesh is not None:
-        return read_mesh(planned.mesh)
+        forward, up = planned.mesh_axes.split(",")
+        return read_mesh(planned.mesh, forward=forward, up=up)
     rng = np.random.default_rng([*planned.seed, _SHAPE])
     if planned.group == "shape":
         return sample_shape(rng)
@@ -74,7 +75,7 @@ def identity_record(
         id=planned.id,
         kind=model.kind,
         category=model.category,
-        colour=model.colour,
+        colour=model.colour if planned.mesh is None else None,
         size=(length, width, height),
         distance_m=round(distance, 4),
         split=planned.split,

@@ -29,6 +29,7 @@ def synthesize_set(
     *,
     shapes: int = 0,
     meshes: Sequence[str | Path] = (),
+    mesh_axes: str | None = None,
     workers: int = 1,
     progress: Progress | None = None,
 ) -> VehicleSet:
@@ -44,6 +45,8 @@ def synthesize_set(
         settings: what all pictures share.
         shapes: number of other shapes: furniture, signs and the like.
         meshes: closed meshes of vehicles.
+        mesh_axes: their forward and up axes, such as "-y,z"; None takes "z,y" for glTF and
+            "x,z" for all others.
         workers: processes.
         progress: called as pictures are finished.
 
@@ -56,7 +59,7 @@ def synthesize_set(
     settings.validate()
     if workers < 1:
         raise InputError("--workers", "value", f"is {workers}", "give 1 or more")
-    plan = plan_identities(settings, vehicles, shapes, [Path(mesh) for mesh in meshes])
+    plan = plan_identities(settings, vehicles, shapes, [Path(mesh) for mesh in meshes], mesh_axes)
     ids = [planned.id for planned in plan]
     record = settings.record(out.absolute().name, len(plan))
     check_begin(out, record, ids)

@@ -20,6 +20,8 @@ SYNTHESIS_VERSION = 1
 LARGEST_SIDE = 8192
 MOST_VIEWS = 720
 
+_AXES = {".glb": "z,y", ".gltf": "z,y"}  # forward and up by the format's own rule
+
 Group = Literal["vehicle", "shape", "mesh"]
 
 
@@ -93,6 +95,7 @@ class PlannedIdentity:
         seed: of its shape and light; depends on nothing but the set's seed and its own place.
         split: decided beforehand.
         mesh: the file, of the group "mesh".
+        mesh_axes: its forward and up axes.
     """
 
     id: str
@@ -100,10 +103,15 @@ class PlannedIdentity:
     seed: tuple[int, ...]
     split: Split
     mesh: Path | None = None
+    mesh_axes: str = ""
 
 
 def plan_identities(
-    settings: SynthesisSettings, vehicles: int, shapes: int, meshes: Sequence[Path]
+    settings: SynthesisSettings,
+    vehicles: int,
+    shapes: int,
+    meshes: Sequence[Path],
+    mesh_axes: str | None = None,
 ) -> list[PlannedIdentity]:
     """All identities of a set, in the order in which they are made.
 
@@ -118,10 +126,11 @@ def plan_identities(
     plan = [_planned(settings, "vehicle", i, f"vehicle-{i:05d}", i) for i in range(vehicles)]
     plan += [_planned(settings, "shape", i, f"shape-{i:05d}", i) for i in range(shapes)]
     for index, path in enumerate(meshes):
-        digest = _content_digest(path)
+        axes = mesh_axes or _AXES.get(path.suffix.lower(), "x,z")
+        digest = _digest(path, axes)
         stem = re.sub(r"[^A-Za-z0-9_-]", "-", path.stem)[:60]
         name = f"mesh-{stem}-{digest}"
-        plan.append(_planned(settings, "mesh", index, name, int(digest, 16), path))
+        plan.append(_planned(settings, "mesh", index, name, int(digest, 16), path, axes))
     ids = [one.id for one in plan]
     for one in plan:
         if ids.count(one.id) > 1:
@@ -136,6 +145,7 @@ def _planned(
     name: str,
     own_seed: int,
     mesh: Path | None = None,
+    mesh_axes: str = "",
 ) -> PlannedIdentity:
     stream = ("vehicle", "shape", "mesh").index(group)
     return PlannedIdentity(
@@ -144,11 +154,14 @@ def _planned(
         seed=(settings.seed, stream, own_seed),
         split=split_of(name, settings.seed, HELD_OUT_SHARE, index),
         mesh=mesh,
+        mesh_axes=mesh_axes,
     )
 
 
-def _content_digest(path: Path) -> str:
-    # Named by its content, so that a file that changed is never taken for the finished one.
+def _digest(path: Path, axes: str) -> str:
+    # Of the content, so that a file that changed is never taken for the finished one.
     if not path.is_file():
         raise InputError(path, "mesh", "is missing", "check the path")
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:8]
+    if len(axes.split(",")) != 2:
+        raise InputError("--mesh-axes", "value", f"is {axes!r}", "give forward and up, such as z,y")
+    return hashlib.sha256(axes.encode() + path.read_bytes()).hexdigest()[:8]
