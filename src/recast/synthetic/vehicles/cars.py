@@ -165,11 +165,25 @@ def _rear_window(
     if p.kind == "van":
         _van_rear(solid, p)
         return
+    if p.kind == "pickup":
+        _cab_back(solid, p, deck, gutter)
+        return
     run = gutter - deck
     upper, lower = gutter - 0.04 * run - 0.02, deck + 0.1 * run
     if p.kind == "sedan":
         lower = deck + 0.06
     screen(solid, body, lower, upper, 0.1, low_z=p.deck_height + 0.05)
+
+
+def _cab_back(solid: Solid, p: VehicleParameters, deck: float, gutter: float) -> None:
+    def pane(s: Solid) -> Array:
+        x, y, z = xyz(s)
+        fields = [y - 0.34 * p.width, p.deck_height + 0.1 - z, z - p.height + 0.19]
+        limits = [x - gutter - 0.15, deck - 0.2 - x, 0.75 - s.coords[:, 2]]
+        return np.maximum(smooth_max(fields, 0.06), np.maximum.reduce(limits))
+
+    solid.paint(pane, TRIM)
+    solid.paint(lambda s: pane(s) + 0.03, GLASS)
 
 
 def _van_rear(solid: Solid, p: VehicleParameters) -> None:

@@ -116,7 +116,7 @@ def _headlamp(solid: Solid, p: VehicleParameters, end: float, top: float) -> Non
     solid.paint(daylight, DAYLIGHT, over=("headlamp",))
 
     def indicator(s: Solid) -> Area:
-        return [s.points[:, 0] - end + 0.36], [lamp(s) + 0.012]
+        return strip(s.points[:, 0] - end + 0.37, 0.025), [lamp(s) + 0.012]
 
     solid.paint(indicator, INDICATOR, over=("headlamp",))
 

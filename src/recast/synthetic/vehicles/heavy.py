@@ -55,17 +55,17 @@ def bus(p: VehicleParameters, paint: Finish) -> Parts:
     body = Body(
         length=p.length, width=p.width, top=top, bottom=p.ground_clearance, belt=p.belt_height,
         rise=0.08, tumblehome=p.tumblehome, crown=0.07, wrap=0.0, bow_front=p.bow, bow_rear=0.05,
-        lean_front=0.05 + 0.06 * p.roof_arch / 0.05, lean_rear=0.02, corner=p.corner, taper=0.01,
+        lean_front=float(np.tan(p.windscreen_rake)), lean_rear=0.02, corner=p.corner, taper=0.01,
         edge=0.16, arches=((front, radius, radius + 0.06), (rear, radius, radius + 0.06)),
-        bumper=0.7, cells=(44, 6, 12),
+        bumper=0.7, cells=(32, 5, 8),
     )  # fmt: skip
     solid = body.half(paint)
     underside(solid, p)
     high = roof - 0.42
     _side_band(solid, p, high)
-    face_window(solid, 1.0, end - 0.5, half - 0.1, p.belt_height - 0.12, high - 0.02)
+    face_window(solid, 1.0, end - 0.5, half - 0.1, p.cowl_height - 0.05, high - 0.02)
     _dress_end(solid, p, end, high, roof)
-    set_in = front_face(solid, p, end, p.belt_height - 0.15)
+    set_in = front_face(solid, p, end, p.nose_height)
     face_window(solid, -1.0, -end + 0.4, half - 0.3, p.belt_height + 0.35, high)
     tail_lamp(solid, p, -end, 1.0 + p.tail_height)
     tail_lamp(solid, replace(p, tail_height=0.14, tail_width=0.2), -end, roof - 0.2)

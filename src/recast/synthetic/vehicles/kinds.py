@@ -109,8 +109,8 @@ _RANGES: dict[str, dict[str, Range]] = {
     "bus": _CAR | {
         "length": (10.5, 12.4), "width": (2.5, 2.55), "height": (2.95, 3.25),
         "wheelbase": (0.48, 0.52), "front_overhang": (0.21, 0.235), "wheel_radius": (0.46, 0.5),
-        "ground_clearance": (0.28, 0.34), "nose_height": (2.7, 2.8), "cowl_height": (2.7, 2.8),
-        "bonnet_length": (0.0, 0.002), "windscreen_rake": (0.5, 0.8), "rear_rake": (0.02, 0.06),
+        "ground_clearance": (0.28, 0.34), "nose_height": (0.9, 1.05), "cowl_height": (1.1, 1.25),
+        "bonnet_length": (0.0, 0.002), "windscreen_rake": (0.03, 0.1), "rear_rake": (0.02, 0.06),
         "deck_length": (0.02, 0.03), "deck_height": (1.2, 1.4), "belt_height": (1.05, 1.3),
         "roof_drop": (0.0, 0.03), "tail_width": (0.14, 0.2), "tail_height": (0.35, 0.6),
         "lamp_height": (0.17, 0.26), "lamp_width": (0.34, 0.5), "lamp_slant": (-0.05, 0.2),

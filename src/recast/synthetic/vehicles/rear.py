@@ -83,11 +83,13 @@ def tail_lamp(solid: Solid, p: VehicleParameters, end: float, top: float) -> Non
     low = top - p.tail_height
     reach = 0.1 if p.tail_height > 1.5 * p.tail_width else 0.3
 
+    upright = p.tail_height > p.tail_width
+
     def lamp(s: Solid) -> Array:
         x, y, z = xyz(s)
         back = x - end - 0.25
         fields = [
-            inner - y + 0.25 * (z - low),
+            inner - y + (0.03 if upright else 0.25) * (z - low),
             x - end - reach - 0.06,
             low - z + 0.08 * back,
             z - top - 0.1 * back,
@@ -96,7 +98,6 @@ def tail_lamp(solid: Solid, p: VehicleParameters, end: float, top: float) -> Non
 
     solid.paint(lamp, BEZEL)
     solid.paint(lambda s: lamp(s) + 0.011, TAIL)
-    upright = p.tail_height > p.tail_width
 
     def band(s: Solid, start: float, stop: float) -> Area:
         _, y, z = xyz(s)

@@ -61,8 +61,11 @@ class Solid:
         materials = np.full(len(faces), MATERIAL_INDEX[finish.material], np.uint8)
         return cls(points, points if coords is None else coords, faces, normals, colours, materials)
 
-    def cut(self, field: Array, limits: Sequence[Array] = ()) -> None:
-        """Split faces along the zero line of `field` (V,), where no limit exceeds `MARGIN`."""
+    def cut(self, field: Array, limits: Sequence[Array] = ()) -> Array:
+        """Split faces along the zero line of `field` (V,), where no limit exceeds `MARGIN`.
+
+        Returns the field with zeros for the new points.
+        """
         field = np.where(np.abs(field) < 1e-6, 1e-6, field)
         above = field > 0
         count = above[self.faces].sum(axis=1)
@@ -71,7 +74,7 @@ class Solid:
             near = np.maximum.reduce(limits)[self.faces[crossed]].min(axis=1) < MARGIN
             crossed = crossed[near]
         if not len(crossed):
-            return
+            return field
         # A face beyond the limits is split as well where it shares a split edge.
         every = np.flatnonzero((count == 1) | (count == 2))
         stride = len(self.points)
@@ -89,6 +92,7 @@ class Solid:
             new = value[first] * (1 - share) + value[last] * share
             setattr(self, name, np.concatenate([value, new]))
         self._split(field, every, split, stride + place)
+        return np.concatenate([field, np.zeros(len(chosen))])
 
     def _split(
         self,
@@ -229,10 +233,8 @@ class Solid:
     def _inside(self, region: Region) -> NDArray[np.bool_]:
         area = region(self)
         if isinstance(area, np.ndarray):
-            self.cut(area)
-            # Points on the border are near zero: the corner farthest from it decides.
-            corners = region(self)[self.faces]  # type: ignore[call-overload]
-            return np.asarray(corners.sum(axis=1) < 0)
+            # Every face keeps a corner off the border, which decides.
+            return np.asarray(self.cut(area)[self.faces].sum(axis=1) < 0)
         for k in range(len(area[0])):
             borders, limits = region(self)
             others = [field for i, field in enumerate(borders) if i != k]
