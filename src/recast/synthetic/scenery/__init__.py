@@ -1,9 +1,10 @@
 """What stands beside roads: every function gives a `Surface` that stands on z = 0."""
 
-from recast.synthetic.scenery.barriers import FENCE_STYLES, WALL_STYLES, fence, guard_rail, wall
+from recast.synthetic.scenery.barriers import WALL_STYLES, guard_rail, wall
 from recast.synthetic.scenery.bridges import bridge
 from recast.synthetic.scenery.buildings import BUILDING_STYLES, building
 from recast.synthetic.scenery.bushes import bush, hedge
+from recast.synthetic.scenery.fences import FENCE_STYLES, fence
 from recast.synthetic.scenery.furniture import bench, bollard, hydrant, litter_bin, parking_meter
 from recast.synthetic.scenery.hoardings import hoarding
 from recast.synthetic.scenery.industry import container, pallets

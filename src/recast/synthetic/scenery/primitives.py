@@ -144,6 +144,11 @@ def tube(
     return Surface.make(vertices, faces, colour, material)
 
 
+def stations(length: float, spacing: float) -> Array:
+    """Equal steps of at most `spacing` from 0 to length, both ends included."""
+    return np.linspace(0.0, length, max(1, int(np.ceil(length / spacing - 1e-9))) + 1)
+
+
 def at(surface: Surface, x: float, y: float, z: float = 0.0, heading: float = 0.0) -> Surface:
     """Turned about z by `heading` radians, then moved."""
     return surface.transformed(pose(x, y, z, heading))
