@@ -25,7 +25,6 @@ import numpy as np
 from recast.geometry import PinholeCamera, se3
 from recast.synthetic.rendering import WAYMO_TOP, RayScene, render_camera, scan_lidar
 from recast.synthetic.rendering.antialias import OFFSETS, borrow_light, edge_pixels
-from recast.synthetic.rendering.camera import LONELY_SAMPLES
 from recast.synthetic.rendering.embree import Mesh
 from recast.synthetic.rendering.light_filter import LightFilter
 from recast.synthetic.rendering.lighting import add_light_samples, sample_light
@@ -34,6 +33,7 @@ from recast.synthetic.rendering.shading import shade
 from recast.synthetic.rendering.sky_light import SkyLight, sky_light
 from recast.synthetic.rendering.surface_points import surface_points
 from recast.synthetic.rendering.textures import textured
+from recast.synthetic.rendering.trace_image import LONELY_SAMPLES, camera_rays
 from recast.synthetic.streets import make_street
 from recast.synthetic.surface import concatenate
 from recast.synthetic.vehicles import sample_vehicle
@@ -126,10 +126,7 @@ def camera_stages(setting: Setting, stages: Stages) -> dict[str, float]:
     grid = camera.pixel_grid().reshape(-1, 2)
 
     def rays(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        directions = camera.rays(pixels) @ setting.world_from_camera[:3, :3].T
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        origins = np.tile(setting.world_from_camera[:3, 3], (len(directions), 1))
-        return origins.astype(np.float32), directions.astype(np.float32)
+        return camera_rays(camera, setting.world_from_camera, pixels)[:2]
 
     origins, directions = stages("rays", lambda: rays(grid))
     static = setting.rays.posed({})

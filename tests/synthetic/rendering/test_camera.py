@@ -129,6 +129,21 @@ def test_vehicles_alone_keep_their_colour_at_edges() -> None:
     assert np.all(red > blue + 40)  # no sky mixed in
 
 
+@pytest.mark.parametrize("place", [(7, 0), (5, 3), (1.5, 0.5), (-6, 0), (40, -15)])
+def test_vehicles_alone_are_where_rays_meet_them(place: tuple[float, float]) -> None:
+    scene = RayScene(nothing(), {"car": box()})
+    poses, world_from_camera = {"car": pose(*place, yaw=0.3)}, camera_at(0, 0, 1.5)
+    frame = render(scene, poses, world_from_camera=world_from_camera)
+    rays = CAMERA.rays(CAMERA.pixel_grid().reshape(-1, 2))
+    length = np.linalg.norm(rays, axis=1)
+    hits = scene.cast(
+        world_from_camera[:3, 3], (rays / length[:, None]) @ world_from_camera[:3, :3].T, poses
+    )
+    assert np.mean(frame.instance.ravel() == hits.instance) > 0.999  # rounding at outlines
+    both = (frame.instance.ravel() == 1) & (hits.instance == 1)
+    assert np.allclose(frame.depth.ravel()[both], (hits.distance / length)[both], rtol=1e-4)
+
+
 def test_nothing_at_all() -> None:
     frame = render(RayScene(nothing(), {}))
     assert not frame.rgb.any() and not frame.alpha.any() and np.all(frame.instance == SKY)

@@ -4,7 +4,8 @@
 `synthetic` (embreex) when a scene is made, not when this package is imported.
 """
 
-from recast.synthetic.rendering.camera import CameraFrame, render_camera
+from recast.synthetic.rendering.camera import render_camera
+from recast.synthetic.rendering.camera_frame import CameraFrame
 from recast.synthetic.rendering.lidar import WAYMO_TOP, LidarScan, LidarSpec, scan_lidar
 from recast.synthetic.rendering.ray_scene import SKY, STREET, Hits, RayScene
 

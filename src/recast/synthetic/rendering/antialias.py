@@ -40,7 +40,7 @@ def edge_pixels(
     # Sky keeps zeros: its normal differs from all.
     flat_planes = np.zeros((8, count), np.float32)
     flat_planes[0:3, pixels] = points.flat.T
-    flat_planes[3, pixels] = 1 / points.distance
+    flat_planes[3, pixels] = 1 / np.maximum(points.distance, np.float32(1e-3))
     flat_planes[4, pixels] = points.colour @ np.array([0.5, 0.9, 0.25], np.float32)
     mirror = (TABLE.specular[points.material] > 0) & (
         TABLE.roughness[points.material] <= MIRROR_ROUGHNESS

@@ -2,49 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from recast.geometry import PinholeCamera
-from recast.synthetic.rendering.antialias import OFFSETS, borrow_light, edge_pixels
-from recast.synthetic.rendering.embree import Float32Array
-from recast.synthetic.rendering.light_filter import LightFilter
-from recast.synthetic.rendering.lighting import Light, add_light_samples, sample_light
-from recast.synthetic.rendering.ray_scene import SKY, PosedScene, Poses, RayScene
-from recast.synthetic.rendering.sampling import pixel_samples
-from recast.synthetic.rendering.shading import shade
-from recast.synthetic.rendering.sky_light import SkyLight, sky_light
-from recast.synthetic.rendering.surface_points import SurfacePoints, surface_points
-from recast.synthetic.rendering.tone import CLIP, WHITE_LEVEL, develop
-from recast.synthetic.rendering.vectors import dot, normalise
+from recast.geometry import PinholeCamera, se3
+from recast.synthetic.rendering.camera_frame import CameraFrame
+from recast.synthetic.rendering.ray_scene import Poses, RayScene
+from recast.synthetic.rendering.sky_light import sky_light
+from recast.synthetic.rendering.trace_image import trace_image
 from recast.synthetic.world import Sky
 
 Array = NDArray[np.float64]
-
-LONELY_SAMPLES = 4
-"""Further samples of light where the filter finds no neighbours to average with."""
-
-
-@dataclass(frozen=True)
-class CameraFrame:
-    """One image and what is exactly known about it.
-
-    Attributes:
-        rgb: (H, W, 3) uint8 sRGB. In front of an empty street: the colour of the vehicles alone,
-            not mixed with anything behind them.
-        depth: (H, W) float32 metres along the camera's z axis through the pixel centre, inf where
-            the sky is.
-        instance: (H, W) uint16 at the pixel centre: 0 the street, i + 1 the i-th of the scene's
-            sorted model names, `SKY` where nothing is.
-        alpha: (H, W) float32 share of the pixel that is not sky.
-    """
-
-    rgb: NDArray[np.uint8]
-    depth: Float32Array
-    instance: NDArray[np.uint16]
-    alpha: Float32Array
 
 
 def render_camera(
@@ -79,89 +47,36 @@ def render_camera(
     if not (np.isfinite(exposure) and exposure > 0):
         raise ValueError(f"exposure: must be positive, got {exposure}")
     posed, light = scene.posed(poses), sky_light(sky)
-    height, width = camera.height, camera.width
-    clip = np.float32(CLIP * light.white / (exposure * WHITE_LEVEL))
-
-    grid = camera.pixel_grid().reshape(-1, 2)
-    origins, directions, stretch = _rays(camera, pose, grid)
-    hits = posed.cast(origins, directions)
-    pixels, points = surface_points(posed, origins, directions, hits)
-    sun_samples = pixel_samples(height, width, rng).reshape(-1, 2)[pixels]
-    sky_samples = pixel_samples(height, width, rng).reshape(-1, 2)[pixels]
-    noisy = sample_light(posed, light, points, sun_samples, sky_samples)
-    light_filter = LightFilter(points, pixels, height, width)
-    add_light_samples(posed, light, points, noisy, light_filter.lonely(), LONELY_SAMPLES, rng)
-    arriving = light_filter.smooth(noisy)
-    pixel_angle = 1 / np.sqrt(camera.fx * camera.fy)
-    shaded = shade(posed, light, points, arriving, pixel_angle)
-
-    sums = np.zeros((height * width, 3), np.float32)
-    sums[pixels] = np.minimum(shaded, clip)
-    covered = (hits.instance != SKY).astype(np.float32)
-    rays = np.ones(height * width, np.float32)
+    width, height = camera.width, camera.height
     if len(scene.static):
-        missed = np.flatnonzero(hits.instance == SKY)
-        sums[missed] = np.minimum(_background(light, directions[missed]), clip)
-
-    edges = edge_pixels(points, pixels, shaded, light.white, height, width)
-    for offset in OFFSETS:
-        origins, directions, _ = _rays(camera, pose, grid[edges] + offset)
-        further = posed.cast(origins, directions)
-        index, others = surface_points(posed, origins, directions, further)
-        borrowed, alone = borrow_light(
-            points, pixels, arriving, others, edges[index], offset, height, width
-        )
-        _light_alone(posed, light, others, borrowed, alone, rng)
-        shaded = shade(posed, light, others, borrowed, pixel_angle)
-        sums[edges[index]] += np.minimum(shaded, clip)
-        covered[edges[index]] += 1
-        rays[edges] += 1
-        if len(scene.static):
-            missed = np.flatnonzero(further.instance == SKY)
-            sums[edges[missed]] += np.minimum(_background(light, directions[missed]), clip)
-
-    weight = rays if len(scene.static) else np.maximum(covered, 1)
-    rgb = develop(sums / weight[:, None], light.white, exposure)
-    depth = hits.distance / stretch
-    return CameraFrame(
-        rgb.reshape(height, width, 3),
-        depth.reshape(height, width),
-        hits.instance.reshape(height, width),
-        (covered / rays).reshape(height, width),
-    )
+        return trace_image(posed, light, camera, pose, rng, exposure)
+    # Nothing but vehicles: trace only the part of the image that they can cover.
+    left, top, right, bottom = _covered(scene, camera, pose, poses)
+    part = camera.cropped(left, top, right - left, bottom - top)
+    return trace_image(posed, light, part, pose, rng, exposure).within(width, height, left, top)
 
 
-def _rays(
-    camera: PinholeCamera, pose: Array, pixels: Array
-) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """Origins, unit directions, and the lengths of the directions at unit depth."""
-    local = camera.rays(pixels)
-    directions = (local @ pose[:3, :3].T).astype(np.float32)
-    stretch = np.sqrt(dot(directions, directions))
-    origins = np.empty_like(directions)
-    origins[:] = pose[:3, 3]
-    return origins, normalise(directions), stretch
-
-
-def _background(light: SkyLight, directions: Float32Array) -> Float32Array:
-    """The sky (N, 3) with the sun's disc."""
-    radiance = light.radiance(directions)
-    disc = light.disc(directions)
-    radiance += disc[:, None] * (light.sun * np.float32(30))
-    return radiance
-
-
-def _light_alone(
-    posed: PosedScene,
-    light: SkyLight,
-    points: SurfacePoints,
-    borrowed: Light,
-    alone: NDArray[np.int64],
-    rng: np.random.Generator,
-) -> None:
-    """Sample the light of points that none could be borrowed for, in place."""
-    lonely = points.take(alone)
-    samples = rng.random((2, len(alone), 2), np.float32)
-    own = sample_light(posed, light, lonely, samples[0], samples[1])
-    borrowed.sun[alone] = own.sun
-    borrowed.sky[alone] = own.sky
+def _covered(
+    scene: RayScene, camera: PinholeCamera, world_from_camera: Array, poses: Poses
+) -> tuple[int, int, int, int]:
+    """Pixels left, top, right, bottom, at least one, around the boxes of all posed models."""
+    everything = 0, 0, camera.width, camera.height
+    camera_from_world = se3.inverse(world_from_camera)
+    corners = []
+    for bounds, name in zip(scene.bounds[1:], scene.names, strict=True):
+        if name in poses:
+            box = np.array(
+                [[x, y, z] for x in bounds[:, 0] for y in bounds[:, 1] for z in bounds[:, 2]]
+            )
+            corners.append(se3.apply(camera_from_world @ poses[name], box))
+    if not corners:
+        return 0, 0, 1, 1
+    points = np.concatenate(corners)
+    # Behind the camera, or through a lens that bends lines, corners do not bound what is inside.
+    if points[:, 2].min() < 0.05 or not camera.is_rectified:
+        return everything
+    pixels, _ = camera.project(points)
+    size = np.array([camera.width, camera.height])
+    low = np.clip(np.floor(pixels.min(axis=0)) - 2, 0, size - 1).astype(int)
+    high = np.clip(np.ceil(pixels.max(axis=0)) + 2, low + 1, size).astype(int)
+    return int(low[0]), int(low[1]), int(high[0]), int(high[1])

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from recast.synthetic.rendering.embree import Float32Array
 from recast.synthetic.rendering.image_lookup import gather_image
 from recast.synthetic.rendering.noise import spectral_noise
+from recast.synthetic.rendering.vectors import outer
 from recast.synthetic.world import Sky
 
 Array = NDArray[np.float64]
@@ -19,6 +20,8 @@ HAZE_LENGTH = 1800.0
 """Metres after which haze leaves 1/e of a surface's light."""
 GROUND_ALBEDO = np.array([0.17, 0.17, 0.14])
 """Of the plain beyond the end of the scene."""
+DISC = np.float32(30.0)
+"""Radiance of the sun's disc over its irradiance; far less than it is, and still beyond white."""
 _EYE_HEIGHT = 2.0
 _ROWS, _COLUMNS = 512, 1536
 
@@ -84,14 +87,15 @@ class SkyLight:
         table = self._diffuse if diffuse else self._table
         return gather_image(table, column, row)[:count]
 
-    def disc(self, directions: Float32Array) -> Float32Array:
-        """How much of the sun's disc (N,) shows in each direction, soft at its rim."""
-        cosine = directions @ self.sun_direction.astype(np.float32)
-        angle = np.arccos(np.clip(cosine, -1, 1))
+    def background(self, directions: Float32Array) -> Float32Array:
+        """What cameras see (N, 3) behind everything: the sky with the sun's disc, soft-rimmed."""
+        angle = np.arccos(np.clip(directions @ self.sun_direction.astype(np.float32), -1, 1))
         radius = np.float32(max(self.sky.sun_radius, 0.005))
         shown = np.clip(2 - angle / radius, 0, 1).astype(np.float32)
         shown[directions[:, 2] <= 0] = 0
-        return shown
+        radiance = self.radiance(directions)
+        radiance += outer(shown, DISC * self.sun)
+        return radiance
 
     def _above(self, directions: Array) -> Array:
         """Radiance (..., 3) of the upper hemisphere: gradient, glow, clouds."""

@@ -53,6 +53,6 @@ def develop(radiance: Float32Array, white: float, exposure: float) -> NDArray[np
     vivid = radiance * SATURATION + ((1 - SATURATION) * grey)[..., None]
     position = np.sqrt(np.clip(vivid * scale, 0, 1)) * np.float32(_TABLE_SIZE - 1)
     below = np.minimum(position.astype(np.int32), _TABLE_SIZE - 2)
-    value = _CURVE[below]
-    value += (_CURVE[below + 1] - value) * (position - below)
+    value = np.take(_CURVE, below)
+    value += (np.take(_CURVE, below + 1) - value) * (position - below)
     return (value + np.float32(0.5)).astype(np.uint8)
