@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -143,8 +144,14 @@ class Ground:
         columns, rows = np.ceil((np.array([high_x, high_y]) + margin - origin) / _CELL).astype(int)
         x, y = np.meshgrid(np.arange(columns), np.arange(rows))
         points = origin + _CELL * np.stack([x, y], axis=-1).reshape(-1, 2)
-        away = shapely.distance(self.asphalt, shapely.points(points))
-        z = np.where(away > _CELL, self.height(points), 0.0)
+        z = np.full(len(points), self.edge.profile()[1][-1])
+        near = self.filled.buffer(self.edge.width)
+        shapely.prepare(near)
+        beside = shapely.contains_xy(near, points)
+        z[beside] = self.height(points[beside])
+        road = self.asphalt.buffer(_CELL)
+        shapely.prepare(road)
+        z[shapely.contains_xy(road, points)] = 0.0
         return GroundHeight(origin, _CELL, z.reshape(rows, columns))
 
     def surfaces(self, rng: Generator) -> list[Surface]:
@@ -250,7 +257,7 @@ def forest_belt(centre: Array, radius: float, start: float, turn: float, height:
         xy = centre + reach[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         rows.append(np.concatenate([xy, (height * lift * wave)[:, None]], axis=1))
     corners = []
-    for low, high in zip(rows[:-1], rows[1:], strict=True):
+    for low, high in itertools.pairwise(rows):
         corners.append(np.stack([low[1:], low[:-1], high[:-1]], axis=1))
         corners.append(np.stack([low[1:], high[:-1], high[1:]], axis=1))
     triangles = np.concatenate(corners)

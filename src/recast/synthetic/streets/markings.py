@@ -94,7 +94,7 @@ class Markings:
             self._box(road, s - length / 2, s + length / 2, middle - bar / 2, middle + bar / 2)
 
     def teeth(self, road: Road, s: float, near: float, far: float, towards: int, side: int) -> None:
-        """Give-way triangles in a row at s that point against traffic driving `towards` (+1, -1)."""
+        """A row of give-way triangles at s that point at traffic driving `towards` (+1, -1)."""
         low, high = sorted((near, far))
         count = max(int((high - low) / 0.75), 1)
         middles = low + (np.arange(count) + 0.5) * (high - low) / count

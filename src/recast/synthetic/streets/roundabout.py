@@ -16,9 +16,9 @@ _RING_HALF = 3.3
 """Half the width of the ring's asphalt."""
 _GAP = 7.0
 """Metres from the ring's asphalt to where the roads' lanes end."""
-_JOIN = 0.42
+_JOIN = 0.56
 """Radians between an arm's axis and where its lanes leave and join the ring."""
-_SPREAD = 1.9
+_SPREAD = 2.3
 """Metres by which the lanes of a road move apart on both sides of the splitter island."""
 
 
@@ -79,12 +79,12 @@ def make_roundabout(
         if name == "main":
             far = near + length * out
             line = ReferenceLine.straight(Pose(far[0], far[1], angle + np.pi), length)
-            spread = ((0.0, 0.0), (length - 34.0, 0.0), (length - 4.0, _SPREAD),
+            spread = ((0.0, 0.0), (length - 27.0, 0.0), (length - 4.0, _SPREAD),
                       (length + _GAP, _SPREAD))  # fmt: skip
             paved = (0.0, length + _GAP)
         else:
             line = ReferenceLine.straight(Pose(near[0], near[1], angle), length)
-            spread = ((-_GAP, _SPREAD), (4.0, _SPREAD), (34.0, 0.0), (length, 0.0))
+            spread = ((-_GAP, _SPREAD), (4.0, _SPREAD), (27.0, 0.0), (length, 0.0))
             paved = (-_GAP, length)
         roads.append(Road(name, line, section, 0.0, length, speed, paved, spread))
     network = Network(roads)
@@ -106,12 +106,11 @@ def _link(
     middle = np.array(centre[:2])
     count = len(roads)
     for k, (road, angle) in enumerate(zip(roads, angles, strict=True)):
-        following = angles[(k + 1) % count]
-        gap = float(np.mod(following - angle, 2 * np.pi))
+        gap = float(np.mod(angles[(k + 1) % count] - angle, 2 * np.pi))
         pieces = (("across", -_JOIN, 2 * _JOIN), ("round", _JOIN, gap - 2 * _JOIN))
-        for name, start, turn in pieces:
+        for piece, start, turn in pieces:
             line = ReferenceLine.circle(middle, radius, angle + start, turn)
-            network.add(f"ring-{road.name}-{name}", line, (_LANE, _LANE))
+            network.add(f"ring-{road.name}-{piece}", line, (_LANE, _LANE))
     for k, road in enumerate(roads):
         arm = Arm(road, road.name == "main")
         following = roads[(k + 1) % count].name
@@ -125,8 +124,8 @@ def _link(
 
 def _splitters(road: Road) -> list[shapely.Polygon]:
     """Raised islands where a road's directions have moved apart, before and after a crossing."""
-    s = road.stations(*((road.end - 28.0, road.end + 1.0) if road.name == "main"
-                        else (road.start - 1.0, road.start + 28.0)), 1.0)  # fmt: skip
+    s = road.stations(*((road.end - 24.0, road.end + 1.0) if road.name == "main"
+                        else (road.start - 1.0, road.start + 24.0)), 1.0)  # fmt: skip
     half = np.maximum(road.apart(s) - 0.35, 0.0)
     wide = half > 0.25
     s, half = s[wide], half[wide]

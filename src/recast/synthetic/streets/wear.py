@@ -123,11 +123,11 @@ def _cracks(
         if rng.random() < 0.55:  # across the lane
             lateral = np.linspace(low, high, 9)
             along = s + 0.25 * _wander(9, rng) + rng.uniform(-0.15, 0.15) * np.arange(9)
-            width = np.array([rng.uniform(0.02, 0.05), 0.0])
+            width = np.array([rng.uniform(0.012, 0.032), 0.0])
         else:
             along = s + np.linspace(0.0, rng.uniform(3.0, 10.0), 14)
             lateral = np.clip(rng.uniform(low, high) + 0.3 * _wander(14, rng), low, high)
-            width = np.array([0.0, rng.uniform(0.02, 0.05)])
+            width = np.array([0.0, rng.uniform(0.012, 0.032)])
         one = road.point(along + width[0], lateral + width[1], side)
         other = road.point(along - width[0], lateral - width[1], side)
         _upwards(decals, one, other, base * rng.uniform(0.35, 0.6))

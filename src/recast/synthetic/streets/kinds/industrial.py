@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.random import Generator
 
@@ -9,6 +11,7 @@ from recast.synthetic import scenery
 from recast.synthetic.streets.dress import (
     Frontage,
     build_along,
+    close_view,
     driveway,
     lamps,
     line_along,
@@ -52,10 +55,12 @@ def industrial(rng: Generator, length: float) -> Site:
     for way in (1, -1):
         _yards(site, main, way, 0.0, ahead.paved[1])
         _yards(site, side, way, 30.0, side.paved[1])
+    close_view(site, ahead, ahead.paved[1], 1, SHEDS)
+    close_view(site, main, 0.0, -1, SHEDS)
     for road in (main, ahead):
         lamps(site, road, (1,), 38.0, 9.0, 2.0)
     _clutter(site, main, ahead)
-    woods(site, 0.6, 12.0)
+    woods(site, 0.9, 12.0)
     return site
 
 
@@ -78,15 +83,11 @@ def _yards(site: Site, road: Road, side: int, start: float, end: float) -> None:
     for _, shed_end in build_along(site, road, side, SHEDS, start, end):
         gate = shed_end + 6.0
         driveway(site, road, gate, side, 8.0, EDGE.width + 0.5, (0.2, 0.195, 0.185))
-        style = str(rng.choice(["mesh", "iron", "mesh"]))
-        line_along(
-            site, road, side, EDGE.width + 0.4, lambda n, k=style: scenery.fence(rng, n, k),
-            last, gate - 4.3,
-        )  # fmt: skip
+        fence = partial(scenery.fence, rng, style=str(rng.choice(["mesh", "iron", "mesh"])))
+        line_along(site, road, side, EDGE.width + 0.4, fence, last, gate - 4.3)
         last = gate + 4.3
-    line_along(
-        site, road, side, EDGE.width + 0.4, lambda n: scenery.fence(rng, n, "mesh"), last, end - 3.0
-    )
+    fence = partial(scenery.fence, rng, style="mesh")
+    line_along(site, road, side, EDGE.width + 0.4, fence, last, end - 3.0)
 
 
 def _clutter(site: Site, main: Road, ahead: Road) -> None:

@@ -98,7 +98,7 @@ def _build_out(road: Road, s: float, side: int) -> Island:
 
 def _furnish(site: Site, main: Road, ahead: Road) -> None:
     rng = site.rng
-    crowns = trees(rng, (5.5, 7.0), ("round", "tall"), 5)
+    crowns = trees(rng, (4.6, 5.4), ("round",), 4) + trees(rng, (7.0, 8.0), ("tall",), 2)
     small = [
         *several(rng, scenery.litter_bin, 1), *several(rng, scenery.parking_meter, 2),
         *several(rng, scenery.bollard, 1), *several(rng, scenery.bench, 1),
@@ -108,7 +108,7 @@ def _furnish(site: Site, main: Road, ahead: Road) -> None:
         for way in (1, -1):
             for s in _places(road)[1]:
                 crown = crowns[int(rng.integers(len(crowns)))]
-                spot = site.beside(road, s, way, -0.9)
+                spot = site.beside(road, s, way, -0.45)
                 turned = Pose(spot.x, spot.y, float(rng.uniform(0, 2 * np.pi)))
-                site.placer.place(crown, turned, overlap=0.4)
+                site.placer.place(crown, turned, overlap=0.5)
             site.row(road, way, small, 11.0, 0.5, jitter=3.0, chance=0.8)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.random import Generator
 
@@ -16,7 +18,7 @@ from recast.synthetic.streets.dress import (
     trees,
     woods,
 )  # fmt: skip
-from recast.synthetic.streets.ground import GRASS, PAVING, Band, Edge, Island
+from recast.synthetic.streets.ground import GRASS, KERB_HEIGHT, PAVING, Band, Edge, Island
 from recast.synthetic.streets.network import Arm
 from recast.synthetic.streets.paint import RoadPaint, paint_arm, paint_road
 from recast.synthetic.streets.placement import Prop
@@ -24,6 +26,8 @@ from recast.synthetic.streets.reference_line import Pose
 from recast.synthetic.streets.road import Road
 from recast.synthetic.streets.roundabout import Roundabout, make_roundabout
 from recast.synthetic.streets.site import EGO_START, RUN_OUT, Layout, Site
+from recast.synthetic.streets.triangles import ribbon
+from recast.synthetic.surface import Surface, concatenate
 
 EDGE = Edge(
     kerb=True,
@@ -70,13 +74,13 @@ def roundabout_approach(rng: Generator, length: float) -> Site:
 
 
 def _layout(rng: Generator, length: float) -> tuple[Roundabout, Layout]:
-    approach = EGO_START + max(30.0, 0.36 * length)
+    approach = EGO_START + max(40.0, 0.42 * length)
     beyond = length + RUN_OUT - (approach - EGO_START)
     side = float(rng.uniform(75, 90))
     angles = (np.pi, -np.pi / 2 + rng.uniform(-0.2, 0.2), 0.0, np.pi / 2 + rng.uniform(-0.2, 0.2))
     round_ = make_roundabout(
         Pose(approach - EGO_START + 24.0, 0.0, 0.0),
-        radius=float(rng.uniform(15.0, 18.0)),
+        radius=float(rng.uniform(17.0, 20.0)),
         arms=tuple(zip(("main", "right", "ahead", "left"), angles,
                        (approach, side, beyond, side), strict=True)),
         speed=SPEED,
@@ -86,26 +90,48 @@ def _layout(rng: Generator, length: float) -> tuple[Roundabout, Layout]:
     route = network.route(
         network.roads["main"].lane_id(0, 1), ahead.lane_id(len(ahead.blocks()) - 2, 1)
     )
-    islands = (Island(round_.centre_disc, GRASS, "grass"),) + tuple(
-        Island(outline, PAVING, "concrete") for outline in round_.splitters
+    islands = (
+        Island(round_.centre_disc, GRASS, "grass"),
+        *(Island(outline, PAVING, "concrete") for outline in round_.splitters),
     )
     layout = Layout(network, route, 9.5, EDGE, 6.0, islands, paved=(round_.disc,))
     return round_, layout
+
+
+_MOUND = 0.9
+"""Metres that the middle of the central island rises above its kerb."""
+_SLOPE = ((0.35, 0.82), (1.0, 0.0))
+"""Shares of the island's radius, and of the mound's height there."""
+
+
+def _mound(round_: Roundabout) -> Surface:
+    """Earth heaped on the central island."""
+    angle = np.linspace(0.0, 2 * np.pi, 49)
+    rim = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    rings = []
+    for share, height in ((0.0, 1.04), *zip(*_SLOPE, strict=True)):
+        xy = np.array(round_.centre) + round_.island_radius * max(share, 1e-3) * rim
+        z = np.full(len(xy), KERB_HEIGHT - 0.004 + _MOUND * height)
+        rings.append(np.concatenate([xy, z[:, None]], axis=1))
+    return concatenate(
+        [ribbon(near, far, GRASS, "grass") for near, far in itertools.pairwise(rings)]
+    )
 
 
 def _middle(site: Site, round_: Roundabout) -> None:
     """Planting on the central island, and boards that show the way round."""
     rng = site.rng
     x, y = round_.centre
-    site.placer.place(
-        Prop.of(scenery.tree(rng, 8.0, "round")), Pose(x, y, float(rng.uniform(0, 6)))
-    )
     inner = round_.island_radius
+    site.extras.append(_mound(round_))
+    tall = Prop.of(scenery.tree(rng, 8.5, "round"))
+    site.placer.place(tall, Pose(x, y, float(rng.uniform(0, 6))), lift=_MOUND)
     bushes = several(rng, lambda r: scenery.bush(r, float(r.uniform(0.6, 1.1))), 4)
     for angle in np.arange(0.0, 2 * np.pi, 0.55):
-        reach = float(rng.uniform(0.4, 0.75)) * inner
+        reach = float(rng.uniform(0.3, 0.75)) * inner
         spot = Pose(x + reach * np.cos(angle), y + reach * np.sin(angle), float(angle))
-        site.placer.place(bushes[int(rng.integers(4))], spot)
+        lift = _MOUND * float(np.interp(reach / inner, *_SLOPE))
+        site.placer.place(bushes[int(rng.integers(4))], spot, lift=lift)
     for _, angle, _ in round_.spokes:
         face = angle + 0.28
         reach = inner - 0.9

@@ -48,6 +48,7 @@ def rural_two_lane(rng: Generator, length: float) -> Site:
     main, ahead, side = site.road("main"), site.road("ahead"), site.road("side")
     paint_road(site, main, RoadPaint("dashed", dash=4.0, gap=8.0), (False, True))
     paint_road(site, ahead, RoadPaint("dashed", dash=4.0, gap=8.0), (True, False))
+    site.markings.line(main, main.end, ahead.start, main.section.lanes_edge(_far(side)), 0.14)
     paint_arm(site, Arm(side, False), "yield", zebra=False)
     sign(site, side, side.start + 1.0, 1, "yield", away=1.5)
     sign(site, main, EGO_START + 20.0, -1, "speed", away=1.5, speed=70)
@@ -83,6 +84,11 @@ def _layout(rng: Generator, length: float) -> Layout:
     roads = tee(line, section, minor, crossing, -int(way), SPEED, 8.0, zebra=False)
     wear = Wear((0.15, 0.148, 0.143), patches=3.5, cracks=11.0, covers=0.0, tracks=1.1)
     return Layout(roads.network, roads.route(1), SPEED - 2.7, EDGE, 8.0, wear=wear)
+
+
+def _far(side: Road) -> int:
+    """The side of the main road that faces the side road."""
+    return -1 if np.sin(side.line.headings[0]) > 0 else 1
 
 
 def _markers(site: Site, road: Road, side: int) -> None:
@@ -146,11 +152,11 @@ def _fields(site: Site) -> None:
 def _trees(site: Site, main: Road, ahead: Road) -> None:
     rng = site.rng
     crowns = trees(rng, (7.0, 11.0), ("round", "round", "conifer", "tall"), 6)
-    far = trees(rng, (8.0, 13.0), ("conifer", "round", "conifer"), 4, detail=0.3)
+    far = trees(rng, (8.0, 13.0), ("conifer", "round", "conifer"), 4, detail=0.5)
     bushes = [Prop.of(scenery.bush(rng, float(rng.uniform(0.8, 1.6)))) for _ in range(4)]
     for road in (main, ahead):
         for way in (1, -1):
             site.row(road, way, crowns, 26.0, 7.0, jitter=9.0, turn=None, chance=0.55)
             site.row(road, way, bushes, 11.0, 5.6, jitter=4.0, turn=None, chance=0.5)
-            for away in (24.0, 45.0, 75.0):
-                site.row(road, way, far, 22.0, away, jitter=18.0, turn=None, chance=0.5)
+            for away, chance in ((26.0, 0.3), (48.0, 0.5), (78.0, 0.6)):
+                site.row(road, way, far, 22.0, away, jitter=18.0, turn=None, chance=chance)

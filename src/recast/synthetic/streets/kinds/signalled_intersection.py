@@ -104,7 +104,7 @@ def _signals(site: Site, arm: Arm, state: str) -> None:
 def _furnish(site: Site, road: Road) -> None:
     rng = site.rng
     lamps(site, road, (1, -1), 34.0, 8.5, 2.2)
-    crowns = trees(rng, (6.5, 8.0), ("round", "tall"), 3)
+    crowns = trees(rng, (5.0, 6.0), ("round",), 2) + trees(rng, (7.0, 8.5), ("tall",), 1)
     small = [
         *several(rng, scenery.litter_bin, 1), *several(rng, scenery.hydrant, 1),
         *several(rng, scenery.bollard, 1), *several(rng, scenery.bench, 1),

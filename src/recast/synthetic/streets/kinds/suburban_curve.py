@@ -79,7 +79,7 @@ def _layout(rng: Generator, length: float) -> Layout:
         ],
         transition=26.0,
     ).part(0.0, total)  # fmt: skip
-    section = Section(1, 1, lane_width=3.3, parking_right=2.0, parking_left=2.0, edge=0.15)
+    section = Section(1, 1, lane_width=3.3, parking_right=2.2, parking_left=2.2, edge=0.15)
     crossing = EGO_START + 0.06 * length + arc + 0.08 * length + 9.0
     roads = tee(
         line, section, Section(1, 1, lane_width=3.3), crossing, -int(way), SPEED, 6.0, zebra=False

@@ -75,7 +75,7 @@ def _furnish(site: Site, main: Road, ahead: Road, side: Road) -> None:
     sign(site, ahead, ahead.start + 20.0, -1, "parking")
     lamps(site, main, (1, -1), 34.0, 8.5, 2.2)
     lamps(site, ahead, (1, -1), 34.0, 8.5, 2.2)
-    crowns = trees(rng, (6.5, 8.0), ("round", "tall"), 5)
+    crowns = trees(rng, (5.0, 6.0), ("round",), 4) + trees(rng, (7.0, 8.5), ("tall",), 2)
     small = [
         *several(rng, scenery.litter_bin, 1), *several(rng, scenery.hydrant, 1),
         *several(rng, scenery.parking_meter, 1), *several(rng, scenery.bollard, 1),
