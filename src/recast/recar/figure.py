@@ -56,7 +56,7 @@ def write_figure(vehicle_set: VehicleSet, statistics: SetStatistics, folder: Pat
     _draw_types(figure.add_subplot(grid[1, 1]), statistics.kinds)
     record = vehicle_set.record
     figure.suptitle(
-        f"{record.name}: {statistics.identities:,} vehicles, {record.views} views each, "
+        f"{record.name}: {statistics.identities:,} identities, {record.views} views each, "
         f"{statistics.pictures:,} RGBA images of {record.width}x{record.height}",
         x=0.062, y=1 - 0.12 / height, ha="left", fontsize=15, color=_INK, weight="bold",
     )  # fmt: skip
@@ -174,7 +174,7 @@ def _draw_colours(axes: Axes, counts: dict[str, int]) -> None:
     for side in ("left", "top", "right"):
         axes.spines[side].set_visible(False)
     axes.spines["bottom"].set_color(_EDGE)
-    axes.set_title("Colours, % of vehicles", loc="left", fontsize=12, color=_INK, weight="bold")
+    axes.set_title("Colours, % of identities", loc="left", fontsize=12, color=_INK, weight="bold")
 
 
 def _draw_types(axes: Axes, counts: dict[str, int]) -> None:
@@ -183,19 +183,20 @@ def _draw_types(axes: Axes, counts: dict[str, int]) -> None:
     if rest := total - sum(shown.values()):
         shown["others"] = shown.get("others", 0) + rest
     colours = [_PIE[i % len(_PIE)] for i in range(len(shown))]
-    _, labels = axes.pie(
+    wedges = axes.pie(
         list(shown.values()), colors=colours, startangle=90, counterclock=False, radius=1.0,
-        labels=[f"{name}\n{100 * count / total:.0f} %" for name, count in shown.items()],
-        labeldistance=1.22, wedgeprops={"width": 0.46, "edgecolor": "white", "linewidth": 1.5},
-        textprops={"fontsize": 10, "color": _INK, "linespacing": 1.2},
+        wedgeprops={"width": 0.46, "edgecolor": "white", "linewidth": 1.5},
+    )[0]  # fmt: skip
+    # Names in a list of their own: beside narrow slices they would lie on one another.
+    axes.legend(
+        wedges, [f"{name}  {100 * count / total:.0f} %" for name, count in shown.items()],
+        loc="center left", bbox_to_anchor=(0.56, 0.5), frameon=False, fontsize=10, labelcolor=_INK,
+        handlelength=1.0, handleheight=1.0, labelspacing=0.6,
     )  # fmt: skip
-    for label in labels:
-        if abs(label.get_position()[0]) < 0.3:
-            label.set_horizontalalignment("center")
     # Limits in the shape of the axes, which `equal` would narrow otherwise, title and all.
     box = axes.get_window_extent()
-    axes.set_xlim(-1.3 * box.width / box.height, 1.3 * box.width / box.height)
-    axes.set_ylim(-1.3, 1.3)
+    axes.set_xlim(-1.1, 2.2 * box.width / box.height - 1.1)
+    axes.set_ylim(-1.1, 1.1)
     axes.set_title("Types", loc="left", fontsize=12, color=_INK, weight="bold")
 
 
