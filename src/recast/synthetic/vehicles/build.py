@@ -6,8 +6,8 @@ import numpy as np
 
 from recast.synthetic.surface import Surface, concatenate
 from recast.synthetic.vehicles.cars import car
-from recast.synthetic.vehicles.details import Parts
 from recast.synthetic.vehicles.colours import paint_rgb, sample_colour
+from recast.synthetic.vehicles.details import Parts
 from recast.synthetic.vehicles.heavy import box_truck, bus
 from recast.synthetic.vehicles.kinds import CATEGORIES, sample_kind, sample_parameters
 from recast.synthetic.vehicles.parameters import VehicleParameters
@@ -67,7 +67,7 @@ def sample_vehicle(rng: np.random.Generator, kind: str | None = None) -> Vehicle
 
 def _fitted(part: Surface, middle: np.ndarray, scale: np.ndarray) -> Surface:
     normals = part.normals / scale
-    normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     return Surface(
         (part.vertices - middle) * scale,
         part.faces,

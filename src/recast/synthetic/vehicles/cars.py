@@ -6,8 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.synthetic.vehicles import fittings
-from recast.synthetic.vehicles.finishes import CHROME, CLADDING, GLASS, SEAM, TRIM, Area, smooth_max, strip, xyz
 from recast.synthetic.vehicles.details import Parts
+from recast.synthetic.vehicles.finishes import (
+    CHROME,
+    CLADDING,
+    GLASS,
+    SEAM,
+    TRIM,
+    Area,
+    smooth_max,
+    strip,
+    xyz,
+)
 from recast.synthetic.vehicles.front import front_face
 from recast.synthetic.vehicles.glazing import SideGlass, screen, side_windows
 from recast.synthetic.vehicles.loft import Body
@@ -116,8 +126,8 @@ def _side(
     if p.kind == "van":
         middle = first - 1.05
         if p.side_windows == 0:
-            return SideGlass(middle + 0.03, 0.02, 0.13), [], [first, middle]
-        glass = SideGlass(-p.length / 2 + 0.25, 0.03, 0.13)
+            return SideGlass(middle + 0.03, 0.02, 0.13, tall=0.72), [], [first, middle]
+        glass = SideGlass(-p.length / 2 + 0.25, 0.03, 0.13, tall=0.72)
         posts = [middle, middle - 0.5 * (middle + p.length / 2)]
         return glass, posts[: p.side_windows], [first, middle, middle - 1.1]
     if p.kind == "pickup":
@@ -150,13 +160,16 @@ def _bonnet_lines(solid: Solid, p: VehicleParameters, end: float, cowl: float) -
 
     if p.bonnet_length > 0.6:
         solid.paint(sides, SEAM, over=("paint",))
+
     # The cowl between bonnet and windscreen is black.
     def grille(s: Solid) -> Area:
         station, across, up = s.coords.T
         return [cowl - 0.08 - station, station - cowl + 0.005, across - 0.88], [0.8 - up]
 
     solid.paint(grille, TRIM)
-    seam(solid, 0, end - 0.42, (p.ground_clearance + 0.1, p.nose_height - p.lamp_height - 0.1), None)
+    seam(
+        solid, 0, end - 0.42, (p.ground_clearance + 0.1, p.nose_height - p.lamp_height - 0.1), None
+    )
 
 
 def _rear_window(

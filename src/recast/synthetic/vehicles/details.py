@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from recast.synthetic.surface import Surface
-from recast.synthetic.vehicles.finishes import CHROME, INK, PLATE, REAR_PLATE, SEAM
+from recast.synthetic.vehicles.finishes import CHROME, DISPLAY, INK, PLATE, REAR_PLATE, SEAM, TRIM
 from recast.synthetic.vehicles.fittings import grid_block, pebble
 from recast.synthetic.vehicles.solid import Finish, Solid
 
@@ -46,8 +46,21 @@ def number_plate(solid: Solid, low: float, sign: float, wide: float = 0.52) -> S
     return plate.surface()
 
 
+def destination(solid: Solid, z: float) -> Surface:
+    """A lit text, seven blocks wide, over the windscreen of a bus."""
+    half = 0.7
+    reach = solid.reach(0.0, z, 1.0)
+    edges = np.linspace(-0.6, 0.6, 7)
+    columns = np.sort(np.concatenate([[-half, half], edges - 0.06, edges + 0.06]))
+    zs = np.array([z - 0.1, z - 0.06, z + 0.06, z + 0.1])
+    sign = grid_block(np.array([reach - 0.1, reach + 0.003]), columns, zs, TRIM)
+    centre = sign.points[sign.faces].mean(axis=1)
+    lit = (np.searchsorted(columns, centre[:, 1]) % 2 == 0) & (np.abs(centre[:, 2] - z) < 0.06)
+    sign.paint_faces(lit & (centre[:, 0] > reach), DISPLAY)
+    return sign.surface()
+
+
 def pipe(solid: Solid, y: float, z: float) -> Surface:
     """An exhaust pipe at the rear."""
     x = solid.reach(abs(y), z, -1.0)
     return pebble((x + 0.03, y, z), (0.08, 0.13, 0.06), CHROME, 4.0, (4, 10)).surface()
-

@@ -52,7 +52,9 @@ def strip(distance: Array, half: float) -> list[Array]:
     return [distance - half, -distance - half]
 
 
-def rectangle(u: Array, v: Array, centre: tuple[float, float], size: tuple[float, float]) -> list[Array]:
+def rectangle(
+    u: Array, v: Array, centre: tuple[float, float], size: tuple[float, float]
+) -> list[Array]:
     """Fields of an upright rectangle."""
     return [*strip(u - centre[0], size[0] / 2), *strip(v - centre[1], size[1] / 2)]
 

@@ -108,6 +108,7 @@ def _headlamp(solid: Solid, p: VehicleParameters, end: float, top: float) -> Non
 
     solid.paint(lamp, BEZEL)
     solid.paint(lambda s: lamp(s) + 0.014, LAMP)
+
     def daylight(s: Solid) -> Area:
         x, y, z = xyz(s)
         rise = p.lamp_slant * ((y - inner) + 0.8 * (end - x) - 0.3)

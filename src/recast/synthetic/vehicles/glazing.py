@@ -34,6 +34,7 @@ class SideGlass:
         pillar: width of the windscreen pillar and the roof rail above the glass.
         front: x at the belt line where it begins; None follows the windscreen.
         sill: height of the lower edge over the belt line.
+        tall: greatest height of the glass over the belt line.
     """
 
     rear: float
@@ -41,6 +42,7 @@ class SideGlass:
     pillar: float = 0.1
     front: float | None = None
     sill: float = 0.015
+    tall: float = 2.0
 
     def field(self, body: Body, solid: Solid) -> Array:
         """Negative inside."""
@@ -49,7 +51,7 @@ class SideGlass:
         slope = body.top.slope(body.length / 2 - station)
         over = (z - body.outline(station)) / np.sqrt(1 + slope**2) + self.pillar
         belt = body.belt_at(x)
-        fields = [belt + self.sill - z, over]
+        fields = [belt + self.sill - z, over, z - belt - self.tall]
         fields.append((self.rear + self.rear_lean * (z - belt)) - x)
         if self.front is not None:
             fields.append(x - self.front)

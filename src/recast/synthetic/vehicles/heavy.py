@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from recast.synthetic.surface import Surface
 from recast.synthetic.vehicles import fittings
-from recast.synthetic.vehicles.details import Parts, number_plate
+from recast.synthetic.vehicles.details import Parts, destination, number_plate
 from recast.synthetic.vehicles.finishes import (
     CHROME,
     CLADDING,
-    DISPLAY,
     GLASS,
     INDICATOR,
     REVERSE,
@@ -64,8 +63,8 @@ def bus(p: VehicleParameters, paint: Finish) -> Parts:
     high = roof - 0.42
     _side_band(solid, p, high)
     face_window(solid, 1.0, end - 0.5, half - 0.1, p.cowl_height - 0.05, high - 0.02)
-    _dress_end(solid, p, end, high, roof)
-    set_in = front_face(solid, p, end, p.nose_height)
+    sign = _dress_end(solid, p, end, high, roof)
+    set_in = [("destination", sign), *front_face(solid, p, end, p.nose_height)]
     face_window(solid, -1.0, -end + 0.4, half - 0.3, p.belt_height + 0.35, high)
     tail_lamp(solid, p, -end, 1.0 + p.tail_height)
     tail_lamp(solid, replace(p, tail_height=0.14, tail_width=0.2), -end, roof - 0.2)
@@ -206,7 +205,9 @@ def _frame(p: VehicleParameters, floor: float, cab_rear: float) -> Parts:
                            (6, 12))  # fmt: skip
     side.append(("tank", tank.surface()))
     for k, x in enumerate((rear - p.wheel_radius - 0.12, rear + p.wheel_radius + 0.1)):
-        flap = fittings.block((x, half - 0.62, low - 0.12), (x + 0.03, half - 0.05, floor), CLADDING)
+        flap = fittings.block(
+            (x, half - 0.62, low - 0.12), (x + 0.03, half - 0.05, floor), CLADDING
+        )
         side.append((f"flap-{k}", flap.surface()))
     return parts + _both(side)
 
@@ -260,8 +261,8 @@ def _side_band(solid: Solid, p: VehicleParameters, high: float) -> None:
     seam(solid, 2, p.ground_clearance + 0.5, (-end + 0.3, end - 0.3), None, half=0.006)
 
 
-def _dress_end(solid: Solid, p: VehicleParameters, end: float, high: float, roof: float) -> None:
-    """The dark brow over the windscreen with the lit destination."""
+def _dress_end(solid: Solid, p: VehicleParameters, end: float, high: float, roof: float) -> Surface:
+    """The dark brow over the windscreen; returns the lit destination in it."""
 
     def brow(s: Solid) -> Array:
         x, y, z = xyz(s)
@@ -269,15 +270,7 @@ def _dress_end(solid: Solid, p: VehicleParameters, end: float, high: float, roof
         return np.maximum(smooth_max(fields, 0.05), end - 0.5 - x)
 
     solid.paint(brow, GLASS)
-    middle = (high + roof - 0.1) / 2
-    for k in range(4):
-
-        def glyph(s: Solid, k: int = k) -> Area:
-            x, y, z = xyz(s)
-            size = (0.1 + 0.04 * (k % 2), 0.12)
-            return rectangle(y, z, (0.12 + 0.19 * k, middle), size), [end - 0.5 - x]
-
-        solid.paint(glyph, DISPLAY)
+    return destination(solid, (high + roof - 0.1) / 2)
 
 
 def _engine_grille(solid: Solid, p: VehicleParameters, end: float) -> None:
@@ -325,6 +318,10 @@ def _bus_doors(solid: Solid, p: VehicleParameters) -> None:
 
 
 def _bus_mirror(end: float, half: float, high: float) -> list[Solid]:
-    arm = fittings.pebble((end + 0.02, half - 0.05, high + 0.05), (0.5, 0.06, 0.06), TRIM, 4.0, (4, 8))
-    shell = fittings.pebble((end + 0.2, half + 0.02, high - 0.22), (0.12, 0.2, 0.5), TRIM, 3.0, (8, 10))
+    arm = fittings.pebble(
+        (end + 0.02, half - 0.05, high + 0.05), (0.5, 0.06, 0.06), TRIM, 4.0, (4, 8)
+    )
+    shell = fittings.pebble(
+        (end + 0.2, half + 0.02, high - 0.22), (0.12, 0.2, 0.5), TRIM, 3.0, (8, 10)
+    )
     return [arm, shell]

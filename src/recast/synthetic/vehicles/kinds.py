@@ -160,6 +160,8 @@ def sample_parameters(kind: str, rng: np.random.Generator) -> VehicleParameters:
     if kind == "van":
         # A high roof goes with a long van.
         values["height"] = 1.93 + 0.62 * size + 0.05 * rng.random()
+        # Most vans carry goods and have no windows behind the doors.
+        low_windows, high_windows = (0, 0) if rng.random() < 0.6 else (1, 2)
     flags = rng.random(2)
     return VehicleParameters(
         kind=kind,

@@ -130,9 +130,7 @@ class VehicleParameters:
         for name, low, high, why in self._relations():
             value = getattr(self, name)
             if not low <= value <= high:
-                raise _bad(
-                    name, f"{value:.4g} does not fit {why}", f"use {low:.4g} to {high:.4g}"
-                )
+                raise _bad(name, f"{value:.4g} does not fit {why}", f"use {low:.4g} to {high:.4g}")
 
     def _relations(self) -> list[tuple[str, float, float, str]]:
         radius = self.wheel_radius

@@ -51,6 +51,9 @@ def read_mesh(
     suffix = path.suffix.lower().lstrip(".")
     if suffix not in FORMATS:
         raise InputError(path, "format", f"{suffix!r} is unknown", f"use {', '.join(FORMATS)}")
+    if length is not None and not SHORTEST <= length <= LONGEST:
+        problem = f"{length:g} m is impossible"
+        raise InputError(path, "length", problem, f"use {SHORTEST} to {LONGEST} m")
     if material not in MATERIAL_INDEX:
         known = ", ".join(MATERIAL_INDEX)
         raise InputError(path, "material", f"{material!r} is unknown", f"use one of {known}")
@@ -103,14 +106,18 @@ def _load(path: Path, suffix: str) -> tuple[Array, NDArray[np.int32], NDArray[np
     # STL repeats the corners of every triangle, and texture seams split vertices.
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     if not mesh.is_watertight or not mesh.is_winding_consistent:
-        raise InputError(path, "mesh", "is not watertight", "close its holes and merge its vertices")
+        raise InputError(
+            path, "mesh", "is not watertight", "close its holes and merge its vertices"
+        )
     if mesh.volume < 0:
         mesh.invert()
     return np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int32), colours
 
 
 def _linear(srgb: Array) -> NDArray[np.float32]:
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).astype(
+        np.float32
+    )
 
 
 def _axes(path: Path, up: str, forward: str) -> Array:

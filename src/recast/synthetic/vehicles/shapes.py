@@ -119,7 +119,7 @@ def _pile(rng: np.random.Generator) -> list[Surface]:
     parts = []
     for _ in range(int(rng.integers(3, 7))):
         size = rng.uniform(0.2, 0.8, 3)
-        x, y, z = rng.uniform(-0.5, 0.5, 3) + (0, 0, 0.5)
+        x, y, z = rng.uniform((-0.5, -0.5, 0.0), (0.5, 0.5, 1.0))
         parts.append(pebble((x, y, z), tuple(size), _finish(rng), float(rng.uniform(1.2, 8))))
     return [part.surface() for part in parts]
 

@@ -123,8 +123,10 @@ class Solid:
             else:
                 nq = _mix(na, nc, field[a], field[c])
                 pieces = [
-                    ((a, p, q), (na, np_, nq)), ((p, b, c), (np_, nb, nc)), ((p, c, q), (np_, nc, nq))
-                ]  # fmt: skip
+                    ((a, p, q), (na, np_, nq)),
+                    ((p, b, c), (np_, nb, nc)),
+                    ((p, c, q), (np_, nc, nq)),
+                ]
             parts += [(np.stack(f, 1), np.stack(n, 1), rows) for f, n in pieces]
         self.faces = np.concatenate([part[0] for part in parts])
         self.normals = np.concatenate([part[1] for part in parts])
@@ -222,10 +224,13 @@ class Solid:
     def surface(self) -> Surface:
         """The finished part."""
         length = np.linalg.norm(self.normals, axis=2, keepdims=True)
+        # Triangles without area have no normal of their own.
+        normals = np.where(length > 1e-12, self.normals, [0.0, 0.0, 1.0])
+        length = np.where(length > 1e-12, length, 1.0)
         return Surface(
             self.points,
             self.faces.astype(np.int32),
-            (self.normals / np.maximum(length, 1e-12)).astype(np.float32),
+            (normals / length).astype(np.float32),
             self.colours.astype(np.float32),
             self.materials,
         )

@@ -28,12 +28,12 @@ def wheel(
     count = spokes * per_spoke
     angle = np.arange(count) * 2 * np.pi / count
     rim, half = radius * rim_share, width / 2
-    # Rings from the hub outwards, over the tread and back to the axle: (radius, y, material).
+    # Rings from the hub outwards, over the tread and back to the axle: (radius, y).
     rings: list[tuple[float, float]] = [
         (0.2 * rim, half - 0.035), (0.34 * rim, half - 0.04), (0.62 * rim, half - 0.03),
         (0.88 * rim, half - 0.02), (0.97 * rim, half - 0.012), (1.03 * rim, half - 0.004),
-        (0.5 * (rim + radius), half + 0.002), (0.96 * radius, half - 0.01), (radius, 0.5 * half), (radius, -0.5 * half),
-        (0.96 * radius, -half), (0.6 * rim, -half),
+        (0.5 * (rim + radius), half + 0.002), (0.96 * radius, half - 0.01), (radius, 0.5 * half),
+        (radius, -0.5 * half), (0.96 * radius, -half), (0.6 * rim, -half),
     ]  # fmt: skip
     r = np.array([ring[0] for ring in rings])
     y = np.tile(np.array([ring[1] for ring in rings])[:, None], (1, count))
@@ -72,4 +72,3 @@ def wheel(
         solid.paint_faces(pressed, Finish((0.02, 0.02, 0.02), "matte"))
     solid.normals = corner_normals(points, faces.astype(np.int32), np.deg2rad(40)).astype(float)
     return solid.surface()
-
