@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -9,7 +11,7 @@ from recast.geometry import PinholeCamera, se3
 from recast.synthetic.rendering.camera_frame import CameraFrame
 from recast.synthetic.rendering.ray_scene import Poses, RayScene
 from recast.synthetic.rendering.sky_light import sky_light
-from recast.synthetic.rendering.trace_image import trace_image
+from recast.synthetic.rendering.trace_image import Quality, trace_image
 from recast.synthetic.world import Sky
 
 Array = NDArray[np.float64]
@@ -24,6 +26,7 @@ def render_camera(
     *,
     rng: np.random.Generator,
     exposure: float = 1.0,
+    quality: Quality = "standard",
 ) -> CameraFrame:
     """Take one image.
 
@@ -35,8 +38,11 @@ def render_camera(
         poses: `world_from_actor` (4, 4) by model name; models not named are absent.
         rng: of the samples of light.
         exposure: factor on the light, 1 is right for the day.
+        quality: "mitsuba" path traces the light of the sky, with four bounces instead of two, at
+            several times the cost; needs the extra `mitsuba` and LLVM.
 
     Raises:
+        InputError: mitsuba is asked for and does not run here.
         ValueError: a size or a pose that cannot be, an exposure that is not positive, or a name
             that is not among the models.
     """
@@ -46,14 +52,18 @@ def render_camera(
         raise ValueError(f"world_from_camera: expected a finite (4, 4), got {pose.shape}")
     if not (np.isfinite(exposure) and exposure > 0):
         raise ValueError(f"exposure: must be positive, got {exposure}")
+    if quality not in get_args(Quality):
+        raise ValueError(f"quality: {quality!r} is none of {get_args(Quality)}")
     posed, light = scene.posed(poses), sky_light(sky)
     width, height = camera.width, camera.height
     if len(scene.static):
-        return trace_image(posed, light, camera, pose, rng, exposure)
+        return trace_image(posed, light, camera, pose, rng, exposure, quality)
     # Nothing but vehicles: trace only the part of the image that they can cover.
     left, top, right, bottom = _covered(scene, camera, pose, poses)
     part = camera.cropped(left, top, right - left, bottom - top)
-    return trace_image(posed, light, part, pose, rng, exposure).within(width, height, left, top)
+    return trace_image(posed, light, part, pose, rng, exposure, quality).within(
+        width, height, left, top
+    )
 
 
 def _covered(

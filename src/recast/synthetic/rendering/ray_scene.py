@@ -107,6 +107,7 @@ class PosedScene:
         if unknown:
             raise ValueError(f"poses: {unknown} not among the models {list(scene.names)}")
         self.scene = scene
+        self.poses = dict(poses)
         count = len(scene.names) + 1
         self.rotation = np.tile(np.eye(3, dtype=np.float32), (count, 1, 1))
         self.translation = np.zeros((count, 3), np.float32)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,7 @@ from recast.synthetic.rendering.camera_frame import CameraFrame
 from recast.synthetic.rendering.embree import Float32Array
 from recast.synthetic.rendering.light_filter import LightFilter
 from recast.synthetic.rendering.lighting import Light, add_light_samples, sample_light
+from recast.synthetic.rendering.path_light import path_light
 from recast.synthetic.rendering.ray_scene import SKY, Hits, PosedScene
 from recast.synthetic.rendering.sampling import pixel_samples
 from recast.synthetic.rendering.shading import shade
@@ -22,6 +25,8 @@ from recast.synthetic.rendering.vectors import dot, normalise
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+Quality = Literal["standard", "mitsuba"]
+"""Where the light of the sky comes from: `lighting`, with one bounce, or `path_light`."""
 LONELY_SAMPLES = 4
 """Further samples of light where the filter finds no neighbours to average with."""
 
@@ -72,6 +77,7 @@ def trace_image(
     world_from_camera: Array,
     rng: np.random.Generator,
     exposure: float,
+    quality: Quality,
 ) -> CameraFrame:
     """The image of a scene; arguments as of `render_camera`, checked."""
     height, width = camera.height, camera.width
@@ -87,6 +93,8 @@ def trace_image(
     noisy = sample_light(posed, light, points, *samples)
     light_filter = LightFilter(points, pixels, height, width)
     add_light_samples(posed, light, points, noisy, light_filter.lonely(), LONELY_SAMPLES, rng)
+    if quality == "mitsuba":
+        noisy = Light(noisy.sun, path_light(posed, light, points, rng))
     arriving = light_filter.smooth(noisy)
     shaded = shade(posed, light, points, arriving, pixel_angle)
     film.add(np.arange(height * width), directions, hits, pixels, shaded)

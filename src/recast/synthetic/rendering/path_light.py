@@ -1,0 +1,131 @@
+"""Light of many bounces, by mitsuba's path tracer: the `quality="mitsuba"` of `render_camera`.
+
+Only the light that arrives is path traced, at the points that the camera sees; textures, coats,
+haze and tone stay as they are. Faces are taken as diffuse in their own colours.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+from functools import lru_cache
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from recast.geometry import se3
+from recast.synthetic.rendering.embree import Float32Array
+from recast.synthetic.rendering.mitsuba_probe import LIBRARY, VARIANT, working_llvm
+from recast.synthetic.rendering.ray_scene import PosedScene, RayScene
+from recast.synthetic.rendering.sampling import cosine_directions
+from recast.synthetic.rendering.sky_light import SkyLight
+from recast.synthetic.rendering.surface_points import SurfacePoints
+from recast.synthetic.rendering.vectors import rows
+from recast.synthetic.surface import Surface
+
+SAMPLES = 8
+"""Paths a point."""
+BOUNCES = 4
+"""Segments of a path, the one from the point included."""
+_ROWS = 256
+
+_streets: WeakKeyDictionary[RayScene, Any] = WeakKeyDictionary()
+
+
+def path_light(
+    posed: PosedScene, light: SkyLight, points: SurfacePoints, rng: np.random.Generator
+) -> Float32Array:
+    """Irradiance over pi (N, 3) of all but the sun's own rays at N points.
+
+    Raises:
+        InputError: mitsuba is not installed, or does not run here.
+    """
+    mitsuba = _mitsuba()
+    count = len(points) * SAMPLES
+    if not count:
+        return np.zeros((0, 3), np.float32)
+    scene = mitsuba.load_dict(_scene(mitsuba, posed, light))
+    path = mitsuba.load_dict({"type": "path", "max_depth": BOUNCES, "rr_depth": 64})
+    sampler = mitsuba.load_dict({"type": "independent"})
+    sampler.seed(int(rng.integers(2**31)), count)
+
+    point = np.repeat(np.arange(len(points)), SAMPLES)
+    # SAMPLES strata in one coordinate: neighbouring samples are of one point.
+    samples = rng.random((count, 2), np.float32)
+    samples[:, 0] = (samples[:, 0] + np.arange(count, dtype=np.float32) % SAMPLES) / SAMPLES
+    directions = cosine_directions(rows(points.normal, point), samples)
+    origins = rows(points.origin, point)
+    rays = mitsuba.RayDifferential3f(
+        mitsuba.Point3f(np.ascontiguousarray(origins.T)),
+        mitsuba.Vector3f(np.ascontiguousarray(directions.T)),
+    )
+    radiance = np.asarray(path.sample(scene, sampler, rays)[0], np.float32)
+    # A path that meets the sun's glow by chance would leave a speck.
+    radiance = np.minimum(radiance.T, np.float32(4 * light.white))
+    mean: Float32Array = radiance.reshape(len(points), SAMPLES, 3).mean(axis=1)
+    return mean
+
+
+@lru_cache(maxsize=1)
+def _mitsuba() -> Any:
+    library = working_llvm()
+    if library is not None:
+        os.environ[LIBRARY] = library
+    mitsuba = importlib.import_module("mitsuba")
+    mitsuba.set_variant(VARIANT)
+    # Logs are rendered by several processes already.
+    importlib.import_module("drjit").set_thread_count(1)
+    return mitsuba
+
+
+def _scene(mitsuba: Any, posed: PosedScene, light: SkyLight) -> dict[str, Any]:
+    scene = posed.scene
+    shapes: dict[str, Any] = {}
+    if len(scene.static):
+        if scene not in _streets:
+            _streets[scene] = _mesh(mitsuba, scene.static, scene.static.vertices)
+        shapes["street"] = _streets[scene]
+    for index, (name, pose) in enumerate(sorted(posed.poses.items())):
+        model = scene.models[name]
+        if len(model):
+            vertices = se3.apply(pose, model.vertices)
+            shapes[f"model{index}"] = _mesh(mitsuba, model, vertices)
+    sun = {
+        "type": "directional",
+        "direction": (-light.sun_direction).tolist(),
+        "irradiance": {"type": "rgb", "value": light.sun.tolist()},
+    }
+    lights = {"sky": _environment(mitsuba, light)}
+    if light.sun_direction[2] > 0:
+        lights["sun"] = sun
+    return {"type": "scene", **shapes, **lights}
+
+
+def _mesh(mitsuba: Any, surface: Surface, vertices: np.ndarray) -> Any:
+    properties = mitsuba.Properties()
+    reflectance = {"type": "mesh_attribute", "name": "face_color"}
+    diffuse = {"type": "diffuse", "reflectance": reflectance}
+    properties["bsdf"] = mitsuba.load_dict({"type": "twosided", "bsdf": diffuse})
+    mesh = mitsuba.Mesh("surface", len(vertices), len(surface), props=properties)
+    parameters = mitsuba.traverse(mesh)
+    parameters["vertex_positions"] = vertices.astype(np.float32).ravel()
+    parameters["faces"] = surface.faces.astype(np.uint32).ravel()
+    mesh.add_attribute("face_color", 3, surface.colours.ravel())
+    parameters.update()
+    return mesh
+
+
+def _environment(mitsuba: Any, light: SkyLight) -> dict[str, Any]:
+    """The table of the sky as mitsuba wants it: rows from the zenith down, y up, turned to z up."""
+    polar = (np.arange(_ROWS) + 0.5) / _ROWS * np.pi
+    azimuth = (np.arange(2 * _ROWS) + 0.5) / _ROWS * np.pi
+    polar, azimuth = np.meshgrid(polar, azimuth, indexing="ij")
+    level = np.sin(polar)
+    directions = np.stack([np.sin(azimuth) * level, np.cos(azimuth) * level, np.cos(polar)], -1)
+    sky = light.radiance(directions.reshape(-1, 3).astype(np.float32), diffuse=True)
+    return {
+        "type": "envmap",
+        "bitmap": mitsuba.Bitmap(np.ascontiguousarray(sky.reshape(_ROWS, 2 * _ROWS, 3))),
+        "to_world": mitsuba.ScalarTransform4f().rotate([1, 0, 0], 90),
+    }
