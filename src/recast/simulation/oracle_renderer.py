@@ -48,9 +48,7 @@ class OracleRenderer:
 
     def __init__(self, world: World, mounts: Mapping[str, CameraMount], workers: int = 0) -> None:
         self._mounts = dict(mounts)
-        self._pool = OraclePool(world, workers)
-        self._pool.workers = max(1, min(self._pool.workers, len(self._mounts)))
-        self._world = world
+        self._pool = OraclePool(world, workers, most=len(self._mounts))
 
     @property
     def mounts(self) -> Mapping[str, CameraMount]:

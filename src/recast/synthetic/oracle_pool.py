@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -37,15 +38,17 @@ class OraclePool:
     Args:
         world: what the oracles show.
         workers: processes; 0 for one for each core, 1 for none but this one.
+        most: jobs that there ever are at a time; more processes are never started.
 
     Raises:
         InputError: workers is negative.
     """
 
-    def __init__(self, world: World, workers: int = 0) -> None:
+    def __init__(self, world: World, workers: int = 0, most: int | None = None) -> None:
         if workers < 0:
             raise InputError("workers", str(workers), "is negative", "choose 0 for all cores")
-        self.workers = workers or len(os.sched_getaffinity(0))
+        wanted = workers or len(os.sched_getaffinity(0))
+        self.workers = wanted if most is None else max(1, min(wanted, most))
         self._world = world
         self._own: Oracle | None = None
         self._executor: ProcessPoolExecutor | None = None
@@ -145,6 +148,7 @@ def _one_thread() -> Iterator[None]:
 
 def _start(world: World) -> None:
     global _oracle
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers itself
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _oracle = Oracle(world)
 

@@ -22,7 +22,9 @@ Array = NDArray[np.float64]
 _DRIVER = IdmParameters(min_gap=3.0, headway=1.2, max_acceleration=1.2, max_deceleration=2.5)
 _DRIVING_MARGIN, _PARKED_MARGIN = 0.7, 0.25
 _AHEAD_MARGIN = 3.0
-"""Metres kept free before and behind a moving vehicle, beyond the margin on all sides."""
+"""Metres kept free around the ego's ends, beyond the margin on all sides."""
+_AHEAD_SECONDS = 0.5
+"""Of driving, kept free before and behind a moving vehicle."""
 _SAME_LANE = 1.8
 _SEEN_WITHIN = 70.0
 _SEEN_FIELD = np.deg2rad(65)
@@ -97,7 +99,8 @@ def try_driving(
     poses = path.poses(place, wheelbase(float(model.size[0])))
     if not _is_seen(poses, scene.ego.poses):
         return None
-    longer = np.array([model.size[0] + _AHEAD_MARGIN, model.size[1], model.size[2]])
+    mean_speed = float(place[-1] - place[0]) / float(seconds[-1])
+    longer = model.size + np.array([2 * _AHEAD_SECONDS * mean_speed, 0.0, 0.0])
     spacious = VehicleModel(model.kind, model.category, model.colour, longer, model.surface)
     if not scene.fits(Placed(spacious, poses), others, _DRIVING_MARGIN):
         return None
