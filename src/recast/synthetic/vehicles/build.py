@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from recast.synthetic.surface import Surface, concatenate
+from recast.synthetic.vehicles.box_truck import box_truck
+from recast.synthetic.vehicles.bus import bus
 from recast.synthetic.vehicles.cars import car
 from recast.synthetic.vehicles.colours import paint_rgb, sample_colour
 from recast.synthetic.vehicles.details import Parts
-from recast.synthetic.vehicles.heavy import box_truck, bus
 from recast.synthetic.vehicles.kinds import CATEGORIES, sample_kind, sample_parameters
 from recast.synthetic.vehicles.parameters import VehicleParameters
 from recast.synthetic.vehicles.solid import Finish

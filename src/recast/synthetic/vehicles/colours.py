@@ -40,7 +40,8 @@ make up about five cars in six)."""
 _KIND_SHARES: dict[str, dict[str, float]] = {
     "van": {"white": 0.66, "grey": 0.10, "silver": 0.09, "black": 0.07, "blue": 0.05, "red": 0.03},
     "box-truck": {"white": 0.76, "blue": 0.08, "red": 0.06, "grey": 0.05, "yellow": 0.05},
-    "bus": {"red": 0.24, "white": 0.22, "blue": 0.18, "yellow": 0.16, "green": 0.12, "orange": 0.08},
+    "bus": {"red": 0.24, "white": 0.22, "blue": 0.18, "yellow": 0.16, "green": 0.12,
+            "orange": 0.08},
 }  # fmt: skip
 
 

@@ -13,8 +13,14 @@ Parts = list[tuple[str, Surface]]
 
 
 def disc(
-    solid: Solid, y: float, z: float, sign: float, radius: float, finish: Finish, proud: float = 0.006
-) -> Surface:  # fmt: skip
+    solid: Solid,
+    y: float,
+    z: float,
+    sign: float,
+    radius: float,
+    finish: Finish,
+    proud: float = 0.006,
+) -> Surface:
     """A lens-like disc that stands out of the skin at (y, z) of an end of the body."""
     x = solid.reach(abs(y), z, sign)
     lens = pebble((x + sign * (proud - 0.012), y, z), (0.024, 2 * radius, 2 * radius), finish, 2.4,

@@ -69,7 +69,8 @@ def block(
     low: tuple[float, float, float], high: tuple[float, float, float], finish: Finish
 ) -> Solid:
     """A closed box between two corners."""
-    return grid_block(*(np.array([low[k], high[k]]) for k in range(3)), finish)
+    xs, ys, zs = (np.array([low[k], high[k]]) for k in range(3))
+    return grid_block(xs, ys, zs, finish)
 
 
 def mirror(x: float, y: float, z: float, paint: Finish, tall: bool = False) -> list[Solid]:
@@ -117,3 +118,10 @@ def mirrored(part: Surface) -> Surface:
         part.colours,
         part.materials,
     )
+
+
+def both(side: list[tuple[str, Surface]]) -> list[tuple[str, Surface]]:
+    """Parts of the left side, by name, and their mirror images."""
+    return [(f"{name}-left", part) for name, part in side] + [
+        (f"{name}-right", mirrored(part)) for name, part in side
+    ]

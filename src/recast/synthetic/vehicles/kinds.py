@@ -40,7 +40,7 @@ _CAR: dict[str, Range] = {
 _RANGES: dict[str, dict[str, Range]] = {
     "hatchback": _CAR | {
         "length": (3.75, 4.4), "width": (1.68, 1.82), "height": (1.44, 1.54),
-        "wheelbase": (0.595, 0.625), "front_overhang": (0.185, 0.205), "wheel_radius": (0.295, 0.33),
+        "wheelbase": (0.595, 0.625), "front_overhang": (0.185, 0.205), "wheel_radius": (0.3, 0.33),
         "ground_clearance": (0.15, 0.19), "nose_height": (0.72, 0.80), "cowl_height": (0.96, 1.03),
         "bonnet_length": (0.215, 0.255), "windscreen_rake": (0.96, 1.06), "rear_rake": (0.45, 0.75),
         "deck_length": (0.06, 0.14), "deck_height": (0.93, 1.02), "belt_height": (0.90, 0.97),

@@ -149,7 +149,8 @@ class Body:
 
     def _grid(self) -> tuple[Array, Array, Array]:
         nx, ny, nz = self.cells
-        (low, high), (r_low, r_high) = self._extents(), self._radii()
+        high = self._extents()[1]
+        r_low, r_high = self._radii()
         length = self.length
         inner = self.top.spread(r_high[0], length - r_low[0], nx + 1, focus=0.6)[::-1]
         xs = np.concatenate([[-length / 2, -length / 2 + 0.42 * r_low[0]], length / 2 - inner,

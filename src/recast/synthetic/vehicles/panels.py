@@ -42,9 +42,13 @@ def wheel_wells(solid: Solid, body: Body, p: VehicleParameters) -> None:
 
 
 def seam(
-    solid: Solid, axis: int, at: float, across: tuple[float, float], along: tuple[float, float] | None,
-    half: float = 0.0045, tilt: float = 0.0,
-) -> None:  # fmt: skip
+    solid: Solid,
+    axis: int,
+    at: float,
+    across: tuple[float, float],
+    half: float = 0.0045,
+    tilt: float = 0.0,
+) -> None:
     """A dark joint on the flanks: upright (axis 0, at x) or level (axis 2, at z).
 
     Args:
@@ -52,18 +56,16 @@ def seam(
         axis: 0 or 2.
         at: metres on that axis.
         across: where it begins and ends on the other axis.
-        along: least and greatest y that it is seen at; None means the flanks only.
         half: half its width.
         tilt: metres of x per metre of height.
     """
 
     def fields(s: Solid) -> Area:
-        x, y, z = xyz(s)
+        x, _, z = xyz(s)
         main, other = (x, z) if axis == 0 else (z, x)
         distance = main - at + (tilt * (z - across[0]) if axis == 0 else 0)
         limits = [across[0] - other, other - across[1]]
-        side = [0.93 - s.coords[:, 1]] if along is None else [along[0] - y, y - along[1]]
-        return strip(distance, half), [*limits, *side]
+        return strip(distance, half), [*limits, 0.93 - s.coords[:, 1]]
 
     solid.paint(fields, SEAM, over=("paint", "plastic"))
 
@@ -78,5 +80,5 @@ def doors(solid: Solid, body: Body, p: VehicleParameters, edges: list[float]) ->
         if last and len(edges) > 2 and abs(x - ax) < radius + 0.03:
             foot = az + np.sqrt(max((radius + 0.03) ** 2 - (x - ax) ** 2, 0.0))
         top = float(body.belt_at(np.array(x))) + (0.0 if k == 0 else 0.01)
-        seam(solid, 0, x, (foot, top), None, tilt=0.06 if k else -0.02)
-    seam(solid, 2, sill, (max(edges[-1], body.arches[1][0] + body.arches[1][2]), edges[0]), None)
+        seam(solid, 0, x, (foot, top), tilt=0.06 if k else -0.02)
+    seam(solid, 2, sill, (max(edges[-1], body.arches[1][0] + body.arches[1][2]), edges[0]))

@@ -66,9 +66,8 @@ def read_mesh(
     size = high - low
     if not (np.all(size >= SHORTEST) and np.all(size <= LONGEST)):
         shown = " x ".join(f"{value:.3g}" for value in size)
-        raise InputError(
-            path, "size", f"{shown} m is impossible", f"give length; {SHORTEST} to {LONGEST} m a side"
-        )  # fmt: skip
+        mend = f"give length; {SHORTEST} to {LONGEST} m a side"
+        raise InputError(path, "size", f"{shown} m is impossible", mend)
     vertices = vertices - (low + high) / 2
     surface = Surface(
         vertices,
@@ -101,8 +100,9 @@ def _load(path: Path, suffix: str) -> tuple[Array, NDArray[np.int32], NDArray[np
     if not np.all(np.isfinite(mesh.vertices)):
         raise InputError(path, "vertices", "are not all finite", "export it again")
     colours = np.full((len(mesh.faces), 3), 0.4, np.float32)
-    if mesh.visual.kind in ("face", "vertex"):
-        colours = _linear(np.asarray(mesh.visual.face_colors)[:, :3] / 255.0)
+    visual: Any = mesh.visual
+    if visual.kind in ("face", "vertex"):
+        colours = _linear(np.asarray(visual.face_colors)[:, :3] / 255.0)
     # STL repeats the corners of every triangle, and texture seams split vertices.
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     if not mesh.is_watertight or not mesh.is_winding_consistent:

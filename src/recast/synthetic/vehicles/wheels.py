@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from recast.synthetic.surface import Surface, corner_normals
 from recast.synthetic.vehicles.finishes import ALLOY, STEEL, TYRE
+from recast.synthetic.vehicles.fittings import both
+from recast.synthetic.vehicles.parameters import VehicleParameters
 from recast.synthetic.vehicles.solid import Finish, Solid
 
 Array = NDArray[np.float64]
@@ -72,3 +74,20 @@ def wheel(
         solid.paint_faces(pressed, Finish((0.02, 0.02, 0.02), "matte"))
     solid.normals = corner_normals(points, faces.astype(np.int32), np.deg2rad(40)).astype(float)
     return solid.surface()
+
+
+def steel_wheels(
+    p: VehicleParameters, front: list[float], rear: list[float]
+) -> list[tuple[str, Surface]]:
+    """Wheels of a heavy vehicle on axles at these x; the rear ones are twins."""
+    turned = wheel(p.wheel_radius, p.tyre_width, p.rim_share, 8, dished=True)
+    side: list[tuple[str, Surface]] = []
+    edge = p.width / 2 - p.tyre_width / 2 - 0.04
+    for k, x in enumerate([*front, *rear]):
+        inset = 0.04 * p.width if x in front and p.kind == "box-truck" else 0.0
+        for inner in (False, True) if x in rear else (False,):
+            pose = np.eye(4)
+            shift = (p.tyre_width + 0.03) if inner else 0.0
+            pose[:3, 3] = x, edge - inset - shift, p.wheel_radius
+            side.append((f"wheel-{k}{'-inner' if inner else ''}", turned.transformed(pose)))
+    return both(side)
