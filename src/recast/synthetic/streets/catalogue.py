@@ -36,7 +36,7 @@ _KINDS: dict[str, tuple[Callable[[Generator, float], Site], tuple[float, float]]
 SCENES: tuple[str, ...] = tuple(_KINDS)
 """Names of all scenes."""
 
-MIN_LENGTH, MAX_LENGTH = 20.0, 400.0
+MIN_LENGTH, MAX_LENGTH = 20.0, 350.0
 
 
 def make_street(name: str, rng: Generator, length: float) -> Street:

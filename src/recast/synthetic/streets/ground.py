@@ -248,12 +248,13 @@ def _kerb_ring(points: Array, rng: Generator) -> list[Surface]:
 def forest_belt(centre: Array, radius: float, start: float, turn: float, height: float,
                 rng: Generator) -> Surface:  # fmt: skip
     """Woods far off: a jagged wall of foliage on an arc around `centre`, seen from within."""
-    count = max(int(abs(turn) * radius / 2.5), 3)
+    count = max(int(abs(turn) * radius / 1.8), 3)
     angle = np.linspace(start, start + turn, count + 1)
     rows = []
     for lift, back in ((0.0, 0.0), (0.55, -1.5), (1.0, 3.0), (0.6, 9.0)):
-        wave = rng.uniform(0.75, 1.25, count + 1) if lift else np.ones(count + 1)
-        reach = radius + back + rng.uniform(-1.5, 1.5, count + 1)
+        crowns = np.convolve(rng.normal(size=count + 5), np.full(5, 0.07), mode="valid")
+        wave = 1.0 + (crowns + rng.uniform(-0.05, 0.05, count + 1)) * (lift > 0)
+        reach = radius + back + rng.uniform(-1.0, 1.0, count + 1)
         xy = centre + reach[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         rows.append(np.concatenate([xy, (height * lift * wave)[:, None]], axis=1))
     corners = []

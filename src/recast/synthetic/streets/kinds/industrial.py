@@ -52,11 +52,11 @@ def industrial(rng: Generator, length: float) -> Site:
     sign(site, side, side.start + 0.5, 1, "stop")
     sign(site, main, EGO_START + 18.0, -1, "speed", speed=50)
     sign(site, main, main.end - 28.0, -1, "direction", away=2.4)
+    close_view(site, ahead, ahead.paved[1], 1, SHEDS)
+    close_view(site, main, 0.0, -1, SHEDS)
     for way in (1, -1):
         _yards(site, main, way, 0.0, ahead.paved[1])
         _yards(site, side, way, 30.0, side.paved[1])
-    close_view(site, ahead, ahead.paved[1], 1, SHEDS)
-    close_view(site, main, 0.0, -1, SHEDS)
     for road in (main, ahead):
         lamps(site, road, (1,), 38.0, 9.0, 2.0)
     _clutter(site, main, ahead)

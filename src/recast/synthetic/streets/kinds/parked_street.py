@@ -18,7 +18,7 @@ from recast.synthetic.streets.dress import (
     trees,
     woods,
 )  # fmt: skip
-from recast.synthetic.streets.ground import GRASS, PAVING, Band, Edge, Island
+from recast.synthetic.streets.ground import PAVING, Band, Edge, Island
 from recast.synthetic.streets.junctions import tee
 from recast.synthetic.streets.network import Arm
 from recast.synthetic.streets.paint import RoadPaint, bays, paint_arm, paint_road, park_along
@@ -27,7 +27,9 @@ from recast.synthetic.streets.road import Road, Section
 from recast.synthetic.streets.site import EGO_START, RUN_OUT, Layout, Site
 from recast.synthetic.streets.wear import Wear
 
-EDGE = Edge(kerb=True, bands=(Band(3.0, PAVING, "concrete"),), land=(GRASS, "grass"))
+EDGE = Edge(
+    kerb=True, bands=(Band(3.0, PAVING, "concrete"),), land=((0.25, 0.24, 0.22), "concrete")
+)
 HOUSES = Frontage("urban", (3.2, 3.4), (7.5, 13.0), (9.0, 12.0), (0.0, 0.0), (2, 4))
 SPEED = 8.3
 PITCH, BLOCK = 6.0, 4
@@ -98,7 +100,8 @@ def _build_out(road: Road, s: float, side: int) -> Island:
 
 def _furnish(site: Site, main: Road, ahead: Road) -> None:
     rng = site.rng
-    crowns = trees(rng, (4.6, 5.4), ("round",), 4) + trees(rng, (7.0, 8.0), ("tall",), 2)
+    # Only narrow crowns fit between a lane and the houses.
+    crowns = trees(rng, (5.5, 8.5), ("tall",), 6)
     small = [
         *several(rng, scenery.litter_bin, 1), *several(rng, scenery.parking_meter, 2),
         *several(rng, scenery.bollard, 1), *several(rng, scenery.bench, 1),
