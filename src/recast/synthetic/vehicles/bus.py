@@ -49,7 +49,7 @@ def bus(p: VehicleParameters, paint: Finish) -> Parts:
         rise=0.08, tumblehome=p.tumblehome, crown=0.07, wrap=0.0, bow_front=p.bow, bow_rear=0.05,
         lean_front=float(np.tan(p.windscreen_rake)), lean_rear=0.02, corner=p.corner, taper=0.01,
         edge=0.16, arches=((front, radius, radius + 0.06), (rear, radius, radius + 0.06)),
-        bumper=0.7, cells=(32, 5, 8),
+        bumper=0.7, cells=(28, 4, 7),
     )  # fmt: skip
     solid = body.half(paint)
     underside(solid, p)
