@@ -16,8 +16,9 @@ from recast.synthetic.rendering.lighting import sample_light
 from recast.synthetic.rendering.path_light import path_light
 from recast.synthetic.rendering.sky_light import sky_light
 from recast.synthetic.rendering.surface_points import surface_points
+from recast.synthetic.rendering.vectors import normalise
 from recast.synthetic.surface import concatenate
-from synthetic.rendering.shapes import CAMERA, box, camera_at, plane, pose, sky
+from synthetic.rendering.shapes import CAMERA, box, camera_at, nothing, plane, pose, sky
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +48,23 @@ def test_light_in_the_open_agrees(mitsuba: None, height: float) -> None:
     ours = sample_light(posed, light, points, samples[0], samples[1]).sky.mean(axis=0)
     theirs = path_light(posed, light, points, rng).mean(axis=0)
     assert np.allclose(theirs, ours, rtol=0.06)
+
+
+def test_sky_is_turned_the_right_way(mitsuba: None) -> None:
+    light = sky_light(sky(clouds=0.5))
+    rng = np.random.default_rng(0)
+    ground, air = RayScene(plane(), {}).posed({}), RayScene(nothing(), {}).posed({})
+    origins = rng.uniform(-5, 5, (64, 3)).astype(np.float32) + np.float32([0, 0, 20])
+    directions = np.tile(np.float32([0, 0, -1]), (64, 1))
+    _, points = surface_points(ground, origins, directions, ground.cast(origins, directions))
+    # Normals to many sides, nothing around but sky.
+    points.normal[:] = normalise(rng.normal(size=(64, 3)).astype(np.float32))
+    points.flat[:] = points.normal
+    rounds = rng.random((1000, 64, 2), np.float32)
+    ours = np.mean([sample_light(air, light, points, r, r).sky for r in rounds], axis=0)
+    theirs = np.mean([path_light(air, light, points, rng) for _ in range(80)], axis=0)
+    assert np.allclose(theirs, ours, rtol=0.1)
+    assert np.corrcoef(ours[:, 1], theirs[:, 1])[0, 1] > 0.98
 
 
 def test_image(mitsuba: None) -> None:
