@@ -20,6 +20,7 @@ from recast.synthetic.populate import (
     world_of,
 )
 from recast.synthetic.speed import LATERAL_LIMIT
+from recast.synthetic.target import wheelbase
 from recast.synthetic.world import World
 from synthetic.conftest import small_world
 from synthetic.small_street import small_street
@@ -27,9 +28,14 @@ from synthetic.small_street import small_street
 KINDS = ("urban-straight", "arterial-median", "suburban-curve")
 
 
-@pytest.fixture(scope="module", params=KINDS)
+BUILT = ("signalled-intersection", "roundabout-approach")
+
+
+@pytest.fixture(scope="module", params=(*KINDS, *BUILT))
 def drive(request: pytest.FixtureRequest) -> World:
-    """8 s with the target overtaking, passed, and leading."""
+    """8 s with the target overtaking, passed and leading, and two whole scenes with tight bends."""
+    if request.param in BUILT:
+        return make_world(request.param)
     return small_world(KINDS.index(request.param), 8.0, request.param)
 
 
@@ -66,11 +72,13 @@ def test_every_vehicle_stands_on_the_ground_and_follows_a_lane(drive: World) -> 
             assert np.all(poses == poses[0])
             continue
         planar = se2.from_se3(poses)
+        # With both axles on the line, the middle cuts the bend: bends are of 10 m or more.
+        allowed = 0.15 + wheelbase(float(vehicle.model.size[0])) ** 2 / (8 * 10.0)
         for place in planar[:, :2]:
-            assert min(line.distance(shapely.Point(place)) for line in lanes) < 0.1
+            assert min(line.distance(shapely.Point(place)) for line in lanes) < allowed
         moved = np.diff(planar[:, :2], axis=0)
         turn = se2.wrap_angle(np.arctan2(moved[:, 1], moved[:, 0]) - planar[:-1, 2])
-        assert np.abs(turn).max() < 0.1
+        assert np.abs(turn).max() < 0.15
 
 
 def test_the_ego_drives_smoothly_inside_the_drivable_area(drive: World) -> None:
@@ -116,7 +124,7 @@ def test_the_target_overtakes_is_passed_or_leads() -> None:
 
 def test_others_drive_and_park(drive: World) -> None:
     assert 2 <= sum(key.startswith("moving") for key in drive.vehicles) <= 5
-    assert any(vehicle.parked for vehicle in drive.vehicles.values())
+    assert any(v.parked for v in drive.vehicles.values()) == bool(drive.street.parking)
 
 
 def test_a_world_is_its_name_seed_and_duration() -> None:
