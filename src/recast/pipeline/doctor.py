@@ -19,6 +19,8 @@ from recast.planning import PLANNERS
 from recast.splats import native
 
 _OPTIONAL = {
+    "embreex": ("synthetic worlds, the demo", "pip install 'recast-sim[synthetic]'"),
+    "mitsuba": ("better light in synthetic worlds", "pip install 'recast-sim[mitsuba]'"),
     "gsplat": ("rasterize on CUDA", "pip install 'recast-sim[cuda]'"),
     "ray": ("batches on several machines", "pip install 'recast-sim[distributed]'"),
     "accelerate": ("training on several GPUs", "pip install 'recast-sim[distributed]'"),

@@ -24,7 +24,7 @@ def daylight(rng: Generator, elevation: tuple[float, float] = (25.0, 60.0)) -> S
     )
     low = np.exp(-np.sin(high) / 0.35)  # path through the air
     strength = (1 - 0.55 * clouds**2) * (1 - 0.15 * haze)
-    sun = strength * 3.2 * np.array([1.0, 1.0 - 0.16 * low, 0.94 - 0.42 * low]) * (1 - 0.3 * low)
+    sun = strength * 5.0 * np.array([1.0, 1.0 - 0.16 * low, 0.94 - 0.42 * low]) * (1 - 0.3 * low)
     grey = np.array([0.62, 0.66, 0.72])
     clear = np.array([0.23, 0.36, 0.62])
     zenith = (1 - 0.6 * clouds) * clear + 0.6 * clouds * grey
