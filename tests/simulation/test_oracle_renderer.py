@@ -62,6 +62,7 @@ def test_at_the_logged_state_it_shows_what_the_log_shows(
         )
         error = np.mean((frame.rgb.astype(float) - images[name]) ** 2)
         assert 10 * np.log10(255**2 / max(error, 1e-9)) > 35, name
+        assert abs(frame.rgb.mean() - images[name].mean()) < 0.4, f"{name}: exposure"
 
 
 def test_images_do_not_depend_on_workers_or_order(

@@ -49,8 +49,8 @@ def test_a_vehicle_is_where_it_is_put(oracle: Oracle) -> None:
 
 
 def test_a_parked_car_can_be_moved_away(oracle: Oracle) -> None:
-    seen = [k for k in oracle.world.vehicles if oracle.world.vehicles[k].parked]
-    seen = [k for k in seen if oracle.instance_of(k) in shown(oracle, {})]
+    before = shown(oracle, {})
+    seen = [key for key in oracle.world.vehicles if oracle.instance_of(key) in before]
     far = np.eye(4)
     far[:3, 3] = [-90.0, 0.0, 0.8]
     assert oracle.instance_of(seen[0]) not in shown(oracle, {seen[0]: far})

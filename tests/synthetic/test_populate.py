@@ -11,7 +11,7 @@ from recast.errors import InputError
 from recast.geometry import boxes, se2
 from recast.logs import DrivingLog
 from recast.synthetic import ego, populate
-from recast.synthetic.clearance import hiding
+from recast.synthetic.clearance import hiding, touching
 from recast.synthetic.populate import (
     START_US,
     WORLD_VERSION,
@@ -28,12 +28,12 @@ from synthetic.small_street import small_street
 KINDS = ("urban-straight", "arterial-median", "suburban-curve")
 
 
-BUILT = ("signalled-intersection", "roundabout-approach")
+BUILT = ("roundabout-approach",)
 
 
 @pytest.fixture(scope="module", params=(*KINDS, *BUILT))
 def drive(request: pytest.FixtureRequest) -> World:
-    """8 s with the target overtaking, passed and leading, and two whole scenes with tight bends."""
+    """8 s with the target overtaking, passed and leading, and a whole scene with tight bends."""
     if request.param in BUILT:
         return make_world(request.param)
     return small_world(KINDS.index(request.param), 8.0, request.param)
@@ -59,12 +59,13 @@ def test_no_two_boxes_ever_overlap(drive: World) -> None:
     for (a, (pose_a, size_a)), (b, (pose_b, size_b)) in itertools.combinations(
         outlines(drive).items(), 2
     ):
-        for at_a, at_b in zip(pose_a, pose_b, strict=True):
-            assert boxes.bev_overlap_area(at_a, size_a, at_b, size_b) == 0, (a, b)
+        assert not touching(pose_a, size_a, pose_b, size_b).any(), (a, b)
 
 
 def test_every_vehicle_stands_on_the_ground_and_follows_a_lane(drive: World) -> None:
-    lanes = [shapely.LineString(lane.centreline[:, :2]) for lane in drive.street.map.lanes.values()]
+    lanes = shapely.union_all(
+        [shapely.LineString(lane.centreline[:, :2]) for lane in drive.street.map.lanes.values()]
+    )
     for vehicle in drive.vehicles.values():
         poses = vehicle.trajectory.poses
         np.testing.assert_allclose(poses[:, 2, 3], vehicle.model.size[2] / 2)
@@ -74,8 +75,7 @@ def test_every_vehicle_stands_on_the_ground_and_follows_a_lane(drive: World) -> 
         planar = se2.from_se3(poses)
         # With both axles on the line, the middle cuts the bend: bends are of 10 m or more.
         allowed = 0.15 + wheelbase(float(vehicle.model.size[0])) ** 2 / (8 * 10.0)
-        for place in planar[:, :2]:
-            assert min(line.distance(shapely.Point(place)) for line in lanes) < allowed
+        assert shapely.distance(shapely.points(planar[:, :2]), lanes).max() < allowed
         moved = np.diff(planar[:, :2], axis=0)
         turn = se2.wrap_angle(np.arctan2(moved[:, 1], moved[:, 0]) - planar[:-1, 2])
         assert np.abs(turn).max() < 0.15
@@ -85,7 +85,7 @@ def test_the_ego_drives_smoothly_inside_the_drivable_area(drive: World) -> None:
     area = shapely.unary_union([shapely.Polygon(p) for p in drive.street.map.drivable_area])
     poses = se2.from_se3(drive.ego.poses)
     corners = boxes.bev_corners(outlines(drive)["ego"][0], ego.LENGTH, ego.WIDTH)
-    assert all(area.contains(shapely.Point(p)) for p in corners.reshape(-1, 2))
+    assert shapely.contains(area, shapely.points(corners.reshape(-1, 2))).all()
     speed = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1) / 0.1
     yaw_rate = np.diff(np.unwrap(poses[:, 2])) / 0.1
     assert np.abs(speed * yaw_rate).max() <= LATERAL_LIMIT

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from recast.synthetic.oracle import Oracle, instances
 from recast.synthetic.rendering import WAYMO_TOP
 from recast.synthetic.rig import CAMERAS, LIDAR, exposure, make_rig
 from recast.synthetic.truth import read_truth
+from recast.synthetic.vehicles import sample_vehicle
 from recast.synthetic.world import World
 from recast.synthetic.write import synthesize_log
 from synthetic.conftest import small_world
@@ -122,6 +124,23 @@ def test_boxes_and_masks_agree(small: World) -> None:
                 assert overlap(rectangle, edges) >= 0.9, key
                 checked += 1
     assert checked >= 3
+
+
+def test_the_mask_of_a_real_shape_is_that_of_its_mesh(small: World) -> None:
+    """Rounded bodies fill 0.75 to 0.8 of their boxes' rectangles; their meshes must fit exactly."""
+    target = small.vehicles[small.target]
+    model = sample_vehicle(np.random.default_rng(0), "hatchback")
+    world = replace(small, vehicles={small.target: replace(target, model=model)})
+    mounted = make_rig(240, 160).cameras["front"]
+    world_from_camera = small.ego.poses[0] @ mounted.rig_from_camera
+    pose = small.ego.poses[0].copy()
+    pose[:3, 3] += 12.0 * pose[:3, 0] + [0.0, 0.0, model.size[2] / 2]
+    shown = mask_of(Oracle(world), mounted.camera, world_from_camera, {small.target: pose}) == 1
+    rows, columns = np.nonzero(shown)
+    edges = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
+    camera_from_actor = se3.inverse(world_from_camera) @ pose
+    pixels, _ = mounted.camera.project(se3.apply(camera_from_actor, model.surface.vertices))
+    assert overlap(np.concatenate([pixels.min(axis=0), pixels.max(axis=0)]), edges) >= 0.93
 
 
 def mask_of(
