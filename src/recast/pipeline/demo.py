@@ -14,7 +14,7 @@ from recast.pipeline.display import FrameProgress
 from recast.pipeline.layout import METHODS
 from recast.pipeline.run import run
 from recast.scene import SceneConfig
-from recast.synthetic import World, make_world, synthesize_log, world_of
+from recast.synthetic import CAMERAS, World, make_world, synthesize_log, world_metadata
 
 LOG_FOLDER = "log"
 RUN_FOLDER = "run"
@@ -95,7 +95,7 @@ def _drive(world: World, path: Path, size: DemoSize, threads: int, console: Cons
         console.print("  finished before")
         return path
     names = size.cameras or None
-    frames = round(size.seconds * 10) * (len(size.cameras) or 3)
+    frames = round(size.seconds * 10) * len(size.cameras or CAMERAS)
     with FrameProgress(console, frames, "images") as progress:
         synthesize_log(
             world, path, width=size.width, height=size.height, cameras=names, workers=threads,
@@ -105,10 +105,10 @@ def _drive(world: World, path: Path, size: DemoSize, threads: int, console: Cons
 
 
 def _check_same(log: DrivingLog, world: World, size: DemoSize, path: Path) -> None:
-    found = world_of(log)
-    sizes = {(c.camera.width, c.camera.height) for c in log.cameras.values()}
-    same = (found.name, found.seed, found.seconds) == (world.name, world.seed, world.seconds)
-    if not same or sizes != {(size.width, size.height)}:
+    shape = {name: (c.camera.width, c.camera.height) for name, c in log.cameras.items()}
+    wanted = world_metadata(world)
+    same = {name: log.metadata.get(name) for name in wanted} == wanted
+    if not same or shape != dict.fromkeys(size.cameras or CAMERAS, (size.width, size.height)):
         raise InputError(
             path, "log", "is that of another demo", "name another --out, or remove this one"
         )

@@ -2,35 +2,63 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 from recast.actors import insert, load_actor
-from recast.logs import DrivingLog
 from recast.pipeline.layout import ACTOR_FOLDER, SCENE_FOLDER, Method
 from recast.planning import CameraMount
 from recast.scene import StreetScene, load_scene
 from recast.simulation import SensorRenderer
 from recast.simulation.oracle_renderer import OracleRenderer
 from recast.simulation.scene_renderer import SceneRenderer
-from recast.synthetic import world_of
+from recast.synthetic import World
 
 
-@contextmanager
-def method_renderer(
-    method: Method, run: Path, log: DrivingLog, mounts: Mapping[str, CameraMount]
-) -> Iterator[SensorRenderer]:
-    """The renderer of a method, from what the run made before.
+class Renderers:
+    """The renderers of a run, by method; a context manager, since the oracle's holds processes.
 
-    Raises:
-        InputError: the scene or actor folder is broken; "oracle" of a log that is not synthetic.
+    Args:
+        run: run folder with scene and actor.
+        world: what the log was made from; None where it is not synthetic.
+        mounts: cameras to render, see `camera_mounts`.
     """
-    if method == "oracle":
-        with OracleRenderer(world_of(log), mounts) as oracle:
-            yield oracle
-    else:
-        yield SceneRenderer(method_scene(method, run), mounts)
+
+    def __init__(self, run: Path, world: World | None, mounts: Mapping[str, CameraMount]) -> None:
+        self._run, self._world, self._mounts = run, world, mounts
+        self._open = ExitStack()
+        self._oracle: OracleRenderer | None = None
+
+    def of(self, method: Method) -> SensorRenderer:
+        """The renderer of a method.
+
+        Raises:
+            InputError: the scene or actor folder is missing or broken.
+            ValueError: "oracle" without a world.
+        """
+        if method != "oracle":
+            return SceneRenderer(method_scene(method, self._run), self._mounts)
+        if self._world is None:
+            raise ValueError("Renderers.of: the oracle needs the world")
+        if self._oracle is None:
+            self._oracle = self._open.enter_context(OracleRenderer(self._world, self._mounts))
+        return self._oracle
+
+    def __enter__(self) -> Self:
+        """Nothing starts before it is asked for."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End the oracle's processes."""
+        self._open.close()
 
 
 def method_scene(method: Method, run: Path) -> StreetScene:

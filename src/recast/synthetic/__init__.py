@@ -1,7 +1,7 @@
 """Synthetic drives with ground truth: streets, vehicles, traffic, sensors, and the oracle."""
 
 from recast.synthetic.oracle import Oracle
-from recast.synthetic.populate import WORLD_VERSION, make_world, world_of
+from recast.synthetic.populate import WORLD_VERSION, make_world, world_metadata, world_of
 from recast.synthetic.rig import CAMERAS, make_rig
 from recast.synthetic.streets import SCENES
 from recast.synthetic.truth import read_truth
@@ -19,5 +19,6 @@ __all__ = [
     "make_world",
     "read_truth",
     "synthesize_log",
+    "world_metadata",
     "world_of",
 ]

@@ -1,0 +1,238 @@
+"""The steps of one run, each after those it needs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from recast import storage
+from recast.errors import InputError
+from recast.logs import DrivingLog, HdMap, map_of
+from recast.pipeline.actor import make_actor
+from recast.pipeline.config import RunConfig
+from recast.pipeline.display import FrameProgress, results_table
+from recast.pipeline.fingerprint import file_hash
+from recast.pipeline.layout import (
+    ACTOR_FOLDER,
+    EVALUATION_FOLDER,
+    METRICS_FILE,
+    OBSERVATION_FOLDER,
+    REPORT_FOLDER,
+    ROLLOUTS_FOLDER,
+    SCENE_FOLDER,
+    TRUTH_FOLDER,
+    TURNTABLE_FILE,
+    Method,
+)
+from recast.pipeline.methods import Renderers
+from recast.pipeline.report import report_run
+from recast.pipeline.rollouts import make_rollout
+from recast.pipeline.run_folder import RunFolder
+from recast.pipeline.scene import evaluation_table, train_with_display
+from recast.pipeline.scores import write_metrics
+from recast.pipeline.truth import compare_with_truth
+from recast.planning import make_planner
+from recast.scene import evaluate_scene, load_scene
+from recast.simulation import MOTIONS, RolloutSetup, prepare
+from recast.synthetic import World
+
+
+class Job:
+    """The steps of one run, each after those it needs."""
+
+    def __init__(
+        self,
+        log: DrivingLog,
+        world: World | None,
+        folder: RunFolder,
+        config: RunConfig,
+        renderers: Renderers,
+        console: Console,
+    ) -> None:
+        self.log, self.world, self.folder = log, world, folder
+        self.config, self.renderers, self.console = config, renderers, console
+        self.path = folder.path
+        self.map: HdMap = map_of(log)
+        self.possible_steps: dict[str, int] = {}
+        self.done = 0
+        self.total = 5 + len(config.motions) * len(config.methods) + ("oracle" in config.methods)
+
+    def finish(self) -> Path:
+        """Make what is not finished yet; return the report's page."""
+        self._announce()
+        actor = self._step(
+            "actor", self._actor_inputs(), self._make_actor,
+            (OBSERVATION_FOLDER, ACTOR_FOLDER, TURNTABLE_FILE),
+        )  # fmt: skip
+        scene = self._step(
+            "scene", {"log": self._log_hash, "config": self.config.scene.model_dump(mode="json")},
+            self._train, (SCENE_FOLDER,), keep_partial=True,
+        )  # fmt: skip
+        evaluation = self._step(
+            "evaluation", {"scene": scene}, self._evaluate, (EVALUATION_FOLDER,)
+        )
+        truth = None
+        if "oracle" in self.config.methods:
+            truth = self._step(
+                "truth", {"scene": scene, "actor": actor, "seed": self.config.seed},
+                self._compare_with_truth, (TRUTH_FOLDER,),
+            )  # fmt: skip
+        rollouts = {
+            f"{motion}/{method}": self._rollout(motion, method, scene, actor)
+            for motion in self.config.motions
+            for method in self.config.methods
+        }
+        metrics = self._step(
+            "metrics",
+            {"rollouts": rollouts, "evaluation": evaluation, "actor": actor, "truth": truth},
+            self._score, (METRICS_FILE,),
+        )  # fmt: skip
+        self._step("report", {"metrics": metrics}, self._report, (REPORT_FOLDER,))
+        return self._conclude()
+
+    @property
+    def _log_hash(self) -> str:
+        return str(self.folder.record["log"]["hash"])
+
+    def _step(
+        self,
+        name: str,
+        inputs: Mapping[str, Any],
+        make: Callable[[], None],
+        outputs: tuple[str, ...],
+        keep_partial: bool = False,
+    ) -> str:
+        self.done += 1
+        self.console.print(f"[bold]\\[{self.done}/{self.total}] {name}[/bold]")
+        fingerprint, made = self.folder.step(name, dict(inputs), make, outputs, keep_partial)
+        if not made:
+            self.console.print("  finished before")
+        return fingerprint
+
+    def _actor_inputs(self) -> dict[str, Any]:
+        generator = self.config.generator
+        source = file_hash(generator) if generator.lower().endswith(".ply") else generator
+        return {
+            "log": self._log_hash,
+            "track": self.config.track,
+            "generator": source,
+            "seed": self.config.seed,
+            "cameras": list(self.config.scene.cameras),
+        }
+
+    def _make_actor(self) -> None:
+        config = self.config
+        with self.console.status("observing, generating, registering"):
+            actor = make_actor(
+                self.log, config.track, config.generator, config.seed, self.path,
+                config.scene.cameras,
+            )  # fmt: skip
+        self.console.print(actor.provenance.registration.explain(), markup=False, highlight=False)
+
+    def _train(self) -> None:
+        train_with_display(self.log, self.path / SCENE_FOLDER, self.config.scene, self.console)
+
+    def _evaluate(self) -> None:
+        if self.config.scene.holdout_every == 0:
+            (self.path / EVALUATION_FOLDER).mkdir()
+            return
+        scene = load_scene(self.path / SCENE_FOLDER)
+        with storage.atomic_folder(self.path / EVALUATION_FOLDER) as partial:
+            evaluation = evaluate_scene(scene, self.log, self.config.scene, partial)
+        self.console.print(evaluation_table(evaluation))
+
+    def _compare_with_truth(self) -> None:
+        assert self.world is not None  # the step is there for the oracle only
+        compare_with_truth(self.path, self.log, self.world, self.config, self.console)
+
+    @property
+    def _cameras(self) -> tuple[str, ...]:
+        return self.config.scene.cameras or tuple(self.log.cameras)
+
+    def _rollout(self, motion: str, method: Method, scene: str, actor: str) -> str:
+        config = self.config
+        inputs: dict[str, Any] = {
+            "log": self._log_hash,
+            "track": config.track,
+            "motion": motion,
+            "method": method,
+            "planner": config.planner,
+            "steps": config.steps,
+            "plan_every": config.plan_every,
+            "keep_other_actors": config.keep_other_actors,
+        }
+        if method == "oracle":
+            inputs |= {"cameras": list(config.scene.cameras), "scale": config.scene.scale}
+        else:
+            inputs["scene"] = scene
+        if method == "replaced":
+            inputs["actor"] = actor
+        target = f"{ROLLOUTS_FOLDER}/{motion}/{method}"
+        return self._step(
+            f"rollout-{motion}-{method}", inputs,
+            lambda: self._make_rollout(motion, method, self.path / target), (target,),
+        )  # fmt: skip
+
+    def _setup(self, motion: str, method: str) -> RolloutSetup:
+        config = self.config
+        return RolloutSetup(
+            log=self.log,
+            track_id=config.track,
+            motion=MOTIONS[motion],
+            method=method,
+            map=self.map,
+            steps=config.steps,
+            plan_every=config.plan_every,
+            keep_other_actors=config.keep_other_actors,
+            camera_names=self._cameras,
+        )
+
+    def _make_rollout(self, motion: str, method: Method, target: Path) -> None:
+        setup = self._setup(motion, method)
+        planner = make_planner(self.config.planner)
+        renderer = self.renderers.of(method)
+        with FrameProgress(self.console, self.possible_steps[motion]) as progress:
+            make_rollout(setup, planner, renderer, target, progress)
+
+    def _score(self) -> None:
+        write_metrics(self.path, self.config, self.map)
+
+    def _report(self) -> None:
+        with self.console.status("writing the report"):
+            report_run(self.path)
+
+    def _announce(self) -> None:
+        """Say before the long steps how far each rollout can go.
+
+        Raises:
+            InputError: none of them can be run at all.
+        """
+        refusals = []
+        for motion in self.config.motions:
+            try:
+                prepared = prepare(self._setup(motion, self.config.methods[0]))
+            except InputError as error:  # becomes a row of the report
+                refusals.append(error)
+                self.possible_steps[motion] = 0
+                self.console.print(f"{motion}: refused: {error}", markup=False, style="yellow")
+                continue
+            self.possible_steps[motion] = prepared.steps
+            reason = f" ({prepared.cut_reason})" if prepared.cut_reason else ""
+            self.console.print(
+                f"{motion}: up to {prepared.steps} of {self.config.steps} steps{reason}",
+                markup=False,
+            )
+        if len(refusals) == len(self.config.motions):
+            raise refusals[0]
+
+    def _conclude(self) -> Path:
+        metrics = storage.read_json(self.path / METRICS_FILE)
+        self.console.print(results_table(metrics["table"]))
+        for failed in metrics["failures"]:
+            self.console.print(f"{failed['name']}: {failed['reason']}", markup=False, style="red")
+        page = self.path / REPORT_FOLDER / "index.html"
+        self.console.print(f"report: {page}", markup=False)
+        return page
