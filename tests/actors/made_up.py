@@ -19,7 +19,7 @@ from recast.splats import Gaussians, rasterize
 
 SIZE = np.array([4.4, 1.75, 1.45])
 RED = np.array([0.62, 0.05, 0.06])
-GREY = np.array([0.45, 0.47, 0.44])
+GREY = np.array([0.37, 0.38, 0.36])  # a road in daylight
 FRAMES = 5
 STEP_US = 100_000
 CAMERA = PinholeCamera(320, 180, 260.0, 260.0, 160.0, 90.0)

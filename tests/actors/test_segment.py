@@ -8,6 +8,7 @@ import torch
 from actors import made_up
 from recast.actors import BoxLidarSegmenter, Observation, SegmentationTarget
 from recast.actors.segment import mask_quality
+from recast.geometry import se3
 from recast.splats import Gaussians, rasterize
 
 
@@ -78,3 +79,34 @@ def test_under_the_car_is_background(target: SegmentationTarget) -> None:
     pixel, _ = target.camera.project(camera_point)
     column, row = pixel[0].astype(int)
     assert BoxLidarSegmenter().trimap(target)[row, column] == cv2.GC_BGD
+
+
+def test_mask_ends_near_the_hull(target: SegmentationTarget) -> None:
+    """Above the hull of the hits, the sky is no part of the car even where the box is too tall."""
+    tall = SegmentationTarget(
+        target.image, target.camera, target.camera_from_object,
+        target.size * [1.0, 1.0, 1.6], target.object_points, target.other_points,
+    )  # fmt: skip
+    trimap = BoxLidarSegmenter().trimap(tall)
+    pixels, _ = target.camera.project(
+        se3.apply(target.camera_from_object, np.array([[0.0, 0.0, 0.75 * target.size[2]]]))
+    )
+    column, row = pixels[0].astype(int)
+    assert trimap[row, column] == cv2.GC_BGD
+
+
+def test_dark_apron_is_the_car(target: SegmentationTarget, truth: np.ndarray) -> None:
+    """Lower parts as dark as the road below them stay in the mask by what the LiDAR hit there."""
+    rows = np.nonzero(truth)[0]
+    apron = truth.copy()
+    apron[: int(0.65 * rows.max() + 0.35 * rows.min())] = False
+    image = target.image.copy()
+    road = np.median(image[~truth], axis=0)
+    rng = np.random.default_rng(0)
+    image[apron] = np.clip(road + rng.normal(0, 3, (int(apron.sum()), 3)), 0, 255)
+    dark = SegmentationTarget(
+        image, target.camera, target.camera_from_object, target.size, target.object_points,
+        target.other_points,
+    )  # fmt: skip
+    mask = BoxLidarSegmenter().segment(dark) > 127
+    assert mask[apron].mean() > 0.75

@@ -38,6 +38,12 @@ class SegmentationTarget:
     other_points: Array
 
 
+_REACH = 0.06  # shares of the vehicle's extent in the image: how far it may reach beyond the hull
+_GAP = 0.03
+_SHRINK = (0.05, 0.012)  # across, where labels and poses are off by some centimetres; and up
+_APRON = (0.10, 0.45)  # shares of the height: above the road, and dark like it
+
+
 class Segmenter(Protocol):
     """Separates an object from its background."""
 
@@ -48,10 +54,12 @@ class Segmenter(Protocol):
 class BoxLidarSegmenter:
     """GrabCut between what the LiDAR hit on the vehicle and what lies outside its projected box.
 
-    Sure foreground: the core of the hull of the vehicle's LiDAR points. Sure background: outside
-    the box (grown to hold the points), on LiDAR returns of the scene, and under the body between
-    the wheels, where a dark car's shadow looks like the car. Colour models and edges decide the
-    rest; holes are filled and only the largest piece is kept.
+    Sure foreground: the core of the hull of the vehicle's LiDAR points, and where they lie densely
+    on its lower parts, whose dark apron and tyres look like the road. Sure
+    background: outside the box (grown to hold the points), well outside the hull, on LiDAR returns
+    of the scene, and under the body between the wheels, where a dark car's shadow looks like the
+    car. Colour models and edges decide the rest; holes are filled and only the largest piece is
+    kept.
 
     Args:
         iterations: of GrabCut.
@@ -80,10 +88,18 @@ class BoxLidarSegmenter:
         height, width = target.image.shape[:2]
         outline = _vehicle_outline(target, self.grow)
         trimap = np.where(outline, cv2.GC_PR_BGD, cv2.GC_BGD).astype(np.uint8)
-        vehicle = _lidar_hull(target)
         extent = _extent(outline)
+        hits = _lidar_pixels(target, target.object_points)
+        vehicle = _hull(hits, (height, width))
+        if vehicle.any():
+            # a car behind this one often has its colour; tyres may lie below all hits
+            near = cv2.dilate(vehicle.astype(np.uint8), _disc(_REACH * extent))
+            trimap[np.maximum.accumulate(near, axis=0) == 0] = cv2.GC_BGD
         trimap[vehicle & outline] = cv2.GC_PR_FGD
         core = cv2.erode(vehicle.astype(np.uint8), _disc(0.07 * extent)) > 0
+        share = target.object_points[:, 2] / target.size[2] + 0.5
+        apron = target.object_points[(share > _APRON[0]) & (share < _APRON[1])]
+        core |= _dense(_lidar_pixels(target, apron), outline.shape, extent)
         trimap[core & outline] = cv2.GC_FGD
         pixels, depth = _project(target.camera, target.other_points)
         behind = np.zeros((height, width), np.uint8)
@@ -138,19 +154,32 @@ def _hull(pixels: Array, shape: tuple[int, int]) -> Mask:
     return mask > 0
 
 
-def _lidar_hull(target: SegmentationTarget) -> Mask:
-    """Hull of the projected points of the vehicle, without the loneliest two in a hundred."""
-    shape = target.image.shape[:2]
-    points = se3.apply(target.camera_from_object, target.object_points)
+def _lidar_pixels(target: SegmentationTarget, object_points: Array) -> Array:
+    """Pixels (N, 2) of points (M, 3) of the vehicle, without the loneliest two in a hundred."""
+    points = se3.apply(target.camera_from_object, object_points)
     pixels, depth = _project(target.camera, points)
     pixels = pixels[depth > 0.1]
-    cell = max(0.02 * min(shape), 1.0)
-    keys, which, count = np.unique(
+    if len(pixels) == 0:
+        return pixels
+    cell = max(0.02 * min(target.image.shape[:2]), 1.0)
+    _, which, count = np.unique(
         np.floor(pixels / cell), axis=0, return_inverse=True, return_counts=True
     )
-    del keys
     enough = count[which.ravel()] >= max(2.0, np.quantile(count, 0.02))
-    return _hull(pixels[enough], (shape[0], shape[1]))
+    kept: Array = pixels[enough]
+    return kept
+
+
+def _dense(pixels: Array, shape: tuple[int, ...], extent: float) -> Mask:
+    """Where points (N, 2) lie closer than `_GAP` of the vehicle's extent, a little shrunk."""
+    hit = np.zeros(shape, np.uint8)
+    inside = np.all((pixels >= 0) & (pixels < [shape[1], shape[0]]), axis=1)
+    u, v = pixels[inside].astype(int).T
+    hit[v, u] = 1
+    closed = cv2.morphologyEx(hit, cv2.MORPH_CLOSE, _disc(_GAP * extent))
+    across, up = (2 * max(round(share * extent), 1) + 1 for share in _SHRINK)
+    shrunk: Mask = cv2.erode(closed, np.ones((up, across), np.uint8)) > 0
+    return shrunk
 
 
 def _extent(mask: NDArray[np.generic]) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from recast.actors.template import decals, fittings
 from recast.actors.template.body import Body
 from recast.actors.template.lighting import to_linear
-from recast.actors.template.materials import GLOSS, PAINTED, SRGB, Material
+from recast.actors.template.materials import GLASS, GLOSS, PAINTED, RIM, SRGB, Material
 from recast.actors.template.surface import sample
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ class SurfaceCloud:
         spacing: (N,) edge of the patch.
         albedo: (N, 3) linear reflectance of what is not body paint, weighted by 1 - `paint`.
         gloss: (N,) see `lighting.shade`.
-        paint: (N,) share of body paint.
+        paint, glass, rim: (N,) share of body paint, of window, of the metal of wheels.
         twin: (N,) index of the patch mirrored at the xz plane.
         on_body: (N,) whether the patch belongs to the body, not to a wheel or mirror.
     """
@@ -41,6 +41,8 @@ class SurfaceCloud:
     albedo: Array
     gloss: Array
     paint: Array
+    glass: Array
+    rim: Array
     twin: Labels
     on_body: NDArray[np.bool_]
 
@@ -82,18 +84,21 @@ def build_cloud(body: Body, spacing: float, rng: np.random.Generator) -> Surface
         points=np.concatenate([joined[0], joined[0] * _MIRROR]),
         normals=np.concatenate([joined[1], joined[1] * _MIRROR]),
         spacing=np.concatenate([joined[2], joined[2]]),
-        albedo=np.concatenate([joined[3], joined[6]]),
-        gloss=np.concatenate([joined[4], joined[7]]),
-        paint=np.concatenate([joined[5], joined[8]]),
+        albedo=np.concatenate([joined[3], joined[8]]),
+        gloss=np.concatenate([joined[4], joined[9]]),
+        paint=np.concatenate([joined[5], joined[10]]),
+        glass=np.concatenate([joined[6], joined[11]]),
+        rim=np.concatenate([joined[7], joined[12]]),
         twin=np.concatenate([np.arange(count) + count, np.arange(count)]),
         on_body=np.tile(np.arange(count) < body_count, 2),
     )
 
 
-def _look(labels: Labels) -> tuple[Array, Array, Array]:
+def _look(labels: Labels) -> tuple[Array, ...]:
+    """Albedo, gloss, and the shares of paint, window and rim."""
     paint = PAINTED[labels]
     albedo: Array = to_linear(SRGB)[labels] * (1 - paint)[..., None]
-    return albedo, GLOSS[labels], paint
+    return albedo, GLOSS[labels], paint, GLASS[labels], RIM[labels]
 
 
 def _children(points: Array, normals: Array, spacing: Array) -> Array:
@@ -106,16 +111,15 @@ def _children(points: Array, normals: Array, spacing: Array) -> Array:
 
 def _appearance(
     points: Array, normals: Array, spacing: Array, labeller: Labeller
-) -> tuple[Array, Array, Array]:
-    """Albedo, gloss and paint share, averaged over the quarters of each patch."""
+) -> tuple[Array, ...]:
+    """What `_look` gives, averaged over the quarters of each patch."""
     looks = [_look(labeller(quarter, normals)) for quarter in _children(points, normals, spacing)]
-    albedo, gloss, paint = (np.mean(values, axis=0) for values in zip(*looks, strict=True))
-    return albedo, gloss, paint
+    return tuple(np.mean(values, axis=0) for values in zip(*looks, strict=True))
 
 
 def _refined(
     points: Array, normals: Array, spacing: float, labeller: Labeller
-) -> tuple[Array, Array, Array, Array, Array, Array]:
+) -> tuple[Array, ...]:
     """Points, normals, spacing and appearance; patches of several materials are quartered."""
     edge = np.full(len(points), spacing)
     quarters = _children(points, normals, edge)

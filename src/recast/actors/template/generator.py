@@ -12,18 +12,19 @@ from recast.actors.generate import Asset
 from recast.actors.observation import Observation
 from recast.actors.template.body import Body
 from recast.actors.template.cloud import SurfaceCloud, build_cloud, tangents
+from recast.actors.template.estimate import estimate_light, estimate_rims, estimate_windows
 from recast.actors.template.fit import fit_shape
-from recast.actors.template.lighting import SH_C0, fit_harmonics, sh_basis, to_display, to_linear
-from recast.actors.template.materials import SRGB, Material
+from recast.actors.template.lighting import (
+    CLEAR_DAY,
+    SH_C0,
+    Daylight,
+    fit_harmonics,
+    sh_basis,
+    to_display,
+)
 from recast.actors.template.merge import flat_gaussians, group_means, group_patches, shell_groups
 from recast.actors.template.placement import find_axles, place
-from recast.actors.template.texture import (
-    Texture,
-    estimate_paint,
-    estimate_sheen,
-    mirrored_texture,
-    view_surface,
-)
+from recast.actors.template.texture import Texture, mirrored_texture, view_surface
 from recast.splats.gaussians import Gaussians, concatenate
 
 Array = NDArray[np.float64]
@@ -69,11 +70,11 @@ class TemplateGenerator:
         body = Body(size, find_axles(body, observation, placement))
         cloud = build_cloud(body, self.spacing, rng)
         seen = view_surface(cloud, observation, placement)
-        sheen = estimate_sheen(cloud, seen)
-        cloud = replace(cloud, gloss=cloud.gloss * (1 + (sheen - 1) * cloud.paint))
-        observed_paint = estimate_paint(cloud, seen)
-        paint = to_linear(SRGB[Material.PAINT]) if observed_paint is None else observed_paint
-        gaussians = _gaussians(body, cloud, paint, mirrored_texture(cloud, seen))
+        light, paint = estimate_light(cloud, seen, observation)
+        windows, rims = estimate_windows(cloud, seen, light), estimate_rims(cloud, seen, light)
+        dyed = cloud.albedo * (1 - cloud.glass * (1 - windows) - cloud.rim * (1 - rims))[:, None]
+        cloud = replace(cloud, albedo=dyed, gloss=cloud.gloss * (1 - cloud.glass * (1 - windows)))
+        gaussians = _gaussians(body, cloud, paint, mirrored_texture(cloud, seen), light)
         shift = gaussians.means.new_tensor([0.0, 0.0, -size[2] / 2])
         return Asset(
             gaussians=replace(gaussians, means=gaussians.means + shift),
@@ -83,7 +84,10 @@ class TemplateGenerator:
             details={
                 "style": fit.style,
                 "paint_srgb": " ".join(f"{v:.3f}" for v in to_display(paint)),
-                "sheen": round(sheen, 3),
+                "light": round(light.level, 3),
+                "mirrored": " ".join(f"{v:.3f}" for v in light.mirrored),
+                "windows": round(windows, 3),
+                "rims": round(rims, 3),
                 "median_lidar_distance_m": round(fit.median_distance, 4),
                 "silhouette_overlap": round(placement.overlap, 4),
                 "seen_share": round(float((seen.weight > 0.5).mean()), 4),
@@ -91,15 +95,17 @@ class TemplateGenerator:
         )
 
 
-def _gaussians(body: Body, cloud: SurfaceCloud, paint: Array, texture: Texture) -> Gaussians:
+def _gaussians(
+    body: Body, cloud: SurfaceCloud, paint: Array, texture: Texture, light: Daylight = CLEAR_DAY
+) -> Gaussians:
     """Merge the patches, bake light and photograph into harmonics, and back them with a shell."""
     albedo = cloud.painted(paint)
     weight = texture.weight[:, None]
-    look = (1 - weight) * to_display(albedo) + weight * texture.colour
+    look = (1 - weight) * to_display(light.level * albedo) + weight * texture.colour
     group = group_patches(
         cloud.points, cloud.normals, np.c_[look, 0.1 * cloud.gloss], _CELLS, _TOLERANCE
     )
-    sh = _harmonics(group, cloud, albedo, texture)
+    sh = _harmonics(group, cloud, albedo, texture, light)
     outside = flat_gaussians(group, cloud.points, cloud.normals, cloud.spacing, sh, _OPACITY)
     return concatenate([outside, _backing(body, cloud, sh[group])])
 
@@ -120,7 +126,9 @@ def _backing(body: Body, cloud: SurfaceCloud, sh: Array) -> Gaussians:
     )  # fmt: skip
 
 
-def _harmonics(group: Ints, cloud: SurfaceCloud, albedo: Array, texture: Texture) -> Array:
+def _harmonics(
+    group: Ints, cloud: SurfaceCloud, albedo: Array, texture: Texture, light: Daylight
+) -> Array:
     """Harmonics (G, 4, 3) of each group: the lit model, moved onto the photograph where seen."""
     points, normals, albedo, gloss, colour, weight, views = group_means(
         group, cloud.points, cloud.normals, albedo, cloud.gloss, texture.colour, texture.weight,
@@ -128,7 +136,7 @@ def _harmonics(group: Ints, cloud: SurfaceCloud, albedo: Array, texture: Texture
     )  # fmt: skip
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     views = views / np.maximum(np.linalg.norm(views, axis=1, keepdims=True), 1e-9)
-    sh = fit_harmonics(albedo, gloss, normals, points[:, 2])
+    sh = fit_harmonics(albedo, gloss, normals, points[:, 2], light)
     sh[:, 1:] *= (1 - (1 - _VIEW_DEPENDENCE) * weight)[:, None, None]
     modelled = 0.5 + np.einsum("nk,nkc->nc", sh_basis(-views), sh)
     sh[:, 0] += weight[:, None] * (colour - modelled) / SH_C0

@@ -7,6 +7,8 @@ by harmonics of degree one, Gaussian by Gaussian.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +22,22 @@ _SKY = np.array([0.24, 0.44, 0.82])
 _HAZE = np.array([0.50, 0.62, 0.76])
 _TREES = np.array([0.045, 0.050, 0.045])
 _ROAD = np.array([0.09, 0.09, 0.09])
+
+
+@dataclass(frozen=True)
+class Daylight:
+    """How a photograph's light differs from the model's clear day.
+
+    Attributes:
+        level: factor on the light that falls on the vehicle; about 0.4 in the shade of houses.
+        mirrored: (3,) factors on the light that it mirrors.
+    """
+
+    level: float
+    mirrored: Array
+
+
+CLEAR_DAY = Daylight(1.0, np.ones(3))
 
 
 def to_linear(srgb: Array) -> Array:
@@ -62,15 +80,24 @@ def mirrored(normals: Array, views: Array, gloss: Array) -> Array:
     return np.minimum(fresnel * gloss[:, None], 0.9) * environment(reflected)
 
 
-def shade(albedo: Array, gloss: Array, normals: Array, heights: Array, views: Array) -> Array:
+def shade(
+    albedo: Array,
+    gloss: Array,
+    normals: Array,
+    heights: Array,
+    views: Array,
+    light: Daylight = CLEAR_DAY,
+) -> Array:
     """Display colours (N, 3) seen from directions `views` (N, 3) from the surface to the eye.
 
     Args:
         albedo: (N, 3) linear diffuse reflectance.
         gloss: (N,) factor on the Fresnel reflection of a clear coat.
         heights: (N,) metres above the ground.
+        light: what falls on it.
     """
-    return to_display(albedo * diffuse(normals, heights) + mirrored(normals, views, gloss))
+    scattered = light.level * albedo * diffuse(normals, heights)
+    return to_display(scattered + light.mirrored * mirrored(normals, views, gloss))
 
 
 def view_directions() -> Array:
@@ -87,7 +114,9 @@ def sh_basis(directions: Array) -> Array:
     return np.stack([np.full_like(x, SH_C0), -SH_C1 * y, SH_C1 * z, -SH_C1 * x], axis=-1)
 
 
-def fit_harmonics(albedo: Array, gloss: Array, normals: Array, heights: Array) -> Array:
+def fit_harmonics(
+    albedo: Array, gloss: Array, normals: Array, heights: Array, light: Daylight = CLEAR_DAY
+) -> Array:
     """SH coefficients (N, 4, 3) whose colour `basis . sh + 0.5` follows `shade` where visible.
 
     Weighted least squares over the view directions on the outer side, with a ridge on degree one
@@ -100,10 +129,10 @@ def fit_harmonics(albedo: Array, gloss: Array, normals: Array, heights: Array) -
     right = np.zeros((len(normals), 4, 3))
     for v, view in enumerate(views):
         seen = np.flatnonzero(facing[:, v] > 0)
-        colour = shade(albedo[seen], gloss[seen], normals[seen], heights[seen], view[None])
+        colour = shade(albedo[seen], gloss[seen], normals[seen], heights[seen], view[None], light)
         right[seen] += (facing[seen, v, None] * basis[v])[:, :, None] * (colour - 0.5)[:, None, :]
     # a Gaussian seen from nowhere takes this ridge's target: its diffuse colour in the shade
     ridge = np.array([1e-3, 0.15, 0.15, 0.15])
-    right[:, 0] += ridge[0] * (to_display(0.3 * albedo) - 0.5) / SH_C0
+    right[:, 0] += ridge[0] * (to_display(0.3 * light.level * albedo) - 0.5) / SH_C0
     coefficients: Array = np.linalg.solve(normal + np.diag(ridge), right)
     return coefficients

@@ -68,3 +68,7 @@ GLOSS = np.array([_GLOSS[m] for m in Material])
 _PAINTED = {Material.PAINT: 1.0, Material.HANDLE: 1.0, Material.SEAM: 0.3}
 PAINTED = np.array([_PAINTED.get(m, 0.0) for m in Material])
 """(materials,) share of the body colour; shut lines show a little of it."""
+GLASS = np.array([float(m == Material.GLASS) for m in Material])
+"""(materials,) 1 for windows."""
+RIM = np.array([float(m == Material.ALLOY) for m in Material])
+"""(materials,) 1 for the metal of wheels."""

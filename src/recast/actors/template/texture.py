@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from recast.actors.observation import Observation
 from recast.actors.template.cloud import SurfaceCloud
-from recast.actors.template.lighting import diffuse, mirrored, to_linear
 from recast.actors.template.placement import Placement
 from recast.geometry import se3
 
 Array = NDArray[np.float64]
+
+_COARSE = (0.010, 0.028)  # metres per pixel: from fine enough for slanted sides, to too coarse
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,10 @@ def view_surface(
     alpha = observation.rgba[..., 3] > 127
     margin = cv2.distanceTransform(alpha.astype(np.uint8), cv2.DIST_L2, 5)
     inside = _sample(margin[..., None].astype(np.float32), pixels)[:, 0]
-    weight = _ramp(facing, 0.12, 0.35) * _ramp(inside, 1.0, 3.5) * front
+    # far away, a slanted side is a few columns of pixels: its windows and pillars are one smear
+    coarse = _ramp(depth / observation.camera.fx, *_COARSE)
+    slant = _ramp(facing, 0.12 + 0.20 * coarse, 0.35 + 0.25 * coarse)
+    weight = slant * _ramp(inside, 1.0, 3.5) * front
     colour = _sample(_calm_chroma(observation.rgba[..., :3]).astype(np.float32) / 255, pixels)
     return SurfaceView(colour, weight, views)
 
@@ -98,7 +102,7 @@ def _sample(image: NDArray[np.floating], pixels: Array) -> Array:
     return values.astype(np.float64).reshape(-1, channels)
 
 
-def _ramp(x: Array, low: float, high: float) -> Array:
+def _ramp(x: Array, low: float | Array, high: float | Array) -> Array:
     t = np.clip((x - low) / (high - low), 0.0, 1.0)
     return t * t * (3 - 2 * t)
 
@@ -137,35 +141,3 @@ def mirrored_texture(cloud: SurfaceCloud, seen: SurfaceView) -> Texture:
         weight=np.where(textured, np.minimum(own + borrowed, 1.0), 0.0),
         views=np.where(share > 0.5, seen.views, seen.views[cloud.twin] * _MIRROR),
     )
-
-
-def estimate_sheen(cloud: SurfaceCloud, seen: SurfaceView) -> float:
-    """How strongly this photograph's daylight is mirrored against the model's, 0.6 to 1.6.
-
-    From painted patches in which the model expects a clear reflection; 1 where there are few.
-    """
-    painted = (cloud.paint > 0.9) & (seen.weight > 0.5)
-    expected = mirrored(cloud.normals[painted], seen.views[painted], cloud.gloss[painted]).mean(1)
-    found = to_linear(seen.colour[painted]).mean(1)
-    bright = expected > 0.05
-    if bright.sum() < 50:
-        return 1.0
-    # what diffuse paint adds shows where nothing is mirrored
-    base = float(np.median(found[~bright])) if (~bright).any() else 0.0
-    return float(np.clip(np.median((found[bright] - base) / expected[bright]), 0.6, 1.6))
-
-
-def estimate_paint(cloud: SurfaceCloud, seen: SurfaceView) -> Array | None:
-    """Linear reflectance (3,) of the body paint, or None where the view shows too little of it.
-
-    Each painted patch seen gives reflectance = (light - mirrored light) / diffuse light; the
-    median over them resists windows, dirt and glare.
-    """
-    painted = (cloud.paint > 0.9) & (seen.weight > 0.5)
-    if painted.sum() < 50:
-        return None
-    normals, gloss = cloud.normals[painted], cloud.gloss[painted]
-    light = to_linear(seen.colour[painted]) - mirrored(normals, seen.views[painted], gloss)
-    albedo = light / diffuse(normals, cloud.points[painted, 2])
-    paint: Array = np.clip(np.median(albedo, axis=0), 0.003, 0.85)
-    return paint

@@ -1,0 +1,128 @@
+"""What the photograph tells of light and materials: level, sky, paint, windows, wheels.
+
+One photograph cannot tell a white car in the shade from a grey one in the sun. The road beside it
+says how much light there is; how bright the painted parts are is kept whatever the split.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.actors.observation import Observation
+from recast.actors.template.cloud import SurfaceCloud
+from recast.actors.template.lighting import Daylight, diffuse, mirrored, shade, to_linear
+from recast.actors.template.materials import SRGB, Material
+from recast.actors.template.texture import SurfaceView
+from recast.geometry import se3
+
+Array = NDArray[np.float64]
+
+_ROAD = 0.11  # linear reflectance of worn asphalt
+_ROAD_TRUST = (
+    0.6  # how far the road's brightness decides the level: roads differ by a factor of two
+)
+_LEVEL = (0.25, 1.4)
+_WHITEST = 0.80  # reflectance of white paint: the light must explain at least that
+_MIRROR_SPREAD = 0.35  # of the mirrored light's factors around the level
+_MISFIT = 0.15  # the model's shading is off by this share of the paint's brightness
+_EFFECTIVE = 40.0  # independent measurements among the patches, however many there are
+_FEW = 50
+
+
+def estimate_light(
+    cloud: SurfaceCloud, seen: SurfaceView, observation: Observation
+) -> tuple[Daylight, Array]:
+    """The photograph's light, and the linear reflectance (3,) of the body paint under it.
+
+    Painted patches obey `found = radiance * diffuse + factor * mirrored`, per channel. The
+    factors of the mirrored light are held at the level of the light as far as the paint's own
+    brightness drowns them: on a white car nothing can be seen of them, on a black one nothing else.
+    """
+    level = road_level(observation)
+    painted = (cloud.paint > 0.9) & (seen.weight > 0.5)
+    if painted.sum() < _FEW:
+        return Daylight(level, np.full(3, level)), to_linear(SRGB[Material.PAINT])
+    normals, heights = cloud.normals[painted], cloud.points[painted, 2]
+    found = to_linear(seen.colour[painted])
+    across = diffuse(normals, heights)[:, 0]
+    sky = mirrored(normals, seen.views[painted], cloud.gloss[painted])
+    fits = [_split(found[:, c], across, sky[:, c], level) for c in range(3)]
+    radiance, factors = np.array(fits).T
+    level = max(level, float(radiance.mean()) / _WHITEST)
+    return Daylight(level, factors), np.clip(radiance / level, 0.003, 0.85)
+
+
+def _split(found: Array, across: Array, sky: Array, level: float) -> tuple[float, float]:
+    """Paint radiance and mirror factor of one channel, by reweighted least squares (Huber)."""
+    spread = _MISFIT * float(np.median(found)) + 0.004
+    weight = np.ones(len(found))
+    basis = np.stack([across, sky], axis=-1)
+    prior = np.diag([0.0, (spread / (_MIRROR_SPREAD * level)) ** 2])
+    answer = np.zeros(2)
+    for _ in range(10):
+        share = weight * min(_EFFECTIVE / len(found), 1.0)
+        normal = basis.T @ (share[:, None] * basis) + prior
+        answer = np.linalg.solve(normal, basis.T @ (share * found) + prior @ [0.0, level])
+        error = np.abs(found - basis @ answer)
+        weight = 1 / np.maximum(error / spread, 1.0)
+    factor = float(np.clip(answer[1], 0.6 * level, 1.6 * level))
+    rest = (weight * across) @ (found - factor * sky) / ((weight * across) @ across)
+    return max(float(rest), 0.0), factor
+
+
+def road_level(observation: Observation) -> float:
+    """Level of the light by the brightness of the road around the vehicle, 1 on a clear day."""
+    half = observation.size / 2
+    x, y = np.meshgrid(
+        np.linspace(-half[0] - 3, half[0] + 3, 60), np.linspace(-half[1] - 3, half[1] + 3, 50)
+    )
+    apart = (np.abs(x) > half[0] + 0.5) | (np.abs(y) > half[1] + 0.5)  # outside its own shadow
+    ground = np.stack([x[apart], y[apart], np.full(int(apart.sum()), -half[2])], axis=-1)
+    pixels, depth = observation.camera.project(se3.apply(observation.camera_from_object, ground))
+    height, width = observation.rgba.shape[:2]
+    inside = (depth > 0.5) & np.all((pixels >= 0) & (pixels < [width, height]), axis=1)
+    u, v = pixels[inside].astype(int).T
+    road = observation.rgba[v, u]
+    road = road[road[:, 3] == 0]
+    if len(road) < _FEW:
+        return 1.0
+    bright = float(np.median(to_linear(road[:, :3] / 255.0).mean(axis=1)))
+    return float(np.clip((bright / _ROAD) ** _ROAD_TRUST, *_LEVEL))
+
+
+def estimate_windows(cloud: SurfaceCloud, seen: SurfaceView, light: Daylight) -> float:
+    """Brightness of the windows seen over the model's, 0.5 to 1; 0.7 where none is seen."""
+    ratio = _ratio(cloud, seen, light, cloud.glass > 0.9, quantile=0.5, usual=0.7)
+    return float(np.clip(ratio, 0.5, 1.0))
+
+
+def estimate_rims(cloud: SurfaceCloud, seen: SurfaceView, light: Daylight) -> float:
+    """Brightness of the wheels' metal over the model's, 0.3 to 1.2; 0.4 where none is seen.
+
+    The photographed spokes are not where the model has its own: the brightest fifth counts.
+    """
+    ratio = _ratio(cloud, seen, light, cloud.rim > 0.9, quantile=0.8, usual=0.4)
+    return float(np.clip(ratio, 0.3, 1.2))
+
+
+def _ratio(
+    cloud: SurfaceCloud,
+    seen: SurfaceView,
+    light: Daylight,
+    where: NDArray[np.bool_],
+    quantile: float,
+    usual: float,
+) -> float:
+    """Quantile of found over median modelled light, near the usual one where few are seen."""
+    chosen = where & (seen.weight > 0.5)
+    count = int(chosen.sum())
+    if count == 0:
+        return usual
+    modelled = to_linear(
+        shade(cloud.albedo[chosen], cloud.gloss[chosen], cloud.normals[chosen],
+              cloud.points[chosen, 2], seen.views[chosen], light)
+    ).mean(axis=1)  # fmt: skip
+    found = to_linear(seen.colour[chosen]).mean(axis=1)
+    ratio = float(np.quantile(found, quantile)) / max(float(np.median(modelled)), 1e-3)
+    return (count * ratio + _FEW * usual) / (count + _FEW)

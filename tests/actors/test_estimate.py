@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from actors import made_up
+from recast.actors import Observation
+from recast.actors.template.body import Body
+from recast.actors.template.cloud import SurfaceCloud, build_cloud
+from recast.actors.template.estimate import (
+    estimate_light,
+    estimate_rims,
+    estimate_windows,
+    road_level,
+)
+from recast.actors.template.lighting import Daylight, shade, to_display, to_linear
+from recast.actors.template.placement import Placement
+from recast.actors.template.proportions import STYLES
+from recast.actors.template.texture import SurfaceView, view_surface
+
+PAINTS = {"white": 0.72, "silver": 0.42, "black": 0.012}
+
+
+@pytest.fixture(scope="module")
+def cloud() -> SurfaceCloud:
+    return build_cloud(Body(made_up.SIZE, STYLES["estate"]), 0.05, np.random.default_rng(0))
+
+
+def photographed(
+    cloud: SurfaceCloud, paint: float, light: Daylight, rims: float = 1.0, windows: float = 1.0
+) -> SurfaceView:
+    """The car as a camera behind it on the left sees it, with the noise of an image."""
+    eye = np.array([-9.0, 4.0, 1.8])
+    views = eye - cloud.points
+    views /= np.linalg.norm(views, axis=1, keepdims=True)
+    factor = 1 - cloud.glass * (1 - windows)
+    albedo = cloud.painted(np.full(3, paint)) * (factor - cloud.rim * (1 - rims))[:, None]
+    heights = cloud.points[:, 2]
+    colour = shade(albedo, cloud.gloss * factor, cloud.normals, heights, views, light)
+    colour += np.random.default_rng(1).normal(0.0, 0.01, colour.shape)
+    facing = np.sum(cloud.normals * views, axis=1)
+    return SurfaceView(np.clip(colour, 0, 1), (facing > 0.3).astype(float), views)
+
+
+def under(observation: Observation, level: float) -> Observation:
+    """The street around the car in another light."""
+    rgba = observation.rgba.copy()
+    linear = level * to_linear(rgba[..., :3] / 255)
+    rgba[..., :3] = np.round(255 * to_display(linear))
+    return replace(observation, rgba=rgba)
+
+
+@pytest.mark.parametrize("name", PAINTS)
+@pytest.mark.parametrize("level", [0.35, 1.0])
+def test_unseen_parts_continue_the_brightness(
+    cloud: SurfaceCloud, observation: Observation, name: str, level: float
+) -> None:
+    """In the shade and in daylight the flank that nobody saw is as bright as it was."""
+    true = Daylight(level, np.full(3, level))
+    seen = photographed(cloud, PAINTS[name], true)
+    light, paint = estimate_light(cloud, seen, under(observation, level))
+    unseen = (cloud.paint > 0.9) & (cloud.normals[:, 1] < -0.8)
+    views = np.array([[0.3, -0.95, 0.1]]) / np.linalg.norm([0.3, -0.95, 0.1])
+    args = cloud.gloss[unseen], cloud.normals[unseen], cloud.points[unseen, 2], views
+    count = int(unseen.sum())
+    drawn = shade(np.tile(paint, (count, 1)), *args, light)
+    wanted = shade(np.full((count, 3), PAINTS[name]), *args, true)
+    assert np.abs(drawn - wanted).mean() < 0.04
+
+
+def test_white_in_the_shade_is_not_grey(cloud: SurfaceCloud, observation: Observation) -> None:
+    dim = Daylight(0.4, np.full(3, 0.4))
+    seen = photographed(cloud, PAINTS["white"], dim)
+    light, paint = estimate_light(cloud, seen, under(observation, 0.4))
+    assert light.level < 0.75
+    assert to_display(paint).min() > 0.68
+
+
+def test_road_tells_the_light(observation: Observation) -> None:
+    levels = [road_level(under(observation, level)) for level in (0.3, 0.6, 1.0)]
+    assert levels == sorted(levels)
+    assert levels[2] == pytest.approx(1.0, abs=0.2)
+
+
+def test_windows_and_rims_are_as_dark_as_seen(cloud: SurfaceCloud) -> None:
+    day = Daylight(1.0, np.ones(3))
+    assert estimate_rims(cloud, photographed(cloud, 0.4, day), day) > 0.8
+    assert estimate_rims(cloud, photographed(cloud, 0.4, day, rims=0.3), day) < 0.45
+    assert estimate_windows(cloud, photographed(cloud, 0.4, day), day) > 0.9
+    assert estimate_windows(cloud, photographed(cloud, 0.4, day, windows=0.6), day) < 0.75
+    blind = replace(photographed(cloud, 0.4, day), weight=np.zeros(len(cloud.points)))
+    assert estimate_rims(cloud, blind, day) == 0.4
+
+
+def test_a_distant_slanted_side_is_left_to_the_model(
+    cloud: SurfaceCloud, observation: Observation
+) -> None:
+    """Far away a side seen at 20 degrees is a smear, nearby it is not."""
+    placement = Placement(np.ones(3), np.array([0.0, 0.0, -made_up.SIZE[2] / 2]), 1.0)
+    near = view_surface(cloud, observation, placement)
+    slanted = np.sum(cloud.normals * near.views, axis=1)
+    chosen = (slanted > 0.25) & (slanted < 0.38) & (near.weight > 0.1)
+    width, height = observation.camera.width // 4, observation.camera.height // 4
+    coarse = replace(
+        observation,
+        rgba=cv2.resize(observation.rgba, (width, height), interpolation=cv2.INTER_AREA),
+        camera=observation.camera.resized(width, height),
+    )
+    far = view_surface(cloud, coarse, placement)
+    assert chosen.sum() > 50
+    assert far.weight[chosen].mean() < 0.35 * near.weight[chosen].mean()
