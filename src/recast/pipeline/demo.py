@@ -14,7 +14,14 @@ from recast.pipeline.display import FrameProgress
 from recast.pipeline.layout import METHODS
 from recast.pipeline.run import run
 from recast.scene import SceneConfig
-from recast.synthetic import CAMERAS, World, make_world, synthesize_log, world_metadata
+from recast.synthetic import (
+    CAMERAS,
+    World,
+    check_request,
+    make_world,
+    synthesize_log,
+    world_metadata,
+)
 
 LOG_FOLDER = "log"
 RUN_FOLDER = "run"
@@ -94,6 +101,7 @@ def _drive(world: World, path: Path, size: DemoSize, threads: int, console: Cons
         _check_same(read_log(path), world, size, path)
         console.print("  finished before")
         return path
+    check_request(path, size.width, size.height, label_noise=0.0, cameras=size.cameras or None)
     names = size.cameras or None
     frames = round(size.seconds * 10) * len(size.cameras or CAMERAS)
     with FrameProgress(console, frames, "images") as progress:

@@ -20,6 +20,7 @@ from recast.planning import make_planner
 from recast.simulation import camera_mounts
 from recast.splats import set_threads
 from recast.synthetic import world_of
+from recast.synthetic.rendering import require_embree
 
 
 def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Console) -> Path:
@@ -41,7 +42,10 @@ def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Conso
             log_path, f"track {config.track}", "is not in the log",
             f"choose one of {', '.join(log.tracks)}",
         )  # fmt: skip
-    world = world_of(log) if "oracle" in config.methods else None
+    world = None
+    if "oracle" in config.methods:
+        require_embree()
+        world = world_of(log)
     make_planner(config.planner)
     generator_of(config.generator)
     threads = config.threads or os.cpu_count() or 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 from collections import deque
@@ -13,11 +14,14 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from itertools import islice
 from multiprocessing import connection
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Self, TypeVar
 
 from recast.errors import InputError
 from recast.synthetic.oracle import Oracle
+from recast.synthetic.rendering import require_embree
 from recast.synthetic.world import World
 
 Job = TypeVar("Job")
@@ -41,10 +45,11 @@ class OraclePool:
         most: jobs that there ever are at a time; more processes are never started.
 
     Raises:
-        InputError: workers is negative.
+        InputError: workers is negative, or embreex is not installed.
     """
 
     def __init__(self, world: World, workers: int = 0, most: int | None = None) -> None:
+        require_embree()
         if workers < 0:
             raise InputError("workers", str(workers), "is negative", "choose 0 for all cores")
         wanted = workers or len(os.sched_getaffinity(0))
@@ -52,6 +57,7 @@ class OraclePool:
         self._world = world
         self._own: Oracle | None = None
         self._executor: ProcessPoolExecutor | None = None
+        self._spool: TemporaryDirectory[str] | None = None
 
     def map(
         self, function: Callable[[Oracle, Job], Result], jobs: Iterable[Job]
@@ -69,10 +75,10 @@ class OraclePool:
             for job in jobs:
                 yield function(self.oracle, job)
             return
-        executor = self._started()
         left = iter(jobs)
         waiting: deque[Future[Result]] = deque()
         try:
+            executor = self._started()
             for job in islice(left, _WAITING * self.workers):
                 waiting.append(executor.submit(_call, function, job))
             while waiting:
@@ -103,6 +109,9 @@ class OraclePool:
         if self._executor is not None:
             self._executor.shutdown(wait=True, cancel_futures=True)
             self._executor = None
+        if self._spool is not None:
+            self._spool.cleanup()
+            self._spool = None
 
     def __enter__(self) -> Self:
         """Nothing starts before it is needed."""
@@ -119,11 +128,16 @@ class OraclePool:
 
     def _started(self) -> ProcessPoolExecutor:
         if self._executor is None:
+            # Not by initargs: their bytes go through a pipe that blocks for ever where a process
+            # dies at its start, as it does in a script whose start is not guarded.
+            self._spool = TemporaryDirectory(prefix="recast-world-")
+            path = Path(self._spool.name) / "world"
+            path.write_bytes(pickle.dumps(self._world))
             self._executor = ProcessPoolExecutor(
                 self.workers,
                 mp_context=multiprocessing.get_context("spawn"),
                 initializer=_start,
-                initargs=(self._world,),
+                initargs=(path,),
             )
             with _one_thread():
                 # All processes are started by the first job.
@@ -146,11 +160,11 @@ def _one_thread() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _start(world: World) -> None:
+def _start(path: Path) -> None:
     global _oracle
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers itself
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _oracle = Oracle(world)
+    _oracle = Oracle(pickle.loads(path.read_bytes()))  # written by the parent just now
 
 
 def _end_with_parent() -> None:

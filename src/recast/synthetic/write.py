@@ -16,6 +16,7 @@ from recast.synthetic.label_noise import check_label_noise, with_label_noise
 from recast.synthetic.oracle import instances
 from recast.synthetic.oracle_pool import OraclePool
 from recast.synthetic.populate import world_metadata
+from recast.synthetic.rendering import require_embree
 from recast.synthetic.rig import LIDAR, Rig, make_rig
 from recast.synthetic.sensors import Measurement, SpooledImages, SpooledSweeps, measure
 from recast.synthetic.truth import FOLDER, TruthRecord, write_truth_record
@@ -90,8 +91,10 @@ def check_request(
     """Refuse what `synthesize_log` would refuse, before a world is made for it.
 
     Raises:
-        InputError: an impossible size, an unknown camera, negative noise, or `out` exists.
+        InputError: an impossible size, an unknown camera, negative noise, `out` exists, or embreex
+            is not installed.
     """
+    require_embree()
     make_rig(width, height, cameras)
     check_label_noise(label_noise)
     if Path(out).exists():

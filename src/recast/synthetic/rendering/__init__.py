@@ -6,6 +6,7 @@
 
 from recast.synthetic.rendering.camera import render_camera
 from recast.synthetic.rendering.camera_frame import CameraFrame
+from recast.synthetic.rendering.embree import require_embree
 from recast.synthetic.rendering.lidar import WAYMO_TOP, LidarScan, LidarSpec, scan_lidar
 from recast.synthetic.rendering.ray_scene import SKY, STREET, Hits, RayScene
 
@@ -19,5 +20,6 @@ __all__ = [
     "LidarSpec",
     "RayScene",
     "render_camera",
+    "require_embree",
     "scan_lidar",
 ]

@@ -74,6 +74,15 @@ class Mesh:
         return hit
 
 
+def require_embree() -> None:
+    """Refuse early what needs the ray tracer.
+
+    Raises:
+        InputError: embreex is not installed.
+    """
+    _embreex()
+
+
 def _embreex() -> tuple[Any, Any]:
     try:
         return (
