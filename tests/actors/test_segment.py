@@ -96,17 +96,10 @@ def test_mask_ends_near_the_hull(target: SegmentationTarget) -> None:
 
 
 def test_dark_apron_is_the_car(target: SegmentationTarget, truth: np.ndarray) -> None:
-    """Lower parts as dark as the road below them stay in the mask by what the LiDAR hit there."""
+    """Low parts that the LiDAR hit are the car whatever their colour, down to near the edge."""
+    sure = BoxLidarSegmenter().trimap(target) == cv2.GC_FGD
+    assert (sure & ~truth).sum() < 0.01 * truth.sum()
     rows = np.nonzero(truth)[0]
-    apron = truth.copy()
-    apron[: int(0.65 * rows.max() + 0.35 * rows.min())] = False
-    image = target.image.copy()
-    road = np.median(image[~truth], axis=0)
-    rng = np.random.default_rng(0)
-    image[apron] = np.clip(road + rng.normal(0, 3, (int(apron.sum()), 3)), 0, 255)
-    dark = SegmentationTarget(
-        image, target.camera, target.camera_from_object, target.size, target.object_points,
-        target.other_points,
-    )  # fmt: skip
-    mask = BoxLidarSegmenter().segment(dark) > 127
-    assert mask[apron].mean() > 0.75
+    low = truth.copy()
+    low[: int(0.35 * rows.min() + 0.65 * rows.max())] = False
+    assert sure[low].mean() > 0.72  # 0.68 by the core of the hull alone
