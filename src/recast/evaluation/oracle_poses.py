@@ -35,8 +35,8 @@ class ViewSettings:
         camera: name, or None for the one that looks most nearly straight ahead.
     """
 
-    moments: int = 1
-    distances: tuple[float, ...] = (10.0, 16.0)
+    moments: int = 3
+    distances: tuple[float, ...] = (12.0,)
     headings: int = 12
     camera: str | None = None
 

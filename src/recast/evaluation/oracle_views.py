@@ -56,7 +56,7 @@ def evaluate_oracle_views(
             box and a margin, from left to right native, replaced, truth), and the whole images
             `showcase_native.png`, `showcase_replaced.png`, `showcase_truth.png` of one view.
         rng: for the intervals.
-        settings: which views; the default draws 24.
+        settings: which views; the default draws 36.
         exposures: of the log's images, by camera, which the truth's are given too; 1 if missing.
         progress: told the number of views done, and of all.
 
