@@ -9,7 +9,7 @@ little. The stages repeat what `render_camera` does, on the same frame; `frame` 
 Threads or processes: embreex and numpy both give Python's lock up while they work (the last lines
 of the output: another thread stands still for a few of some hundred ms), so threads can cast at the
 same time. Yet a frame is a thousand short numpy calls that need the lock in between, and writing a
-log is Python throughout: logs are rendered by processes, each with a scene built before the fork.
+log is Python throughout: logs are rendered by processes, each with a scene of its own.
 """
 
 from __future__ import annotations

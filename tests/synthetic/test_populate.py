@@ -168,6 +168,7 @@ def test_what_cannot_be_made_is_refused(name: str, seed: int, seconds: float, me
         ({"world_version": str(WORLD_VERSION + 1)}, "make the log anew"),
         ({"seed": "x"}, "does not name a world"),
         ({"scene": "moon"}, "is not known"),
+        ({"light": "candle"}, "does not name a world"),
     ],
 )
 def test_only_synthetic_logs_of_this_version_have_a_world(
@@ -176,3 +177,10 @@ def test_only_synthetic_logs_of_this_version_have_a_world(
     metadata = {**world_metadata(small), **changed}
     with pytest.raises(InputError, match=message):
         world_of(replace(small_log, metadata=metadata))
+
+
+def test_the_light_of_a_log_is_that_of_its_oracle(small: World, small_log: DrivingLog) -> None:
+    metadata = world_metadata(replace(small, light="mitsuba"))
+    made = world_of(replace(small_log, metadata={**small_log.metadata, **metadata}))
+    assert made.light == "mitsuba"
+    assert made.name == small.name

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -76,6 +76,9 @@ class Synth:
     """Processes that render side by side, 0 for one for each core."""
     truth: bool = False
     """Also write exact depth and instance masks, into the folder truth."""
+    light: Literal["standard", "mitsuba"] = "standard"
+    """Light of the sky: standard, or mitsuba's path tracer (several times the cost; needs the
+    extra mitsuba and LLVM)."""
     label_noise: float = 0.0
     """Standard deviation of the boxes' places and sizes, metres."""
 
@@ -87,9 +90,9 @@ class Synth:
         from recast.synthetic import CAMERAS, check_request, make_world, synthesize_log
 
         console = Console()
-        check_request(self.out, self.width, self.height, self.label_noise)
+        check_request(self.out, self.width, self.height, self.label_noise, light=self.light)
         with console.status(f"building {self.scene}"):
-            world = make_world(self.scene, self.seed, self.seconds)
+            world = make_world(self.scene, self.seed, self.seconds, self.light)
         frames = (len(CAMERAS) + 1) * (len(world.ego.timestamps_us) - 1)
         with FrameProgress(console, frames, "images and sweeps") as bar:
             synthesize_log(

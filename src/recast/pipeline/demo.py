@@ -50,7 +50,7 @@ class DemoSize:
 
 
 FULL = DemoSize(
-    8.0, 384, 256, (), 2400, ("cut-in-a", "oncoming-a", "stationary-a"), steps=60
+    8.0, 384, 256, (), 2000, ("cut-in-a", "oncoming-a", "stationary-a"), steps=50
 )  # fmt: skip
 QUICK = DemoSize(3.0, 192, 128, ("front",), 500, ("cut-in-a",), steps=20)
 

@@ -73,6 +73,7 @@ class Oracle:
             self.drawn(poses),
             rng=rng,
             exposure=exposure,
+            quality=self.world.light,
         )
 
     def drawn(self, poses: Mapping[str, Array]) -> dict[str, Array]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,7 @@ from recast.synthetic.others import Placed, Scene, near_spots, try_driving, try_
 from recast.synthetic.streets import SCENES, make_street
 from recast.synthetic.target import MANNERS, TARGET_KINDS, target_drive
 from recast.synthetic.vehicles import sample_vehicle
-from recast.synthetic.world import Street, Vehicle, World
+from recast.synthetic.world import Quality, Street, Vehicle, World
 
 Array = NDArray[np.float64]
 
@@ -39,10 +41,13 @@ _STREET, _EGO, _TARGET, _DRIVING, _PARKED = range(5)
 _PARKED_KINDS = ("hatchback", "sedan", "estate", "suv", "pickup", "van")
 
 
-def make_world(name: str, seed: int = 0, seconds: float = 8.0) -> World:
+def make_world(
+    name: str, seed: int = 0, seconds: float = 8.0, light: Quality = "standard"
+) -> World:
     """The drive that `name`, `seed` and `seconds` stand for; always the same.
 
-    Poses are at 10 Hz from 0 to `seconds`, rounded down to whole tenths.
+    Poses are at 10 Hz from 0 to `seconds`, rounded down to whole tenths. `light` is how cameras
+    are lit; all else is the same with either.
 
     Raises:
         InputError: no such scene, a negative seed, or seconds not within 0.1 to 20.
@@ -57,7 +62,7 @@ def make_world(name: str, seed: int = 0, seconds: float = 8.0) -> World:
     street = make_street(
         name, _generator(name, seed, _STREET), max(_USUAL_SPEED * seconds, _SHORTEST_STREET)
     )
-    return populate(street, name, seed, seconds)
+    return replace(populate(street, name, seed, seconds), light=light)
 
 
 def populate(street: Street, name: str, seed: int, seconds: float) -> World:
@@ -93,6 +98,7 @@ def world_metadata(world: World) -> dict[str, str]:
         "seconds": repr(float(world.seconds)),
         "world_version": str(WORLD_VERSION),
         "target": world.target,
+        "light": world.light,
     }
 
 
@@ -119,11 +125,12 @@ def world_of(log: DrivingLog) -> World:
         )
     try:
         name, seed, seconds = metadata["scene"], int(metadata["seed"]), float(metadata["seconds"])
-    except (KeyError, ValueError) as error:
+        light = next(known for known in get_args(Quality) if known == metadata["light"])
+    except (KeyError, ValueError, StopIteration) as error:
         raise InputError(
             log.name, "metadata", f"does not name a world ({error})", "make the log anew"
         ) from None
-    return make_world(name, seed, seconds)
+    return make_world(name, seed, seconds, light)
 
 
 def _driving(scene: Scene, name: str, seed: int) -> list[Placed]:

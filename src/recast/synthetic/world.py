@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,9 @@ from recast.logs import HdMap, Trajectory
 from recast.synthetic.surface import Surface
 
 Array = NDArray[np.float64]
+
+Quality = Literal["standard", "mitsuba"]
+"""Where the light of the sky comes from: one bounce of our own, or mitsuba's path tracer."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +125,7 @@ class World:
         vehicles: by track id, the ego not among them.
         ego: `world_from_rig`.
         target: track id of the vehicle that the scene was made to ask about.
+        light: how cameras are lit, in the log and by the oracle.
     """
 
     name: str
@@ -130,3 +135,4 @@ class World:
     vehicles: Mapping[str, Vehicle]
     ego: Trajectory
     target: str
+    light: Quality = "standard"

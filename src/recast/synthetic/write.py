@@ -16,11 +16,11 @@ from recast.synthetic.label_noise import check_label_noise, with_label_noise
 from recast.synthetic.oracle import instances
 from recast.synthetic.oracle_pool import OraclePool
 from recast.synthetic.populate import world_metadata
-from recast.synthetic.rendering import require_embree
+from recast.synthetic.rendering import require_embree, working_llvm
 from recast.synthetic.rig import LIDAR, Rig, make_rig
 from recast.synthetic.sensors import Measurement, SpooledImages, SpooledSweeps, measure
 from recast.synthetic.truth import FOLDER, TruthRecord, write_truth_record
-from recast.synthetic.world import World
+from recast.synthetic.world import Quality, World
 
 Progress = Callable[[int, int], None]
 """Called with how many images and sweeps are done, and how many there will be."""
@@ -56,7 +56,7 @@ def synthesize_log(
         InputError: an impossible size, an unknown camera, negative noise or workers; `out` exists;
             embreex is missing; the disk is full.
     """
-    check_request(out, width, height, label_noise, cameras)
+    check_request(out, width, height, label_noise, cameras, world.light)
     rig = make_rig(width, height, cameras)
     with OraclePool(world, workers) as pool, storage.atomic_folder(out) as folder:
         spool, truth_folder = folder / "spool", folder / FOLDER if truth else None
@@ -87,14 +87,17 @@ def check_request(
     height: int,
     label_noise: float,
     cameras: tuple[str, ...] | None = None,
+    light: Quality = "standard",
 ) -> None:
     """Refuse what `synthesize_log` would refuse, before a world is made for it.
 
     Raises:
         InputError: an impossible size, an unknown camera, negative noise, `out` exists, or embreex
-            is not installed.
+            or what `light` needs is not installed.
     """
     require_embree()
+    if light == "mitsuba":
+        working_llvm()
     make_rig(width, height, cameras)
     check_label_noise(label_noise)
     if Path(out).exists():

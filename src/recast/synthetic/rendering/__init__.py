@@ -8,6 +8,7 @@ from recast.synthetic.rendering.camera import render_camera
 from recast.synthetic.rendering.camera_frame import CameraFrame
 from recast.synthetic.rendering.embree import require_embree
 from recast.synthetic.rendering.lidar import WAYMO_TOP, LidarScan, LidarSpec, scan_lidar
+from recast.synthetic.rendering.mitsuba_probe import working_llvm
 from recast.synthetic.rendering.ray_scene import SKY, STREET, Hits, RayScene
 
 __all__ = [
@@ -22,4 +23,5 @@ __all__ = [
     "render_camera",
     "require_embree",
     "scan_lidar",
+    "working_llvm",
 ]

@@ -11,8 +11,8 @@ from recast.geometry import PinholeCamera, se3
 from recast.synthetic.rendering.camera_frame import CameraFrame
 from recast.synthetic.rendering.ray_scene import Poses, RayScene
 from recast.synthetic.rendering.sky_light import sky_light
-from recast.synthetic.rendering.trace_image import Quality, trace_image
-from recast.synthetic.world import Sky
+from recast.synthetic.rendering.trace_image import trace_image
+from recast.synthetic.world import Quality, Sky
 
 Array = NDArray[np.float64]
 

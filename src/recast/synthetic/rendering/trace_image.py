@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,12 +19,11 @@ from recast.synthetic.rendering.sky_light import SkyLight
 from recast.synthetic.rendering.surface_points import SurfacePoints, surface_points
 from recast.synthetic.rendering.tone import CLIP, WHITE_LEVEL, develop
 from recast.synthetic.rendering.vectors import dot, normalise
+from recast.synthetic.world import Quality
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-Quality = Literal["standard", "mitsuba"]
-"""Where the light of the sky comes from: `lighting`, with one bounce, or `path_light`."""
 LONELY_SAMPLES = 4
 """Further samples of light where the filter finds no neighbours to average with."""
 
