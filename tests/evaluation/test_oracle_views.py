@@ -43,7 +43,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory):
     result = evaluate_oracle_views(
         LOG, scene(REAR_ONLY, LOG), scene(WHOLE, LOG), oracle, "7", MOUNTS, out,
         rng=np.random.default_rng(0),
-        settings=ViewSettings(distances=(9.0,), headings=8),
+        settings=ViewSettings(moments=1, distances=(9.0,), headings=8),
         exposures={"front": 0.97},
         progress=lambda done, of: told.append((done, of)),
     )  # fmt: skip
@@ -109,7 +109,7 @@ def test_views_stand_on_the_road_clear_of_the_ego_and_turn_all_the_way() -> None
 
 
 def test_places_taken_by_a_parked_car_are_left_out() -> None:
-    settings = ViewSettings(distances=(9.0,), headings=8)
+    settings = ViewSettings(moments=1, distances=(9.0,), headings=8)
     [*free] = place_views(LOG, LOG.tracks["7"], MOUNTS, settings)
     x, y, _ = se2.from_se3(free[0].world_from_actor)
     log = box_log(parked_at(x, y + 2.7))
@@ -205,7 +205,7 @@ def test_the_folder_holds_what_was_seen(compared) -> None:
 
 def test_the_same_again_gives_the_same_bytes(compared, tmp_path: Path) -> None:
     _, out, *_ = compared
-    settings = ViewSettings(distances=(9.0,), headings=8)
+    settings = ViewSettings(moments=1, distances=(9.0,), headings=8)
     evaluate_oracle_views(
         LOG, scene(REAR_ONLY, LOG), scene(WHOLE, LOG), BoxOracle(), "7", MOUNTS, tmp_path / "truth",
         rng=np.random.default_rng(0), settings=settings, exposures={"front": 0.97},
