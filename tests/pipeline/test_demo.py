@@ -78,3 +78,9 @@ def test_an_unknown_scene_lists_the_known_ones(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"moon.*urban-straight.*underpass"):
         run(tmp_path / "out", scene="moon")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_negative_number_of_threads_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="negative"):
+        demo(tmp_path / "out", SCENE, 1, TINY, threads=-1, console=Console(quiet=True))
+    assert not (tmp_path / "out").exists()

@@ -74,6 +74,8 @@ def demo(
     Raises:
         InputError: unknown scene, or `out` holds something else.
     """
+    if threads < 0:
+        raise InputError("threads", str(threads), "is negative", "choose 0 for all cores")
     world = make_world(scene, seed, size.seconds)
     log = _drive(world, Path(out) / LOG_FOLDER, size, threads, console)
     config = RunConfig(
