@@ -50,7 +50,7 @@ unit: setup
 
 bench: setup
 	$(BIN)/python benchmarks/raster.py
-	$(BIN)/python benchmarks/synthetic.py
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/synthetic.py
 
 clean:
 	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
