@@ -17,7 +17,6 @@ from recast.scene import SceneConfig
 from recast.synthetic import (
     CAMERAS,
     World,
-    check_request,
     make_world,
     synthesize_log,
     world_metadata,
@@ -103,7 +102,6 @@ def _drive(world: World, path: Path, size: DemoSize, threads: int, console: Cons
         _check_same(read_log(path), world, size, path)
         console.print("  finished before")
         return path
-    check_request(path, size.width, size.height, label_noise=0.0, cameras=size.cameras or None)
     names = size.cameras or None
     frames = round(size.seconds * 10) * len(size.cameras or CAMERAS)
     with FrameProgress(console, frames, "images") as progress:

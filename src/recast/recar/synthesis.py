@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -89,10 +87,9 @@ class _Counter:
 
 def _check_renderable(plan: Sequence[PlannedIdentity], settings: SynthesisSettings) -> None:
     from recast.recar.render_identity import make_model
-    from recast.synthetic.rendering import RayScene
-    from recast.synthetic.surface import concatenate
+    from recast.synthetic.rendering import require_embree
 
-    RayScene(concatenate([]), {})
+    require_embree()
     for planned in plan:
         if planned.mesh is not None:
             make_model(planned, settings)
@@ -158,15 +155,9 @@ _advance: Callable[[int], Any]
 def _set_up_worker(queue: Any) -> None:
     global _advance
     _advance = queue.put
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    from recast.synthetic.child_process import end_with_parent
 
-
-def _end_with_parent() -> None:
-    # Without this, workers of a killed run would go on and write into the folders of the next.
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
+    end_with_parent()
 
 
 def _make_in_worker(

@@ -6,20 +6,19 @@ import multiprocessing
 import os
 import pickle
 import signal
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from itertools import islice
-from multiprocessing import connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Self, TypeVar
 
 from recast.errors import InputError
+from recast.synthetic.child_process import end_with_parent
 from recast.synthetic.oracle import Oracle
 from recast.synthetic.rendering import require_embree
 from recast.synthetic.world import World
@@ -163,16 +162,8 @@ def _one_thread() -> Iterator[None]:
 def _start(path: Path) -> None:
     global _oracle
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers itself
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent()
     _oracle = Oracle(pickle.loads(path.read_bytes()))  # written by the parent just now
-
-
-def _end_with_parent() -> None:
-    """A killed parent would leave its processes waiting for jobs for ever."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        connection.wait([parent.sentinel])
-        os._exit(1)
 
 
 def _call(function: Callable[[Oracle, Job], Result], job: Job) -> Result:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from recast.synthetic.rendering.embree import Float32Array
 from recast.synthetic.rendering.ray_scene import SKY, Poses, RayScene
 from recast.synthetic.rendering.surface_points import TABLE, surface_points
+from recast.synthetic.rendering.tone import LUMINANCE
 from recast.synthetic.rendering.vectors import dot, scaled
 
 Array = NDArray[np.float64]
@@ -18,7 +19,6 @@ MID_GREY = np.float32(0.18)
 """Luminance of the face for which `Material.lidar` is given."""
 GLASS_RETURN = np.float32(0.15)
 """Share of pulses on glass that come back; the others go through or are mirrored away."""
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from recast.synthetic.rendering.embree import Float32Array
 from recast.synthetic.rendering.image_lookup import gather_image
 from recast.synthetic.rendering.noise import spectral_noise
+from recast.synthetic.rendering.tone import LUMINANCE
 from recast.synthetic.rendering.vectors import outer
 from recast.synthetic.world import Sky
 
@@ -60,7 +61,7 @@ class SkyLight:
         self.ambient = np.average(above.mean(axis=1), axis=0, weights=weight).astype(np.float32)
         beam = self.sun * np.float32(max(self.sun_direction[2], 0.0) / np.pi)
         white = beam + self.ambient
-        self.white = float(white @ np.array([0.2126, 0.7152, 0.0722], np.float32))
+        self.white = float(white @ LUMINANCE)
         self.ground = (GROUND_ALBEDO * white).astype(np.float32)
         clear = np.exp(_EYE_HEIGHT / np.minimum(z[z <= 0], -1e-6) / HAZE_LENGTH)[:, None, None]
         below = np.broadcast_to(

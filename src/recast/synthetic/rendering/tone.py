@@ -14,7 +14,8 @@ CLIP = 4.0
 
 SATURATION = np.float32(1.12)
 """Cameras render colours a little stronger than they are."""
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+"""Of linear RGB, ITU-R BT.709."""
 _TABLE_SIZE = 4096
 
 
@@ -49,7 +50,7 @@ def develop(radiance: Float32Array, white: float, exposure: float) -> NDArray[np
         exposure: factor on the light; 1 is right for the day.
     """
     scale = np.float32(exposure * WHITE_LEVEL / white / 16)
-    grey = radiance @ _LUMINANCE
+    grey = radiance @ LUMINANCE
     vivid = radiance * SATURATION + ((1 - SATURATION) * grey)[..., None]
     position = np.sqrt(np.clip(vivid * scale, 0, 1)) * np.float32(_TABLE_SIZE - 1)
     below = np.minimum(position.astype(np.int32), _TABLE_SIZE - 2)

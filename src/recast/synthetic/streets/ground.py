@@ -12,7 +12,8 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from recast.logs import GroundHeight
-from recast.synthetic.streets.triangles import flat, quads, ribbon, soup
+from recast.synthetic.scenery.primitives import quads
+from recast.synthetic.streets.triangles import flat, ribbon, soup
 from recast.synthetic.surface import Surface
 
 Array = NDArray[np.float64]

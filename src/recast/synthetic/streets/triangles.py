@@ -9,6 +9,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from recast.synthetic.materials import MATERIAL_INDEX
+from recast.synthetic.scenery.primitives import quads
 from recast.synthetic.surface import Surface
 
 Array = NDArray[np.float64]
@@ -68,16 +69,6 @@ def flat(
     xy = corners.reshape(-1, 2)
     z = height(xy) if callable(height) else np.full(len(xy), height)
     return soup(np.concatenate([xy, z[:, None]], axis=1), colour, material)
-
-
-def quads(corners: ArrayLike, colour: ArrayLike, material: str) -> Surface:
-    """Quadrilaterals (Q, 4, 3), counter-clockwise, with colour (3,) or (Q, 3)."""
-    corners = np.asarray(corners, np.float64).reshape(-1, 4, 3)
-    faces = (4 * np.arange(len(corners))[:, None] + [[0, 1, 2, 0, 2, 3]]).reshape(-1, 3)
-    colour = np.asarray(colour, np.float32)
-    if colour.ndim == 2:
-        colour = np.repeat(colour, 2, axis=0)
-    return Surface.make(corners.reshape(-1, 3), faces, colour, material, crease=0.0)
 
 
 def ribbon(left: Array, right: Array, colour: ArrayLike, material: str) -> Surface:
