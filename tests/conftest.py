@@ -17,6 +17,15 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 torch.set_num_threads(1)  # two OpenMP threads on a busy machine are ten times slower than one
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip the slow tests, visibly, unless they are asked for."""
+    if os.environ.get("RECAST_SLOW") == "1":
+        return
+    for item in items:
+        if item.get_closest_marker("slow") is not None:
+            item.add_marker(pytest.mark.skip(reason="slow: set RECAST_SLOW=1"))
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder with real drives and golden vectors; tests that need it skip without it."""
