@@ -1,0 +1,1 @@
+"""The six networks, under their published class names."""
