@@ -1,0 +1,29 @@
+"""Sparse voxels: tensors, neighbours, submanifold convolution, pooling and token layouts."""
+
+from recast.trellis.sparse.convolution import (
+    SubMConv3d,
+    submanifold_convolution,
+    submanifold_convolution_reference,
+)
+from recast.trellis.sparse.neighbours import NeighbourMap, neighbour_map
+from recast.trellis.sparse.packed import PackedTokens
+from recast.trellis.sparse.pooling import PoolIndex, pool, pool_reference, unpool
+from recast.trellis.sparse.tensor import SparseTensor
+from recast.trellis.sparse.windows import WindowedTokens, WindowPartition, window_partition
+
+__all__ = [
+    "NeighbourMap",
+    "PackedTokens",
+    "PoolIndex",
+    "SparseTensor",
+    "SubMConv3d",
+    "WindowPartition",
+    "WindowedTokens",
+    "neighbour_map",
+    "pool",
+    "pool_reference",
+    "submanifold_convolution",
+    "submanifold_convolution_reference",
+    "unpool",
+    "window_partition",
+]

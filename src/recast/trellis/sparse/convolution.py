@@ -1,0 +1,122 @@
+"""Submanifold 3x3x3 convolution: as many voxels out as in, absent ones count as zero."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from recast.trellis.sparse.neighbours import CENTRE, OFFSETS, NeighbourMap, neighbour_map
+from recast.trellis.sparse.tensor import SparseTensor
+
+
+class SubMConv3d(nn.Module):
+    """Convolution over the occupied 3x3x3 neighbours of every occupied voxel.
+
+    out[p] = bias + sum over (a,b,c) of W[:,a,b,c,:] x[p + (a-1,b-1,c-1)], over the voxels that
+    exist in the sample (Graham et al., 3D Semantic Segmentation with Submanifold Sparse
+    Convolutional Networks, 2018). Parameters: `conv.weight` (out,3,3,3,in), `conv.bias` (out,), as
+    in the published TRELLIS checkpoints.
+    """
+
+    def __init__(self, in_channels: int, out_channels: int, bias: bool = True) -> None:
+        super().__init__()
+        self.in_channels = in_channels
+        self.out_channels = out_channels
+        self.conv = _Kernel(in_channels, out_channels, bias)
+
+    def forward(self, x: SparseTensor) -> SparseTensor:
+        """(T,in) features to (T,out) on the same voxels."""
+        return submanifold_convolution(x, self.conv.weight, self.conv.bias)
+
+    def extra_repr(self) -> str:
+        """Channels in and out."""
+        return f"{self.in_channels}, {self.out_channels}"
+
+
+class _Kernel(nn.Module):
+    """Weight and bias, initialised as torch's own convolutions are."""
+
+    bias: nn.Parameter | None
+
+    def __init__(self, in_channels: int, out_channels: int, bias: bool) -> None:
+        super().__init__()
+        self.weight = nn.Parameter(torch.empty(out_channels, 3, 3, 3, in_channels))
+        self.register_parameter("bias", nn.Parameter(torch.empty(out_channels)) if bias else None)
+        bound = 1 / math.sqrt(27 * in_channels)
+        for parameter in self.parameters():
+            nn.init.uniform_(parameter, -bound, bound)
+
+
+def submanifold_convolution(x: SparseTensor, weight: Tensor, bias: Tensor | None) -> SparseTensor:
+    """Convolve `x` (T,in) with `weight` (out,3,3,3,in) and `bias` (out,): (T,out).
+
+    One gathered matrix product per tap over the pairs of voxels that exist, and the same pairs read
+    backwards for the gradient. Differentiable in features, weight and bias.
+    """
+    feats = x.feats
+    device = feats.device.type
+    if torch.is_autocast_enabled(device):
+        dtype = torch.get_autocast_dtype(device)
+        feats, weight = feats.to(dtype), weight.to(dtype)
+        bias = None if bias is None else bias.to(dtype)
+    taps = weight.flatten(1, 3).permute(1, 2, 0)  # (27, in, out)
+    out: Tensor = _GatherGemm.apply(feats, taps, neighbour_map(x))
+    return x.with_feats(out if bias is None else out + bias)
+
+
+def submanifold_convolution_reference(
+    x: SparseTensor, weight: Tensor, bias: Tensor | None
+) -> SparseTensor:
+    """Readable twin of `submanifold_convolution`: voxel by voxel through a dictionary."""
+    row_of = {tuple(voxel): row for row, voxel in enumerate(x.coords.tolist())}
+    taps = weight.flatten(1, 3)  # (out, 27, in)
+    rows = []
+    for batch, i, j, k in row_of:
+        total = x.feats.new_zeros(weight.shape[0]) if bias is None else bias
+        for tap, (di, dj, dk) in enumerate(OFFSETS):
+            row = row_of.get((batch, i + di, j + dj, k + dk))
+            if row is not None:
+                total = total + taps[:, tap] @ x.feats[row]
+        rows.append(total)
+    return x.with_feats(torch.stack(rows) if rows else x.feats.new_zeros(0, weight.shape[0]))
+
+
+class _GatherGemm(torch.autograd.Function):
+    """(T,in) features, (27,in,out) taps -> (T,out)."""
+
+    @staticmethod
+    def forward(ctx: Any, feats: Tensor, taps: Tensor, neighbours: NeighbourMap) -> Tensor:
+        ctx.save_for_backward(feats, taps)
+        ctx.neighbours = neighbours
+        return _gather_gemm(feats, taps, neighbours)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, Tensor | None, None]:
+        feats, taps = ctx.saved_tensors
+        (grad,) = grads
+        grad_feats = grad_taps = None
+        if ctx.needs_input_grad[0]:
+            # The transpose of a step is the opposite step.
+            grad_feats = _gather_gemm(grad, taps.flip(0).transpose(1, 2), ctx.neighbours)
+        if ctx.needs_input_grad[1]:
+            products = []
+            for tap in range(len(OFFSETS)):
+                if tap == CENTRE:
+                    products.append(feats.T @ grad)
+                else:
+                    rows, sources = ctx.neighbours.of(tap)
+                    products.append(feats[sources].T @ grad[rows])
+            grad_taps = torch.stack(products)
+        return grad_feats, grad_taps, None
+
+
+def _gather_gemm(feats: Tensor, taps: Tensor, neighbours: NeighbourMap) -> Tensor:
+    out = feats @ taps[CENTRE]
+    for tap in range(len(OFFSETS)):
+        if tap != CENTRE:
+            rows, sources = neighbours.of(tap)
+            out.index_add_(0, rows, feats[sources] @ taps[tap])
+    return out
