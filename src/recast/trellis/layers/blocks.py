@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor, nn
 
 from recast.trellis.layers.attention import CrossAttention, SelfAttention
@@ -72,6 +73,12 @@ class ModulatedCrossBlock(nn.Module):
         self.cross_attn = CrossAttention(channels, context_channels, heads, qk_rms_norm_cross)
         self.mlp = FeedForward(channels, mlp_ratio)
         self.adaLN_modulation = None if share_mod else modulation_layer(channels)
+
+    def initialise(self, generator: torch.Generator | None = None) -> None:
+        """Start the modulation at zero, so that only the cross-attention acts; draws nothing."""
+        if self.adaLN_modulation is not None:
+            for parameter in self.adaLN_modulation.parameters():
+                nn.init.zeros_(parameter)
 
     def forward(self, h: Tensor, modulation: Tensor, cond: Tensor, layout: TokenLayout) -> Tensor:
         """One block.

@@ -64,6 +64,12 @@ class TimestepEmbedder(nn.Module):
             nn.Linear(frequency_channels, channels), nn.SiLU(), nn.Linear(channels, channels)
         )
 
+    def initialise(self, generator: torch.Generator | None = None) -> None:
+        """Draw both weights from N(0, 0.02), without touching the biases."""
+        for layer in self.mlp:
+            if isinstance(layer, nn.Linear):
+                nn.init.normal_(layer.weight, std=0.02, generator=generator)
+
     def forward(self, t: Tensor) -> Tensor:
         """Times (B,), already multiplied by 1000, to (B, channels)."""
         out: Tensor = self.mlp(timestep_embedding(t, self.frequency_channels))

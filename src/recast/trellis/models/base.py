@@ -17,7 +17,7 @@ from pydantic import (
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
-from recast.trellis.layers import MultiHeadRmsNorm
+from recast.trellis.layers import ModulatedCrossBlock, MultiHeadRmsNorm, TimestepEmbedder
 
 
 class ModelConfig(BaseModel):
@@ -105,7 +105,8 @@ class TrellisModel(nn.Module):
     def initialise(self, generator: torch.Generator | None = None) -> None:
         """Draw initial weights: Linear Xavier-uniform with zero bias, dense Conv as in PyTorch.
 
-        Subclasses extend it with the layers that start at zero or otherwise.
+        Time embeddings are N(0, 0.02) and the modulation of cross blocks starts at zero.
+        Subclasses extend this with their own layers that start at zero, such as the output.
 
         Args:
             generator: source of all random numbers; None takes PyTorch's own.
@@ -119,6 +120,9 @@ class TrellisModel(nn.Module):
                 if module.bias is not None:
                     bound = 1 / math.sqrt(module.weight[0].numel())
                     nn.init.uniform_(module.bias, -bound, bound, generator=generator)
+        for module in self.modules():
+            if isinstance(module, TimestepEmbedder | ModulatedCrossBlock):
+                module.initialise(generator)
 
     @property
     def device(self) -> torch.device:
@@ -154,3 +158,9 @@ class TrellisModel(nn.Module):
             RuntimeError: a name is missing or unknown, or a shape differs.
         """
         self.load_state_dict(state, strict=True)
+
+
+def start_at_zero(layer: nn.Module) -> None:
+    """Zero the parameters of an output, modulation or last convolution layer."""
+    for parameter in layer.parameters():
+        nn.init.zeros_(parameter)

@@ -1,0 +1,85 @@
+"""Dense 3D convolution blocks of the sparse-structure autoencoder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from torch import Tensor, nn
+from torch.nn import functional
+
+from recast.trellis.layers import ChannelLayerNorm32
+from recast.trellis.models.base import start_at_zero
+
+
+class ResBlock3d(nn.Module):
+    """x + conv(SiLU(norm(conv(SiLU(norm(x)))))), with 3x3x3 convolutions.
+
+    Args:
+        channels: in and out; the published networks never change them inside a block.
+    """
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.norm1 = ChannelLayerNorm32(channels)
+        self.norm2 = ChannelLayerNorm32(channels)
+        self.conv1 = nn.Conv3d(channels, channels, 3, padding=1)
+        self.conv2 = nn.Conv3d(channels, channels, 3, padding=1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Grid (B, channels, X, Y, Z) to the same shape."""
+        h = self.conv1(functional.silu(self.norm1(x)))
+        out: Tensor = x + self.conv2(functional.silu(self.norm2(h)))
+        return out
+
+
+class Downsample3d(nn.Module):
+    """Halve a grid with a 2x2x2 convolution of stride 2."""
+
+    def __init__(self, in_channels: int, out_channels: int) -> None:
+        super().__init__()
+        self.conv = nn.Conv3d(in_channels, out_channels, 2, stride=2)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Grid (B, in_channels, 2X, 2Y, 2Z) to (B, out_channels, X, Y, Z)."""
+        out: Tensor = self.conv(x)
+        return out
+
+
+class Upsample3d(nn.Module):
+    """Double a grid: a 3x3x3 convolution to eight times the channels, then a pixel shuffle."""
+
+    def __init__(self, in_channels: int, out_channels: int) -> None:
+        super().__init__()
+        self.conv = nn.Conv3d(in_channels, 8 * out_channels, 3, padding=1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Grid (B, in_channels, X, Y, Z) to (B, out_channels, 2X, 2Y, 2Z)."""
+        return pixel_shuffle_3d(self.conv(x))
+
+
+def pixel_shuffle_3d(x: Tensor, factor: int = 2) -> Tensor:
+    """Move channels into space: channel c r^3 + (dx r + dy) r + dz goes to cell offset dx, dy, dz.
+
+    Args:
+        x: (B, C r^3, X, Y, Z), r = `factor`.
+        factor: r.
+
+    Returns:
+        (B, C, r X, r Y, r Z).
+    """
+    batch, _, *size = x.shape
+    split = x.reshape(batch, -1, factor, factor, factor, *size)
+    woven = split.permute(0, 1, 5, 2, 6, 3, 7, 4)
+    return woven.reshape(batch, split.shape[1], *(factor * n for n in size))
+
+
+def residual_blocks(channels: int, count: int) -> list[nn.Module]:
+    """`count` residual blocks in a row."""
+    return [ResBlock3d(channels) for _ in range(count)]
+
+
+def zero_last_convolutions(blocks: Iterable[nn.Module]) -> None:
+    """Make every residual block start as the identity."""
+    for block in blocks:
+        if isinstance(block, ResBlock3d):
+            start_at_zero(block.conv2)
