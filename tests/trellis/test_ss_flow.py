@@ -59,13 +59,14 @@ def test_position_embedding_is_saved_and_equals_the_published_one() -> None:
         assert "pos_emb" not in dict(model.named_parameters())
 
 
+@torch.no_grad()
 def test_half_torso_stays_near_the_published_one() -> None:
     model, io = golden_model("ss_flow", use_fp16=True), golden_tensors("ss_flow_io")
     out = run(model, io)
     assert out.dtype == torch.float32
+    # How far half precision lies from float32 depends a little on the machine.
     assert float((out - io["out"]).abs().max()) < 4e-3
-    # Half-precision sums depend on the machine; both roundings lie that near to fp32.
-    assert float((out - io["out_fp16_torso"]).abs().max()) < 4e-3
+    assert float((out - io["out_fp16_torso"]).abs().max()) < 3e-3
 
 
 def test_half_torso_converts_linear_layers_only() -> None:
@@ -101,6 +102,7 @@ def test_checkpointing_gives_the_same_gradients() -> None:
         assert torch.equal(a.grad, b.grad)
 
 
+@torch.no_grad()
 def test_a_new_model_predicts_no_velocity() -> None:
     model = SparseStructureFlowModel(SparseStructureFlowConfig(**golden_config("ss_flow")["args"]))
     assert not run(model, golden_tensors("ss_flow_io")).any()

@@ -49,13 +49,14 @@ def test_decoder_equals_the_published_code_and_gives_its_voxels() -> None:
     assert torch.equal(voxels, io["coords"])
 
 
+@torch.no_grad()
 def test_half_torso_of_the_decoder_stays_near_the_published_one() -> None:
     model, io = golden_decoder(use_fp16=True), golden_tensors("ss_dec_io")
     logits = model(io["z"])
     assert logits.dtype == torch.float32
+    # How far half precision lies from float32 depends a little on the machine.
     assert float((logits - io["logits"]).abs().max()) < 5e-2
-    # Half-precision sums depend on the machine; both roundings lie that near to fp32.
-    assert float((logits - io["logits_fp16_torso"]).abs().max()) < 5e-2
+    assert float((logits - io["logits_fp16_torso"]).abs().max()) < 4e-2
 
 
 def test_half_torso_converts_convolutions_of_blocks_and_middle_only() -> None:
