@@ -1,0 +1,84 @@
+"""Networks by the class names of published checkpoints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from recast.errors import InputError
+from recast.records import validation_error
+from recast.trellis.models.base import TrellisModel
+from recast.trellis.models.slat_decoder_gs import SLatGaussianDecoder
+from recast.trellis.models.slat_encoder import SLatEncoder
+from recast.trellis.models.slat_flow import SLatFlowModel
+from recast.trellis.models.ss_decoder import SparseStructureDecoder
+from recast.trellis.models.ss_encoder import SparseStructureEncoder
+from recast.trellis.models.ss_flow import SparseStructureFlowModel
+
+MODELS: dict[str, type[TrellisModel]] = {
+    model.published_name: model
+    for model in (
+        SparseStructureFlowModel,
+        SparseStructureEncoder,
+        SparseStructureDecoder,
+        SLatFlowModel,
+        SLatEncoder,
+        SLatGaussianDecoder,
+    )
+}
+"""The six networks by published name."""
+
+# Training configurations name these classes with a controller of activation memory; their modules
+# and weights are the same.
+MODELS |= {
+    f"Elastic{model.published_name}": model
+    for model in (SLatFlowModel, SLatEncoder, SLatGaussianDecoder)
+}
+
+
+def model_class(
+    name: str, where: str | Path, classes: Mapping[str, type[TrellisModel]] = MODELS
+) -> type[TrellisModel]:
+    """The network of a class name.
+
+    Args:
+        name: published name, such as "SLatFlowModel" or "ElasticSLatFlowModel".
+        where: the file that holds the name, for the message.
+        classes: networks to choose from.
+
+    Raises:
+        InputError: no such network.
+    """
+    if name not in classes:
+        known = ", ".join(sorted(other for other in classes if not other.startswith("Elastic")))
+        raise InputError(where, "name", f"{name!r} is no known network", f"choose one of {known}")
+    return classes[name]
+
+
+def build(
+    name: str,
+    args: Any,
+    where: str | Path,
+    classes: Mapping[str, type[TrellisModel]] = MODELS,
+) -> TrellisModel:
+    """A new network from its published configuration, `{"name": ..., "args": {...}}`.
+
+    Args:
+        name: see `model_class`.
+        args: constructor arguments.
+        where: the file that holds them, for the message.
+        classes: networks to choose from.
+
+    Raises:
+        InputError: no such network, or an argument that is unknown, missing or wrong.
+    """
+    chosen = model_class(name, where, classes)
+    try:
+        config = chosen.config_class.model_validate(args)
+    except ValidationError as error:
+        mend = f"give the arguments of {chosen.published_name}"
+        raise validation_error(where, error, mend) from None
+    return chosen(config)

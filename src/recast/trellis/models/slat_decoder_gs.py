@@ -1,0 +1,81 @@
+"""Decoder of the structured latents to 3D Gaussians."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from recast.splats import Gaussians
+from recast.trellis.models.base import ModelConfig
+from recast.trellis.models.gaussians import (
+    RepresentationConfig,
+    offset_perturbation,
+    raw_to_gaussians,
+)
+from recast.trellis.models.slat_vae import SLatTransformer, SLatVaeConfig
+from recast.trellis.sparse import SparseTensor
+
+
+class SLatGaussianDecoderConfig(SLatVaeConfig):
+    """Arguments of `SLatGaussianDecoder`.
+
+    Args:
+        representation_config: how raw channels become Gaussians.
+    """
+
+    representation_config: RepresentationConfig
+
+
+class SLatGaussianDecoder(SLatTransformer):
+    """Structured latents (raw, not normalised) to a fixed number of Gaussians per voxel.
+
+    Args:
+        config: constructor arguments.
+
+    Attributes:
+        offset_perturbation: (G, 3) buffer that spreads the Gaussians of a voxel; stored in the
+            checkpoints, float32.
+    """
+
+    published_name: ClassVar[str] = "SLatGaussianDecoder"
+    config_class: ClassVar[type[ModelConfig]] = SLatGaussianDecoderConfig
+    config: SLatGaussianDecoderConfig
+    offset_perturbation: Tensor
+
+    def __init__(self, config: SLatGaussianDecoderConfig) -> None:
+        representation = config.representation_config
+        super().__init__(config, config.latent_channels, representation.channels)
+        self.register_buffer("offset_perturbation", torch.empty(representation.num_gaussians, 3))
+        self.finish()
+
+    @torch.no_grad()
+    def initialise(self, generator: torch.Generator | None = None) -> None:
+        """Draw initial weights and compute the perturbation; the raw output starts at zero."""
+        super().initialise(generator)
+        self.offset_perturbation.copy_(offset_perturbation(self.config.representation_config))
+
+    def forward(self, x: SparseTensor) -> SparseTensor:
+        """(T, latent_channels) latents to (T, 14 G) raw channels on the same voxels."""
+        return x.with_feats(self.outputs(x))
+
+    def gaussians(self, raw: SparseTensor) -> list[Gaussians]:
+        """The Gaussians of every sample; none for a sample without voxels.
+
+        Args:
+            raw: (T, 14 G) output of this decoder; differentiable.
+
+        Returns:
+            One set per sample in the unit cube [-0.5, 0.5]^3, z up, see `raw_to_gaussians`.
+        """
+        return [
+            raw_to_gaussians(
+                raw.feats[rows],
+                raw.coords[rows, 1:],
+                self.offset_perturbation,
+                self.config.representation_config,
+                self.config.resolution,
+            )
+            for rows in raw.slices
+        ]

@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+import torch
+from tests.support.trellis import golden_config, golden_tensors, official_keys
+
+from recast.errors import InputError
+from recast.trellis.models import MODELS, SLatFlowModel, build, model_class
+
+GOLDEN = ("ss_flow", "ss_enc", "ss_dec", "slat_flow", "slat_enc", "slat_dec_gs")
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_builds_from_the_published_configuration_and_loads(name: str) -> None:
+    config = golden_config(name)
+    model = build(config["name"], config["args"], "model.json")
+    assert model.published_name == config["name"]
+    model.load_published(golden_tensors(name))
+
+
+@pytest.mark.parametrize("name", [*GOLDEN, "ss_flow_variant"])
+def test_configurations_round_trip_through_json(name: str) -> None:
+    args = golden_config(name)["args"]
+    config = build(golden_config(name)["name"], args, "model.json").config
+    assert config.model_dump(mode="json", by_alias=True, exclude_unset=True) == args
+    whole = json.loads(config.model_dump_json(by_alias=True))
+    assert whole.items() >= args.items()
+    assert type(config).model_validate(whole) == config
+
+
+def test_training_names_give_the_same_classes() -> None:
+    assert model_class("ElasticSLatFlowModel", "model.json") is SLatFlowModel
+    assert len(set(MODELS.values())) == 6
+    published = {official["class"] for official in official_keys().values()}
+    assert published - {"DinoVisionTransformer"} == {m.published_name for m in MODELS.values()}
+
+
+def test_other_networks_can_join() -> None:
+    classes = {**MODELS, "Mine": SLatFlowModel}
+    args = golden_config("slat_flow")["args"]
+    with torch.device("meta"):
+        assert isinstance(build("Mine", args, "model.json", classes), SLatFlowModel)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "said"),
+    [
+        ("SLatMeshDecoder", {}, "model.json: name: 'SLatMeshDecoder' is no known network; choose"),
+        ("SLatFlowModel", {"patch_size": 4}, "patch_size 4 is not 2 to the number of io_block"),
+        ("SLatFlowModel", {"model_chanels": 4}, "model.json: model_chanels: Extra inputs"),
+        ("SLatFlowModel", {"num_heads": 5}, "do not divide into 5 heads"),
+        ("SLatFlowModel", {"pe_mode": "rope"}, "model.json: pe_mode: Input should be 'ape'"),
+        ("SLatFlowModel", {"num_blocks": None}, "model.json: num_blocks: "),
+    ],
+)
+def test_wrong_configurations_are_refused_in_a_line(
+    name: str, changes: dict[str, Any], said: str
+) -> None:
+    args = golden_config("slat_flow")["args"] | changes
+    with pytest.raises(InputError, match=said) as caught:
+        build(name, args, "model.json")
+    assert "\n" not in str(caught.value)
+
+
+def test_arguments_that_are_no_table_are_refused() -> None:
+    with pytest.raises(InputError, match=r"model\.json: "):
+        build("SLatFlowModel", [1, 2], "model.json")
