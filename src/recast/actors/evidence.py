@@ -24,14 +24,14 @@ class Agreement:
     """How a turned asset agrees with the observation.
 
     Attributes:
-        lidar: fit to the LiDAR points after a short alignment.
+        lidar: fit to the LiDAR points after a short alignment; None where there are none.
         silhouette: intersection over union of its outline, seen from the crop's camera, and the
             mask.
         colour: mean absolute difference to the crop where both are, display values, after the best
             gain a channel.
     """
 
-    lidar: Fit
+    lidar: Fit | None
     silhouette: float
     colour: float
 
@@ -109,8 +109,10 @@ def front_votes(
     # a box labelled back to front makes the declared front the wrong one; a standing vehicle's
     # label is believed a little
     direction = heading if heading != 0.0 else 0.5
-    return {
-        "lidar": vote(turned.lidar.mean - as_is.lidar.mean, _LIDAR_UNIT),
+    lidar = {}
+    if as_is.lidar is not None and turned.lidar is not None:
+        lidar["lidar"] = vote(turned.lidar.mean - as_is.lidar.mean, _LIDAR_UNIT)
+    return lidar | {
         "silhouette": vote(as_is.silhouette - turned.silhouette, _SILHOUETTE_UNIT),
         "colour": vote(turned.colour - as_is.colour, _COLOUR_UNIT),
         "heading": _AXES_WEIGHT * direction if declared else 0.0,

@@ -6,8 +6,6 @@ evidence, then constrained ICP; the wheels stand on the box's ground plane throu
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -21,6 +19,7 @@ from recast.actors.icp import IcpLimits, align, fit_of
 from recast.actors.observation import Observation
 from recast.actors.observe import require_points
 from recast.actors.shadow import contact_shadow
+from recast.actors.start import Start, stand_on_box
 from recast.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog, Track, track_points
@@ -32,19 +31,6 @@ _LIDAR_POINTS = 6000
 _COARSE_STEP = np.radians(15.0)
 _SURFACE_POINTS = 4000  # used in the yaw search
 _SIDE_BAND = 0.25  # metres inside a face of the box within which points count for that side
-
-
-@dataclass(frozen=True)
-class _Start:
-    """asset_placed = R (scale x) + translation, before ICP."""
-
-    yaw: float
-    scale: float
-    matrix: Array
-
-    def apply(self, surface: Surface) -> Surface:
-        points = se3.apply(self.matrix, surface.points * self.scale)
-        return Surface(points, surface.normals @ self.matrix[:3, :3].T, surface.index)
 
 
 def register(asset: Asset, observation: Observation, log: DrivingLog, track: Track) -> Actor:
@@ -138,35 +124,27 @@ def lidar_by_side(points: Array, size: Array) -> dict[str, int]:
     }
 
 
-def _place(points: Array, yaw: float, size: Array) -> _Start:
-    """Turn by `yaw`, scale the length to the box's, centre on the box, stand on its floor."""
-    rotation = se3.rotation_z(yaw)
-    low, high = bounds(points @ rotation.T)
-    scale = float(size[0] / (high[0] - low[0]))
-    centre = (low + high) / 2 * scale
-    bottom = float((points @ rotation.T)[:, 2].min()) * scale
-    shift = np.array([-centre[0], -centre[1], -size[2] / 2 - bottom])
-    return _Start(yaw, scale, se3.from_rotation_translation(rotation, shift))
-
-
 def _orientation(
     gaussians: Gaussians, surface: Surface, lidar: Array, size: Array, observation: Observation,
     track: Track, asset: Asset,
-) -> tuple[_Start, FrontEvidence]:  # fmt: skip
+) -> tuple[Start, FrontEvidence]:  # fmt: skip
     """Search the yaw over the circle, then decide between the best one and its opposite."""
     sparse = _thinned(surface.points, _SURFACE_POINTS)
     few = _thinned(lidar, 1500)
     yaws = np.arange(0, 2 * np.pi, _COARSE_STEP)
-    costs = [_search_cost(sparse, few, _place(sparse, yaw, size), size) for yaw in yaws]
+    costs = [_search_cost(sparse, few, stand_on_box(sparse, yaw, size), size) for yaw in yaws]
     best = yaws[int(np.argmin(costs))]
     finer = best + np.radians([-7.5, -5.0, -2.5, 0.0, 2.5, 5.0, 7.5])
-    costs = [_search_cost(sparse, few, _place(sparse, yaw, size), size) for yaw in finer]
+    costs = [_search_cost(sparse, few, stand_on_box(sparse, yaw, size), size) for yaw in finer]
     best = float(finer[int(np.argmin(costs))])
     if np.cos(best) < 0:
         best -= np.pi
     best = float((best + np.pi) % (2 * np.pi) - np.pi)
 
-    starts = [_place(surface.points, best, size), _place(surface.points, best + np.pi, size)]
+    starts = [
+        stand_on_box(surface.points, best, size),
+        stand_on_box(surface.points, best + np.pi, size),
+    ]
     agreements = [_agreement(gaussians, surface, lidar, start, observation) for start in starts]
     declared = asset.axes.metric
     heading = heading_agreement(track)
@@ -178,7 +156,7 @@ def _orientation(
     )
 
 
-def _search_cost(points: Array, lidar: Array, start: _Start, size: Array) -> float:
+def _search_cost(points: Array, lidar: Array, start: Start, size: Array) -> float:
     """Trimmed mean distance plus what width and height miss of the box, metres."""
     placed = se3.apply(start.matrix, points * start.scale)
     distance, _ = cKDTree(placed).query(lidar)
@@ -189,7 +167,7 @@ def _search_cost(points: Array, lidar: Array, start: _Start, size: Array) -> flo
 
 
 def _agreement(
-    gaussians: Gaussians, surface: Surface, lidar: Array, start: _Start, observation: Observation
+    gaussians: Gaussians, surface: Surface, lidar: Array, start: Start, observation: Observation
 ) -> Agreement:
     """What speaks for one orientation after a short alignment."""
     placed = start.apply(surface)

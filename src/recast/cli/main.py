@@ -11,11 +11,13 @@ import tyro
 from recast.cli.actor import Actor
 from recast.cli.demo import Demo
 from recast.cli.doctor import Doctor
+from recast.cli.eval import Eval
 from recast.cli.log import Log
 from recast.cli.recar import Recar
 from recast.cli.report import Report
 from recast.cli.run import Run
 from recast.cli.scene import Scene
+from recast.cli.trellis import Trellis
 from recast.errors import InputError
 
 Command = (
@@ -24,6 +26,8 @@ Command = (
     | Annotated[Scene, tyro.conf.subcommand("scene")]
     | Annotated[Actor, tyro.conf.subcommand("actor")]
     | Annotated[Recar, tyro.conf.subcommand("recar")]
+    | Annotated[Eval, tyro.conf.subcommand("eval")]
+    | Annotated[Trellis, tyro.conf.subcommand("trellis")]
     | Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]

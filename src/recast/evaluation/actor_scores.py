@@ -1,0 +1,143 @@
+"""How alike a drawn vehicle and its photograph are, both without background."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from recast.evaluation.actor_cases import ActorView
+from recast.evaluation.oracle_scores import PSNR_CAP, mask_iou
+from recast.evaluation.perceptual import ImageDistance
+from recast.scene import psnr, ssim
+from recast.splats import Gaussians, rasterize
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class ActorColumn:
+    """How a score is shown.
+
+    Attributes:
+        label, unit: for people.
+        higher: whether a higher one is better.
+        decimals: that are shown.
+    """
+
+    label: str
+    unit: str
+    higher: bool
+    decimals: int
+
+    def shown(self, value: float) -> str:
+        """The score in text."""
+        return f"{value:.{self.decimals}f}"
+
+
+ACTOR_COLUMNS: Mapping[str, ActorColumn] = {
+    "psnr": ActorColumn("PSNR", "dB", True, 2),
+    "psnr_vehicle": ActorColumn("PSNR vehicle", "dB", True, 2),
+    "ssim": ActorColumn("SSIM", "", True, 4),
+    "mask_iou": ActorColumn("mask IoU", "", True, 3),
+    "lpips": ActorColumn("LPIPS", "", False, 4),
+    "clip": ActorColumn("CLIP image", "x100", True, 2),
+    "dino": ActorColumn("DINO distance", "", False, 4),
+}
+"""Scores in the order of the table; the last three only where weights were given."""
+
+
+@dataclass(frozen=True)
+class Cutout:
+    """A vehicle before black.
+
+    Attributes:
+        rgb: (H, W, 3) float64 display values in [0, 1], multiplied by alpha.
+        alpha: (H, W) float64 in [0, 1].
+    """
+
+    rgb: Array
+    alpha: Array
+
+    @property
+    def mask(self) -> Mask:
+        """(H, W) pixels covered by more than half."""
+        covered: Mask = self.alpha > 0.5
+        return covered
+
+    def before(self, grey: float) -> Array:
+        """(H, W, 3) with that grey behind it."""
+        composed: Array = np.clip(self.rgb + (1 - self.alpha[..., None]) * grey, 0.0, 1.0)
+        return composed
+
+
+def photographed(rgba: NDArray[np.uint8]) -> Cutout:
+    """A picture (H, W, 4) with straight alpha as a cutout."""
+    alpha = rgba[..., 3].astype(np.float64) / 255
+    return Cutout(rgba[..., :3] / 255 * alpha[..., None], alpha)
+
+
+def drawn(gaussians: Gaussians, view: ActorView) -> Cutout:
+    """Gaussians in the actor frame as the camera of a view sees them."""
+    with torch.no_grad():
+        picture = rasterize(
+            gaussians,
+            torch.from_numpy(view.camera_from_actor).float(),
+            torch.from_numpy(view.camera.matrix).float(),
+            view.camera.width,
+            view.camera.height,
+        )
+    return Cutout(
+        picture.rgb.clamp(0, 1).numpy().astype(np.float64),
+        picture.alpha.clamp(0, 1).numpy().astype(np.float64),
+    )
+
+
+def score_view(
+    shown: Cutout, truth: Cutout, distances: Sequence[ImageDistance] = ()
+) -> dict[str, float]:
+    """Scores by key of `ACTOR_COLUMNS`.
+
+    PSNR and SSIM are those of the whole image before black; PSNR of the vehicle is that over the
+    pixels of either mask. PSNR is at most 100 dB.
+
+    Args:
+        shown, truth: render and photograph of one size.
+        distances: further measures, each under its own key.
+    """
+    either = shown.mask | truth.mask
+    scores = {
+        "psnr": min(psnr(shown.rgb, truth.rgb), PSNR_CAP),
+        "psnr_vehicle": min(psnr(shown.rgb[either], truth.rgb[either]), PSNR_CAP),
+        "ssim": ssim(shown.rgb, truth.rgb),
+        "mask_iou": mask_iou(shown.mask, truth.mask),
+    }
+    for distance in distances:
+        window = framed(truth.mask) if distance.framed else (slice(None), slice(None))
+        scores[distance.key] = distance(shown.rgb[window], truth.rgb[window])
+    return scores
+
+
+def framed(mask: Mask, margin: float = 0.1) -> tuple[slice, slice]:
+    """Rows and columns of a square around a mask (H, W), clipped to the image.
+
+    Args:
+        mask: with at least one pixel.
+        margin: share of the mask's longer side left free on every side.
+    """
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    low = np.array([rows[0], columns[0]])
+    high = np.array([rows[-1], columns[-1]]) + 1
+    half = float(np.max(high - low)) * (0.5 + margin)
+    first = np.maximum(np.floor((low + high) / 2 - half), 0).astype(int)
+    last = np.minimum(np.ceil((low + high) / 2 + half), mask.shape).astype(int)
+    return slice(int(first[0]), int(last[0])), slice(int(first[1]), int(last[1]))
+
+
+def mean_scores(scores: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Mean of every score over views, or over vehicles; all have the same keys."""
+    return {key: float(np.mean([one[key] for one in scores])) for key in scores[0]}

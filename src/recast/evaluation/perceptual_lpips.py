@@ -1,0 +1,200 @@
+"""LPIPS (Zhang et al. 2018): distance of deep features, weighted by what people see.
+
+The convolutions are written out here and take published ImageNet weights in torchvision's layout
+(`features.N.weight`), of AlexNet or VGG-16; the linear heads, version 0.1 of LPIPS, come with the
+package torchmetrics.
+"""
+
+from __future__ import annotations
+
+import pickle
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as functional
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor
+
+from recast.errors import InputError
+
+Array = NDArray[np.float64]
+
+# Mean and deviation of the inputs, which are in [-1, 1] (the published LPIPS scaling layer).
+_SHIFT = (-0.030, -0.088, -0.188)
+_SCALE = (0.458, 0.448, 0.450)
+_EPSILON = 1e-10
+_MEND = "give AlexNet or VGG-16 weights as torchvision saves them, .pth or .safetensors"
+
+
+@dataclass(frozen=True)
+class Convolution:
+    """One convolution with rectifier.
+
+    Attributes:
+        index: N in `features.N.weight`.
+        channels: in and out.
+        kernel, stride, padding: pixels.
+        pool: kernel of the max pooling (stride 2) before it; 0 for none.
+        tapped: whether its output is compared.
+    """
+
+    index: int
+    channels: tuple[int, int]
+    kernel: int = 3
+    stride: int = 1
+    padding: int = 1
+    pool: int = 0
+    tapped: bool = True
+
+
+def _vgg16() -> tuple[Convolution, ...]:
+    layers, index, before = [], 0, 3
+    for block, (width, depth) in enumerate(((64, 2), (128, 2), (256, 3), (512, 3), (512, 3))):
+        for step in range(depth):
+            pool = 2 if block and step == 0 else 0
+            layers.append(Convolution(index, (before, width), pool=pool, tapped=step == depth - 1))
+            before, index = width, index + 2
+        index += 1  # the pooling's own number
+    return tuple(layers)
+
+
+BACKBONES: Mapping[str, tuple[Convolution, ...]] = {
+    "alex": (
+        Convolution(0, (3, 64), kernel=11, stride=4, padding=2),
+        Convolution(3, (64, 192), kernel=5, padding=2, pool=3),
+        Convolution(6, (192, 384), pool=3),
+        Convolution(8, (384, 256)),
+        Convolution(10, (256, 256)),
+    ),
+    "vgg": _vgg16(),
+}
+"""Networks by the name that torchmetrics gives their heads."""
+
+
+class Lpips:
+    """The distance; 0 for equal images.
+
+    Args:
+        backbone: key of `BACKBONES`.
+        weights: `features.N.weight` and `features.N.bias` of its convolutions.
+        heads: (C,) non-negative weights of every tapped layer's channels.
+    """
+
+    key = "lpips"
+    framed = False
+
+    def __init__(
+        self, backbone: str, weights: Mapping[str, Tensor], heads: Sequence[Tensor]
+    ) -> None:
+        self.backbone = backbone
+        self._layers = BACKBONES[backbone]
+        self._weights = weights
+        self._heads = heads
+
+    def __call__(self, image: Array, reference: Array) -> float:
+        """Distance of two images (H, W, 3) in [0, 1], at least 32 pixels wide and high.
+
+        sum over tapped layers of the mean over pixels of w . (unit(x) - unit(y))^2, with features
+        of unit length at every pixel (Zhang et al. 2018, eq. 1).
+
+        Raises:
+            ValueError: an image is smaller than the network can take.
+        """
+        if min(image.shape[:2]) < 32:
+            raise ValueError(f"Lpips: image of {image.shape[1]}x{image.shape[0]}, needs 32x32")
+        with torch.no_grad():
+            pairs = zip(self.features(image), self.features(reference), self._heads, strict=True)
+            return float(sum(_distance(x, y, head) for x, y, head in pairs))
+
+    def features(self, image: Array) -> list[Tensor]:
+        """Outputs (C, h, w) of the tapped layers."""
+        x = torch.from_numpy(np.ascontiguousarray(image, np.float32)).movedim(-1, 0)[None] * 2 - 1
+        x = (x - torch.tensor(_SHIFT)[:, None, None]) / torch.tensor(_SCALE)[:, None, None]
+        tapped = []
+        for layer in self._layers:
+            if layer.pool:
+                x = functional.max_pool2d(x, layer.pool, stride=2)
+            name = f"features.{layer.index}"
+            x = functional.conv2d(
+                x, self._weights[f"{name}.weight"], self._weights[f"{name}.bias"],
+                stride=layer.stride, padding=layer.padding,
+            ).relu()  # fmt: skip
+            if layer.tapped:
+                tapped.append(x[0])
+        return tapped
+
+
+def _distance(x: Tensor, y: Tensor, head: Tensor) -> float:
+    x = x / (x.norm(dim=0, keepdim=True) + _EPSILON)
+    y = y / (y.norm(dim=0, keepdim=True) + _EPSILON)
+    return float(torch.einsum("c,chw->hw", head, (x - y).square()).double().mean())
+
+
+def load_lpips(path: Path) -> Lpips:
+    """Read backbone weights, which tell by their shapes which network they are of.
+
+    Raises:
+        InputError: the file is missing, unreadable, of another network, or has a value that is not
+            finite; torchmetrics is not installed.
+    """
+    state = _read_state(path)
+    first = state.get("features.0.weight")
+    kernel = first.shape[-1] if first is not None and first.ndim == 4 else None
+    backbone = {11: "alex", 3: "vgg"}.get(kernel or 0)
+    if backbone is None:
+        raise InputError(path, "features.0.weight", "is of no known network", _MEND)
+    weights = {}
+    for layer in BACKBONES[backbone]:
+        before, after = layer.channels
+        shapes = {"weight": (after, before, layer.kernel, layer.kernel), "bias": (after,)}
+        for part, shape in shapes.items():
+            name = f"features.{layer.index}.{part}"
+            tensor = state.get(name)
+            if tensor is None:
+                raise InputError(path, name, "is missing", _MEND)
+            if tuple(tensor.shape) != shape:
+                raise InputError(path, name, f"has shape {tuple(tensor.shape)}, not {shape}", _MEND)
+            weights[name] = tensor.float()
+            if not bool(weights[name].isfinite().all()):
+                raise InputError(path, name, "has values that are not finite", _MEND)
+    return Lpips(backbone, weights, _heads(backbone))
+
+
+def _read_state(path: Path) -> Mapping[str, Tensor]:
+    if not path.is_file():
+        raise InputError(path, "LPIPS weights", "is no file", "check the path")
+    try:
+        if path.suffix == ".safetensors":
+            return load_file(path)
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except (
+        SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError, zipfile.BadZipFile
+    ) as error:  # fmt: skip
+        first_line = str(error).strip().splitlines()[0] if str(error).strip() else "cut short"
+        raise InputError(path, "LPIPS weights", f"cannot be read ({first_line})", _MEND) from None
+    if not isinstance(state, dict) or not all(isinstance(v, Tensor) for v in state.values()):
+        raise InputError(path, "LPIPS weights", "is no table of tensors", _MEND)
+    return state
+
+
+def _heads(backbone: str) -> list[Tensor]:
+    """(C,) of every tapped layer, from the files of torchmetrics, which is not imported for it:
+    it fails to import where torchvision does."""
+    found = find_spec("torchmetrics")
+    folders = (found.submodule_search_locations or []) if found is not None else []
+    for folder in folders:
+        path = Path(folder) / "functional" / "image" / "lpips_models" / f"{backbone}.pth"
+        if path.is_file():
+            state = torch.load(path, map_location="cpu", weights_only=True)
+            taps = sum(layer.tapped for layer in BACKBONES[backbone])
+            return [state[f"lin{index}.model.1.weight"].flatten() for index in range(taps)]
+    raise InputError(
+        "torchmetrics", f"lpips_models/{backbone}.pth", "is missing", "pip install torchmetrics"
+    )

@@ -1,0 +1,206 @@
+"""Judge a generator of actors: make each vehicle from one picture, compare with reserved ones."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+from rich.table import Table
+
+from recast.actors import ActorGenerator, Observation
+from recast.actors.one_view import observation_of_view
+from recast.actors.place import PlacementReport, place_asset
+from recast.errors import InputError
+from recast.evaluation.actor_cases import ActorCase, ActorView, read_cases
+from recast.evaluation.actor_pictures import ComparedView, comparison_sheet
+from recast.evaluation.actor_scores import (
+    ACTOR_COLUMNS,
+    drawn,
+    mean_scores,
+    photographed,
+    score_view,
+)
+from recast.evaluation.perceptual import ImageDistance
+from recast.storage import atomic_folder, write_json
+
+METRICS_FILE, TIMINGS_FILE = "metrics.json", "timings.json"
+_ROUNDED = 6  # decimals of what is written
+
+
+@dataclass(frozen=True)
+class ViewResult:
+    """Scores of one reserved view, by key of `ACTOR_COLUMNS`."""
+
+    name: str
+    azimuth_deg: float
+    scores: dict[str, float]
+
+
+@dataclass(frozen=True)
+class VehicleResult:
+    """One vehicle.
+
+    Attributes:
+        id: of the vehicle.
+        input: name of the picture that it was made from, and `input_azimuth_deg` whence.
+        details: the asset's own facts.
+        placement: how it was placed.
+        views: of the reserved cameras.
+        mean: of every score over the views.
+    """
+
+    id: str
+    input: str
+    input_azimuth_deg: float
+    details: dict[str, str | float | int]
+    placement: PlacementReport
+    views: tuple[ViewResult, ...]
+    mean: dict[str, float]
+
+
+@dataclass(frozen=True)
+class ActorEvaluation:
+    """What a run over a set found.
+
+    Attributes:
+        generator, seed: what made the vehicles.
+        vehicles: that were made.
+        failures: by id, why one could not be made.
+        mean: of every score over the vehicles, each counting the same.
+    """
+
+    generator: str
+    seed: int
+    vehicles: tuple[VehicleResult, ...]
+    failures: dict[str, str]
+    mean: dict[str, float]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data, rounded to six decimals."""
+        rounded: dict[str, Any] = _rounded({"version": 1, **asdict(self)})
+        return rounded
+
+
+def evaluate_actors(
+    generator: ActorGenerator,
+    folder: Path,
+    out: Path,
+    *,
+    seed: int = 0,
+    limit: int | None = None,
+    distances: Sequence[ImageDistance] = (),
+    progress: Callable[[int, int], None] | None = None,
+) -> ActorEvaluation:
+    """Make every vehicle of a set, place it, and compare it with its reserved views.
+
+    Writes `metrics.json`, the same for the same seed, `timings.json`, and `ID.png` of every
+    vehicle to `out`, whole or not at all. A vehicle that cannot be made is recorded and left out
+    of the means.
+
+    Args:
+        generator: what is judged.
+        folder: real crops or a vehicle set, see `read_cases`.
+        out: to be made.
+        seed: of the generator, and of the choice of input views.
+        limit: judge only the first vehicles.
+        distances: further measures.
+        progress: told the number of vehicles done, and of all.
+
+    Raises:
+        InputError: the set is at fault, no vehicle could be made, or `out` exists.
+    """
+    cases = read_cases(folder, seed, limit)
+    results, failures, seconds = [], {}, {}
+    with atomic_folder(out) as partial:
+        for index, case in enumerate(cases):
+            observations = [_observation(case, view) for view in case.inputs]
+            start = time.perf_counter()
+            try:
+                asset = generator.generate(observations[0], seed)
+                made = time.perf_counter()
+                placed = place_asset(asset, case.size, observations)
+            except InputError as error:
+                if len(cases) == 1:
+                    raise
+                failures[case.id] = str(error)
+                continue
+            finally:
+                if progress is not None:
+                    progress(index + 1, len(cases))
+            seconds[case.id] = {"generate": made - start, "place": time.perf_counter() - made}
+            views, compared = [], []
+            for view in case.targets:
+                truth, shown = photographed(view.load()), drawn(placed.gaussians, view)
+                scores = score_view(shown, truth, distances)
+                views.append(ViewResult(view.name, view.azimuth_deg, scores))
+                compared.append(ComparedView(_caption(view, scores), truth, shown))
+            first = case.inputs[0]
+            sheet = comparison_sheet(
+                f"{first.name}, azimuth {first.azimuth_deg:.0f}", photographed(first.load()),
+                compared,
+            )  # fmt: skip
+            Image.fromarray(sheet).save(partial / f"{case.id}.png", format="PNG")
+            results.append(
+                VehicleResult(
+                    case.id, first.name, first.azimuth_deg, dict(asset.details), placed.report,
+                    tuple(views), mean_scores([view.scores for view in views]),
+                )
+            )  # fmt: skip
+        if not results:
+            raise InputError(
+                folder, "vehicles", f"none could be made; {case.id}: {failures[case.id]}",
+                "see that the generator fits these pictures",
+            )  # fmt: skip
+        mean = mean_scores([one.mean for one in results])
+        evaluation = ActorEvaluation(generator.name, seed, tuple(results), failures, mean)
+        write_json(partial / METRICS_FILE, evaluation.to_json())
+        write_json(partial / TIMINGS_FILE, _rounded(seconds))
+    return evaluation
+
+
+def evaluation_table(evaluation: ActorEvaluation) -> Table:
+    """A line for every vehicle, and their mean."""
+    table = Table(title=f"{evaluation.generator}, seed {evaluation.seed}")
+    table.add_column("vehicle")
+    table.add_column("views", justify="right")
+    keys = [key for key in ACTOR_COLUMNS if key in evaluation.mean]
+    for key in keys:
+        column = ACTOR_COLUMNS[key]
+        unit = f" {column.unit}" if column.unit else ""
+        table.add_column(f"{column.label}{unit} {'↑' if column.higher else '↓'}", justify="right")
+    rows = [(one.id, len(one.views), one.mean) for one in evaluation.vehicles]
+    total = sum(views for _, views, _ in rows)
+    for index, (name, views, scores) in enumerate([*rows, ("mean", total, evaluation.mean)]):
+        cells = [ACTOR_COLUMNS[key].shown(scores[key]) for key in keys]
+        table.add_row(name, str(views), *cells, end_section=index == len(rows) - 1)
+    return table
+
+
+def _observation(case: ActorCase, view: ActorView) -> Observation:
+    return observation_of_view(
+        view.load(), view.camera, view.camera_from_actor, case.size,
+        name=f"{case.id}/{view.name}", category=case.category,
+    )  # fmt: skip
+
+
+def _caption(view: ActorView, scores: dict[str, float]) -> str:
+    decibels = f"PSNR {scores['psnr']:.1f} ({scores['psnr_vehicle']:.1f})"
+    return (
+        f"azimuth {view.azimuth_deg:.0f}\n"
+        f"{decibels}  SSIM {scores['ssim']:.3f}  IoU {scores['mask_iou']:.2f}"
+    )
+
+
+def _rounded(value: Any) -> Any:
+    """The same data with floats of six decimals; JSON knows no NaN, so it becomes null."""
+    if isinstance(value, dict):
+        return {key: _rounded(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(one) for one in value]
+    if isinstance(value, float):
+        return round(value, _ROUNDED) if value == value else None
+    return value
