@@ -1,0 +1,165 @@
+"""The image encoder of the published checkpoints: DINOv2 ViT-L/14 with registers."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal, Self, cast
+
+import torch
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from torch import Tensor, nn
+
+from recast.trellis.conditioning.dinov2_names import from_hub, to_hub
+from recast.trellis.conditioning.encoder import normalise
+from recast.trellis.layers import final_norm
+from recast.trellis.models.base import ModelConfig, TrellisModel
+
+
+class Dinov2Config(ModelConfig):
+    """Constructor arguments of torch hub's `DinoVisionTransformer`; defaults are those of ViT-L.
+
+    Args:
+        img_size: side in pixels of the images it was trained for.
+        patch_size: side of a patch in pixels.
+        embed_dim: channels of a token.
+        depth: transformer blocks.
+        num_heads: attention heads.
+        mlp_ratio: hidden channels of the MLPs over `embed_dim`.
+        num_register_tokens: tokens without a place in the image (Darcet et al. 2024).
+        init_values: layer scale at the start.
+        ffn_layer, block_chunks, interpolate_antialias, interpolate_offset: only what the models
+            with registers were published with.
+    """
+
+    img_size: PositiveInt = 518
+    patch_size: PositiveInt = 14
+    embed_dim: PositiveInt = 1024
+    depth: PositiveInt = 24
+    num_heads: PositiveInt = 16
+    mlp_ratio: PositiveInt = 4
+    num_register_tokens: PositiveInt = 4
+    init_values: PositiveFloat = 1.0
+    ffn_layer: Literal["mlp"] = "mlp"
+    block_chunks: Literal[0] = 0
+    interpolate_antialias: Literal[True] = True
+    interpolate_offset: float = Field(default=0.0, ge=0.0, le=0.0)
+
+    @model_validator(mode="after")
+    def _divides(self) -> Self:
+        if self.embed_dim % self.num_heads:
+            raise ValueError(
+                f"embed_dim {self.embed_dim} does not divide into {self.num_heads} heads"
+            )
+        if self.img_size % self.patch_size:
+            raise ValueError(
+                f"img_size {self.img_size} does not divide into patches of {self.patch_size}"
+            )
+        return self
+
+
+class Dinov2Encoder(TrellisModel):
+    """DINOv2 with registers, through transformers, frozen and in float32.
+
+    `published_state` and `load_published` speak torch hub's names, in which the backbone was
+    published; `load_dinov2` reads either layout from disk.
+
+    Source: Oquab et al. 2024 (DINOv2), Darcet et al. 2024 (registers).
+    """
+
+    published_name: ClassVar[str] = "DinoVisionTransformer"
+    config_class: ClassVar[type[ModelConfig]] = Dinov2Config
+    config: Dinov2Config
+
+    def __init__(self, config: Dinov2Config) -> None:
+        super().__init__(config)
+        # transformers takes over a second to import, which only those who use this pay.
+        from transformers import Dinov2WithRegistersConfig, Dinov2WithRegistersModel
+
+        self.backbone: Any = Dinov2WithRegistersModel(
+            Dinov2WithRegistersConfig(
+                image_size=config.img_size,
+                patch_size=config.patch_size,
+                hidden_size=config.embed_dim,
+                num_hidden_layers=config.depth,
+                num_attention_heads=config.num_heads,
+                mlp_ratio=config.mlp_ratio,
+                num_register_tokens=config.num_register_tokens,
+                layerscale_value=config.init_values,
+                layer_norm_eps=1e-6,
+            )
+        )
+        self.finish()
+        self.requires_grad_(False)
+
+    @torch.no_grad()
+    def initialise(self, generator: torch.Generator | None = None) -> None:
+        """Draw initial weights; the real ones come from `load_dinov2`."""
+        super().initialise(generator)
+        embeddings = self.backbone.embeddings
+        for token in ("position_embeddings", "cls_token", "register_tokens"):
+            nn.init.trunc_normal_(getattr(embeddings, token), std=0.02, generator=generator)
+
+    @property
+    def image_size(self) -> int:
+        """Side of the crops in pixels."""
+        return self.config.img_size
+
+    @property
+    def channels(self) -> int:
+        """Channels of a token."""
+        return self.config.embed_dim
+
+    def tokens_before_norm(self, images: Tensor) -> Tensor:
+        """Output of the last block, before the model's final norm (torch hub's `x_prenorm`).
+
+        Args:
+            images: (B, 3, H, W) in [0, 1]; H and W multiples of the patch size. Position
+                embeddings are interpolated (bicubic, antialiased) where they differ from
+                `image_size`.
+
+        Returns:
+            (B, 1 + registers + patches, C): class token, registers, patches row by row.
+
+        Raises:
+            ValueError: H or W is no multiple of the patch size.
+        """
+        height, width = images.shape[-2:]
+        patch = self.config.patch_size
+        if height % patch or width % patch:
+            raise ValueError(f"an image of {height}x{width} does not divide into {patch} pixels")
+        # Not the model's own output: that has passed the final norm, with its learnt weights.
+        embedded = self.backbone.embeddings(normalise(images))
+        return cast(Tensor, self.backbone.encoder(embedded).last_hidden_state)
+
+    def encode(self, images: Tensor) -> Tensor:
+        """Context of the published flow models: all tokens, normalised without learnt weights.
+
+        Args:
+            images: as in `tokens_before_norm`; (B, 3, 518, 518) for the published models.
+
+        Returns:
+            (B, 1374, 1024) at the published size, layer-normalised (eps 1e-5).
+        """
+        return final_norm(self.tokens_before_norm(images))
+
+    forward = encode
+
+    def published_state(self) -> dict[str, Tensor]:
+        """All tensors under torch hub's names; query, key and value joined, so copied."""
+        return to_hub(self.backbone.state_dict())
+
+    def load_published(self, state: dict[str, Tensor]) -> None:
+        """Copy weights in from torch hub's names.
+
+        Raises:
+            RuntimeError: a name is missing or unknown, or a shape differs.
+        """
+        own = self.backbone.state_dict()
+        wanted = to_hub({name: tensor.to("meta") for name, tensor in own.items()})
+        wrong = {
+            name
+            for name in wanted.keys() | state.keys()
+            if name not in wanted or name not in state or wanted[name].shape != state[name].shape
+        }
+        if wrong:
+            raise RuntimeError(f"missing, unknown or of another shape: {sorted(wrong)}")
+        self.backbone.load_state_dict(from_hub(state, own), strict=True)
