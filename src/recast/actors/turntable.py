@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from recast.actors.actor import Actor
 from recast.geometry import PinholeCamera, se3
-from recast.splats import concatenate, rasterize
+from recast.splats import Gaussians, concatenate, rasterize
 
 Array = NDArray[np.float64]
 
@@ -34,9 +34,35 @@ def turntable(
         `views` images (height, width, 3) uint8.
     """
     parts = [actor.gaussians, actor.shadow] if with_shadow else [actor.gaussians]
-    gaussians = concatenate([part.detach() for part in parts])
-    camera = framing_camera(actor.size, width, height)
-    distance = _DISTANCE * float(np.linalg.norm(actor.size))
+    return orbit(
+        concatenate(parts), actor.size, views=views, width=width, height=height,
+        elevation=elevation, background=background,
+    )  # fmt: skip
+
+
+def orbit(
+    gaussians: Gaussians, size: Array, *, views: int, width: int, height: int,
+    elevation: float = float(np.radians(10.0)),
+    background: tuple[float, float, float] = (0.55, 0.56, 0.58),
+    eps2d: float = 0.3, antialiased: bool = False,
+) -> list[NDArray[np.uint8]]:  # fmt: skip
+    """Render Gaussians about the origin from azimuths evenly around the z axis, the first from +x.
+
+    Args:
+        gaussians: z up, any unit.
+        size: (3,) extents of what should fill the picture, same unit.
+        views: number of pictures, counter-clockwise seen from above.
+        width, height: pixels.
+        elevation: of the camera, radians.
+        background: display colour behind it.
+        eps2d, antialiased: low-pass filter, see `rasterize`.
+
+    Returns:
+        `views` images (height, width, 3) uint8.
+    """
+    gaussians = gaussians.detach()
+    camera = framing_camera(size, width, height)
+    distance = _DISTANCE * float(np.linalg.norm(size))
     images = []
     for azimuth in np.arange(views) * 2 * np.pi / views:
         direction = np.array(
@@ -47,7 +73,8 @@ def turntable(
         with torch.no_grad():
             picture = rasterize(
                 gaussians, torch.from_numpy(pose).float(), torch.from_numpy(camera.matrix).float(),
-                width, height, background=torch.tensor(background),
+                width, height, background=torch.tensor(background), eps2d=eps2d,
+                antialiased=antialiased,
             )  # fmt: skip
         images.append((picture.rgb.clamp(0, 1) * 255).round().to(torch.uint8).numpy())
     return images

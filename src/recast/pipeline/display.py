@@ -8,36 +8,34 @@ from typing import Any, Self
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 from recast.evaluation import COLUMNS, OracleViews
 
 
-class FrameProgress:
-    """A bar over equal pieces of work, with the time left; call it after each."""
+class _Bars:
+    """Bars on the terminal while a block runs."""
 
-    def __init__(self, console: Console, total: int, what: str = "steps") -> None:
-        self._bar = Progress(
-            TextColumn(f"  {what}"),
+    def __init__(self, console: Console) -> None:
+        self._bars = Progress(
+            TextColumn("  {task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
             TimeRemainingColumn(),
             console=console,
         )
-        self._task = self._bar.add_task(what, total=total)
-
-    def __call__(self) -> None:
-        """One piece more is done."""
-        self._bar.advance(self._task)
-
-    def reach(self, done: int, total: int) -> None:
-        """`done` of `total` pieces are done."""
-        self._bar.update(self._task, completed=done, total=total)
 
     def __enter__(self) -> Self:
         """Start drawing."""
-        self._bar.start()
+        self._bars.start()
         return self
 
     def __exit__(
@@ -47,7 +45,37 @@ class FrameProgress:
         trace: TracebackType | None,
     ) -> None:
         """Stop drawing."""
-        self._bar.stop()
+        self._bars.stop()
+
+
+class FrameProgress(_Bars):
+    """A bar over equal pieces of work, with the time left; call it after each."""
+
+    def __init__(self, console: Console, total: int, what: str = "steps") -> None:
+        super().__init__(console)
+        self._task = self._bars.add_task(what, total=total)
+
+    def __call__(self) -> None:
+        """One piece more is done."""
+        self._bars.advance(self._task)
+
+    def reach(self, done: int, total: int) -> None:
+        """`done` of `total` pieces are done."""
+        self._bars.update(self._task, completed=done, total=total)
+
+
+class SamplingProgress(_Bars):
+    """A bar for each sampled stage; call it with stage, steps done and all steps."""
+
+    def __init__(self, console: Console) -> None:
+        super().__init__(console)
+        self._tasks: dict[str, TaskID] = {}
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """`done` of `total` steps of a stage are done; a stage that is tried again starts anew."""
+        if stage not in self._tasks:
+            self._tasks[stage] = self._bars.add_task(stage, total=total)
+        self._bars.update(self._tasks[stage], completed=done, total=total)
 
 
 def results_table(rows: Sequence[Mapping[str, Any]]) -> Table:

@@ -11,10 +11,9 @@ from rich.console import Console
 from recast import storage
 from recast.errors import InputError
 from recast.logs import DrivingLog, HdMap, map_of
-from recast.pipeline.actor import make_actor
+from recast.pipeline.actor import generator_source, make_actor, segmenter_source
 from recast.pipeline.config import RunConfig
 from recast.pipeline.display import FrameProgress, results_table
-from recast.pipeline.fingerprint import file_hash
 from recast.pipeline.layout import (
     ACTOR_FOLDER,
     EVALUATION_FOLDER,
@@ -113,12 +112,11 @@ class Job:
         return fingerprint
 
     def _actor_inputs(self) -> dict[str, Any]:
-        generator = self.config.generator
-        source = file_hash(generator) if generator.lower().endswith(".ply") else generator
         return {
             "log": self._log_hash,
             "track": self.config.track,
-            "generator": source,
+            "generator": generator_source(self.config.generator),
+            "segmenter": segmenter_source(self.config.segmenter),
             "seed": self.config.seed,
             "cameras": list(self.config.scene.cameras),
         }
@@ -128,8 +126,10 @@ class Job:
         with self.console.status("observing, generating, registering"):
             actor = make_actor(
                 self.log, config.track, config.generator, config.seed, self.path,
-                config.scene.cameras,
+                config.scene.cameras, config.segmenter,
             )  # fmt: skip
+        for warning in actor.provenance.mask.warnings():
+            self.console.print(f"warning: {warning}", markup=False, style="yellow")
         self.console.print(actor.provenance.registration.explain(), markup=False, highlight=False)
 
     def _train(self) -> None:

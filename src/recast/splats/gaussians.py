@@ -82,6 +82,16 @@ class Gaussians:
             self.sh.detach(),
         )
 
+    def to(self, device: torch.device | str) -> Gaussians:
+        """The same values on another device."""
+        return Gaussians(
+            self.means.to(device),
+            self.quats.to(device),
+            self.log_scales.to(device),
+            self.logit_opacities.to(device),
+            self.sh.to(device),
+        )
+
     def transformed(self, world_from_local: Tensor, scale: float = 1.0) -> Gaussians:
         """The Gaussians moved to another frame, their colours turning with them.
 

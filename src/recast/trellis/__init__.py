@@ -1,1 +1,26 @@
 """One image to a view-complete vehicle: the TRELLIS image-to-3D model in PyTorch of our own."""
+
+from recast.trellis.checkpoints import load_checkpoint, save_checkpoint, verify_checkpoint
+from recast.trellis.conditioning import check_crop, crop_to_object, read_crop
+from recast.trellis.flow import MultiImageMode, SamplerSettings
+from recast.trellis.generate import generate
+from recast.trellis.generation import GeneratedVehicle, Generation, GenerationLimits
+from recast.trellis.image_to_3d import ImageTo3D
+from recast.trellis.viewer_frame import viewer_frame
+
+__all__ = [
+    "GeneratedVehicle",
+    "Generation",
+    "GenerationLimits",
+    "ImageTo3D",
+    "MultiImageMode",
+    "SamplerSettings",
+    "check_crop",
+    "crop_to_object",
+    "generate",
+    "load_checkpoint",
+    "read_crop",
+    "save_checkpoint",
+    "verify_checkpoint",
+    "viewer_frame",
+]

@@ -1,0 +1,56 @@
+"""The image-to-3D model behind the generator seam."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from recast.actors import Observation
+from recast.actors.image_to_3d_generator import ImageTo3DGenerator
+from recast.errors import InputError
+from recast.pipeline.actor import generator_of
+from recast.trellis import GenerationLimits
+from support.trellis_folder import write_golden_model
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_golden_model(tmp_path_factory.mktemp("golden") / "tiny-model")
+
+
+def test_a_model_folder_is_a_generator(folder: Path, observation: Observation) -> None:
+    generator = generator_of(str(folder))
+    assert isinstance(generator, ImageTo3DGenerator)
+    generator.limits = GenerationLimits(max_voxels=4096, retries=3)
+    asset = generator.generate(observation, seed=5)
+    again = generator.generate(observation, seed=5)
+    assert torch.equal(asset.gaussians.means, again.gaussians.means)
+    assert asset.generator == "image-to-3d"
+    assert not asset.axes.metric
+    assert asset.details == {
+        "model": "tiny-model",
+        "voxels": len(asset.gaussians) // 8,
+    }
+
+
+def test_the_crop_decides(folder: Path, observation: Observation) -> None:
+    generator = ImageTo3DGenerator(folder, limits=GenerationLimits(max_voxels=4096))
+    turned = replace(observation, rgba=observation.rgba[:, ::-1].copy())
+    first, second = (generator.generate(o, seed=1).gaussians for o in (observation, turned))
+    assert first.means.shape != second.means.shape or not torch.equal(first.means, second.means)
+
+
+def test_an_empty_mask_names_the_track(folder: Path, observation: Observation) -> None:
+    rgba = observation.rgba.copy()
+    rgba[..., 3] = 0
+    generator = ImageTo3DGenerator(folder)
+    with pytest.raises(InputError, match="crop of track 7"):
+        generator.generate(replace(observation, rgba=rgba), seed=0)
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"pipeline\.json"):
+        generator_of(str(tmp_path))
