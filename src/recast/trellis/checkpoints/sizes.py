@@ -1,0 +1,202 @@
+"""Two sets of networks: the published ones, and small ones that train and run on a CPU."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from recast.trellis.checkpoints.record import PipelineRecord
+from recast.trellis.checkpoints.roles import (
+    GAUSSIAN_DECODER,
+    IMAGE_ENCODER,
+    LATENT_ENCODER,
+    LATENT_FLOW,
+    PUBLISHED_BACKBONE,
+    STRUCTURE_DECODER,
+    STRUCTURE_ENCODER,
+    STRUCTURE_FLOW,
+)
+from recast.trellis.flow import SamplerSettings
+
+
+@dataclass(frozen=True)
+class ModelSize:
+    """Class, arguments and file name of one model.
+
+    Attributes:
+        stem: path in the folder, without ending.
+        name: published class name.
+        args: constructor arguments.
+    """
+
+    stem: str
+    name: str
+    args: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class CheckpointSizes:
+    """All models of a checkpoint.
+
+    Attributes:
+        models: by role; the image encoder among them, where it is not the published backbone.
+        backbone: the published image encoder, kept apart from the folder.
+        mean, std: of the structured latent, one value a channel.
+    """
+
+    models: Mapping[str, ModelSize]
+    backbone: ModelSize | None
+    mean: tuple[float, ...]
+    std: tuple[float, ...]
+
+    @property
+    def record(self) -> PipelineRecord:
+        """`pipeline.json` with the published sampler settings."""
+        return PipelineRecord.of(
+            {role: size.stem for role, size in self.models.items()},
+            SamplerSettings(),
+            SamplerSettings(),
+            self.mean,
+            self.std,
+            PUBLISHED_BACKBONE if self.backbone else IMAGE_ENCODER,
+        )
+
+
+_LATENT_CHANNELS = 8
+
+
+def _flow(channels: int, blocks: int, heads: int, condition: int, fp16: bool) -> dict[str, Any]:
+    return {
+        "in_channels": _LATENT_CHANNELS,
+        "out_channels": _LATENT_CHANNELS,
+        "model_channels": channels,
+        "cond_channels": condition,
+        "num_blocks": blocks,
+        "num_heads": heads,
+        "mlp_ratio": 4,
+        "pe_mode": "ape",
+        "qk_rms_norm": True,
+        "use_fp16": fp16,
+    }
+
+
+def _grid(channels: list[int], res_blocks: int, fp16: bool) -> dict[str, Any]:
+    return {
+        "latent_channels": _LATENT_CHANNELS,
+        "num_res_blocks": res_blocks,
+        "num_res_blocks_middle": res_blocks,
+        "channels": channels,
+        "use_fp16": fp16,
+    }
+
+
+def _voxels(resolution: int, channels: int, blocks: int, heads: int, fp16: bool) -> dict[str, Any]:
+    return {
+        "resolution": resolution,
+        "model_channels": channels,
+        "latent_channels": _LATENT_CHANNELS,
+        "num_blocks": blocks,
+        "num_heads": heads,
+        "mlp_ratio": 4,
+        "attn_mode": "swin",
+        "window_size": 8,
+        "use_fp16": fp16,
+    }
+
+
+def _representation(num_gaussians: int, scaling_bias: float) -> dict[str, Any]:
+    rates = {"_xyz": 1.0, "_features_dc": 1.0, "_opacity": 1.0, "_scaling": 1.0, "_rotation": 0.1}
+    return {
+        "lr": rates,
+        "perturb_offset": True,
+        "voxel_size": 1.5,
+        "num_gaussians": num_gaussians,
+        "2d_filter_kernel_size": 0.1,
+        "3d_filter_kernel_size": 9e-4,
+        "scaling_bias": scaling_bias,
+        "opacity_bias": 0.1,
+        "scaling_activation": "softplus",
+    }
+
+
+OFFICIAL = CheckpointSizes(
+    {
+        STRUCTURE_FLOW: ModelSize(
+            "ckpts/ss_flow_img_dit_L_16l8_fp16", "SparseStructureFlowModel",
+            {"resolution": 16, "patch_size": 1, **_flow(1024, 24, 16, 1024, True)},
+        ),
+        STRUCTURE_DECODER: ModelSize(
+            "ckpts/ss_dec_conv3d_16l8_fp16", "SparseStructureDecoder",
+            {"out_channels": 1, **_grid([512, 128, 32], 2, True)},
+        ),
+        LATENT_FLOW: ModelSize(
+            "ckpts/slat_flow_img_dit_L_64l8p2_fp16", "SLatFlowModel",
+            {"resolution": 64, "patch_size": 2, "num_io_res_blocks": 2,
+             "io_block_channels": [128], **_flow(1024, 24, 16, 1024, True)},
+        ),
+        GAUSSIAN_DECODER: ModelSize(
+            "ckpts/slat_dec_gs_swin8_B_64l8gs32_fp16", "SLatGaussianDecoder",
+            {**_voxels(64, 768, 12, 12, True), "representation_config": _representation(32, 4e-3)},
+        ),
+        STRUCTURE_ENCODER: ModelSize(
+            "ckpts/ss_enc_conv3d_16l8_fp16", "SparseStructureEncoder",
+            {"in_channels": 1, **_grid([32, 128, 512], 2, True)},
+        ),
+        LATENT_ENCODER: ModelSize(
+            "ckpts/slat_enc_swin8_B_64l8_fp16", "SLatEncoder",
+            {"in_channels": 1024, **_voxels(64, 768, 12, 12, True)},
+        ),
+    },
+    ModelSize(
+        "dinov2", "DinoVisionTransformer",
+        {"img_size": 518, "patch_size": 14, "embed_dim": 1024, "depth": 24, "num_heads": 16,
+         "num_register_tokens": 4, "init_values": 1.0, "block_chunks": 0,
+         "interpolate_antialias": True, "interpolate_offset": 0.0},
+    ),
+    (-2.1687545776367188, -0.004347046371549368, -0.13352349400520325, -0.08418072760105133,
+     -0.5271206498146057, 0.7238689064979553, -1.1414450407028198, 1.2039363384246826),
+    (2.377650737762451, 2.386378288269043, 2.124418020248413, 2.1748552322387695,
+     2.663944721221924, 2.371192216873169, 2.6217446327209473, 2.684523105621338),
+)  # fmt: skip
+"""The published image-to-3D checkpoints of TRELLIS (Xiang et al. 2024): 64^3 voxels."""
+
+SMALL = CheckpointSizes(
+    {
+        STRUCTURE_FLOW: ModelSize(
+            "ckpts/ss_flow", "SparseStructureFlowModel",
+            {"resolution": 8, "patch_size": 2, **_flow(96, 4, 4, 96, False)},
+        ),
+        STRUCTURE_DECODER: ModelSize(
+            "ckpts/ss_dec", "SparseStructureDecoder",
+            {"out_channels": 1, **_grid([32, 16, 8], 1, False)},
+        ),
+        LATENT_FLOW: ModelSize(
+            "ckpts/slat_flow", "SLatFlowModel",
+            {"resolution": 32, "patch_size": 2, "num_io_res_blocks": 2,
+             "io_block_channels": [16], **_flow(96, 3, 4, 96, False)},
+        ),
+        GAUSSIAN_DECODER: ModelSize(
+            "ckpts/slat_dec_gs", "SLatGaussianDecoder",
+            {**_voxels(32, 96, 3, 4, False), "representation_config": _representation(8, 8e-3)},
+        ),
+        STRUCTURE_ENCODER: ModelSize(
+            "ckpts/ss_enc", "SparseStructureEncoder",
+            {"in_channels": 1, **_grid([8, 16, 32], 1, False)},
+        ),
+        # Of a voxel: colour, normal, centroid and which of its 2x2x2 parts are occupied.
+        LATENT_ENCODER: ModelSize(
+            "ckpts/slat_enc", "SLatEncoder",
+            {"in_channels": 17, **_voxels(32, 96, 3, 4, False)},
+        ),
+        IMAGE_ENCODER: ModelSize(
+            "ckpts/image_encoder", "CompactImageEncoder",
+            {"image_size": 128, "stem_channels": [24, 48], "channels": 96, "num_blocks": 3,
+             "num_heads": 4},
+        ),
+    },
+    None,
+    (0.0,) * _LATENT_CHANNELS,
+    (1.0,) * _LATENT_CHANNELS,
+)  # fmt: skip
+"""32^3 voxels, 64 structure tokens, 8 Gaussians a voxel: minutes of training, seconds to sample."""
