@@ -34,7 +34,6 @@ from recast.trellis import (
 
 _FILM_VIEWS = 72
 _FILM_SIZE = (640, 360)
-_UPSTREAM_FILTER = {"eps2d": 0.1, "antialiased": True}  # what the networks were trained to look at
 
 
 @dataclass(frozen=True)
@@ -167,9 +166,10 @@ def _write_vehicle(folder: Path, vehicle: GeneratedVehicle) -> None:
     write_ply(folder / "vehicle.ply", vehicle.gaussians)
     write_ply(folder / "viewer.ply", viewer_frame(vehicle.gaussians))
     width, height = _FILM_SIZE
+    # the low-pass filter through which the published decoder was trained to be looked at
     frames = orbit(
         vehicle.gaussians, _extents(vehicle.gaussians), views=_FILM_VIEWS, width=width,
-        height=height, **_UPSTREAM_FILTER,
+        height=height, eps2d=0.1, antialiased=True,
     )  # fmt: skip
     write_video(folder / "turntable.mp4", frames, fps=_FILM_VIEWS / 6)
 
@@ -186,8 +186,10 @@ def _extents(gaussians: Gaussians) -> np.ndarray[Any, np.dtype[np.float64]]:
 def _record(
     request: GenerationRequest, model: ImageTo3D, crop: Path, vehicle: GeneratedVehicle
 ) -> dict[str, Any]:
+    folder = model.checkpoint.folder
+    assert folder is not None  # it was loaded from one
     return {
-        "model": model.checkpoint.folder.resolve().name,
+        "model": folder.resolve().name,
         "crop": crop.name,
         "views": [view.name for view in request.views],
         "multi_image": request.mode,

@@ -22,6 +22,7 @@ from recast.trellis.flow import (
     sample,
 )
 from recast.trellis.generation import TRAINED_VOXEL_SHARE
+from recast.trellis.models.ss_decoder import occupied_voxels
 from recast.trellis.sparse import SparseTensor
 
 RgbaImage = NDArray[np.uint8]
@@ -141,7 +142,7 @@ class ImageTo3D:
         Occupied is a logit above zero.
         """
         logits = self.structure_decoder(structure[None])
-        return torch.argwhere(logits[0, 0] > 0).int()
+        return occupied_voxels(logits)[:, 1:]
 
     @torch.no_grad()
     def sample_latent(
