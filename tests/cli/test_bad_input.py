@@ -158,13 +158,28 @@ def test_a_value_out_of_range(
     assert "scale" in line
 
 
-def test_a_planner_or_generator_or_motion_that_is_not_known(
+def test_a_planner_or_generator_or_segmenter_or_motion_that_is_not_known(
     tiny_log_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for option in ("--planner", "--generator", "--motion"):
+    for option in ("--planner", "--generator", "--segmenter", "--motion"):
         out = tmp_path / "run"
         line = refused(capsys, "run", tiny_log_folder, *RUN, "--out", out, option, "nonesuch")
         assert "nonesuch" in line
+        assert not out.exists()
+
+
+def test_a_segmenter_folder_without_its_networks(
+    tiny_log_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    networks = tmp_path / "networks"
+    (networks / "sam").mkdir(parents=True)
+    for command in (("run", *RUN), ("actor", "make", "--track", "0")):
+        out = tmp_path / "out"
+        line = refused(
+            capsys, *command, tiny_log_folder, "--segmenter", networks, "--out", out
+        )  # fmt: skip
+        assert "networks/grounding-dino: config.json: is missing" in line
+        assert "IDEA-Research/grounding-dino-base" in line
         assert not out.exists()
 
 

@@ -2,39 +2,54 @@
 
 from recast.actors.actor import Actor, Provenance, RegistrationReport
 from recast.actors.axes import CONVENTIONS, AxisConvention
+from recast.actors.box_lidar_segmenter import BoxLidarSegmenter
 from recast.actors.generate import GENERATORS, ActorGenerator, Asset, make_generator
+from recast.actors.grounded_segmenter import GroundedSamSegmenter
 from recast.actors.insert import insert
 from recast.actors.observation import MaskQuality, Observation, ViewScore
 from recast.actors.observe import observe
 from recast.actors.ply_generator import PlyGenerator
 from recast.actors.register import register
-from recast.actors.segment import BoxLidarSegmenter, SegmentationTarget, Segmenter
+from recast.actors.segment import Segmentation, SegmentationTarget, Segmenter
+from recast.actors.segmenters import (
+    DEFAULT_SEGMENTER,
+    SEGMENTERS,
+    is_segmenter_folder,
+    segmenter_of,
+)
 from recast.actors.store import load_actor, save_actor
 from recast.actors.template import TemplateGenerator
-from recast.actors.turntable import turntable
+from recast.actors.turntable import orbit, turntable
 
 __all__ = [
     "CONVENTIONS",
+    "DEFAULT_SEGMENTER",
     "GENERATORS",
+    "SEGMENTERS",
     "Actor",
     "ActorGenerator",
     "Asset",
     "AxisConvention",
     "BoxLidarSegmenter",
+    "GroundedSamSegmenter",
     "MaskQuality",
     "Observation",
     "PlyGenerator",
     "Provenance",
     "RegistrationReport",
+    "Segmentation",
     "SegmentationTarget",
     "Segmenter",
     "TemplateGenerator",
     "ViewScore",
     "insert",
+    "is_segmenter_folder",
     "load_actor",
     "make_generator",
     "observe",
+    "orbit",
     "register",
     "save_actor",
+    "segmenter_of",
     "turntable",
 ]

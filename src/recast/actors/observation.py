@@ -59,12 +59,30 @@ class MaskQuality:
         border_contact: share of the crop's border pixels that the mask touches; 0 is best.
         lidar_inside: share of the vehicle's projected LiDAR points that lie in the mask.
         lidar_outside: share of the background's projected LiDAR points that lie outside it.
+        notes: how the segmenter made it, in its words.
+        doubts: what the segmenter itself would have a person look at.
     """
 
     box_coverage: float
     border_contact: float
     lidar_inside: float
     lidar_outside: float
+    notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+    def explain(self) -> str:
+        """One line with the shares, then the segmenter's notes, a line each."""
+        inside = (
+            f"{self.lidar_inside:.0%} of the vehicle's LiDAR points in it"
+            if np.isfinite(self.lidar_inside)
+            else "no LiDAR points of the vehicle"
+        )
+        shares = (
+            f"mask: fills {self.box_coverage:.0%} of the projected box, touches "
+            f"{self.border_contact:.0%} of the crop's border, {inside}, "
+            f"{self.lidar_outside:.0%} of the background's outside it"
+        )
+        return "\n".join([shares, *self.notes])
 
     def warnings(self) -> tuple[str, ...]:
         """What a person should look at, empty for a mask without complaint."""
@@ -79,7 +97,7 @@ class MaskQuality:
             )
         if self.lidar_outside < 0.85:
             found.append(f"only {self.lidar_outside:.0%} of the background's points are outside it")
-        return tuple(found)
+        return (*found, *self.doubts)
 
 
 @dataclass(frozen=True)
@@ -144,5 +162,6 @@ class Observation:
         ]
         others = [c for c in self.candidates if c is not self.view][:3]
         lines += [f"next: {c.explain()}" for c in others]
+        lines.append(self.mask_quality.explain())
         lines += [f"warning: {text}" for text in self.mask_quality.warnings()]
         return "\n".join(lines)

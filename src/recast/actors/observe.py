@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.actors.observation import Observation, ViewScore
-from recast.actors.segment import SegmentationTarget, Segmenter, mask_quality
+from recast.actors.segment import SegmentationTarget, Segmenter, mask_quality, run_segmenter
 from recast.actors.view_score import NearestSweeps, check_lidar, score_frame
 from recast.errors import InputError
 from recast.geometry import PinholeCamera, boxes, se3
@@ -49,18 +49,18 @@ def observe(
     best = candidates[0]
     stream = log.cameras[best.camera]
     target = _cut(log, track, stream, best, np.asarray(points, np.float64))
-    alpha = segmenter.segment(target)
+    found = run_segmenter(segmenter, target)
     return Observation(
         track_id=track_id,
         category=track.category,
         size=np.asarray(track.size, np.float64),
-        rgba=np.dstack([target.image, alpha]),
+        rgba=np.dstack([target.image, found.alpha]),
         camera=target.camera,
         camera_from_object=target.camera_from_object,
         points=points,
         view=best,
         candidates=tuple(candidates),
-        mask_quality=mask_quality(target, alpha),
+        mask_quality=mask_quality(target, found),
     )
 
 
@@ -147,6 +147,7 @@ def _cut(
         size=np.asarray(track.size, np.float64),
         object_points=object_points,
         other_points=other_points,
+        category=track.category,
     )
 
 

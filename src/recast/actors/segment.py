@@ -1,14 +1,14 @@
-"""The `Segmenter` seam, and a segmenter that needs no weights: box, LiDAR and GrabCut."""
+"""The `Segmenter` seam: what a segmenter is given, what it gives back, and how good that is."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.actors.mask_shapes import hull_mask
 from recast.actors.observation import MaskQuality
 from recast.geometry import PinholeCamera, boxes, se3
 
@@ -28,6 +28,7 @@ class SegmentationTarget:
         object_points: (N, 3) LiDAR points on the object over all sweeps, object frame.
         other_points: (M, 3) LiDAR points of the scene near this time that are not on the object,
             camera frame; empty where there was no sweep.
+        category: of the object, see `recast.logs.Track`.
     """
 
     image: NDArray[np.uint8]
@@ -36,209 +37,92 @@ class SegmentationTarget:
     size: Array
     object_points: Array
     other_points: Array
+    category: str = "car"
 
 
-_REACH = 0.06  # shares of the vehicle's extent in the image: how far it may reach beyond the hull
-_GAP = 0.03
-_SHRINK = (0.05, 0.012)  # across, where labels and poses are off by some centimetres; and up
-_APRON = (0.10, 0.45)  # shares of the height: above the road, and dark like it
+@dataclass(frozen=True)
+class Segmentation:
+    """A mask, and how its segmenter came to it.
+
+    Attributes:
+        alpha: (H, W) uint8, 255 on the object.
+        notes: how the mask was made, a line each.
+        doubts: what a person should look at, such as a part that stood in for another.
+    """
+
+    alpha: NDArray[np.uint8]
+    notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 class Segmenter(Protocol):
     """Separates an object from its background."""
 
-    def segment(self, target: SegmentationTarget) -> NDArray[np.uint8]:
-        """Alpha (H, W) uint8 of the object, 255 on it."""
+    def segment(self, target: SegmentationTarget) -> Segmentation | NDArray[np.uint8]:
+        """The mask; where there is nothing to say about it, its alpha (H, W) uint8 alone."""
 
 
-class BoxLidarSegmenter:
-    """GrabCut between what the LiDAR hit on the vehicle and what lies outside its projected box.
+def run_segmenter(segmenter: Segmenter, target: SegmentationTarget) -> Segmentation:
+    """Segment, whichever of the two forms the segmenter answers in.
 
-    Sure foreground: the core of the hull of the vehicle's LiDAR points, and where they lie densely
-    on its lower parts, whose dark apron and tyres look like the road. Sure
-    background: outside the box (grown to hold the points), well outside the hull, on LiDAR returns
-    of the scene, and under the body between the wheels, where a dark car's shadow looks like the
-    car. Colour models and edges decide the rest; holes are filled and only the largest piece is
-    kept.
-
-    Args:
-        iterations: of GrabCut.
-        grow: metres by which the box is grown, since labels are often a little small.
+    Raises:
+        ValueError: the alpha is not (H, W) uint8 of the crop's size.
     """
-
-    def __init__(self, iterations: int = 6, grow: float = 0.08) -> None:
-        self.iterations = iterations
-        self.grow = grow
-
-    def segment(self, target: SegmentationTarget) -> NDArray[np.uint8]:
-        """See `Segmenter.segment`; the same crop always gives the same mask."""
-        trimap = self.trimap(target)
-        background, foreground = np.zeros((1, 65)), np.zeros((1, 65))
-        cv2.setRNGSeed(0)  # GrabCut seeds its colour clusters from OpenCV's global generator
-        cv2.grabCut(
-            np.ascontiguousarray(target.image[..., ::-1]), trimap, (0, 0, 1, 1),
-            background, foreground, self.iterations, cv2.GC_INIT_WITH_MASK,
-        )  # fmt: skip
-        mask = (trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)
-        mask = _smooth(_largest_piece(mask), 0.006 * _extent(trimap))
-        return _feather(mask)
-
-    def trimap(self, target: SegmentationTarget) -> NDArray[np.uint8]:
-        """GrabCut labels (H, W) before any look at the colours."""
-        height, width = target.image.shape[:2]
-        outline = _vehicle_outline(target, self.grow)
-        trimap = np.where(outline, cv2.GC_PR_BGD, cv2.GC_BGD).astype(np.uint8)
-        extent = _extent(outline)
-        hits = _lidar_pixels(target, target.object_points)
-        vehicle = _hull(hits, (height, width))
-        if vehicle.any():
-            # a car behind this one often has its colour; tyres may lie below all hits
-            near = cv2.dilate(vehicle.astype(np.uint8), _disc(_REACH * extent))
-            trimap[np.maximum.accumulate(near, axis=0) == 0] = cv2.GC_BGD
-        trimap[vehicle & outline] = cv2.GC_PR_FGD
-        core = cv2.erode(vehicle.astype(np.uint8), _disc(0.07 * extent)) > 0
-        share = target.object_points[:, 2] / target.size[2] + 0.5
-        apron = target.object_points[(share > _APRON[0]) & (share < _APRON[1])]
-        core |= _dense(_lidar_pixels(target, apron), outline.shape, extent)
-        trimap[core & outline] = cv2.GC_FGD
-        pixels, depth = _project(target.camera, target.other_points)
-        behind = np.zeros((height, width), np.uint8)
-        for (u, v), z in zip(pixels, depth, strict=True):
-            if z > 0.5 and 0 <= u < width and 0 <= v < height:
-                cv2.circle(behind, (int(u), int(v)), 1, 1, -1)
-        trimap[(behind > 0) & ~core] = cv2.GC_BGD
-        return trimap
+    found = segmenter.segment(target)
+    segmentation = found if isinstance(found, Segmentation) else Segmentation(found)
+    alpha = segmentation.alpha
+    if alpha.shape != target.image.shape[:2] or alpha.dtype != np.uint8:
+        raise ValueError(
+            f"{type(segmenter).__name__}.segment: alpha {target.image.shape[:2]} uint8 expected, "
+            f"got {alpha.shape} {alpha.dtype}"
+        )
+    return segmentation
 
 
-def _project(camera: PinholeCamera, points: Array) -> tuple[Array, Array]:
+def project_points(camera: PinholeCamera, points: Array) -> tuple[Array, Array]:
+    """Pixels (N, 2) and depths (N,) of camera-frame points (N, 3), of which there may be none."""
     return camera.project(points) if len(points) else (np.zeros((0, 2)), np.zeros(0))
 
 
-def _project_box(target: SegmentationTarget, low: Array, high: Array) -> Mask:
+def project_box(target: SegmentationTarget, low: Array, high: Array) -> Mask:
     """Outline (H, W) of the object-frame box between two corners (3,)."""
     corners = boxes.corners(high - low) + (low + high) / 2
     pixels, depth = target.camera.project(se3.apply(target.camera_from_object, corners))
-    return _hull(pixels[depth > 0.1], (target.image.shape[0], target.image.shape[1]))
+    return hull_mask(pixels[depth > 0.1], (target.image.shape[0], target.image.shape[1]))
 
 
-def _vehicle_outline(target: SegmentationTarget, grow: float) -> Mask:
-    """Where the vehicle can be: its body above the ground clearance, and its wheels."""
-    half = target.size / 2
-    low, high = -half, half.copy()
-    if len(target.object_points):
-        seen = np.quantile(target.object_points, [0.005, 0.995], axis=0)
-        low[:2] = np.minimum(low[:2], seen[0, :2])
-        high = np.maximum(high, seen[1])
-    low[:2] -= grow
-    high += grow
-    floor = low[2]
-    clearance, wheel_top = 0.13 * target.size[2], 0.45 * target.size[2]
-    outline = _project_box(target, np.array([*low[:2], floor + clearance]), high)
-    for end in (0.30, -0.30):  # axles lie about 0.3 lengths from the middle
-        for inner, outer in ((high[1] - 0.35, high[1]), (low[1], low[1] + 0.35)):
-            x = end * target.size[0]
-            reach = 0.11 * target.size[0]
-            outline |= _project_box(
-                target, np.array([x - reach, inner, floor - 0.03]),
-                np.array([x + reach, outer, floor + wheel_top]),
-            )  # fmt: skip
-    return outline
-
-
-def _hull(pixels: Array, shape: tuple[int, int]) -> Mask:
-    mask = np.zeros(shape, np.uint8)
-    if len(pixels) >= 3:
-        hull = cv2.convexHull(pixels.astype(np.float32))
-        # a far corner of a cut box would overflow the fixed-point coordinates of fillConvexPoly
-        cv2.fillConvexPoly(mask, np.clip(hull, -8000, 8000).astype(np.int32), 1)
-    return mask > 0
-
-
-def _lidar_pixels(target: SegmentationTarget, object_points: Array) -> Array:
-    """Pixels (N, 2) of points (M, 3) of the vehicle, without the loneliest two in a hundred."""
-    points = se3.apply(target.camera_from_object, object_points)
-    pixels, depth = _project(target.camera, points)
-    pixels = pixels[depth > 0.1]
-    if len(pixels) == 0:
-        return pixels
-    cell = max(0.02 * min(target.image.shape[:2]), 1.0)
-    _, which, count = np.unique(
-        np.floor(pixels / cell), axis=0, return_inverse=True, return_counts=True
-    )
-    enough = count[which.ravel()] >= max(2.0, np.quantile(count, 0.02))
-    kept: Array = pixels[enough]
-    return kept
-
-
-def _dense(pixels: Array, shape: tuple[int, ...], extent: float) -> Mask:
-    """Where points (N, 2) lie closer than `_GAP` of the vehicle's extent, a little shrunk."""
-    hit = np.zeros(shape, np.uint8)
-    inside = np.all((pixels >= 0) & (pixels < [shape[1], shape[0]]), axis=1)
-    u, v = pixels[inside].astype(int).T
-    hit[v, u] = 1
-    closed = cv2.morphologyEx(hit, cv2.MORPH_CLOSE, _disc(_GAP * extent))
-    across, up = (2 * max(round(share * extent), 1) + 1 for share in _SHRINK)
-    shrunk: Mask = cv2.erode(closed, np.ones((up, across), np.uint8)) > 0
-    return shrunk
-
-
-def _extent(mask: NDArray[np.generic]) -> float:
-    rows, columns = np.nonzero(mask)
-    if len(rows) == 0:
-        return 1.0
-    return float(min(np.ptp(rows), np.ptp(columns)) + 1)
-
-
-def _disc(radius: float) -> NDArray[np.uint8]:
-    size = 2 * max(round(radius), 1) + 1
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
-
-
-def _largest_piece(mask: Mask) -> Mask:
-    """The largest connected piece with its holes filled."""
-    count, pieces, stats, _ = cv2.connectedComponentsWithStats(
-        mask.astype(np.uint8), connectivity=4
-    )
-    if count <= 1:
-        return mask
-    piece = (pieces == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))).astype(np.uint8)
-    contours, _ = cv2.findContours(piece, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(piece, contours, -1, 1, thickness=-1)
-    return piece > 0
-
-
-def _smooth(mask: Mask, radius: float) -> Mask:
-    """Remove spikes and notches narrower than `radius` pixels."""
-    element = _disc(max(radius, 1.0))
-    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, element)
-    closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, element)
-    return _largest_piece(closed > 0)
-
-
-def _feather(mask: Mask) -> NDArray[np.uint8]:
-    """Alpha with an edge one pixel soft."""
-    alpha = cv2.GaussianBlur(mask.astype(np.float32) * 255, (3, 3), 0.6)
-    return np.round(alpha).astype(np.uint8)
-
-
-def mask_quality(target: SegmentationTarget, alpha: NDArray[np.uint8]) -> MaskQuality:
-    """Judge a mask by the box, the crop's border and the LiDAR."""
-    mask = alpha > 127
-    height, width = mask.shape
-    outline = _project_box(target, -target.size / 2, target.size / 2)
+def mask_quality(
+    target: SegmentationTarget, found: Segmentation | NDArray[np.uint8]
+) -> MaskQuality:
+    """Judge a mask by the box, the crop's border and the LiDAR; keep its segmenter's words."""
+    segmentation = found if isinstance(found, Segmentation) else Segmentation(found)
+    mask = segmentation.alpha > 127
+    outline = project_box(target, -target.size / 2, target.size / 2)
     border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
 
-    def share(points: Array) -> float:
-        pixels, depth = _project(target.camera, points)
-        inside = (depth > 0.1) & np.all((pixels >= 0) & (pixels < [width, height]), axis=1)
-        u, v = pixels[inside].astype(int).T
-        return float(mask[v, u].mean()) if inside.any() else float("nan")
-
-    on_object = share(se3.apply(target.camera_from_object, target.object_points))
-    on_other = share(target.other_points)
+    on_object, on_other = lidar_shares(target, mask)
     return MaskQuality(
         box_coverage=float((mask & outline).sum() / max(int(outline.sum()), 1)),
         border_contact=float(border.mean()),
         lidar_inside=on_object,
         lidar_outside=1.0 - on_other if np.isfinite(on_other) else 1.0,
+        notes=segmentation.notes,
+        doubts=segmentation.doubts,
     )
+
+
+def lidar_shares(target: SegmentationTarget, mask: Mask) -> tuple[float, float]:
+    """Shares of the object's and of the scene's projected LiDAR points that lie in a mask (H, W).
+
+    NaN where there are no such points in the crop.
+    """
+    height, width = mask.shape
+
+    def share(points: Array) -> float:
+        pixels, depth = project_points(target.camera, points)
+        inside = (depth > 0.1) & np.all((pixels >= 0) & (pixels < [width, height]), axis=1)
+        u, v = pixels[inside].astype(int).T
+        return float(mask[v, u].mean()) if inside.any() else float("nan")
+
+    on_object = se3.apply(target.camera_from_object, target.object_points)
+    return share(on_object), share(target.other_points)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -21,6 +21,9 @@ class Make:
     """Folder to write observation, actor and turntable to; must not exist."""
     generator: str = "template"
     """What makes the vehicle: template, an installed generator's name, or the path of a PLY."""
+    segmenter: str = "box-lidar"
+    """What cuts the vehicle out: box-lidar, an installed segmenter's name, or a folder that holds
+    grounding-dino and sam (see docs/actors.md)."""
     cameras: tuple[str, ...] = ()
     """Take the view from this camera; from any where none is named."""
     seed: int = 0
@@ -36,12 +39,68 @@ class Make:
 
         with atomic_folder(self.out) as folder:
             actor = make_actor(
-                read_log(self.log), self.track, self.generator, self.seed, folder, self.cameras
-            )
+                read_log(self.log), self.track, self.generator, self.seed, folder, self.cameras,
+                self.segmenter,
+            )  # fmt: skip
         console = Console()
         console.print(actor.provenance.observation, markup=False)
         console.print(actor.provenance.registration.explain(), markup=False)
         console.print(f"wrote {self.out}", markup=False)
+
+
+@dataclass(frozen=True)
+class Generate:
+    """Generate vehicles from RGBA crops with an image-to-3D model, without a log."""
+
+    crop: tyro.conf.Positional[tuple[Path, ...]]
+    """Pictures with alpha, each of another vehicle; several are generated in one batch."""
+    model: Path
+    """Model folder in the published layout (pipeline.json, ckpts/)."""
+    out: Path
+    """Folder to write to; must not exist."""
+    views: tuple[Path, ...] = ()
+    """Further pictures of the same vehicle, in the order front, rear, left, right."""
+    seed: int = 0
+    """Seed of everything random."""
+    steps: int | None = None
+    """Sampling steps of structure and latent; the model's where not given."""
+    cfg: tuple[float, float] | None = None
+    """Guidance strengths of structure and latent, such as 7.5 3; the model's where not given."""
+    multi_image: Literal["stochastic", "multidiffusion"] = "stochastic"
+    """How several views are used: one a step in turn, or the mean of all in each step."""
+    max_voxels: int | None = None
+    """Refuse a structure of more active voxels; 8 R^2 (32768 at R = 64) where not given."""
+    retries: int = 0
+    """Further seeds to try where a structure is empty or too large."""
+    image_encoder: Path | None = None
+    """Weights of the published image encoder (DINOv2 ViT-L/14 with registers), where the model
+    folder has none."""
+    device: str | None = None
+    """Such as cpu or cuda:0; CUDA where there is some."""
+    precision: Literal["float16", "bfloat16", "float32"] | None = None
+    """Of the transformer blocks; float16 on CUDA, else float32."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from rich.console import Console
+
+        from recast.pipeline.generate_actor import (
+            GenerationRequest,
+            cost_lines,
+            generate_actors,
+            load_model,
+        )
+        from recast.trellis import GenerationLimits
+
+        request = GenerationRequest(
+            self.crop, self.views, self.seed, self.multi_image, self.steps, self.cfg,
+            GenerationLimits(self.max_voxels, self.retries),
+        )  # fmt: skip
+        model = load_model(self.model, self.device, self.precision, self.image_encoder)
+        console = Console()
+        made = generate_actors(request, model, self.out, console)
+        for line in (*cost_lines(made), f"wrote {self.out}"):
+            console.print(line, markup=False)
 
 
 @dataclass(frozen=True)
@@ -67,6 +126,7 @@ class Actor:
 
     command: (
         Annotated[Make, tyro.conf.subcommand("make")]
+        | Annotated[Generate, tyro.conf.subcommand("generate")]
         | Annotated[Turntable, tyro.conf.subcommand("turntable")]
     )
 

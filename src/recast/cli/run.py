@@ -35,6 +35,9 @@ class Run:
     """Planner under test: a name, or package.module:attribute. Default: idm-follower."""
     generator: str | None = None
     """What makes the actor: template, an installed generator's name, or the path of a PLY."""
+    segmenter: str | None = None
+    """What cuts the actor's picture out: box-lidar, an installed segmenter's name, or a folder that
+    holds grounding-dino and sam (see docs/actors.md). Default: box-lidar."""
     scene_config: Path | None = None
     """Scene configuration file (JSON, see docs/scenes.md)."""
     cameras: tuple[str, ...] | None = None
@@ -66,6 +69,7 @@ class Run:
                 "methods": self.method or None,
                 "planner": self.planner,
                 "generator": self.generator,
+                "segmenter": self.segmenter,
                 "steps": self.steps,
                 "seed": self.seed,
                 "threads": self.threads,

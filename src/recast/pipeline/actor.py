@@ -11,20 +11,23 @@ from PIL import Image
 
 from recast import storage
 from recast.actors import (
+    DEFAULT_SEGMENTER,
     Actor,
     ActorGenerator,
-    BoxLidarSegmenter,
     Observation,
     PlyGenerator,
+    is_segmenter_folder,
     make_generator,
     observe,
     register,
     save_actor,
+    segmenter_of,
     turntable,
 )
 from recast.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog
+from recast.pipeline.fingerprint import file_hash, folder_hash
 from recast.pipeline.layout import ACTOR_FOLDER, OBSERVATION_FOLDER, TURNTABLE_FILE
 from recast.reporting.video import write_video
 
@@ -34,17 +37,36 @@ _BOX_COLOUR = (255, 170, 0)
 
 
 def generator_of(name: str) -> ActorGenerator:
-    """A generator by its name, or one that reads the PLY file of that path.
+    """A generator by its name, or one for the PLY file or the model folder of that path.
 
     Raises:
-        InputError: no such generator, no such file.
+        InputError: no such generator, no such file, or a model that cannot be loaded.
     """
     if name.lower().endswith(".ply"):
         path = Path(name)
         if not path.is_file():
             raise InputError(path, "file", "is missing", "check the path given as --generator")
         return PlyGenerator(path)
+    if Path(name).is_dir():
+        from recast.actors.image_to_3d_generator import ImageTo3DGenerator
+
+        return ImageTo3DGenerator(name)
     return make_generator(name)
+
+
+def generator_source(name: str) -> str:
+    """What stands for a generator in a fingerprint: the content of its file or folder, or its name.
+
+    A PLY must be there.
+    """
+    if name.lower().endswith(".ply"):
+        return file_hash(name)
+    return folder_hash(name) if Path(name).is_dir() else name
+
+
+def segmenter_source(name: str) -> str:
+    """What stands for a segmenter in a fingerprint: the content of its folder, or its name."""
+    return folder_hash(name) if is_segmenter_folder(name) else name
 
 
 def make_actor(
@@ -54,18 +76,20 @@ def make_actor(
     seed: int,
     out: Path,
     cameras: tuple[str, ...] = (),
+    segmenter: str = DEFAULT_SEGMENTER,
 ) -> Actor:
     """Observe, generate, register; write `observation/`, `actor/` and `turntable.mp4` below `out`.
 
     Args:
         cameras: observe from these only; none named: from all.
+        segmenter: cuts the vehicle out, see `segmenter_of`.
 
     Raises:
-        InputError: see `observe` and `register`.
+        InputError: see `segmenter_of`, `observe` and `register`.
     """
     source = generator_of(generator)
     camera = cameras[0] if len(cameras) == 1 else None
-    observation = observe(log, track_id, segmenter=BoxLidarSegmenter(), camera=camera)
+    observation = observe(log, track_id, segmenter=segmenter_of(segmenter), camera=camera)
     with storage.atomic_folder(out / OBSERVATION_FOLDER) as folder:
         save_observation(observation, log, folder)
     actor = register(source.generate(observation, seed), observation, log, log.tracks[track_id])

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from recast.actors import DEFAULT_SEGMENTER
 from recast.pipeline.layout import Method
 from recast.records import parse_record
 from recast.scene import SceneConfig
@@ -30,6 +31,9 @@ class RunConfig(BaseModel):
     methods: tuple[Method, ...] = Field(default=("native", "replaced"), min_length=1)
     planner: str = "idm-follower"
     generator: str = Field(default="template", description="name of a generator, or path of a PLY")
+    segmenter: str = Field(
+        default=DEFAULT_SEGMENTER, description="name of a segmenter, or folder of its networks"
+    )
     steps: int = Field(default=160, ge=1, description="of 0.1 s; cut where log or road end")
     plan_every: int = Field(default=5, ge=1)
     keep_other_actors: bool = False

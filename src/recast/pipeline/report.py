@@ -125,6 +125,7 @@ def _facts(config: RunConfig, log: DrivingLog) -> tuple[Fact, ...]:
     return (
         Fact("Planner", config.planner),
         Fact("Generator", config.generator),
+        Fact("Segmenter", config.segmenter),
         Fact("Cameras", ", ".join(cameras)),
         Fact("Image size", ", ".join(sorted(sizes)), "pixels, as rendered"),
         Fact("Length asked for", f"{config.steps * 0.1:g} s", "cut where log or road end"),
@@ -165,6 +166,9 @@ def _actor(run: Path, config: RunConfig, log: DrivingLog) -> ActorPart | NotMade
                      "azimuth of the camera about the vehicle: 0 ahead of it, 90 to its left"),
                 Fact("Sides seen", ", ".join(provenance.sides_seen)),
                 *(Fact("Why this view", line) for line in provenance.observation.splitlines()[:1]),
+                Fact("Mask", "; ".join(provenance.mask.explain().splitlines()),
+                     "by the logged box and the LiDAR"),
+                *(Fact("Look at the mask", text) for text in provenance.mask.warnings()),
             ),
         ),
         turntable=film if film.exists() else NOT_MADE,

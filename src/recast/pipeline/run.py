@@ -8,6 +8,7 @@ from pathlib import Path
 import torch
 from rich.console import Console
 
+from recast.actors import segmenter_of
 from recast.errors import InputError
 from recast.logs import read_log
 from recast.pipeline.actor import generator_of
@@ -32,7 +33,8 @@ def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Conso
         console: shows steps, progress and time left.
 
     Raises:
-        InputError: bad log, track, planner, generator, or a folder that holds another run.
+        InputError: bad log, track, planner, generator or segmenter, or a folder that holds another
+            run.
     """
     log_path, out = Path(log_path), Path(out)
     log = read_log(log_path)
@@ -48,6 +50,7 @@ def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Conso
         world = world_of(log)
     make_planner(config.planner)
     generator_of(config.generator)
+    segmenter_of(config.segmenter)
     threads = config.threads or os.cpu_count() or 1
     torch.set_num_threads(threads)
     set_threads(threads)

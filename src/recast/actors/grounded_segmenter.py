@@ -1,0 +1,192 @@
+"""Grounding DINO for the box, box-prompted SAM for the mask."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from recast.actors.detect import (
+    Detection,
+    DetectionRule,
+    choose_box,
+    logged_rectangle,
+    rectangle_overlap,
+    text_prompt,
+)
+from recast.actors.mask_shapes import feather, large_pieces
+from recast.actors.pretrained import PretrainedFolder
+from recast.actors.segment import Segmentation, SegmentationTarget, lidar_shares
+from recast.errors import InputError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+DETECTOR_FOLDER = "grounding-dino"
+SAM_FOLDER = "sam"
+_SPECK = 0.1  # pieces smaller than this share of the largest are noise; a pole may halve a vehicle
+_SURE = 0.7  # predicted overlap below which a person should look at the mask
+
+
+class GroundedSamSegmenter:
+    """The segmentation of the RECAST paper, its box chosen by what the log knows.
+
+    Grounding DINO looks for the track's category in the crop. Of what it finds, the detection that
+    overlaps the projected 3D box most is taken, see `choose_box`. Where it finds nothing, or
+    nothing that overlaps, the projected box stands in, and `Segmentation.doubts` says so. SAM,
+    prompted with the box, proposes several masks (whole and parts); predicted quality and agreement
+    with box and LiDAR decide, see `choose_mask`. Specks are dropped and holes filled.
+
+    The crop needs some surroundings, as those of `observe` have. Networks are read at the first
+    crop and kept. They have been run here with random weights, small ones and ones of the published
+    sizes, never with the published weights: what masks those give on driving logs is not measured.
+
+    Source: Liu et al., Grounding DINO, 2023; Kirillov et al., Segment Anything, 2023.
+
+    Args:
+        folder: holds `grounding-dino` (IDEA-Research/grounding-dino-tiny or -base) and `sam`
+            (facebook/sam-vit-base, -large or -huge), each as its Hugging Face repository:
+            config.json, model.safetensors, preprocessor_config.json and, of the first, the
+            tokenizer's files. Nothing is downloaded, no pickle is read, torchvision is not needed.
+        rule: which detection is the logged vehicle.
+        device: torch device; None is CUDA where there is one, else the CPU.
+
+    Raises:
+        InputError: a folder or file is missing, of another network or incomplete.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        rule: DetectionRule | None = None,
+        device: str | None = None,
+    ) -> None:
+        folder = Path(folder)
+        if not folder.is_dir():
+            raise InputError(
+                folder, "folder", "is missing",
+                f"name a folder that holds {DETECTOR_FOLDER} and {SAM_FOLDER}",
+            )  # fmt: skip
+        self.rule = rule or DetectionRule()
+        self.device = device or ("cuda" if torch.cuda.is_available() else "cpu")
+        self.detector = PretrainedFolder(
+            folder / DETECTOR_FOLDER, "grounding-dino", "GroundingDinoForObjectDetection",
+            "GroundingDinoProcessor",
+            "IDEA-Research/grounding-dino-base (or IDEA-Research/grounding-dino-tiny)", text=True,
+        )  # fmt: skip
+        self.sam = PretrainedFolder(
+            folder / SAM_FOLDER, "sam", "SamModel", "SamProcessor",
+            "facebook/sam-vit-huge (or facebook/sam-vit-large, facebook/sam-vit-base)",
+        )  # fmt: skip
+        for part in (self.detector, self.sam):
+            part.check()
+
+    def segment(self, target: SegmentationTarget) -> Segmentation:
+        """See `Segmenter.segment`; the same crop always gives the same mask on the same device.
+
+        Raises:
+            InputError: see the class; or SAM found nothing at all in the box.
+        """
+        text = text_prompt(target.category)
+        prompt = choose_box(
+            self.detect(target.image, text), logged_rectangle(target), self.rule, text
+        )
+        masks, predicted = self.propose(target.image, prompt.box)
+        if not masks.any():
+            raise InputError(
+                self.sam.path, "mask", "is empty for this crop",
+                "take the view from another camera, or use --segmenter box-lidar",
+            )  # fmt: skip
+        best = choose_mask(masks, predicted, target, prompt.box)
+        doubts = [] if prompt.detected else [f"the logged box stood in: {prompt.reason}"]
+        if predicted[best] < _SURE:
+            doubts.append(f"SAM expects its mask to be right by {predicted[best]:.2f} only")
+        return Segmentation(
+            alpha=feather(large_pieces(masks[best], _SPECK)),
+            notes=(
+                f"box from {'the detector' if prompt.detected else 'the log'}: {prompt.reason}",
+                f"mask {best + 1} of {len(masks)}: predicted overlap {predicted[best]:.2f}, "
+                f"agreement with box and LiDAR "
+                f"{agreement(masks[best], target, prompt.box):.2f}",
+            ),
+            doubts=tuple(doubts),
+        )
+
+    def detect(self, image: NDArray[np.uint8], text: str) -> tuple[Detection, ...]:
+        """What Grounding DINO finds in an image (H, W, 3), with at least the rule's score."""
+        processor, model = self._detector
+        inputs = processor(images=image, text=text, return_tensors="pt").to(self.device)
+        with torch.inference_mode():
+            outputs = model(**inputs)
+        found = processor.post_process_grounded_object_detection(
+            outputs, inputs["input_ids"], threshold=self.rule.score,
+            text_threshold=self.rule.score, target_sizes=[image.shape[:2]],
+        )[0]  # fmt: skip
+        if len(found["scores"]) == 0:  # its labels of nothing are not an empty list
+            return ()
+        scores, rectangles = (found[name].cpu().double().numpy() for name in ("scores", "boxes"))
+        limits = np.array(image.shape[1::-1] * 2, np.float64)
+        return tuple(
+            Detection(np.clip(box, 0, limits), float(score), label)
+            for box, score, label in zip(rectangles, scores, found["text_labels"], strict=True)
+        )
+
+    def propose(self, image: NDArray[np.uint8], box: Array) -> tuple[Mask, Array]:
+        """SAM's masks (M, H, W) for a box (4,), and the overlap (M,) it predicts for each."""
+        processor, model = self._sam
+        inputs = processor(images=image, input_boxes=[[box.tolist()]], return_tensors="pt")
+        with torch.inference_mode():
+            outputs = model(
+                pixel_values=inputs["pixel_values"].to(self.device),
+                input_boxes=inputs["input_boxes"].to(self.device, torch.float32),
+                multimask_output=True,
+            )
+        masks = processor.post_process_masks(
+            outputs.pred_masks.cpu(), inputs["original_sizes"], inputs["reshaped_input_sizes"]
+        )[0][0]
+        predicted = np.clip(outputs.iou_scores[0, 0].cpu().double().numpy(), 0, 1)
+        return np.asarray(masks.numpy(), np.bool_), predicted
+
+    @cached_property
+    def _detector(self) -> tuple[Any, Any]:
+        return self.detector.read(self.device)
+
+    @cached_property
+    def _sam(self) -> tuple[Any, Any]:
+        return self.sam.read(self.device)
+
+
+def choose_mask(masks: Mask, predicted: Array, target: SegmentationTarget, box: Array) -> int:
+    """Index of the best of several masks: predicted overlap plus `agreement`, empty ones last.
+
+    Args:
+        masks: (M, H, W).
+        predicted: (M,) overlap with the true mask as the network expects it, 0 to 1.
+        target: the crop and what is known about it.
+        box: (4,) that the masks were prompted with, pixels.
+    """
+    scores = [
+        value + agreement(mask, target, box) if mask.any() else -1.0
+        for mask, value in zip(masks, predicted, strict=True)
+    ]
+    return int(np.argmax(scores))
+
+
+def agreement(mask: Mask, target: SegmentationTarget, box: Array) -> float:
+    """How well a mask (H, W) goes with box and LiDAR, 0 to 1.
+
+    Mean of: overlap of the rectangle around the mask with the box (4,), which a door or a window
+    alone does not reach; share of the vehicle's LiDAR points in the mask; share of the background's
+    points outside it. What no LiDAR point tells is left out.
+    """
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if len(rows) == 0:
+        return 0.0
+    around = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
+    on_object, on_other = lidar_shares(target, mask)
+    terms = np.array([rectangle_overlap(around, box), on_object, 1.0 - on_other])
+    return float(np.nanmean(terms))

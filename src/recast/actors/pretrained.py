@@ -1,0 +1,137 @@
+"""Folders with published networks, read through transformers: strictly, and never the network."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+
+from recast.errors import InputError
+from recast.storage import read_json
+
+CONFIG_FILE = "config.json"
+WEIGHTS_FILE = "model.safetensors"
+_PROCESSOR_FILES = ("preprocessor_config.json", "processor_config.json")
+
+
+@dataclass(frozen=True)
+class PretrainedFolder:
+    """A network as it lies in a Hugging Face repository.
+
+    Attributes:
+        path: the folder.
+        model_type: that its config.json must name.
+        model_class, processor_class: names in transformers.
+        repositories: where the user finds the weights, for messages.
+        text: whether it reads text, so that it needs the files of a tokenizer.
+    """
+
+    path: Path
+    model_type: str
+    model_class: str
+    processor_class: str
+    repositories: str
+    text: bool = False
+
+    def files(self) -> tuple[Path, ...]:
+        """The files that are read; every one is there.
+
+        Raises:
+            InputError: one is missing.
+        """
+        wanted = [(CONFIG_FILE,), (WEIGHTS_FILE,), _PROCESSOR_FILES]
+        if self.text:
+            wanted += [("tokenizer.json", "vocab.txt")]
+        found: list[Path] = []
+        for names in wanted:
+            present = [self.path / name for name in names if (self.path / name).is_file()]
+            if not present:
+                raise self._refusal(" or ".join(names), "is missing")
+            found += present
+        return tuple(found)
+
+    def check(self) -> None:
+        """Refuse what cannot work, without reading the weights or importing transformers.
+
+        Raises:
+            InputError: a file is missing, is of another network, or is no whole safetensors file.
+        """
+        self.files()
+        config = read_json(self.path / CONFIG_FILE)
+        found = config.get("model_type") if isinstance(config, dict) else None
+        if found != self.model_type:
+            raise self._refusal(CONFIG_FILE, f"is of model_type {found!r}, not {self.model_type!r}")
+        try:
+            with safe_open(self.path / WEIGHTS_FILE, "pt") as weights:
+                weights.keys()
+        except (SafetensorError, OSError) as error:
+            raise self._refusal(
+                WEIGHTS_FILE, f"is no whole safetensors file ({_first_line(error)})"
+            ) from None
+
+    def read(self, device: str) -> tuple[Any, Any]:
+        """Processor and network, in float32, ready to infer.
+
+        Raises:
+            InputError: see `check`; or tensors are missing, of another shape or not finite.
+        """
+        self.check()
+        import transformers
+
+        options = {"local_files_only": True}
+        with _quiet():
+            try:
+                processor = getattr(transformers, self.processor_class).from_pretrained(
+                    self.path, **options
+                )
+                model, loaded = getattr(transformers, self.model_class).from_pretrained(
+                    self.path, use_safetensors=True, output_loading_info=True,
+                    ignore_mismatched_sizes=True, dtype=torch.float32, **options,
+                )  # fmt: skip
+            except Exception as error:  # transformers raises whatever its parts raise
+                raise self._refusal("files", f"cannot be read ({_first_line(error)})") from error
+        absent = sorted(loaded["missing_keys"])
+        if absent:
+            raise self._refusal(WEIGHTS_FILE, f"lacks {len(absent)} tensors, first {absent[0]}")
+        for name, theirs, ours in sorted(loaded["mismatched_keys"]):
+            raise self._refusal(
+                WEIGHTS_FILE, f"tensor {name} has shape {tuple(theirs)}, not {tuple(ours)}"
+            )
+        for name, tensor in model.state_dict().items():
+            if not torch.isfinite(tensor).all():
+                raise self._refusal(WEIGHTS_FILE, f"tensor {name} holds values that are not finite")
+        return processor, model.to(device).eval().requires_grad_(False)
+
+    def _refusal(self, field: str, problem: str) -> InputError:
+        wanted = "config.json, model.safetensors, preprocessor_config.json"
+        wanted += " and the tokenizer's files" if self.text else ""
+        return InputError(
+            self.path, field, problem,
+            f"download {wanted} of {self.repositories} from Hugging Face into this folder",
+        )  # fmt: skip
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep transformers' progress bars and notices away from the user's screen."""
+    from transformers.utils import logging
+
+    verbosity, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()
+    logging.set_verbosity_error()
+    logging.disable_progress_bar()
+    try:
+        yield
+    finally:
+        logging.set_verbosity(verbosity)
+        if bars:
+            logging.enable_progress_bar()
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0][:160] if lines else type(error).__name__
