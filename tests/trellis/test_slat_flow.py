@@ -103,7 +103,9 @@ def test_no_voxels_at_all(io: dict[str, Tensor]) -> None:
 
 
 def test_the_order_of_the_voxels_does_not_matter(io: dict[str, Tensor]) -> None:
-    order = torch.cat([torch.randperm(180), 180 + torch.randperm(110)])
+    generator = torch.Generator().manual_seed(0)
+    parts = (torch.randperm(n, generator=generator) for n in (180, 110))
+    order = torch.cat([part + start for part, start in zip(parts, (0, 180), strict=True)])
     mixed = io | {"coords": io["coords"][order], "feats": io["feats"][order]}
     assert_same(run(golden_model(), mixed).feats, io["out"][order])
 
@@ -154,10 +156,11 @@ def test_levels_follow_the_configuration(io: dict[str, Tensor]) -> None:
     )
     for changed, down, up in cases:
         model = SLatFlowModel(SLatFlowConfig(**changed))
+        model.initialise(torch.Generator().manual_seed(0))
         for blocks, expected in ((model.input_blocks, down), (model.out_blocks, up)):
             found = [(b.conv1.in_channels, b.conv1.out_channels) for b in blocks]
             assert found == expected
-        nn.init.normal_(model.out_layer.weight)
+        nn.init.ones_(model.out_layer.weight)
         out = run(model, io)
         assert out.feats.shape == (290, 8)
         assert bool(torch.isfinite(out.feats).all())
