@@ -89,3 +89,18 @@ def test_colours_under_transparent_pixels_do_not_bleed():
 def test_refused_crop_is_named():
     with pytest.raises(InputError, match=r"track 7: alpha: is zero everywhere"):
         crop_to_object(np.zeros((20, 20, 4), np.uint8), 32, where="track 7")
+
+
+def test_real_vehicles_fill_the_crop(shared):
+    """Every real picture of the set: 1/1.2 of the side, centred, and the mask's colours kept."""
+    frames = sorted((shared / "data" / "vehicles").glob("*/*/frame_*.jpeg"))
+    if not frames:
+        pytest.skip("no real vehicles in the shared folder")
+    for frame in frames:
+        mask = Image.open(frame.with_name(frame.name.replace("frame", "mask")).with_suffix(".png"))
+        rgba = np.dstack([np.array(Image.open(frame)), np.array(mask)])
+        crop = crop_to_object(rgba, 128, where=frame)
+        left, top, right, bottom = object_box(crop.max(axis=2), threshold=8)
+        assert right - left + 1 == pytest.approx(128 / 1.2, abs=3), frame
+        assert (left + right) / 2 == pytest.approx(63.5, abs=1.5), frame
+        assert (top + bottom) / 2 == pytest.approx(63.5, abs=4), frame
