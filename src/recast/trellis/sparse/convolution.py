@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from recast.trellis.sparse.neighbours import CENTRE, OFFSETS, NeighbourMap, neighbour_map
+from recast.errors import InputError
+from recast.trellis.sparse import spconv_backend
+from recast.trellis.sparse.gather_gemm import GatherGemm
+from recast.trellis.sparse.neighbours import OFFSETS, neighbour_map
 from recast.trellis.sparse.tensor import SparseTensor
 
 
@@ -53,17 +55,25 @@ class _Kernel(nn.Module):
 def submanifold_convolution(x: SparseTensor, weight: Tensor, bias: Tensor | None) -> SparseTensor:
     """Convolve `x` (T,in) with `weight` (out,3,3,3,in) and `bias` (out,): (T,out).
 
-    One gathered matrix product per tap over the pairs of voxels that exist, and the same pairs read
-    backwards for the gradient. Differentiable in features, weight and bias.
+    Gathered matrix products, or spconv where it is installed and the features are on CUDA.
+    Differentiable once, in features, weight and bias; under autocast it runs in its dtype.
+
+    Raises:
+        InputError: channels that do not fit, or a voxel that stands twice.
     """
-    feats = x.feats
-    device = feats.device.type
+    if weight.shape[1:4] != (3, 3, 3) or weight.shape[4] != x.feats.shape[1]:
+        found = f"weight {tuple(weight.shape)} for {x.feats.shape[1]} channels"
+        raise InputError("submanifold convolution", "weight", found, "give (out,3,3,3,in)")
+    device = x.feats.device.type
     if torch.is_autocast_enabled(device):
         dtype = torch.get_autocast_dtype(device)
-        feats, weight = feats.to(dtype), weight.to(dtype)
+        x, weight = x.with_feats(x.feats.to(dtype)), weight.to(dtype)
         bias = None if bias is None else bias.to(dtype)
-    taps = weight.flatten(1, 3).permute(1, 2, 0)  # (27, in, out)
-    out: Tensor = _GatherGemm.apply(feats, taps, neighbour_map(x))
+    out: Tensor
+    if spconv_backend.usable(x):
+        out = spconv_backend.spconv_convolution(x, weight)
+    else:
+        out = GatherGemm.apply(x.feats, weight.flatten(1, 3), neighbour_map(x))
     return x.with_feats(out if bias is None else out + bias)
 
 
@@ -82,41 +92,3 @@ def submanifold_convolution_reference(
                 total = total + taps[:, tap] @ x.feats[row]
         rows.append(total)
     return x.with_feats(torch.stack(rows) if rows else x.feats.new_zeros(0, weight.shape[0]))
-
-
-class _GatherGemm(torch.autograd.Function):
-    """(T,in) features, (27,in,out) taps -> (T,out)."""
-
-    @staticmethod
-    def forward(ctx: Any, feats: Tensor, taps: Tensor, neighbours: NeighbourMap) -> Tensor:
-        ctx.save_for_backward(feats, taps)
-        ctx.neighbours = neighbours
-        return _gather_gemm(feats, taps, neighbours)
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, Tensor | None, None]:
-        feats, taps = ctx.saved_tensors
-        (grad,) = grads
-        grad_feats = grad_taps = None
-        if ctx.needs_input_grad[0]:
-            # The transpose of a step is the opposite step.
-            grad_feats = _gather_gemm(grad, taps.flip(0).transpose(1, 2), ctx.neighbours)
-        if ctx.needs_input_grad[1]:
-            products = []
-            for tap in range(len(OFFSETS)):
-                if tap == CENTRE:
-                    products.append(feats.T @ grad)
-                else:
-                    rows, sources = ctx.neighbours.of(tap)
-                    products.append(feats[sources].T @ grad[rows])
-            grad_taps = torch.stack(products)
-        return grad_feats, grad_taps, None
-
-
-def _gather_gemm(feats: Tensor, taps: Tensor, neighbours: NeighbourMap) -> Tensor:
-    out = feats @ taps[CENTRE]
-    for tap in range(len(OFFSETS)):
-        if tap != CENTRE:
-            rows, sources = neighbours.of(tap)
-            out.index_add_(0, rows, feats[sources] @ taps[tap])
-    return out

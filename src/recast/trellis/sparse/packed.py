@@ -31,12 +31,15 @@ class PackedTokens:
 
     def attend(self, q: Tensor, k: Tensor, v: Tensor) -> Tensor:
         """softmax(q k^T / sqrt(D)) v within each sample; all (T,H,D)."""
-        rows = [attention(q[s], k[s], v[s]) for s in self.x.slices]
+        counts = self.x.counts
+        parts = zip(q.split(counts), k.split(counts), v.split(counts), strict=True)
+        rows = [attention(*part) for part in parts]
         return rows[0] if len(rows) == 1 else torch.cat(rows)
 
     def attend_to(self, q: Tensor, k: Tensor, v: Tensor) -> Tensor:
         """Queries (T,H,D) of each sample over that sample's context k, v (B,L,H,D)."""
-        rows = [attention(q[s], k[i], v[i]) for i, s in enumerate(self.x.slices)]
+        parts = zip(q.split(self.x.counts), k.unbind(), v.unbind(), strict=True)
+        rows = [attention(*part) for part in parts]
         return rows[0] if len(rows) == 1 else torch.cat(rows)
 
 

@@ -63,12 +63,14 @@ class WindowedTokens(PackedTokens):
         if not partition.buckets:
             return q + 0 * v.sum()
         q, k, v = (_Permute.apply(t, partition.order, partition.inverse) for t in (q, k, v))
-        rows, start = [], 0
-        for number, size in partition.buckets:
-            span = slice(start, start + number * size)
-            batch = [t[span].unflatten(0, (number, size)) for t in (q, k, v)]
-            rows.append(attention(*batch).flatten(0, 1))
-            start = span.stop
+        # Splitting gives one gradient for all parts; slices would give one of full size each.
+        sizes = [number * size for number, size in partition.buckets]
+        rows = [
+            attention(*(t.unflatten(0, bucket) for t in part)).flatten(0, 1)
+            for bucket, *part in zip(
+                partition.buckets, q.split(sizes), k.split(sizes), v.split(sizes), strict=True
+            )
+        ]
         out: Tensor = _Permute.apply(torch.cat(rows), partition.inverse, partition.order)
         return out
 
