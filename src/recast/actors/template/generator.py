@@ -23,6 +23,7 @@ from recast.actors.template.lighting import (
     to_display,
 )
 from recast.actors.template.merge import flat_gaussians, group_means, group_patches, shell_groups
+from recast.actors.template.outline import style_by_outline
 from recast.actors.template.placement import find_axles, place
 from recast.actors.template.texture import Texture, mirrored_texture, view_surface
 from recast.splats.gaussians import Gaussians, concatenate
@@ -42,9 +43,10 @@ _VIEW_DEPENDENCE = 0.3  # of the model's changing reflections, how much a photog
 class TemplateGenerator:
     """Parametric vehicle in the style of AutoSplat's template: class shape, symmetry, one photo.
 
-    A body of the class, bent to the LiDAR points, with wheels, windows, lamps and plates, covered
-    with flat Gaussians. Colours come from the crop where it shows the surface, from the mirror
-    image where it shows the other side, else from the template with the observed paint.
+    A body of the class, bent to the LiDAR points (where there are none, of the style that fits the
+    mask best), with wheels, windows, lamps and plates, covered with flat Gaussians. Colours come
+    from the crop where it shows the surface, from the mirror image where it shows the other side,
+    else from the template with the observed paint.
 
     Args:
         spacing: metres between surface patches before merging; larger is coarser and faster.
@@ -61,7 +63,10 @@ class TemplateGenerator:
         """Build the vehicle; it fills the logged box. See `ActorGenerator.generate`."""
         rng = np.random.default_rng(seed)
         size = observation.size
-        fit = fit_shape(observation.category, size, observation.points, rng, self.style)
+        style = self.style
+        if style is None and len(observation.points) == 0:
+            style = style_by_outline(observation, rng)
+        fit = fit_shape(observation.category, size, observation.points, rng, style)
         body = Body(size, fit.proportions)
         coarse = max(self.spacing, _SKETCH_SPACING)
         sketch = build_cloud(body, coarse, rng).points
@@ -76,6 +81,8 @@ class TemplateGenerator:
         cloud = replace(cloud, albedo=dyed, gloss=cloud.gloss * (1 - cloud.glass * (1 - windows)))
         gaussians = _gaussians(body, cloud, paint, mirrored_texture(cloud, seen), light)
         shift = gaussians.means.new_tensor([0.0, 0.0, -size[2] / 2])
+        distance = fit.median_distance
+        measured = {"median_lidar_distance_m": round(distance, 4)} if np.isfinite(distance) else {}
         return Asset(
             gaussians=replace(gaussians, means=gaussians.means + shift),
             axes=VEHICLE,
@@ -88,7 +95,7 @@ class TemplateGenerator:
                 "mirrored": " ".join(f"{v:.3f}" for v in light.mirrored),
                 "windows": round(windows, 3),
                 "rims": round(rims, 3),
-                "median_lidar_distance_m": round(fit.median_distance, 4),
+                **measured,
                 "silhouette_overlap": round(placement.overlap, 4),
                 "seen_share": round(float((seen.weight > 0.5).mean()), 4),
             },
