@@ -28,11 +28,9 @@ def _write_grounding_dino(folder: Path) -> None:
         BertTokenizer,
         GroundingDinoConfig,
         GroundingDinoForObjectDetection,
+        GroundingDinoImageProcessor,
         GroundingDinoProcessor,
         SwinConfig,
-    )
-    from transformers.models.grounding_dino.image_processing_pil_grounding_dino import (
-        GroundingDinoImageProcessorPil,
     )
 
     folder.mkdir(parents=True)
@@ -51,15 +49,14 @@ def _write_grounding_dino(folder: Path) -> None:
     )  # fmt: skip
     GroundingDinoForObjectDetection(config).save_pretrained(folder)
     (folder / "vocab.txt").write_text("\n".join(WORDS))
-    image_processor = GroundingDinoImageProcessorPil(size={"shortest_edge": 64, "longest_edge": 96})
+    image_processor = GroundingDinoImageProcessor(size={"shortest_edge": 64, "longest_edge": 96})
     tokenizer = BertTokenizer(vocab=str(folder / "vocab.txt"))
     GroundingDinoProcessor(image_processor, tokenizer).save_pretrained(folder)
     _as_published(folder)
 
 
 def _write_sam(folder: Path) -> None:
-    from transformers import SamConfig, SamModel, SamProcessor
-    from transformers.models.sam.image_processing_pil_sam import SamImageProcessorPil
+    from transformers import SamConfig, SamImageProcessor, SamModel, SamProcessor
 
     shared = {"hidden_size": 32, "image_size": 64, "patch_size": 16}
     config = SamConfig(
@@ -75,9 +72,7 @@ def _write_sam(folder: Path) -> None:
         },
     )  # fmt: skip
     SamModel(config).save_pretrained(folder)
-    processor = SamImageProcessorPil(
-        size={"longest_edge": 64}, pad_size={"height": 64, "width": 64}
-    )
+    processor = SamImageProcessor(size={"longest_edge": 64}, pad_size={"height": 64, "width": 64})
     SamProcessor(processor).save_pretrained(folder)
     _as_published(folder)
 
