@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import zlib
+import hashlib
 from collections.abc import Sequence
 
 import torch
@@ -28,7 +28,7 @@ def new_checkpoint(
 
     Args:
         sizes: `OFFICIAL`, `SMALL` or others.
-        seed: of all weights, from 0 to 2^31 - 1.
+        seed: of all weights.
         roles: which models to make; all where not given.
         with_encoder: whether to make the image encoder; 1.2 GB for the published one.
 
@@ -50,7 +50,9 @@ def new_checkpoint(
 
 
 def _seeded(size: ModelSize, role: str, seed: int) -> TrellisModel:
+    # On the CPU torch takes no more than 32 bits of a seed.
+    mixed = hashlib.blake2b(f"{role} {seed}".encode(), digest_size=4).digest()
     # Constructors draw from torch's own generator, which is put back as it was.
     with torch.random.fork_rng(devices=()):
-        torch.random.default_generator.manual_seed((seed << 32) | zlib.crc32(role.encode()))
+        torch.random.default_generator.manual_seed(int.from_bytes(mixed, "little"))
         return build(size.name, size.args, f"size of {role}", MODEL_CLASSES).eval()

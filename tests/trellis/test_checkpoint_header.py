@@ -1,0 +1,129 @@
+"""Headers of safetensors files: sizes to the byte, and nothing believed that is not checked."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from safetensors.torch import save
+
+from recast.errors import InputError
+from recast.trellis.checkpoints.header import read_header
+from recast.trellis.checkpoints.layout import DTYPES, file_bytes, tensor_specs
+from support.trellis import FOLDER
+
+TENSORS = {"a": torch.arange(6.0).reshape(2, 3), "b": torch.ones(4, dtype=torch.float16)}
+
+
+@given(
+    shapes=st.dictionaries(
+        st.text(min_size=1, max_size=6).filter(lambda name: name != "__metadata__"),
+        st.tuples(
+            st.sampled_from(sorted(DTYPES)), st.lists(st.integers(0, 4), max_size=3).map(tuple)
+        ),
+        max_size=6,
+    )
+)
+@settings(max_examples=60, deadline=None)
+def test_the_size_of_a_file_is_known_before_it_is_written(
+    shapes: dict[str, tuple[str, tuple[int, ...]]],
+) -> None:
+    tensors = {
+        name: torch.zeros(shape, dtype=DTYPES[code]) for name, (code, shape) in shapes.items()
+    }
+    assert file_bytes(tensor_specs(tensors)) == len(save(tensors))
+
+
+def test_every_golden_file_is_read_with_its_names_shapes_and_types() -> None:
+    for path in sorted(FOLDER.glob("*.safetensors")):
+        header = read_header(path)
+        assert header.file_bytes == path.stat().st_size == file_bytes(header.specs)
+
+
+def test_metadata_is_allowed(tmp_path: Path) -> None:
+    path = tmp_path / "x.safetensors"
+    path.write_bytes(save(TENSORS, metadata={"format": "pt"}))
+    assert read_header(path).specs == tensor_specs(TENSORS)
+
+
+def rewritten(change: Callable[[dict[str, dict[str, object]]], object]) -> bytes:
+    """The file of TENSORS with another header over the same data."""
+    data = save(TENSORS)
+    end = 8 + int.from_bytes(data[:8], "little")
+    header = json.loads(data[8:end])
+    change(header)
+    text = json.dumps(header).encode()
+    return len(text).to_bytes(8, "little") + text + data[end:]
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "0 bytes"),
+        (b"\x10\0\0", "3 bytes"),
+        (b"\xff" * 64, "header length out of range"),
+        (save(TENSORS)[:40], "truncated"),
+        (save(TENSORS)[:-1], "truncated"),
+        (save(TENSORS) + b"\0", "behind the last tensor"),
+        (b"\x04\0\0\0\0\0\0\0nope", "not the JSON"),
+        (b"\x02\0\0\0\0\0\0\0[]", "not the JSON"),
+        (b"\x08\x27\0\0\0\0\0\0" + b"[" * 9992, "not the JSON"),
+        (b"PK\x03\x04" + b"\0" * 60, "pickled PyTorch file"),
+        (pickle.dumps({"a": 1}), "pickled PyTorch file"),
+        (b"<!DOCTYPE html><html><body>404</body></html>", "header length out of range"),
+        (rewritten(lambda h: h["a"].update(dtype="F4")), "unknown element type"),
+        (rewritten(lambda h: h["a"].update(dtype=["F32"])), "unknown element type"),
+        (rewritten(lambda h: h["a"].update(shape=[2, -3])), "no valid shape"),
+        (rewritten(lambda h: h["a"].update(shape=[True, 6])), "no valid shape"),
+        (rewritten(lambda h: h["a"].update(shape=[2, 4])), "takes 24 bytes"),
+        (rewritten(lambda h: h["a"].update(data_offsets=[0, 24, 32])), "no valid shape"),
+        (rewritten(lambda h: h["a"].update(data_offsets=[8, 32])), "begins at byte"),
+        (rewritten(lambda h: h.update(a=3)), "unknown element type"),
+        (rewritten(lambda h: h.pop("b")), "behind the last tensor"),
+    ],
+)  # fmt: skip
+def test_a_file_that_is_no_whole_safetensors_file(
+    tmp_path: Path, data: bytes, message: str
+) -> None:
+    path = tmp_path / "x.safetensors"
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=message) as caught:
+        read_header(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_name_that_occurs_twice(tmp_path: Path) -> None:
+    text = b'{"a":{"dtype":"U8","shape":[1],"data_offsets":[0,1]},'
+    text += b'"a":{"dtype":"U8","shape":[1],"data_offsets":[0,1]}}'
+    path = tmp_path / "x.safetensors"
+    path.write_bytes(len(text).to_bytes(8, "little") + text + b"\0")
+    with pytest.raises(InputError, match="not the JSON"):
+        read_header(path)
+
+
+@given(cut=st.integers(0, 400), flip=st.integers(0, 255))
+@settings(max_examples=80, deadline=None)
+def test_damage_is_refused_or_leaves_a_header_within_the_file(cut: int, flip: int) -> None:
+    data = bytearray(save(TENSORS))
+    data[cut % len(data)] ^= flip
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "x.safetensors"
+        path.write_bytes(data)
+        try:
+            header = read_header(path)
+        except InputError:
+            return
+        assert sum(spec.nbytes for spec in header.specs.values()) < len(data)
+
+
+@pytest.mark.parametrize("missing", ["no.safetensors", "."])
+def test_a_file_that_cannot_be_opened(tmp_path: Path, missing: str) -> None:
+    with pytest.raises(InputError, match="check the folder"):
+        read_header(tmp_path / missing)
