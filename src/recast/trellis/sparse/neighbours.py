@@ -46,8 +46,7 @@ def neighbour_map(x: SparseTensor) -> NeighbourMap:
     """
     if "neighbours" not in x.cache:
         numbered = voxel_keys(x.coords, margin=1)
-        numbered.check_distinct()
-        ordered, order = numbered.keys.sort()
+        ordered, order = numbered.sort()
         pairs = []
         for offset in OFFSETS[:CENTRE]:
             step = sum(d * s for d, s in zip(offset, numbered.strides[1:], strict=True))

@@ -36,6 +36,10 @@ class PackedTokens:
         rows = [attention(*part) for part in parts]
         return rows[0] if len(rows) == 1 else torch.cat(rows)
 
+    def attend_reference(self, q: Tensor, k: Tensor, v: Tensor) -> Tensor:
+        """Readable twin of `attend`: one sample after another, weights written out."""
+        return torch.cat([attention_reference(q[s], k[s], v[s]) for s in self.x.slices])
+
     def attend_to(self, q: Tensor, k: Tensor, v: Tensor) -> Tensor:
         """Queries (T,H,D) of each sample over that sample's context k, v (B,L,H,D)."""
         parts = zip(q.split(self.x.counts), k.unbind(), v.unbind(), strict=True)

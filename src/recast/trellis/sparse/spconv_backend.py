@@ -1,8 +1,9 @@
 """The submanifold convolution through spconv, where it is installed and the tensor is on CUDA.
 
-Not run on CUDA in this project's tests, which have no GPU; the same calls agree with the golden
-vectors through spconv 2.3.8's CPU wheel on one thread. (On several threads that wheel adds without
-locks and its results are wrong, which is one more reason to take it on CUDA alone.)
+Not run on CUDA in this project's tests, which have no GPU; the forward calls agree with the
+golden vectors through spconv 2.3.8's CPU wheel on one thread. (On several threads that wheel's
+results change from call to call, and it has no backward pass: one more reason to take spconv on
+CUDA alone.)
 """
 
 from __future__ import annotations

@@ -121,7 +121,7 @@ class SparseTensor:
         if bool((batch[1:] < batch[:-1]).any()):
             found = "the rows of a sample are not contiguous"
             raise InputError(_WHERE, "coords", found, "order the rows by batch index")
-        voxel_keys(coords, margin=0).check_distinct()
+        voxel_keys(coords, margin=0).sort()
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,12 +136,17 @@ class VoxelKeys:
     keys: Tensor
     strides: tuple[int, int, int, int]
 
-    def check_distinct(self) -> None:
-        """Raise InputError if a voxel stands twice in a sample."""
-        ordered = self.keys.sort().values
+    def sort(self) -> tuple[Tensor, Tensor]:
+        """Keys in ascending order and the rows (T,) they come from.
+
+        Raises:
+            InputError: a voxel stands twice in a sample.
+        """
+        ordered, rows = self.keys.sort()
         if bool((ordered[1:] == ordered[:-1]).any()):
             found = "a voxel stands twice in a sample"
             raise InputError(_WHERE, "coords", found, "give every voxel once")
+        return ordered, rows
 
 
 def voxel_keys(coords: Tensor, margin: int) -> VoxelKeys:

@@ -1,0 +1,133 @@
+"""Submanifold convolution against golden vectors, the dense convolution and its twin."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import given
+from tests.support.trellis import assert_same, golden_tensors
+from tests.trellis.sparse_samples import COUNTS, SEEDS, normal, random_sparse
+from torch.nn.functional import conv3d
+
+from recast.errors import InputError
+from recast.trellis.sparse import (
+    SparseTensor,
+    SubMConv3d,
+    gather_gemm,
+    submanifold_convolution,
+    submanifold_convolution_reference,
+)
+
+
+def golden() -> tuple[SparseTensor, SubMConv3d, torch.Tensor]:
+    ops = golden_tensors("ops")
+    layer = SubMConv3d(4, 6)
+    layer.load_state_dict(
+        {"conv.weight": ops["conv_weight_krsc"], "conv.bias": ops["conv_bias"]}, strict=True
+    )
+    return SparseTensor(ops["coords"], ops["feats"], 2), layer, ops["conv_out"]
+
+
+def test_golden_convolution() -> None:
+    x, layer, expected = golden()
+    found = layer(x)
+    assert_same(found.feats.detach(), expected)
+    assert found.coords is x.coords
+    twin = submanifold_convolution_reference(x, layer.conv.weight, layer.conv.bias)
+    assert_same(twin.feats.detach(), expected)
+
+
+@given(SEEDS, COUNTS)
+def test_equals_the_dense_convolution(seed: int, counts: list[int]) -> None:
+    x = random_sparse(seed, counts, 3)
+    weight, bias = normal(seed, 4, 3, 3, 3, 3), normal(seed + 1, 4)
+    grid = torch.zeros(len(counts), 3, 6, 6, 6, dtype=torch.float64)
+    place = x.coords.long().unbind(1)
+    grid[place[0], :, place[1], place[2], place[3]] = x.feats
+    dense = conv3d(grid, weight.permute(0, 4, 1, 2, 3), bias, padding=1)
+    found = submanifold_convolution(x, weight, bias).feats
+    torch.testing.assert_close(found, dense[place[0], :, place[1], place[2], place[3]])
+    twin = submanifold_convolution_reference(x, weight, bias).feats
+    torch.testing.assert_close(found, twin)
+
+
+@given(SEEDS, COUNTS)
+def test_the_order_of_rows_within_a_sample_does_not_matter(seed: int, counts: list[int]) -> None:
+    x = random_sparse(seed, counts, 3)
+    weight = normal(seed, 2, 3, 3, 3, 3)
+    generator = torch.Generator().manual_seed(seed)
+    order = torch.cat(
+        [s.start + torch.randperm(s.stop - s.start, generator=generator) for s in x.slices]
+    )
+    moved = SparseTensor(x.coords[order], x.feats[order], x.batch_size)
+    expected = submanifold_convolution(x, weight, None).feats[order]
+    torch.testing.assert_close(submanifold_convolution(moved, weight, None).feats, expected)
+
+
+@given(SEEDS, COUNTS)
+def test_samples_do_not_mix(seed: int, counts: list[int]) -> None:
+    x = random_sparse(seed, counts, 2)
+    weight = normal(seed, 2, 3, 3, 3, 2)
+    together = submanifold_convolution(x, weight, None)
+    for i in range(x.batch_size):
+        alone = submanifold_convolution(x.sample(i), weight, None)
+        torch.testing.assert_close(alone.feats, together.sample(i).feats)
+
+
+@pytest.mark.parametrize("chunk", [1 << 22, 8])
+def test_gradients(chunk: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gather_gemm, "CHUNK_ELEMENTS", chunk)
+    x = random_sparse(3, [5, 0, 8], 2, resolution=3)
+    inputs = [x.feats, normal(1, 3, 3, 3, 3, 2), normal(2, 3)]
+    for tensor in inputs:
+        tensor.requires_grad_()
+    assert torch.autograd.gradcheck(
+        lambda f, w, b: submanifold_convolution(x.with_feats(f), w, b).feats, inputs
+    )
+
+
+def test_pieces_give_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    x = random_sparse(5, [80], 4)
+    weight = normal(1, 5, 3, 3, 3, 4)
+    whole = submanifold_convolution(x, weight, None).feats
+    monkeypatch.setattr(gather_gemm, "CHUNK_ELEMENTS", 30)
+    torch.testing.assert_close(submanifold_convolution(x, weight, None).feats, whole)
+
+
+def test_a_tensor_without_rows() -> None:
+    layer = SubMConv3d(2, 3).double()
+    x = random_sparse(0, [0, 0], 2)
+    found = layer(x)
+    assert found.feats.shape == (0, 3) and found.batch_size == 2
+    found.feats.sum().backward()
+    assert layer.conv.weight.grad is not None and not layer.conv.weight.grad.any()
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_half_precision_sums_in_float32(dtype: torch.dtype) -> None:
+    x = random_sparse(0, [150], 16)
+    weight = normal(1, 16, 3, 3, 3, 16) / 20
+    half = x.to(dtype=dtype)
+    found = submanifold_convolution(half, weight.to(dtype), None).feats
+    assert found.dtype == dtype
+    exact = submanifold_convolution(half.to(dtype=torch.float64), weight.to(dtype).double(), None)
+    assert_same(found, exact.feats, 2 * torch.finfo(dtype).eps)
+
+
+def test_autocast_chooses_the_dtype() -> None:
+    layer, x = SubMConv3d(2, 3), random_sparse(0, [20], 2).to(dtype=torch.float32)
+    with torch.autocast("cpu", torch.bfloat16):
+        found = layer(x)
+    assert found.feats.dtype == torch.bfloat16
+    assert_same(found.feats.detach(), layer(x).feats.detach(), 2e-2)
+
+
+def test_a_weight_for_other_channels_is_refused() -> None:
+    with pytest.raises(InputError, match="2 channels"):
+        SubMConv3d(3, 4).double()(random_sparse(0, [5], 2))
+
+
+def test_builds_without_memory() -> None:
+    with torch.device("meta"):
+        layer = SubMConv3d(2048, 128)
+    assert layer.conv.weight.shape == (128, 3, 3, 3, 2048)
