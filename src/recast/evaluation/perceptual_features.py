@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from PIL import Image as PilImage
 from torch import Tensor
 
-from recast.errors import InputError
+from recast.actors.pretrained import PretrainedFolder
+from recast.storage import read_json
 
 Array = NDArray[np.float64]
 
@@ -59,78 +60,55 @@ def load_clip(folder: Path) -> FeatureDistance:
     """CLIP image similarity: 100 times the cosine between image embeddings.
 
     Args:
-        folder: of a CLIP model as transformers saves it, safetensors.
+        folder: of a CLIP model, both towers or the vision tower with its projection, in the files
+            of its Hugging Face repository.
 
     Raises:
-        InputError: the folder is missing, incomplete, or holds something else.
+        InputError: see `PretrainedFolder.read`.
     """
-    from transformers import CLIPImageProcessor, CLIPVisionModelWithProjection
+    whole = _model_type(folder) != "clip_vision_model"
+    published = PretrainedFolder(
+        folder, "clip" if whole else "clip_vision_model",
+        "CLIPModel" if whole else "CLIPVisionModelWithProjection", "CLIPImageProcessor",
+        "openai/clip-vit-large-patch14 or another CLIP",
+    )  # fmt: skip
+    processor, model = published.read("cpu")
 
-    model, processor = _load(
-        folder, "CLIP", ("clip", "clip_vision_model"), CLIPVisionModelWithProjection,
-        CLIPImageProcessor,
-    )  # fmt: skip
-    return FeatureDistance(
-        "clip", lambda pixels: model(pixel_values=pixels).image_embeds, processor,
-        lambda cosine: 100.0 * cosine,
-    )  # fmt: skip
+    def embedding(pixels: Tensor) -> Tensor:
+        if whole:
+            return model.visual_projection(model.vision_model(pixel_values=pixels).pooler_output)
+        return model(pixel_values=pixels).image_embeds
+
+    return FeatureDistance("clip", embedding, processor, lambda cosine: 100.0 * cosine)
 
 
 def load_dino(folder: Path) -> FeatureDistance:
     """DINOv2 feature distance: 1 minus the cosine between class tokens after the final norm.
 
     Args:
-        folder: of a DINOv2 model, with or without registers, as transformers saves it, safetensors.
+        folder: of a DINOv2 model, with or without registers, in the files of its Hugging Face
+            repository.
 
     Raises:
-        InputError: as `load_clip`.
+        InputError: see `PretrainedFolder.read`.
     """
-    from transformers import AutoImageProcessor, AutoModel
-
-    model, processor = _load(
-        folder, "DINOv2", ("dinov2", "dinov2_with_registers"), AutoModel, AutoImageProcessor
-    )
-    return FeatureDistance(
-        "dino", lambda pixels: model(pixel_values=pixels).last_hidden_state[:, 0], processor,
-        lambda cosine: 1.0 - cosine,
+    registers = _model_type(folder) == "dinov2_with_registers"
+    published = PretrainedFolder(
+        folder, "dinov2_with_registers" if registers else "dinov2",
+        "Dinov2WithRegistersModel" if registers else "Dinov2Model", "AutoImageProcessor",
+        "facebook/dinov2-large or another DINOv2",
     )  # fmt: skip
+    processor, model = published.read("cpu")
+
+    def class_token(pixels: Tensor) -> Tensor:
+        token: Tensor = model(pixel_values=pixels).last_hidden_state[:, 0]
+        return token
+
+    return FeatureDistance("dino", class_token, processor, lambda cosine: 1.0 - cosine)
 
 
-def _load(
-    folder: Path, name: str, kinds: tuple[str, ...], model_class: Any, processor_class: Any
-) -> tuple[Any, Any]:
-    """Model in evaluation mode and image processor; nothing is fetched, no pickle is read."""
-    from transformers import AutoConfig
-
-    mend = (
-        f"give a folder with config.json, preprocessor_config.json and model.safetensors of {name}"
-    )
-    if not folder.is_dir():
-        raise InputError(folder, f"{name} model", "is no folder", mend)
-    for file in ("config.json", "preprocessor_config.json"):
-        if not (folder / file).is_file():
-            raise InputError(folder / file, f"{name} model", "is missing", mend)
-    try:
-        config = AutoConfig.from_pretrained(folder, local_files_only=True)
-        if config.model_type not in kinds:
-            raise InputError(
-                folder / "config.json", "model_type", f"is {config.model_type!r}", mend
-            )
-        model, report = model_class.from_pretrained(
-            folder, local_files_only=True, use_safetensors=True, output_loading_info=True,
-            dtype=torch.float32,
-        )  # fmt: skip
-        processor = processor_class.from_pretrained(folder, local_files_only=True)
-    except InputError:
-        raise
-    except Exception as error:  # transformers raises whatever the file provokes
-        first_line = (str(error).strip().splitlines() or ["no reason given"])[0]
-        raise InputError(
-            folder, f"{name} model", f"cannot be loaded ({first_line})", mend
-        ) from None
-    missing = sorted(report["missing_keys"])
-    if missing:
-        raise InputError(
-            folder, f"{name} model", f"lacks {len(missing)} tensors, first {missing[0]}", mend
-        )
-    return model.eval(), processor
+def _model_type(folder: Path) -> str | None:
+    """What config.json says; None where there is no such file, which `PretrainedFolder` refuses."""
+    path = folder / "config.json"
+    config = read_json(path) if path.is_file() else None
+    return config.get("model_type") if isinstance(config, dict) else None
