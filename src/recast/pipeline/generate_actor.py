@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 import torch
 from PIL import Image
-from pydantic import ValidationError
 from rich.console import Console
 
 from recast import storage
 from recast.actors import orbit
 from recast.errors import InputError
 from recast.pipeline.display import SamplingProgress
-from recast.records import validation_error
 from recast.reporting.video import write_video
 from recast.splats import Gaussians, write_ply
 from recast.trellis import (
@@ -78,20 +76,13 @@ class GenerationRequest:
 
     def structure_settings(self, model: ImageTo3D) -> SamplerSettings:
         """The checkpoint's sampler of the structure with what was asked for otherwise."""
-        return _changed(model.structure_settings, self.steps, self.cfg and self.cfg[0])
+        cfg = None if self.cfg is None else self.cfg[0]
+        return model.structure_settings.merged(steps=self.steps, cfg_strength=cfg)
 
     def latent_settings(self, model: ImageTo3D) -> SamplerSettings:
         """The checkpoint's sampler of the latent with what was asked for otherwise."""
-        return _changed(model.latent_settings, self.steps, self.cfg and self.cfg[1])
-
-
-def _changed(base: SamplerSettings, steps: int | None, cfg: float | None) -> SamplerSettings:
-    changes = {"steps": steps, "cfg_strength": cfg}
-    given = {name: value for name, value in changes.items() if value is not None}
-    try:
-        return base.merged(**given)
-    except ValidationError as error:
-        raise validation_error("options", error, "give a value in range") from None
+        cfg = None if self.cfg is None else self.cfg[1]
+        return model.latent_settings.merged(steps=self.steps, cfg_strength=cfg)
 
 
 def load_model(
