@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from recast.errors import InputError
 from recast.geometry import PinholeCamera, se3
-from recast.recar import Identity, read_set
+from recast.recar import Identity, RealView, holds_real_crops, read_real_crops, read_set
 from recast.recar.camera import view_camera
-from recast.recar.real_crops import RealView, holds_real_crops, read_real_crops
 from recast.recar.record import SET_FILE
 
 Array = NDArray[np.float64]

@@ -1,6 +1,10 @@
-"""Vehicle sets: many views of many vehicles, with labels and a split; see docs/data.md."""
+"""Vehicle sets: many views of many vehicles, with labels and a split; and folders of real crops.
+
+See docs/data.md.
+"""
 
 from recast.recar.camera import camera_pose, fitting_distance, pinhole, view_camera
+from recast.recar.real_crops import RealVehicle, RealView, holds_real_crops, read_real_crops
 from recast.recar.record import IdentityRecord, SetRecord, Split, regular_azimuths
 from recast.recar.split import HELD_OUT_SHARE, split_of
 from recast.recar.statistics import SetStatistics, set_statistics, statistics_table
@@ -13,6 +17,8 @@ __all__ = [
     "HELD_OUT_SHARE",
     "Identity",
     "IdentityRecord",
+    "RealVehicle",
+    "RealView",
     "SetRecord",
     "SetStatistics",
     "Split",
@@ -22,7 +28,9 @@ __all__ = [
     "camera_pose",
     "finish_set",
     "fitting_distance",
+    "holds_real_crops",
     "pinhole",
+    "read_real_crops",
     "read_set",
     "regular_azimuths",
     "set_statistics",
