@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+from hypothesis import settings
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -27,5 +28,6 @@ def normal(seed: int, *shape: int) -> Tensor:
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
 
 
+examples = settings(max_examples=40, deadline=None)
 SEEDS = st.integers(0, 2**31)
 COUNTS = st.lists(st.one_of(st.just(0), st.integers(1, 60)), min_size=1, max_size=3)

@@ -6,14 +6,17 @@ import pytest
 import torch
 from hypothesis import given
 from tests.support.trellis import assert_same, golden_tensors
-from tests.trellis.sparse_samples import COUNTS, SEEDS, normal, random_sparse
+from tests.trellis.sparse_samples import COUNTS, SEEDS, examples, normal, random_sparse
 from torch.nn.functional import conv3d
 
 from recast.errors import InputError
 from recast.trellis.sparse import (
     SparseTensor,
     SubMConv3d,
-    gather_gemm,
+    convolution,
+    im2col_gemm,
+    neighbour_map,
+    pair_gemm,
     submanifold_convolution,
     submanifold_convolution_reference,
 )
@@ -37,6 +40,7 @@ def test_golden_convolution() -> None:
     assert_same(twin.feats.detach(), expected)
 
 
+@examples
 @given(SEEDS, COUNTS)
 def test_equals_the_dense_convolution(seed: int, counts: list[int]) -> None:
     x = random_sparse(seed, counts, 3)
@@ -45,12 +49,15 @@ def test_equals_the_dense_convolution(seed: int, counts: list[int]) -> None:
     place = x.coords.long().unbind(1)
     grid[place[0], :, place[1], place[2], place[3]] = x.feats
     dense = conv3d(grid, weight.permute(0, 4, 1, 2, 3), bias, padding=1)
-    found = submanifold_convolution(x, weight, bias).feats
-    torch.testing.assert_close(found, dense[place[0], :, place[1], place[2], place[3]])
+    expected = dense[place[0], :, place[1], place[2], place[3]]
+    torch.testing.assert_close(submanifold_convolution(x, weight, bias).feats, expected)
     twin = submanifold_convolution_reference(x, weight, bias).feats
-    torch.testing.assert_close(found, twin)
+    torch.testing.assert_close(twin, expected)
+    by_pairs = pair_gemm.PairGemm.apply(x.feats, weight.flatten(1, 3), neighbour_map(x))
+    torch.testing.assert_close(by_pairs + bias, expected)
 
 
+@examples
 @given(SEEDS, COUNTS)
 def test_the_order_of_rows_within_a_sample_does_not_matter(seed: int, counts: list[int]) -> None:
     x = random_sparse(seed, counts, 3)
@@ -64,6 +71,7 @@ def test_the_order_of_rows_within_a_sample_does_not_matter(seed: int, counts: li
     torch.testing.assert_close(submanifold_convolution(moved, weight, None).feats, expected)
 
 
+@examples
 @given(SEEDS, COUNTS)
 def test_samples_do_not_mix(seed: int, counts: list[int]) -> None:
     x = random_sparse(seed, counts, 2)
@@ -74,9 +82,19 @@ def test_samples_do_not_mix(seed: int, counts: list[int]) -> None:
         torch.testing.assert_close(alone.feats, together.sample(i).feats)
 
 
-@pytest.mark.parametrize("chunk", [1 << 22, 8])
-def test_gradients(chunk: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gather_gemm, "CHUNK_ELEMENTS", chunk)
+@pytest.fixture(params=["pairs", "im2col", "pairs in pieces", "im2col in pieces"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Either matrix product, whatever the shapes would choose, whole or in small pieces."""
+    one, *pieces = request.param.split(" ", 1)
+    monkeypatch.setattr(convolution, "_few_products", lambda x, weight: one == "im2col")
+    if pieces:
+        monkeypatch.setattr(pair_gemm, "CHUNK_ELEMENTS", 8)
+        monkeypatch.setattr(im2col_gemm, "CHUNK_ELEMENTS", 8 * 27)
+    return str(request.param)
+
+
+@pytest.mark.usefixtures("way")
+def test_gradients() -> None:
     x = random_sparse(3, [5, 0, 8], 2, resolution=3)
     inputs = [x.feats, normal(1, 3, 3, 3, 3, 2), normal(2, 3)]
     for tensor in inputs:
@@ -86,14 +104,23 @@ def test_gradients(chunk: int, monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
-def test_pieces_give_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    x = random_sparse(5, [80], 4)
+@pytest.mark.usefixtures("way")
+def test_every_way_equals_the_twin() -> None:
+    x = random_sparse(5, [80, 0, 30], 4, low=-2)
     weight = normal(1, 5, 3, 3, 3, 4)
-    whole = submanifold_convolution(x, weight, None).feats
-    monkeypatch.setattr(gather_gemm, "CHUNK_ELEMENTS", 30)
-    torch.testing.assert_close(submanifold_convolution(x, weight, None).feats, whole)
+    found = submanifold_convolution(x, weight, None).feats
+    torch.testing.assert_close(found, submanifold_convolution_reference(x, weight, None).feats)
 
 
+def test_shapes_choose_the_way() -> None:
+    few, many = random_sparse(0, [50], 64), random_sparse(0, [3000], 64, resolution=20)
+    weight = torch.zeros(64, 3, 3, 3, 64)
+    assert convolution._few_products(few, weight)
+    assert not convolution._few_products(many, weight)
+    assert convolution._few_products(many, weight[:16, ..., :16])
+
+
+@pytest.mark.usefixtures("way")
 def test_a_tensor_without_rows() -> None:
     layer = SubMConv3d(2, 3).double()
     x = random_sparse(0, [0, 0], 2)
@@ -103,6 +130,7 @@ def test_a_tensor_without_rows() -> None:
     assert layer.conv.weight.grad is not None and not layer.conv.weight.grad.any()
 
 
+@pytest.mark.usefixtures("way")
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
 def test_half_precision_sums_in_float32(dtype: torch.dtype) -> None:
     x = random_sparse(0, [150], 16)

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.trellis import assert_same, golden_tensors
-from tests.trellis.sparse_samples import COUNTS, SEEDS, random_sparse
+from tests.trellis.sparse_samples import COUNTS, SEEDS, examples, random_sparse
 
 from recast.errors import InputError
 from recast.trellis.sparse import SparseTensor, pool, pool_reference, unpool
@@ -24,6 +24,7 @@ def test_golden_pooling() -> None:
     assert_same(fine.feats, ops["up_feats"])
 
 
+@examples
 @given(SEEDS, COUNTS, st.integers(2, 3))
 def test_equals_the_twin(seed: int, counts: list[int], factor: int) -> None:
     x = random_sparse(seed, counts, 3, low=-3)

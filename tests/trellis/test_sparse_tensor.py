@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from hypothesis import given
-from tests.trellis.sparse_samples import COUNTS, SEEDS, random_sparse
+from tests.trellis.sparse_samples import COUNTS, SEEDS, examples, random_sparse
 
 from recast.errors import InputError
 from recast.trellis.sparse import SparseTensor, neighbour_map
@@ -61,6 +61,7 @@ def test_a_batch_needs_a_sample() -> None:
         SparseTensor.stack([], [])
 
 
+@examples
 @given(SEEDS, COUNTS)
 def test_neighbours_are_the_touching_voxels_of_the_sample(seed: int, counts: list[int]) -> None:
     x = random_sparse(seed, counts, 1, low=-3)

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.trellis import golden_tensors
-from tests.trellis.sparse_samples import COUNTS, SEEDS, normal, random_sparse
+from tests.trellis.sparse_samples import COUNTS, SEEDS, examples, normal, random_sparse
 from torch import Tensor
 
 from recast.trellis.sparse import PackedTokens, SparseTensor, WindowedTokens, window_partition
@@ -30,6 +30,7 @@ def test_golden_windows(shift: int) -> None:
     assert torch.equal(partition.order[partition.inverse], torch.arange(290))
 
 
+@examples
 @given(SEEDS, COUNTS, st.integers(1, 5), st.integers(0, 4))
 def test_windowed_equals_the_loop(seed: int, counts: list[int], window: int, shift: int) -> None:
     x = random_sparse(seed, counts, 1, low=-3)
@@ -38,6 +39,7 @@ def test_windowed_equals_the_loop(seed: int, counts: list[int], window: int, shi
     torch.testing.assert_close(layout.attend(q, k, v), layout.attend_reference(q, k, v))
 
 
+@examples
 @given(SEEDS, COUNTS)
 def test_packed_equals_the_loop(seed: int, counts: list[int]) -> None:
     x = random_sparse(seed, counts, 1)
@@ -49,6 +51,7 @@ def test_packed_equals_the_loop(seed: int, counts: list[int]) -> None:
     torch.testing.assert_close(layout.attend_to(q, *context), torch.cat(expected))
 
 
+@examples
 @given(SEEDS, COUNTS)
 def test_spread_gives_every_token_its_samples_value(seed: int, counts: list[int]) -> None:
     x = random_sparse(seed, counts, 1)

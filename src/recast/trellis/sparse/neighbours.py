@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import torch
@@ -23,9 +24,11 @@ class NeighbourMap:
         pairs: for each of the 13 steps before the centre, (rows, neighbours), both (P_k,) int64:
             the voxel of `neighbours[i]` is one step `OFFSETS[k]` from the voxel of `rows[i]`. The
             steps after the centre are the same pairs read backwards.
+        count: number of voxels T.
     """
 
     pairs: tuple[tuple[Tensor, Tensor], ...]
+    count: int
 
     def of(self, tap: int) -> tuple[Tensor, Tensor]:
         """(rows, neighbours) of any tap but the centre."""
@@ -33,6 +36,17 @@ class NeighbourMap:
             return self.pairs[tap]
         rows, neighbours = self.pairs[2 * CENTRE - tap]
         return neighbours, rows
+
+    @cached_property
+    def table(self) -> Tensor:
+        """(T,27) int64 row of the voxel at each tap; T where there is none."""
+        table = self.pairs[0][0].new_full((self.count, len(OFFSETS)), self.count)
+        table[:, CENTRE] = torch.arange(self.count, device=table.device)
+        for tap in range(len(OFFSETS)):
+            if tap != CENTRE:
+                rows, neighbours = self.of(tap)
+                table[rows, tap] = neighbours
+        return table
 
 
 def neighbour_map(x: SparseTensor) -> NeighbourMap:
@@ -54,6 +68,6 @@ def neighbour_map(x: SparseTensor) -> NeighbourMap:
             place = torch.searchsorted(ordered, wanted)  # never T: the steps lead backwards
             found = torch.nonzero(ordered[place] == wanted).squeeze(1)
             pairs.append((order[found], order[place[found]]))
-        x.cache["neighbours"] = NeighbourMap(tuple(pairs))
+        x.cache["neighbours"] = NeighbourMap(tuple(pairs), len(order))
     neighbours: NeighbourMap = x.cache["neighbours"]
     return neighbours

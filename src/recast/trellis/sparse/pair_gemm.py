@@ -1,9 +1,8 @@
-"""The submanifold convolution as gathered matrix products, with its own gradient.
+"""The submanifold convolution as one matrix product per tap, over the pairs that exist.
 
-Each tap of the kernel is one matrix product over the pairs of voxels that exist: about 11 of the 27
-on a surface, so that gathering all 27 (im2col) would multiply zeros for more than half of the time
-and hold 27 copies of the features. Within one tap no row appears twice, so that adding the products
-to their rows has one fixed order.
+On a surface about 11 of the 27 neighbours exist, so that gathering all of them would multiply zeros
+for more than half of the time and hold 27 copies of the features. Within one tap no row appears
+twice, so that adding the products to their rows has one fixed order.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ CHUNK_ELEMENTS = 1 << 22
 """Gathered features held at a time: 16 MiB in float32, whatever the number of channels."""
 
 
-class GatherGemm(torch.autograd.Function):
+class PairGemm(torch.autograd.Function):
     """Features (T,in) and taps (out,27,in) to (T,out); sums of half precision are kept in float32.
 
     Differentiable once, in features and taps.
