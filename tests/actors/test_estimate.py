@@ -83,6 +83,8 @@ def test_road_tells_the_light(observation: Observation) -> None:
     levels = [road_level(under(observation, level)) for level in (0.3, 0.6, 1.0)]
     assert levels == sorted(levels)
     assert levels[2] == pytest.approx(1.0, abs=0.2)
+    cut_out = observation.rgba * (observation.rgba[..., 3:] > 0)
+    assert road_level(replace(observation, rgba=cut_out)) == 1.0  # nothing to see is not night
 
 
 def test_windows_and_rims_are_as_dark_as_seen(cloud: SurfaceCloud) -> None:

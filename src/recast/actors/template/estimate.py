@@ -84,7 +84,8 @@ def road_level(observation: Observation) -> float:
     inside = (depth > 0.5) & np.all((pixels >= 0) & (pixels < [width, height]), axis=1)
     u, v = pixels[inside].astype(int).T
     road = observation.rgba[v, u]
-    road = road[road[:, 3] == 0]
+    # where the background was cut out, black stands for nothing seen
+    road = road[(road[:, 3] == 0) & road[:, :3].any(axis=1)]
     if len(road) < _FEW:
         return 1.0
     bright = float(np.median(to_linear(road[:, :3] / 255.0).mean(axis=1)))
