@@ -42,8 +42,9 @@ class GroundedSamSegmenter:
     with box and LiDAR decide, see `choose_mask`. Specks are dropped and holes filled.
 
     The crop needs some surroundings, as those of `observe` have. Networks are read at the first
-    crop and kept. They have been run here with random weights, small ones and ones of the published
-    sizes, never with the published weights: what masks those give on driving logs is not measured.
+    crop and kept. What has been run: small networks, and the sizes of grounding-dino-tiny with
+    sam-vit-base (50 s on one CPU core for a crop, 3.4 GB), with random weights both. The published
+    weights and CUDA have not been run; how good their masks are on driving logs is not measured.
 
     Source: Liu et al., Grounding DINO, 2023; Kirillov et al., Segment Anything, 2023.
 
