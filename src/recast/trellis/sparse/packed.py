@@ -51,6 +51,9 @@ def attention(q: Tensor, k: Tensor, v: Tensor) -> Tensor:
     """softmax(q k^T / sqrt(D)) v of (...,N,H,D) queries over (...,M,H,D) keys and values."""
     if q.numel() == 0:
         return q + 0 * v.sum()  # no token; still a part of the graph
+    if q.ndim == 3:
+        # Without an axis for the batch, torch writes out the matrix of weights.
+        return attention(q[None], k[None], v[None])[0]
     out = scaled_dot_product_attention(
         q.transpose(-3, -2), k.transpose(-3, -2), v.transpose(-3, -2)
     )
