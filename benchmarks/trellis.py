@@ -2,6 +2,7 @@
 
     python benchmarks/trellis.py sparse              # the whole table, some minutes
     python benchmarks/trellis.py sparse --counts 1000 --channels 64
+    python benchmarks/trellis.py actor               # a small model, from crop to Gaussians
 
 All times are CPU milliseconds of the process on one thread, minimum of the repeats, so that other
 work on the machine disturbs little; both versions take turns, so that ratios compare like with
@@ -14,10 +15,14 @@ import argparse
 import time
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import max_pool3d
 
+from recast.trellis import ImageTo3D
+from recast.trellis.checkpoints import SMALL, new_checkpoint
+from recast.trellis.models import SLatEncoder, SparseStructureEncoder
 from recast.trellis.sparse import (
     SparseTensor,
     WindowedTokens,
@@ -27,6 +32,7 @@ from recast.trellis.sparse import (
 )
 from recast.trellis.sparse.neighbours import OFFSETS
 from recast.trellis.sparse.packed import attention_reference
+from recast.trellis.stopwatch import Stopwatch
 
 HEAD_CHANNELS = 32
 WINDOW, SHIFT = 8, 4
@@ -154,6 +160,43 @@ def sparse(counts: list[int], channels: list[int], repeats: int) -> None:
                 windowed_attention(x, windows, width, repeats)
 
 
+def actor(steps: int, repeats: int) -> None:
+    """One actor from one crop with the small model: its weights are random, its voxels a car's."""
+    model = ImageTo3D(new_checkpoint(SMALL, seed=0))
+    networks = [*model.checkpoint.models.values()]
+    wanted = [m for m in networks if not isinstance(m, SparseStructureEncoder | SLatEncoder)]
+    parameters = sum(p.numel() for m in wanted for p in m.parameters())
+    resolution = model.latent_flow.config.resolution
+    voxels = _surface(resolution).int()
+    crop = np.full((128, 192, 4), 90, np.uint8)
+    crop[..., 3] = 0
+    crop[30:100, 20:170, 3] = 255
+    settings = model.structure_settings.merged(steps=steps)
+    print(
+        f"{parameters / 1e6:.1f} M parameters, R = {resolution}, {len(voxels)} voxels, {steps} "
+        "steps with guidance; CPU seconds on one thread"
+    )
+    for _ in range(repeats):
+        watch = Stopwatch(model.device)
+        start = time.process_time()
+        with watch.stage("condition"):
+            condition = model.condition([[crop]], ["crop"])
+        with watch.stage("structure"):
+            noise = torch.randn(1, *model.structure_shape)
+            structure = model.sample_structure(noise, condition, settings)
+            model.active_voxels(structure[0])
+        with watch.stage("latent"):
+            noise = torch.randn(len(voxels), model.latent_channels)
+            latent = model.sample_latent([voxels], [noise], condition, settings)
+        with watch.stage("decode"):
+            (gaussians,) = model.decode(latent)
+        stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in watch.seconds.items())
+        print(
+            f"{time.process_time() - start:.2f} s for {len(gaussians)} Gaussians (wall: {stages}); "
+            f"peak {watch.peak_bytes() / 2**20:.0f} MiB"
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     commands = parser.add_subparsers(dest="part", required=True)
@@ -161,9 +204,15 @@ def main() -> None:
     part.add_argument("--counts", type=int, nargs="+", default=[1000, 5000, 20000])
     part.add_argument("--channels", type=int, nargs="+", default=[32, 64, 128])
     part.add_argument("--repeats", type=int, default=5)
+    part = commands.add_parser("actor", help="a small model from crop to Gaussians")
+    part.add_argument("--steps", type=int, default=25)
+    part.add_argument("--repeats", type=int, default=2)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    sparse(arguments.counts, arguments.channels, arguments.repeats)
+    if arguments.part == "sparse":
+        sparse(arguments.counts, arguments.channels, arguments.repeats)
+    else:
+        actor(arguments.steps, arguments.repeats)
 
 
 if __name__ == "__main__":
