@@ -2,12 +2,12 @@ from __future__ import annotations
 
 import pytest
 import torch
-from tests.support.trellis import golden_config, golden_tensors, official_keys
 
 from recast.trellis.models.base import TrellisModel
 from recast.trellis.models.ss_decoder import SparseStructureDecoder
 from recast.trellis.models.ss_encoder import SparseStructureEncoder
 from recast.trellis.models.ss_flow import SparseStructureFlowConfig, SparseStructureFlowModel
+from support.trellis import golden_config, golden_tensors, official_keys
 
 MODELS: dict[str, type[TrellisModel]] = {
     "ss_flow_img_dit_L_16l8_fp16": SparseStructureFlowModel,

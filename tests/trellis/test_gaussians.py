@@ -9,7 +9,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
-from tests.support.trellis import assert_same, golden_config, golden_tensors
 
 from recast.trellis.models.gaussians import (
     RepresentationConfig,
@@ -19,6 +18,7 @@ from recast.trellis.models.gaussians import (
     raw_to_gaussians,
     split_raw,
 )
+from support.trellis import assert_same, golden_config, golden_tensors
 
 PUBLISHED = RepresentationConfig()
 

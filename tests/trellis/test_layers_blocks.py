@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import pytest
 import torch
-from tests.support.trellis import assert_same, golden_tensors
 from torch import Tensor
 
 from recast.trellis.layers import (
@@ -12,6 +11,7 @@ from recast.trellis.layers import (
     SelfAttention,
     TransformerBlock,
 )
+from support.trellis import assert_same, golden_tensors
 
 
 class Segments:

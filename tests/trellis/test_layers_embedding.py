@@ -1,9 +1,9 @@
 from __future__ import annotations
 
 import torch
-from tests.support.trellis import assert_same, golden_tensors
 
 from recast.trellis.layers import absolute_positions, timestep_embedding
+from support.trellis import assert_same, golden_tensors
 
 
 def test_positions_equal_the_published_embedding() -> None:

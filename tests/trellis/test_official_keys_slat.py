@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 import torch
-from tests.support.trellis import official_keys
 
 from recast.trellis.models import build
+from support.trellis import official_keys
 
 STEMS = (
     "slat_flow_img_dit_L_64l8p2_fp16",

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 import torch
-from tests.support.trellis import golden_config, golden_tensors, official_keys
 
 from recast.errors import InputError
 from recast.trellis.models import MODELS, SLatFlowModel, build, model_class
+from support.trellis import golden_config, golden_tensors, official_keys
 
 GOLDEN = ("ss_flow", "ss_enc", "ss_dec", "slat_flow", "slat_enc", "slat_dec_gs")
 

@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 import torch
-from tests.support.trellis import assert_same, golden_config, golden_tensors
 from torch import Tensor, nn
 
 from recast.trellis.layers import LayerNorm32
 from recast.trellis.models import SLatFlowConfig, SLatFlowModel
 from recast.trellis.models.sparse_res_block import SparseResBlock3d
 from recast.trellis.sparse import SparseTensor, pool, unpool
+from support.trellis import assert_same, golden_config, golden_tensors
 
 
 def golden_model(**changes: Any) -> SLatFlowModel:

@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 import torch
-from tests.support.trellis import assert_same, golden_config, golden_tensors
 from torch import Tensor
 
 from recast.trellis.models import (
@@ -16,6 +15,7 @@ from recast.trellis.models import (
 )
 from recast.trellis.models.slat_vae import SLatTransformer
 from recast.trellis.sparse import SparseTensor
+from support.trellis import assert_same, golden_config, golden_tensors
 
 
 def encoder(**changes: Any) -> SLatEncoder:

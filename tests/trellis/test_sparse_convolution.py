@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 import torch
 from hypothesis import given
-from tests.support.trellis import assert_same, golden_tensors
 from tests.trellis.sparse_samples import COUNTS, SEEDS, examples, normal, random_sparse
 from torch.nn.functional import conv3d
 
@@ -20,6 +19,7 @@ from recast.trellis.sparse import (
     submanifold_convolution,
     submanifold_convolution_reference,
 )
+from support.trellis import assert_same, golden_tensors
 
 
 def golden() -> tuple[SparseTensor, SubMConv3d, torch.Tensor]:

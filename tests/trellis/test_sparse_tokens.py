@@ -6,12 +6,12 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.support.trellis import golden_tensors
 from tests.trellis.sparse_samples import COUNTS, SEEDS, examples, normal, random_sparse
 from torch import Tensor
 
 from recast.trellis.sparse import PackedTokens, SparseTensor, WindowedTokens, window_partition
 from recast.trellis.sparse.packed import attention_reference
+from support.trellis import golden_tensors
 
 
 def heads(seed: int, x: SparseTensor) -> tuple[Tensor, ...]:

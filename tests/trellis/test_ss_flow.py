@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 import torch
 from pydantic import ValidationError
-from tests.support.trellis import assert_same, golden_config, golden_tensors
 from torch import Tensor
 
 from recast.trellis.models.ss_flow import (
@@ -15,6 +14,7 @@ from recast.trellis.models.ss_flow import (
     patchify,
     unpatchify,
 )
+from support.trellis import assert_same, golden_config, golden_tensors
 
 
 def golden_model(name: str, **changes: Any) -> SparseStructureFlowModel:

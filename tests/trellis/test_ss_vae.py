@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 import torch
-from tests.support.trellis import assert_same, golden_config, golden_tensors
 
 from recast.trellis.models.posterior import Posterior
 from recast.trellis.models.ss_blocks import pixel_shuffle_3d
@@ -15,6 +14,7 @@ from recast.trellis.models.ss_decoder import (
     occupied_voxels,
 )
 from recast.trellis.models.ss_encoder import SparseStructureEncoder, SparseStructureEncoderConfig
+from support.trellis import assert_same, golden_config, golden_tensors
 
 
 def golden_encoder() -> SparseStructureEncoder:

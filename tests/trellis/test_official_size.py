@@ -1,0 +1,72 @@
+"""The official sizes on this machine: written, checked, loaded, and one forward."""
+
+from __future__ import annotations
+
+import gc
+import resource
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+from recast.trellis.checkpoints import (
+    OFFICIAL,
+    load_checkpoint,
+    new_checkpoint,
+    save_checkpoint,
+    verify_checkpoint,
+)
+
+
+@torch.no_grad()
+def randomise(model: torch.nn.Module, generator: torch.Generator) -> None:
+    """Weights of unit gain, none zero, so that every layer acts on the output."""
+    for name, parameter in model.named_parameters():
+        is_gain = name.endswith("gamma") or "norm" in name.split(".")[-2]
+        if is_gain and not name.endswith("bias"):
+            parameter.fill_(1.0)
+        else:
+            fan_in = parameter.shape[-1] if parameter.ndim > 1 else 100
+            # drawn in float32: half-precision draws take minutes on a CPU
+            drawn = torch.empty(parameter.shape).normal_(std=fan_in**-0.5, generator=generator)
+            parameter.copy_(drawn)
+
+
+@pytest.mark.slow
+@torch.no_grad()
+def test_official_sizes_are_written_loaded_and_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    generator = torch.Generator().manual_seed(0)
+    made = new_checkpoint(OFFICIAL, seed=0, with_encoder=False)
+    for model in made.models.values():
+        randomise(model, generator)
+    folder = tmp_path / "official"
+    save_checkpoint(folder, made.record, made.models)
+    del made, model
+    gc.collect()
+    assert not any(check.fault() for check in verify_checkpoint(folder))
+
+    started = time.perf_counter()
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    loaded = load_checkpoint(folder, device=device, with_encoder=False)
+    seconds = time.perf_counter() - started
+    flow = loaded.models["sparse_structure_flow_model"]
+    x = torch.randn(1, 8, 16, 16, 16, generator=generator).to(device)
+    cond = torch.randn(1, 1374, 1024, generator=generator).to(device)
+    started, spent = time.perf_counter(), time.process_time()
+    out = flow(x, torch.tensor([500.0], device=device), cond)
+    assert torch.isfinite(out).all()
+    ran, spent = time.perf_counter() - started, time.process_time() - spent
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    with capsys.disabled():
+        print(
+            f"\nofficial sizes on {device}, {torch.get_num_threads()} threads: four networks "
+            f"loaded in {seconds:.0f} s, one forward of the structure flow {ran:.0f} s "
+            f"({spent:.0f} s of CPU), peak memory {peak:.1f} GiB"
+        )
+    shutil.rmtree(folder)  # 2.8 GB that pytest would keep
+    assert out.shape == x.shape
+    assert float(out.std()) > 0.1
