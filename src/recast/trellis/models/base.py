@@ -97,8 +97,12 @@ class TrellisModel(nn.Module):
         self.torso_dtype = torch.float32
 
     def finish(self) -> None:
-        """Set initial weights and the precision that the configuration asks for."""
-        self.initialise()
+        """Set initial weights and the precision that the configuration asks for.
+
+        On the meta device there are no weights to set.
+        """
+        if self.device.type != "meta":
+            self.initialise()
         self.set_torso_dtype(torch.float16 if self.config.use_fp16 else torch.float32)
 
     @torch.no_grad()

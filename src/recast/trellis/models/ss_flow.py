@@ -73,9 +73,12 @@ class SparseStructureFlowModel(TrellisModel):
         cells = config.patch_size**3
         self.t_embedder = TimestepEmbedder(channels)
         self.adaLN_modulation = modulation_layer(channels) if config.share_mod else None
-        cells_along = torch.arange(config.resolution // config.patch_size)
-        coords = torch.cartesian_prod(cells_along, cells_along, cells_along)
-        self.register_buffer("pos_emb", absolute_positions(coords, channels))
+        # Not on the meta device: torch would import its compiler for these few lines, seconds.
+        with torch.device("cpu"):
+            cells_along = torch.arange(config.resolution // config.patch_size)
+            coords = torch.cartesian_prod(cells_along, cells_along, cells_along)
+            positions = absolute_positions(coords, channels)
+        self.register_buffer("pos_emb", positions)
         self.input_layer = nn.Linear(config.in_channels * cells, channels)
         self.blocks = nn.ModuleList(
             ModulatedCrossBlock(
