@@ -53,7 +53,10 @@ def save_checkpoint(
 def save_model(stem: Path, model: TrellisModel) -> None:
     """Write `<stem>.json` (class and arguments) and `<stem>.safetensors` (weights)."""
     tensors = {name: _storable(tensor) for name, tensor in model.published_state().items()}
-    args = model.config.model_dump(mode="json", by_alias=True, exclude={"use_fp16"})
+    # Arguments that were not given are left out: other readers may not know all of ours.
+    args = model.config.model_dump(
+        mode="json", by_alias=True, exclude={"use_fp16"}, exclude_unset=True
+    )
     if model.torso:
         args["use_fp16"] = any(tensor.dtype == torch.float16 for tensor in tensors.values())
     stem.parent.mkdir(parents=True, exist_ok=True)

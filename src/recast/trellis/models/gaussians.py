@@ -41,6 +41,8 @@ class RepresentationConfig(BaseModel):
         scaling_bias: standard deviation in unit cubes for raw 0, before `filter_3d`.
         opacity_bias: opacity for raw 0.
         scaling_activation: maps raw channels to standard deviations.
+        base_color: a linear layer from the latent of a voxel adds one colour to all its Gaussians.
+            In no published model: small ones learn hue last without it.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
@@ -54,6 +56,7 @@ class RepresentationConfig(BaseModel):
     scaling_bias: float = Field(default=4e-3, gt=0.0)
     opacity_bias: float = Field(default=0.1, gt=0.0, lt=1.0)
     scaling_activation: Literal["softplus"] = "softplus"
+    base_color: bool = False
 
     @property
     def channels(self) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from recast.splats import Gaussians
 from recast.trellis.models.base import ModelConfig
@@ -16,6 +16,8 @@ from recast.trellis.models.gaussians import (
 )
 from recast.trellis.models.slat_vae import SLatTransformer, SLatVaeConfig
 from recast.trellis.sparse import SparseTensor
+
+_BASE_GAIN = 4.0  # harmonics of degree zero span +-1.8 for colours in [0, 1]
 
 
 class SLatGaussianDecoderConfig(SLatVaeConfig):
@@ -47,6 +49,9 @@ class SLatGaussianDecoder(SLatTransformer):
     def __init__(self, config: SLatGaussianDecoderConfig) -> None:
         representation = config.representation_config
         super().__init__(config, config.latent_channels, representation.channels)
+        self.base_color = (
+            nn.Linear(config.latent_channels, 3) if representation.base_color else None
+        )
         self.register_buffer("offset_perturbation", torch.empty(representation.num_gaussians, 3))
         self.finish()
 
@@ -58,7 +63,13 @@ class SLatGaussianDecoder(SLatTransformer):
 
     def forward(self, x: SparseTensor) -> SparseTensor:
         """(T, latent_channels) latents to (T, 14 G) raw channels on the same voxels."""
-        return x.with_feats(self.outputs(x))
+        raw = self.outputs(x)
+        if self.base_color is not None:
+            g = self.config.representation_config.num_gaussians
+            position, colour, rest = raw.split([3 * g, 3 * g, 8 * g], dim=1)
+            base = _BASE_GAIN * self.base_color(x.feats).to(raw.dtype)
+            raw = torch.cat([position, colour + base.repeat(1, g), rest], dim=1)
+        return x.with_feats(raw)
 
     def gaussians(self, raw: SparseTensor) -> list[Gaussians]:
         """The Gaussians of every sample; none for a sample without voxels.

@@ -11,49 +11,30 @@ from pydantic import PositiveInt, model_validator
 from torch import Tensor, nn
 
 from recast.trellis.layers import (
-    ModulatedCrossBlock,
-    TimestepEmbedder,
     absolute_positions,
     final_norm,
-    modulation_layer,
 )
-from recast.trellis.models.base import (
-    ModelConfig,
-    TransformerConfig,
-    TrellisModel,
-    start_at_zero,
-)
+from recast.trellis.models.base import ModelConfig, start_at_zero
+from recast.trellis.models.flow_transformer import FlowConfig, FlowTransformer
 from recast.trellis.models.sparse_res_block import SparseResBlock3d
 from recast.trellis.sparse import PackedTokens, SparseTensor, SubMConv3d, pool
 
 
-class SLatFlowConfig(TransformerConfig):
+class SLatFlowConfig(FlowConfig):
     """Arguments of `SLatFlowModel`.
 
     Args:
-        resolution: R, voxels along an edge of the unit cube; coordinates are taken as they are.
-        in_channels: channels of the latent of a voxel.
-        out_channels: channels of the velocity of a voxel.
-        cond_channels: channels of the image tokens.
         patch_size: edge, in voxels, of what becomes one token: 2 to the number of
             `io_block_channels`.
         num_io_res_blocks: residual blocks of each level before and after the transformer.
         io_block_channels: of each level, fine to coarse; None has no levels.
         use_skip_connection: hand the outputs of the input blocks to the output blocks.
-        share_mod: one modulation layer for all transformer blocks.
-        qk_rms_norm_cross: normalise queries and keys of the cross-attention.
     """
 
-    resolution: PositiveInt
-    in_channels: PositiveInt
-    out_channels: PositiveInt
-    cond_channels: PositiveInt
     patch_size: PositiveInt = 2
     num_io_res_blocks: PositiveInt = 2
     io_block_channels: tuple[PositiveInt, ...] | None = None
     use_skip_connection: bool = True
-    share_mod: bool = False
-    qk_rms_norm_cross: bool = False
 
     @model_validator(mode="after")
     def _levels_match_the_patch(self) -> Self:
@@ -65,7 +46,7 @@ class SLatFlowConfig(TransformerConfig):
         return self
 
 
-class SLatFlowModel(TrellisModel):
+class SLatFlowModel(FlowTransformer):
     """Velocity of the latents of a sparse set of voxels, given a time and an image.
 
     Residual blocks of submanifold convolutions pool the voxels to the tokens of a transformer with
@@ -87,26 +68,13 @@ class SLatFlowModel(TrellisModel):
         widths = [*(config.io_block_channels or ()), c]
         repeats = config.num_io_res_blocks - 1
         sources = 2 if config.use_skip_connection else 1
-        self.t_embedder = TimestepEmbedder(c)
-        self.adaLN_modulation = modulation_layer(c) if config.share_mod else None
         self.input_layer = nn.Linear(config.in_channels, widths[0])
         self.input_blocks = nn.ModuleList()
         self.out_blocks = nn.ModuleList()
         for fine, coarse in pairwise(widths):
             self.input_blocks.extend(SparseResBlock3d(fine, c, fine) for _ in range(repeats))
             self.input_blocks.append(SparseResBlock3d(fine, c, coarse))
-        self.blocks = nn.ModuleList(
-            ModulatedCrossBlock(
-                c,
-                config.cond_channels,
-                config.heads,
-                config.mlp_ratio,
-                qk_rms_norm=config.qk_rms_norm,
-                qk_rms_norm_cross=config.qk_rms_norm_cross,
-                share_mod=config.share_mod,
-            )
-            for _ in range(config.num_blocks)
-        )
+        self.blocks = self.cross_blocks()
         for coarse, fine in pairwise(reversed(widths)):
             self.out_blocks.append(SparseResBlock3d(sources * coarse, c, fine))
             self.out_blocks.extend(
@@ -127,8 +95,6 @@ class SLatFlowModel(TrellisModel):
         for block in (*self.input_blocks, *self.out_blocks):
             start_at_zero(block.conv2)
         start_at_zero(self.out_layer)
-        if self.adaLN_modulation is not None:
-            start_at_zero(self.adaLN_modulation)
 
     def forward(self, x: SparseTensor, t: Tensor, cond: Tensor) -> SparseTensor:
         """Velocities of noisy latents.
@@ -142,9 +108,8 @@ class SLatFlowModel(TrellisModel):
             (T, out_channels) on the voxels of `x`, in its dtype.
         """
         dtype = self.torso_dtype
-        t_emb = self.t_embedder(t)
-        modulation = t_emb if self.adaLN_modulation is None else self.adaLN_modulation(t_emb)
-        t_emb, modulation, cond = t_emb.to(dtype), modulation.to(dtype), cond.to(dtype)
+        t_emb, modulation = self.modulation(t, cond)
+        cond = cond.to(dtype)
 
         h = x.with_feats(self.input_layer(x.feats).to(dtype))
         per_level = self.config.num_io_res_blocks

@@ -3,12 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Literal
 
+from pydantic import Field, PositiveInt
 from torch import Tensor, nn
 from torch.nn import functional
 
 from recast.trellis.layers import ChannelLayerNorm32
-from recast.trellis.models.base import start_at_zero
+from recast.trellis.models.base import ModelConfig, start_at_zero
+
+
+class SparseStructureVaeConfig(ModelConfig):
+    """Arguments that `SparseStructureEncoder` and `SparseStructureDecoder` share.
+
+    Args:
+        latent_channels: channels of the latent.
+        num_res_blocks: residual blocks of each level.
+        channels: of each level, in the order of the data; levels differ by two in resolution.
+        num_res_blocks_middle: residual blocks at the coarsest level beside those.
+        norm_type: has no other published value.
+    """
+
+    latent_channels: PositiveInt
+    num_res_blocks: PositiveInt
+    channels: tuple[PositiveInt, ...] = Field(min_length=1)
+    num_res_blocks_middle: PositiveInt = 2
+    norm_type: Literal["layer"] = "layer"
 
 
 class ResBlock3d(nn.Module):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import torch
-from pydantic import Field, PositiveInt
+from pydantic import PositiveInt
 from torch import Tensor, nn
 
 from recast.trellis.layers import ChannelLayerNorm32
@@ -14,29 +14,20 @@ from recast.trellis.models.base import ModelConfig, TrellisModel
 from recast.trellis.models.posterior import Posterior
 from recast.trellis.models.ss_blocks import (
     Downsample3d,
+    SparseStructureVaeConfig,
     residual_blocks,
     zero_last_convolutions,
 )
 
 
-class SparseStructureEncoderConfig(ModelConfig):
+class SparseStructureEncoderConfig(SparseStructureVaeConfig):
     """Arguments of `SparseStructureEncoder`.
 
     Args:
         in_channels: channels of the grid; 1 for occupancy.
-        latent_channels: channels of the latent.
-        num_res_blocks: residual blocks of each level.
-        channels: of each level, fine to coarse; each further level halves the grid.
-        num_res_blocks_middle: residual blocks after the coarsest level.
-        norm_type: has no other published value.
     """
 
     in_channels: PositiveInt
-    latent_channels: PositiveInt
-    num_res_blocks: PositiveInt
-    channels: tuple[PositiveInt, ...] = Field(min_length=1)
-    num_res_blocks_middle: PositiveInt = 2
-    norm_type: Literal["layer"] = "layer"
 
 
 class SparseStructureEncoder(TrellisModel):

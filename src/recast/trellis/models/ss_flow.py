@@ -10,40 +10,21 @@ from torch import Tensor, nn
 
 from recast.trellis.layers import (
     DenseTokens,
-    ModulatedCrossBlock,
-    TimestepEmbedder,
     absolute_positions,
     final_norm,
-    modulation_layer,
 )
-from recast.trellis.models.base import (
-    ModelConfig,
-    TransformerConfig,
-    TrellisModel,
-    start_at_zero,
-)
+from recast.trellis.models.base import ModelConfig, start_at_zero
+from recast.trellis.models.flow_transformer import FlowConfig, FlowTransformer
 
 
-class SparseStructureFlowConfig(TransformerConfig):
+class SparseStructureFlowConfig(FlowConfig):
     """Arguments of `SparseStructureFlowModel`.
 
     Args:
-        resolution: R, cells of the latent grid along an axis.
-        in_channels: channels of the latent.
-        out_channels: channels of the velocity.
-        cond_channels: channels of the image tokens.
         patch_size: cells of a token along an axis; must divide the resolution.
-        share_mod: one modulation layer for all blocks.
-        qk_rms_norm_cross: normalise queries and keys of the cross-attention.
     """
 
-    resolution: PositiveInt
-    in_channels: PositiveInt
-    out_channels: PositiveInt
-    cond_channels: PositiveInt
     patch_size: PositiveInt = 2
-    share_mod: bool = False
-    qk_rms_norm_cross: bool = False
 
     @model_validator(mode="after")
     def _patches_tile_the_grid(self) -> Self:
@@ -54,7 +35,7 @@ class SparseStructureFlowConfig(TransformerConfig):
         return self
 
 
-class SparseStructureFlowModel(TrellisModel):
+class SparseStructureFlowModel(FlowTransformer):
     """Diffusion transformer with full attention over a dense latent grid (Xiang et al. 2024).
 
     `pos_emb`, the position embedding of the patch grid, is a buffer of the checkpoint and no
@@ -71,8 +52,6 @@ class SparseStructureFlowModel(TrellisModel):
         super().__init__(config)
         channels = config.model_channels
         cells = config.patch_size**3
-        self.t_embedder = TimestepEmbedder(channels)
-        self.adaLN_modulation = modulation_layer(channels) if config.share_mod else None
         # Not on the meta device: torch would import its compiler for these few lines, seconds.
         with torch.device("cpu"):
             cells_along = torch.arange(config.resolution // config.patch_size)
@@ -80,18 +59,7 @@ class SparseStructureFlowModel(TrellisModel):
             positions = absolute_positions(coords, channels)
         self.register_buffer("pos_emb", positions)
         self.input_layer = nn.Linear(config.in_channels * cells, channels)
-        self.blocks = nn.ModuleList(
-            ModulatedCrossBlock(
-                channels,
-                config.cond_channels,
-                config.heads,
-                config.mlp_ratio,
-                qk_rms_norm=config.qk_rms_norm,
-                qk_rms_norm_cross=config.qk_rms_norm_cross,
-                share_mod=config.share_mod,
-            )
-            for _ in range(config.num_blocks)
-        )
+        self.blocks = self.cross_blocks()
         self.out_layer = nn.Linear(channels, config.out_channels * cells)
         self.finish()
 
@@ -99,8 +67,6 @@ class SparseStructureFlowModel(TrellisModel):
         """As the base, and zero output: a new model predicts no velocity."""
         super().initialise(generator)
         start_at_zero(self.out_layer)
-        if self.adaLN_modulation is not None:
-            start_at_zero(self.adaLN_modulation)
 
     def forward(self, x: Tensor, t: Tensor, cond: Tensor) -> Tensor:
         """Velocity of the flow.
@@ -123,10 +89,8 @@ class SparseStructureFlowModel(TrellisModel):
                 f"on a grid of {config.resolution}^3"
             )
         h = self.input_layer(patchify(x, config.patch_size)) + self.pos_emb
-        modulation = self.t_embedder(t)
-        if self.adaLN_modulation is not None:
-            modulation = self.adaLN_modulation(modulation)
-        h, modulation, cond = h.to(dtype), modulation.to(dtype), cond.to(dtype)
+        _, modulation = self.modulation(t, cond)
+        h, cond = h.to(dtype), cond.to(dtype)
         layout = DenseTokens()
         for block in self.blocks:
             h = self.run_block(block, h, modulation, cond, layout)
