@@ -8,6 +8,8 @@ the image; at azimuth 90 it looks at the left side, and the front points to the 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -63,18 +65,20 @@ def fitting_distance(
     camera: PinholeCamera,
     elevation_deg: float = ELEVATION_DEG,
     margin: float = MARGIN,
+    azimuths_deg: Iterable[float] = range(91),
 ) -> float:
-    """Metres at which a box of `size` (3,) just fits the image from every azimuth.
+    """Metres at which a box of `size` (3,) just fits the image from all azimuths given.
 
     Args:
         size: length, width, height in metres.
         camera: rectified, principal point in the middle.
         elevation_deg: of the camera.
         margin: share of width and height that stays free at each edge.
+        azimuths_deg: a quarter is as good as all of them, by symmetry of the box.
     """
     corners = boxes.corners(size)
     least = 0.0
-    for azimuth in range(91):  # by symmetry of the box, the other quarters are alike
+    for azimuth in azimuths_deg:
         # About the centre, in camera axes: a corner at depth d + z is inside while
         # f |x| <= (1/2 - margin) width (d + z), and alike for y.
         about = corners @ camera_pose(azimuth, elevation_deg, 0.0)[:3, :3]

@@ -1,0 +1,1 @@
+"""Assets to learn from: voxels, features and pictures of vehicles and other shapes."""

@@ -1,0 +1,49 @@
+"""How a task is trained."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class TrainerSettings(BaseModel):
+    """Optimiser, schedule and bookkeeping of one training.
+
+    Attributes:
+        steps: of the optimiser.
+        lr: peak learning rate of AdamW.
+        schedule: constant after the warm-up, or a cosine down to 1 % of the peak.
+        warmup: steps over which the rate rises linearly.
+        betas, weight_decay: of AdamW.
+        ema_decay: of the moving average of the weights; None keeps none.
+        clip: norm to which gradients are clipped; "adaptive" as the published trainer does.
+        accumulate: batches a step.
+        seed: of everything random.
+        checkpoint_every: steps between checkpoints.
+        log_every: steps between lines of the log.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    steps: int = Field(ge=1)
+    lr: float = Field(gt=0)
+    schedule: Literal["constant", "cosine"] = "constant"
+    warmup: int = Field(default=0, ge=0)
+    betas: tuple[float, float] = (0.9, 0.999)
+    weight_decay: float = Field(default=0.0, ge=0)
+    ema_decay: float | None = Field(default=None, ge=0, lt=1)
+    clip: float | Literal["adaptive"] = "adaptive"
+    accumulate: int = Field(default=1, ge=1)
+    seed: int = Field(default=0, ge=0)
+    checkpoint_every: int = Field(default=500, ge=1)
+    log_every: int = Field(default=50, ge=1)
+
+    def rate(self, step: int) -> float:
+        """Learning rate of step number `step`, from 0."""
+        warm = min(1.0, (step + 1) / self.warmup) if self.warmup else 1.0
+        if self.schedule == "constant":
+            return self.lr * warm
+        progress = min(1.0, step / self.steps)
+        return self.lr * warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))

@@ -1,0 +1,124 @@
+"""Checkpoints of a training: weights, moments of the optimiser, moving average, clipper."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor, nn
+
+from recast.errors import InputError
+from recast.recar.training.settings import TrainerSettings
+from recast.storage import write_bytes
+from recast.trellis.flow import AdaptiveGradClipper, ExponentialMovingAverage
+
+STATE_FILE = "state.safetensors"
+_HEADER = "recast-training"
+_MEND = "remove the folder and train again"
+
+
+@dataclass
+class TrainingState:
+    """Everything that a training changes.
+
+    Attributes:
+        modules: by name.
+        optimiser: over all their trainable parameters.
+        averages: of each module, where asked for.
+        clipper: where the bound follows the norms.
+        step: steps done.
+    """
+
+    modules: Mapping[str, nn.Module]
+    optimiser: torch.optim.AdamW
+    averages: dict[str, ExponentialMovingAverage]
+    clipper: AdaptiveGradClipper | None
+    step: int = 0
+
+    @staticmethod
+    def begin(modules: Mapping[str, nn.Module], settings: TrainerSettings) -> TrainingState:
+        """The state before the first step."""
+        parameters = [p for m in modules.values() for p in m.parameters() if p.requires_grad]
+        decay = settings.ema_decay
+        return TrainingState(
+            modules,
+            torch.optim.AdamW(
+                parameters, lr=settings.lr, betas=settings.betas,
+                weight_decay=settings.weight_decay,
+            ),
+            {} if decay is None else {
+                name: ExponentialMovingAverage(module, decay) for name, module in modules.items()
+            },
+            AdaptiveGradClipper() if settings.clip == "adaptive" else None,
+        )  # fmt: skip
+
+    def parameters(self) -> list[Tensor]:
+        """What the optimiser changes, in its order."""
+        return [p for group in self.optimiser.param_groups for p in group["params"]]
+
+    def write(self, folder: Path, settings: TrainerSettings) -> None:
+        """Write the state, whole or not at all."""
+        tensors: dict[str, Tensor] = {}
+        for name, module in self.modules.items():
+            tensors |= {f"model/{name}/{k}": v for k, v in module.state_dict().items()}
+        for name, average in self.averages.items():
+            tensors |= {f"average/{name}/{k}": v for k, v in average.state_dict().items()}
+        for index, parameter in enumerate(self.parameters()):
+            moments = self.optimiser.state.get(parameter, {})
+            tensors |= {f"optimiser/{index}/{k}": v for k, v in moments.items()}
+        header = {
+            "step": self.step,
+            "settings": settings.model_dump(mode="json"),
+            "clipper": None if self.clipper is None else self.clipper.state_dict(),
+        }
+        plain = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}
+        write_bytes(folder / STATE_FILE, save(plain, metadata={_HEADER: json.dumps(header)}))
+
+    def read(self, folder: Path, settings: TrainerSettings) -> None:
+        """Continue from what `write` wrote; nothing happens where there is none.
+
+        Raises:
+            InputError: the file is broken, or of other settings or networks.
+        """
+        path = folder / STATE_FILE
+        if not path.exists():
+            return
+        try:
+            with safe_open(path, framework="pt") as file:
+                header: dict[str, Any] = json.loads((file.metadata() or {})[_HEADER])
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        except (SafetensorError, KeyError, json.JSONDecodeError, OSError) as error:
+            raise InputError(path, "state", f"cannot be read ({error})", _MEND) from None
+        if TrainerSettings.model_validate(header["settings"]) != settings:
+            raise InputError(path, "settings", "differ from those asked for", _MEND)
+        try:
+            for name, module in self.modules.items():
+                module.load_state_dict(_below(tensors, f"model/{name}/"))
+        except RuntimeError as error:
+            reason = str(error).splitlines()[-1].strip()
+            raise InputError(path, "weights", f"of other networks ({reason})", _MEND) from None
+        for name, average in self.averages.items():
+            average.load_state_dict(_below(tensors, f"average/{name}/"), path)
+        for index, parameter in enumerate(self.parameters()):
+            moments = _below(tensors, f"optimiser/{index}/")
+            if moments:
+                self.optimiser.state[parameter] = {
+                    k: v if k == "step" else v.to(parameter.device) for k, v in moments.items()
+                }
+        if self.clipper is not None:
+            self.clipper.load_state_dict(header["clipper"])
+        self.step = int(header["step"])
+
+
+def _below(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {
+        name.removeprefix(prefix): value
+        for name, value in tensors.items()
+        if name.startswith(prefix)
+    }
