@@ -1,0 +1,27 @@
+"""Screening of pseudo-targets by a person: decisions in the cache, and a page to make them.
+
+The server of the page is in `recast.recar.screening.server`. See docs/data.md.
+"""
+
+from recast.recar.screening.catalogue import Catalogue, Entry, Filter
+from recast.recar.screening.decisions import Conflict, Screening
+from recast.recar.screening.record import (
+    DECISIONS,
+    SCREENING_FILE,
+    Change,
+    Decision,
+    ScreeningRecord,
+)
+
+__all__ = [
+    "DECISIONS",
+    "SCREENING_FILE",
+    "Catalogue",
+    "Change",
+    "Conflict",
+    "Decision",
+    "Entry",
+    "Filter",
+    "Screening",
+    "ScreeningRecord",
+]
