@@ -40,6 +40,16 @@ class TrainerSettings(BaseModel):
     checkpoint_every: int = Field(default=500, ge=1)
     log_every: int = Field(default=50, ge=1)
 
+    def same_course(self, other: TrainerSettings) -> bool:
+        """Whether both take the same steps, as far as both go.
+
+        How often is written does not matter, nor does where a constant schedule ends.
+        """
+        free = {"checkpoint_every", "log_every"}
+        if self.schedule == "constant":
+            free.add("steps")
+        return self.model_dump(exclude=free) == other.model_dump(exclude=free)
+
     def rate(self, step: int) -> float:
         """Learning rate of step number `step`, from 0."""
         warm = min(1.0, (step + 1) / self.warmup) if self.warmup else 1.0

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
+from pydantic import ValidationError
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
+from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from recast.errors import InputError
+from recast.recar.training.log import Means
 from recast.recar.training.settings import TrainerSettings
-from recast.storage import write_bytes
+from recast.records import validation_error
+from recast.storage import atomic_file
 from recast.trellis.flow import AdaptiveGradClipper, ExponentialMovingAverage
 
 STATE_FILE = "state.safetensors"
@@ -33,6 +38,7 @@ class TrainingState:
         averages: of each module, where asked for.
         clipper: where the bound follows the norms.
         step: steps done.
+        pending: of the log, since its last line.
     """
 
     modules: Mapping[str, nn.Module]
@@ -40,6 +46,7 @@ class TrainingState:
     averages: dict[str, ExponentialMovingAverage]
     clipper: AdaptiveGradClipper | None
     step: int = 0
+    pending: Means = field(default_factory=Means)
 
     @staticmethod
     def begin(modules: Mapping[str, nn.Module], settings: TrainerSettings) -> TrainingState:
@@ -63,7 +70,11 @@ class TrainingState:
         return [p for group in self.optimiser.param_groups for p in group["params"]]
 
     def write(self, folder: Path, settings: TrainerSettings) -> None:
-        """Write the state, whole or not at all."""
+        """Write the state, whole or not at all.
+
+        Raises:
+            InputError: the disk is full.
+        """
         tensors: dict[str, Tensor] = {}
         for name, module in self.modules.items():
             tensors |= {f"model/{name}/{k}": v for k, v in module.state_dict().items()}
@@ -76,9 +87,16 @@ class TrainingState:
             "step": self.step,
             "settings": settings.model_dump(mode="json"),
             "clipper": None if self.clipper is None else self.clipper.state_dict(),
+            "log": asdict(self.pending),
         }
-        plain = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}
-        write_bytes(folder / STATE_FILE, save(plain, metadata={_HEADER: json.dumps(header)}))
+        plain = {k: v.detach().cpu().contiguous() for k, v in tensors.items()}
+        with atomic_file(folder / STATE_FILE) as partial:
+            try:
+                save_file(plain, partial, metadata={_HEADER: json.dumps(header)})
+            except SafetensorError as error:
+                if f"os error {errno.ENOSPC}" in str(error):  # said by safetensors in its own way
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
+                raise
 
     def read(self, folder: Path, settings: TrainerSettings) -> None:
         """Continue from what `write` wrote; nothing happens where there is none.
@@ -95,8 +113,7 @@ class TrainingState:
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         except (SafetensorError, KeyError, json.JSONDecodeError, OSError) as error:
             raise InputError(path, "state", f"cannot be read ({error})", _MEND) from None
-        if TrainerSettings.model_validate(header["settings"]) != settings:
-            raise InputError(path, "settings", "differ from those asked for", _MEND)
+        _check_settings(path, header, settings)
         try:
             for name, module in self.modules.items():
                 module.load_state_dict(_below(tensors, f"model/{name}/"))
@@ -114,6 +131,23 @@ class TrainingState:
         if self.clipper is not None:
             self.clipper.load_state_dict(header["clipper"])
         self.step = int(header["step"])
+        self.pending = Means(**header.get("log", {}))
+
+
+def _check_settings(path: Path, header: Mapping[str, Any], settings: TrainerSettings) -> None:
+    try:
+        found = TrainerSettings.model_validate(header["settings"])
+    except ValidationError as error:
+        raise validation_error(path, error, _MEND) from None
+    if not found.same_course(settings):
+        names = [n for n, v in found if v != getattr(settings, n)]
+        raise InputError(
+            path, "settings", f"differ from those asked for ({', '.join(names)})", _MEND
+        )
+    if header["step"] > settings.steps:
+        raise InputError(
+            path, "steps", f"{header['step']} are done, {settings.steps} were asked for", _MEND
+        )
 
 
 def _below(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
