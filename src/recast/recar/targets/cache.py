@@ -1,0 +1,232 @@
+"""Caches of pseudo-targets, in the layout of the published training data.
+
+CACHE/cache.json
+CACHE/ss_latents/MODEL/ID.npz     mean (C, r, r, r) float32
+CACHE/latents/MODEL/ID.npz        feats (T, C) float32, coords (T, 3) uint8
+CACHE/previews/ID.png             contact sheet for people
+CACHE/records/ID.json             written last
+CACHE/screening.json              decisions of a person, if there are any
+"""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast import storage
+from recast.errors import InputError
+from recast.recar.record import Split
+from recast.recar.targets.channels import ChannelMoments, ChannelStatistics
+from recast.recar.targets.decisions import Decision, read_decisions
+from recast.recar.targets.record import (
+    CACHE_FILE,
+    CACHE_FORMAT,
+    CACHE_VERSION,
+    MEND,
+    PREVIEWS,
+    RECORDS,
+    CacheRecord,
+    TargetRecord,
+)
+from recast.recar.targets.target import Target
+from recast.records import read_record
+
+STRUCTURES = "ss_latents"
+LATENTS = "latents"
+
+
+class TargetCache:
+    """Targets of the vehicles of a set.
+
+    Args:
+        folder: where it lies.
+        record: cache.json.
+        records: of the vehicles that are done, by id.
+        decisions: of a person, by id.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        record: CacheRecord,
+        records: Mapping[str, TargetRecord],
+        decisions: Mapping[str, Decision],
+    ) -> None:
+        self.folder = folder
+        self.record = record
+        self.records = dict(sorted(records.items()))
+        self.decisions = dict(decisions)
+
+    @classmethod
+    def open(cls, folder: str | Path, *, complete: bool = True) -> TargetCache:
+        """Read the records of a cache; latents are read when asked for.
+
+        Args:
+            folder: of the cache.
+            complete: refuse one in the making.
+
+        Raises:
+            InputError: no such cache, one in the making, or a record that is wrong.
+        """
+        folder = Path(folder)
+        if not folder.is_dir():
+            raise InputError(folder, "target cache", "is missing", "check the path")
+        record = read_record(folder / CACHE_FILE, CacheRecord, CACHE_VERSION, MEND, CACHE_FORMAT)
+        if complete and not record.complete:
+            raise InputError(
+                folder / CACHE_FILE, "complete", "is false: targets are still being made",
+                "run the command that makes them again; it resumes",
+            )  # fmt: skip
+        records = read_records(folder)
+        if record.complete and len(records) != record.identities:
+            raise InputError(
+                folder / RECORDS, "records", f"{len(records)} where cache.json says "
+                f"{record.identities}", "make the targets again",
+            )  # fmt: skip
+        return cls(folder, record, records, read_decisions(folder))
+
+    def ids(self, split: Split | None = None, accepted_only: bool = True) -> tuple[str, ...]:
+        """Vehicles that have a target, sorted.
+
+        Args:
+            split: only of this one.
+            accepted_only: leave out what a person rejected and what is below the threshold.
+        """
+        return tuple(
+            one.id
+            for one in self.records.values()
+            if one.failure is None
+            and split in (None, one.split)
+            and (not accepted_only or self.accepted(one.id))
+        )
+
+    def accepted(self, identity: str) -> bool:
+        """Whether a target is used: not rejected, and as it is used not below the threshold."""
+        record, decision = self.records[identity], self.decisions.get(identity)
+        if record.failure is not None or decision == "reject":
+            return False
+        threshold, score = self.record.filter.threshold, record.score
+        if decision == "flip" and record.score_flipped is not None:
+            score = record.score_flipped
+        return threshold is None or (score is not None and score >= threshold)
+
+    def target(self, identity: str) -> Target:
+        """The target of a vehicle; turned by 180 degrees where a person decided "flip".
+
+        Raises:
+            KeyError: the cache has no target of it.
+            InputError: a file is missing, cut short or of another layout.
+        """
+        if identity not in self.records or self.records[identity].failure is not None:
+            raise KeyError(identity)
+        structure_path, latent_path = self._paths(identity)
+        structure = _read(structure_path, ("mean",))["mean"]
+        latent = _read(latent_path, ("feats", "coords"))
+        resolution = self.record.model.resolution
+        try:
+            target = Target(
+                structure.astype(np.float32, copy=False),
+                latent["coords"].astype(np.int32),
+                latent["feats"].astype(np.float32, copy=False),
+            )
+        except ValueError as error:
+            raise InputError(latent_path, "arrays", str(error), MEND) from None
+        if len(target.latent) != self.records[identity].voxels or target.coords.max() >= resolution:
+            raise InputError(
+                latent_path, "coords", f"{len(target.coords)} voxels up to {target.coords.max()}, "
+                f"not the {self.records[identity].voxels} below {resolution} of the record", MEND,
+            )  # fmt: skip
+        return target.flipped(resolution) if self.decisions.get(identity) == "flip" else target
+
+    def write_target(
+        self, record: TargetRecord, target: Target | None, preview: bytes | None = None
+    ) -> None:
+        """Add a vehicle; its record comes last, so that a kill leaves it either done or to do.
+
+        Args:
+            record: of the vehicle.
+            target: None where there is none.
+            preview: contact sheet, PNG.
+
+        Raises:
+            ValueError: record and target do not agree.
+            InputError: the disk is full.
+        """
+        voxels = 0 if target is None else len(target.coords)
+        if (target is None) != (record.failure is not None) or voxels != record.voxels:
+            raise ValueError(f"{record.id}: {voxels} voxels, record {record}")
+        if target is not None:
+            structure_path, latent_path = self._paths(record.id)
+            _write(structure_path, mean=target.structure.astype(np.float32))
+            coords = target.coords.astype(np.uint8)
+            _write(latent_path, feats=target.latent.astype(np.float32), coords=coords)
+        if preview is not None:
+            storage.write_bytes(self.preview_path(record.id), preview)
+        path = self.folder / RECORDS / f"{record.id}.json"
+        storage.write_json(path, record.model_dump(mode="json"))
+        self.records[record.id] = record
+
+    def statistics(self) -> tuple[ChannelStatistics, ChannelStatistics]:
+        """Channels of the structure latents and of the structured latents, of accepted targets.
+
+        Raises:
+            InputError: there is no accepted target, or one cannot be read.
+        """
+        structure, latent = ChannelMoments(), ChannelMoments()
+        for identity in self.ids():
+            target = self.target(identity)
+            structure.add(target.structure.reshape(len(target.structure), -1).T)
+            latent.add(target.latent)
+        found = structure.statistics(), latent.statistics()
+        if found[0] is None or found[1] is None:
+            raise InputError(
+                self.folder, "targets", "none is accepted", "lower the threshold, or make others"
+            )
+        return found[0], found[1]
+
+    def preview_path(self, identity: str) -> Path:
+        """Where the contact sheet of a vehicle lies."""
+        return self.folder / PREVIEWS / f"{identity}.png"
+
+    def _paths(self, identity: str) -> tuple[Path, Path]:
+        model = self.record.model.name
+        return (
+            self.folder / STRUCTURES / model / f"{identity}.npz",
+            self.folder / LATENTS / model / f"{identity}.npz",
+        )
+
+
+def read_records(folder: Path) -> dict[str, TargetRecord]:
+    """The records of all vehicles that are done, by id.
+
+    Raises:
+        InputError: a record that is wrong, or under another name.
+    """
+    records = {}
+    for path in sorted((folder / RECORDS).glob("[!.]*.json")):
+        one = read_record(path, TargetRecord, CACHE_VERSION, MEND)
+        if one.id != path.stem:
+            raise InputError(path, "id", f"is {one.id!r}", "name the record by its vehicle")
+        records[one.id] = one
+    return records
+
+
+def _write(path: Path, **arrays: NDArray[np.float32] | NDArray[np.uint8]) -> None:
+    with storage.atomic_file(path) as partial, partial.open("wb") as stream:
+        np.savez_compressed(stream, allow_pickle=False, **arrays)
+
+
+def _read(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[np.generic]]:
+    mend = "make the target again: remove its record and run the command that made it"
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in names}
+    except FileNotFoundError:
+        raise InputError(path, "file", "is missing", mend) from None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(path, "arrays", f"cannot be read ({error})", mend) from None
