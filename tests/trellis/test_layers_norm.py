@@ -44,7 +44,7 @@ def test_channel_norm_normalises_each_voxel() -> None:
     scaled = centred / (x.var(dim=1, correction=0, keepdim=True) + 1e-5).sqrt()
     expected = scaled * norm.weight.view(-1, 1, 1, 1) + norm.bias.view(-1, 1, 1, 1)
     found = norm(x)
-    assert found.is_contiguous()
+    assert found.is_contiguous(memory_format=torch.channels_last_3d)
     assert torch.allclose(found, expected, atol=1e-6)
 
 

@@ -39,8 +39,8 @@ class ChannelLayerNorm32(LayerNorm32):
         super().__init__(channels, affine=True, eps=1e-5)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Grid (B, channels, X, Y, Z) to the same shape and dtype."""
-        return super().forward(x.movedim(1, -1)).movedim(-1, 1).contiguous()
+        """Grid (B, channels, X, Y, Z) to the same shape and dtype, channels last in memory."""
+        return super().forward(x.movedim(1, -1)).movedim(-1, 1)
 
 
 class MultiHeadRmsNorm(nn.Module):

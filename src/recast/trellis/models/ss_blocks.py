@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Literal
 
+import torch
 from pydantic import Field, PositiveInt
 from torch import Tensor, nn
 from torch.nn import functional
@@ -74,7 +75,15 @@ class Upsample3d(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Grid (B, in_channels, X, Y, Z) to (B, out_channels, 2X, 2Y, 2Z)."""
-        return pixel_shuffle_3d(self.conv(x))
+        return channels_last(pixel_shuffle_3d(self.conv(x)))
+
+
+def channels_last(grid: Tensor) -> Tensor:
+    """The same grid (B, C, X, Y, Z), channels last in memory.
+
+    The norms want it so, and with few channels the convolutions then take half the time on a CPU.
+    """
+    return grid.contiguous(memory_format=torch.channels_last_3d)
 
 
 def pixel_shuffle_3d(x: Tensor, factor: int = 2) -> Tensor:

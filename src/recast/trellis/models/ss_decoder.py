@@ -14,6 +14,7 @@ from recast.trellis.models.base import ModelConfig, TrellisModel
 from recast.trellis.models.ss_blocks import (
     SparseStructureVaeConfig,
     Upsample3d,
+    channels_last,
     residual_blocks,
     zero_last_convolutions,
 )
@@ -68,7 +69,7 @@ class SparseStructureDecoder(TrellisModel):
         Returns:
             (B, out_channels, R, R, R) with R = r 2^(levels - 1), in the dtype of `z`.
         """
-        h = self.input_layer(z).to(self.torso_dtype)
+        h = self.input_layer(channels_last(z)).to(self.torso_dtype)
         for block in (*self.middle_block, *self.blocks):
             h = self.run_block(block, h)
         logits: Tensor = self.out_layer(h.to(z.dtype))

@@ -15,6 +15,7 @@ from recast.trellis.models.posterior import Posterior
 from recast.trellis.models.ss_blocks import (
     Downsample3d,
     SparseStructureVaeConfig,
+    channels_last,
     residual_blocks,
     zero_last_convolutions,
 )
@@ -69,7 +70,7 @@ class SparseStructureEncoder(TrellisModel):
         Returns:
             Mean and logvar (B, latent_channels, R / f, R / f, R / f) with f = 2^(levels - 1).
         """
-        h = self.input_layer(grid.to(self.input_layer.weight.dtype))
+        h = self.input_layer(channels_last(grid.to(self.input_layer.weight.dtype)))
         outer = h.dtype
         h = h.to(self.torso_dtype)
         for block in (*self.blocks, *self.middle_block):
