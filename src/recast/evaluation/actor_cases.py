@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ TARGET_AZIMUTHS = (0.0, 90.0, 180.0, 270.0)
 
 @dataclass(frozen=True)
 class ActorView:
-    """A background-free picture of a vehicle and its camera.
+    """A background-free picture of a vehicle and its camera; can be sent to other processes.
 
     Attributes:
         name: of the picture within the vehicle.
@@ -151,8 +152,6 @@ def _view_of_set(identity: Identity, index: int) -> ActorView:
             str(error),
             "only sets with measured cameras can be judged on",
         ) from None
-
-    def load() -> Image:
-        return identity.view(index)
-
-    return ActorView(f"view_{index:02d}", load, camera, se3.inverse(actor_from_camera))
+    return ActorView(
+        f"view_{index:02d}", partial(identity.view, index), camera, se3.inverse(actor_from_camera)
+    )

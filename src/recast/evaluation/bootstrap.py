@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SAMPLES = 200_000
+_PIECE = 10_000
+"""Samples that are drawn at a time."""
 _MAX_EXACT = 500_000
 """Multisets up to which the exact distribution is enumerated: eleven scenes."""
 
@@ -48,14 +50,18 @@ def cluster_bootstrap(
     Args:
         scenes: for each scene, the differences (n_i,) of its pairs, e.g. candidate minus baseline.
             Scenes may have different numbers of pairs; sums are divided by counts after summing.
-        rng: drawn from once, as `integers(0, len(scenes), (samples, len(scenes)))`.
+        rng: drawn from as `integers(0, len(scenes), (samples, len(scenes)))`, in pieces, so that
+            hundreds of scenes do not take gigabytes.
 
     Raises:
         ValueError: there is no scene, or one without a pair.
     """
     sums, counts = _sums_and_counts(scenes)
-    index = rng.integers(0, len(sums), (samples, len(sums)))
-    means = sums[index].sum(axis=1) / counts[index].sum(axis=1)
+    pieces = []
+    for start in range(0, samples, _PIECE):
+        index = rng.integers(0, len(sums), (min(_PIECE, samples - start), len(sums)))
+        pieces.append(sums[index].sum(axis=1) / counts[index].sum(axis=1))
+    means = np.concatenate(pieces)
     tail = 50 * (1 - level)
     low, high = np.percentile(means, [tail, 100 - tail])
     return Bootstrap(

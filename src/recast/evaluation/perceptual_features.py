@@ -44,16 +44,26 @@ class FeatureDistance:
 
     def __call__(self, image: Array, reference: Array) -> float:
         """Score of two images (H, W, 3) in [0, 1]."""
-        first, second = self._unit(image), self._unit(reference)
-        cosine = 1.0 - 0.5 * float((first - second).square().sum())  # exactly 1 for equal images
-        return self._of_cosine(cosine)
+        return self.compare(self.features(image), self.features(reference))
 
-    def _unit(self, image: Array) -> Tensor:
+    def features(self, image: Array) -> Array:
+        """(C,) what the model makes of an image (H, W, 3) in [0, 1]."""
         picture = PilImage.fromarray(np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8))
         pixels = self._processor(images=picture, return_tensors="pt")["pixel_values"]
         with torch.no_grad():
-            features = self._features(pixels.float()).double()[0]
-        return features / features.norm().clamp_min(1e-12)
+            features: Array = self._features(pixels.float()).double()[0].numpy()
+        return features
+
+    def compare(self, first: Array, second: Array) -> float:
+        """Score of two images by their features (C,)."""
+        apart = _unit(first) - _unit(second)
+        cosine = 1.0 - 0.5 * float(apart @ apart)  # exactly 1 for equal images
+        return self._of_cosine(cosine)
+
+
+def _unit(features: Array) -> Array:
+    unit: Array = features / max(float(np.linalg.norm(features)), 1e-12)
+    return unit
 
 
 def load_clip(folder: Path) -> FeatureDistance:

@@ -7,8 +7,6 @@ package torchmetrics.
 
 from __future__ import annotations
 
-import pickle
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -18,11 +16,10 @@ import numpy as np
 import torch
 import torch.nn.functional as functional
 from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor
 
 from recast.errors import InputError
+from recast.evaluation.weights_file import checked_weight, read_weights
 
 Array = NDArray[np.float64]
 
@@ -144,7 +141,7 @@ def load_lpips(path: Path) -> Lpips:
         InputError: the file is missing, unreadable, of another network, or has a value that is not
             finite; torchmetrics is not installed.
     """
-    state = _read_state(path)
+    state = read_weights(path, "LPIPS weights", _MEND)
     first = state.get("features.0.weight")
     kernel = first.shape[-1] if first is not None and first.ndim == 4 else None
     backbone = {11: "alex", 3: "vgg"}.get(kernel or 0)
@@ -156,32 +153,8 @@ def load_lpips(path: Path) -> Lpips:
         shapes = {"weight": (after, before, layer.kernel, layer.kernel), "bias": (after,)}
         for part, shape in shapes.items():
             name = f"features.{layer.index}.{part}"
-            tensor = state.get(name)
-            if tensor is None:
-                raise InputError(path, name, "is missing", _MEND)
-            if tuple(tensor.shape) != shape:
-                raise InputError(path, name, f"has shape {tuple(tensor.shape)}, not {shape}", _MEND)
-            weights[name] = tensor.float()
-            if not bool(weights[name].isfinite().all()):
-                raise InputError(path, name, "has values that are not finite", _MEND)
+            weights[name] = checked_weight(state, name, shape, path, _MEND)
     return Lpips(backbone, weights, _heads(backbone))
-
-
-def _read_state(path: Path) -> Mapping[str, Tensor]:
-    if not path.is_file():
-        raise InputError(path, "LPIPS weights", "is no file", "check the path")
-    try:
-        if path.suffix == ".safetensors":
-            return load_file(path)
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except (
-        SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError, zipfile.BadZipFile
-    ) as error:  # fmt: skip
-        first_line = str(error).strip().splitlines()[0] if str(error).strip() else "cut short"
-        raise InputError(path, "LPIPS weights", f"cannot be read ({first_line})", _MEND) from None
-    if not isinstance(state, dict) or not all(isinstance(v, Tensor) for v in state.values()):
-        raise InputError(path, "LPIPS weights", "is no table of tensors", _MEND)
-    return state
 
 
 def _heads(backbone: str) -> list[Tensor]:

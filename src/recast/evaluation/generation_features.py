@@ -1,0 +1,150 @@
+"""What pictures of vehicles are compared by as wholes: features of networks, and a stand-in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.evaluation.actor_scores import Cutout
+
+Array = NDArray[np.float64]
+Window = tuple[slice, slice]
+"""Rows and columns of an image, the square around a vehicle."""
+
+TOY_DIMENSIONS = 128
+_SIDE, _CELLS, _ORIENTATIONS = 64, 4, 4
+_GREY = 0.5  # behind the vehicle, so that dark and bright ones have an outline
+_EDGE_GAIN = 4.0  # brings the spread of edges to that of colours
+
+
+class Embedder(Protocol):
+    """Features of a picture.
+
+    Attributes:
+        key: of the features.
+        score: column of the comparison of two pictures, None where there is none.
+        frechet: column of the Frechet distance, None where there is none.
+    """
+
+    key: str
+    score: str | None
+    frechet: str | None
+
+    def features(self, cutout: Cutout, window: Window) -> Array:
+        """(D,) of the vehicle in a window."""
+
+    def compare(self, first: Array, second: Array) -> float:
+        """The score of two pictures by their features (D,)."""
+
+
+class ToyFeatures:
+    """A handcrafted stand-in for features of networks, where no weights are given.
+
+    The window, filled up to a square and brought to 64 x 64 pixels, is cut into 4 x 4 cells. Of
+    each cell: the means of red, green, blue (multiplied by alpha) and alpha, and a histogram of
+    the gradients of luma before mid grey over four unsigned orientations, magnitudes shared
+    linearly between neighbours, mean over the cell, times four (after Dalal and Triggs 2005,
+    without block normalisation). 128 numbers. The distance of two pictures is the root of the mean
+    squared difference. It tells colour and layout, not realism: no figure in it compares with one
+    by Inception or DINOv2.
+    """
+
+    key, score, frechet = "toy", "toy", "fd_toy"
+
+    def features(self, cutout: Cutout, window: Window) -> Array:
+        """(128,) of the vehicle in a window."""
+        small = _square(np.dstack([cutout.rgb, cutout.alpha])[window])
+        luma = (small[..., :3] + (1 - small[..., 3:]) * _GREY) @ [0.2126, 0.7152, 0.0722]
+        vertical, horizontal = np.gradient(luma)
+        where = np.arctan2(vertical, horizontal) / np.pi * _ORIENTATIONS
+        bins = np.arange(_ORIENTATIONS)
+        apart = np.abs((where[..., None] - bins + _ORIENTATIONS / 2) % _ORIENTATIONS)
+        share = np.clip(1 - np.abs(apart - _ORIENTATIONS / 2), 0, None)
+        edges = _EDGE_GAIN * np.hypot(vertical, horizontal)[..., None] * share
+        cell = _SIDE // _CELLS
+        cells = np.concatenate([small, edges], axis=2).reshape(_CELLS, cell, _CELLS, cell, -1)
+        features: Array = cells.mean(axis=(1, 3)).reshape(-1)
+        return features
+
+    def compare(self, first: Array, second: Array) -> float:
+        """Root of the mean squared difference."""
+        return float(np.sqrt(np.mean((first - second) ** 2)))
+
+
+class NetworkFeatures:
+    """Features of a network that looks at the window before black.
+
+    Args:
+        key: see `Embedder`, and so are `score` and `frechet`.
+        embed: from an image (H, W, 3) in [0, 1] to (D,).
+        by: from two features to the score, where there is one.
+    """
+
+    def __init__(
+        self,
+        key: str,
+        score: str | None,
+        frechet: str | None,
+        embed: Callable[[Array], Array],
+        by: Callable[[Array, Array], float] | None = None,
+    ) -> None:
+        self.key, self.score, self.frechet = key, score, frechet
+        self._embed = embed
+        self._by = by
+
+    def features(self, cutout: Cutout, window: Window) -> Array:
+        """(D,) of the vehicle in a window."""
+        return self._embed(cutout.rgb[window])
+
+    def compare(self, first: Array, second: Array) -> float:
+        """The score of two pictures by their features."""
+        if self._by is None:
+            raise ValueError(f"NetworkFeatures: {self.key} has no score of two pictures")
+        return self._by(first, second)
+
+
+def load_embedders(
+    clip: Path | None = None, dino: Path | None = None, inception: Path | None = None
+) -> tuple[Embedder, ...]:
+    """The stand-in, and the networks for which weights are given.
+
+    Args:
+        clip: folder of a CLIP model.
+        dino: folder of a DINOv2 model, with or without registers.
+        inception: weights file, see `load_inception`.
+
+    Raises:
+        InputError: what is named is missing or something else.
+    """
+    found: list[Embedder] = [ToyFeatures()]
+    if clip is not None or dino is not None:  # transformers takes seconds to import
+        from recast.evaluation.perceptual_features import load_clip, load_dino
+
+        if clip is not None:
+            model = load_clip(clip)
+            found.append(NetworkFeatures("clip", "clip", None, model.features, model.compare))
+        if dino is not None:
+            model = load_dino(dino)
+            found.append(NetworkFeatures("dino", "dino", "fd_dino", model.features, model.compare))
+    if inception is not None:
+        from recast.evaluation.generation_inception import load_inception
+
+        network = load_inception(inception)
+        found.append(NetworkFeatures("inception", None, "fd_inception", network.features))
+    return tuple(found)
+
+
+def _square(image: Array) -> Array:
+    """The image (H, W, 4) in the middle of an empty square, as (64, 64, 4)."""
+    height, width = image.shape[:2]
+    side = max(height, width)
+    top, left = (side - height) // 2, (side - width) // 2
+    filled = np.zeros((side, side, image.shape[2]))
+    filled[top : top + height, left : left + width] = image
+    way = cv2.INTER_AREA if side > _SIDE else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(filled, (_SIDE, _SIDE), interpolation=way), np.float64)
