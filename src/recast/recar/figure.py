@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from recast.recar.picture import Image
+from recast.recar.source import IdentitySource, VehicleSource
 from recast.recar.statistics import SetStatistics
-from recast.recar.vehicle_set import Identity, VehicleSet
 from recast.synthetic.vehicles import COLOURS
 
 FIGURE_FILES = ("dataset.png", "views.png", "colours.png", "types.png")
@@ -29,7 +29,7 @@ _PIE = (
 _SMALLEST_SLICE = 0.025  # narrower ones have no room for a label of their own
 
 
-def write_figure(vehicle_set: VehicleSet, statistics: SetStatistics, folder: Path) -> None:
+def write_figure(vehicle_set: VehicleSource, statistics: SetStatistics, folder: Path) -> None:
     """Write dataset.png, and its panels as views.png, colours.png and types.png.
 
     Args:
@@ -77,13 +77,13 @@ def write_figure(vehicle_set: VehicleSet, statistics: SetStatistics, folder: Pat
         _save(figure, folder / name)
 
 
-def representatives(vehicle_set: VehicleSet, count: int) -> list[Identity]:
+def representatives(vehicle_set: VehicleSource, count: int) -> list[IdentitySource]:
     """Up to `count` identities: all kinds in turn, the most frequent first, colours varied."""
-    by_kind: dict[str, list[Identity]] = {}
+    by_kind: dict[str, list[IdentitySource]] = {}
     for identity in vehicle_set.identities.values():
         by_kind.setdefault(identity.record.kind, []).append(identity)
     queues = sorted(by_kind.values(), key=len, reverse=True)
-    chosen: list[Identity] = []
+    chosen: list[IdentitySource] = []
     shown: dict[str | None, int] = {}
     while len(chosen) < min(count, len(vehicle_set.identities)):
         for queue in queues:
@@ -95,7 +95,7 @@ def representatives(vehicle_set: VehicleSet, count: int) -> list[Identity]:
     return chosen
 
 
-def view_sheet(identities: list[Identity], views: list[int]) -> Image:
+def view_sheet(identities: list[IdentitySource], views: list[int]) -> Image:
     """A sheet (rows, columns, 3) uint8: a row for each identity, a column for each view.
 
     All cells are cut alike, to what is not empty in every one of them.
@@ -132,7 +132,9 @@ def _over_panel(cell: NDArray[np.float32]) -> Image:
     return np.clip(np.round(over), 0, 255).astype(np.uint8)
 
 
-def _draw_views(axes: Axes, sheet: Image, identities: list[Identity], columns: list[int]) -> None:
+def _draw_views(
+    axes: Axes, sheet: Image, identities: list[IdentitySource], columns: list[int]
+) -> None:
     record = identities[0].set_record
     rows = len(identities)
     axes.imshow(sheet, interpolation="antialiased", aspect="equal", extent=(0, 1, 0, 1))

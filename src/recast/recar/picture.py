@@ -13,6 +13,7 @@ from recast.errors import InputError
 
 Image = NDArray[np.uint8]
 
+HEADER_BYTES = 26
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _RGBA = 6  # PNG colour type of truecolour with alpha
 _MEND = "replace the picture, or remove its identity from the set"
@@ -34,19 +35,25 @@ def check_header(path: Path, width: int, height: int) -> None:
     """
     try:
         with path.open("rb") as file:
-            head = file.read(26)
+            head = file.read(HEADER_BYTES)
     except FileNotFoundError:
         raise InputError(path, "view", "is missing", _MEND) from None
-    if len(head) < 26 or not head.startswith(_SIGNATURE) or head[12:16] != b"IHDR":
-        raise InputError(path, "view", "is no PNG", _MEND)
+    check_encoded_header(head, path, width, height)
+
+
+def check_encoded_header(head: bytes, where: str | Path, width: int, height: int) -> None:
+    """`check_header` of the first `HEADER_BYTES` of a view, or of all of it."""
+    head = head[:HEADER_BYTES]
+    if len(head) < HEADER_BYTES or not head.startswith(_SIGNATURE) or head[12:16] != b"IHDR":
+        raise InputError(where, "view", "is no PNG", _MEND)
     found_width, found_height, depth, colour_type = struct.unpack(">IIBB", head[16:26])
     if (found_width, found_height) != (width, height):
         raise InputError(
-            path, "size", f"is {found_width}x{found_height} in a set of {width}x{height}", _MEND
+            where, "size", f"is {found_width}x{found_height} in a set of {width}x{height}", _MEND
         )
     if colour_type != _RGBA or depth != 8:
         raise InputError(
-            path, "alpha", f"is absent (PNG colour type {colour_type}, {depth} bits)",
+            where, "alpha", f"is absent (PNG colour type {colour_type}, {depth} bits)",
             "write 8-bit RGBA with the background removed",
         )  # fmt: skip
 
@@ -61,9 +68,15 @@ def read_picture(path: Path, width: int, height: int) -> Image:
         InputError: as `check_header`, or cut short, or transparent everywhere.
     """
     check_header(path, width, height)
-    bgra = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+    return decode_picture(path.read_bytes(), path, width, height)
+
+
+def decode_picture(data: bytes, where: str | Path, width: int, height: int) -> Image:
+    """`read_picture` of the bytes of a view; `where` is named by the errors."""
+    check_encoded_header(data, where, width, height)
+    bgra = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if bgra is None:
-        raise InputError(path, "view", "cannot be decoded", _MEND)
+        raise InputError(where, "view", "cannot be decoded", _MEND)
     if not np.any(bgra[..., 3]):
-        raise InputError(path, "alpha", "is zero everywhere", _MEND)
+        raise InputError(where, "alpha", "is zero everywhere", _MEND)
     return np.asarray(cv2.cvtColor(bgra, cv2.COLOR_BGRA2RGBA), np.uint8)

@@ -106,6 +106,7 @@ class IdentityRecord(BaseModel):
         split: whether it may be trained on.
         source: where this vehicle is from, if that is more than the set says: a file, an address.
         seed: with which a generator made it; None for photographs.
+        licence: of this vehicle's pictures, where it is not that of the set.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -120,6 +121,7 @@ class IdentityRecord(BaseModel):
     split: Split
     source: str | None = None
     seed: tuple[int, ...] | None = None
+    licence: Text | None = None
 
 
 def view_file(index: int) -> str:

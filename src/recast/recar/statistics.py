@@ -12,7 +12,7 @@ from rich.console import Group
 from rich.table import Table
 
 from recast.recar.record import SPLITS
-from recast.recar.vehicle_set import VehicleSet
+from recast.recar.source import VehicleSource
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class SetStatistics:
     sizes: tuple[tuple[float, float, float], ...] | None
 
 
-def set_statistics(vehicle_set: VehicleSet) -> SetStatistics:
+def set_statistics(vehicle_set: VehicleSource) -> SetStatistics:
     """Count what is in a set."""
     records = [identity.record for identity in vehicle_set.identities.values()]
     splits = Counter(record.split for record in records)
@@ -45,11 +45,7 @@ def set_statistics(vehicle_set: VehicleSet) -> SetStatistics:
     return SetStatistics(
         identities=len(records),
         pictures=len(records) * vehicle_set.record.views,
-        bytes=sum(
-            path.stat().st_size
-            for identity in vehicle_set.identities.values()
-            for path in identity.folder.glob("view_*.png")
-        ),
+        bytes=sum(identity.picture_bytes() for identity in vehicle_set.identities.values()),
         splits={split: splits[split] for split in SPLITS},
         kinds=_by_count(record.kind for record in records),
         colours=_by_count(record.colour or "unknown" for record in records),
@@ -62,7 +58,7 @@ def set_statistics(vehicle_set: VehicleSet) -> SetStatistics:
     )
 
 
-def statistics_table(vehicle_set: VehicleSet, statistics: SetStatistics) -> Group:
+def statistics_table(vehicle_set: VehicleSource, statistics: SetStatistics) -> Group:
     """The figures for a terminal: the set, and its kinds and colours with their shares."""
     record, total = vehicle_set.record, statistics.identities
     summary = Table(title=record.name, title_justify="left", box=SIMPLE_HEAD, show_header=False)

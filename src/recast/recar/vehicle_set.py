@@ -59,6 +59,18 @@ class Identity:
         path = self.folder / view_file(index)
         return read_picture(path, self.set_record.width, self.set_record.height)
 
+    def encoded(self, index: int) -> bytes:
+        """The PNG of a view as it lies on the disk, not looked at.
+
+        Raises:
+            InputError: the file is missing.
+        """
+        return _read_bytes(self.folder / view_file(index))
+
+    def picture_bytes(self) -> int:
+        """Bytes of all its pictures."""
+        return sum(path.stat().st_size for path in self.folder.glob("view_*.png"))
+
     def camera(self, index: int) -> tuple[PinholeCamera, Array]:
         """The camera of a view and `actor_from_camera` (4, 4); see `view_camera`."""
         return view_camera(self.set_record, self.record, index)
@@ -151,6 +163,13 @@ def read_identities(folder: Path, record: SetRecord) -> dict[str, Identity]:
     for identity in identities.values():
         _check_folder(identity)
     return dict(sorted(identities.items()))
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(path, "view", "is missing", "restore it") from None
 
 
 def _refuse_twice(first: Identity, second: Identity) -> None:

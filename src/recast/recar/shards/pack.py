@@ -1,0 +1,191 @@
+"""Packing a vehicle set into shards."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from recast import storage
+from recast.errors import InputError
+from recast.recar.picture import check_encoded_header
+from recast.recar.record import IDENTITY_FILE, SetRecord
+from recast.recar.shards.layout import (
+    INDEX_FILE,
+    SHARDS_FORMAT,
+    SHARDS_VERSION,
+    IndexRecord,
+    Member,
+    MembersRecord,
+    ShardRecord,
+    members_file,
+)
+from recast.recar.shards.plan import PlannedMember, PlannedShard, plan_shards
+from recast.recar.shards.tar import END, member_header, padding
+from recast.recar.vehicle_set import VehicleSet
+from recast.records import read_record
+
+SHARD_BYTES = 256 * 10**6
+
+_MEND = "name another folder, or repeat the options of the shards that lie there"
+
+
+def pack_set(
+    vehicle_set: VehicleSet,
+    out: str | Path,
+    shard_bytes: int = SHARD_BYTES,
+    progress: Callable[[int, int], None] | None = None,
+) -> IndexRecord:
+    """Write the files of a set, byte for byte, into tar shards.
+
+    Every shard appears whole or not at all. A run that was killed goes on: a shard that is there
+    is compared with the set and written anew only where it differs, so that packing again also
+    mends a damaged shard. The same set and `shard_bytes` always give the same bytes.
+
+    Args:
+        vehicle_set: complete, in folders.
+        out: folder; new, empty, or shards of the same set and size.
+        shard_bytes: that a shard may have, see `plan_shards`.
+        progress: called with pictures done and all pictures.
+
+    Raises:
+        InputError: `out` holds something else, a picture is broken or changes while it is read, or
+            the disk is full.
+    """
+    if shard_bytes < 1:
+        raise InputError("--shard-bytes", "value", f"is {shard_bytes}", "give 1 or more")
+    out = Path(out)
+    _check_out(out, vehicle_set.record, shard_bytes)
+    plan = plan_shards(vehicle_set, shard_bytes)
+    pictures = len(vehicle_set.identities) * vehicle_set.record.views
+    index = IndexRecord(
+        complete=False, shard_bytes=shard_bytes, set=vehicle_set.record,
+        identities=len(vehicle_set.identities), pictures=pictures, bytes=0, shards=(),
+    )  # fmt: skip
+    _write_index(out, index)
+    shards: list[ShardRecord] = []
+    done = 0
+    for planned in plan:
+        shards.append(_write_shard(out, planned, vehicle_set.record))
+        done += len(planned.members) * vehicle_set.record.views
+        if progress is not None:
+            progress(done, pictures)
+    _remove_strangers(out, {shard.file for shard in shards})
+    index = index.model_copy(
+        update={
+            "complete": True,
+            "bytes": sum(shard.bytes for shard in shards),
+            "shards": tuple(shards),
+        }
+    )
+    _write_index(out, index)
+    return index
+
+
+def _check_out(out: Path, record: SetRecord, shard_bytes: int) -> None:
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return
+    if not (out / INDEX_FILE).is_file():
+        raise InputError(out, "output folder", "exists and holds no shards", "name a new folder")
+    found = read_record(out / INDEX_FILE, IndexRecord, SHARDS_VERSION, _MEND, SHARDS_FORMAT)
+    if found.shard_bytes != shard_bytes:
+        raise InputError(
+            out / INDEX_FILE, "shard_bytes", f"is {found.shard_bytes}, not {shard_bytes}", _MEND
+        )
+    theirs, ours = found.set.model_dump(), record.model_dump()
+    for name in theirs:
+        if theirs[name] != ours[name]:
+            raise InputError(
+                out / INDEX_FILE, f"set.{name}", "differs: shards of another set lie there", _MEND
+            )
+
+
+def _write_index(out: Path, index: IndexRecord) -> None:
+    storage.write_json(out / INDEX_FILE, index.model_dump(mode="json"))
+
+
+def _write_shard(out: Path, planned: PlannedShard, record: SetRecord) -> ShardRecord:
+    path = out / planned.file
+    writing = _Shard(planned, record)
+    if not _already_there(path, writing):
+        writing = _Shard(planned, record)
+        with storage.atomic_file(path) as partial, partial.open("wb") as file:
+            for piece in writing.pieces():
+                file.write(piece)
+    members = MembersRecord(shard=planned.file, members=writing.members)
+    text = json.dumps(members.model_dump(mode="json"), separators=(",", ":")) + "\n"
+    storage.write_text(out / members_file(planned.file), text)
+    return ShardRecord(
+        file=planned.file,
+        split=planned.split,
+        bytes=writing.size,
+        sha256=writing.digest.hexdigest(),
+        members_sha256=hashlib.sha256(text.encode()).hexdigest(),
+        identities=tuple(planned.members),
+    )
+
+
+def _already_there(path: Path, writing: _Shard) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return all(file.read(len(piece)) == piece for piece in writing.pieces()) and not file.read(
+            1
+        )
+
+
+def _remove_strangers(out: Path, wanted: set[str]) -> None:
+    # Of a set whose pictures have become smaller since; a reader that takes all tars of the
+    # folder would meet their identities twice.
+    for path in out.glob("shard-*.tar"):
+        if path.name not in wanted:
+            path.unlink()
+            (out / members_file(path.name)).unlink(missing_ok=True)
+
+
+class _Shard:
+    """The bytes of one shard, in pieces; afterwards what has been written, and its hashes."""
+
+    def __init__(self, planned: PlannedShard, record: SetRecord) -> None:
+        self._planned, self._record = planned, record
+        self.members: dict[str, tuple[Member, ...]] = {}
+        self.size = 0
+        self.digest = hashlib.sha256()
+
+    def pieces(self) -> Iterator[bytes]:
+        for identity, members in self._planned.members.items():
+            written: list[Member] = []
+            for member in members:
+                data = _read(member, self._record)
+                yield self._counted(member_header(member.name, len(data)))
+                written.append(
+                    Member(
+                        name=member.name,
+                        offset=self.size,
+                        size=len(data),
+                        sha256=hashlib.sha256(data).hexdigest(),
+                    )
+                )
+                yield self._counted(data + padding(len(data)))
+            self.members[identity] = tuple(written)
+        yield self._counted(END)
+
+    def _counted(self, piece: bytes) -> bytes:
+        self.size += len(piece)
+        self.digest.update(piece)
+        return piece
+
+
+def _read(member: PlannedMember, record: SetRecord) -> bytes:
+    try:
+        data = member.path.read_bytes()
+    except FileNotFoundError:
+        data = b""
+    if len(data) != member.size:
+        raise InputError(
+            member.path, "file", "has changed while the set is being packed", "run again"
+        )
+    if member.path.name != IDENTITY_FILE:
+        check_encoded_header(data, member.path, record.width, record.height)
+    return data
