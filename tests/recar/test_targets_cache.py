@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from recast.errors import InputError
+from recast.recar.screening import Screening
 from recast.recar.targets import (
     Target,
     TargetCache,
     TargetRecord,
-    read_decisions,
     target_statistics,
-    write_decisions,
 )
 from support.target_caches import RESOLUTION, box_target, write_cache
 
@@ -57,13 +56,16 @@ def test_ids_by_split_and_acceptance(cache: TargetCache) -> None:
 
 
 def test_decisions_reject_and_flip(cache: TargetCache) -> None:
-    write_decisions(cache.folder, {"car-1": "reject", "car-0": "flip", "car-2": "accept"})
-    assert read_decisions(cache.folder)["car-1"] == "reject"
+    screening = Screening(cache.folder)
+    screening.decide("car-1", "reject")
+    screening.decide("car-0", "flip")
+    screening.decide("car-2", "accept")
     again = TargetCache.open(cache.folder)
     assert again.ids() == ("car-0",)
     assert_equal(again.target("car-0"), box_target(0).flipped(RESOLUTION))
-    (cache.folder / "screening.json").write_text('{"car-0": "maybe"}')
-    with pytest.raises(InputError, match=r"screening\.json: car-0"):
+    path = cache.folder / "screening.json"
+    path.write_text(path.read_text().replace('"flip"', '"maybe"'))
+    with pytest.raises(InputError, match=r"screening\.json: decisions\.car-0"):
         TargetCache.open(cache.folder)
 
 
@@ -73,7 +75,8 @@ def test_a_flip_counts_the_score_of_the_turned_target(tmp_path: Path) -> None:
         path = cache.folder / "records" / f"{name}.json"
         path.write_text(json.dumps({**json.loads(path.read_text()), "score_flipped": flipped}))
     assert TargetCache.open(cache.folder).ids() == ("car-1",)
-    write_decisions(cache.folder, {"car-0": "flip", "car-1": "flip"})
+    for name in ("car-0", "car-1"):
+        Screening(cache.folder).decide(name, "flip")
     assert TargetCache.open(cache.folder).ids() == ("car-0",)
 
 

@@ -2,28 +2,18 @@
 
 from recast.recar.targets.cache import TargetCache
 from recast.recar.targets.channels import ChannelStatistics
-from recast.recar.targets.decisions import (
-    SCREENING_FILE,
-    Decision,
-    read_decisions,
-    write_decisions,
-)
 from recast.recar.targets.record import CacheRecord, FilterRecord, ModelRecord, TargetRecord
 from recast.recar.targets.statistics import TargetStatistics, target_statistics
 from recast.recar.targets.target import Target
 
 __all__ = [
-    "SCREENING_FILE",
     "CacheRecord",
     "ChannelStatistics",
-    "Decision",
     "FilterRecord",
     "ModelRecord",
     "Target",
     "TargetCache",
     "TargetRecord",
     "TargetStatistics",
-    "read_decisions",
     "target_statistics",
-    "write_decisions",
 ]

@@ -5,7 +5,7 @@ CACHE/ss_latents/MODEL/ID.npz     mean (C, r, r, r) float32
 CACHE/latents/MODEL/ID.npz        feats (T, C) float32, coords (T, 3) uint8
 CACHE/previews/ID.png             contact sheet for people
 CACHE/records/ID.json             written last
-CACHE/screening.json              decisions of a person, if there are any
+CACHE/screening.json              decisions of a person, if there are any: `recast.recar.screening`
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from recast import storage
 from recast.errors import InputError
 from recast.recar.record import Split
+from recast.recar.screening import Decision, Screening
 from recast.recar.targets.channels import ChannelMoments, ChannelStatistics
-from recast.recar.targets.decisions import Decision, read_decisions
 from recast.recar.targets.record import (
     CACHE_FILE,
     CACHE_FORMAT,
@@ -71,7 +71,7 @@ class TargetCache:
             complete: refuse one in the making.
 
         Raises:
-            InputError: no such cache, one in the making, or a record that is wrong.
+            InputError: no such cache, one in the making, or a JSON file that is wrong.
         """
         folder = Path(folder)
         if not folder.is_dir():
@@ -88,7 +88,7 @@ class TargetCache:
                 folder / RECORDS, "records", f"{len(records)} where cache.json says "
                 f"{record.identities}", "make the targets again",
             )  # fmt: skip
-        return cls(folder, record, records, read_decisions(folder))
+        return cls(folder, record, records, Screening(folder).decisions)
 
     def ids(self, split: Split | None = None, accepted_only: bool = True) -> tuple[str, ...]:
         """Vehicles that have a target, sorted.
