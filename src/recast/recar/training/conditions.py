@@ -1,0 +1,119 @@
+"""Where the pictures that condition a flow come from: a vehicle set, or training assets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.errors import InputError
+from recast.recar.assets.asset import TrainingAsset, read_asset
+from recast.recar.picture import Image
+from recast.recar.record import SET_FILE, Split
+from recast.recar.source import IdentitySource
+from recast.recar.vehicle_set import read_set
+
+_ASSETS_KEPT = 32  # decoded at a time, about 2 MB each
+
+
+class ConditionSource(Protocol):
+    """Pictures by identity and number."""
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Identities with pictures, sorted."""
+        ...
+
+    def count(self, identity: str) -> int:
+        """Pictures of an identity."""
+        ...
+
+    def picture(self, identity: str, index: int) -> Image:
+        """(H, W, 4) uint8 RGBA with straight alpha."""
+        ...
+
+
+class SetConditions:
+    """The views of a vehicle set's identities, in folders or in shards.
+
+    Args:
+        identities: of the set, by id.
+    """
+
+    def __init__(self, identities: Mapping[str, IdentitySource]) -> None:
+        self._identities = dict(identities)
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Identities, sorted."""
+        return tuple(sorted(self._identities))
+
+    def split(self, identity: str) -> Split:
+        """Whether the set lets it be trained on."""
+        return self._identities[identity].record.split
+
+    def count(self, identity: str) -> int:
+        """Views of the set."""
+        return self._identities[identity].set_record.views
+
+    def picture(self, identity: str, index: int) -> Image:
+        """A view; see `Identity.view` for what it raises."""
+        return self._identities[identity].view(index)
+
+
+class AssetConditions:
+    """The crops of training assets, which look as a car's camera would; see `TrainingAsset`.
+
+    Args:
+        paths: files of assets; their stems are the identities.
+        read: for tests.
+    """
+
+    def __init__(
+        self, paths: Iterable[Path], read: Callable[[Path], TrainingAsset] = read_asset
+    ) -> None:
+        self._paths = {path.stem: path for path in paths}
+        self._read = lru_cache(maxsize=_ASSETS_KEPT)(read)
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Identities, sorted."""
+        return tuple(sorted(self._paths))
+
+    def count(self, identity: str) -> int:
+        """Crops of an asset."""
+        return self._read(self._paths[identity]).crops
+
+    def picture(self, identity: str, index: int) -> NDArray[np.uint8]:
+        """One of its first `crops` pictures."""
+        asset = self._read(self._paths[identity])
+        if not 0 <= index < asset.crops:
+            raise IndexError(f"crop {index}: {identity} has {asset.crops}")
+        return asset.pictures[index]
+
+
+def open_conditions(folder: Path) -> ConditionSource:
+    """The pictures in a folder: a vehicle set, or assets `*.npz`.
+
+    Raises:
+        InputError: neither is there, or the set is at fault.
+    """
+    if (folder / SET_FILE).is_file():
+        return SetConditions(read_set(folder).identities)
+    paths = sorted(folder.glob("[!.]*.npz"))
+    if not paths:
+        raise InputError(
+            folder, "pictures", f"no {SET_FILE} and no assets (*.npz) are there",
+            "name a vehicle set, or a folder of training assets",
+        )  # fmt: skip
+    return AssetConditions(paths)
+
+
+def missing_pictures(source: ConditionSource, identities: Iterable[str]) -> tuple[str, ...]:
+    """Of some identities those that a source has no picture of."""
+    known = set(source.ids)
+    return tuple(one for one in identities if one not in known or source.count(one) == 0)

@@ -1,0 +1,179 @@
+"""Everything that a stage needs, opened and checked before the first step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from recast.errors import InputError
+from recast.recar.record import SET_FILE
+from recast.recar.targets import TargetCache
+from recast.recar.training.conditions import (
+    ConditionSource,
+    SetConditions,
+    missing_pictures,
+    open_conditions,
+)
+from recast.recar.training.model_output import model_paths
+from recast.recar.training.processes import Processes
+from recast.recar.training.stage_config import StageConfig
+from recast.recar.training.training_record import StageInputs, hash_files
+from recast.trellis import ImageTo3D
+
+_SHOWN = 3
+
+
+@dataclass(frozen=True)
+class StageRequest:
+    """What is trained, from what, into which folder.
+
+    Attributes:
+        config: of the stage.
+        model: folder in the published layout that training starts from.
+        targets: cache of targets.
+        pictures: vehicle set, or folder of training assets.
+        out: folder of the new model; one of the same training is continued.
+        image_encoder: weights of the published encoder, where `model` has none.
+        device: such as "cuda:0"; None takes CUDA where there is some.
+        tensorboard: also write curves into OUT/tensorboard.
+    """
+
+    config: StageConfig
+    model: Path
+    targets: Path
+    pictures: Path
+    out: Path
+    image_encoder: Path | None = None
+    device: str | None = None
+    tensorboard: bool = False
+
+
+@dataclass(frozen=True)
+class StageParts:
+    """A request that was opened.
+
+    Attributes:
+        model: all networks, in float32.
+        targets: cache of targets.
+        pictures: of conditions.
+        train, held_out: vehicles with a target that is used.
+        inputs: for the record.
+    """
+
+    model: ImageTo3D
+    targets: TargetCache
+    pictures: ConditionSource
+    train: tuple[str, ...]
+    held_out: tuple[str, ...]
+    inputs: StageInputs
+
+
+def open_stage(request: StageRequest, processes: Processes) -> StageParts:
+    """Open model, targets and pictures, and check that they belong together.
+
+    Raises:
+        InputError: one of them is missing or broken, targets are of another size than the model
+            makes, a target has no picture, or a vehicle is in both splits.
+    """
+    config = request.config
+    for name, settings in config.settings.items():
+        parts = settings.accumulate * processes.count
+        if parts > config.objective.batch:
+            raise InputError(
+                "stage", "objective.batch",
+                f"is {config.objective.batch}, less than {parts} parts of {name} "
+                f"({processes.count} processes, accumulate {settings.accumulate})",
+                "raise it, or take fewer processes",
+            )  # fmt: skip
+    targets = TargetCache.open(request.targets)
+    pictures = open_conditions(request.pictures)
+    train, held_out = targets.ids("train"), targets.ids("held-out")
+    _check_pictures(request, pictures, train, held_out)
+    device = processes.device or request.device
+    model = ImageTo3D.load(
+        request.model, device=None if device is None else str(device),
+        torso_dtype=torch.float32, image_encoder=request.image_encoder,
+    )  # fmt: skip
+    if config.train_encoder and model.checkpoint.record.encoder_role is None:
+        raise InputError(
+            request.model, "image encoder", "is the published one, which stays as it is",
+            "set train_encoder to false",
+        )  # fmt: skip
+    _check_sizes(request, model, targets, (*train, *held_out))
+    inputs = StageInputs(
+        config=config,
+        model=request.model.resolve().name,
+        model_sha256=hash_files(request.model, model_paths(request.model, model.checkpoint.record)),
+        targets=request.targets.resolve().name,
+        targets_sha256=hash_files(request.targets, _target_files(request.targets)),
+        pictures=request.pictures.resolve().name,
+        pictures_sha256=_pictures_hash(request.pictures),
+        train=len(train),
+        held_out=len(held_out),
+    )
+    return StageParts(model, targets, pictures, train, held_out, inputs)
+
+
+def _check_pictures(
+    request: StageRequest, pictures: ConditionSource, train: Sequence[str], held_out: Sequence[str]
+) -> None:
+    missing = missing_pictures(pictures, (*train, *held_out))
+    if missing:
+        raise InputError(
+            request.pictures, "pictures",
+            f"{len(missing)} vehicles with a target have none: {_listed(missing)}",
+            "name the set that the targets were made from",
+        )  # fmt: skip
+    if isinstance(pictures, SetConditions):
+        wrong = tuple(one for one in train if pictures.split(one) != "train")
+        wrong += tuple(one for one in held_out if pictures.split(one) != "held-out")
+        if wrong:
+            raise InputError(
+                request.targets, "split",
+                f"of {len(wrong)} vehicles differs from that of the set: {_listed(wrong)}",
+                "make the targets again from this set",
+            )  # fmt: skip
+
+
+def _check_sizes(
+    request: StageRequest, model: ImageTo3D, targets: TargetCache, identities: Sequence[str]
+) -> None:
+    latent: Any = model.latent_flow.config
+    if targets.record.model.resolution != latent.resolution:
+        raise InputError(
+            request.targets, "resolution",
+            f"of the targets is {targets.record.model.resolution}, the model makes "
+            f"{latent.resolution}", "make the targets with a model of the same size",
+        )  # fmt: skip
+    for identity in identities[:1]:
+        one = targets.target(identity)
+        found = [*one.structure.shape, one.latent.shape[1]]
+        expected = [*model.structure_shape, model.latent_channels]
+        if found != expected:
+            raise InputError(
+                request.targets, identity,
+                f"has structure and latent of {found}, the model makes {expected}",
+                "make the targets with a model of the same size",
+            )  # fmt: skip
+
+
+def _target_files(folder: Path) -> list[Path]:
+    """What says which targets there are; latents follow from it."""
+    return [*folder.glob("*.json"), *folder.glob("records/[!.]*.json")]
+
+
+def _pictures_hash(folder: Path) -> str:
+    """Of the records of a set; assets, which have none, are read whole."""
+    if (folder / SET_FILE).is_file():
+        files = [folder / SET_FILE, *folder.glob("[!.]*/identity.json"), *folder.glob("index*")]
+        return hash_files(folder, files)
+    return hash_files(folder, folder.glob("[!.]*.npz"))
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(names[:_SHOWN]) + more
