@@ -63,7 +63,7 @@ def test_the_models_fit_together(sizes, tmp_path) -> None:
 def test_the_small_models_are_small() -> None:
     roles = (*GENERATION_ROLES, "image_encoder")
     counts = {role: sum(p.numel() for p in meta(SMALL.models[role]).parameters()) for role in roles}
-    assert 1_000_000 < sum(counts.values()) < 3_000_000, counts
+    assert 1_000_000 < sum(counts.values()) < 12_000_000, counts
 
 
 def test_a_new_checkpoint_depends_on_its_seed_and_the_role_only() -> None:

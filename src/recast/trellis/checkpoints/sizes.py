@@ -120,6 +120,8 @@ def _representation(num_gaussians: int, scaling_bias: float) -> dict[str, Any]:
     }
 
 
+_SMALL_VOXELS = {**_voxels(32, 64, 3, 4, False), "mlp_ratio": 2, "window_size": 4}
+
 OFFICIAL = CheckpointSizes(
     {
         STRUCTURE_FLOW: ModelSize(
@@ -165,33 +167,35 @@ SMALL = CheckpointSizes(
     {
         STRUCTURE_FLOW: ModelSize(
             "ckpts/ss_flow", "SparseStructureFlowModel",
-            {"resolution": 8, "patch_size": 2, **_flow(96, 4, 4, 96, False)},
+            {"resolution": 8, "patch_size": 2, "pool_cond": True,
+             **_flow(192, 6, 6, 128, False)},
         ),
         STRUCTURE_DECODER: ModelSize(
             "ckpts/ss_dec", "SparseStructureDecoder",
-            {"out_channels": 1, **_grid([32, 16, 8], 1, False)},
+            {"out_channels": 1, **_grid([64, 24, 4], 1, False)},
         ),
         LATENT_FLOW: ModelSize(
             "ckpts/slat_flow", "SLatFlowModel",
-            {"resolution": 32, "patch_size": 2, "num_io_res_blocks": 2,
-             "io_block_channels": [16], **_flow(96, 3, 4, 96, False)},
+            {"resolution": 32, "patch_size": 2, "num_io_res_blocks": 2, "pool_cond": True,
+             "io_block_channels": [16], **_flow(160, 4, 5, 128, False)},
         ),
         GAUSSIAN_DECODER: ModelSize(
             "ckpts/slat_dec_gs", "SLatGaussianDecoder",
-            {**_voxels(32, 96, 3, 4, False), "representation_config": _representation(8, 8e-3)},
+            {**_SMALL_VOXELS, "num_blocks": 3, "representation_config": {
+                **_representation(8, 8e-3), "opacity_bias": 0.3, "base_color": True}},
         ),
         STRUCTURE_ENCODER: ModelSize(
             "ckpts/ss_enc", "SparseStructureEncoder",
-            {"in_channels": 1, **_grid([8, 16, 32], 1, False)},
+            {"in_channels": 1, **_grid([4, 24, 64], 1, False)},
         ),
         # Of a voxel: colour, normal, centroid and which of its 2x2x2 parts are occupied.
         LATENT_ENCODER: ModelSize(
             "ckpts/slat_enc", "SLatEncoder",
-            {"in_channels": 17, **_voxels(32, 96, 3, 4, False)},
+            {"in_channels": 17, **_SMALL_VOXELS, "num_blocks": 2, "skip_latent": True},
         ),
         IMAGE_ENCODER: ModelSize(
             "ckpts/image_encoder", "CompactImageEncoder",
-            {"image_size": 128, "stem_channels": [24, 48], "channels": 96, "num_blocks": 3,
+            {"image_size": 128, "stem_channels": [32, 64, 96], "channels": 128, "num_blocks": 4,
              "num_heads": 4},
         ),
     },

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from recast.splats import Gaussians
+from recast.splats.sh import C0
 from recast.trellis.models.base import ModelConfig
 from recast.trellis.models.gaussians import (
     RepresentationConfig,
@@ -60,6 +61,10 @@ class SLatGaussianDecoder(SLatTransformer):
         """Draw initial weights and compute the perturbation; the raw output starts at zero."""
         super().initialise(generator)
         self.offset_perturbation.copy_(offset_perturbation(self.config.representation_config))
+        if self.base_color is not None:
+            # The first three channels as colours in [-1, 1]; see `SLatEncoderConfig.skip_latent`.
+            nn.init.eye_(self.base_color.weight)
+            self.base_color.weight.mul_(0.5 / (_BASE_GAIN * C0))
 
     def forward(self, x: SparseTensor) -> SparseTensor:
         """(T, latent_channels) latents to (T, 14 G) raw channels on the same voxels."""

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import torch
 from pydantic import PositiveInt
+from torch import nn
 
 from recast.trellis.models.base import ModelConfig
 from recast.trellis.models.posterior import Posterior
@@ -42,9 +43,12 @@ class SLatEncoderConfig(SLatVaeConfig):
 
     Args:
         in_channels: image features of a voxel.
+        skip_latent: add a linear map of the features to the latent's mean, so that what lies on a
+            voxel, its colour above all, need not pass the normalisations. In no published model.
     """
 
     in_channels: PositiveInt
+    skip_latent: bool = False
 
 
 class SLatEncoder(SLatTransformer):
@@ -63,9 +67,21 @@ class SLatEncoder(SLatTransformer):
 
     def __init__(self, config: SLatEncoderConfig) -> None:
         super().__init__(config, config.in_channels, 2 * config.latent_channels)
+        self.skip_latent = (
+            nn.Linear(config.in_channels, config.latent_channels) if config.skip_latent else None
+        )
         self.finish()
+
+    @torch.no_grad()
+    def initialise(self, generator: torch.Generator | None = None) -> None:
+        """As the base; the skip hands the first features over as they are, one to a channel."""
+        super().initialise(generator)
+        if self.skip_latent is not None:
+            nn.init.eye_(self.skip_latent.weight)
 
     def forward(self, x: SparseTensor) -> SparsePosterior:
         """(T, in_channels) voxels to the distribution of their (T, latent_channels) latents."""
         mean, logvar = self.outputs(x).chunk(2, dim=1)
+        if self.skip_latent is not None:
+            mean = mean + self.skip_latent(x.feats)
         return SparsePosterior(x.with_feats(mean), x.with_feats(logvar))
