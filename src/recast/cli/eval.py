@@ -10,12 +10,9 @@ import tyro
 
 
 @dataclass(frozen=True)
-class Eval:
+class EvalActor:
     """Make vehicles from one picture each and compare them with reserved ones."""
 
-    # tyro makes no subcommand of a single choice
-    part: Annotated[tyro.conf.Positional[Literal["actor"]], tyro.conf.arg(metavar="actor")]
-    """What is judged."""
     model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
     """What makes the vehicles: template, an installed generator, a PLY, or a folder of a model."""
     set: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SET")]
@@ -60,3 +57,86 @@ class Eval:
         for vehicle, reason in evaluation.failures.items():
             console.print(f"not made: {vehicle}: {reason}", markup=False)
         console.print(f"wrote {self.out}", markup=False)
+
+
+@dataclass(frozen=True)
+class EvalGeneration:
+    """Compare models that make vehicles from one picture, on clean and on perturbed pictures."""
+
+    model: tyro.conf.UseAppendAction[tuple[str, ...]]
+    """NAME=WHAT: a model's name in the tables, and a model folder, a generator or a PLY; give it
+    again for each model, best from the oldest to the newest: each is compared with the one before.
+    """
+    set: Path
+    """Vehicle set, of which the held-out identities are taken, or a folder of real crops."""
+    out: Path
+    """Folder to write to; the same command resumes there, and models may be added."""
+    perturbed: str | None = None
+    """Also judge on perturbed pictures: a perturbation file, or the word default."""
+    placement: Literal["views", "canonical"] = "views"
+    """How vehicles are placed in their box: by the conditioning view as `recast eval actor` does,
+    or by the models' own forward axis, which they then must have been taught."""
+    seed: int = 0
+    """Seed of everything random."""
+    limit: int | None = None
+    """Judge only this many vehicles, the first by id; all where not given."""
+    workers: int = 1
+    """Processes; the files are the same for any number."""
+    samples: int = 200_000
+    """Bootstrap samples of the intervals."""
+    shown: int = 40
+    """Vehicles on the picture sheets, the first by id."""
+    lpips_weights: Path | None = None
+    """AlexNet or VGG-16 weights as torchvision saves them, for LPIPS."""
+    clip: Path | None = None
+    """Folder of a CLIP model, for the image similarity."""
+    dino: Path | None = None
+    """Folder of a DINOv2 model, for its feature and Frechet distances."""
+    inception: Path | None = None
+    """Weights of the FID's Inception network or of torchvision's, for the Frechet distance."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from rich.console import Console
+
+        from recast.evaluation.generation_report import differences_table, study_table
+        from recast.pipeline.generation_maker import Measures
+        from recast.pipeline.generation_plan import StudySettings, parse_models
+        from recast.pipeline.generation_study import run_study
+        from recast.recar.perturb import PerturbationConfig, read_perturbations
+        from recast.recar.progress import PictureProgress
+
+        config = None
+        if self.perturbed is not None:
+            named = self.perturbed != "default"
+            config = read_perturbations(self.perturbed) if named else PerturbationConfig()
+        settings = StudySettings(
+            parse_models(self.model), self.set, self.seed, self.limit, config, self.placement,
+            Measures(self.lpips_weights, self.clip, self.dino, self.inception), self.samples,
+            self.shown,
+        )  # fmt: skip
+        console = Console()
+        with PictureProgress("vehicles", console) as progress:
+            blocks = run_study(settings, self.out, workers=self.workers, progress=progress)
+        for block in blocks:
+            console.print(study_table(block))
+            if block.differences:
+                console.print(differences_table(block))
+            for model, failed in block.failures.items():
+                for vehicle, reason in failed.items():
+                    console.print(f"not made by {model}: {vehicle}: {reason}", markup=False)
+        console.print(f"wrote {self.out}", markup=False)
+
+
+@dataclass(frozen=True)
+class Eval:
+    """Judge what makes vehicles, by pictures of them that it has not seen."""
+
+    command: (
+        Annotated[EvalActor, tyro.conf.subcommand("actor")]
+        | Annotated[EvalGeneration, tyro.conf.subcommand("generation")]
+    )
+
+    def __call__(self) -> None:
+        """Run the command."""
+        self.command()

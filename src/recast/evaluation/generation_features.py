@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -11,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.evaluation.actor_scores import Cutout
+from recast.evaluation.generation_inception import load_inception
+from recast.evaluation.perceptual_features import cosine, load_clip, load_dino
 
 Array = NDArray[np.float64]
 Window = tuple[slice, slice]
@@ -22,24 +25,45 @@ _GREY = 0.5  # behind the vehicle, so that dark and bright ones have an outline
 _EDGE_GAIN = 4.0  # brings the spread of edges to that of colours
 
 
+@dataclass(frozen=True)
+class FeatureKind:
+    """What is computed from features of one kind.
+
+    Attributes:
+        score: column of the comparison of two pictures, None where there is none.
+        frechet: column of the Frechet distance, None where there is none.
+        compare: from the features (D,) of two pictures to the score.
+    """
+
+    score: str | None
+    frechet: str | None
+    compare: Callable[[Array, Array], float] | None
+
+
+def _root_mean_square(first: Array, second: Array) -> float:
+    return float(np.sqrt(np.mean((first - second) ** 2)))
+
+
+FEATURE_KINDS: Mapping[str, FeatureKind] = {
+    "toy": FeatureKind("toy", "fd_toy", _root_mean_square),
+    "clip": FeatureKind("clip", None, lambda first, second: 100.0 * cosine(first, second)),
+    "dino": FeatureKind("dino", "fd_dino", lambda first, second: 1.0 - cosine(first, second)),
+    "inception": FeatureKind(None, "fd_inception", None),
+}
+"""By key of an `Embedder`; the scores of CLIP and DINOv2 are those of `recast eval actor`."""
+
+
 class Embedder(Protocol):
     """Features of a picture.
 
     Attributes:
-        key: of the features.
-        score: column of the comparison of two pictures, None where there is none.
-        frechet: column of the Frechet distance, None where there is none.
+        key: of `FEATURE_KINDS`.
     """
 
     key: str
-    score: str | None
-    frechet: str | None
 
     def features(self, cutout: Cutout, window: Window) -> Array:
         """(D,) of the vehicle in a window."""
-
-    def compare(self, first: Array, second: Array) -> float:
-        """The score of two pictures by their features (D,)."""
 
 
 class ToyFeatures:
@@ -54,7 +78,7 @@ class ToyFeatures:
     by Inception or DINOv2.
     """
 
-    key, score, frechet = "toy", "toy", "fd_toy"
+    key = "toy"
 
     def features(self, cutout: Cutout, window: Window) -> Array:
         """(128,) of the vehicle in a window."""
@@ -71,41 +95,22 @@ class ToyFeatures:
         features: Array = cells.mean(axis=(1, 3)).reshape(-1)
         return features
 
-    def compare(self, first: Array, second: Array) -> float:
-        """Root of the mean squared difference."""
-        return float(np.sqrt(np.mean((first - second) ** 2)))
-
 
 class NetworkFeatures:
     """Features of a network that looks at the window before black.
 
     Args:
-        key: see `Embedder`, and so are `score` and `frechet`.
+        key: of `FEATURE_KINDS`.
         embed: from an image (H, W, 3) in [0, 1] to (D,).
-        by: from two features to the score, where there is one.
     """
 
-    def __init__(
-        self,
-        key: str,
-        score: str | None,
-        frechet: str | None,
-        embed: Callable[[Array], Array],
-        by: Callable[[Array, Array], float] | None = None,
-    ) -> None:
-        self.key, self.score, self.frechet = key, score, frechet
+    def __init__(self, key: str, embed: Callable[[Array], Array]) -> None:
+        self.key = key
         self._embed = embed
-        self._by = by
 
     def features(self, cutout: Cutout, window: Window) -> Array:
         """(D,) of the vehicle in a window."""
         return self._embed(cutout.rgb[window])
-
-    def compare(self, first: Array, second: Array) -> float:
-        """The score of two pictures by their features."""
-        if self._by is None:
-            raise ValueError(f"NetworkFeatures: {self.key} has no score of two pictures")
-        return self._by(first, second)
 
 
 def load_embedders(
@@ -122,20 +127,12 @@ def load_embedders(
         InputError: what is named is missing or something else.
     """
     found: list[Embedder] = [ToyFeatures()]
-    if clip is not None or dino is not None:  # transformers takes seconds to import
-        from recast.evaluation.perceptual_features import load_clip, load_dino
-
-        if clip is not None:
-            model = load_clip(clip)
-            found.append(NetworkFeatures("clip", "clip", None, model.features, model.compare))
-        if dino is not None:
-            model = load_dino(dino)
-            found.append(NetworkFeatures("dino", "dino", "fd_dino", model.features, model.compare))
+    if clip is not None:
+        found.append(NetworkFeatures("clip", load_clip(clip).features))
+    if dino is not None:
+        found.append(NetworkFeatures("dino", load_dino(dino).features))
     if inception is not None:
-        from recast.evaluation.generation_inception import load_inception
-
-        network = load_inception(inception)
-        found.append(NetworkFeatures("inception", None, "fd_inception", network.features))
+        found.append(NetworkFeatures("inception", load_inception(inception).features))
     return tuple(found)
 
 

@@ -44,7 +44,7 @@ class FeatureDistance:
 
     def __call__(self, image: Array, reference: Array) -> float:
         """Score of two images (H, W, 3) in [0, 1]."""
-        return self.compare(self.features(image), self.features(reference))
+        return self._of_cosine(cosine(self.features(image), self.features(reference)))
 
     def features(self, image: Array) -> Array:
         """(C,) what the model makes of an image (H, W, 3) in [0, 1]."""
@@ -54,11 +54,11 @@ class FeatureDistance:
             features: Array = self._features(pixels.float()).double()[0].numpy()
         return features
 
-    def compare(self, first: Array, second: Array) -> float:
-        """Score of two images by their features (C,)."""
-        apart = _unit(first) - _unit(second)
-        cosine = 1.0 - 0.5 * float(apart @ apart)  # exactly 1 for equal images
-        return self._of_cosine(cosine)
+
+def cosine(first: Array, second: Array) -> float:
+    """Of the angle between two features (C,); exactly 1 for equal ones."""
+    apart = _unit(first) - _unit(second)
+    return 1.0 - 0.5 * float(apart @ apart)
 
 
 def _unit(features: Array) -> Array:

@@ -25,10 +25,10 @@ from recast.evaluation.actor_scores import (
     score_view,
 )
 from recast.evaluation.perceptual import ImageDistance
+from recast.evaluation.rounding import rounded
 from recast.storage import atomic_folder, write_json
 
 METRICS_FILE, TIMINGS_FILE = "metrics.json", "timings.json"
-_ROUNDED = 6  # decimals of what is written
 
 
 @dataclass(frozen=True)
@@ -81,8 +81,8 @@ class ActorEvaluation:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, rounded to six decimals."""
-        rounded: dict[str, Any] = _rounded({"version": 1, **asdict(self)})
-        return rounded
+        data: dict[str, Any] = rounded({"version": 1, **asdict(self)})
+        return data
 
 
 def evaluate_actors(
@@ -158,7 +158,7 @@ def evaluate_actors(
         mean = mean_scores([one.mean for one in results])
         evaluation = ActorEvaluation(generator.name, seed, tuple(results), failures, mean)
         write_json(partial / METRICS_FILE, evaluation.to_json())
-        write_json(partial / TIMINGS_FILE, _rounded(seconds))
+        write_json(partial / TIMINGS_FILE, rounded(seconds))
     return evaluation
 
 
@@ -193,14 +193,3 @@ def _caption(view: ActorView, scores: dict[str, float]) -> str:
         f"azimuth {view.azimuth_deg:.0f}\n"
         f"{decibels}  SSIM {scores['ssim']:.3f}  IoU {scores['mask_iou']:.2f}"
     )
-
-
-def _rounded(value: Any) -> Any:
-    """The same data with floats of six decimals; JSON knows no NaN, so it becomes null."""
-    if isinstance(value, dict):
-        return {key: _rounded(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_rounded(one) for one in value]
-    if isinstance(value, float):
-        return round(value, _ROUNDED) if value == value else None
-    return value

@@ -1,0 +1,198 @@
+"""One vehicle of a generation study: made by one model from one picture, placed, and looked at."""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.actors import ActorGenerator, Observation
+from recast.actors.one_view import observation_of_view
+from recast.errors import InputError
+from recast.evaluation.actor_cases import ActorCase
+from recast.evaluation.actor_scores import Cutout, drawn, framed, photographed, score_view
+from recast.evaluation.generation_cell import Cell, Features, write_cell
+from recast.evaluation.generation_features import Embedder, load_embedders
+from recast.evaluation.generation_pictures import strip, tile, tile_window
+from recast.evaluation.generation_placement import Placement, place
+from recast.evaluation.perceptual import ImageDistance, load_distances
+from recast.pipeline.actor import generator_of
+from recast.recar.perturb import PerturbationConfig, perturb
+
+Image = NDArray[np.uint8]
+
+_PERTURBATIONS = 1  # the stream of random numbers of what befalls an input, by seed and vehicle
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Weights that scores need; a score is left out where they are not given.
+
+    Attributes:
+        lpips: AlexNet or VGG-16 as torchvision saves them.
+        clip, dino: folders of a CLIP and of a DINOv2 model.
+        inception: the FID's network, or torchvision's Inception v3.
+    """
+
+    lpips: Path | None = None
+    clip: Path | None = None
+    dino: Path | None = None
+    inception: Path | None = None
+
+
+@dataclass(frozen=True)
+class CellJob:
+    """What is to be made of one vehicle.
+
+    Attributes:
+        case: the vehicle.
+        key: see `Cell`.
+        folder: of the cell.
+        model: what makes it, see `generator_of`; None for the photographs.
+        perturbed: what the input is put through; None for a clean one. Of the photographs' job:
+            with what the perturbed input is shown.
+    """
+
+    case: ActorCase
+    key: str
+    folder: Path
+    model: str | None
+    perturbed: PerturbationConfig | None
+
+
+class CellMaker:
+    """Makes cells, one after the other; the model last used stays loaded.
+
+    Args:
+        measures: what views are scored by.
+        seed: of the models and of the perturbations.
+        placement: see `recast.evaluation.generation_placement`.
+
+    Raises:
+        InputError: weights that cannot be read.
+    """
+
+    def __init__(self, measures: Measures, seed: int, placement: Placement) -> None:
+        self._distances: Sequence[ImageDistance] = load_distances(lpips=measures.lpips)
+        self._embedders: Sequence[Embedder] = load_embedders(
+            measures.clip, measures.dino, measures.inception
+        )
+        self._seed = seed
+        self._placement = placement
+        self._model: tuple[str, ActorGenerator] | None = None
+
+    def __call__(self, job: CellJob) -> dict[str, float]:
+        """Make and write a cell; gives the seconds it took, by what was done.
+
+        Raises:
+            InputError: the model cannot be loaded, a picture of the set is broken, the disk is
+                full. That a model fails on a vehicle is no error: the cell says so.
+        """
+        if job.model is None:
+            return self._photographs(job)
+        return self._generated(job, self._generator(job.model))
+
+    def _generator(self, model: str) -> ActorGenerator:
+        if self._model is None or self._model[0] != model:
+            self._model = None  # first let go of the other one
+            self._model = (model, generator_of(model))
+        return self._model[1]
+
+    def _photographs(self, job: CellJob) -> dict[str, float]:
+        start = time.perf_counter()
+        case = job.case
+        clean = photographed(case.inputs[0].load())
+        window = tile_window(clean.mask)
+        pictures = {"input": tile(clean, window)}
+        applied: list[dict[str, Any]] = []
+        if job.perturbed is not None:
+            rgba, applied = perturbed_input(case, self._seed, job.perturbed)
+            pictures["perturbed"] = tile(photographed(rgba), window)
+        truths = [photographed(view.load()) for view in case.targets]
+        pictures["strip"] = _strip(truths, truths)
+        facts = {
+            "input": case.inputs[0].name,
+            "input_azimuth_deg": case.inputs[0].azimuth_deg,
+            "azimuths_deg": [view.azimuth_deg for view in case.targets],
+            "perturbations": applied,
+        }
+        features = self._features(truths, truths)
+        views = tuple(view.name for view in case.targets)
+        write_cell(job.folder, Cell(job.key, case.id, facts, views, features=features), pictures)
+        return {"measure": time.perf_counter() - start}
+
+    def _generated(self, job: CellJob, generator: ActorGenerator) -> dict[str, float]:
+        case = job.case
+        clean = [_observation(case, index) for index in range(len(case.inputs))]
+        seen = clean[0]
+        if job.perturbed is not None:
+            rgba, _ = perturbed_input(case, self._seed, job.perturbed)
+            seen = _observation(case, 0, rgba)
+        start = time.perf_counter()
+        try:
+            asset = generator.generate(seen, self._seed)
+            made = time.perf_counter()
+            # by clean views: how well the silhouette is found again is not the model's doing
+            gaussians, placement = place(asset, case.size, clean, self._placement)
+        except InputError as error:
+            write_cell(job.folder, Cell(job.key, case.id, {}, failure=str(error)), {})
+            return {"generate": time.perf_counter() - start}
+        placed = time.perf_counter()
+        truths = [photographed(view.load()) for view in case.targets]
+        shown = [drawn(gaussians, view) for view in case.targets]
+        scores = [
+            score_view(one, truth, self._distances)
+            for one, truth in zip(shown, truths, strict=True)
+        ]
+        facts = {"details": dict(asset.details), "seed": asset.seed, "placement": placement}
+        views = tuple(view.name for view in case.targets)
+        features = self._features(shown, truths)
+        cell = Cell(job.key, case.id, facts, views, tuple(scores), features)
+        write_cell(job.folder, cell, {"strip": _strip(shown, truths)})
+        return {
+            "generate": made - start,
+            "place": placed - made,
+            "measure": time.perf_counter() - placed,
+        }
+
+    def _features(self, shown: Sequence[Cutout], truths: Sequence[Cutout]) -> dict[str, Features]:
+        """Of every view, seen in the square around the photographed vehicle."""
+        windows = [framed(truth.mask) for truth in truths]
+        return {
+            embedder.key: np.stack(
+                [embedder.features(one, at) for one, at in zip(shown, windows, strict=True)]
+            ).astype(np.float32)
+            for embedder in self._embedders
+        }
+
+
+def perturbed_input(
+    case: ActorCase, seed: int, config: PerturbationConfig
+) -> tuple[Image, list[dict[str, Any]]]:
+    """The input as every model gets it: by seed and vehicle, never clean.
+
+    Returns:
+        (H, W, 4) uint8, and what was applied, by name and severity.
+    """
+    rng = np.random.default_rng([seed, zlib.crc32(case.id.encode()), _PERTURBATIONS])
+    never_clean = config.model_copy(update={"rho_clean": 0.0})
+    result = perturb(case.inputs[0].load(), never_clean, rng)
+    return result.rgba, [{"name": name, "severity": how} for name, how in result.applied]
+
+
+def _observation(case: ActorCase, index: int, rgba: Image | None = None) -> Observation:
+    view = case.inputs[index]
+    return observation_of_view(
+        view.load() if rgba is None else rgba, view.camera, view.camera_from_actor, case.size,
+        name=f"{case.id}/{view.name}", category=case.category,
+    )  # fmt: skip
+
+
+def _strip(shown: Sequence[Cutout], truths: Sequence[Cutout]) -> Image:
+    return strip(shown, [tile_window(truth.mask) for truth in truths])
