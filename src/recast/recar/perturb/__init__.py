@@ -1,0 +1,19 @@
+"""Faults of pictures from driving logs, put on clean conditioning pictures (paper, Stage II)."""
+
+from recast.recar.perturb.compose import Perturbed, perturb
+from recast.recar.perturb.config import (
+    PerturbationConfig,
+    read_perturbations,
+    write_perturbations,
+)
+from recast.recar.perturb.kind import Kind, Perturbation
+
+__all__ = [
+    "Kind",
+    "Perturbation",
+    "PerturbationConfig",
+    "Perturbed",
+    "perturb",
+    "read_perturbations",
+    "write_perturbations",
+]
