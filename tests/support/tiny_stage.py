@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-import threading
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from rich.console import Console
 
 from recast.recar import begin_set, finish_set, regular_azimuths, write_identity
 from recast.recar.record import IdentityRecord, SetRecord
@@ -20,6 +16,7 @@ from recast.recar.targets import CacheRecord, ModelRecord, Target, TargetCache, 
 from recast.recar.training.stage import train_stage
 from recast.recar.training.stage_config import StageConfig
 from recast.recar.training.stage_parts import StageRequest
+from recast.storage import write_json
 from recast.trellis import ImageTo3D, SamplerSettings
 from support.trellis import golden_tensors
 from support.trellis_folder import write_golden_model
@@ -101,8 +98,6 @@ def _write_targets(folders: TinyStage, splits: dict[str, Any]) -> None:
         structure_sampler=SamplerSettings(), latent_sampler=SamplerSettings(), seed=0, retries=0,
         max_voxels=1000, identities=len(splits), failures=0,
     )  # fmt: skip
-    from recast.storage import write_json
-
     write_json(folders.targets / "cache.json", record.model_dump(mode="json"))
     cache = TargetCache(folders.targets, record, {}, {})
     coords = case["coords"][case["coords"][:, 0] == 0, 1:].int()
@@ -120,15 +115,7 @@ def _write_targets(folders: TinyStage, splits: dict[str, Any]) -> None:
         )
 
 
-def train_and_be_killed(request: StageRequest, after: float) -> None:
-    """Train in this process, which kills itself (SIGKILL) after so many seconds of it."""
+def train_quietly(request: StageRequest) -> None:
+    """Train in a process of its own, which a test may kill."""
     torch.set_num_threads(1)
-    sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115
-
-    def kill() -> None:
-        time.sleep(after)
-        os.kill(os.getpid(), signal.SIGKILL)
-
-    if after >= 0:
-        threading.Thread(target=kill, daemon=True).start()
-    train_stage(request)
+    train_stage(request, console=Console(quiet=True))

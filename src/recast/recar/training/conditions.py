@@ -14,8 +14,9 @@ from recast.errors import InputError
 from recast.recar.assets.asset import TrainingAsset, read_asset
 from recast.recar.picture import Image
 from recast.recar.record import SET_FILE, Split
+from recast.recar.shards.layout import INDEX_FILE
+from recast.recar.shards.opening import open_set
 from recast.recar.source import IdentitySource
-from recast.recar.vehicle_set import read_set
 
 _ASSETS_KEPT = 32  # decoded at a time, about 2 MB each
 
@@ -97,17 +98,17 @@ class AssetConditions:
 
 
 def open_conditions(folder: Path) -> ConditionSource:
-    """The pictures in a folder: a vehicle set, or assets `*.npz`.
+    """The pictures in a folder: a vehicle set, in folders or in shards, or assets `*.npz`.
 
     Raises:
         InputError: neither is there, or the set is at fault.
     """
-    if (folder / SET_FILE).is_file():
-        return SetConditions(read_set(folder).identities)
+    if any((folder / name).is_file() for name in (SET_FILE, INDEX_FILE)):
+        return SetConditions(open_set(folder).identities)
     paths = sorted(folder.glob("[!.]*.npz"))
     if not paths:
         raise InputError(
-            folder, "pictures", f"no {SET_FILE} and no assets (*.npz) are there",
+            folder, "pictures", f"no {SET_FILE}, no {INDEX_FILE} and no assets (*.npz) there",
             "name a vehicle set, or a folder of training assets",
         )  # fmt: skip
     return AssetConditions(paths)

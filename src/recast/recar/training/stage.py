@@ -14,6 +14,7 @@ import torch
 from rich.console import Console
 from torch import nn
 
+from recast.recar.perturb import PerturbationConfig, perturb
 from recast.recar.picture import Image
 from recast.recar.training.display import TrainingDisplay, tensorboard_writer
 from recast.recar.training.flow_task import FlowTask
@@ -165,9 +166,9 @@ class _Stage:
             model.encoder, self.parts.pictures, model.device,
             frozen=encoder is None, kept_bytes=config.token_memory_mib << 20,
         )  # fmt: skip
-        perturb, clean_share = _perturbation(config.perturbation)
+        alter, clean_share = _perturbation(config.perturbation)
         return FlowTask(
-            flow, self.parts.targets, self.parts.train, tokens, objective, perturb, clean_share,
+            flow, self.parts.targets, self.parts.train, tokens, objective, alter, clean_share,
             encoder,
         )  # fmt: skip
 
@@ -233,13 +234,10 @@ def _written_weights(state: TrainingState, *, average: bool) -> Iterator[None]:
             module.load_state_dict(kept[name])
 
 
-def _perturbation(settings: dict[str, Any] | None) -> tuple[Perturb | None, float]:
+def _perturbation(config: PerturbationConfig | None) -> tuple[Perturb | None, float]:
     """What alters pictures, and the share rho of those that it leaves alone."""
-    if settings is None:
+    if config is None:
         return None, 1.0
-    from recast.recar.perturb import PerturbationConfig, perturb
-
-    config = PerturbationConfig.model_validate(settings)
     always = config.model_copy(update={"rho_clean": 0.0})  # drawn by the task
 
     def alter(rgba: Image, rng: np.random.Generator) -> Image:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from recast.errors import InputError
+from recast.recar.perturb import PerturbationConfig
 from recast.recar.training.settings import TrainerSettings
 from recast.records import validation_error
 from recast.storage import read_json
@@ -46,9 +47,8 @@ class StageConfig(BaseModel):
         name: for people.
         structure, latent: how each flow is trained; None leaves it as it is.
         objective: of both.
-        perturbation: alters the pictures of conditions, in the words of
-            `recast.recar.perturb.PerturbationConfig`; {} takes its defaults, None leaves all
-            clean.
+        perturbation: alters the pictures of conditions; {} in a file takes all defaults, None
+            leaves all clean.
         train_encoder: train the image encoder together with the structure flow, instead of
             keeping it frozen; for small models, whose encoder nothing has trained before.
         checkpointing: recompute activations in the backward pass to save memory.
@@ -66,7 +66,7 @@ class StageConfig(BaseModel):
     structure: TrainerSettings | None
     latent: TrainerSettings | None
     objective: FlowObjective = FlowObjective()
-    perturbation: dict[str, Any] | None = None
+    perturbation: PerturbationConfig | None = None
     train_encoder: bool = False
     checkpointing: bool = True
     weights: Literal["average", "raw"] = "average"
@@ -112,7 +112,7 @@ STAGE_2 = StageConfig(
     name="stage-2",
     structure=_trainer(12_000, 2e-6),
     latent=_trainer(12_000, 2e-6),
-    perturbation={},
+    perturbation=PerturbationConfig(),
 )
 """Robustness (paper, section 2): the same targets, four pictures in five perturbed."""
 
@@ -157,3 +157,34 @@ def _merged(start: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
         both = isinstance(old, Mapping) and isinstance(value, Mapping)
         merged[name] = _merged(old, value) if both else value  # type: ignore[arg-type]
     return merged
+
+
+def chosen_stage(
+    stage: str | None, file: Path | None, flows: Sequence[FlowName] = ()
+) -> StageConfig:
+    """The stage that a command names: "1", "2" or "base", or a file; exactly one of them.
+
+    Args:
+        stage: the name.
+        file: see `read_stage_config`.
+        flows: only these are trained; all of the stage where none is named.
+
+    Raises:
+        InputError: none or both are given, the file is wrong, or it does not train such a flow.
+    """
+    if (stage is None) == (file is None):
+        raise InputError(
+            "--stage", "value", "neither it nor --config is given" if stage is None else
+            "--config is given too", "give one of the two",
+        )  # fmt: skip
+    if file is not None:
+        config = read_stage_config(file)
+    else:
+        config = PRESETS[f"stage-{stage}" if stage in ("1", "2") else str(stage)]
+    for flow in flows:
+        if flow not in config.settings:
+            raise InputError("--flow", flow, f"is not trained by {config.name}", "name another")
+    left_out: dict[str, Any] = {name: None for name in FLOWS if flows and name not in flows}
+    if "structure" in left_out:
+        left_out["train_encoder"] = False
+    return config.model_copy(update=left_out)

@@ -11,6 +11,7 @@ import torch
 
 from recast.errors import InputError
 from recast.recar.record import SET_FILE
+from recast.recar.shards.layout import INDEX_FILE
 from recast.recar.targets import TargetCache
 from recast.recar.training.conditions import (
     ConditionSource,
@@ -167,11 +168,10 @@ def _target_files(folder: Path) -> list[Path]:
 
 
 def _pictures_hash(folder: Path) -> str:
-    """Of the records of a set; assets, which have none, are read whole."""
-    if (folder / SET_FILE).is_file():
-        files = [folder / SET_FILE, *folder.glob("[!.]*/identity.json"), *folder.glob("index*")]
-        return hash_files(folder, files)
-    return hash_files(folder, folder.glob("[!.]*.npz"))
+    """Of the records of a set or of its shards; assets, which have none, are read whole."""
+    records = [folder / SET_FILE, folder / INDEX_FILE, *folder.glob("[!.]*/identity.json")]
+    found = [path for path in records if path.is_file()]
+    return hash_files(folder, found or folder.glob("[!.]*.npz"))
 
 
 def _listed(names: Sequence[str]) -> str:

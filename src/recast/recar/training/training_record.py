@@ -47,7 +47,7 @@ class StageInputs(BaseModel):
         model, targets, pictures: names of the folders, for people.
         model_sha256: of `pipeline.json` and all model files.
         targets_sha256: of `cache.json`, all records and the decisions of a person.
-        pictures_sha256: of `set.json` and names of identities, or of names and sizes of assets.
+        pictures_sha256: of the records of a set or of its shards, or of all assets.
         train, held_out: vehicles that were used.
     """
 

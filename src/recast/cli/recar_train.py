@@ -1,0 +1,58 @@
+"""`recast recar train`: one stage of the adaptation, from a model folder to a new one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train the flows of an image-to-3D model towards pseudo-targets; continues what was killed.
+
+    On several GPUs: torchrun --nproc-per-node 2 -m recast.cli.main recar train ...
+    """
+
+    model: Path
+    """Model folder to start from, in the published layout."""
+    targets: Path
+    """Cache of pseudo-targets, of `recast recar targets`."""
+    set: Path
+    """Vehicle set with the pictures, in folders or shards; or a folder of training assets."""
+    out: Path
+    """Folder of the new model; new, or one of the same training, which is continued."""
+    stage: Literal["1", "2", "base"] | None = None
+    """The paper's stage 1 (vehicles) or 2 (perturbed pictures), or a small model from nothing."""
+    config: Path | None = None
+    """JSON file with every figure of a stage, or "preset" and what differs from it; instead of
+    --stage."""
+    flow: tyro.conf.UseAppendAction[tuple[Literal["structure", "latent"], ...]] = ()
+    """Train this flow only; may be given again. Both where not given."""
+    image_encoder: Path | None = None
+    """Weights of the published image encoder (DINOv2 ViT-L/14 with registers), where the model
+    folder has none."""
+    device: str | None = None
+    """Such as cpu or cuda:0; CUDA where there is some."""
+    tensorboard: bool = False
+    """Also write curves for TensorBoard into OUT/tensorboard."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from rich.console import Console
+
+        from recast.recar.training.processes import Processes
+        from recast.recar.training.stage import train_stage
+        from recast.recar.training.stage_config import chosen_stage
+        from recast.recar.training.stage_parts import StageRequest
+
+        config = chosen_stage(self.stage, self.config, self.flow)
+        request = StageRequest(
+            config, self.model, self.targets, self.set, self.out, self.image_encoder, self.device,
+            self.tensorboard,
+        )  # fmt: skip
+        processes = Processes.started()
+        train_stage(request, processes=processes)
+        Console(quiet=not processes.first).print(f"wrote {self.out}", markup=False)
