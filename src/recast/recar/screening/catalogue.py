@@ -23,7 +23,7 @@ class Entry:
 
     Attributes:
         id: of its identity.
-        score: of the quality filter; None where it was not scored.
+        score: by which it is sorted and filtered; None where it was not scored.
     """
 
     id: str

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import os
 import threading
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -74,7 +73,7 @@ class Screening:
         """Read what another process wrote since; next to nothing where none did."""
         with self._thread:
             try:
-                found = _file_state(os.stat(self._path))
+                found = _file_state(self._path.stat())
             except FileNotFoundError:
                 found = None
             if found == self._file:
@@ -173,7 +172,7 @@ class Screening:
             decisions[change.id] = change.after
         line = change_line(change)
         storage.write_text(self._path, record_text(decisions, [*self._lines, line]))
-        self._file = _file_state(os.stat(self._path))
+        self._file = _file_state(self._path.stat())
         self._decisions = decisions
         self._history.append(change)
         self._lines.append(line)

@@ -1,0 +1,215 @@
+"""What the page of the screening asks for and decides, without HTTP."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from recast.errors import InputError
+from recast.recar.screening.catalogue import ORDERS, SHOWS, Catalogue, Entry, Filter, Order
+from recast.recar.screening.decisions import Conflict, Screening
+from recast.recar.screening.record import DECISIONS
+from recast.recar.source import VehicleSource
+from recast.recar.targets import TargetCache, TargetRecord
+from recast.recar.targets.views import nearest_views
+
+MOST_ITEMS = 200
+"""Of an answer."""
+
+SIDES = ("front", "rear", "left", "right")
+"""Views that a target was made from, in the order of the cache."""
+
+
+class RefusedError(ValueError):
+    """A request that cannot be answered.
+
+    Attributes:
+        status: of HTTP.
+        answer: what the page needs to go on.
+    """
+
+    def __init__(self, status: int, message: str, answer: Mapping[str, Any] | None = None) -> None:
+        super().__init__(message)
+        self.status = status
+        self.answer = {**(answer or {}), "error": message}
+
+
+class ScreeningService:
+    """One cache on the page.
+
+    Args:
+        cache: may still be in the making; what it holds now is screened.
+        pictures: the set it was made from, for the input views; None shows none.
+
+    Raises:
+        InputError: the cache has no target, or is of another set than `pictures`.
+    """
+
+    def __init__(self, cache: TargetCache, pictures: VehicleSource | None = None) -> None:
+        self.cache = cache
+        self.screening = Screening(cache.folder)
+        self.catalogue = Catalogue(
+            Entry(name, best_score(cache.records[name])) for name in cache.ids(accepted_only=False)
+        )
+        if not self.catalogue:
+            raise InputError(cache.folder, "targets", "none to screen", "make them first")
+        if pictures is not None and pictures.record.name != cache.record.vehicle_set:
+            raise InputError(
+                pictures.folder, "set", f"is {pictures.record.name!r}, the targets are of "
+                f"{cache.record.vehicle_set!r}", "name the set they were made from",
+            )  # fmt: skip
+        self._pictures = pictures
+        self._views = () if pictures is None else nearest_views(pictures.record)
+
+    def state(self) -> dict[str, Any]:
+        """What does not change while a page is open."""
+        quality = self.cache.record.filter
+        return {
+            "cache": self.cache.folder.resolve().name,
+            "model": self.cache.record.model.name,
+            "total": len(self.catalogue),
+            "failures": sum(one.failure is not None for one in self.cache.records.values()),
+            "score": quality.score,
+            "threshold": quality.threshold,
+            "sides": SIDES if self._pictures is not None else (),
+            "revision": self.screening.revision,
+        }
+
+    def summary(self) -> str:
+        """How far the screening is, in words."""
+        self.screening.refresh()
+        found = self.catalogue.counts(Filter(), self.screening.decisions)
+        return (
+            f"{found['all'] - found['undecided']} of {found['all']} decided, {found['accept']} "
+            f"accepted, {found['flip']} flipped, {found['reject']} rejected"
+        )
+
+    def items(self, query: Mapping[str, str]) -> dict[str, Any]:
+        """Targets in an order: those after one, those before one, or the one at an id.
+
+        Args:
+            query: one of `after`, `before` and `at`, or none for the first; `order`, `limit` and
+                the members of a filter.
+        """
+        order, wanted = _order(query), _filter(query)
+        limit = min(max(int(_number(query, "limit") or 40), 1), MOST_ITEMS)
+        self.screening.refresh()
+        decisions = self.screening.decisions
+        if "at" in query:
+            found = [self.catalogue[self._known(query["at"])]]
+        elif "before" in query:
+            name = self._known(query["before"])
+            found = self.catalogue.before(name, order, wanted, decisions, limit)
+        else:
+            start = self._known(query["after"]) if "after" in query else None
+            found = self.catalogue.after(start, order, wanted, decisions, limit)
+        return {"items": [self._item(entry) for entry in found], **self.news(query)}
+
+    def search(self, query: Mapping[str, str]) -> dict[str, Any]:
+        """Ids that hold `text`."""
+        text = query.get("text", "")
+        return {"ids": [entry.id for entry in self.catalogue.search(text, 12)] if text else []}
+
+    def news(self, query: Mapping[str, Any]) -> dict[str, Any]:
+        """What was decided after revision `since`, here and on other pages, and the counts."""
+        self.screening.refresh()
+        revision = self.screening.revision
+        since = _number(query, "since")
+        changes = self.screening.changes(revision if since is None else int(since))
+        return {
+            "revision": revision,
+            "changes": {change.id: change.after for change in changes},
+            "counts": self.catalogue.counts(_filter(query), self.screening.decisions),
+        }
+
+    def decide(self, body: Mapping[str, Any]) -> dict[str, Any]:
+        """Decide about target `id`; `since` is the revision that the page saw."""
+        name, decision, since = body.get("id"), body.get("decision"), _number(body, "since")
+        if decision not in DECISIONS:
+            raise RefusedError(400, f"decision: use one of {', '.join(DECISIONS)}")
+        name = self._known(name)
+        try:
+            self.screening.decide(name, decision, revision=None if since is None else int(since))
+        except Conflict as conflict:
+            raise RefusedError(409, str(conflict), self.news(body)) from None
+        return self.news(body)
+
+    def undo(self, body: Mapping[str, Any]) -> dict[str, Any]:
+        """Take back the last change; `undone` is its target, None where there is none left."""
+        since = _number(body, "since")
+        try:
+            undone = self.screening.undo(revision=None if since is None else int(since))
+        except Conflict as conflict:
+            raise RefusedError(409, str(conflict), self.news(body)) from None
+        return {"undone": None if undone is None else undone.id, **self.news(body)}
+
+    def preview(self, name: str) -> bytes:
+        """The contact sheet of a target, PNG."""
+        try:
+            return self.cache.preview_path(self._known(name)).read_bytes()
+        except OSError:
+            raise RefusedError(404, f"no contact sheet of {name}") from None
+
+    def input_view(self, name: str, side: str) -> bytes:
+        """The picture that the model saw from a side, PNG."""
+        name = self._known(name)
+        if self._pictures is None or side not in SIDES or name not in self._pictures.identities:
+            raise RefusedError(404, f"no {side[:10]} view of {name}")
+        return self._pictures.identities[name].encoded(self._views[SIDES.index(side)])
+
+    def _known(self, name: Any) -> str:
+        # Paths are only made of ids that the catalogue holds.
+        if not isinstance(name, str) or name not in self.catalogue:
+            raise RefusedError(404, f"no target {str(name)[:100]!r}")
+        return name
+
+    def _item(self, entry: Entry) -> dict[str, Any]:
+        record = self.cache.records[entry.id]
+        return {
+            "id": entry.id,
+            "decision": self.screening.decision(entry.id),
+            "score": record.score,
+            "turned": record.score_flipped,
+            "kind": record.kind,
+            "colour": record.colour,
+            "voxels": record.voxels,
+            "split": record.split,
+        }
+
+
+def best_score(record: TargetRecord) -> float | None:
+    """The score of a target the way round that scores better; None where it has no score.
+
+    The quality filter judges a target as a person turned it, so one that came out rear to front
+    must not be hidden for the score that it has before.
+    """
+    scores = [s for s in (record.score, record.score_flipped) if s is not None]
+    return max(scores, default=None)
+
+
+def _order(query: Mapping[str, Any]) -> Order:
+    for order in ORDERS:
+        if query.get("order", "id") == order:
+            return order
+    raise RefusedError(400, f"order: use one of {', '.join(ORDERS)}")
+
+
+def _filter(query: Mapping[str, Any]) -> Filter:
+    for show in SHOWS:
+        if query.get("show", "all") == show:
+            return Filter(show, _number(query, "lowest"), _number(query, "highest"))
+    raise RefusedError(400, f"show: use one of {', '.join(SHOWS)}")
+
+
+def _number(query: Mapping[str, Any], name: str) -> float | None:
+    value = query.get(name)
+    if value is None or value == "":
+        return None
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise RefusedError(400, f"{name}: is no number")
+    return number
