@@ -6,6 +6,10 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
 
 from recast.recar.record import SPLITS
 from recast.recar.targets.cache import TargetCache
@@ -22,6 +26,7 @@ class TargetStatistics:
         below: not rejected, below the threshold.
         accepted: by split.
         flipped: accepted ones that are turned when read.
+        doubtful: those nobody decided about whose score is higher turned by 180 degrees.
         voxels: least, median and most of accepted targets; zeros where there is none.
         scores: of all targets that have one, sorted.
     """
@@ -32,6 +37,7 @@ class TargetStatistics:
     below: int
     accepted: dict[str, int]
     flipped: int
+    doubtful: int
     voxels: tuple[int, int, int]
     scores: tuple[float, ...]
 
@@ -50,6 +56,55 @@ def target_statistics(cache: TargetCache) -> TargetStatistics:
         below=len(made) - rejected - len(accepted),
         accepted={split: splits[split] for split in SPLITS},
         flipped=sum(cache.decisions.get(one) == "flip" for one in accepted),
+        doubtful=sum(_better_turned(cache, one) for one in made),
         voxels=(min(voxels), int(np.median(voxels)), max(voxels)) if voxels else (0, 0, 0),
         scores=tuple(sorted(r.score for r in cache.records.values() if r.score is not None)),
     )
+
+
+def _better_turned(cache: TargetCache, identity: str) -> bool:
+    record = cache.records[identity]
+    if identity in cache.decisions or record.score is None or record.score_flipped is None:
+        return False
+    return record.score_flipped > record.score
+
+
+def target_table(cache: TargetCache, statistics: TargetStatistics) -> Group:
+    """The figures for a terminal."""
+    record, score = cache.record, statistics.scores
+    summary = Table(title=record.vehicle_set, title_justify="left", box=SIMPLE_HEAD,
+                    show_header=False)  # fmt: skip
+    failed = sum(statistics.failures.values())
+    accepted = sum(statistics.accepted.values())
+    rows = [
+        ("model", f"{record.model.name} ({record.model.sha256[:12]})"),
+        ("vehicles", f"{statistics.done:,} done, {failed:,} without a target"),
+        (
+            "accepted",
+            f"{accepted:,}: {statistics.accepted['train']:,} train, "
+            f"{statistics.accepted['held-out']:,} held out",
+        ),
+        ("left out", f"{statistics.below:,} below the threshold, {statistics.rejected:,} rejected"),
+        ("turned", f"{statistics.flipped:,} decided, {statistics.doubtful:,} agree better turned"),
+        ("voxels", "{:,} to {:,}, median {:,}".format(*(statistics.voxels[i] for i in (0, 2, 1)))),
+    ]
+    if score:
+        tenth, median, most = (score[int(q * (len(score) - 1))] for q in (0.1, 0.5, 0.9))
+        rows.append(
+            (
+                record.filter.score or "score",
+                f"median {median:.3f}, 80 % in {tenth:.3f} to {most:.3f}, "
+                f"threshold {record.filter.threshold:g}",
+            )
+        )
+    for row in rows:
+        summary.add_row(*row)
+    parts: list[Table] = [summary]
+    if statistics.failures:
+        reasons = Table(box=SIMPLE_HEAD)
+        reasons.add_column("why there is no target")
+        reasons.add_column("vehicles", justify="right")
+        for reason, count in statistics.failures.items():
+            reasons.add_row(Text(reason), f"{count:,}")
+        parts.append(reasons)
+    return Group(*parts)

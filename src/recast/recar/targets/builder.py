@@ -1,0 +1,176 @@
+"""Pseudo-targets of a vehicle set, made once and cached."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+from recast import storage
+from recast.errors import InputError
+from recast.recar.source import VehicleSource
+from recast.recar.targets.cache import TargetCache
+from recast.recar.targets.crews import Crew, alone, in_processes
+from recast.recar.targets.maker import Job
+from recast.recar.targets.model_source import ModelSource
+from recast.recar.targets.quality import filter_record
+from recast.recar.targets.ray_crew import on_ray
+from recast.recar.targets.record import CACHE_FILE, CacheRecord
+from recast.recar.targets.settings import TargetSettings
+from recast.recar.targets.views import encoded_view, nearest_views
+from recast.trellis.generation import TRAINED_VOXEL_SHARE
+
+Progress = Callable[[int, int], None]
+"""Called with vehicles done and all vehicles."""
+
+
+def build_targets(
+    vehicles: VehicleSource,
+    model: ModelSource,
+    out: str | Path,
+    settings: TargetSettings | None = None,
+    *,
+    workers: int = 1,
+    ray: str | None = None,
+    identities: Collection[str] | None = None,
+    retry_failures: bool = False,
+    progress: Progress | None = None,
+) -> TargetCache:
+    """Make a target of every vehicle from its front, rear, left and right view (paper, section 2).
+
+    Finished targets stay when the run is killed, and the same call goes on from there; more
+    vehicles make a finished cache grow. Either way the files are the same bytes as those of one
+    run, whatever the number of workers. A vehicle that fails is recorded with the reason, and the
+    others go on. Only this process writes, record last, every file whole or not at all.
+
+    Args:
+        vehicles: the set.
+        model: what makes the targets.
+        out: folder of the cache; new, empty, or a cache of the same model and settings. Another
+            threshold of the filter is taken over without making anything anew.
+        settings: how.
+        workers: processes on this machine, or actors of the cluster.
+        ray: address of a Ray cluster, see `on_ray`.
+        identities: only these vehicles; all where not given.
+        retry_failures: try again what failed before.
+        progress: called as vehicles are done.
+
+    Raises:
+        InputError: no views near the four sides, unknown vehicles, a model or weights that cannot
+            be read, Ray not installed, or `out` holds something else, all before any work; or the
+            disk is full.
+    """
+    settings, out = settings or TargetSettings(), Path(out)
+    if workers < 1:
+        raise InputError("--workers", "value", f"is {workers}", "give 1 or more")
+    wanted = _wanted(vehicles, identities)
+    views = nearest_views(vehicles.record)
+    record = _cache_record(vehicles, views, model, settings)
+    crew = _crew(workers, ray)
+    cache = _begin(out, record)
+    finished = {
+        one.id for one in cache.records.values() if not (retry_failures and one.failure is not None)
+    }
+    left = [name for name in wanted if name not in finished]
+    done = len(wanted) - len(left)
+    _tell(progress, done, len(wanted))
+    if left:
+        _write_record(cache, record)
+        jobs = (_job(vehicles, name, views) for name in left)
+        if ray is None and len(left) == 1:
+            crew = alone
+        for outcome in crew(model, settings, jobs):
+            cache.write_target(outcome.record, outcome.target, outcome.preview)
+            done += 1
+            _tell(progress, done, len(wanted))
+    failures = sum(one.failure is not None for one in cache.records.values())
+    changes = {"complete": True, "identities": len(cache.records), "failures": failures}
+    _write_record(cache, record.model_copy(update=changes))
+    return TargetCache.open(out)
+
+
+def _tell(progress: Progress | None, done: int, total: int) -> None:
+    if progress is not None:
+        progress(done, total)
+
+
+def _wanted(vehicles: VehicleSource, identities: Collection[str] | None) -> list[str]:
+    if identities is None:
+        return list(vehicles.identities)
+    if unknown := sorted(set(identities) - vehicles.identities.keys()):
+        raise InputError(
+            vehicles.folder, unknown[0], "is not in the set", "choose among its vehicles"
+        )
+    return sorted(set(identities))
+
+
+def _crew(workers: int, ray: str | None) -> Crew:
+    if ray is not None:
+        return on_ray(ray, workers)
+    return alone if workers == 1 else in_processes(workers)
+
+
+def _cache_record(
+    vehicles: VehicleSource, views: tuple[int, ...], model: ModelSource, settings: TargetSettings
+) -> CacheRecord:
+    made_by, pipeline = model.record(), model.pipeline()
+    front, rear, left, right = (vehicles.record.azimuths_deg[index] for index in views)
+    return CacheRecord(
+        complete=False,
+        vehicle_set=vehicles.record.name,
+        model=made_by,
+        mode=settings.mode,
+        views_deg=(front, rear, left, right),
+        structure_sampler=settings.structure or pipeline.sparse_structure_settings,
+        latent_sampler=settings.latent or pipeline.slat_settings,
+        seed=settings.seed,
+        retries=settings.retries,
+        max_voxels=settings.max_voxels or TRAINED_VOXEL_SHARE * made_by.resolution**2,
+        filter=filter_record(settings.filter),
+    )
+
+
+def _begin(out: Path, record: CacheRecord) -> TargetCache:
+    """The cache that lies there, or an empty one; nothing is written."""
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return TargetCache(out, record, {}, {})
+    if not (out / CACHE_FILE).is_file():
+        raise InputError(
+            out, "output folder", "exists and is no target cache", "name a new or empty folder"
+        )
+    cache = TargetCache.open(out, complete=False)
+    if name := _first_difference(cache.record, record):
+        raise InputError(
+            out / CACHE_FILE, name, "differs: targets of another configuration lie there",
+            "name another folder, or repeat the options of the targets that lie there",
+        )  # fmt: skip
+    return cache
+
+
+def _first_difference(found: CacheRecord, wanted: CacheRecord) -> str | None:
+    theirs, ours = (record.model_dump(mode="json") for record in (found, wanted))
+    for record in (theirs, ours):
+        record["filter"].pop("threshold")
+        for name in ("complete", "identities", "failures"):
+            del record[name]
+    return next((name for name in sorted(ours) if theirs.get(name) != ours[name]), None)
+
+
+def _write_record(cache: TargetCache, record: CacheRecord) -> None:
+    """Write cache.json, unless it says so already."""
+    path = cache.folder / CACHE_FILE
+    if cache.record != record or not path.exists():
+        storage.write_json(path, record.model_dump(mode="json"))
+        cache.record = record
+
+
+def _job(vehicles: VehicleSource, name: str, views: tuple[int, ...]) -> Job:
+    identity = vehicles.identities[name]
+    own = identity.record
+    encoded = []
+    for index in views:
+        try:
+            encoded.append(encoded_view(identity, index))
+        except InputError as error:
+            reason = f"view {index}: {error.field} {error.problem}"
+            return Job(own.id, own.split, own.kind, own.colour, (), reason)
+    return Job(own.id, own.split, own.kind, own.colour, tuple(encoded))
