@@ -8,15 +8,16 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from recast.actors import Asset, Observation
 from recast.actors.hull import bounds, outer_surface
 from recast.actors.place import place_asset
-from recast.actors.start import stand_on_box
 from recast.errors import InputError
 from recast.geometry import se3
 from recast.splats import Gaussians
+
+Array = NDArray[np.float64]
 
 Placement = Literal["views", "canonical"]
 """`views`: by the conditioning view, as `recast eval actor`; `canonical`: as the model says."""
@@ -46,9 +47,9 @@ def place(
 def place_canonical(asset: Asset, size: ArrayLike) -> tuple[Gaussians, dict[str, Any]]:
     """Believe the forward axis of the asset's convention; nothing is searched.
 
-    Scaled by the length of its outer surface to the box's, centred, and stood on the box's floor.
-    For models that were trained to look along +x whatever they are shown: errors of a search do
-    not blur the comparison then.
+    Scaled so that its length is the box's, centred, and stood on the box's floor. It ends where
+    its outermost Gaussians cover half, which is where masks end. For models that were trained to
+    look along +x whatever they are shown: errors of a search do not blur the comparison then.
 
     Raises:
         InputError: the asset is hardly opaque.
@@ -57,19 +58,38 @@ def place_canonical(asset: Asset, size: ArrayLike) -> tuple[Gaussians, dict[str,
     upright = se3.from_rotation_translation(asset.axes.rotation(), np.zeros(3))
     gaussians = asset.gaussians.detach().transformed(torch.from_numpy(upright))
     try:
-        points = outer_surface(gaussians).points
+        low, high = _outline(gaussians)
     except ValueError as error:
         raise InputError(
             f"asset of {asset.generator}", "opacity", str(error),
             "generate again with another seed, or export the asset again",
         ) from None  # fmt: skip
-    start = stand_on_box(points, 0.0, size)
-    extent = np.subtract(*bounds(points)[::-1]) * start.scale
+    scale = float(size[0] / (high[0] - low[0]))
+    middle = (low + high) / 2 * scale
+    shift = np.array([-middle[0], -middle[1], -size[2] / 2 - low[2] * scale])
+    extent = (high - low) * scale
     facts = {
         "by": "canonical",
         "axes": asset.axes.name,
-        "scale": start.scale,
+        "scale": scale,
         "width_over_box": float(extent[1] / size[1]),
         "height_over_box": float(extent[2] / size[2]),
     }
-    return gaussians.transformed(torch.from_numpy(start.matrix), start.scale), facts
+    matrix = se3.from_rotation_translation(np.eye(3), shift)
+    return gaussians.transformed(torch.from_numpy(matrix), scale), facts
+
+
+def _outline(gaussians: Gaussians) -> tuple[Array, Array]:
+    """Lower and upper corner (3,) of where outer Gaussians alone cover half; strays left out.
+
+    A Gaussian of opacity o covers half at sqrt(2 ln(o / 0.5)) deviations.
+    """
+    surface = outer_surface(gaussians)
+    chosen = gaussians.select(torch.from_numpy(surface.index))
+    opacity = torch.sigmoid(chosen.logit_opacities).double().numpy()
+    radius = np.sqrt(2 * np.log(np.maximum(opacity / 0.5, 1.0)))
+    axes = se3.quat_to_matrix(chosen.quats.double().numpy())
+    deviations = np.exp(chosen.log_scales.double().numpy())
+    along = np.sqrt(np.einsum("nij,nj->ni", axes**2, deviations**2))
+    reach = radius[:, None] * along
+    return bounds(surface.points - reach)[0], bounds(surface.points + reach)[1]
