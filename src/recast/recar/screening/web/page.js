@@ -338,6 +338,8 @@ function showCounts(counts) {
     part.textContent = `${counts[name]} ${word}`;
     parts.push(" · ", part);
   }
+  const outside = about.total - counts.all;
+  if (outside) parts.push(` · ${outside} outside these scores`);
   $("counts").replaceChildren(...parts);
 }
 
