@@ -56,7 +56,7 @@ def killed(request: StageRequest, after: float | None) -> float:
     Processes are forked from a server that has imported everything, so that kills meet training.
     """
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["support.tiny_stage"])
+    context.set_forkserver_preload(["support.tiny_stage_server"])
     # The server of Python 3.11 is not told sys.path, and its preloading would silently fail.
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
     start = time.monotonic()

@@ -1,0 +1,87 @@
+"""Figures of the stages, and the files that change them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from recast.errors import InputError
+from recast.recar.training.stage_config import (
+    BASE,
+    PRESETS,
+    STAGE_1,
+    STAGE_2,
+    StageConfig,
+    chosen_stage,
+    read_stage_config,
+)
+from recast.storage import write_json
+
+
+def test_the_presets_are_the_papers() -> None:
+    for stage, rate, steps in ((STAGE_1, 1e-5, (10_000, 16_000)), (STAGE_2, 2e-6, (12_000,) * 2)):
+        assert stage.structure and stage.latent
+        assert (stage.structure.steps, stage.latent.steps) == steps
+        for settings in stage.settings.values():
+            assert (settings.lr, settings.ema_decay) == (rate, 0.9999)
+            assert settings.schedule == "constant" and settings.weight_decay == 0
+        assert (stage.objective.batch, stage.objective.condition_drop) == (2, 0.1)
+        assert (stage.objective.time_mean, stage.objective.time_std) == (1.0, 1.0)
+        assert not stage.train_encoder
+    assert STAGE_1.perturbation is None
+    assert STAGE_2.perturbation and STAGE_2.perturbation.rho_clean == 0.2
+    assert BASE.train_encoder
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_written_out_in_full_reads_back(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "stage.json"
+    write_json(path, PRESETS[name].model_dump(mode="json"))
+    assert read_stage_config(path) == PRESETS[name]
+
+
+def test_a_file_changes_a_preset_member_by_member(tmp_path: Path) -> None:
+    path = tmp_path / "stage.json"
+    write_json(path, {
+        "preset": "stage-2", "structure": {"steps": 7}, "latent": None,
+        "perturbation": {"rho_clean": 0.5},
+    })  # fmt: skip
+    found = read_stage_config(path)
+    assert found.structure and STAGE_2.structure and found.perturbation
+    assert found.structure == STAGE_2.structure.model_copy(update={"steps": 7})
+    assert found.latent is None and found.perturbation.rho_clean == 0.5
+    assert found.settings.keys() == {"structure"}
+
+
+@pytest.mark.parametrize(
+    ("values", "match"),
+    [
+        ({"preset": "stage-3"}, "preset: is 'stage-3'"),
+        ({"preset": "stage-1", "structure": {"steps": 0}}, "structure.steps"),
+        ({"preset": "stage-1", "learning_rate": 1}, "learning_rate"),
+        ({"preset": "stage-1", "structure": {"ema_decay": None}}, "ema_decay is null"),
+        ({"preset": "base", "structure": None}, "the encoder trains with the structure flow"),
+        ({"name": "x"}, "structure: Field required"),
+        ([1], "is no object"),
+    ],
+)
+def test_a_wrong_file_is_refused(values: object, match: str, tmp_path: Path) -> None:
+    path = tmp_path / "stage.json"
+    write_json(path, values)
+    with pytest.raises(InputError, match=match):
+        read_stage_config(path)
+
+
+def test_the_stage_of_a_command(tmp_path: Path) -> None:
+    assert chosen_stage("1", None) is not None
+    assert chosen_stage("2", None).name == "stage-2"
+    only: StageConfig = chosen_stage("base", None, ("latent",))
+    assert only.structure is None and only.latent == BASE.latent and not only.train_encoder
+    path = tmp_path / "stage.json"
+    write_json(path, {"preset": "stage-1", "latent": None})
+    with pytest.raises(InputError, match="latent: is not trained by stage-1"):
+        chosen_stage(None, path, ("latent",))
+    for stage, file in ((None, None), ("1", path)):
+        with pytest.raises(InputError, match="--stage"):
+            chosen_stage(stage, file)

@@ -1,0 +1,257 @@
+"""The flow tasks: data, batches, parts, conditions, the gap of exchanged conditions."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+
+from recast.errors import InputError
+from recast.recar.assets.asset import TrainingAsset
+from recast.recar.targets import Target, TargetCache
+from recast.recar.training.batches import balanced_parts, draw_identities
+from recast.recar.training.conditions import AssetConditions, missing_pictures, open_conditions
+from recast.recar.training.flow_task import FlowTask
+from recast.recar.training.latents import LatentFlow, StructureFlow
+from recast.recar.training.probe import ConditionGap
+from recast.recar.training.stage_config import FlowObjective
+from recast.recar.training.task import StepRandom
+from recast.recar.training.tokens import ConditionTokens, View
+from recast.trellis import ImageTo3D
+from recast.trellis.flow import FlowMatching
+from support.tiny_stage import TinyStage, write_tiny_stage
+from support.trellis import assert_same, golden_tensors
+
+CPU = torch.device("cpu")
+
+
+class CountingEncoder:
+    """Tokens that say what the mean colour is; counts its calls."""
+
+    image_size, channels = 16, 48
+
+    def __init__(self) -> None:
+        self.calls: list[int] = []
+
+    def encode(self, images: Tensor) -> Tensor:
+        self.calls.append(len(images))
+        return images.mean((2, 3)).repeat(1, 16)[:, None].repeat(1, 5, 1)
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory) -> TinyStage:
+    return write_tiny_stage(tmp_path_factory.mktemp("flow"))
+
+
+@pytest.fixture(scope="module")
+def model(stage: TinyStage) -> Iterator[ImageTo3D]:
+    yield ImageTo3D.load(stage.model, device="cpu")
+
+
+def tokens_of(stage: TinyStage, **options: Any) -> ConditionTokens:
+    return ConditionTokens(CountingEncoder(), open_conditions(stage.pictures), CPU, **options)
+
+
+def task_of(stage: TinyStage, flow: Any, **options: Any) -> FlowTask:
+    objective = options.pop("objective", FlowObjective(batch=4, autocast=None))
+    cache = TargetCache.open(stage.targets)
+    tokens = options.pop("tokens", None) or tokens_of(stage)
+    return FlowTask(flow, cache, cache.ids("train"), tokens, objective, **options)
+
+
+def latent_flow(model: ImageTo3D) -> LatentFlow:
+    return LatentFlow(model.latent_flow, model.latent_mean, model.latent_std)
+
+
+def flow_of(model: ImageTo3D, name: str) -> Any:
+    return StructureFlow(model.structure_flow) if name == "structure" else latent_flow(model)
+
+
+def test_the_latent_flow_is_given_normalised_latents_as_in_the_golden_step(
+    model: ImageTo3D,
+) -> None:
+    golden = golden_tensors("train_slat_flow")
+    rows = [golden["coords"][:, 0] == i for i in range(2)]
+    raw = golden["x_0"] * model.latent_std + model.latent_mean
+    structure = np.zeros(model.structure_shape, np.float32)
+    targets = [
+        Target(structure, golden["coords"][r, 1:].numpy(), raw[r].numpy()) for r in rows
+    ]  # fmt: skip
+    data = latent_flow(model).data(targets)
+    assert_same(data.x0, golden["x_0"])
+    assert torch.equal(data.batch, golden["coords"][:, 0].long())
+    dropped = golden["cond"].masked_fill(golden["drop_mask"][:, None, None], 0.0)
+    found = FlowMatching().loss(
+        data.velocity, data.x0, dropped, golden["t"], golden["noise"], data.batch
+    )
+    assert_same(found.loss.detach(), golden["loss"])
+
+
+@pytest.mark.parametrize("name", ["structure", "latent"])
+def test_a_step_repeats_and_differs_from_the_next(
+    stage: TinyStage, model: ImageTo3D, name: str
+) -> None:
+    task = task_of(stage, flow_of(model, name))
+    losses = [float(task.loss(step, StepRandom.of(0, step)).loss.detach()) for step in (0, 0, 1)]
+    assert losses[0] == losses[1] != losses[2]
+    assert all(np.isfinite(losses))
+
+
+@pytest.mark.parametrize("name", ["structure", "latent"])
+def test_checkpointing_and_bfloat16_change_little(
+    stage: TinyStage, model: ImageTo3D, name: str
+) -> None:
+    def gradient(autocast: str | None, checkpointing: bool) -> tuple[float, Tensor]:
+        flow = flow_of(model, name)
+        flow.model.train().requires_grad_(True)
+        flow.model.checkpointing = checkpointing
+        objective = FlowObjective.model_validate({"batch": 2, "autocast": autocast})
+        flow.model.zero_grad()
+        found = task_of(stage, flow, objective=objective).loss(0, StepRandom.of(0, 0))
+        found.loss.backward()
+        flow.model.checkpointing = False
+        assert all(p.grad is None or p.grad.dtype == torch.float32 for p in flow.model.parameters())
+        return float(found.loss.detach()), flow.model.out_layer.weight.grad.clone()
+
+    loss, plain = gradient(None, False)
+    again, recomputed = gradient(None, True)
+    assert again == loss and torch.equal(recomputed, plain)
+    rough, low = gradient("bfloat16", True)
+    assert rough != loss and rough == pytest.approx(loss, rel=0.02)
+    assert float((low - plain).norm() / plain.norm()) < 0.05
+
+
+def test_parts_of_a_step_are_its_batch_and_hold_different_vehicles(
+    stage: TinyStage, model: ImageTo3D
+) -> None:
+    task = task_of(stage, latent_flow(model))
+    seen = [
+        [view.identity for view in task._part(StepRandom.of(0, 5, part, 2))[0]] for part in range(2)
+    ]  # fmt: skip
+    assert sorted(seen[0] + seen[1]) == ["car-0", "car-1", "car-2", "car-3"]
+    voxels = [sum(task.targets.records[one].voxels for one in part) for part in seen]
+    assert voxels == [110, 110]  # 40 + 70 and 50 + 60
+
+
+def test_all_views_of_a_vehicle_are_drawn(stage: TinyStage, model: ImageTo3D) -> None:
+    task = task_of(stage, StructureFlow(model.structure_flow))
+    views = {v for step in range(40) for v in task._part(StepRandom.of(0, step))[0]}
+    assert views == {View(f"car-{i}", index) for i in range(4) for index in range(3)}
+
+
+def test_conditions_are_dropped_and_altered_as_often_as_asked(
+    stage: TinyStage, model: ImageTo3D
+) -> None:
+    def darker(rgba: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        return rgba // np.array([2, 2, 2, 1], np.uint8)
+
+    task = task_of(
+        stage, StructureFlow(model.structure_flow), perturb=darker, clean_share=0.2,
+        objective=FlowObjective(batch=4, condition_drop=0.3, autocast=None),
+    )  # fmt: skip
+    logs = [task.loss(step, StepRandom.of(0, step)).logs for step in range(60)]
+    assert np.mean([one["altered"] for one in logs]) == pytest.approx(0.8, abs=0.08)
+    assert np.mean([one["dropped"] for one in logs]) == pytest.approx(0.3, abs=0.09)
+    assert sum(np.isfinite(one["t9"]) for one in logs) > sum(np.isfinite(one["t2"]) for one in logs)
+
+
+def test_clean_tokens_are_kept_within_the_bound_and_altered_ones_never(stage: TinyStage) -> None:
+    one = 5 * 48 * 4
+    tokens = tokens_of(stage, kept_bytes=2 * one)
+    views = [View("car-0", 0), View("car-1", 0), View("car-2", 0)]
+    rng = np.random.default_rng(0)
+    first = tokens.of(views, [None] * 3, rng)
+    again = tokens.of(views, [None] * 3, rng)
+    assert torch.equal(first, again)
+    assert tokens.encoder.calls == [1, 1, 1, 1]  # the third one anew
+    assert tokens.used_bytes == 2 * one
+    half = tokens.of(views[:1], [lambda rgba, rng: rgba // np.array([2, 2, 2, 1], np.uint8)], rng)
+    assert float(half.sum()) < 0.7 * float(first[:1].sum())
+    assert torch.equal(tokens.of(views[:1], [None], rng), first[:1])
+
+
+def test_a_training_encoder_has_gradients_and_nothing_is_kept(stage: TinyStage) -> None:
+    tokens = tokens_of(stage, frozen=False, kept_bytes=1 << 20)
+    scale = torch.ones((), requires_grad=True)
+    encode = tokens.encoder.encode
+    tokens.encoder.encode = lambda images: scale * encode(images)
+    out = tokens.of([View("car-0", 0), View("car-1", 1)], [None, None], np.random.default_rng(0))
+    out.sum().backward()
+    assert scale.grad is not None and tokens.used_bytes == 0
+
+
+def test_the_gap_is_zero_for_a_flow_that_ignores_its_picture_and_not_for_another(
+    stage: TinyStage, model: ImageTo3D
+) -> None:
+    class Blind(StructureFlow):
+        def data(self, targets: Any) -> Any:
+            data = super().data(targets)
+            blind = lambda x, t, cond: self.model(x, t, torch.zeros_like(cond))  # noqa: E731
+            return dataclasses.replace(data, velocity=blind)
+
+    held_out = ("car-4", "car-5")
+    for flow, sees in ((StructureFlow, True), (Blind, False)):
+        task = task_of(stage, flow(model.structure_flow))
+        gap = ConditionGap(task, task.tokens, held_out)
+        found = gap()
+        assert found == gap()  # always the same times and noise
+        assert (found["gap"] != 0) == sees
+        assert found["shuffled"] - found["held_out"] == found["gap"]
+
+
+def test_one_vehicle_is_not_enough(stage: TinyStage, model: ImageTo3D) -> None:
+    cache = TargetCache.open(stage.targets)
+    with pytest.raises(InputError, match="train identities: 1 can be used, at least two"):
+        FlowTask(latent_flow(model), cache, ("car-0",), tokens_of(stage), FlowObjective())
+
+
+def test_conditions_of_assets_are_their_crops() -> None:
+    def read(path: Path) -> TrainingAsset:
+        pictures = np.full((5, 4, 4, 4), int(path.stem), np.uint8)
+        pictures += np.arange(5, dtype=np.uint8)[:, None, None, None]
+        empty = np.zeros(0, np.float32)
+        return TrainingAsset(
+            "van", empty, empty, empty, pictures, empty, empty, 2  # type: ignore[arg-type]
+        )  # fmt: skip
+
+    source = AssetConditions([Path("a/20.npz"), Path("a/10.npz")], read)
+    assert source.ids == ("10", "20")
+    assert source.count("10") == 2
+    assert source.picture("20", 1)[0, 0, 0] == 21
+    with pytest.raises(IndexError):
+        source.picture("20", 2)
+    assert missing_pictures(source, ("10", "30")) == ("30",)
+
+
+@given(st.lists(st.integers(1, 1000), min_size=1, max_size=12), st.data())
+def test_parts_are_balanced(loads: list[int], data: st.DataObject) -> None:
+    parts = data.draw(st.integers(1, len(loads)))
+    groups = balanced_parts(loads, parts)
+    assert sorted(i for group in groups for i in group) == list(range(len(loads)))
+    assert len(groups) == parts and all(groups)
+    totals = [sum(loads[i] for i in group) for group in groups]
+    # Graham 1969: at most 4/3 - 1/(3 parts) of the best, which is at least the mean and the most.
+    best = max(sum(loads) / parts, max(loads))
+    assert max(totals) <= (4 / 3) * best + max(loads) / 3 + 1e-9
+
+
+def test_more_parts_than_samples_is_an_error() -> None:
+    with pytest.raises(ValueError, match="does not split into 3"):
+        balanced_parts([1, 2], 3)
+
+
+@given(st.integers(2, 9), st.integers(1, 20), st.integers(0, 99))
+def test_no_vehicle_is_drawn_twice_before_all_were(many: int, count: int, seed: int) -> None:
+    names = [f"v{i}" for i in range(many)]
+    drawn = draw_identities(names, count, np.random.default_rng(seed))
+    assert len(drawn) == count
+    counts = [drawn.count(name) for name in names]
+    assert max(counts) - min(counts) <= 1
