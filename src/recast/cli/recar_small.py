@@ -1,4 +1,4 @@
-"""`recast recar assets | autoencoder`: what small models are built on."""
+"""`recast recar assets | autoencoder | assemble`: what small models are built on."""
 
 from __future__ import annotations
 
@@ -71,3 +71,36 @@ class Autoencoder:
             self.part, self.assets, self.out, Console(),
             structure=self.structure, steps=self.steps, seed=self.seed,
         )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Assemble:
+    """Put trained parts together: a model folder, and the cache its flows are trained on."""
+
+    assets: Path
+    """Folder of `recast recar assets`."""
+    structure: Path
+    """Folder of the trained structure autoencoder."""
+    latent: Path
+    """Folder of the trained latent autoencoder."""
+    image: Path
+    """Folder of the trained image encoder."""
+    model: Path
+    """Model folder to write; must not exist."""
+    cache: Path
+    """Target cache to write."""
+    seed: int = 0
+    """Of the latent flow's first weights."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from rich.console import Console
+
+        from recast.recar.autoencoders.assemble import assemble
+        from recast.recar.progress import PictureProgress
+
+        parts = {"structure": self.structure, "latent": self.latent, "image": self.image}
+        console = Console()
+        with PictureProgress("assets", console) as progress:
+            assemble(self.assets, parts, self.model, self.cache, seed=self.seed, progress=progress)
+        console.print(f"wrote {self.model} and {self.cache}", markup=False)

@@ -6,8 +6,10 @@ along +x.
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,5 +71,5 @@ def read_asset(path: Path) -> TrainingAsset:
             )  # fmt: skip
     except FileNotFoundError:
         raise InputError(path, "file", "is missing", "make the assets again") from None
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error) as error:
         raise InputError(path, "arrays", f"cannot be read ({error})", "make it again") from None

@@ -18,6 +18,7 @@ from recast.recar.autoencoders.image import (
 )
 from recast.recar.autoencoders.judge import judge_image, judge_latent, judge_structure
 from recast.recar.autoencoders.latent import LatentAutoencoderTask
+from recast.recar.autoencoders.split import split
 from recast.recar.autoencoders.structure import StructureAutoencoderTask
 from recast.recar.training.loop import Watch, train
 from recast.recar.training.settings import TrainerSettings
@@ -36,25 +37,16 @@ from recast.trellis.checkpoints.roles import (
 from recast.trellis.models import SparseStructureEncoder
 from recast.trellis.models.base import TrellisModel
 
-HELD_OUT_EVERY = 20
-"""Every n-th asset is never trained on."""
 REPORT_FILE = "report.json"
 _PRIOR_LOGIT = -3.0  # of a voxel to be occupied: a twentieth of them are
 
 Report = dict[str, Any]
 
 
-def split(store: AssetStore) -> tuple[list[int], list[int]]:
-    """Numbers of the assets to train on, and of those held out."""
-    numbers = range(len(store))
-    held_out = [i for i in numbers if i % HELD_OUT_EVERY == 0]
-    return [i for i in numbers if i % HELD_OUT_EVERY], held_out
-
-
 def train_structure(assets: Path, out: Path, steps: int, seed: int, watch: Watch) -> Report:
     """The sparse-structure autoencoder; writes both networks and the held-out overlap."""
     store = AssetStore(assets)
-    trained, held_out = split(store)
+    trained, held_out = split(len(store))
     made: dict[str, Any] = new_checkpoint(
         SMALL, seed, roles=(STRUCTURE_ENCODER, STRUCTURE_DECODER)
     ).models
@@ -75,7 +67,7 @@ def train_structure(assets: Path, out: Path, steps: int, seed: int, watch: Watch
 def train_latent(assets: Path, out: Path, steps: int, seed: int, watch: Watch) -> Report:
     """The structured-latent autoencoder; writes both networks and held-out PSNR and overlap."""
     store = AssetStore(assets)
-    trained, held_out = split(store)
+    trained, held_out = split(len(store))
     made: dict[str, Any] = new_checkpoint(
         SMALL, seed, roles=(LATENT_ENCODER, GAUSSIAN_DECODER)
     ).models
@@ -99,7 +91,7 @@ def train_image(
         structure: trained encoder that gives the latents to read.
     """
     store = AssetStore(assets)
-    trained, held_out = split(store)
+    trained, held_out = split(len(store))
     examples = image_examples(store, structure)
     made: dict[str, Any] = new_checkpoint(SMALL, seed, roles=(STRUCTURE_FLOW, IMAGE_ENCODER)).models
     encoder, reader = made[IMAGE_ENCODER], made[STRUCTURE_FLOW]
@@ -107,7 +99,9 @@ def train_image(
         torch.manual_seed(seed)
         heads = ViewHeads(encoder.config.channels)
     deviation = float(examples.structures[trained].std())
-    task = ImageEncoderTask(encoder, reader, heads, examples, trained, 16, deviation)
+    task = ImageEncoderTask(
+        encoder, reader, heads, examples, trained, min(16, len(trained)), deviation
+    )
     settings = TrainerSettings(
         steps=steps, lr=1e-3, schedule="cosine", warmup=200, betas=(0.9, 0.99), clip=1.0, seed=seed,
         ema_decay=0.998,

@@ -57,14 +57,19 @@ def train_part(
                 "--structure", "folder", "is missing",
                 "train the structure autoencoder first and name its folder",
             )  # fmt: skip
-        report = train_image(assets, _structure_encoder(structure), out, steps, seed, watch)
+        report = train_image(assets, structure_encoder(structure), out, steps, seed, watch)
     for name, value in report.items():
         console.print(f"{name}: {value}", highlight=False)
     console.print(f"wrote {out / REPORT_FILE}", markup=False)
     return report
 
 
-def _structure_encoder(folder: Path) -> SparseStructureEncoder:
+def structure_encoder(folder: Path) -> SparseStructureEncoder:
+    """The encoder of a trained structure autoencoder, in evaluation mode.
+
+    Raises:
+        InputError: it was not trained to its end, or its files are at fault.
+    """
     files = model_files(folder, SMALL.record, STRUCTURE_ENCODER)
     model = load_model(files)
     assert isinstance(model, SparseStructureEncoder)  # the role's class was checked

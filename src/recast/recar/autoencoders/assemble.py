@@ -1,0 +1,128 @@
+"""From trained parts to a model folder and the cache of targets that its flows are trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from recast.errors import InputError
+from recast.recar.assets.asset import TrainingAsset
+from recast.recar.assets.store import AssetStore, occupancy, voxel_features
+from recast.recar.autoencoders.split import is_held_out
+from recast.recar.targets import (
+    CacheRecord,
+    ModelSource,
+    Target,
+    TargetCache,
+    TargetRecord,
+)
+from recast.recar.targets.channels import ChannelMoments
+from recast.recar.targets.record import CACHE_FILE
+from recast.storage import write_json
+from recast.trellis import SamplerSettings
+from recast.trellis.checkpoints import (
+    SMALL,
+    PipelineRecord,
+    load_model,
+    new_checkpoint,
+    save_checkpoint,
+)
+from recast.trellis.checkpoints.model_files import model_files
+from recast.trellis.checkpoints.roles import (
+    GAUSSIAN_DECODER,
+    IMAGE_ENCODER,
+    LATENT_ENCODER,
+    LATENT_FLOW,
+    STRUCTURE_DECODER,
+    STRUCTURE_ENCODER,
+    STRUCTURE_FLOW,
+)
+
+_PARTS = {
+    "structure": (STRUCTURE_ENCODER, STRUCTURE_DECODER),
+    "latent": (LATENT_ENCODER, GAUSSIAN_DECODER),
+    "image": (IMAGE_ENCODER, STRUCTURE_FLOW),
+}
+
+
+def assemble(
+    assets: Path, parts: dict[str, Path], model: Path, cache: Path, *, seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:  # fmt: skip
+    """Write a model folder of trained parts, and encode the assets into a target cache.
+
+    The structure flow begins as the image encoder's reader, the latent flow anew. The cache has
+    the layout of pseudo-targets, so that the same training serves: structures and latents are the
+    means of the encoders, voxels those of the assets.
+
+    Args:
+        assets: folder of training assets.
+        parts: folders of the trainings "structure", "latent" and "image".
+        model: to be made.
+        cache: to be made; one that was begun is finished.
+        seed: of the latent flow's weights.
+        progress: told the number of assets encoded, and of all.
+
+    Raises:
+        InputError: a part was not trained to its end, `model` exists, or the disk is full.
+    """
+    store = AssetStore(assets)
+    models: dict[str, Any] = {}
+    for part, roles in _PARTS.items():
+        for role in roles:
+            models[role] = load_model(model_files(parts[part], SMALL.record, role)).eval()
+    made = new_checkpoint(SMALL, seed, roles=(LATENT_FLOW,), with_encoder=False)
+    models[LATENT_FLOW] = made.models[LATENT_FLOW]
+    encoded = []
+    moments = ChannelMoments()
+    for number in range(len(store)):
+        encoded.append(_encode(models, store[number]))
+        if not is_held_out(number):
+            moments.add(encoded[-1].latent)
+        if progress is not None:
+            progress(number + 1, len(store))
+    found = moments.statistics()
+    if found is None:
+        raise InputError(assets, "assets", "none to train on", "make more")
+    record = PipelineRecord.of(
+        {role: size.stem for role, size in SMALL.models.items()},
+        SamplerSettings(), SamplerSettings(),
+        tuple(found.mean.tolist()), tuple(found.std.tolist()), IMAGE_ENCODER,
+    )  # fmt: skip
+    save_checkpoint(model, record, models)
+    _write_cache(store, encoded, model, cache)
+
+
+@torch.no_grad()
+def _encode(models: dict[str, Any], asset: TrainingAsset) -> Target:
+    resolution = models[LATENT_ENCODER].config.resolution
+    structure = models[STRUCTURE_ENCODER](occupancy([asset], resolution)).mean[0]
+    latent = models[LATENT_ENCODER](voxel_features([asset])).mean.feats
+    return Target(structure.numpy(), asset.coords.astype(np.int32), latent.numpy())
+
+
+def _write_cache(store: AssetStore, encoded: list[Target], model: Path, cache: Path) -> None:
+    source = ModelSource(model)
+    record = CacheRecord(
+        complete=False, vehicle_set=store.folder.absolute().name, model=source.record(),
+        structure_sampler=SamplerSettings(), latent_sampler=SamplerSettings(), seed=0, retries=0,
+        max_voxels=max(len(target.coords) for target in encoded),
+    )  # fmt: skip
+    write_json(cache / CACHE_FILE, record.model_dump(mode="json"))
+    targets = TargetCache(cache, record, {}, {})
+    per_voxel = SMALL.models[GAUSSIAN_DECODER].args["representation_config"]["num_gaussians"]
+    for number, (path, target) in enumerate(zip(store.paths, encoded, strict=True)):
+        targets.write_target(
+            TargetRecord(
+                id=path.stem, split="held-out" if is_held_out(number) else "train",
+                kind=store[number].kind, seed=0, voxels=len(target.coords),
+                gaussians=per_voxel * len(target.coords),
+            ),
+            target,
+        )  # fmt: skip
+    done = record.model_copy(update={"complete": True, "identities": len(encoded), "failures": 0})
+    write_json(cache / CACHE_FILE, done.model_dump(mode="json"))
