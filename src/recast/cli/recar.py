@@ -1,4 +1,4 @@
-"""`recast recar`: sets of many views of many vehicles."""
+"""`recast recar`: vehicle sets, and the adaptation to vehicles."""
 
 from __future__ import annotations
 
@@ -7,6 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+
+from recast.cli.recar_perturb import Perturb
+from recast.cli.recar_screen import Screen
+from recast.cli.recar_small import Assemble, Assets, Autoencoder
+from recast.cli.recar_train import Train
 
 
 @dataclass(frozen=True)
@@ -96,11 +101,17 @@ class Stats:
 
 @dataclass(frozen=True)
 class Recar:
-    """Sets of many views of many vehicles."""
+    """Vehicle sets, and the adaptation of the image-to-3D model to vehicles."""
 
     command: (
         Annotated[Synth, tyro.conf.subcommand("synth")]
         | Annotated[Stats, tyro.conf.subcommand("stats")]
+        | Annotated[Perturb, tyro.conf.subcommand("perturb")]
+        | Annotated[Screen, tyro.conf.subcommand("screen")]
+        | Annotated[Train, tyro.conf.subcommand("train")]
+        | Annotated[Assets, tyro.conf.subcommand("assets")]
+        | Annotated[Autoencoder, tyro.conf.subcommand("autoencoder")]
+        | Annotated[Assemble, tyro.conf.subcommand("assemble")]
     )
 
     def __call__(self) -> None:
