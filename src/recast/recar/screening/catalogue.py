@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from typing import Literal
 
-from recast.recar.screening.record import Decision
+from recast.recar.screening.record import DECISIONS, Decision
 
 Order = Literal["id", "lowest", "highest"]
 ORDERS: tuple[Order, ...] = ("lowest", "highest", "id")
@@ -79,6 +80,8 @@ class Catalogue:
             found = sorted(self._entries.values(), key=lambda entry: _key(entry, order))
             self._sorted[order] = found
             self._place[order] = {entry.id: place for place, entry in enumerate(found)}
+        # Of the last bounds: counted at every key press, changed seldom.
+        self._within: tuple[tuple[float | None, float | None], list[str]] | None = None
         self._names = [entry.id for entry in self._sorted["id"]]
 
     def __len__(self) -> int:
@@ -109,12 +112,13 @@ class Catalogue:
 
     def counts(self, wanted: Filter, decisions: Mapping[str, Decision]) -> dict[str, int]:
         """Targets within the bounds of the score, by decision, and their number as "all"."""
-        found = {"accept": 0, "reject": 0, "flip": 0, "undecided": 0, "all": 0}
-        for entry in self._sorted["id"]:
-            if wanted.in_range(entry.score):
-                found[decisions.get(entry.id, "undecided")] += 1
-                found["all"] += 1
-        return found
+        bounds, last = (wanted.lowest, wanted.highest), self._within
+        if last is None or last[0] != bounds:
+            names = [one.id for one in self._sorted["id"] if wanted.in_range(one.score)]
+            last = self._within = (bounds, names)
+        found = Counter(map(decisions.get, last[1]))
+        counts: dict[str, int] = {decision: found[decision] for decision in DECISIONS}
+        return counts | {"undecided": found[None], "all": len(last[1])}
 
     def search(self, text: str, limit: int) -> list[Entry]:
         """Ids that begin with `text`, then those that hold it, whatever the case of letters."""

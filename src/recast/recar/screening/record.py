@@ -87,9 +87,9 @@ def record_text(decisions: Mapping[str, Decision], history: Iterable[str]) -> st
     The lines are joined and not encoded again, since the file is written at every key press: 20,000
     targets take some milliseconds in place of a tenth of a second.
     """
-    chosen = ",\n".join(f'    "{name}": "{decision}"' for name, decision in decisions.items())
-    changes = ",\n".join(f"    {line}" for line in history)
+    chosen = ",\n    ".join(f'"{name}": "{decision}"' for name, decision in decisions.items())
+    changes = ",\n    ".join(history)
     return (
         f'{{\n  "format": {json.dumps(SCREENING_FORMAT)},\n  "version": {SCREENING_VERSION},\n'
-        f'  "decisions": {{\n{chosen}\n  }},\n  "history": [\n{changes}\n  ]\n}}\n'
+        f'  "decisions": {{\n    {chosen}\n  }},\n  "history": [\n    {changes}\n  ]\n}}\n'
     )
