@@ -24,6 +24,7 @@ WEIGHTS = {
 """Exponents of the parts; they add up to one."""
 
 _PSNR_RANGE = (5.0, 25.0)  # dB on the vehicle that count as 0 and 1
+_LEAST_IOU = 0.5
 _LEAST = 1e-3
 _NEIGHBOURS = np.ones((3, 3, 3), bool)
 
@@ -33,8 +34,9 @@ class AgreementScore:
 
     The weighted geometric mean, in (0, 1], of parts in [0, 1]:
 
-    - iou: of the silhouettes of picture and render, mean over the four views, both cut out at one
-      scale, so that the unknown size of the asset does not matter;
+    - iou: of the silhouettes of picture and render, mean over the four views, 0.5 as 0: any two
+      vehicles reach that. Both are cut out at one scale, so that the unknown size of the asset
+      does not matter;
     - psnr: of the colours where either shows the vehicle, 5 dB as 0 and 25 dB as 1;
     - symmetry: share of voxels with a voxel within one of their mirror image about the middle
       plane between left and right;
@@ -82,8 +84,9 @@ def _agreement(pictures: Sequence[Cutout], renders: Sequence[Cutout]) -> dict[st
     pairs = list(zip(pictures, renders, strict=True))
     low, high = _PSNR_RANGE
     psnr = np.mean([_psnr(first, second) for first, second in pairs])
+    iou = float(np.mean([_iou(first.mask, second.mask) for first, second in pairs]))
     return {
-        "iou": float(np.mean([_iou(first.mask, second.mask) for first, second in pairs])),
+        "iou": max(0.0, (iou - _LEAST_IOU) / (1 - _LEAST_IOU)),
         "psnr": float(np.clip((psnr - low) / (high - low), 0, 1)),
         "solid": float(np.mean([_solidity(shown.mask) for shown in renders])),
         "sharpness": float(np.mean([_sharpness(first, second) for first, second in pairs])),
@@ -124,22 +127,23 @@ def _gradient(cutout: Cutout) -> float:
 
 
 def mirror_symmetry(coords: NDArray[np.int32]) -> float:
-    """Share of voxels (T, 3) with a voxel within one of their mirror image about mid y."""
-    grid = _grid(coords)
-    near = ndimage.binary_dilation(grid[:, ::-1], _NEIGHBOURS)
-    return float(np.count_nonzero(grid & near) / np.count_nonzero(grid))
+    """Share of voxels (T, 3) with a voxel within one of their mirror image about mean y."""
+    # The mean, not the middle of the bounding box, which one floating voxel would move.
+    mirrored = coords.copy()
+    mirrored[:, 1] = round(2 * float(coords[:, 1].mean())) - coords[:, 1]
+    low = np.minimum(coords.min(axis=0), mirrored.min(axis=0))
+    shape = np.maximum(coords.max(axis=0), mirrored.max(axis=0)) - low + 1
+    grid = np.zeros(shape, bool)
+    grid[tuple((coords - low).T)] = True
+    near = ndimage.binary_dilation(grid, _NEIGHBOURS)
+    return float(near[tuple((mirrored - low).T)].mean())
 
 
 def largest_part(coords: NDArray[np.int32]) -> float:
     """Share of voxels (T, 3) in the largest part connected by faces, edges or corners."""
-    labels, _ = ndimage.label(_grid(coords), _NEIGHBOURS)
-    sizes = np.bincount(labels.ravel())[1:]
-    return float(sizes.max() / sizes.sum())
-
-
-def _grid(coords: NDArray[np.int32]) -> Mask:
-    """Occupancy of the voxels' bounding box."""
     local = coords - coords.min(axis=0)
     grid = np.zeros(local.max(axis=0) + 1, bool)
     grid[tuple(local.T)] = True
-    return grid
+    labels, _ = ndimage.label(grid, _NEIGHBOURS)
+    sizes = np.bincount(labels.ravel())[1:]
+    return float(sizes.max() / sizes.sum())

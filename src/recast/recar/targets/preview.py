@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from recast.recar.picture import Image
-from recast.recar.targets.render import framed, of_picture, render
+from recast.recar.targets.render import of_picture, render, resized
 from recast.recar.targets.views import Viewpoint
 from recast.splats import Gaussians
 
@@ -38,7 +38,7 @@ def contact_sheet(
     for column, index in enumerate(_COLUMNS):
         view = viewpoints[index]
         between = replace(view, azimuth_deg=(view.azimuth_deg + 45.0) % 360.0)
-        shown = framed(of_picture(pictures[index]), TILE).before(_GREY)
+        shown = resized(of_picture(pictures[index]), TILE).before(_GREY)
         rows[0].append(_captioned(shown, f"picture: {_CAPTIONS[column]}"))
         rows[1].append(_captioned(_tile(gaussians, view), "target"))
         rows[2].append(_tile(gaussians, between))

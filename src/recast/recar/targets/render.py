@@ -75,6 +75,16 @@ def of_picture(rgba: Image) -> Cutout:
     return Cutout(values[..., :3] * values[..., 3:], values[..., 3])
 
 
+def resized(cutout: Cutout, pixels: int) -> Cutout:
+    """The whole of a square picture at another size."""
+    if len(cutout.alpha) == pixels:
+        return cutout
+    method = cv2.INTER_AREA if len(cutout.alpha) > pixels else cv2.INTER_LINEAR
+    values: Any = np.dstack([cutout.rgb, cutout.alpha])
+    values = cv2.resize(values, (pixels, pixels), interpolation=method)
+    return Cutout(np.ascontiguousarray(values[..., :3]), np.ascontiguousarray(values[..., 3]))
+
+
 def framed(cutout: Cutout, pixels: int) -> Cutout:
     """The square around the vehicle at a scale of its own, so that size and place do not matter.
 
