@@ -5,7 +5,7 @@ const HELD = 24; // targets whose pictures are kept
 const CHUNK = 40; // ids fetched at once
 const POLL_MS = 4000;
 const COLUMNS = ["front", "left", "rear", "right"]; // of a contact sheet, around the vehicle
-const ROWS = ["picture", "target", ""]; // the last one is the target 45 degrees further on
+const ROWS = 3; // pictures, with captions; the target; the target 45 degrees further on
 const GAP = 5; // pixels between tiles
 const CHOICES = ["show", "order", "lowest", "highest"];
 const DONE = { accept: "accepted", reject: "rejected", flip: "accepted, turned by 180°" };
@@ -169,7 +169,7 @@ const acts = {
 // One after the other, in the order of the key presses.
 let queue = Promise.resolve();
 function act(what) {
-  queue = queue.then(what).catch((error) => say(error.message, true));
+  queue = queue.then(() => say("")).then(what).catch((error) => say(error.message, true));
   return queue;
 }
 
@@ -250,7 +250,11 @@ function draw() {
   $("main").classList.toggle("done", !item);
   $("empty").hidden = Boolean(item);
   if (!item) {
-    $("empty").textContent = $("show").value === "undecided"
+    const all = $("progress").getAttribute("aria-valuemax");
+    $("empty").textContent = $("progress").getAttribute("aria-valuenow") === all
+      ? `All ${all} targets within these scores are decided. U takes back the last decision; choose `
+        + "what to show above to look at them again."
+      : $("show").value === "undecided"
       ? "No more undecided targets from here on within these scores. N goes to those that were "
         + "skipped, U takes back the last decision, P goes back."
       : "No more targets from here on. P goes back, or choose what to show above.";
@@ -292,7 +296,7 @@ function figure(content, caption) {
 function drawSheet(sheet, turned) {
   const box = $("sheet");
   const width = sheet.naturalWidth / COLUMNS.length;
-  const height = sheet.naturalHeight / ROWS.length;
+  const height = sheet.naturalHeight / ROWS;
   if (!width) {
     const missing = document.createElement("p");
     missing.textContent = "This target has no contact sheet.";
@@ -303,11 +307,12 @@ function drawSheet(sheet, turned) {
   const room = box.getBoundingClientRect();
   const scale = Math.min(
     (room.width - GAP * (COLUMNS.length - 1)) / COLUMNS.length / width,
-    (room.height - GAP * (ROWS.length - 1)) / ROWS.length / height,
+    (room.height - GAP * (ROWS - 1)) / ROWS / height,
   );
+  box.style.fontSize = `${Math.max(12, 12 * scale)}px`; // hides the captions within the tiles
   box.style.gap = `${GAP}px`;
   box.style.gridTemplateColumns = `repeat(${COLUMNS.length}, max-content)`;
-  for (let row = 0; row < ROWS.length; row += 1) {
+  for (let row = 0; row < ROWS; row += 1) {
     for (let column = 0; column < COLUMNS.length; column += 1) {
       const from = row && turned ? (column + COLUMNS.length / 2) % COLUMNS.length : column;
       const tile = document.createElement("canvas");
@@ -317,7 +322,7 @@ function drawSheet(sheet, turned) {
       tile.getContext("2d").drawImage(
         sheet, from * width, row * height, width, height, 0, 0, width, height,
       );
-      box.append(figure(tile, row < 2 ? `${ROWS[row]}: ${COLUMNS[column]}` : ""));
+      box.append(figure(tile, row === 1 ? `target: ${COLUMNS[column]}` : ""));
     }
   }
 }
