@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from recast.recar.perturb.extent import ObjectBox
+from recast.recar.perturb.kind import Picture
 from recast.recar.perturb.premultiplied import Floats
 from recast.recar.perturb.value_noise import value_noise
+from recast.trellis.conditioning.read import OPAQUE
 
 _BEHIND = np.array(
     [
@@ -22,11 +24,23 @@ _BEHIND = np.array(
 )
 
 
-def backdrop(height: int, width: int, box: ObjectBox, rng: np.random.Generator) -> Floats:
-    """Display colours (height, width, 3) float32 in [0, 1] of a road and of what stands beyond.
+_DAYLIGHT = 0.6  # the brightest parts of a dark car by day, in display colours
+
+
+def backdrop(rgba: Picture, box: ObjectBox, rng: np.random.Generator) -> Floats:
+    """A road, and what stands beyond it, in the light in which the object is seen.
 
     The horizon runs through the upper part of the object, as a car's camera sees other cars.
+
+    Args:
+        rgba: (H, W, 4) uint8 of the object; where even its brightest parts are dark, it is dark.
+        box: of the object.
+        rng: of everything random.
+
+    Returns:
+        (H, W, 3) float32 display colours in [0, 1].
     """
+    height, width = rgba.shape[:2]
     extent = box.extent
     rows = np.arange(height, dtype=np.float32)[:, None]
     columns = np.arange(width, dtype=np.float32)[None, :]
@@ -42,6 +56,7 @@ def backdrop(height: int, width: int, box: ObjectBox, rng: np.random.Generator) 
     beyond = beyond * (1 + 0.12 * fine + 0.12 * coarse)[..., None]
 
     horizon = box.top + rng.uniform(0.0, 0.55) * box.height + 0.02 * extent * coarse
-    light = rng.uniform(0.7, 1.15)
+    brightest = float(np.quantile(rgba[rgba[..., 3] > OPAQUE][:, :3], 0.97)) / 255
+    light = rng.uniform(0.7, 1.15) * min(1.0, brightest / _DAYLIGHT)
     street = np.where((rows > horizon)[..., None], road, beyond) * light
-    return np.clip(street, 0.02, 1).astype(np.float32)
+    return np.clip(street, 0, 1).astype(np.float32)

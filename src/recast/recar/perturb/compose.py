@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from recast.errors import InputError
 from recast.recar.perturb.config import PerturbationConfig
-from recast.recar.perturb.extent import find_object
+from recast.recar.perturb.extent import find_object, shrinking
 from recast.recar.perturb.kind import Kind, Picture
+from recast.recar.perturb.premultiplied import premultiplied, straight
 from recast.trellis import check_crop
 from recast.trellis.conditioning.read import OPAQUE
 
 _TRIES = 16
-_ROOM = 1.6
-"""Side of the square that is worked on, over the extent; `crop_to_object` looks at 1.2."""
+_ROOM = 0.25
+"""Kept on each side of the object, over the extent: no kind makes it larger by more."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,8 @@ class Perturbed:
     """A picture and what was done to it.
 
     Attributes:
-        rgba: (H, W, 4) uint8, straight alpha, of the size of the picture that was given.
+        rgba: (H', W', 4) uint8, straight alpha: the picture that was given where it stays clean,
+            else the object's surroundings.
         applied: names and severities in the order of application; empty for a clean picture.
     """
 
@@ -34,9 +37,9 @@ class Perturbed:
 def perturb(rgba: Picture, config: PerturbationConfig, rng: np.random.Generator) -> Perturbed:
     """Leave a picture clean with probability rho_clean, or spoil it by one to three kinds.
 
-    Everything farther from the object than a third of its extent becomes transparent where the
-    picture is spoilt. A draw whose result `check_crop` refuses, or that hides too much, is drawn
-    again; after 16 of them the picture stays clean.
+    A spoilt picture is cut to the object's surroundings, and brought down to `finest` pixels of
+    extent where it is larger. A draw whose result `check_crop` refuses, or that hides too much, is
+    drawn again; after 16 of them the picture stays clean.
 
     Args:
         rgba: (H, W, 4) uint8, straight alpha.
@@ -49,17 +52,14 @@ def perturb(rgba: Picture, config: PerturbationConfig, rng: np.random.Generator)
     check_crop(rgba, "picture to perturb")
     if rng.uniform() < config.rho_clean:
         return Perturbed(rgba, ())
-    rows, columns = _window(rgba)
-    window = np.ascontiguousarray(rgba[rows, columns])
+    window = surroundings(rgba, config.finest)
     for _ in range(_TRIES):
         drawn = draw(config, rng)
         spoilt = compose(window, drawn, rng)
         if spoilt is None or _opaque(spoilt) < config.least_visible * _opaque(window):
             continue
-        out = np.zeros_like(rgba)
-        out[rows, columns] = spoilt
-        if _passes(out):
-            return Perturbed(out, tuple((kind.name, severity) for kind, severity in drawn))
+        if _passes(spoilt):
+            return Perturbed(spoilt, tuple((kind.name, severity) for kind, severity in drawn))
     return Perturbed(rgba, ())
 
 
@@ -84,12 +84,24 @@ def compose(
     return rgba
 
 
-def _window(rgba: Picture) -> tuple[slice, slice]:
-    """Rows and columns of a square around the object, as far as the picture has it."""
+def surroundings(rgba: Picture, finest: float) -> Picture:
+    """Cut to a rectangle around the object, as far as the picture has it; shrink if need be.
+
+    Args:
+        rgba: (H, W, 4) uint8, straight alpha.
+        finest: longest extent in pixels that is kept.
+    """
     box = find_object(rgba)
-    half = int(np.ceil(_ROOM * box.extent / 2))
-    row, column = box.top + box.height // 2, box.left + box.width // 2
-    return slice(max(row - half, 0), row + half), slice(max(column - half, 0), column + half)
+    edge = int(np.ceil(_ROOM * box.extent))
+    rows = slice(max(box.top - edge, 0), box.bottom + edge)
+    columns = slice(max(box.left - edge, 0), box.right + edge)
+    cut = rgba[rows, columns].copy()
+    scale = shrinking(box.extent, finest, 1.0)
+    if scale == 1:
+        return cut
+    size = (round(cut.shape[1] * scale), round(cut.shape[0] * scale))
+    small = cv2.resize(premultiplied(cut), size, interpolation=cv2.INTER_AREA)
+    return straight(np.asarray(small, np.float32))
 
 
 def _opaque(rgba: Picture) -> int:

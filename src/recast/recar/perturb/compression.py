@@ -33,6 +33,16 @@ def through_jpeg(colour: Picture, quality: int, corner: tuple[int, int]) -> Pict
     return np.array(Image.open(stream))[row:, column:]
 
 
+def quality_between(best: int, worst: int, severity: float) -> int:
+    """Quality whose quantiser steps lie geometrically between those of two qualities.
+
+    The Independent JPEG Group's rule: steps grow by 2 - Q / 50 from quality 50 up, by 50 / Q below.
+    """
+    steps = [2 - quality / 50 if quality >= 50 else 50 / quality for quality in (best, worst)]
+    step = steps[0] ** (1 - severity) * steps[1] ** severity
+    return round(50 * (2 - step) if step <= 1 else 50 / step)
+
+
 class Compression(Kind):
     """JPEG blocks, ringing and bled colours, at the size that vehicles have in logs.
 
@@ -48,22 +58,22 @@ class Compression(Kind):
     name: ClassVar[str] = "compression"
 
     best: Annotated[int, Field(ge=1, le=95)] = 95
-    worst: Annotated[int, Field(ge=1, le=95)] = 8
-    pixels: Positives = (80.0, 320.0)
+    worst: Annotated[int, Field(ge=1, le=95)] = 15
+    pixels: Positives = (100.0, 320.0)
 
     def __call__(self, rgba: Picture, severity: float, rng: np.random.Generator) -> Picture:
         """Spoil a picture; see `Perturbation`."""
         height, width = rgba.shape[:2]
         box = find_object(rgba)
-        street = backdrop(height, width, box, rng)
+        street = backdrop(rgba, box, rng)
         smallest = float(np.exp(rng.uniform(*np.log(self.pixels))))
         row, column = rng.integers(_BLOCK, size=2)
         scale = shrinking(box.extent, smallest, severity)
         colour, alpha = colour_and_alpha(rgba)
         seen = np.where(alpha[..., None] > 0, colour, street)
         size = (max(round(width * scale), 1), max(round(height * scale), 1))
-        small = cv2.resize(seen, size, interpolation=cv2.INTER_AREA)
-        quality = round(self.best + severity * (self.worst - self.best))
+        small = np.asarray(cv2.resize(seen, size, interpolation=cv2.INTER_AREA), np.float32)
+        quality = quality_between(self.best, self.worst, severity)
         decoded = through_jpeg(_to_bytes(small), quality, (int(row), int(column)))
         large = cv2.resize(decoded, (width, height), interpolation=cv2.INTER_CUBIC)
         return with_alpha(large.astype(np.float32) / 255, alpha)

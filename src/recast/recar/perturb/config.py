@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from recast import storage
 from recast.recar.perturb.border import Border
@@ -49,15 +49,18 @@ class PerturbationConfig(BaseModel):
         composed: fewest and most kinds on one picture, drawn uniformly.
         least_visible: share of the object's opaque area that must be left; draws that leave less
             are drawn again.
+        finest: longest extent, in pixels, of a spoilt object; larger ones are brought down to it,
+            which is finer than what a crop of 518 pixels shows and spares most of the time.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    format: Literal["recast-perturbations"] = PERTURBATIONS_FORMAT
-    version: Literal[1] = PERTURBATIONS_VERSION
+    format: Literal["recast-perturbations"] = "recast-perturbations"
+    version: Literal[1] = 1
     rho_clean: Share = 0.2
     composed: Annotated[tuple[int, int], AfterValidator(_at_least_one)] = (1, 3)
     least_visible: Share = 0.3
+    finest: Annotated[float, Field(ge=64, allow_inf_nan=False)] = 448.0
     other_vehicle: OtherVehicle = OtherVehicle()
     pole: Pole = Pole()
     border: Border = Border()

@@ -23,6 +23,6 @@ def convolve(rgba: Picture, kernel: Floats, width: float) -> Picture:
     light = np.dstack([to_linear(colour) * alpha[..., None], alpha])
     # Nothing is known beyond the picture: the object goes on there as at its border.
     blurred = cv2.filter2D(light, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE)
-    seen = np.clip(blurred[..., 3], 0, 1)
+    seen = np.clip(np.asarray(blurred[..., 3], np.float32), 0, 1)
     display = to_display(blurred[..., :3] / np.maximum(seen, 1e-6)[..., None])
     return with_alpha(display, segmented(seen, width))

@@ -25,13 +25,13 @@ class Dilation(Kind):
     name: ClassVar[str] = "dilation"
 
     weight: Weight = 0.2
-    depth: Positive = 0.03
+    depth: Positive = 0.02
 
     def __call__(self, rgba: Picture, severity: float, rng: np.random.Generator) -> Picture:
         """Spoil a picture; see `Perturbation`."""
         height, width = rgba.shape[:2]
         box = find_object(rgba)
-        street = backdrop(height, width, box, rng)
+        street = backdrop(rgba, box, rng)
         uneven = np.clip(1 + 0.6 * value_noise(height, width, 0.15 * box.extent, rng), 0, 3)
         _, alpha = colour_and_alpha(rgba)
         outwards = severity * self.depth * box.extent * uneven

@@ -36,8 +36,8 @@ class Fog(Kind):
 
     name: ClassVar[str] = "fog"
 
-    visibility_m: Positive = 80.0
-    distance_m: Positives = (12.0, 45.0)
+    visibility_m: Positive = 150.0
+    distance_m: Positives = (10.0, 40.0)
     airlight: Shares = (0.55, 0.9)
 
     def __call__(self, rgba: Picture, severity: float, rng: np.random.Generator) -> Picture:
@@ -47,4 +47,5 @@ class Fog(Kind):
         transmission = float(np.exp(-severity * CONTRAST / self.visibility_m * distance))
         colour, alpha = colour_and_alpha(rgba)
         airlight = to_linear(np.clip(grey, 0, 1).astype(np.float32))
-        return with_alpha(to_display(koschmieder(to_linear(colour), transmission, airlight)), alpha)
+        fogged = koschmieder(to_linear(colour), transmission, airlight)
+        return with_alpha(to_display(fogged), alpha)

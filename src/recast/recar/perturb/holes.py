@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+import cv2
 import numpy as np
 
 from recast.recar.perturb.extent import find_object
@@ -37,9 +38,11 @@ class Holes(Kind):
         colour, alpha = colour_and_alpha(rgba)
         inside = alpha > 0.5
         bright = to_linear(colour) @ _LUMINANCE
-        rank = np.searchsorted(np.sort(bright[inside]), bright) / max(int(inside.sum()), 1)
+        order = np.searchsorted(np.sort(bright[inside]), bright) / max(int(inside.sum()), 1)
+        # Smooth, or single dark pixels would make a sieve of it.
+        rank = cv2.GaussianBlur(order.astype(np.float32), (0, 0), 0.02 * extent)
         field = (1 - self.darkness) * lumps + self.darkness * 3 * (rank - 0.5)
         lowest = np.quantile(field[inside], severity * self.share)
         # A ramp of about a pixel: lumps rise by one over a tenth of the extent.
-        kept = np.clip((field - lowest) * 0.1 * extent, 0, 1)
+        kept = np.clip((field - lowest) * 0.1 * extent + 1 - severity, 0, 1)
         return with_alpha(colour, (alpha * kept).astype(np.float32))

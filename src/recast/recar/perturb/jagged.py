@@ -24,19 +24,19 @@ class Jagged(Kind):
     name: ClassVar[str] = "jagged"
 
     weight: Weight = 0.2
-    cell: Positive = 0.045
+    cell: Positive = 0.04
 
     def __call__(self, rgba: Picture, severity: float, rng: np.random.Generator) -> Picture:
         """Spoil a picture; see `Perturbation`."""
         height, width = rgba.shape[:2]
         box = find_object(rgba)
-        street = backdrop(height, width, box, rng)
+        street = backdrop(rgba, box, rng)
         cell = severity * self.cell * box.extent
         if cell <= 1:
             return rgba.copy()
         _, alpha = colour_and_alpha(rgba)
         size = (max(round(width / cell), 1), max(round(height / cell), 1))
         small = cv2.resize(alpha, size, interpolation=cv2.INTER_AREA)
-        steps = (small > rng.uniform(0.3, 0.7, small.shape)).astype(np.float32)
+        steps = (small > rng.uniform(0.35, 0.65, small.shape)).astype(np.float32)
         mask = cv2.resize(steps, (width, height), interpolation=cv2.INTER_NEAREST)
-        return reveal(rgba, mask, street)
+        return reveal(rgba, np.asarray(mask, np.float32), street)

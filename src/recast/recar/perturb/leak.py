@@ -33,7 +33,7 @@ class Leak(Kind):
         """Spoil a picture; see `Perturbation`."""
         height, width = rgba.shape[:2]
         box = find_object(rgba)
-        street = backdrop(height, width, box, rng)
+        street = backdrop(rgba, box, rng)
         wobble = value_noise(height, width, 0.1 * box.extent, rng)
         _, alpha = colour_and_alpha(rgba)
         edge = np.argwhere(np.abs(signed_distance(alpha)) < 1)
@@ -52,9 +52,9 @@ class Leak(Kind):
     ) -> Floats:
         """A flat lump on the ground, as wide as the object."""
         cast = rng.uniform() < self.shadow
-        centre = (box.bottom - 0.02 * box.extent, box.left + rng.uniform(0.4, 0.6) * box.width)
+        centre = (box.bottom - 0.05 * box.extent, box.left + rng.uniform(0.4, 0.6) * box.width)
         flat = severity * rng.uniform(0.25, 0.5) * self.radius * box.extent
-        lump = _lump(wobble, centre, np.array([flat, rng.uniform(0.42, 0.52) * box.width]))
+        lump = _lump(wobble, centre, np.array([flat, rng.uniform(0.32, 0.45) * box.width]))
         return lump if cast and flat > 0.5 else np.zeros_like(lump)
 
 

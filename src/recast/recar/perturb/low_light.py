@@ -60,7 +60,7 @@ class LowLight(Kind):
         light = exposure * to_linear(colour)
         size = (max(round(width * scale), 1), max(round(height * scale), 1))
         small = cv2.resize(light, size, interpolation=cv2.INTER_AREA)
-        noise = sensor_noise(small, self.full_well, self.read_noise, rng)
-        noise = cv2.resize(noise, (width, height), interpolation=cv2.INTER_LINEAR)
+        small_noise = sensor_noise(small, self.full_well, self.read_noise, rng)
+        noise = cv2.resize(small_noise, (width, height), interpolation=cv2.INTER_LINEAR)
         gain = exposure**-self.recovered
         return with_alpha(to_display(gain * (light + noise)), alpha)

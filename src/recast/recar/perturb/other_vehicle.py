@@ -90,7 +90,8 @@ class OtherVehicle(Kind):
         ground = box.bottom + rng.uniform(0.02, 0.3) * tall
         paint = _PAINTS[rng.integers(len(_PAINTS))]
         fringe = rng.uniform(0, self.fringe) * box.extent
-        passed = severity * self.cover * box.width
+        # At severity 0 its antialiased edge stays outside too.
+        passed = severity * self.cover * box.width - 1.5 * (1 - severity)
         front = box.left + passed if from_left else box.right - passed
         coverage = _silhouette(rows, columns, outline, (front, ground), tall, not from_left)
         return occlude(rgba, coverage, paint, fringe)

@@ -6,12 +6,14 @@ pixels works on colour times alpha.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from recast.recar.perturb.kind import Picture
 
-Floats = NDArray[np.float32]
+Floats = NDArray[np.floating[Any]]
 
 
 def premultiplied(rgba: Picture) -> Floats:
@@ -36,6 +38,7 @@ def with_alpha(colour: Floats, alpha: Floats) -> Picture:
 
 
 def colour_and_alpha(rgba: Picture) -> tuple[Floats, Floats]:
-    """Straight colours (H, W, 3) and alpha (H, W), float32 in [0, 1]."""
+    """Straight colours (H, W, 3), black where alpha is zero, and alpha (H, W); in [0, 1]."""
     unit = np.asarray(rgba, np.float32) / 255
+    unit[rgba[..., 3] == 0] = 0
     return unit[..., :3], unit[..., 3]

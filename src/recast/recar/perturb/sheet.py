@@ -1,15 +1,16 @@
-"""The sheet of all perturbations: every kind from weak to strong, and draws as a model sees them."""
+"""The sheet of all perturbations: each kind from weak to strong, and draws as a model sees them."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from recast.recar.perturb.compose import Perturbed, perturb
+from recast.recar.perturb.compose import Perturbed, perturb, surroundings
 from recast.recar.perturb.config import PerturbationConfig
 from recast.recar.perturb.extent import find_object
 from recast.recar.perturb.kind import Kind, Picture
@@ -42,7 +43,7 @@ def write_sheet(rgba: Picture, config: PerturbationConfig, seed: int, path: Path
     Raises:
         InputError: `rgba` is refused by `recast.trellis.check_crop`.
     """
-    around = _with_margin(rgba)
+    around = _with_margin(surroundings(rgba, config.finest))
     kinds = config.kinds()
     rows = -(-len(kinds) // 2)
     cell_height, cell_width = _cell(around).shape[:2]
@@ -51,14 +52,13 @@ def write_sheet(rgba: Picture, config: PerturbationConfig, seed: int, path: Path
     height = head + rows * (cell_height + 6) + foot
     figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor="white")
 
-    def put(picture: Picture, left: float, top: float) -> None:
-        tall, wide = picture.shape[:2]
-        place = (left / width, 1 - (top + tall) / height, wide / width, tall / height)
-        axes = figure.add_axes(place)
-        axes.imshow(picture, interpolation="none", aspect="auto")
-        axes.set_axis_off()
+    canvas = np.full((height, width, 3), 255, np.uint8)
 
-    def write(text: str, x: float, y: float, **style: object) -> None:
+    def put(picture: Picture, left: float, top: float) -> None:
+        row, column = round(top), round(left)
+        canvas[row : row + picture.shape[0], column : column + picture.shape[1]] = picture
+
+    def write(text: str, x: float, y: float, **style: Any) -> None:
         figure.text(x / width, 1 - y / height, text, **style)
 
     write("Perturbations from severity 0 to 1", 12, 24, fontsize=14, color=_INK, weight="bold",
@@ -85,6 +85,9 @@ def write_sheet(rgba: Picture, config: PerturbationConfig, seed: int, path: Path
         x = 12 + place * (side + 4)
         put(crop_to_object(drawn.rgba, side), x, top + 26)
         write(_caption(drawn), x, top + 30 + side, fontsize=7, color=_MUTED, va="top")
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.imshow(canvas, interpolation="none", aspect="auto")
+    axes.set_axis_off()
     FigureCanvasAgg(figure)
     with atomic_file(path) as partial:
         figure.savefig(partial, format="png", metadata={"Software": None})
