@@ -131,9 +131,11 @@ def _cache_record(
 
 def _begin(out: Path, record: CacheRecord) -> TargetCache:
     """The cache that lies there, or an empty one; nothing is written."""
-    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
-        return TargetCache(out, record, {}, {})
     if not (out / CACHE_FILE).is_file():
+        # a kill at the very start leaves no more than the beginning of cache.json
+        inside = {path.name for path in out.iterdir()} if out.is_dir() else set()
+        if not out.exists() or (out.is_dir() and inside <= {f".{CACHE_FILE}.partial"}):
+            return TargetCache(out, record, {}, {})
         raise InputError(
             out, "output folder", "exists and is no target cache", "name a new or empty folder"
         )

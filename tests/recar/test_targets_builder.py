@@ -1,0 +1,205 @@
+"""The builder: what it writes, full disks, failures, growth; see also test_targets_kills.py."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recast.errors import InputError
+from recast.recar import VehicleSet, read_set
+from recast.recar.targets import (
+    ModelSource,
+    TargetCache,
+    TargetSettings,
+    build_targets,
+    identity_seed,
+)
+from recast.recar.targets.settings import FilterSettings
+from recast.trellis import GenerationLimits, generate
+from support.trellis_folder import write_golden_model
+from support.vehicle_pictures import shape, write_vehicles
+
+from .sets import tree
+
+SETTINGS = TargetSettings(max_voxels=4096)
+Places = tuple[VehicleSet, ModelSource]
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Places:
+    folder = tmp_path_factory.mktemp("targets")
+    return write_vehicles(folder / "set", 3), ModelSource(write_golden_model(folder / "model"))
+
+
+@pytest.fixture(scope="module")
+def whole(places: Places, tmp_path_factory: pytest.TempPathFactory) -> TargetCache:
+    """Made at once by one process."""
+    return build_targets(*places, tmp_path_factory.mktemp("whole") / "cache", SETTINGS)
+
+
+def test_targets_are_those_of_the_multi_image_pipeline(places: Places, whole: TargetCache) -> None:
+    vehicles, source = places
+    assert whole.ids(accepted_only=False) == ("car-0", "car-1", "car-2")
+    model = source.load("cpu")
+    for index, name in enumerate(vehicles.identities):
+        views = [shape(index, view) for view in (0, 2, 1, 3)]
+        made = generate(
+            model, [views], [identity_seed(0, name)], limits=GenerationLimits(4096)
+        ).vehicles[0]
+        target, record = whole.target(name), whole.records[name]
+        np.testing.assert_array_equal(target.structure, made.structure.numpy())
+        np.testing.assert_array_equal(target.coords, made.coords.numpy())
+        np.testing.assert_array_equal(target.latent, made.latent.numpy())
+        assert record.seed == identity_seed(0, name) and record.voxels == len(made.coords)
+        assert record.gaussians == len(made.gaussians) and record.score is not None
+        assert whole.preview_path(name).read_bytes().startswith(b"\x89PNG")
+    assert whole.records["car-1"].split == "held-out"
+    assert whole.record.views_deg == (0.0, 180.0, 90.0, 270.0)
+    assert whole.record.structure_sampler.steps == 6 and whole.record.mode == "stochastic"
+    assert (whole.record.identities, whole.record.failures) == (3, 0)
+
+
+def test_seeds_depend_on_seed_and_name_alone() -> None:
+    seeds = {identity_seed(seed, f"car-{i}") for seed in range(3) for i in range(300)}
+    assert len(seeds) == 900 and min(seeds) >= 0 and max(seeds) < 2**31
+    assert identity_seed(0, "car-0") == 1811316280  # caches already made rely on it
+
+
+def test_again_touches_nothing_and_another_threshold_one_file(
+    places: Places, whole: TargetCache, tmp_path: Path
+) -> None:
+    out = tmp_path / "cache"
+    shutil.copytree(whole.folder, out)
+    times = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
+    again = build_targets(*places, out, SETTINGS)
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == times
+    assert again.ids() == ()
+    low = SETTINGS.model_copy(update={"filter": FilterSettings(threshold=0.001)})
+    assert build_targets(*places, out, low).ids() == ("car-0", "car-1", "car-2")
+    changed = [p for p, t in times.items() if p.is_file() and p.stat().st_mtime_ns != t]
+    assert changed == [out / "cache.json"]
+
+
+def test_a_cache_grows_to_the_same_bytes(
+    places: Places, whole: TargetCache, tmp_path: Path
+) -> None:
+    part = build_targets(*places, tmp_path / "cache", SETTINGS, identities=["car-1"])
+    assert list(part.records) == ["car-1"] and part.record.complete
+    seen: list[tuple[int, int]] = []
+    build_targets(*places, part.folder, SETTINGS, progress=lambda *done: seen.append(done))
+    assert tree(part.folder) == tree(whole.folder)
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_other_settings_or_another_folder_are_refused(
+    places: Places, whole: TargetCache, tmp_path: Path
+) -> None:
+    before = tree(whole.folder)
+    for settings, field in (
+        (SETTINGS.model_copy(update={"seed": 1}), "seed"),
+        (SETTINGS.model_copy(update={"mode": "multidiffusion"}), "mode"),
+        (SETTINGS.model_copy(update={"filter": FilterSettings(kind="none")}), "filter"),
+    ):
+        with pytest.raises(InputError, match=f"{field}: differs"):
+            build_targets(*places, whole.folder, settings)
+    other = tmp_path / "model"
+    shutil.copytree(places[1].folder, other)
+    weights = other / "ckpts/ss_dec.safetensors"
+    data = bytearray(weights.read_bytes())
+    data[-1] ^= 1
+    weights.write_bytes(data)
+    with pytest.raises(InputError, match="model: differs"):
+        build_targets(places[0], ModelSource(other), whole.folder, SETTINGS)
+    assert tree(whole.folder) == before
+    with pytest.raises(InputError, match="is no target cache"):
+        build_targets(*places, other, SETTINGS)
+    with pytest.raises(InputError, match="car-9: is not in the set"):
+        build_targets(*places, tmp_path / "new", SETTINGS, identities=["car-9"])
+    with pytest.raises(InputError, match="--workers"):
+        build_targets(*places, tmp_path / "new", SETTINGS, workers=0)
+    assert not (tmp_path / "new").exists()
+
+
+def test_failures_are_recorded_and_the_others_go_on(
+    places: Places, whole: TargetCache, tmp_path: Path
+) -> None:
+    folder = tmp_path / "set"
+    shutil.copytree(places[0].folder, folder)
+    picture = folder / "car-1/view_02.png"
+    sound = picture.read_bytes()
+    picture.write_bytes(sound[:-60])
+    broken = read_set(folder)
+    cache = build_targets(broken, places[1], tmp_path / "cache", SETTINGS)
+    assert cache.ids(accepted_only=False) == ("car-0", "car-2")
+    assert cache.records["car-1"].failure == "view 2: view cannot be decoded"
+    assert cache.record.failures == 1
+    assert not cache.preview_path("car-1").exists()
+    picture.write_bytes(sound)
+    again = build_targets(broken, places[1], cache.folder, SETTINGS)
+    assert again.records["car-1"].failure is not None
+    build_targets(broken, places[1], cache.folder, SETTINGS, retry_failures=True)
+    assert tree(cache.folder) == tree(whole.folder)
+
+
+def test_a_structure_that_is_too_large_is_a_failure_after_all_retries(
+    places: Places, tmp_path: Path
+) -> None:
+    settings = TargetSettings(max_voxels=1, retries=1)
+    cache = build_targets(*places, tmp_path / "cache", settings, identities=["car-0"])
+    reason = cache.records["car-0"].failure
+    assert reason is not None and "at most 1 are allowed" in reason
+    assert cache.ids(accepted_only=False) == ()
+
+
+def test_a_full_disk_ends_in_one_line_and_the_same_command_goes_on(
+    places: Places, whole: TargetCache, tmp_path: Path
+) -> None:
+    out = tmp_path / "cache"
+    folder = out / "latents/model"
+    folder.mkdir(parents=True)
+    shutil.copy(whole.folder / "cache.json", out)
+    path = out / "cache.json"
+    path.write_text(path.read_text().replace('"complete": true', '"complete": false'))
+    (folder / ".car-1.npz.partial").symlink_to("/dev/full")  # refuses every byte
+    with pytest.raises(InputError, match="no space left"):
+        build_targets(*places, out, SETTINGS)
+    assert list(TargetCache.open(out, complete=False).records) == ["car-0"]
+    build_targets(*places, out, SETTINGS)
+    assert tree(out) == tree(whole.folder)
+
+
+def test_a_model_that_cannot_be_read_is_one_line_before_any_work(
+    places: Places, tmp_path: Path
+) -> None:
+    folder = tmp_path / "model"
+    shutil.copytree(places[1].folder, folder)
+    (folder / "ckpts/slat_flow.safetensors").write_bytes(b"short")
+    with pytest.raises(InputError, match=r"slat_flow\.safetensors"):
+        build_targets(places[0], ModelSource(folder), tmp_path / "cache", SETTINGS)
+    (folder / "ckpts/slat_flow.safetensors").unlink()
+    with pytest.raises(InputError, match=r"pipeline\.json"):
+        build_targets(places[0], ModelSource(folder), tmp_path / "cache", SETTINGS)
+    records = tmp_path / "cache/records"
+    assert not records.exists()
+
+
+def test_ray_is_asked_for_by_name_where_it_is_missing(
+    places: Places, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(InputError, match=r"recast\[distributed\]"):
+        build_targets(*places, tmp_path / "cache", SETTINGS, ray="local")
+    assert not (tmp_path / "cache").exists()
+
+
+def test_cache_json_says_how_the_targets_were_made(whole: TargetCache) -> None:
+    written = json.loads((whole.folder / "cache.json").read_text())
+    assert written["format"] == "recast-target-cache" and written["complete"] is True
+    assert written["model"]["name"] == "model" and len(written["model"]["sha256"]) == 64
+    assert len(written["model"]["latent_mean"]) == 8
+    assert written["filter"] == {"score": "view-agreement", "threshold": 0.6, "weights": {}}
