@@ -1,0 +1,22 @@
+"""Making a vehicle set of photographs: a folder for each vehicle, and a table about them.
+
+    PHOTOS/vehicles.csv (or vehicles.json)
+    PHOTOS/ID/001.jpg, 002.jpg, ...    in order of azimuth
+
+See docs/data.md.
+"""
+
+from recast.recar.ingest.background import BackgroundRemover, Cutout
+from recast.recar.ingest.ingest import IngestReport, ingest_photographs
+from recast.recar.ingest.perceptual_hash import DUPLICATE_BITS, perceptual_hash
+from recast.recar.ingest.settings import IngestSettings
+
+__all__ = [
+    "DUPLICATE_BITS",
+    "BackgroundRemover",
+    "Cutout",
+    "IngestReport",
+    "IngestSettings",
+    "ingest_photographs",
+    "perceptual_hash",
+]

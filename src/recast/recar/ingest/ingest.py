@@ -1,0 +1,225 @@
+"""Photographs of vehicles become a vehicle set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from recast import storage
+from recast.errors import InputError
+from recast.recar.ingest.background import BackgroundRemover
+from recast.recar.ingest.folder import photographs_of
+from recast.recar.ingest.journal import REPORT_FILE, read_entry, write_entry, write_report
+from recast.recar.ingest.perceptual_hash import SeenPictures
+from recast.recar.ingest.pool import prepare_all
+from recast.recar.ingest.prepare import Candidate, Prepared
+from recast.recar.ingest.settings import IngestSettings
+from recast.recar.ingest.table import VehicleRow, find_table, read_table
+from recast.recar.record import IDENTITY_FILE, IdentityRecord, SetRecord, view_file
+from recast.recar.split import split_of
+from recast.recar.vehicle_set import Identity, VehicleSet, read_identities, read_set
+from recast.recar.writer import begin_set, check_begin, finish_set
+
+
+@dataclass(frozen=True)
+class IngestReport:
+    """What came of it.
+
+    Attributes:
+        vehicle_set: the finished set.
+        skipped: why a vehicle is not in it, by its name.
+        doubts: what a person should look at, by identity.
+    """
+
+    vehicle_set: VehicleSet
+    skipped: dict[str, InputError]
+    doubts: dict[str, tuple[str, ...]]
+
+
+def ingest_photographs(
+    photos: str | Path,
+    out: str | Path,
+    settings: IngestSettings,
+    remover: BackgroundRemover | None,
+    *,
+    table: str | Path | None = None,
+    skip_bad: bool = False,
+    workers: int = 1,
+    on_bad: Callable[[str, InputError], None] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> IngestReport:
+    """Make a vehicle set of a folder with photographs of each vehicle.
+
+    All rows, file names and picture headers are looked at first; without `skip_bad`, nothing is
+    written where one is wrong. What turns out later, such as a photograph cut short or the same
+    vehicle twice, is listed in the set's ingest.json, and the good vehicles stay. A run that was
+    killed, or whose bad vehicles have been mended, goes on with those that are not yet there. The
+    files are the same for any number of workers.
+
+    Args:
+        photos: holds the table and a folder for each vehicle.
+        out: folder of the set; new, empty, or a set of the same settings.
+        settings: what all vehicles share.
+        remover: for photographs in which nothing is transparent; None refuses them.
+        table: CSV or JSON; None finds it beside the folders.
+        skip_bad: leave bad vehicles out and finish the set.
+        workers: processes.
+        on_bad: called with the name and the fault of each bad vehicle.
+        progress: called with pictures done and all pictures.
+
+    Raises:
+        InputError: bad vehicles where they are not skipped, no good ones, a table that cannot be
+            read, `out` holds something else, or the disk is full.
+    """
+    photos, out = Path(photos), Path(out)
+    settings.validate()
+    if workers < 1:
+        raise InputError("--workers", "value", f"is {workers}", "give 1 or more")
+    work = _Ingest(photos, out, settings, on_bad)
+    candidates = work.look(Path(table) if table is not None else None)
+    total = len(candidates) + len(work.skipped)
+    if work.skipped and not skip_bad:
+        raise work.refusal(total, "")
+    record = settings.record(out.absolute().name, total)
+    names = [one.row.id for one in candidates]
+    check_begin(out, record, [*names, *work.skipped])
+    begin_set(out, record, [*names, *work.skipped])
+    left = work.already_there(candidates, record)
+    counts = [len(names) * settings.views - len(left) * settings.views, len(names) * settings.views]
+    for candidate, found in prepare_all(left, settings, remover, workers):
+        work.take(candidate, found, record)
+        counts[0] += settings.views
+        if progress is not None:
+            progress(counts[0], counts[1])
+    write_report(out, work.skipped, work.doubts)
+    if work.skipped and not skip_bad:
+        raise work.refusal(total, f"; the other {len(work.doubts)} are in {out}")
+    if not work.doubts:
+        raise work.refusal(total, "")
+    finish_set(out, record.model_copy(update={"identities": len(work.doubts)}))
+    return IngestReport(read_set(out), work.skipped, work.doubts)
+
+
+class _Ingest:
+    """One run: what was skipped, and the doubts about what was taken."""
+
+    def __init__(
+        self,
+        photos: Path,
+        out: Path,
+        settings: IngestSettings,
+        on_bad: Callable[[str, InputError], None] | None,
+    ) -> None:
+        self.photos, self.out, self.settings = photos, out, settings
+        self.skipped: dict[str, InputError] = {}
+        self.doubts: dict[str, tuple[str, ...]] = {}
+        self._on_bad = on_bad
+        self._seen = SeenPictures(settings.duplicate_bits)
+        self._splits: dict[str, str] = {}
+
+    def look(self, table: Path | None) -> list[Candidate]:
+        """The vehicles whose rows, folders and picture headers are right."""
+        if not self.photos.is_dir():
+            raise InputError(self.photos, "photographs", "are missing", "check the path")
+        table = table or find_table(self.photos)
+        rows, bad = read_table(table)
+        for name, error in bad.items():
+            self.skip(name, error)
+        known = {row.folder or row.id for row in rows} | bad.keys()
+        for path in sorted(p for p in self.photos.iterdir() if p.is_dir() and p.name[0] != "."):
+            if path.name not in known:
+                problem = f"has no row for {path.name}"
+                self.skip(path.name, InputError(table, "id", problem, "add it"))
+        candidates = []
+        for row in rows:
+            try:
+                candidates.append(Candidate(row, photographs_of(self.photos, row, self.settings)))
+            except InputError as error:
+                self.skip(row.id, error)
+        return candidates
+
+    def already_there(self, candidates: list[Candidate], record: SetRecord) -> list[Candidate]:
+        """Remember the pictures of finished vehicles; the others are left to do."""
+        finished = read_identities(self.out, record)
+        left = []
+        for candidate in candidates:
+            identity = finished.get(candidate.row.id)
+            if identity is None:
+                left.append(candidate)
+            elif identity.record != self._record(candidate.row):
+                raise InputError(
+                    identity.folder / IDENTITY_FILE, "record",
+                    "differs from its row in the table", "remove the folder to have it made anew",
+                )  # fmt: skip
+        asked = {candidate.row.id for candidate in left}
+        for name, identity in finished.items():
+            if name not in asked:  # also one whose photographs have gone since
+                self._remember(identity)
+        return left
+
+    def take(self, candidate: Candidate, found: Prepared | InputError, record: SetRecord) -> None:
+        """Write a vehicle, unless it is bad or there already under another name."""
+        identity = self._record(candidate.row)
+        if isinstance(found, InputError):
+            self.skip(identity.id, found)
+            return
+        doubts = list(found.doubts)
+        for other, count in self._seen.matches(found.hashes).items():
+            if 2 * count >= record.views:
+                splits = {identity.split, self._splits[other]}
+                self.skip(
+                    identity.id,
+                    InputError(
+                        candidate.photographs[0].parent, "duplicate",
+                        f"{count} of {record.views} photographs are those of {other}"
+                        f"{', which is in the other split' if len(splits) == 2 else ''}",
+                        "keep one of the two; if both are right, lower --duplicate-bits",
+                    ),
+                )  # fmt: skip
+                return
+            doubts.append(f"{count} of {record.views} photographs are like those of {other}")
+        write_entry(self.out, identity.id, found.hashes, tuple(doubts))
+        with storage.atomic_folder(self.out / identity.id) as partial:
+            for index, picture in enumerate(found.pictures):
+                (partial / view_file(index)).write_bytes(picture)
+            storage.write_json(partial / IDENTITY_FILE, identity.model_dump(mode="json"))
+        self._remember(Identity(self.out / identity.id, identity, record))
+
+    def skip(self, name: str, error: InputError) -> None:
+        """List a bad vehicle."""
+        self.skipped[name] = error
+        if self._on_bad is not None:
+            self._on_bad(name, error)
+
+    def refusal(self, total: int, others: str) -> InputError:
+        """The one line that ends a run with bad vehicles."""
+        name, first = next(iter(self.skipped.items()))
+        report = f"all are listed in {self.out / REPORT_FILE}" if others else "all are listed above"
+        return InputError(
+            self.photos, "vehicles",
+            f"{len(self.skipped)} of {total} cannot be taken, such as {name} ({first.where}: "
+            f"{first.field}: {first.problem}); {report}{others}",
+            "mend them and run again, or leave them out with --skip-bad",
+        )  # fmt: skip
+
+    def _remember(self, identity: Identity) -> None:
+        hashes, doubts = read_entry(self.out, identity)
+        name = identity.record.id
+        self._seen.add(name, hashes)
+        self._splits[name] = identity.record.split
+        self.doubts[name] = doubts
+
+    def _record(self, row: VehicleRow) -> IdentityRecord:
+        settings = self.settings
+        return IdentityRecord(
+            id=row.id,
+            kind=row.kind,
+            category=row.category,
+            colour=row.colour,
+            size=row.size,
+            distance_m=row.distance_m,
+            split=row.split or split_of(row.id, settings.split_seed, settings.held_out_share),
+            source=row.source,
+            licence=row.licence,
+        )

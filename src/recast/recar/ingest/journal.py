@@ -1,0 +1,54 @@
+"""What is kept beside a set about how it was made: hashes of its pictures, doubts, bad items."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from recast import storage
+from recast.errors import InputError
+from recast.recar.ingest.perceptual_hash import WORDS, Hashes, perceptual_hash
+from recast.recar.vehicle_set import Identity
+
+REPORT_FILE = "ingest.json"
+_FOLDER = ".ingest"  # a reader of the set takes no folder whose name begins with a dot
+
+
+def write_entry(out: Path, identity: str, hashes: Hashes, doubts: tuple[str, ...]) -> None:
+    """Remember hashes (V, 4) and doubts of an identity."""
+    value = {"hashes": [one.tobytes().hex() for one in hashes], "doubts": list(doubts)}
+    storage.write_json(out / _FOLDER / f"{identity}.json", value)
+
+
+def read_entry(out: Path, identity: Identity) -> tuple[Hashes, tuple[str, ...]]:
+    """Hashes (V, 4) and doubts of a finished identity, the hashes anew where they are lost."""
+    path, views = out / _FOLDER / f"{identity.record.id}.json", identity.set_record.views
+    try:
+        value = storage.read_json(path)
+        data = bytes.fromhex("".join(value["hashes"]))
+        hashes = np.frombuffer(data, np.uint64).reshape(views, WORDS)
+        return hashes, tuple(value["doubts"])
+    except (InputError, KeyError, TypeError, ValueError):
+        return np.stack([perceptual_hash(identity.view(index)) for index in range(views)]), ()
+
+
+def write_report(
+    out: Path, skipped: Mapping[str, InputError], doubts: Mapping[str, tuple[str, ...]]
+) -> None:
+    """Write ingest.json: every vehicle that is not in the set and why, and every doubt."""
+    value = {
+        "skipped": [
+            {
+                "vehicle": name,
+                "where": error.where,
+                "field": error.field,
+                "problem": error.problem,
+                "mend": error.mend,
+            }
+            for name, error in sorted(skipped.items())
+        ],
+        "doubts": {name: list(lines) for name, lines in sorted(doubts.items()) if lines},
+    }
+    storage.write_json(out / REPORT_FILE, value)

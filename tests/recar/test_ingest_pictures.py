@@ -1,0 +1,128 @@
+"""Single photographs: reading, fitting, hashes, and backgrounds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from recast.actors.cutout import GrabCutRemover, mask_doubts
+from recast.actors.detect import Detection
+from recast.actors.grounded_cutout import central_detection
+from recast.recar.ingest import DUPLICATE_BITS, ingest_photographs, perceptual_hash
+from recast.recar.ingest.perceptual_hash import SeenPictures, distances
+from recast.recar.ingest.photograph import fit, natural_order, photograph_size, read_photograph
+
+from .photographs import SETTINGS, car_before_a_wall, over_wall, photograph, write_photos
+
+
+def test_exif_turns_a_photograph_upright(tmp_path: Path) -> None:
+    picture = Image.fromarray(photograph(1)[..., :3])
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    picture.save(tmp_path / "a.jpg", exif=exif, quality=95)
+    assert photograph_size(tmp_path / "a.jpg") == (40, 60)
+    rgb, alpha = read_photograph(tmp_path / "a.jpg")
+    assert rgb.shape == (60, 40, 3) and alpha is None
+    turned = np.rot90(photograph(1)[..., :3], -1)
+    assert np.abs(rgb.astype(int) - turned).mean() < 15
+
+
+def test_numbers_in_names_count() -> None:
+    names = ["IMG_10.jpg", "IMG_9.jpg", "IMG_1.jpg", "a2.png", "1.png"]
+    ordered = sorted(map(Path, names), key=natural_order)
+    assert [p.name for p in ordered] == ["1.png", "a2.png", "IMG_1.jpg", "IMG_9.jpg", "IMG_10.jpg"]
+
+
+def test_no_background_bleeds_into_the_edge() -> None:
+    rgba = photograph(0, 240, 160)
+    rgba[..., :3] = np.where(rgba[..., 3:] > 0, 100, 255)
+    small = fit(np.ascontiguousarray(rgba[..., :3]), rgba[..., 3].copy(), 70, 47)
+    solid = small[..., 3] > 8
+    assert np.abs(small[solid][:, :3].astype(int) - 100).max() <= 1
+    assert (small[..., 3] % 255 != 0).any()
+
+
+@given(seed=st.integers(0, 10_000), quality=st.integers(85, 95), scale=st.floats(0.5, 1.5))
+@settings(max_examples=40, deadline=None)
+def test_a_copy_has_nearly_the_same_hash(seed: int, quality: int, scale: float) -> None:
+    rgba = photograph(seed, 240, 160, 32)
+    size = (round(240 * scale), round(160 * scale))
+    colour = np.asarray(cv2.resize(rgba[..., :3], size, interpolation=cv2.INTER_AREA))
+    _, data = cv2.imencode(".jpg", colour, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    copy = np.dstack([cv2.imdecode(data, 1), cv2.resize(rgba[..., 3], size)])
+    hashes = np.stack([perceptual_hash(rgba), perceptual_hash(copy)])
+    assert distances(hashes[0], hashes[1:])[0] <= DUPLICATE_BITS
+    other = perceptual_hash(photograph(seed + 1, 240, 160, 32))
+    assert distances(other, hashes).min() > 60
+
+
+@given(st.integers(0, 2**32), st.integers(0, 255))
+@settings(max_examples=30, deadline=None)
+def test_seen_pictures_are_those_that_comparing_all_finds(seed: int, bits: int) -> None:
+    rng = np.random.default_rng(seed)
+    known = rng.integers(0, 2**64, (6, 3, 4), np.uint64)
+    asked = rng.integers(0, 2**64, (3, 4), np.uint64)
+    asked[0] = known[4, 1] ^ np.uint64(1)
+    seen = SeenPictures(bits)
+    for index, hashes in enumerate(known):
+        seen.add(str(index), hashes)
+    slow = {}
+    for index, hashes in enumerate(known):
+        count = sum(
+            any(sum(bin(int(x)).count("1") for x in a ^ b) <= bits for b in hashes) for a in asked
+        )
+        if count:
+            slow[str(index)] = count
+    assert seen.matches(asked) == slow
+
+
+@pytest.mark.parametrize("scale", [1, 3])
+def test_grabcut_finds_a_car_before_a_wall(scale: int) -> None:
+    image, mask = car_before_a_wall()
+    size = (300 * scale, 200 * scale)
+    image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC), np.uint8)
+    truth = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    found = GrabCutRemover().remove(image, "car")
+    solid = found.alpha > 127
+    assert (solid & truth).sum() / (solid | truth).sum() > 0.95
+    assert found.doubts == ()
+    assert np.array_equal(found.alpha, GrabCutRemover().remove(image, "car").alpha)
+
+
+def test_grabcut_says_where_it_does_not_know() -> None:
+    rng = np.random.default_rng(0)
+    busy = rng.integers(0, 255, (100, 150, 3)).astype(np.uint8)
+    assert GrabCutRemover().remove(busy).doubts
+    assert GrabCutRemover().remove(np.full((100, 150, 3), 128, np.uint8)).doubts
+    everything = np.ones((10, 10), bool)
+    assert len(mask_doubts(everything)) == 2
+    assert len(mask_doubts(~everything)) == 1
+
+
+def test_the_detection_in_the_middle_is_taken() -> None:
+    def found(score: float, *box: float) -> Detection:
+        return Detection(np.array(box, np.float64), score, "a car.")
+
+    small, large = found(0.9, 40, 40, 60, 60), found(0.5, 10, 10, 90, 90)
+    beside = found(0.99, 0, 0, 45, 100)
+    assert central_detection([small, beside, large], 100, 100) is large
+    assert central_detection([beside], 100, 100) is None
+
+
+def test_backgrounds_are_removed_where_nothing_is_transparent(tmp_path: Path) -> None:
+    photos = write_photos(tmp_path / "photos", 1)
+    for path in (photos / "car-0").iterdir():
+        with Image.open(path) as picture:
+            opaque = over_wall(np.asarray(picture))
+        Image.fromarray(opaque).save(path)
+    made = ingest_photographs(photos, tmp_path / "set", SETTINGS, GrabCutRemover()).vehicle_set
+    for view in range(4):
+        solid = made.identities["car-0"].view(view)[..., 3] > 127
+        truth = photograph(view)[..., 3] > 0
+        assert (solid & truth).sum() / (solid | truth).sum() > 0.8
