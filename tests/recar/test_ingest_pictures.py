@@ -15,7 +15,7 @@ from recast.actors.cutout import GrabCutRemover, mask_doubts
 from recast.actors.detect import Detection
 from recast.actors.grounded_cutout import central_detection
 from recast.recar.ingest import DUPLICATE_BITS, ingest_photographs, perceptual_hash
-from recast.recar.ingest.perceptual_hash import SeenPictures, distances
+from recast.recar.ingest.perceptual_hash import SeenPictures, distances, ones, ones_by_table
 from recast.recar.ingest.photograph import fit, natural_order, photograph_size, read_photograph
 
 from .photographs import SETTINGS, car_before_a_wall, over_wall, photograph, write_photos
@@ -93,6 +93,12 @@ def test_grabcut_finds_a_car_before_a_wall(scale: int) -> None:
     assert (solid & truth).sum() / (solid | truth).sum() > 0.95
     assert found.doubts == ()
     assert np.array_equal(found.alpha, GrabCutRemover().remove(image, "car").alpha)
+
+
+def test_bits_are_counted_alike() -> None:
+    words = np.random.default_rng(0).integers(0, 2**64, (50, 4), np.uint64)
+    slow = [[bin(int(word)).count("1") for word in row] for row in words]
+    assert ones(words).tolist() == ones_by_table(words).tolist() == slow
 
 
 def test_grabcut_says_where_it_does_not_know() -> None:

@@ -48,15 +48,27 @@ def perceptual_hash(rgba: Image) -> Hashes:
 
 def distances(one: Hashes, others: Hashes) -> NDArray[np.int64]:
     """In how many bits a hash (4,) differs from others (N, 4): (N,)."""
-    differing = np.ascontiguousarray(one ^ others).view(np.uint16)
-    return _ONES[differing].sum(axis=1, dtype=np.int64)
+    return ones(one ^ others).sum(axis=1, dtype=np.int64)
+
+
+def ones(words: Hashes) -> NDArray[np.uint8]:
+    """How many bits of each uint64 are set."""
+    if hasattr(np, "bitwise_count"):  # from numpy 2 on
+        return np.asarray(np.bitwise_count(words), np.uint8)
+    return ones_by_table(words)
+
+
+def ones_by_table(words: Hashes) -> NDArray[np.uint8]:
+    """`ones` with any numpy, some thirty times slower."""
+    quarters = np.ascontiguousarray(words).view(np.uint16).reshape(*words.shape, 4)
+    return np.asarray(_ONES[quarters].sum(axis=-1), np.uint8)
 
 
 class SeenPictures:
     """The hashes of all pictures so far, to ask whether a new one is among them.
 
     Every pair is compared, the first quarter of the hashes first: some 0.1 s for 30 pictures
-    against 600,000.
+    against 600,000 with numpy 2.
     """
 
     def __init__(self, bits: int = DUPLICATE_BITS) -> None:
@@ -83,8 +95,7 @@ class SeenPictures:
         found: dict[str, int] = {}
         known = self._hashes[: self._filled]
         for one in hashes:
-            first = np.ascontiguousarray(known[:, 0] ^ one[0]).view(np.uint16).reshape(-1, 4)
-            near = np.flatnonzero(_ONES[first].sum(axis=1) <= self.bits)
+            near = np.flatnonzero(ones(known[:, 0] ^ one[0]) <= self.bits)
             near = near[distances(one, known[near]) <= self.bits]
             for place in np.unique(np.searchsorted(self._ends, near, side="right")):
                 found[self._owners[place]] = found.get(self._owners[place], 0) + 1
