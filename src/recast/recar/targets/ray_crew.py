@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from importlib import import_module
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 from recast.errors import InputError
@@ -19,7 +21,8 @@ def on_ray(address: str, workers: int) -> Crew:
 
     Pictures travel with the jobs and targets come back, so that only this process needs the set
     and the cache; the model folder must lie under the same path on every machine. An actor asks
-    for one core, and for one GPU where the cluster has any.
+    for one core, and for one GPU where the cluster has any. A connection that this process has
+    already is used, and stays.
 
     Args:
         address: of the cluster, such as "auto" or "ray://head:10001"; "local" starts one here.
@@ -39,8 +42,10 @@ def on_ray(address: str, workers: int) -> Crew:
     def crew(
         source: ModelSource, settings: TargetSettings, jobs: Iterable[Job]
     ) -> Iterator[Outcome]:
+        ours = not ray.is_initialized()
         try:
-            ray.init(address=address, log_to_driver=False, ignore_reinit_error=True)
+            if ours:
+                ray.init(address=address, log_to_driver=False)
         except (ConnectionError, RuntimeError, ValueError) as error:
             reason = str(error).strip().splitlines()[0]
             raise InputError(
@@ -50,8 +55,8 @@ def on_ray(address: str, workers: int) -> Crew:
             # workers of the cluster import recast, and find the model, by themselves
             gpus = 1 if ray.cluster_resources().get("GPU", 0) and source.device != "cpu" else 0
             remote: Any = ray.remote(num_cpus=1, num_gpus=gpus)(_RemoteMaker)
-            yield from _outcomes(ray, [remote.remote(source, settings) for _ in range(workers)],
-                                 jobs)  # fmt: skip
+            plan = _absolute(source, settings)
+            yield from _outcomes(ray, [remote.remote(*plan) for _ in range(workers)], jobs)
         except ray.exceptions.RayTaskError as error:
             if isinstance(error.cause, InputError):
                 raise error.cause from None
@@ -62,9 +67,24 @@ def on_ray(address: str, workers: int) -> Crew:
                 "run again; finished targets stay",
             ) from None  # fmt: skip
         finally:
-            ray.shutdown()
+            if ours:
+                ray.shutdown()
 
     return crew
+
+
+def _absolute(source: ModelSource, settings: TargetSettings) -> tuple[ModelSource, TargetSettings]:
+    """The same with paths that do not depend on the working folder, which is another there."""
+
+    def path(given: Path | None) -> Path | None:
+        return None if given is None else given.absolute()
+
+    judge = settings.filter
+    files = {"predictor": path(judge.predictor), "clip": path(judge.clip)}
+    return (
+        replace(source, folder=source.folder.absolute(), image_encoder=path(source.image_encoder)),
+        settings.model_copy(update={"filter": judge.model_copy(update=files)}),
+    )
 
 
 class _RemoteMaker:
