@@ -8,9 +8,11 @@ from typing import Annotated
 
 import tyro
 
+from recast.cli.recar_data import Ingest, Pack
 from recast.cli.recar_perturb import Perturb
 from recast.cli.recar_screen import Screen
 from recast.cli.recar_small import Assemble, Assets, Autoencoder
+from recast.cli.recar_targets import Targets
 from recast.cli.recar_train import Train
 
 
@@ -106,6 +108,9 @@ class Recar:
     command: (
         Annotated[Synth, tyro.conf.subcommand("synth")]
         | Annotated[Stats, tyro.conf.subcommand("stats")]
+        | Annotated[Ingest, tyro.conf.subcommand("ingest")]
+        | Annotated[Pack, tyro.conf.subcommand("pack")]
+        | Annotated[Targets, tyro.conf.subcommand("targets")]
         | Annotated[Perturb, tyro.conf.subcommand("perturb")]
         | Annotated[Screen, tyro.conf.subcommand("screen")]
         | Annotated[Train, tyro.conf.subcommand("train")]
