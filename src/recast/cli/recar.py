@@ -76,7 +76,7 @@ class Stats:
     """Count what is in a set, check its pictures, and draw its figure."""
 
     set: tyro.conf.Positional[Path]
-    """Set folder."""
+    """Set folder, or a folder of shards."""
     out: Path | None = None
     """Folder for dataset.png, views.png, colours.png and types.png."""
     decode: bool = False
@@ -86,11 +86,12 @@ class Stats:
         """Run the command."""
         from rich.console import Console
 
-        from recast.recar import read_set, set_statistics, statistics_table
+        from recast.recar import set_statistics, statistics_table
         from recast.recar.figure import FIGURE_FILES, write_figure
         from recast.recar.progress import PictureProgress
+        from recast.recar.shards import open_set
 
-        vehicle_set = read_set(self.set)
+        vehicle_set = open_set(self.set)
         console = Console()
         with PictureProgress("checked", console) as progress:
             vehicle_set.check_pictures(self.decode, progress)

@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
-    Progress,
     TaskID,
     TextColumn,
     TimeRemainingColumn,
 )
 from rich.table import Table
 
+from recast.bars import Bars
 from recast.evaluation import COLUMNS, OracleViews
 
 
-class _Bars:
-    """Bars on the terminal while a block runs."""
+class _CountingBars(Bars):
+    """Pieces of work done, of how many, and the time left."""
 
     def __init__(self, console: Console) -> None:
-        self._bars = Progress(
+        super().__init__(
             TextColumn("  {task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
@@ -33,22 +32,8 @@ class _Bars:
             console=console,
         )
 
-    def __enter__(self) -> Self:
-        """Start drawing."""
-        self._bars.start()
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Stop drawing."""
-        self._bars.stop()
-
-
-class FrameProgress(_Bars):
+class FrameProgress(_CountingBars):
     """A bar over equal pieces of work, with the time left; call it after each."""
 
     def __init__(self, console: Console, total: int, what: str = "steps") -> None:
@@ -64,7 +49,7 @@ class FrameProgress(_Bars):
         self._bars.update(self._task, completed=done, total=total)
 
 
-class SamplingProgress(_Bars):
+class SamplingProgress(_CountingBars):
     """A bar for each sampled stage; call it with stage, steps done and all steps."""
 
     def __init__(self, console: Console) -> None:

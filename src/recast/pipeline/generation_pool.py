@@ -7,15 +7,13 @@ import signal
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 
 import torch
 
-from recast.errors import InputError
 from recast.evaluation.generation_placement import Placement
 from recast.pipeline.generation_maker import CellJob, CellMaker, Measures
-from recast.synthetic.child_process import end_with_parent
+from recast.synthetic.child_process import end_with_parent, worker_faults
 
 Told = Callable[[CellJob, dict[str, float]], None]
 """Called with every job that is done and the seconds it took."""
@@ -60,7 +58,7 @@ def make_cells(
     ) as pool:  # fmt: skip
         left = deque(jobs)
         pending: dict[Future[dict[str, float]], CellJob] = {}
-        try:
+        with worker_faults(pool, "finished vehicles"):
             while left or pending:
                 while left and len(pending) < _WAITING * processes:
                     job = left.popleft()
@@ -68,14 +66,6 @@ def make_cells(
                 done, _ = wait(pending, return_when=FIRST_COMPLETED)
                 for future in done:
                     told(pending.pop(future), future.result())
-        except BrokenProcessPool:
-            raise InputError(
-                "--workers", "process", "ended, perhaps for want of memory",
-                "run again with fewer; finished vehicles stay",
-            ) from None  # fmt: skip
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
 
 
 @contextmanager

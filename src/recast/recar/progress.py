@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import time
-from types import TracebackType
-from typing import Self
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+
+from recast.bars import Bars
 
 
-class PictureProgress:
+class PictureProgress(Bars):
     """Draws in the terminal; pass the object itself as `progress`."""
 
     def __init__(self, what: str, console: Console | None = None) -> None:
-        self._bar = Progress(
+        super().__init__(
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
             TextColumn("{task.fields[left]}"),
             console=console,
         )
-        self._task = self._bar.add_task(what, total=None, left="")
+        self._task = self._bars.add_task(what, total=None, left="")
         self._start: tuple[float, int] | None = None
 
     def __call__(self, done: int, total: int) -> None:
@@ -33,21 +33,7 @@ class PictureProgress:
         left = ""
         if skipped < done < total:
             left = time_left((now - started) / (done - skipped) * (total - done))
-        self._bar.update(self._task, completed=done, total=total, left=left)
-
-    def __enter__(self) -> Self:
-        """Start drawing."""
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Stop drawing."""
-        self._bar.stop()
+        self._bars.update(self._task, completed=done, total=total, left=left)
 
 
 def time_left(seconds: float) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from recast.recar.record import SetRecord
 from recast.recar.synthesis_plan import PlannedIdentity, SynthesisSettings, plan_identities
 from recast.recar.vehicle_set import VehicleSet, read_set
 from recast.recar.writer import begin_set, check_begin, finish_set, write_identity
+from recast.synthetic.child_process import end_with_parent, worker_faults
 
 Progress = Callable[[int, int], None]
 """Called with pictures done and all pictures."""
@@ -130,21 +130,13 @@ def _make_in_processes(
         pending: set[Future[None]] = {
             pool.submit(_make_in_worker, out, record, settings, planned) for planned in left
         }
-        try:
+        with worker_faults(pool, "finished identities"):
             while pending:
                 done, pending = wait(pending, timeout=0.2, return_when=FIRST_COMPLETED)
                 while not finished_pictures.empty():
                     counter.advance(finished_pictures.get())
                 for future in done:
                     future.result()
-        except BrokenProcessPool:
-            raise InputError(
-                "--workers", "process", "ended, perhaps for want of memory",
-                "run again with fewer; finished identities stay",
-            ) from None  # fmt: skip
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
         while not finished_pictures.empty():
             counter.advance(finished_pictures.get())
 
@@ -155,8 +147,6 @@ _advance: Callable[[int], Any]
 def _set_up_worker(queue: Any) -> None:
     global _advance
     _advance = queue.put
-    from recast.synthetic.child_process import end_with_parent
-
     end_with_parent()
 
 

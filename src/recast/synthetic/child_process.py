@@ -1,11 +1,17 @@
-"""What every process that renders does at its start."""
+"""What every working process does at its start, and what is said when one ends too early."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import threading
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing import connection
+
+from recast.errors import InputError
 
 
 def end_with_parent() -> None:
@@ -15,6 +21,29 @@ def end_with_parent() -> None:
     next run.
     """
     threading.Thread(target=_wait, daemon=True).start()
+
+
+@contextmanager
+def worker_faults(pool: ProcessPoolExecutor, finished: str) -> Iterator[None]:
+    """While jobs of a pool are waited for: cancel what is left when anything goes wrong.
+
+    Args:
+        pool: of the jobs.
+        finished: what stays of an earlier try, such as "finished vehicles".
+
+    Raises:
+        InputError: a process ended, mostly for want of memory.
+    """
+    try:
+        yield
+    except BrokenProcessPool:
+        raise InputError(
+            "--workers", "process", "ended, perhaps for want of memory",
+            f"run again with fewer; {finished} stay",
+        ) from None  # fmt: skip
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
 
 
 def _wait() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +15,7 @@ from recast.errors import InputError
 from recast.recar.assets.asset import write_asset
 from recast.records import read_record
 from recast.storage import write_json
+from recast.synthetic.child_process import end_with_parent, worker_faults
 
 RECORD_FILE = "assets.json"
 _MEND = "name a new folder, or make the assets again"
@@ -84,20 +84,12 @@ def make_assets(
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(workers, len(left)), context, _set_up) as pool:
         futures = [pool.submit(_make, out, index, record) for index in left]
-        try:
+        with worker_faults(pool, "finished assets"):
             for future in as_completed(futures):
                 future.result()
                 done += 1
                 if progress is not None:
                     progress(done, count)
-        except BrokenProcessPool:
-            raise InputError(
-                "--workers", "process", "ended, perhaps for want of memory",
-                "run again with fewer; finished assets stay",
-            ) from None  # fmt: skip
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
 
 
 def asset_path(folder: Path, index: int) -> Path:
@@ -117,6 +109,4 @@ def _make(out: Path, index: int, record: AssetsRecord) -> None:
 
 
 def _set_up() -> None:
-    from recast.synthetic.child_process import end_with_parent
-
     end_with_parent()

@@ -6,12 +6,12 @@ import multiprocessing
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 
 from recast.errors import InputError
 from recast.recar.ingest.background import BackgroundRemover
 from recast.recar.ingest.prepare import Candidate, Prepared, prepare
 from recast.recar.ingest.settings import IngestSettings
+from recast.synthetic.child_process import end_with_parent, worker_faults
 
 
 def prepare_all(
@@ -29,7 +29,7 @@ def prepare_all(
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, context, _set_up_worker, (settings, remover)) as pool:
         running: deque[tuple[Candidate, Future[Prepared | InputError]]] = deque()
-        try:
+        with worker_faults(pool, "finished vehicles"):
             for candidate in candidates:
                 running.append((candidate, pool.submit(_prepare_in_worker, candidate)))
                 if len(running) >= 2 * workers:
@@ -38,13 +38,6 @@ def prepare_all(
             while running:
                 first, future = running.popleft()
                 yield first, future.result()
-        except BrokenProcessPool:
-            raise InputError(
-                "--workers", "process", "ended, perhaps for want of memory",
-                "run again with fewer; finished vehicles stay",
-            ) from None  # fmt: skip
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _prepared(
@@ -63,8 +56,6 @@ def _set_up_worker(settings: IngestSettings, remover: BackgroundRemover | None) 
     global _shared
     _shared = (settings, remover)
     import cv2
-
-    from recast.synthetic.child_process import end_with_parent
 
     cv2.setNumThreads(1)
     end_with_parent()

@@ -7,17 +7,18 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
+from recast.bars import Bars
 from recast.errors import InputError
 
 _SHOWN = ("loss", "held_out", "gap", "gradient")
 
 
-class TrainingDisplay:
+class TrainingDisplay(Bars):
     """A bar with the latest means; where there is no terminal, a line for each line of the log.
 
     Args:
@@ -29,16 +30,16 @@ class TrainingDisplay:
 
     def __init__(self, what: str, steps: int, console: Console, writer: Any = None) -> None:
         self.what, self.steps, self.console, self.writer = what, steps, console, writer
-        self._bar = Progress(
+        super().__init__(
             TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
             TimeRemainingColumn(), TextColumn("{task.fields[means]}"),
             console=console, disable=not console.is_terminal,
         )  # fmt: skip
-        self._task = self._bar.add_task(what, total=steps, means="")
+        self._task = self._bars.add_task(what, total=steps, means="")
 
     def step(self, done: int) -> None:
         """So many steps are done."""
-        self._bar.update(self._task, completed=done)
+        self._bars.update(self._task, completed=done)
 
     def means(self, step: int, values: Mapping[str, float], rate: float) -> None:
         """A line of the log was written.
@@ -49,7 +50,7 @@ class TrainingDisplay:
             rate: learning rate.
         """
         shown = "  ".join(f"{name} {values[name]:.4g}" for name in _SHOWN if name in values)
-        self._bar.update(self._task, means=shown)
+        self._bars.update(self._task, means=shown)
         if not self.console.is_terminal:
             self.console.print(f"{self.what} {step}/{self.steps}  {shown}", markup=False)
         if self.writer is not None:
@@ -57,19 +58,14 @@ class TrainingDisplay:
                 if math.isfinite(value):
                     self.writer.add_scalar(f"{self.what}/{name}", value, step)
 
-    def __enter__(self) -> Self:
-        """Start drawing."""
-        self._bar.start()
-        return self
-
     def __exit__(
         self,
         kind: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Stop drawing."""
-        self._bar.stop()
+        """Stop drawing, and write the last curves."""
+        super().__exit__(kind, error, trace)
         if self.writer is not None:
             self.writer.flush()
 
