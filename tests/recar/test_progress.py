@@ -21,4 +21,4 @@ def test_finished_pictures_of_an_earlier_run_cost_nothing(monkeypatch: pytest.Mo
     bar = PictureProgress("pictures", Console(file=io.StringIO()))
     bar(50, 100)
     bar(60, 100)
-    assert bar._bar.tasks[0].fields["left"] == "0:40 left"
+    assert bar._bars.tasks[0].fields["left"] == "0:40 left"
