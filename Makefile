@@ -12,7 +12,7 @@ help:
 	@echo "make setup   install into $(VENV)"
 	@echo "make demo    a made-up drive, from log to report (about ten minutes)"
 	@echo "make test    lint, types, layer contracts and the tests (what CI runs)"
-	@echo "make bench   the benchmarks of rasterizer and ray tracer"
+	@echo "make bench   the benchmarks of rasterizer, ray tracer and image-to-3D model"
 	@echo "make clean   remove $(VENV) and build folders"
 
 setup: $(VENV)/.ready
@@ -51,6 +51,8 @@ unit: setup
 bench: setup
 	$(BIN)/python benchmarks/raster.py
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/synthetic.py
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/trellis.py sparse
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/trellis.py actor
 
 clean:
 	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
