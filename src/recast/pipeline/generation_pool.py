@@ -5,15 +5,14 @@ from __future__ import annotations
 import multiprocessing
 import signal
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
 
 import torch
 
 from recast.evaluation.generation_placement import Placement
 from recast.pipeline.generation_maker import CellJob, CellMaker, Measures
-from recast.synthetic.child_process import end_with_parent, worker_faults
+from recast.synthetic.child_process import end_with_parent, one_thread, worker_faults
 
 Told = Callable[[CellJob, dict[str, float]], None]
 """Called with every job that is done and the seconds it took."""
@@ -45,7 +44,7 @@ def make_cells(
         InputError: see `CellMaker`, or a process was killed. Finished cells stay.
     """
     if workers == 1 or len(jobs) < 2:
-        with _one_thread():
+        with one_thread():
             maker = CellMaker(measures, seed, placement)
             for job in jobs:
                 told(job, maker(job))
@@ -66,17 +65,6 @@ def make_cells(
                 done, _ = wait(pending, return_when=FIRST_COMPLETED)
                 for future in done:
                     told(pending.pop(future), future.result())
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """As the other processes compute: sums over another number of threads round otherwise."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _start(arguments: tuple[Measures, int, Placement]) -> None:

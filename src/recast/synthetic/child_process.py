@@ -46,6 +46,19 @@ def worker_faults(pool: ProcessPoolExecutor, finished: str) -> Iterator[None]:
         raise
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Compute on one torch thread, as working processes do: others round sums otherwise."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 def _wait() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:

@@ -6,18 +6,16 @@ import multiprocessing
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from itertools import islice
 from typing import Any
 
 import torch
 
-from recast.errors import InputError
 from recast.recar.targets.maker import Job, Outcome, TargetMaker
 from recast.recar.targets.model_source import ModelSource
 from recast.recar.targets.settings import TargetSettings
 from recast.splats import set_threads
+from recast.synthetic.child_process import end_with_parent, one_thread, worker_faults
 
 Crew = Callable[[ModelSource, TargetSettings, Iterable[Job]], Iterator[Outcome]]
 """Outcomes of jobs, in any order."""
@@ -28,7 +26,7 @@ _WAITING = 2
 
 def alone(source: ModelSource, settings: TargetSettings, jobs: Iterable[Job]) -> Iterator[Outcome]:
     """Make all targets in this process."""
-    with _one_thread():
+    with one_thread():
         maker = TargetMaker.load(source, settings)
         for job in jobs:
             yield maker.make(job)
@@ -49,7 +47,7 @@ def in_processes(workers: int) -> Crew:
         initial = (source, settings, devices)
         with ProcessPoolExecutor(workers, context, _set_up, initial) as pool:
             pending: set[Future[Outcome]] = set()
-            try:
+            with worker_faults(pool, "finished targets"):
                 for job in islice(left, _WAITING * workers):
                     pending.add(pool.submit(_make, job))
                 while pending:
@@ -58,14 +56,6 @@ def in_processes(workers: int) -> Crew:
                         pending.add(pool.submit(_make, job))
                     for future in done:
                         yield future.result()
-            except BrokenProcessPool:
-                raise InputError(
-                    "--workers", str(workers), "a process ended, perhaps for want of memory",
-                    "run again with fewer; finished targets stay",
-                ) from None  # fmt: skip
-            finally:
-                for future in pending:
-                    future.cancel()
 
     return crew
 
@@ -83,8 +73,6 @@ _maker: TargetMaker | None = None
 
 def _set_up(source: ModelSource, settings: TargetSettings, devices: Any) -> None:
     global _plan
-    from recast.synthetic.child_process import end_with_parent
-
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers itself
     end_with_parent()
     torch.set_num_threads(1)
@@ -97,14 +85,3 @@ def _make(job: Job) -> Outcome:
     if _maker is None:  # not in _set_up, whose errors nobody would hear of
         _maker = TargetMaker.load(*_plan)
     return _maker.make(job)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """One thread, on which sums do not depend; as many as before afterwards."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
