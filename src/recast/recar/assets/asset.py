@@ -6,16 +6,14 @@ along +x.
 
 from __future__ import annotations
 
-import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from zipfile import BadZipFile
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.errors import InputError
-from recast.storage import atomic_file
+from recast.recar.arrays import read_arrays, write_arrays
 
 FEATURES = 17
 """Colour, normal, centroid in the voxel (three each) and eight sub-voxels' occupancy."""
@@ -47,14 +45,16 @@ class TrainingAsset:
     crops: int
 
 
+_ARRAYS = tuple(field.name for field in fields(TrainingAsset))
+
+
 def write_asset(path: Path, asset: TrainingAsset) -> None:
     """Write an asset as a compressed NumPy archive, whole or not at all."""
-    with atomic_file(path) as partial, partial.open("wb") as stream:
-        np.savez_compressed(
-            stream, kind=np.array(asset.kind), size=asset.size, coords=asset.coords,
-            features=asset.features, pictures=asset.pictures, poses=asset.poses,
-            focal=asset.focal, crops=np.array(asset.crops),
-        )  # fmt: skip
+    write_arrays(
+        path, kind=np.array(asset.kind), size=asset.size, coords=asset.coords,
+        features=asset.features, pictures=asset.pictures, poses=asset.poses,
+        focal=asset.focal, crops=np.array(asset.crops),
+    )  # fmt: skip
 
 
 def read_asset(path: Path) -> TrainingAsset:
@@ -63,13 +63,6 @@ def read_asset(path: Path) -> TrainingAsset:
     Raises:
         InputError: missing, cut short, or of another layout.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return TrainingAsset(
-                str(file["kind"]), file["size"], file["coords"], file["features"],
-                file["pictures"], file["poses"], file["focal"], int(file["crops"]),
-            )  # fmt: skip
-    except FileNotFoundError:
-        raise InputError(path, "file", "is missing", "make the assets again") from None
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error) as error:
-        raise InputError(path, "arrays", f"cannot be read ({error})", "make it again") from None
+    found = read_arrays(path, _ARRAYS, "make the assets again")
+    values: dict[str, Any] = {**found, "kind": str(found["kind"]), "crops": int(found["crops"])}
+    return TrainingAsset(**values)

@@ -10,16 +10,14 @@ CACHE/screening.json              decisions of a person, if there are any: `reca
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recast import storage
 from recast.errors import InputError
+from recast.recar.arrays import read_arrays, write_arrays
 from recast.recar.record import Split
 from recast.recar.screening import Decision, Screening
 from recast.recar.targets.channels import ChannelMoments, ChannelStatistics
@@ -38,6 +36,7 @@ from recast.records import read_record
 
 STRUCTURES = "ss_latents"
 LATENTS = "latents"
+_REMAKE = "make the target again: remove its record and run the command that made it"
 
 
 class TargetCache:
@@ -125,8 +124,8 @@ class TargetCache:
         if identity not in self.records or self.records[identity].failure is not None:
             raise KeyError(identity)
         structure_path, latent_path = self._paths(identity)
-        structure = _read(structure_path, ("mean",))["mean"]
-        latent = _read(latent_path, ("feats", "coords"))
+        structure = read_arrays(structure_path, ("mean",), _REMAKE)["mean"]
+        latent = read_arrays(latent_path, ("feats", "coords"), _REMAKE)
         resolution = self.record.model.resolution
         try:
             target = Target(
@@ -162,9 +161,9 @@ class TargetCache:
             raise ValueError(f"{record.id}: {voxels} voxels, record {record}")
         if target is not None:
             structure_path, latent_path = self._paths(record.id)
-            _write(structure_path, mean=target.structure.astype(np.float32))
+            write_arrays(structure_path, mean=target.structure.astype(np.float32))
             coords = target.coords.astype(np.uint8)
-            _write(latent_path, feats=target.latent.astype(np.float32), coords=coords)
+            write_arrays(latent_path, feats=target.latent.astype(np.float32), coords=coords)
         if preview is not None:
             storage.write_bytes(self.preview_path(record.id), preview)
         path = self.folder / RECORDS / f"{record.id}.json"
@@ -214,19 +213,3 @@ def read_records(folder: Path) -> dict[str, TargetRecord]:
             raise InputError(path, "id", f"is {one.id!r}", "name the record by its vehicle")
         records[one.id] = one
     return records
-
-
-def _write(path: Path, **arrays: NDArray[np.float32] | NDArray[np.uint8]) -> None:
-    with storage.atomic_file(path) as partial, partial.open("wb") as stream:
-        np.savez_compressed(stream, allow_pickle=False, **arrays)
-
-
-def _read(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[np.generic]]:
-    mend = "make the target again: remove its record and run the command that made it"
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in names}
-    except FileNotFoundError:
-        raise InputError(path, "file", "is missing", mend) from None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(path, "arrays", f"cannot be read ({error})", mend) from None
