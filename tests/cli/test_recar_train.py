@@ -38,10 +38,21 @@ def test_a_config_file_is_trained(
     write_json(path, tiny_config(structure={"steps": 2}).model_dump(mode="json"))
     run([*arguments(stage, out), "--config", str(path), "--flow", "structure"])
     record = read_training_record(out)
-    assert record.complete and record.flows.keys() == {"structure"}
+    assert not record.complete
     shown = capsys.readouterr().out
     assert "structure 2/2  loss" in shown and "gap" in shown
-    assert "wrote" in shown
+    assert "latent still to train" in shown
+    run([*arguments(stage, out), "--config", str(path)])
+    record = read_training_record(out)
+    assert record.complete and record.flows.keys() == {"structure", "latent"}
+    assert "wrote" in capsys.readouterr().out
+
+
+def test_a_flow_that_the_stage_leaves_alone(stage: TinyStage, tmp_path: Path) -> None:
+    path = tmp_path / "stage.json"
+    write_json(path, tiny_config(latent=None).model_dump(mode="json"))
+    with pytest.raises(InputError, match="latent: is not trained by"):
+        run([*arguments(stage, tmp_path / "m"), "--config", str(path), "--flow", "latent"])
 
 
 def test_neither_stage_nor_config(stage: TinyStage, tmp_path: Path) -> None:

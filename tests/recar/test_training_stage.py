@@ -8,6 +8,7 @@ import os
 import shutil
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -38,7 +39,12 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> TinyStage:
 @pytest.fixture(scope="module")
 def whole(stage: TinyStage, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Trained without interruption."""
-    return train_stage(stage.request(tmp_path_factory.mktemp("out") / "model"), console=QUIET)
+    return trained(stage.request(tmp_path_factory.mktemp("out") / "model"))
+
+
+def trained(request: StageRequest) -> Path:
+    assert train_stage(request, console=QUIET) == ()
+    return request.out
 
 
 def results(out: Path) -> dict[str, bytes]:
@@ -108,7 +114,7 @@ def test_the_new_model_is_complete_and_only_the_flows_differ(stage: TinyStage, w
 def test_the_average_is_written_or_the_latest_weights(
     stage: TinyStage, whole: Path, tmp_path: Path
 ) -> None:
-    raw = train_stage(stage.request(tmp_path / "raw", weights="raw", latent=None), console=QUIET)
+    raw = trained(stage.request(tmp_path / "raw", weights="raw", latent=None))
     state = load_file(whole / "training" / "structure" / "state.safetensors")
     for out, prefix in ((whole, "average/flow/"), (raw, "model/flow/")):
         written = load_file(out / "ckpts" / "ss_flow.safetensors")
@@ -137,7 +143,7 @@ def test_a_stage_continues_from_the_model_of_the_last(
     request = following.request(
         tmp_path / "two", structure=None, latent={"steps": 2}, perturbation={}, train_encoder=False
     )
-    out = train_stage(request, console=QUIET)
+    out = trained(request)
     lines = [json.loads(x) for x in (out / "training/latent/log.jsonl").read_text().splitlines()]
     assert lines[-1]["altered"] > 0
     kept = [folder / "ckpts" / "ss_flow.safetensors" for folder in (whole, out)]
@@ -148,7 +154,7 @@ def test_sheets_show_held_out_vehicles_and_leave_the_training_alone(
     stage: TinyStage, whole: Path, tmp_path: Path
 ) -> None:
     request = stage.request(tmp_path / "model", sheet_every=4)
-    out = train_stage(request, console=QUIET)
+    out = trained(request)
     sheets = sorted(path.name for path in (out / "sheets").iterdir())
     assert sheets == ["latent-0000004.png", "structure-0000004.png"]
     picture = cv2.imread(str(out / "sheets" / sheets[0]))
@@ -158,12 +164,34 @@ def test_sheets_show_held_out_vehicles_and_leave_the_training_alone(
     assert results(out) == results(whole)
 
 
+def test_flows_that_are_trained_apart_make_the_same_model(
+    stage: TinyStage, whole: Path, tmp_path: Path
+) -> None:
+    request = stage.request(tmp_path / "model")
+    assert train_stage(replace(request, flows=("latent",)), console=QUIET) == ("structure",)
+    assert not (request.out / "pipeline.json").exists()
+    assert not read_training_record(request.out).complete
+    trained(replace(request, flows=("structure",)))
+    assert results(request.out) == results(whole)
+    assert read_training_record(request.out).flows.keys() == {"structure", "latent"}
+
+
+def test_a_latent_flow_waits_for_the_encoder(stage: TinyStage, tmp_path: Path) -> None:
+    request = stage.request(tmp_path / "model", train_encoder=True, structure={"steps": 2},
+                            latent={"steps": 2})  # fmt: skip
+    with pytest.raises(InputError, match="needs the image encoder"):
+        train_stage(replace(request, flows=("latent",)), console=QUIET)
+    assert train_stage(replace(request, flows=("structure",)), console=QUIET) == ("latent",)
+    apart = trained(replace(request, flows=("latent",)))
+    assert results(apart) == results(trained(replace(request, out=tmp_path / "whole")))
+
+
 def test_the_encoder_trains_with_the_structure_where_asked(
     stage: TinyStage, tmp_path: Path
 ) -> None:
     request = stage.request(tmp_path / "model", train_encoder=True, structure={"steps": 2},
                             latent={"steps": 2})  # fmt: skip
-    out = train_stage(request, console=QUIET)
+    out = trained(request)
     name = "ckpts/dinov2_tiny.safetensors"
     assert (out / name).read_bytes() != (stage.model / name).read_bytes()
     assert first_fault(verify_checkpoint(out, values=True)) is None

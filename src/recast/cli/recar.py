@@ -43,6 +43,8 @@ class Synth:
     format where not given: z,y for glTF, x,z for all others."""
     licence: str = "CC0-1.0"
     """Licence of the pictures, for set.json."""
+    held_out: float = 0.05
+    """Share of the vehicles that is never trained on; the default is the paper's."""
     workers: int = 1
     """Processes; the files are the same for any number."""
 
@@ -54,8 +56,9 @@ class Synth:
         from recast.recar.progress import PictureProgress
 
         settings = SynthesisSettings(
-            self.seed, self.views, self.width, self.height, self.kinds, self.licence
-        )
+            self.seed, self.views, self.width, self.height, self.kinds, self.licence,
+            self.held_out,
+        )  # fmt: skip
         console = Console()
         with PictureProgress("pictures", console) as progress:
             made = synthesize_set(

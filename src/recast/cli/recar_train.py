@@ -30,7 +30,8 @@ class Train:
     """JSON file with every figure of a stage, or "preset" and what differs from it; instead of
     --stage."""
     flow: tyro.conf.UseAppendAction[tuple[Literal["structure", "latent"], ...]] = ()
-    """Train this flow only; may be given again. Both where not given."""
+    """Train this flow only, the other in another process or later; both where not given. The model
+    is written when all flows of the stage are trained."""
     image_encoder: Path | None = None
     """Weights of the published image encoder (DINOv2 ViT-L/14 with registers), where the model
     folder has none."""
@@ -48,11 +49,12 @@ class Train:
         from recast.recar.training.stage_config import chosen_stage
         from recast.recar.training.stage_parts import StageRequest
 
-        config = chosen_stage(self.stage, self.config, self.flow)
+        config = chosen_stage(self.stage, self.config)
         request = StageRequest(
             config, self.model, self.targets, self.set, self.out, self.image_encoder, self.device,
-            self.tensorboard,
+            self.tensorboard, self.flow,
         )  # fmt: skip
         processes = Processes.started()
-        train_stage(request, processes=processes)
-        Console(quiet=not processes.first).print(f"wrote {self.out}", markup=False)
+        left = train_stage(request, processes=processes)
+        said = f"{self.out}: {', '.join(left)} still to train" if left else f"wrote {self.out}"
+        Console(quiet=not processes.first).print(said, markup=False, soft_wrap=True)

@@ -35,6 +35,7 @@ class SynthesisSettings:
         width, height: pixels.
         kinds: of vehicles, drawn evenly; as often as on the road where none is named.
         licence: of the pictures.
+        held_out: share of the identities that is never trained on.
     """
 
     seed: int = 0
@@ -43,6 +44,7 @@ class SynthesisSettings:
     height: int = 800
     kinds: tuple[str, ...] = ()
     licence: str = "CC0-1.0"
+    held_out: float = HELD_OUT_SHARE
 
     def validate(self) -> None:
         """Raise InputError naming the option at fault."""
@@ -58,6 +60,8 @@ class SynthesisSettings:
         for kind in self.kinds:
             if kind not in KINDS:
                 raise InputError("--kinds", kind, "is unknown", f"choose of {', '.join(KINDS)}")
+        if not 0 <= self.held_out <= 1:
+            raise InputError("--held-out", "value", f"is {self.held_out}", "give 0 to 1")
         if not self.licence.strip():
             raise InputError("--licence", "value", "is empty", "name the licence of the pictures")
 
@@ -75,7 +79,7 @@ class SynthesisSettings:
             width=self.width,
             height=self.height,
             split_seed=self.seed,
-            held_out_share=HELD_OUT_SHARE,
+            held_out_share=self.held_out,
             generator={
                 "name": "recast.recar.synthesize_set",
                 "synthesis_version": SYNTHESIS_VERSION,
@@ -152,7 +156,7 @@ def _planned(
         id=name,
         group=group,
         seed=(settings.seed, stream, own_seed),
-        split=split_of(name, settings.seed, HELD_OUT_SHARE, index),
+        split=split_of(name, settings.seed, settings.held_out, index),
         mesh=mesh,
         mesh_axes=mesh_axes,
     )

@@ -14,6 +14,7 @@ from recast.recar.autoencoders.image import (
     ImageEncoderTask,
     ImageExamples,
     ViewHeads,
+    side_colours,
     view_azimuths,
 )
 from recast.recar.autoencoders.judge import judge_image, judge_latent, judge_structure
@@ -117,16 +118,18 @@ def image_examples(store: AssetStore, structure: SparseStructureEncoder) -> Imag
     """All conditioning pictures of a store, cropped, with what is to be read from them."""
     size = SMALL.models[IMAGE_ENCODER].args["image_size"]
     resolution = SMALL.models[LATENT_ENCODER].args["resolution"]
-    crops, latents, azimuths, extents = [], [], [], []
+    crops, latents, azimuths, extents, sides = [], [], [], [], []
     for number in range(len(store)):
         asset = store[number]
         crops.append([crop_to_object(one, size) for one in asset.pictures[: asset.crops]])
         latents.append(structure(occupancy([asset], resolution)).mean[0])
         azimuths.append(view_azimuths(asset))
         extents.append(torch.from_numpy(asset.size))
+        sides.append(side_colours(asset))
     return ImageExamples(
-        np.array(crops), torch.stack(latents), torch.stack(azimuths), torch.stack(extents)
-    )
+        np.array(crops), torch.stack(latents), torch.stack(azimuths), torch.stack(extents),
+        torch.stack(sides),
+    )  # fmt: skip
 
 
 def _finish(

@@ -3,53 +3,48 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from rich.console import Console
 from torch import nn
 
+from recast.errors import InputError
 from recast.recar.perturb import PerturbationConfig, perturb
 from recast.recar.picture import Image
 from recast.recar.training.display import TrainingDisplay, tensorboard_writer
 from recast.recar.training.flow_task import FlowTask
 from recast.recar.training.latents import Flow, LatentFlow, StructureFlow
-from recast.recar.training.log import LOG_FILE, read_log_lines
+from recast.recar.training.log import LOG_FILE, Means, read_log_lines
 from recast.recar.training.loop import train
 from recast.recar.training.model_output import write_trained_model
 from recast.recar.training.probe import ConditionGap
 from recast.recar.training.processes import Processes
 from recast.recar.training.settings import TrainerSettings
-from recast.recar.training.sheet import SheetRow, sample_sheet
 from recast.recar.training.stage_config import FlowName
 from recast.recar.training.stage_parts import StageParts, StageRequest, open_stage
-from recast.recar.training.state import TrainingState
-from recast.recar.training.tokens import ConditionTokens, Perturb, View
+from recast.recar.training.stage_sheets import StageSheets
+from recast.recar.training.state import TrainingState, steps_done
+from recast.recar.training.tokens import ConditionTokens, Perturb
 from recast.recar.training.training_record import (
     FlowRecord,
     TrainingRecord,
     check_same_inputs,
 )
-from recast.storage import write_bytes
 from recast.trellis.checkpoints.roles import LATENT_FLOW, STRUCTURE_FLOW
-from recast.trellis.sparse import SparseTensor
 from recast.trellis.stopwatch import Stopwatch
 
 ROLES: dict[FlowName, str] = {"structure": STRUCTURE_FLOW, "latent": LATENT_FLOW}
 TRAINING = "training"
 SHEETS = "sheets"
-_SEED = 20_260  # of sheets: the same noise and views throughout
 
 
 def train_stage(
     request: StageRequest, *, console: Console | None = None, processes: Processes | None = None
-) -> Path:
-    """Train the flows of a stage, and write the model that comes out.
+) -> tuple[FlowName, ...]:
+    """Train the flows of a stage, and write the model that comes out when all are trained.
 
     OUT becomes a model folder in the published layout with `training.json`; besides, it holds the
     state and log of each flow (training/structure, training/latent) and sample sheets. Killed at
@@ -61,19 +56,19 @@ def train_stage(
         processes: this one among those that train together; those of torchrun where not given.
 
     Returns:
-        OUT.
+        Flows of the stage that are still to be trained, where only some were asked for; the model
+        is then not written yet.
 
     Raises:
-        InputError: see `open_stage` and `train`; or OUT holds another training or something else.
+        InputError: see `open_stage` and `train`; or OUT holds another training or something else,
+            or the latent flow needs an image encoder that is still to be trained.
     """
     processes = processes or Processes.started()
     console = console or Console(quiet=not processes.first)
     parts = open_stage(request, processes)
     check_same_inputs(request.out, parts.inputs)
     processes.wait()  # else one may see what another has written, and take it for older
-    stage = _Stage(request, parts, processes, console)
-    stage.run()
-    return request.out
+    return _Stage(request, parts, processes, console).run()
 
 
 class _Stage:
@@ -94,24 +89,51 @@ class _Stage:
             os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
             torch.use_deterministic_algorithms(True, warn_only=True)
 
-    def run(self) -> None:
-        """Train, write the model, and say so in the record."""
+    def run(self) -> tuple[FlowName, ...]:
+        """Train, and where no flow is left write the model and say so in the record."""
         for model in self.model.checkpoint.models.values():
             model.requires_grad_(False)
         for parameter in _parameters(self.model.encoder):
             parameter.requires_grad_(False)
         self._record(complete=False)
-        trained: dict[str, Any] = {}
-        for name, settings in self.config.settings.items():
-            for what, module in self._train(name, settings).items():
-                role = self.model.checkpoint.record.encoder_role if what != "flow" else None
-                trained[role or ROLES[name]] = module
+        asked = self.request.flows or tuple(self.config.settings)
+        first = [n for n in self.config.settings if n in asked or self._is_trained(n)]
+        if self.config.train_encoder and "structure" not in first:
+            raise InputError(
+                "--flow", "latent", "needs the image encoder, which trains with the structure flow",
+                "train the structure flow first",
+            )  # fmt: skip
+        trained = self._train_all(first)
+        # Another process may have finished the other flow by now.
+        others = [n for n in self.config.settings if n not in first]
+        finished = [n for n in others if self._is_trained(n)]
+        trained |= self._train_all(finished)
+        left = tuple(n for n in others if n not in finished)
+        if left:
+            return left
         if self.processes.first:
             write_trained_model(
                 self.request.model, self.request.out, self.model.checkpoint.record, trained
             )
         self._record(complete=True)
         self.processes.wait()
+        return ()
+
+    def _is_trained(self, name: FlowName) -> bool:
+        """Whether a flow's checkpoint is of its last step; all processes say the same."""
+        done = steps_done(self.request.out / TRAINING / name)
+        found = Means()
+        found.add({"trained": float(done == self.config.settings[name].steps)})
+        return self.processes.merge(found).means()["trained"] == 1.0
+
+    def _train_all(self, names: Sequence[FlowName]) -> dict[str, Any]:
+        """Train flows, or load those that are trained; the modules to write by role."""
+        trained: dict[str, Any] = {}
+        for name in names:
+            for what, module in self._train(name, self.config.settings[name]).items():
+                role = self.model.checkpoint.record.encoder_role if what != "flow" else None
+                trained[role or ROLES[name]] = module
+        return trained
 
     def _train(self, name: FlowName, settings: TrainerSettings) -> dict[str, nn.Module]:
         """Train one flow; its modules then hold the weights that are written."""
@@ -172,35 +194,15 @@ class _Stage:
             encoder,
         )  # fmt: skip
 
-    def _sheets(self, name: FlowName, tokens: ConditionTokens) -> Any:
-        """Called after each step: draws a sheet where one is due."""
-        every, count = self.config.sheet_every, self.config.sheet_vehicles
-        identities = self.parts.held_out[:count]
-        if every == 0 or not identities:
+    def _sheets(self, name: FlowName, tokens: ConditionTokens) -> StageSheets | None:
+        """What draws sheets after steps, where some are wanted."""
+        config = self.config
+        identities = self.parts.held_out[: config.sheet_vehicles]
+        if config.sheet_every == 0 or not identities:
             return None
-        rng = np.random.default_rng(_SEED)
-        rows = [self._row(one, tokens, rng) for one in identities]
-
-        def draw(state: TrainingState) -> None:
-            if state.step % every:
-                return
-            with _written_weights(state, average=self.config.weights == "average"):
-                sheet = sample_sheet(self.model, rows, _SEED)
-            path = self.request.out / SHEETS / f"{name}-{state.step:07d}.png"
-            write_bytes(path, _png(sheet))
-
-        return draw
-
-    def _row(self, identity: str, tokens: ConditionTokens, rng: np.random.Generator) -> SheetRow:
-        view = View(identity, int(rng.integers(tokens.source.count(identity))))
-        target, device = self.parts.targets.target(identity), self.model.device
-        latent = SparseTensor.stack(
-            [torch.from_numpy(target.coords).to(device)],
-            [torch.from_numpy(target.latent).to(device)],
-        )
-        return SheetRow(
-            identity, tokens.crop(view, None, rng), tokens.source.picture(identity, view.index),
-            self.model.decode(latent)[0].to("cpu"),
+        return StageSheets(
+            self.model, self.parts.targets, identities, tokens,
+            self.request.out / SHEETS / name, config.sheet_every, config.weights == "average",
         )  # fmt: skip
 
     def _record(self, complete: bool) -> None:
@@ -218,22 +220,6 @@ class _Stage:
         ).write(self.request.out)
 
 
-@contextmanager
-def _written_weights(state: TrainingState, *, average: bool) -> Iterator[None]:
-    """The weights that would be written now; those in training are put back to the bit."""
-    if not average:
-        yield
-        return
-    kept = {n: {k: v.clone() for k, v in m.state_dict().items()} for n, m in state.modules.items()}
-    for name, one in state.averages.items():
-        one.copy_to(state.modules[name])
-    try:
-        yield
-    finally:
-        for name, module in state.modules.items():
-            module.load_state_dict(kept[name])
-
-
 def _perturbation(config: PerturbationConfig | None) -> tuple[Perturb | None, float]:
     """What alters pictures, and the share rho of those that it leaves alone."""
     if config is None:
@@ -248,9 +234,3 @@ def _perturbation(config: PerturbationConfig | None) -> tuple[Perturb | None, fl
 
 def _parameters(encoder: Any) -> list[nn.Parameter]:
     return list(encoder.parameters()) if isinstance(encoder, nn.Module) else []
-
-
-def _png(sheet: Image) -> bytes:
-    written, data = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))
-    assert written
-    return data.tobytes()

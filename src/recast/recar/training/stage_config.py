@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -118,13 +118,12 @@ STAGE_2 = StageConfig(
 
 BASE = StageConfig(
     name="base",
-    structure=_trainer(30_000, 5e-4, schedule="cosine", warmup=500, ema_decay=0.999),
-    latent=_trainer(20_000, 5e-4, schedule="cosine", warmup=500, ema_decay=0.999),
-    objective=FlowObjective(batch=16),
-    train_encoder=True,
+    structure=_trainer(6_000, 1e-3, schedule="cosine", warmup=200, ema_decay=0.998),
+    latent=_trainer(6_000, 1e-3, schedule="cosine", warmup=200, ema_decay=0.998),
+    objective=FlowObjective(batch=8),
     checkpointing=False,
 )
-"""A small model from initial weights; the encoder trains with the structure flow."""
+"""A small model whose image encoder was trained before and stays as it is."""
 
 PRESETS: Mapping[str, StageConfig] = {one.name: one for one in (STAGE_1, STAGE_2, BASE)}
 
@@ -159,18 +158,15 @@ def _merged(start: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
     return merged
 
 
-def chosen_stage(
-    stage: str | None, file: Path | None, flows: Sequence[FlowName] = ()
-) -> StageConfig:
+def chosen_stage(stage: str | None, file: Path | None) -> StageConfig:
     """The stage that a command names: "1", "2" or "base", or a file; exactly one of them.
 
     Args:
         stage: the name.
         file: see `read_stage_config`.
-        flows: only these are trained; all of the stage where none is named.
 
     Raises:
-        InputError: none or both are given, the file is wrong, or it does not train such a flow.
+        InputError: none or both are given, or the file is wrong.
     """
     if (stage is None) == (file is None):
         raise InputError(
@@ -178,13 +174,5 @@ def chosen_stage(
             "--config is given too", "give one of the two",
         )  # fmt: skip
     if file is not None:
-        config = read_stage_config(file)
-    else:
-        config = PRESETS[f"stage-{stage}" if stage in ("1", "2") else str(stage)]
-    for flow in flows:
-        if flow not in config.settings:
-            raise InputError("--flow", flow, f"is not trained by {config.name}", "name another")
-    left_out: dict[str, Any] = {name: None for name in FLOWS if flows and name not in flows}
-    if "structure" in left_out:
-        left_out["train_encoder"] = False
-    return config.model_copy(update=left_out)
+        return read_stage_config(file)
+    return PRESETS[f"stage-{stage}" if stage in ("1", "2") else str(stage)]

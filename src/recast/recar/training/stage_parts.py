@@ -21,7 +21,7 @@ from recast.recar.training.conditions import (
 )
 from recast.recar.training.model_output import model_paths
 from recast.recar.training.processes import Processes
-from recast.recar.training.stage_config import StageConfig
+from recast.recar.training.stage_config import FlowName, StageConfig
 from recast.recar.training.training_record import StageInputs, hash_files
 from recast.trellis import ImageTo3D
 
@@ -41,6 +41,8 @@ class StageRequest:
         image_encoder: weights of the published encoder, where `model` has none.
         device: such as "cuda:0"; None takes CUDA where there is some.
         tensorboard: also write curves into OUT/tensorboard.
+        flows: trained now; all of the stage where none is named. Several processes can each train
+            one; the last to finish writes the model.
     """
 
     config: StageConfig
@@ -51,6 +53,7 @@ class StageRequest:
     image_encoder: Path | None = None
     device: str | None = None
     tensorboard: bool = False
+    flows: tuple[FlowName, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -78,9 +81,13 @@ def open_stage(request: StageRequest, processes: Processes) -> StageParts:
 
     Raises:
         InputError: one of them is missing or broken, targets are of another size than the model
-            makes, a target has no picture, or a vehicle is in both splits.
+            makes, a target has no picture, a vehicle is in both splits, or a flow is asked for
+            that the stage does not train.
     """
     config = request.config
+    for flow in request.flows:
+        if flow not in config.settings:
+            raise InputError("--flow", flow, f"is not trained by {config.name}", "name another")
     for name, settings in config.settings.items():
         parts = settings.accumulate * processes.count
         if parts > config.objective.batch:

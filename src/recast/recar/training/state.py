@@ -26,6 +26,7 @@ from recast.trellis.flow import AdaptiveGradClipper, ExponentialMovingAverage
 STATE_FILE = "state.safetensors"
 _HEADER = "recast-training"
 _MEND = "remove the folder and train again"
+_BROKEN = (SafetensorError, KeyError, json.JSONDecodeError, OSError)
 
 
 @dataclass
@@ -111,7 +112,7 @@ class TrainingState:
             with safe_open(path, framework="pt") as file:
                 header: dict[str, Any] = json.loads((file.metadata() or {})[_HEADER])
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        except (SafetensorError, KeyError, json.JSONDecodeError, OSError) as error:
+        except _BROKEN as error:
             raise InputError(path, "state", f"cannot be read ({error})", _MEND) from None
         _check_settings(path, header, settings)
         try:
@@ -132,6 +133,22 @@ class TrainingState:
             self.clipper.load_state_dict(header["clipper"])
         self.step = int(header["step"])
         self.pending = Means(**header.get("log", {}))
+
+
+def steps_done(folder: Path) -> int:
+    """Steps of the checkpoint in a folder, 0 where there is none.
+
+    Raises:
+        InputError: the file is broken.
+    """
+    path = folder / STATE_FILE
+    if not path.exists():
+        return 0
+    try:
+        with safe_open(path, framework="pt") as file:
+            return int(json.loads((file.metadata() or {})[_HEADER])["step"])
+    except _BROKEN as error:
+        raise InputError(path, "state", f"cannot be read ({error})", _MEND) from None
 
 
 def _check_settings(path: Path, header: Mapping[str, Any], settings: TrainerSettings) -> None:

@@ -177,7 +177,7 @@ SMALL = CheckpointSizes(
         LATENT_FLOW: ModelSize(
             "ckpts/slat_flow", "SLatFlowModel",
             {"resolution": 32, "patch_size": 2, "num_io_res_blocks": 2, "pool_cond": True,
-             "io_block_channels": [16], **_flow(160, 4, 5, 128, False)},
+             "io_block_channels": [16], **_flow(128, 3, 4, 128, False)},
         ),
         GAUSSIAN_DECODER: ModelSize(
             "ckpts/slat_dec_gs", "SLatGaussianDecoder",
