@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from recast.errors import InputError
 from recast.geometry import PinholeCamera, se3
-from recast.recar import Identity, RealView, holds_real_crops, read_real_crops, read_set
-from recast.recar.camera import view_camera
+from recast.recar import RealView, holds_real_crops, read_real_crops
 from recast.recar.record import SET_FILE
+from recast.recar.shards.layout import INDEX_FILE
+from recast.recar.shards.opening import open_set
+from recast.recar.source import IdentitySource, VehicleSource
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -73,7 +75,7 @@ def read_cases(folder: str | Path, seed: int = 0, limit: int | None = None) -> l
     targets are the views nearest to azimuth 0, 90, 180 and 270 degrees, the input left out.
 
     Args:
-        folder: see `recast.recar.read_real_crops` and `recast.recar.read_set`.
+        folder: see `recast.recar.read_real_crops`; the set in folders or in shards.
         seed: of the choice of input views.
         limit: take only the first vehicles, sorted by id.
 
@@ -86,15 +88,16 @@ def read_cases(folder: str | Path, seed: int = 0, limit: int | None = None) -> l
         raise InputError("--limit", "value", f"is {limit}", "give 1 or more")
     if not folder.is_dir():
         raise InputError(folder, "set", "is no folder", "check the path")
-    if (folder / SET_FILE).exists():
-        held_out = list(read_set(folder).of_split("held-out"))[:limit]
-        cases = [_case_of_identity(identity, seed) for identity in held_out]
+    if any((folder / name).exists() for name in (SET_FILE, INDEX_FILE)):
+        vehicles: VehicleSource = open_set(folder)
+        held_out = list(vehicles.of_split("held-out"))[:limit]
+        cases = [_case_of_identity(folder, identity, seed) for identity in held_out]
         if not cases:
             raise InputError(folder, "held-out", "has no identity", "take a larger set")
         return cases
     if not holds_real_crops(folder):
         raise InputError(
-            folder, "set", f"has neither {SET_FILE} nor ID/input_views",
+            folder, "set", f"has no {SET_FILE}, no {INDEX_FILE} and no ID/input_views",
             "see docs/data.md, sections Vehicle sets and Real crops",
         )  # fmt: skip
     return [
@@ -113,12 +116,11 @@ def _view_of_crop(view: RealView) -> ActorView:
     return ActorView(view.image.stem, view.rgba, view.camera, se3.inverse(view.actor_from_camera))
 
 
-def _case_of_identity(identity: Identity, seed: int) -> ActorCase:
+def _case_of_identity(folder: Path, identity: IdentitySource, seed: int) -> ActorCase:
     record, shared = identity.record, identity.set_record
+    where = folder / record.id
     if record.size is None:
-        raise InputError(
-            identity.folder, "size", "is null", "measure the vehicles: they are placed by it"
-        )
+        raise InputError(where, "size", "is null", "measure the vehicles: they are placed by it")
     targets = list(dict.fromkeys(_nearest(shared.azimuths_deg, goal) for goal in TARGET_AZIMUTHS))
     others = [index for index in range(shared.views) if index not in targets]
     # by name, not by place in the list: a set that grows keeps the inputs of all it had
@@ -126,13 +128,13 @@ def _case_of_identity(identity: Identity, seed: int) -> ActorCase:
     chosen = int(rng.choice(others or targets))
     reserved = [index for index in targets if index != chosen]
     if not reserved:
-        raise InputError(identity.folder, "views", "is one", "a set needs several views")
+        raise InputError(where, "views", "is one", "a set needs several views")
     return ActorCase(
         id=record.id,
         category=record.category,
         size=np.array(record.size),
-        inputs=(_view_of_set(identity, chosen),),
-        targets=tuple(_view_of_set(identity, index) for index in reserved),
+        inputs=(_view_of_set(where, identity, chosen),),
+        targets=tuple(_view_of_set(where, identity, index) for index in reserved),
     )
 
 
@@ -142,15 +144,12 @@ def _nearest(azimuths: tuple[float, ...], goal: float) -> int:
     return int(np.argmin(np.round(apart, 6)))
 
 
-def _view_of_set(identity: Identity, index: int) -> ActorView:
+def _view_of_set(where: Path, identity: IdentitySource, index: int) -> ActorView:
     try:
-        camera, actor_from_camera = view_camera(identity.set_record, identity.record, index)
+        camera, actor_from_camera = identity.camera(index)
     except ValueError as error:
         raise InputError(
-            identity.folder,
-            "camera",
-            str(error),
-            "only sets with measured cameras can be judged on",
+            where, "camera", str(error), "only sets with measured cameras can be judged on"
         ) from None
     return ActorView(
         f"view_{index:02d}", partial(identity.view, index), camera, se3.inverse(actor_from_camera)
