@@ -1,4 +1,4 @@
-"""`recast trellis verify`."""
+"""`recast trellis verify` and `export`."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 
 from recast.cli.main import main
+from recast.trellis import ImageTo3D
+from recast.trellis.checkpoints import first_fault, verify_checkpoint
 from support.trellis_folder import write_golden_model
 
 
@@ -73,3 +76,23 @@ def test_a_wrong_pipeline(folder: Path, capsys, spoil, message: str) -> None:
 
 def test_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "pipeline.json: is missing" in refused(capsys, tmp_path / "nowhere")[1]
+
+
+def test_an_exported_model_is_half_as_large_and_makes_almost_the_same(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "half"
+    assert main(["trellis", "export", str(folder), "--out", str(out)]) == 0
+    assert f"wrote {out}: " in capsys.readouterr().out
+    assert first_fault(verify_checkpoint(out, values=True)) is None
+    names = {"ss_flow", "ss_dec", "slat_flow", "slat_dec_gs", "dinov2_tiny"}
+    assert {path.stem for path in (out / "ckpts").iterdir()} == names
+    whole = (folder / "ckpts/ss_flow.safetensors").stat().st_size
+    assert (out / "ckpts/ss_flow.safetensors").stat().st_size < 0.7 * whole
+    noise = torch.zeros(1, *ImageTo3D.load(folder).structure_shape)
+    cond = torch.ones(1, 3, 48)
+    models = [ImageTo3D.load(one, device="cpu") for one in (folder, out)]
+    ways = [one.structure_flow(noise, torch.ones(1), cond) for one in models]
+    torch.testing.assert_close(ways[0], ways[1], rtol=0.02, atol=0.02)
+    assert main(["trellis", "export", str(folder), "--out", str(out)]) == 2
+    assert "half" in capsys.readouterr().err

@@ -1,6 +1,7 @@
 """Folders in the layout of the published TRELLIS checkpoints: read, check, write, begin anew."""
 
 from recast.trellis.checkpoints.check import ModelCheck
+from recast.trellis.checkpoints.export import export_model
 from recast.trellis.checkpoints.load import Checkpoint, load_checkpoint, load_model
 from recast.trellis.checkpoints.new import new_checkpoint
 from recast.trellis.checkpoints.record import PipelineRecord, read_pipeline, write_pipeline
@@ -25,6 +26,7 @@ __all__ = [
     "PipelineRecord",
     "check_details",
     "check_table",
+    "export_model",
     "first_fault",
     "load_checkpoint",
     "load_model",
