@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 import torch
 
 from recast.recar.assets.asset import read_asset
-from recast.recar.autoencoders.image import view_azimuths
+from recast.recar.autoencoders.image import side_colours, view_azimuths
 from recast.recar.autoencoders.structure import dice_loss, voxel_overlap
 
 pytest.importorskip("embreex")
@@ -63,6 +64,23 @@ def test_azimuth_is_where_the_camera_stands(assets: Path) -> None:
         eye = np.linalg.inv(pose.astype(float))[:3, 3]
         np.testing.assert_allclose(np.arctan2(eye[1], eye[0]), angle, atol=1e-5)
     assert len(angles) == 2
+
+
+def test_sides_have_the_colour_of_what_faces_them(assets: Path) -> None:
+    asset = read_asset(assets / "asset-00000.npz")
+    features = np.zeros((3, 17), np.float16)
+    features[0, :6] = [1, 0, -1, 0.6, 0, 0.8]  # faces ahead and up
+    features[1, :6] = [0, 1, 0, 0, -1, 0]  # to the right
+    features[2, :6] = [-1, 0, 0.5, 0, 0, 1]  # up
+    ahead, rear, left, right, up, _ = side_colours(replace(asset, features=features)).unflatten(
+        0, (6, 3)
+    )
+    np.testing.assert_allclose(ahead, [1, 0, -1], atol=1e-4)
+    np.testing.assert_allclose(right, [0, 1, 0], atol=1e-4)
+    mixed = (0.64 * features[0, :3] + features[2, :3]) / 1.64
+    np.testing.assert_allclose(up, mixed, atol=1e-3)
+    for unseen in (rear, left):  # nothing faces them: the mean of all
+        np.testing.assert_allclose(unseen, features[:, :3].mean(axis=0), atol=1e-3)
 
 
 def test_parts_become_a_model_and_its_targets(
