@@ -19,9 +19,9 @@ from recast.actors.detect import (
     text_prompt,
 )
 from recast.actors.mask_shapes import feather, large_pieces
-from recast.actors.pretrained import PretrainedFolder
 from recast.actors.segment import Segmentation, SegmentationTarget, lidar_shares
 from recast.errors import InputError
+from recast.pretrained import PretrainedFolder
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

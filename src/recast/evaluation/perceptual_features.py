@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image as PilImage
 from torch import Tensor
 
-from recast.actors.pretrained import PretrainedFolder
-from recast.storage import read_json
+from recast.pretrained import ClipImages, PretrainedFolder, model_type
 
 Array = NDArray[np.float64]
 
@@ -76,20 +75,8 @@ def load_clip(folder: Path) -> FeatureDistance:
     Raises:
         InputError: see `PretrainedFolder.read`.
     """
-    whole = _model_type(folder) != "clip_vision_model"
-    published = PretrainedFolder(
-        folder, "clip" if whole else "clip_vision_model",
-        "CLIPModel" if whole else "CLIPVisionModelWithProjection", "CLIPImageProcessor",
-        "openai/clip-vit-large-patch14 or another CLIP",
-    )  # fmt: skip
-    processor, model = published.read("cpu")
-
-    def embedding(pixels: Tensor) -> Tensor:
-        if whole:
-            return model.visual_projection(model.vision_model(pixel_values=pixels).pooler_output)
-        return model(pixel_values=pixels).image_embeds
-
-    return FeatureDistance("clip", embedding, processor, lambda cosine: 100.0 * cosine)
+    clip = ClipImages.read(folder)
+    return FeatureDistance("clip", clip.embedding, clip.processor, lambda cosine: 100.0 * cosine)
 
 
 def load_dino(folder: Path) -> FeatureDistance:
@@ -102,7 +89,7 @@ def load_dino(folder: Path) -> FeatureDistance:
     Raises:
         InputError: see `PretrainedFolder.read`.
     """
-    registers = _model_type(folder) == "dinov2_with_registers"
+    registers = model_type(folder) == "dinov2_with_registers"
     published = PretrainedFolder(
         folder, "dinov2_with_registers" if registers else "dinov2",
         "Dinov2WithRegistersModel" if registers else "Dinov2Model", "AutoImageProcessor",
@@ -115,10 +102,3 @@ def load_dino(folder: Path) -> FeatureDistance:
         return token
 
     return FeatureDistance("dino", class_token, processor, lambda cosine: 1.0 - cosine)
-
-
-def _model_type(folder: Path) -> str | None:
-    """What config.json says; None where there is no such file, which `PretrainedFolder` refuses."""
-    path = folder / "config.json"
-    config = read_json(path) if path.is_file() else None
-    return config.get("model_type") if isinstance(config, dict) else None

@@ -12,7 +12,8 @@ from PIL import Image as PilImage
 from torch import Tensor, nn
 
 from recast.errors import InputError
-from recast.recar.targets.clip import CLIP_FILES, check_clip, load_clip_embedding
+from recast.pretrained import ClipImages
+from recast.recar.targets.clip import check_clip, load_clip_embedding
 from recast.recar.targets.model_source import file_hash
 from recast.recar.targets.quality import Candidate, Quality
 from recast.recar.targets.render import render
@@ -135,5 +136,5 @@ def weight_hashes(predictor: Path, clip: Path) -> dict[str, str]:
     check_clip(clip, WIDTHS[0])
     return {
         "predictor": file_hash(iter([predictor])),
-        "clip": file_hash(clip / name for name in CLIP_FILES),
+        "clip": file_hash(iter(ClipImages.folder(clip).files())),
     }

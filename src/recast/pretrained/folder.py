@@ -116,6 +116,13 @@ class PretrainedFolder:
         )  # fmt: skip
 
 
+def model_type(folder: Path) -> str | None:
+    """What config.json says; None where there is no such file, which `PretrainedFolder` refuses."""
+    path = folder / CONFIG_FILE
+    config = read_json(path) if path.is_file() else None
+    return config.get("model_type") if isinstance(config, dict) else None
+
+
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Keep transformers' progress bars and notices away from the user's screen."""

@@ -1,0 +1,6 @@
+"""Published networks in folders of the user's: read strictly, never fetched."""
+
+from recast.pretrained.clip import ClipImages
+from recast.pretrained.folder import PretrainedFolder, model_type
+
+__all__ = ["ClipImages", "PretrainedFolder", "model_type"]
