@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 
 from recast.errors import InputError
-from recast.recar.training.stage_config import (
+from recast.recar.training.stage_presets import (
     BASE,
+    MINI_STAGE_1,
+    MINI_STAGE_2,
     PRESETS,
     STAGE_1,
     STAGE_2,
@@ -30,6 +32,8 @@ def test_the_presets_are_the_papers() -> None:
         assert not stage.train_encoder
     assert STAGE_1.perturbation is None
     assert STAGE_2.perturbation and STAGE_2.perturbation.rho_clean == 0.2
+    assert MINI_STAGE_1.perturbation is None
+    assert MINI_STAGE_2.perturbation == STAGE_2.perturbation
     assert not BASE.train_encoder  # its tokens are kept
 
 
@@ -78,6 +82,7 @@ def test_a_wrong_file_is_refused(values: object, match: str, tmp_path: Path) -> 
 def test_the_stage_of_a_command(tmp_path: Path) -> None:
     assert chosen_stage("1", None) is not None
     assert chosen_stage("2", None).name == "stage-2"
+    assert chosen_stage("mini-2", None).name == "mini-stage-2"
     path = tmp_path / "stage.json"
     write_json(path, {"preset": "stage-1", "latent": None})
     assert chosen_stage(None, path).settings.keys() == {"structure"}

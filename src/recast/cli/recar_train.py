@@ -24,8 +24,9 @@ class Train:
     """Vehicle set with the pictures, in folders or shards; or a folder of training assets."""
     out: Path
     """Folder of the new model; new, or one of the same training, which is continued."""
-    stage: Literal["1", "2", "base"] | None = None
-    """The paper's stage 1 (vehicles) or 2 (perturbed pictures), or a small model from nothing."""
+    stage: Literal["1", "2", "base", "mini-1", "mini-2"] | None = None
+    """The paper's stage 1 (vehicles) or 2 (perturbed pictures); of the small model its base, or the
+    two stages with its own figures."""
     config: Path | None = None
     """JSON file with every figure of a stage, or "preset" and what differs from it; instead of
     --stage."""
@@ -46,8 +47,8 @@ class Train:
 
         from recast.recar.training.processes import Processes
         from recast.recar.training.stage import train_stage
-        from recast.recar.training.stage_config import chosen_stage
         from recast.recar.training.stage_parts import StageRequest
+        from recast.recar.training.stage_presets import chosen_stage
 
         config = chosen_stage(self.stage, self.config)
         request = StageRequest(

@@ -1,18 +1,13 @@
-"""How the flows are trained in one stage: every figure, with the paper's as presets."""
+"""How the flows are trained in one stage: every figure."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from recast.errors import InputError
 from recast.recar.perturb import PerturbationConfig
 from recast.recar.training.settings import TrainerSettings
-from recast.records import validation_error
-from recast.storage import read_json
 
 FlowName = Literal["structure", "latent"]
 FLOWS: tuple[FlowName, ...] = ("structure", "latent")
@@ -96,83 +91,3 @@ class StageConfig(BaseModel):
             ("structure", self.structure), ("latent", self.latent),
         )  # fmt: skip
         return {name: settings for name, settings in pairs if settings is not None}
-
-
-def _trainer(steps: int, lr: float, **changes: Any) -> TrainerSettings:
-    fields = {"ema_decay": 0.9999, "checkpoint_every": 500, "log_every": 50} | changes
-    return TrainerSettings.model_validate({"steps": steps, "lr": lr, **fields})
-
-
-STAGE_1 = StageConfig(
-    name="stage-1", structure=_trainer(10_000, 1e-5), latent=_trainer(16_000, 1e-5)
-)
-"""Vehicles (paper, section 2): clean pictures, towards the pseudo-targets."""
-
-STAGE_2 = StageConfig(
-    name="stage-2",
-    structure=_trainer(12_000, 2e-6),
-    latent=_trainer(12_000, 2e-6),
-    perturbation=PerturbationConfig(),
-)
-"""Robustness (paper, section 2): the same targets, four pictures in five perturbed."""
-
-BASE = StageConfig(
-    name="base",
-    structure=_trainer(6_000, 1e-3, schedule="cosine", warmup=200, ema_decay=0.998),
-    latent=_trainer(6_000, 1e-3, schedule="cosine", warmup=200, ema_decay=0.998),
-    objective=FlowObjective(batch=8),
-    checkpointing=False,
-)
-"""A small model whose image encoder was trained before and stays as it is."""
-
-PRESETS: Mapping[str, StageConfig] = {one.name: one for one in (STAGE_1, STAGE_2, BASE)}
-
-
-def read_stage_config(path: Path) -> StageConfig:
-    """Read a JSON file: all members of a `StageConfig`, or "preset" and what differs from it.
-
-    Raises:
-        InputError: no such file or preset, a member unknown or out of range.
-    """
-    mend = "see docs/recar.md, section Training"
-    values = read_json(path)
-    if not isinstance(values, dict):
-        raise InputError(path, "JSON", "is no object", mend)
-    preset = values.pop("preset", None)
-    if preset is not None and preset not in PRESETS:
-        raise InputError(path, "preset", f"is {preset!r}", f"take one of {', '.join(PRESETS)}")
-    start = {} if preset is None else PRESETS[preset].model_dump(mode="json")
-    try:
-        return StageConfig.model_validate(_merged(start, values))
-    except ValidationError as error:
-        raise validation_error(path, error, mend) from None
-
-
-def _merged(start: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Members replaced; objects member by member."""
-    merged = dict(start)
-    for name, value in changes.items():
-        old = merged.get(name)
-        both = isinstance(old, Mapping) and isinstance(value, Mapping)
-        merged[name] = _merged(old, value) if both else value  # type: ignore[arg-type]
-    return merged
-
-
-def chosen_stage(stage: str | None, file: Path | None) -> StageConfig:
-    """The stage that a command names: "1", "2" or "base", or a file; exactly one of them.
-
-    Args:
-        stage: the name.
-        file: see `read_stage_config`.
-
-    Raises:
-        InputError: none or both are given, or the file is wrong.
-    """
-    if (stage is None) == (file is None):
-        raise InputError(
-            "--stage", "value", "neither it nor --config is given" if stage is None else
-            "--config is given too", "give one of the two",
-        )  # fmt: skip
-    if file is not None:
-        return read_stage_config(file)
-    return PRESETS[f"stage-{stage}" if stage in ("1", "2") else str(stage)]
