@@ -36,7 +36,7 @@ STAGE_2 = StageConfig(
 
 BASE = StageConfig(
     name="base",
-    structure=_trainer(6_000, 1e-3, schedule="cosine", warmup=200, ema_decay=0.998),
+    structure=_trainer(8_000, 1e-3, schedule="cosine", warmup=200, ema_decay=0.998),
     latent=_trainer(3_000, 1e-3, schedule="cosine", warmup=200, ema_decay=0.998),
     objective=FlowObjective(batch=8),
     checkpointing=False,
