@@ -23,7 +23,7 @@ from recast.trellis.checkpoints.roles import STRUCTURE_ENCODER
 from recast.trellis.models import SparseStructureEncoder
 
 Part = Literal["structure", "latent", "image"]
-STEPS: dict[Part, int] = {"structure": 1500, "latent": 8000, "image": 6000}
+STEPS: dict[Part, int] = {"structure": 1500, "latent": 8000, "image": 3000}
 """Of the shipped model."""
 
 
