@@ -18,7 +18,7 @@ from recast.recar.shards.layout import INDEX_FILE
 from recast.recar.shards.opening import open_set
 from recast.recar.source import IdentitySource
 
-_ASSETS_KEPT = 32  # decoded at a time, about 2 MB each
+_ASSETS_KEPT = 1024  # whose crops are decoded at a time, half a megabyte each
 
 
 class ConditionSource(Protocol):
@@ -78,7 +78,7 @@ class AssetConditions:
         self, paths: Iterable[Path], read: Callable[[Path], TrainingAsset] = read_asset
     ) -> None:
         self._paths = {path.stem: path for path in paths}
-        self._read = lru_cache(maxsize=_ASSETS_KEPT)(read)
+        self._crops = lru_cache(maxsize=_ASSETS_KEPT)(lambda path: _crops(read(path)))
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -87,14 +87,18 @@ class AssetConditions:
 
     def count(self, identity: str) -> int:
         """Crops of an asset."""
-        return self._read(self._paths[identity]).crops
+        return len(self._crops(self._paths[identity]))
 
     def picture(self, identity: str, index: int) -> NDArray[np.uint8]:
         """One of its first `crops` pictures."""
-        asset = self._read(self._paths[identity])
-        if not 0 <= index < asset.crops:
-            raise IndexError(f"crop {index}: {identity} has {asset.crops}")
-        return asset.pictures[index]
+        crops = self._crops(self._paths[identity])
+        if not 0 <= index < len(crops):
+            raise IndexError(f"crop {index}: {identity} has {len(crops)}")
+        return crops[index]
+
+
+def _crops(asset: TrainingAsset) -> NDArray[np.uint8]:
+    return asset.pictures[: asset.crops].copy()  # a view would keep all pictures
 
 
 def open_conditions(folder: Path) -> ConditionSource:
