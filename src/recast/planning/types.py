@@ -104,16 +104,31 @@ class PlannerInput:
 
 
 @dataclass(frozen=True)
+class Candidates:
+    """The best of the trajectories that a planner chose from, best first.
+
+    Attributes:
+        waypoints: (K, 40, 3), each as in `Plan.waypoints`.
+        scores: (K,) falling; what they mean is the planner's business.
+    """
+
+    waypoints: Array
+    scores: Array
+
+
+@dataclass(frozen=True)
 class Plan:
     """A planner's answer.
 
     Attributes:
         waypoints: (40, 3) x, y, heading of the rear axle in the current ego frame, at 0.1 s .. 4 s.
         info: anything worth keeping beside it, for debugging.
+        candidates: what else it considered, or None where it does not choose from a set.
     """
 
     waypoints: Array
     info: Mapping[str, float | str] = field(default_factory=dict)
+    candidates: Candidates | None = None
 
     def validate(self) -> None:
         """Raise ValueError naming what is wrong with the waypoints."""

@@ -1,0 +1,168 @@
+"""GTRS-Dense as a planner."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from recast.errors import InputError
+from recast.planning.gtrs.decision import GtrsDecision
+from recast.planning.gtrs.head import IMITATION
+from recast.planning.gtrs.model import GtrsModel
+from recast.planning.gtrs.scores import COMBINED, VOCABULARY_ONLY, ScoreWeights, final_score
+from recast.planning.gtrs.status import ego_status
+from recast.planning.gtrs.views import ViewLayout, network_input
+from recast.planning.gtrs.vocabulary import Trajectories, check_vocabulary
+from recast.planning.types import Plan, PlannerInput, PlanningContext
+
+_DT = 0.1
+
+
+class GtrsPlanner:
+    """Scores a vocabulary of trajectories against three camera images and drives the best.
+
+    The chosen entry is returned as it is: not smoothed, not blended. Nothing is remembered from one
+    cycle to the next, but for what depends on the vocabulary alone, which is computed once.
+
+    Args:
+        model: in evaluation mode, on the device it shall run on.
+        vocabulary: (L, 40, 3), see `read_vocabulary`.
+        views: which cameras, and how they are stitched.
+        name: for tables and messages.
+        weights: of the final score, where only the vocabulary is scored.
+        top_k: how many candidates a plan carries beside the best.
+
+    Raises:
+        InputError: the vocabulary is no vocabulary.
+    """
+
+    needs_images = True
+
+    def __init__(
+        self,
+        model: GtrsModel,
+        vocabulary: Trajectories,
+        views: ViewLayout,
+        *,
+        name: str = "gtrs",
+        weights: ScoreWeights = VOCABULARY_ONLY,
+        top_k: int = 10,
+    ) -> None:
+        self.name = name
+        self.model = model
+        self.vocabulary = check_vocabulary(name, vocabulary)
+        self.views = views
+        self.weights = weights
+        self.top_k = top_k
+
+    @property
+    def camera_names(self) -> tuple[str, ...]:
+        """The cameras it looks at: left, front, right. Others need not be rendered."""
+        return self.views.cameras
+
+    @property
+    def _who(self) -> str:
+        return f"planner {self.name}"
+
+    def reset(self, context: PlanningContext) -> None:
+        """Check that the rollout gives what the planner needs.
+
+        Raises:
+            InputError: a camera is not there or of another size, or waypoints are not 0.1 s apart.
+        """
+        sizes = {name: (m.camera.width, m.camera.height) for name, m in context.cameras.items()}
+        self.views.check(sizes, self._who)
+        if abs(context.dt - _DT) > 1e-9:
+            raise InputError(
+                self._who, "dt", f"is {context.dt:g} s, its trajectories have a pose every {_DT} s",
+                "simulate with dt 0.1",
+            )  # fmt: skip
+
+    def plan(self, observation: PlannerInput) -> Plan:
+        """The best trajectory, with the next best as `candidates` and its sub-scores as `info`.
+
+        Raises:
+            InputError: see `decide`.
+        """
+        decision = self.decide(observation)
+        best = decision.best
+        return Plan(
+            waypoints=decision.trajectories[best].astype(np.float64),
+            info={
+                "index": float(best),
+                "score": float(decision.scores[best]),
+                "command": str(observation.command),
+                **{name: float(values[best]) for name, values in decision.sub_scores.items()},
+            },
+            candidates=decision.top(self.top_k),
+        )
+
+    def decide(
+        self,
+        observation: PlannerInput,
+        proposals: ArrayLike | None = None,
+        *,
+        proposals_only: bool = False,
+    ) -> GtrsDecision:
+        """Score every trajectory.
+
+        Args:
+            observation: its images, command and ego state are used.
+            proposals: (N, 40, 3) trajectories of another planner in the present ego frame. They are
+                scored together with the vocabulary, with the weights of the combined mode.
+            proposals_only: choose among the proposals; the vocabulary is still scored with them.
+
+        Raises:
+            InputError: a camera is missing, an image has another size, the ego state is not finite,
+                the proposals are no trajectories, or the network's answer is not finite.
+        """
+        stitched = self.views.stitch(observation.images, self._who)
+        status = ego_status(observation.command, observation.ego)
+        if not np.isfinite(status).all():
+            raise InputError(
+                self._who, "ego state", "holds NaN or infinite values", "check the ego controller"
+            )
+        trajectories, weights = self.vocabulary, self.weights
+        if proposals is not None:
+            extra = check_vocabulary(f"{self._who}, proposals", np.asarray(proposals))
+            trajectories, weights = np.concatenate([trajectories, extra]), COMBINED
+        elif proposals_only:
+            raise ValueError("GtrsPlanner.decide: proposals_only needs proposals")
+        decision = self._score(stitched, status, trajectories, weights)
+        return replace(decision, first=len(self.vocabulary)) if proposals_only else decision
+
+    @torch.no_grad()
+    def _score(
+        self,
+        stitched: np.ndarray,
+        status: np.ndarray,
+        trajectories: Trajectories,
+        weights: ScoreWeights,
+    ) -> GtrsDecision:
+        device = self.model.device
+        logits = self.model(
+            network_input(stitched)[None].to(device),
+            torch.from_numpy(status)[None].to(device),
+            torch.from_numpy(trajectories).to(device),
+        )
+        scores = final_score(logits, weights)
+        sub_scores = {
+            name: _numpy(value.softmax(-1) if name == IMITATION else value.sigmoid())
+            for name, value in logits.items()
+        }
+        decision = GtrsDecision(trajectories, _numpy(scores), sub_scores)
+        if not np.isfinite(decision.scores).all():
+            bad = ~np.isfinite(decision.scores)
+            raise InputError(
+                self._who, "scores", f"are NaN or infinite ({int(bad.sum())} of {len(bad)})",
+                "check the weights: the images and the ego state are finite",
+            )  # fmt: skip
+        return decision
+
+
+def _numpy(batch_of_one: Tensor) -> np.ndarray:
+    return batch_of_one[0].float().cpu().numpy()
