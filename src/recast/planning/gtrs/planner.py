@@ -69,7 +69,7 @@ class GtrsPlanner:
         return f"planner {self.name}"
 
     def reset(self, context: PlanningContext) -> None:
-        """Check that the rollout gives what the planner needs.
+        """Check that the rollout gives what the planner needs, and leave training mode.
 
         Raises:
             InputError: a camera is not there or of another size, or waypoints are not 0.1 s apart.
@@ -81,6 +81,7 @@ class GtrsPlanner:
                 self._who, "dt", f"is {context.dt:g} s, its trajectories have a pose every {_DT} s",
                 "simulate with dt 0.1",
             )  # fmt: skip
+        self.model.eval()
 
     def plan(self, observation: PlannerInput) -> Plan:
         """The best trajectory, with the next best as `candidates` and its sub-scores as `info`.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,7 @@ def read_vocabulary(path: str | Path) -> Trajectories:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except FileNotFoundError:
         raise InputError(path, "vocabulary", "is missing", "check the path") from None
-    except (ValueError, OSError, EOFError) as error:
+    except (ValueError, OSError, EOFError, BadZipFile) as error:
         said = " ".join(str(error).split())
         raise InputError(path, "vocabulary", f"cannot be read ({said})", _MEND) from None
     if not isinstance(array, np.ndarray):

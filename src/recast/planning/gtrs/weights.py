@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -104,17 +105,21 @@ def _read_safetensors(path: Path) -> dict[str, Tensor]:
         with safe_open(path, framework="pt") as file:
             return {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
-        raise InputError(path, "file", f"cannot be read ({_line(error)})", _MEND) from None
+        raise InputError(path, "file", f"cannot be read ({error})", _MEND) from None
 
 
 def _read_pytorch(path: Path) -> dict[str, Tensor]:
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # the unpickler lets through whatever broken bytes lead to
-        raise InputError(
-            path, "file", f"cannot be read safely ({_line(error)})",
-            "fetch it anew; if it holds more than tensors, save its state dict alone",
-        ) from None  # fmt: skip
+        # PyTorch's own text is a page long and tells the reader to trust the file.
+        refused = re.search(r"nsupported (?:global: |class )?(?:GLOBAL )?([\w.]+)", str(error))
+        if refused is not None:
+            raise InputError(
+                path, "file", f"holds {refused[1]}, which is no tensor and is never unpickled",
+                "where it was made, save its state dict alone",
+            ) from None  # fmt: skip
+        raise InputError(path, "file", "is damaged, or no PyTorch checkpoint", _MEND) from None
     if isinstance(content, Mapping) and isinstance(content.get("state_dict"), Mapping):
         content = content["state_dict"]
     if not isinstance(content, Mapping) or not content:
@@ -130,9 +135,3 @@ def _read_pytorch(path: Path) -> dict[str, Tensor]:
 
 def _shape(tensor: Tensor) -> tuple[int, ...]:
     return tuple(tensor.shape)
-
-
-def _line(error: Exception) -> str:
-    """The first sentence of an error that may run over a page."""
-    text = " ".join(str(error).split()) or type(error).__name__
-    return text if len(text) <= 200 else text[:197] + "..."

@@ -1,0 +1,152 @@
+"""GTRS as a planner: what it asks for, what it answers, and what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from recast.dynamics import make_state
+from recast.errors import InputError
+from recast.geometry import PinholeCamera
+from recast.logs import Trajectory
+from recast.planning import (
+    CameraMount,
+    DrivingCommand,
+    Planner,
+    PlannerInput,
+    PlanningContext,
+    ReferenceRoute,
+)
+from recast.planning.gtrs import GtrsModel, GtrsPlanner
+
+from .conftest import VIEWS, fan
+
+
+@pytest.fixture
+def context() -> PlanningContext:
+    poses = np.tile(np.eye(4), (31, 1, 1))
+    poses[:, 0, 3] = 2.0 * np.arange(31)
+    log = Trajectory(np.arange(31, dtype=np.int64) * 200_000, poses)
+    camera = PinholeCamera(48, 32, 40.0, 40.0, 24.0, 16.0)
+    names = ("rear", *VIEWS.cameras)
+    mounts = {name: CameraMount(camera, np.eye(4)) for name in names}
+    return PlanningContext(ReferenceRoute.from_trajectory(log), log, cameras=mounts)
+
+
+@pytest.fixture
+def observation() -> PlannerInput:
+    rng = np.random.default_rng(0)
+    images = {name: rng.integers(0, 256, (32, 48, 3), np.uint8) for name in VIEWS.cameras}
+    state = make_state([5.0, 0.1, 0.02], speed=6.0)
+    return PlannerInput(0, 0, state, state[None], (), DrivingCommand.STRAIGHT, images)
+
+
+def test_it_is_a_planner_that_names_its_cameras(planner: GtrsPlanner) -> None:
+    assert isinstance(planner, Planner)
+    assert planner.needs_images
+    assert planner.camera_names == ("front_left", "front", "front_right")
+
+
+def test_a_plan_is_the_best_entry_unchanged(
+    planner: GtrsPlanner, context: PlanningContext, observation: PlannerInput
+) -> None:
+    planner.reset(context)
+    plan, decision = planner.plan(observation), planner.decide(observation)
+    plan.validate()
+    best = int(np.argmax(decision.scores))
+    np.testing.assert_array_equal(plan.waypoints, fan(12)[best])
+    assert plan.info["index"] == best and plan.info["command"] == "straight"
+    assert plan.info["score"] == pytest.approx(float(decision.scores[best]))
+    assert plan.candidates is not None
+    assert plan.candidates.waypoints.shape == (3, 40, 3)
+    np.testing.assert_array_equal(plan.candidates.waypoints[0], plan.waypoints)
+    np.testing.assert_array_equal(plan.candidates.scores, -np.sort(-decision.scores)[:3])
+
+
+def test_scores_of_all_trajectories(planner: GtrsPlanner, observation: PlannerInput) -> None:
+    decision = planner.decide(observation)
+    assert decision.scores.shape == (12,)
+    assert sorted(decision.order().tolist()) == list(range(12))
+    assert decision.sub_scores["imi"].sum() == pytest.approx(1.0, abs=1e-5)
+    for values in decision.sub_scores.values():
+        assert values.shape == (12,) and (values >= 0).all() and (values <= 1).all()
+    assert len(decision.top(100).scores) == 12
+
+
+def test_the_same_input_gives_the_same_plan(
+    planner: GtrsPlanner, observation: PlannerInput
+) -> None:
+    first, again = planner.decide(observation), planner.decide(observation)
+    assert first.scores.tobytes() == again.scores.tobytes()
+
+
+def test_every_input_matters(planner: GtrsPlanner, observation: PlannerInput) -> None:
+    scores = planner.decide(observation).scores
+    for name in VIEWS.cameras:
+        darker = dict(observation.images) | {name: observation.images[name] // 2}
+        assert not np.array_equal(
+            planner.decide(replace(observation, images=darker)).scores, scores
+        )
+    turned = replace(observation, command=DrivingCommand.LEFT)
+    faster = replace(observation, ego=make_state([5.0, 0.1, 0.02], speed=9.0))
+    for changed in (turned, faster):
+        assert not np.array_equal(planner.decide(changed).scores, scores)
+
+
+def test_where_the_ego_is_does_not_matter(planner: GtrsPlanner, observation: PlannerInput) -> None:
+    moved = replace(observation, ego=make_state([-300.0, 80.0, 1.5], speed=6.0))
+    assert np.array_equal(planner.decide(moved).scores, planner.decide(observation).scores)
+
+
+def test_external_proposals(planner: GtrsPlanner, observation: PlannerInput) -> None:
+    proposals = fan(20)[12:]
+    both = planner.decide(observation, proposals)
+    assert both.scores.shape == (20,) and both.trajectories.shape == (20, 40, 3)
+    np.testing.assert_array_equal(both.trajectories[12:], proposals)
+    only = planner.decide(observation, proposals, proposals_only=True)
+    np.testing.assert_array_equal(only.scores, both.scores)
+    assert only.best == 12 + int(np.argmax(both.scores[12:]))
+    assert only.order().min() == 12 and len(only.top(50).scores) == 8
+    with pytest.raises(InputError, match=r"planner tiny, proposals: .*has shape \(8, 20, 3\)"):
+        planner.decide(observation, proposals[:, :20])
+    with pytest.raises(ValueError, match="needs proposals"):
+        planner.decide(observation, proposals_only=True)
+
+
+def test_a_missing_camera_is_named_before_anything_is_rendered(
+    planner: GtrsPlanner, context: PlanningContext, observation: PlannerInput
+) -> None:
+    mounts = {name: mount for name, mount in context.cameras.items() if name != "front_right"}
+    with pytest.raises(InputError, match=r"^planner tiny: camera front_right: .*rear, front_left"):
+        planner.reset(replace(context, cameras=mounts))
+    with pytest.raises(InputError, match=r"camera front_left: .*there are none"):
+        planner.plan(replace(observation, images={}))
+
+
+def test_other_sizes_and_steps_are_refused(planner: GtrsPlanner, context: PlanningContext) -> None:
+    mount = context.cameras["front"]
+    large = CameraMount(mount.camera.resized(96, 64), mount.rig_from_camera)
+    with pytest.raises(InputError, match="renders 96x64, the planner needs 48x32"):
+        planner.reset(replace(context, cameras={**context.cameras, "front": large}))
+    with pytest.raises(InputError, match=r"dt: is 0.2 s"):
+        planner.reset(replace(context, dt=0.2))
+
+
+def test_broken_numbers_end_in_one_line(planner: GtrsPlanner, observation: PlannerInput) -> None:
+    state = observation.ego.copy()
+    state[3] = np.nan
+    with pytest.raises(InputError, match="planner tiny: ego state: holds NaN"):
+        planner.plan(replace(observation, ego=state))
+    model: GtrsModel = planner.model
+    with torch.no_grad():
+        model.head.heads["imi"][0].bias.fill_(torch.inf)
+    with pytest.raises(InputError, match=r"planner tiny: scores: are NaN or infinite \(12 of 12\)"):
+        planner.plan(observation)
+
+
+def test_a_bad_vocabulary_is_refused(planner: GtrsPlanner) -> None:
+    with pytest.raises(InputError, match=r"gtrs: vocabulary: has shape \(3, 8, 3\)"):
+        GtrsPlanner(planner.model, np.zeros((3, 8, 3), np.float32), VIEWS)
