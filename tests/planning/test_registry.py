@@ -29,7 +29,7 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     sys.modules.pop("my_planner_plugin", None)
 
 
-@pytest.mark.parametrize("name", ["constant-velocity", "idm-follower", "log-replay"])
+@pytest.mark.parametrize("name", ["constant-velocity", "idm-follower", "log-replay", "pdm-closed"])
 def test_built_in_planners_by_name(name: str) -> None:
     assert name in PLANNERS.names()
     assert make_planner(name).name == name

@@ -13,6 +13,7 @@ PLANNERS = Registry(
         "constant-velocity": "recast.planning.constant_velocity:ConstantVelocity",
         "idm-follower": "recast.planning.idm_follower:IdmLaneFollower",
         "log-replay": "recast.planning.log_replay:LogReplay",
+        "pdm-closed": "recast.planning.pdm:PdmClosedPlanner",
     },
 )
 """Planners by name; each is a class or function that makes a `Planner`."""

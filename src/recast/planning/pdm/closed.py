@@ -1,0 +1,204 @@
+"""PDM-Closed (Dauner et al. 2023): fifteen proposals, simulated and scored; the best one drives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+
+from recast.dynamics import PACIFICA, VehicleParameters, track
+from recast.dynamics import state as ego
+from recast.errors import InputError
+from recast.planning.map import PlannerLane, PlannerMap
+from recast.planning.pdm.centreline import route_centreline, start_block, start_lane
+from recast.planning.pdm.emergency import brake_plan, brakes
+from recast.planning.pdm.footprint import box_centres, outline
+from recast.planning.pdm.forecast import Forecast, Obstacle, forecast
+from recast.planning.pdm.lane_path import LanePath
+from recast.planning.pdm.route_repair import repair_route
+from recast.planning.pdm.scorer import Scores, score_proposals
+from recast.planning.pdm.settings import PdmConfig
+from recast.planning.pdm.unroll import Unroll
+
+Array = NDArray[np.float64]
+
+_LOOK_AHEAD = 10
+"""Steps that the time to collision looks beyond a proposal."""
+_TIE = 1e-9
+
+
+@dataclass(frozen=True)
+class PdmPlan:
+    """One plan with everything that led to it.
+
+    Attributes:
+        trajectory: (81, 3) world poses of the rear axle from now on. They lie on the chosen path:
+            the first one is the ego's projection onto it, unless `braked`.
+        best: index of the best proposal.
+        braked: the emergency brake took over.
+        unroll: driver-model states and leads of the proposals.
+        proposals: (15, 41, 3) world poses.
+        simulated: (15, 41, 11) states that result from following them.
+        scores: of the proposals.
+    """
+
+    trajectory: Array
+    best: int
+    braked: bool
+    unroll: Unroll
+    proposals: Array
+    simulated: Array
+    scores: Scores
+
+
+class PdmClosed:
+    """The planner for one drive; the centreline found at the first call stays.
+
+    Args:
+        planner_map: the map.
+        route: block ids in order, mended at the first call.
+        vehicle: the ego.
+        config: settings.
+
+    Raises:
+        InputError: the map has no lanes, or the route is empty or names blocks it lacks.
+    """
+
+    def __init__(
+        self,
+        planner_map: PlannerMap,
+        route: Sequence[str],
+        vehicle: VehicleParameters = PACIFICA,
+        config: PdmConfig | None = None,
+    ) -> None:
+        if not planner_map.lanes:
+            raise InputError("map", "lanes", "there are none", "PDM-Closed needs a lane map")
+        unknown = [block for block in route if block not in planner_map.blocks]
+        if unknown or not route:
+            problem = f"the map lacks block {unknown[0]!r}" if unknown else "is empty"
+            raise InputError("route", "blocks", problem, "use a route on this map")
+        self.config = config or PdmConfig()
+        self._map, self._vehicle = planner_map, vehicle
+        self._route, self._route_lanes = list(route), planner_map.lanes_of(route)
+        self._paths: list[LanePath] = []
+        self._collided: set[str] = set()
+
+    @property
+    def centreline(self) -> LanePath:
+        """The path along the route; available after the first plan."""
+        return self._paths[0]
+
+    @property
+    def route(self) -> tuple[str, ...]:
+        """Block ids in order."""
+        return tuple(self._route)
+
+    def plan(
+        self, state: ArrayLike, obstacles: Iterable[Obstacle], red_lanes: Iterable[str] = ()
+    ) -> PdmPlan:
+        """Plan 8 s from an ego state (11,).
+
+        Args:
+            obstacles: the other road users and objects now.
+            red_lanes: ids of connectors closed by a red light.
+
+        Raises:
+            InputError: at the first call, the ego is more than the radius away from the route.
+        """
+        state, config = np.asarray(state, np.float64), self.config
+        lane = self._lane(state)
+        if not self._paths:
+            self._start(state, lane)
+            lane = self._lane(state)
+        seen = self._forecast(state, obstacles, red_lanes)
+        limit = lane.speed_limit or config.default_speed_limit
+        targets = np.array(config.speed_fractions) * limit
+        unroll = Unroll(self._paths, targets, seen, state, self._vehicle, config)
+        count = len(self._paths) * len(targets)
+        proposals = unroll.poses(range(count), config.proposal_steps)
+        simulated = track(
+            np.broadcast_to(state, (count, ego.SIZE)),
+            proposals,
+            config.proposal_steps,
+            config.tracker,
+        )
+        scores = score_proposals(
+            simulated,
+            seen,
+            self.centreline,
+            self._around(state),
+            self._route_lanes,
+            self._vehicle,
+            config.dt,
+            reference_quirks=config.reference_quirks,
+        )
+        best = self._best(scores.total, state)
+        speed = float(np.hypot(state[ego.VX], state[ego.VY]))
+        braked = brakes(speed, float(scores.collision_step[best]) * config.dt)
+        if braked:
+            trajectory = brake_plan(
+                state, config.plan_steps, config.dt, reference_quirks=config.reference_quirks
+            )
+        else:
+            unroll.extend(best)
+            trajectory = unroll.poses([best], config.plan_steps)[0]
+        return PdmPlan(trajectory, best, braked, unroll, proposals, simulated, scores)
+
+    def _start(self, state: Array, lane: PlannerLane) -> None:
+        """Mend the route and fix the paths."""
+        shape = outline(state[ego.POSE], self._vehicle)
+        if not lane.polygon.dwithin(shape, self.config.radius):
+            raise InputError(
+                "route",
+                "ego",
+                f"({state[ego.X]:.1f}, {state[ego.Y]:.1f}) is {lane.polygon.distance(shape):.0f} m "
+                "away from the nearest lane of the route",
+                "start on the mapped road",
+            )
+        here = start_block(self._map, state[ego.POSE], self._route)
+        self._route = repair_route(self._map, self._route, here)
+        self._route_lanes = self._map.lanes_of(self._route)
+        centreline = route_centreline(self._map, self._route, self._lane(state))
+        offsets = self.config.lateral_offsets
+        self._paths = [centreline, *(centreline.shifted(offset) for offset in offsets)]
+
+    def _lane(self, state: Array) -> PlannerLane:
+        pose = state[ego.POSE]
+        shape = outline(pose, self._vehicle)
+        centre = box_centres(pose, self._vehicle)
+        return start_lane(self._map, self._route_lanes, pose, centre, shape)
+
+    def _forecast(
+        self, state: Array, obstacles: Iterable[Obstacle], red_lanes: Iterable[str]
+    ) -> Forecast:
+        config, pose = self.config, state[ego.POSE]
+        on_route = set(self._route_lanes)
+        red = [(key, self._map.lanes[key].polygon) for key in red_lanes if key in on_route]
+        return forecast(
+            obstacles,
+            red,
+            box_centres(pose, self._vehicle),
+            outline(pose, self._vehicle),
+            self._collided,
+            steps=max(config.proposal_steps + _LOOK_AHEAD, config.plan_steps),
+            dt=config.dt,
+            radius=config.radius,
+        )
+
+    def _around(self, state: Array) -> PlannerMap:
+        if not self.config.reference_quirks:
+            return self._map
+        centre = box_centres(state[ego.POSE], self._vehicle)
+        return self._map.near(centre, self.config.radius)
+
+    def _best(self, total: Array, state: Array) -> int:
+        if self.config.reference_quirks:
+            return int(np.argmax(total))
+        equal = np.flatnonzero(total >= total.max() - _TIE)
+        here = shapely.Point(*state[: ego.HEADING])
+        distance = [path.line.distance(here) for path in self._paths]
+        per_path = len(self.config.speed_fractions)
+        return int(min(equal, key=lambda i: (round(distance[i // per_path], 9), i)))

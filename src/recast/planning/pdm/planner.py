@@ -1,0 +1,76 @@
+"""PDM-Closed on the planner seam."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from recast.dynamics import state as ego
+from recast.errors import InputError
+from recast.geometry import se2
+from recast.planning.map import planner_map, route_blocks
+from recast.planning.pdm.closed import PdmClosed
+from recast.planning.pdm.forecast import Obstacle
+from recast.planning.pdm.settings import PdmConfig
+from recast.planning.types import WAYPOINTS, Plan, PlannerInput, PlanningContext
+
+
+class PdmClosedPlanner:
+    """State-conditioned: reads boxes, velocities and the map; nothing of the log but its route.
+
+    Logs hold no traffic lights, so none are seen here; `PdmClosed.plan` takes them. `Plan.info`
+    holds the proposal chosen, its score and metrics, and whether the emergency brake took over.
+    """
+
+    name = "pdm-closed"
+    needs_images = False
+
+    def __init__(self, config: PdmConfig | None = None) -> None:
+        self.config = config or PdmConfig()
+        self._pdm: PdmClosed | None = None
+
+    def reset(self, context: PlanningContext) -> None:
+        """Adapt the map and find the route on it.
+
+        Raises:
+            InputError: there is no map, it has no lanes, or the route does not lie on it.
+        """
+        if context.map is None:
+            raise InputError(
+                "planner pdm-closed",
+                "map",
+                "the log has none",
+                "use a log with a map, or derive one from the drive",
+            )
+        lanes = planner_map(context.map)
+        route = route_blocks(lanes, context.route)
+        config = replace(self.config, dt=context.dt)
+        self._pdm = PdmClosed(lanes, route, context.vehicle, config)
+
+    def plan(self, observation: PlannerInput) -> Plan:
+        """The first 4 s of the plan.
+
+        Raises:
+            InputError: at the first call, the ego is not near the route.
+            RuntimeError: `reset` was not called.
+        """
+        if self._pdm is None:
+            raise RuntimeError("PdmClosedPlanner.plan: call reset first")
+        found = self._pdm.plan(
+            observation.ego, [Obstacle.from_actor(actor) for actor in observation.actors]
+        )
+        ahead = found.trajectory[1 : WAYPOINTS + 1]
+        best, scores = found.best, found.scores
+        return Plan(
+            se2.relative(observation.ego[ego.POSE], ahead),
+            {
+                "proposal": float(best),
+                "emergency_brake": float(found.braked),
+                "score": float(scores.total[best]),
+                "no_collision": float(scores.no_collision[best]),
+                "drivable": float(scores.drivable[best]),
+                "direction": float(scores.direction[best]),
+                "progress": float(scores.progress[best]),
+                "ttc": float(scores.ttc[best]),
+                "comfort": float(scores.comfort[best]),
+            },
+        )
