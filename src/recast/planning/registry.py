@@ -1,6 +1,8 @@
-"""Planners by name: the built-in ones, installed plugins, and `module:attribute` paths."""
+"""Planners by name: built-in ones, installed plugins, `module:attribute` paths, GTRS folders."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 from recast.errors import InputError
 from recast.planning.types import Planner
@@ -24,11 +26,17 @@ def make_planner(name: str) -> Planner:
 
     Args:
         name: one of `PLANNERS.names()`, or "package.module:attribute" of a class or function that
-            returns a `Planner` when called without arguments.
+            returns a `Planner` when called without arguments, or a folder that `save_gtrs` wrote.
 
     Raises:
-        InputError: the name is unknown, the module does not import, or what it makes is no planner.
+        InputError: the name is unknown, the module does not import, what it makes is no planner, or
+            a file of the folder is missing or wrong.
     """
+    # A name wins over a folder that happens to be called alike.
+    if name not in PLANNERS.names() and ("/" in name or Path(name).is_dir()):
+        from recast.planning.gtrs import load_gtrs  # here, as it needs torch and others do not
+
+        return load_gtrs(name)
     factory = PLANNERS.load(name)
     if not callable(factory):
         raise InputError("planner", name, "cannot be called", "name a class or a function")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,8 +20,9 @@ from recast.planning import (
     PlannerInput,
     PlanningContext,
     ReferenceRoute,
+    make_planner,
 )
-from recast.planning.gtrs import GtrsModel, GtrsPlanner
+from recast.planning.gtrs import GtrsModel, GtrsPlanner, save_gtrs
 
 from .conftest import VIEWS, fan
 
@@ -150,3 +152,30 @@ def test_broken_numbers_end_in_one_line(planner: GtrsPlanner, observation: Plann
 def test_a_bad_vocabulary_is_refused(planner: GtrsPlanner) -> None:
     with pytest.raises(InputError, match=r"gtrs: vocabulary: has shape \(3, 8, 3\)"):
         GtrsPlanner(planner.model, np.zeros((3, 8, 3), np.float32), VIEWS)
+
+
+def test_a_folder_is_a_planner_s_name(
+    planner: GtrsPlanner,
+    observation: PlannerInput,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    save_gtrs(tmp_path / "mine", planner)
+    expected = planner.plan(observation).waypoints
+    np.testing.assert_array_equal(
+        make_planner(str(tmp_path / "mine")).plan(observation).waypoints, expected
+    )
+    monkeypatch.chdir(tmp_path)
+    np.testing.assert_array_equal(make_planner("mine").plan(observation).waypoints, expected)
+    (tmp_path / "log-replay").mkdir()
+    assert make_planner("log-replay").name == "log-replay"
+    with pytest.raises(InputError, match=r"mine/none/config.json: file: is missing"):
+        make_planner(str(tmp_path / "mine" / "none"))
+
+
+def test_training_mode_is_left_before_driving(
+    planner: GtrsPlanner, context: PlanningContext
+) -> None:
+    planner.model.train()
+    planner.reset(context)
+    assert not planner.model.training

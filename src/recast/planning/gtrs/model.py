@@ -14,6 +14,22 @@ from recast.planning.gtrs.vovnet import VovNet
 STATUS_VALUES = 8
 
 
+class PositionEmbedding(nn.Module):
+    """One learned vector for each image token.
+
+    Not an `nn.Embedding`: on the meta device its initial values make PyTorch import a computer
+    algebra system, which takes longer than all the rest of loading a small model.
+    """
+
+    def __init__(self, tokens: int, channels: int) -> None:
+        super().__init__()
+        self.weight = nn.Parameter(torch.empty(tokens, channels))
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        """(B, T, d) with the vectors added."""
+        return tokens + self.weight
+
+
 class GtrsModel(nn.Module):
     """The network. Its parameters are named as in the released checkpoints.
 
@@ -30,7 +46,7 @@ class GtrsModel(nn.Module):
         super().__init__()
         self.config = config
         self._backbone = nn.ModuleDict({"image_encoder": VovNet(config.backbone)})
-        self._keyval_embedding = nn.Embedding(config.image_tokens, config.channels)
+        self._keyval_embedding = PositionEmbedding(config.image_tokens, config.channels)
         self.downscale_layer = nn.Conv2d(config.backbone.out_channels, config.channels, 1)
         self._status_encoding = nn.Linear(STATUS_VALUES, config.channels)
         self._trajectory_head = TrajectoryHead(config)
@@ -57,7 +73,8 @@ class GtrsModel(nn.Module):
         config = self.config
         pooled = functional.adaptive_avg_pool2d(features, (config.token_rows, config.token_columns))
         tokens: Tensor = self.downscale_layer(pooled).flatten(2).transpose(1, 2)
-        return tokens + self._keyval_embedding.weight
+        out: Tensor = self._keyval_embedding(tokens)
+        return out
 
     def encode_status(self, status: Tensor) -> Tensor:
         """Ego status (B, 8), see `ego_status`, to (B, d)."""
@@ -104,7 +121,7 @@ class GtrsModel(nn.Module):
             elif isinstance(module, BiasedAttention):
                 nn.init.xavier_uniform_(module.in_proj_weight, generator=generator)
                 nn.init.zeros_(module.in_proj_bias)
-            elif isinstance(module, nn.Embedding):
+            elif isinstance(module, PositionEmbedding):
                 nn.init.normal_(module.weight, std=0.02, generator=generator)
             elif isinstance(module, nn.BatchNorm2d | nn.LayerNorm):
                 module.reset_parameters()
