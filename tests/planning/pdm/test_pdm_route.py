@@ -69,6 +69,15 @@ def test_a_route_is_cut_where_it_crosses_itself():
     assert repair_route(PlannerMap(lanes), list("ABCD"), "A") == ["A", "B", "C"]
 
 
+def test_connectors_that_follow_on_each_other_may_overlap():
+    base = chain("abcd", connectors="bc")
+    lanes = dict(base.lanes)
+    lanes["c"] = PlannerLane(
+        "c", "C", lanes["c"].centreline, shapely.box(17, -3, 30, 3), None, ("d",), True
+    )
+    assert repair_route(PlannerMap(lanes), list("ABCD"), "A") == list("ABCD")
+
+
 def test_the_start_block_prefers_the_route_and_its_direction():
     planner_map = golden_map()
     assert start_block(planner_map, [82.0, 0.0, 0.0], ["R1", "C2", "R3"]) == "C2"

@@ -23,9 +23,10 @@ def repair_route(planner_map: PlannerMap, route: Sequence[str], start: str | Non
     - Where the ego's block is not on it, the blocks from there to its first one are put in front;
       failing that, those to one of its first three, which then becomes the first.
     - Between two blocks that do not follow on each other, those in between are put in.
-    - It ends before a connector that overlaps an earlier one by more than 1 m^2.
+    - It ends before a connector that overlaps one of an earlier intersection by more than 1 m^2.
 
-    Source: tuplan_garage's route correction.
+    Source: tuplan_garage's route correction. There an intersection is crossed on one connector;
+    here connectors may follow on each other, and overlap where they do.
 
     Args:
         route: block ids in order, at least one.
@@ -77,12 +78,14 @@ def _search(
 
 def _without_loops(planner_map: PlannerMap, route: list[str]) -> list[str]:
     earlier: list[shapely.Geometry] = []
+    here: list[shapely.Geometry] = []
     for i, key in enumerate(route):
         block = planner_map.blocks[key]
         if not block.connector:
+            earlier, here = earlier + here, []
             continue
         area = shapely.union_all([planner_map.lanes[lane].polygon for lane in block.lane_ids])
         if any(shapely.area(shapely.intersection(area, old)) > _LOOP_AREA for old in earlier):
             return route[:i]
-        earlier.append(area)
+        here.append(area)
     return route
