@@ -194,6 +194,7 @@ def test_a_folder_of_half_precision(planner: GtrsPlanner, tmp_path: Path) -> Non
     [
         ({"format": "other"}, "format: is 'other'"),
         ({"version": 2}, "version: is 2"),
+        ({"name": "../x"}, "name: String should match"),
         ({"surplus": 1}, "surplus: Extra inputs"),
         ({"model": {"heads": 5}}, "model: .*256 channels do not divide into 5 heads"),
         ({"model": {"channels": 10**12, "heads": 1}}, "model.channels: "),

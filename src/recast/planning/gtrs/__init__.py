@@ -4,6 +4,7 @@ from recast.planning.gtrs.config import BackboneConfig, GtrsConfig, StageConfig
 from recast.planning.gtrs.decision import GtrsDecision
 from recast.planning.gtrs.folder import load_checkpoint, load_gtrs, save_gtrs
 from recast.planning.gtrs.head import HEADS, IMITATION, METRICS
+from recast.planning.gtrs.lens import Lens
 from recast.planning.gtrs.loss import METRIC_WEIGHTS, training_loss, vocabulary_dropout
 from recast.planning.gtrs.model import GtrsModel, empty_model, new_model
 from recast.planning.gtrs.planner import GtrsPlanner
@@ -35,6 +36,7 @@ __all__ = [
     "GtrsDecision",
     "GtrsModel",
     "GtrsPlanner",
+    "Lens",
     "ScoreWeights",
     "StageConfig",
     "ViewLayout",

@@ -32,7 +32,7 @@ class _Config(GtrsRecord):
 
     format: Literal["recast-gtrs"]
     version: Literal[1]
-    name: str = Field(min_length=1)
+    name: str = Field(pattern=r"^[\w.+-]+$")  # stands in file names
     model: GtrsConfig
     views: ViewLayout
     scoring: ScoreWeights

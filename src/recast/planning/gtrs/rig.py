@@ -35,7 +35,7 @@ def nuplan_rig() -> dict[str, CameraMount]:
     """The virtual rig by camera name, in the rear-axle frame.
 
     NAVSIM feeds the planner the raw images, with their distortion. A renderer of pinhole images
-    that cannot distort may use `camera.rectified()`, at the price of a slightly different picture.
+    renders with `Lens(camera).source` and bends the result.
 
     Source: nuPlan's published calibration, rounded: position in metres, yaw to the left, pitch
     upwards (the optical axis of the front camera points 1.5 degrees below the horizon), no roll.
