@@ -90,6 +90,24 @@ def test_neighbours_share_a_block_and_connectors_that_join_the_same_blocks():
     assert straight.predecessors == (block.block_id,)
 
 
+def test_opposite_parts_of_a_roundabout_are_different_blocks():
+    # Four roads in (i) and out (e), four connectors onto the ring (on), off it (off), and eight
+    # parts of the ring; positions do not matter for grouping.
+    lanes = []
+    for k in range(4):
+        nxt = (k + 1) % 4
+        lanes += [
+            lane(f"i{k}", [(0, 0), (9, 0)], [f"on{k}"]),
+            lane(f"on{k}", [(0, 0), (9, 0)], [f"far{k}"], inside=True),
+            lane(f"far{k}", [(0, 0), (9, 0)], [f"near{nxt}", f"off{nxt}"], inside=True),
+            lane(f"near{k}", [(0, 0), (9, 0)], [f"far{k}"], inside=True),
+            lane(f"off{k}", [(0, 0), (9, 0)], [f"e{k}"], inside=True),
+            lane(f"e{k}", [(0, 0), (9, 0)]),
+        ]
+    found = planner_map(HdMap({item.lane_id: item for item in lanes}, ()))
+    assert all(len(block.lane_ids) == 1 for block in found.blocks.values())
+
+
 def test_lanes_keep_what_the_log_knows_of_them():
     hdmap = junction()
     found = planner_map(

@@ -11,25 +11,46 @@ def group_lanes(lanes: Mapping[str, Lane]) -> dict[str, str]:
     """Block id of each lane, by lane id; a block is named after its first lane in map order.
 
     Outside intersections a block is a connected component of same-direction neighbours. Inside,
-    lanes share a block when they come from the same blocks and lead to the same blocks, as many
-    lanes into the intersection. A connector without either is a block of its own.
+    lanes share a block when they come from the same blocks and lead to the same blocks, those at
+    the ends of the intersection and those directly before and after, as many lanes into it. A
+    connector that is joined to nothing outside is a block of its own.
     """
     block = _neighbour_components(lanes)
-    connectors = [key for key, lane in lanes.items() if lane.is_intersection]
     before: dict[str, list[str]] = {key: [] for key in lanes}
     for key, lane in lanes.items():
         for other in lane.successors:
             before[other].append(key)
     after = {key: list(lane.successors) for key, lane in lanes.items()}
 
-    first: dict[tuple[frozenset[str], frozenset[str], int], str] = {}
-    grouped: dict[str, str] = {}
-    for key in connectors:
+    signatures: dict[str, object] = {}
+    for key in (key for key, lane in lanes.items() if lane.is_intersection):
         sources, depth = _roads(key, before, lanes, block)
         targets, _ = _roads(key, after, lanes, block)
-        signature = (sources, targets, depth)
-        grouped[key] = first.setdefault(signature, key) if sources or targets else key
-    return {**block, **grouped}
+        signatures[key] = (sources, targets, depth) if sources or targets else key
+    grouped = _named(signatures)
+    # On a ring every lane comes from and leads to every road: only its direct neighbours tell
+    # where on the ring it is.
+    while True:
+        every = {**block, **grouped}
+        finer = _named(
+            {
+                key: (
+                    grouped[key],
+                    frozenset(every[other] for other in before[key]),
+                    frozenset(every[other] for other in after[key]),
+                )
+                for key in grouped
+            }
+        )
+        if finer == grouped:
+            return every
+        grouped = finer
+
+
+def _named(signatures: Mapping[str, object]) -> dict[str, str]:
+    """For each key the first key with the same signature."""
+    first: dict[object, str] = {}
+    return {key: first.setdefault(signature, key) for key, signature in signatures.items()}
 
 
 def _neighbour_components(lanes: Mapping[str, Lane]) -> dict[str, str]:
