@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import pickle
@@ -225,6 +226,17 @@ def test_missing_and_broken_files_of_a_folder(
     assert str(path) in _refusal(lambda: load_gtrs(tmp_path / "x"))
     path.unlink()
     assert str(path) in _refusal(lambda: load_gtrs(tmp_path / "x"))
+
+
+def test_a_full_disk_leaves_nothing(
+    planner: GtrsPlanner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, data: bytes) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    assert "no space left" in _refusal(lambda: save_gtrs(tmp_path / "x", planner))
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_existing_folder_is_never_overwritten(planner: GtrsPlanner, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import torch
 from pydantic import Field
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from recast.errors import InputError
 from recast.planning.gtrs.config import GtrsConfig, GtrsRecord
@@ -18,7 +18,7 @@ from recast.planning.gtrs.views import WAYMO_NATIVE, ViewLayout
 from recast.planning.gtrs.vocabulary import check_vocabulary, read_vocabulary, write_vocabulary
 from recast.planning.gtrs.weights import VOCABULARY, load_weights, read_weights
 from recast.records import read_record
-from recast.storage import atomic_folder, write_json
+from recast.storage import atomic_folder, write_bytes, write_json
 
 CONFIG_FILE = "config.json"
 WEIGHTS_FILE = "weights.safetensors"
@@ -64,7 +64,8 @@ def save_gtrs(folder: str | Path, planner: GtrsPlanner, dtype: torch.dtype = tor
         record: dict[str, Any] = config.model_dump(mode="json")
         write_json(partial / CONFIG_FILE, record)
         write_vocabulary(partial / VOCABULARY_FILE, planner.vocabulary)
-        save_file({k: v.contiguous() for k, v in tensors.items()}, partial / WEIGHTS_FILE)
+        # Through bytes: safetensors' own writer reports a full disk in a way of its own.
+        write_bytes(partial / WEIGHTS_FILE, save({k: v.contiguous() for k, v in tensors.items()}))
 
 
 def load_gtrs(folder: str | Path, device: str | torch.device = "cpu") -> GtrsPlanner:
