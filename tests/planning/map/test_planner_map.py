@@ -13,7 +13,7 @@ from recast.geometry import se2
 from recast.logs.hdmap import HdMap, Lane
 from recast.logs.types import Trajectory
 from recast.planning import ReferenceRoute
-from recast.planning.map import planner_map, route_blocks
+from recast.planning.map import continued_route, planner_map, route_blocks
 from recast.planning.map.from_hdmap import with_headings
 
 HALF = 1.75
@@ -161,6 +161,21 @@ def test_the_route_is_what_the_log_drove_on(path, lanes):
     found = planner_map(junction())
     wanted = tuple(found.lanes[key].block_id for key in lanes)
     assert route_blocks(found, drive(*path)) == wanted
+
+
+def test_a_route_goes_straight_on_where_the_log_ends():
+    found = planner_map(junction())
+    block = {key: lane.block_id for key, lane in found.lanes.items()}
+    start = (block["a"],)
+    assert continued_route(found, start, 15.0) == (block["a"], block["sa"])
+    assert continued_route(found, start, 500.0) == (block["a"], block["sa"], block["c"])
+    assert continued_route(found, start, 0.0) == start
+
+
+def test_a_route_does_not_go_on_where_it_has_been():
+    ring = [lane(key, [(0, 0), (9, 0)], [after]) for key, after in ("ab", "bc", "ca")]
+    found = planner_map(HdMap({item.lane_id: item for item in ring}, ()))
+    assert continued_route(found, ("a",), 500.0) == ("a", "b", "c")
 
 
 def test_neighbours_belong_to_the_route():

@@ -2,6 +2,6 @@
 
 from recast.planning.map.from_hdmap import planner_map
 from recast.planning.map.planner_map import Block, PlannerLane, PlannerMap
-from recast.planning.map.route_blocks import route_blocks
+from recast.planning.map.route_blocks import continued_route, route_blocks
 
-__all__ = ["Block", "PlannerLane", "PlannerMap", "planner_map", "route_blocks"]
+__all__ = ["Block", "PlannerLane", "PlannerMap", "continued_route", "planner_map", "route_blocks"]

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from recast.errors import InputError
 from recast.geometry import se2
 from recast.planning.map.planner_map import PlannerMap
 from recast.planning.route import ReferenceRoute
+
+Array = NDArray[np.float64]
 
 _DISTANCE = 2.5
 _ANGLE = np.pi / 4
@@ -64,7 +68,40 @@ def route_blocks(planner_map: PlannerMap, route: ReferenceRoute) -> tuple[str, .
     return tuple(sorted(kept, key=lambda key: found[key].first))
 
 
-def _beside(centreline: np.ndarray, route: ReferenceRoute, connector: bool) -> _Stretch | None:
+def continued_route(
+    planner_map: PlannerMap, blocks: Sequence[str], metres: float
+) -> tuple[str, ...]:
+    """The route, and where it could go on for at least some metres: straight on if possible.
+
+    A log ends in the middle of a drive. A planner that takes the end of its route for the end of
+    the road would brake for it.
+
+    Args:
+        blocks: ids in order, at least one.
+        metres: beyond the last block; fewer where the map ends or the route would return.
+    """
+    route = list(blocks)
+    while metres > 0:
+        ways = [
+            (_turn(lane.centreline), lane)
+            for key in planner_map.blocks[route[-1]].lane_ids
+            for lane in map(planner_map.lanes.__getitem__, planner_map.lanes[key].successors)
+            if lane.block_id not in route
+        ]
+        if not ways:
+            break
+        _, straightest = min(ways, key=lambda way: way[0])
+        route.append(straightest.block_id)
+        metres -= straightest.length
+    return tuple(route)
+
+
+def _turn(centreline: Array) -> float:
+    """Radians, not negative, between the first and the last heading."""
+    return abs(float(se2.wrap_angle(centreline[-1, 2] - centreline[0, 2])))
+
+
+def _beside(centreline: Array, route: ReferenceRoute, connector: bool) -> _Stretch | None:
     s, lateral = route.project(centreline)
     beside = (s >= 0.0) & (s <= route.length)
     turn = se2.wrap_angle(centreline[:, 2] - route.heading(s))

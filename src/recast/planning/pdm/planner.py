@@ -7,16 +7,20 @@ from dataclasses import replace
 from recast.dynamics import state as ego
 from recast.errors import InputError
 from recast.geometry import se2
-from recast.planning.map import planner_map, route_blocks
+from recast.planning.map import continued_route, planner_map, route_blocks
 from recast.planning.pdm.closed import PdmClosed
 from recast.planning.pdm.forecast import Obstacle
 from recast.planning.pdm.settings import PdmConfig
 from recast.planning.types import WAYPOINTS, Plan, PlannerInput, PlanningContext
 
+_BEYOND = 120.0
+"""Metres of route beyond the log's: 8 s at 15 m/s, so that its end is not braked for too early."""
+
 
 class PdmClosedPlanner:
     """State-conditioned: reads boxes, velocities and the map; nothing of the log but its route.
 
+    The route goes straight on where the log ends, as far as the map does; at its end the ego stops.
     Logs hold no traffic lights, so none are seen here; `PdmClosed.plan` takes them. `Plan.info`
     holds the proposal chosen, its score and metrics, and whether the emergency brake took over.
     """
@@ -42,7 +46,7 @@ class PdmClosedPlanner:
                 "use a log with a map, or derive one from the drive",
             )
         lanes = planner_map(context.map)
-        route = route_blocks(lanes, context.route)
+        route = continued_route(lanes, route_blocks(lanes, context.route), _BEYOND)
         config = replace(self.config, dt=context.dt)
         self._pdm = PdmClosed(lanes, route, context.vehicle, config)
 
