@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from recast.dynamics import VehicleParameters, idm_step
 from recast.dynamics import state as ego
-from recast.planning.pdm.footprint import outline
+from recast.planning.pdm.footprint import box_corners
 from recast.planning.pdm.forecast import STRIDE, Forecast, Kind
 from recast.planning.pdm.lane_path import LanePath
 from recast.planning.pdm.settings import PdmConfig
@@ -106,20 +106,21 @@ class Unroll:
         inside = np.flatnonzero(shapely.intersects(corridor, shapes) & ~forecast.ignored)
         centres = shapely.get_coordinates(shapely.centroid(shapes[inside]))
         progress = path.project(centres)
+        before = self.states[rows, step - 1, 0]
+        poses = path.at(before)
+        outlines = shapely.polygons(box_corners(poses, self._vehicle))
         lead = np.zeros(3)
-        for row in rows:
+        for i, row in enumerate(rows):
             if not self._config.reference_quirks:
                 lead = np.zeros(3)
-            before = self.states[row, step - 1, 0]
-            ahead = inside[progress > before]
+            ahead = inside[progress > before[i]]
             if len(ahead) == 0:
                 lead[:] = path.length, 0.0, self._reach
             else:
-                pose = path.at(before)
-                gaps = shapely.distance(outline(pose, self._vehicle), shapes[ahead])
+                gaps = shapely.distance(outlines[i], shapes[ahead])
                 nearest = ahead[np.argmin(gaps)]
-                lead[0] = before + gaps.min()
+                lead[0] = before[i] + gaps.min()
                 if forecast.kinds[nearest] is not Kind.RED_LIGHT:
-                    turn = pose[2] - forecast.headings[nearest]
+                    turn = poses[i, 2] - forecast.headings[nearest]
                     lead[1] = forecast.speeds[nearest] * np.cos(turn)
             self.leads[row, step] = lead
