@@ -36,8 +36,8 @@ STAGE_2 = StageConfig(
 
 BASE = StageConfig(
     name="base",
-    structure=_trainer(12_000, 1e-3, schedule="cosine", warmup=400, ema_decay=0.999),
-    latent=_trainer(4_500, 1e-3, schedule="cosine", warmup=200, ema_decay=0.998),
+    structure=_trainer(9_000, 1e-3, schedule="cosine", warmup=400, ema_decay=0.999),
+    latent=_trainer(3_000, 1e-3, schedule="cosine", warmup=200, ema_decay=0.998),
     objective=FlowObjective(batch=4),
     checkpointing=False,
 )
@@ -48,8 +48,8 @@ _MINI = STAGE_1.model_copy(update={"objective": FlowObjective(batch=4), "checkpo
 MINI_STAGE_1 = _MINI.model_copy(
     update={
         "name": "mini-stage-1",
-        "structure": _trainer(3_000, 3e-4, schedule="cosine", warmup=50, ema_decay=0.998),
-        "latent": _trainer(1_200, 3e-4, schedule="cosine", warmup=50, ema_decay=0.998),
+        "structure": _trainer(2_500, 3e-4, schedule="cosine", warmup=50, ema_decay=0.998),
+        "latent": _trainer(1_000, 3e-4, schedule="cosine", warmup=50, ema_decay=0.998),
     }
 )
 """Stage I of the small model: higher rates and fewer steps than those of half a billion weights."""
