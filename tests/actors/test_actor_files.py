@@ -72,7 +72,7 @@ def test_ply_generator_takes_what_is_there(
     asset = PlyGenerator(tmp_path / "car.ply", axes="vehicle").generate(observation, 5)
     assert asset.gaussians.means.equal(actor.gaussians.means)
     assert asset.seed == 5
-    assert asset.axes.metric
+    assert asset.axes.declares_front
 
 
 def test_ply_errors_pass_through(actor: Actor, observation: Observation, tmp_path: Path) -> None:

@@ -21,6 +21,6 @@ def test_y_up_turns_up_and_forward_where_they_belong() -> None:
 
 def test_impossible_axes_are_refused() -> None:
     with pytest.raises(ValueError, match="parallel"):
-        AxisConvention("wrong", "+z", "-z", metric=True).rotation()
+        AxisConvention("wrong", "+z", "-z", declares_front=True).rotation()
     with pytest.raises(ValueError, match="sign and a letter"):
-        AxisConvention("wrong", "north", "+z", metric=True).rotation()
+        AxisConvention("wrong", "north", "+z", declares_front=True).rotation()

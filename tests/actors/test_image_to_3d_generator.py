@@ -29,7 +29,7 @@ def test_a_model_folder_is_a_generator(folder: Path, observation: Observation) -
     again = generator.generate(observation, seed=5)
     assert torch.equal(asset.gaussians.means, again.gaussians.means)
     assert asset.generator == "image-to-3d"
-    assert not asset.axes.metric
+    assert not asset.axes.declares_front
     assert asset.details == {
         "model": "tiny-model",
         "voxels": len(asset.gaussians) // 8,

@@ -3,7 +3,13 @@
 from recast.actors.actor import Actor, Provenance, RegistrationReport
 from recast.actors.axes import CONVENTIONS, AxisConvention
 from recast.actors.box_lidar_segmenter import BoxLidarSegmenter
-from recast.actors.generate import GENERATORS, ActorGenerator, Asset, make_generator
+from recast.actors.generate import (
+    DEFAULT_GENERATOR,
+    GENERATORS,
+    ActorGenerator,
+    Asset,
+    make_generator,
+)
 from recast.actors.grounded_segmenter import GroundedSamSegmenter
 from recast.actors.insert import insert
 from recast.actors.observation import MaskQuality, Observation, ViewScore
@@ -23,6 +29,7 @@ from recast.actors.turntable import orbit, turntable
 
 __all__ = [
     "CONVENTIONS",
+    "DEFAULT_GENERATOR",
     "DEFAULT_SEGMENTER",
     "GENERATORS",
     "SEGMENTERS",

@@ -18,13 +18,14 @@ class AxisConvention:
         name: for messages.
         forward, up: signed axes of the asset, such as "+x" or "-z". The yaw search of the
             registration corrects a wrong `forward`, but not a wrong `up`.
-        metric: whether lengths are metres; otherwise registration scales by the logged length.
+        declares_front: whether `forward` is known to be the vehicle's, not only an axis of the
+            file. Lengths are never relied upon: assets are scaled to the logged box.
     """
 
     name: str
     forward: str
     up: str
-    metric: bool
+    declares_front: bool
 
     def rotation(self) -> Array:
         """(3, 3) actor axes from asset axes, a proper rotation.
@@ -48,13 +49,17 @@ def _axis(name: str) -> Array:
     return axis
 
 
-VEHICLE = AxisConvention("vehicle", "+x", "+z", metric=True)
+VEHICLE = AxisConvention("vehicle", "+x", "+z", declares_front=True)
 """Metres, x forward, z up: what `template` makes."""
-UNIT_CUBE_Z_UP = AxisConvention("unit_cube_z_up", "+x", "+z", metric=False)
+UNIT_CUBE_Z_UP = AxisConvention("unit_cube_z_up", "+x", "+z", declares_front=False)
 """A cube of edge one, z up, any heading: TRELLIS and its relatives."""
-UNIT_CUBE_Y_UP = AxisConvention("unit_cube_y_up", "+z", "+y", metric=False)
+UNIT_CUBE_X_FORWARD = AxisConvention("unit_cube_x_forward", "+x", "+z", declares_front=True)
+"""A cube of edge one, z up, facing +x: models that were trained on vehicles that all do."""
+UNIT_CUBE_Y_UP = AxisConvention("unit_cube_y_up", "+z", "+y", declares_front=False)
 """A cube of edge one, y up, facing +z: glTF and most mesh tools."""
-RECAR_BOX = AxisConvention("rear_right_up", "-x", "+z", metric=True)
+RECAR_BOX = AxisConvention("rear_right_up", "-x", "+z", declares_front=True)
 """Metres, x to the rear, y to the right: boxes of some vehicle datasets."""
 
-CONVENTIONS = {c.name: c for c in (VEHICLE, UNIT_CUBE_Z_UP, UNIT_CUBE_Y_UP, RECAR_BOX)}
+CONVENTIONS = {
+    c.name: c for c in (VEHICLE, UNIT_CUBE_Z_UP, UNIT_CUBE_X_FORWARD, UNIT_CUBE_Y_UP, RECAR_BOX)
+}

@@ -11,8 +11,15 @@ from recast.actors.observation import Observation
 from recast.plugins import Registry
 from recast.splats.gaussians import Gaussians
 
+DEFAULT_GENERATOR = "recast-mini"
+
 GENERATORS = Registry(
-    "generator", "recast.generators", {"template": "recast.actors.template:TemplateGenerator"}
+    "generator",
+    "recast.generators",
+    {
+        DEFAULT_GENERATOR: "recast.actors.image_to_3d_generator:recast_mini_generator",
+        "template": "recast.actors.template:TemplateGenerator",
+    },
 )
 """Generators by name; each is a class or function that makes an `ActorGenerator`."""
 

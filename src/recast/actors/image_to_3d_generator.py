@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from recast.actors.axes import UNIT_CUBE_Z_UP
+from recast.actors.axes import UNIT_CUBE_X_FORWARD, UNIT_CUBE_Z_UP, AxisConvention
 from recast.actors.generate import Asset
 from recast.actors.observation import Observation
-from recast.trellis import GenerationLimits, ImageTo3D, generate
+from recast.trellis import RECAST_MINI, GenerationLimits, ImageTo3D, generate, recast_mini
 
 
 class ImageTo3DGenerator:
@@ -18,19 +18,22 @@ class ImageTo3DGenerator:
         image_encoder: weights of the published image encoder, where the folder has none.
         limits: what counts as a failed structure; three further seeds by default, since a whole
             run should not end because one of them failed.
+        name: for the record.
+        axes: of what the model makes; published ones give any heading.
 
     Raises:
         InputError: see `ImageTo3D.load`.
     """
-
-    name = "image-to-3d"
 
     def __init__(
         self,
         folder: str | Path,
         image_encoder: str | Path | None = None,
         limits: GenerationLimits | None = None,
+        name: str = "image-to-3d",
+        axes: AxisConvention = UNIT_CUBE_Z_UP,
     ) -> None:
+        self.name, self.axes = name, axes
         self.folder = Path(folder)
         self.model = ImageTo3D.load(self.folder, image_encoder=image_encoder)
         self.limits = limits or GenerationLimits(retries=3)
@@ -47,6 +50,11 @@ class ImageTo3DGenerator:
         )  # fmt: skip
         vehicle = made.vehicles[0]
         return Asset(
-            vehicle.gaussians, UNIT_CUBE_Z_UP, self.name, vehicle.seed,
+            vehicle.gaussians, self.axes, self.name, vehicle.seed,
             {"model": self.folder.resolve().name, "voxels": len(vehicle.coords)},
         )  # fmt: skip
+
+
+def recast_mini_generator() -> ImageTo3DGenerator:
+    """The small model that comes with the package."""
+    return ImageTo3DGenerator(recast_mini(), name=RECAST_MINI, axes=UNIT_CUBE_X_FORWARD)

@@ -30,7 +30,7 @@ _COARSE = np.radians(15.0)
 _FINE = np.radians([-7.5, -5.0, -2.5, 0.0, 2.5, 5.0, 7.5])
 # What counts as much as one unit of cost in the search: overlap, colour, log of width and height.
 _UNITS = (0.03, 0.02, 0.10)
-_DECLARED = 3.0  # units of evidence for the front that a metric convention declares
+_DECLARED = 3.0  # units of evidence for the front that a convention declares
 _SPREAD = np.array([0.05, 0.12, 0.10, 0.05])  # log scale; metres along, across, up
 _OVERLAP_WEIGHT = 60.0  # as in the template's own placement: 1 % of overlap is worth 0.6
 _EVALUATIONS = 120
@@ -77,7 +77,7 @@ class PlacedAsset:
 def place_asset(asset: Asset, size: ArrayLike, observations: Sequence[Observation]) -> PlacedAsset:
     """Place an asset in a box by the views that it was made from.
 
-    A metric convention declares where the front is: then only half turns are considered, and the
+    A convention may declare where the front is: then only half turns are considered, and the
     views must speak against the declared one by more than three units of evidence.
 
     Args:
@@ -102,7 +102,7 @@ def place_asset(asset: Asset, size: ArrayLike, observations: Sequence[Observatio
             "generate again with another seed, or export the asset again",
         ) from None  # fmt: skip
     search = _Search(gaussians, points, size, observations)
-    declared = asset.axes.metric
+    declared = asset.axes.declares_front
     first = 0.0 if declared else search.best_yaw()
     starts = [search.start(first), search.start(first + np.pi)]
     if not declared:  # each of both may have its own best yaw

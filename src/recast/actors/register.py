@@ -146,7 +146,7 @@ def _orientation(
         stand_on_box(surface.points, best + np.pi, size),
     ]
     agreements = [_agreement(gaussians, surface, lidar, start, observation) for start in starts]
-    declared = asset.axes.metric
+    declared = asset.axes.declares_front
     heading = heading_agreement(track)
     votes = front_votes(agreements[0], agreements[1], declared, heading)
     total = sum(votes.values())

@@ -19,8 +19,9 @@ class Make:
     """Track to make; `recast log info LOG` lists them."""
     out: Path
     """Folder to write observation, actor and turntable to; must not exist."""
-    generator: str = "template"
-    """What makes the vehicle: template, an installed generator's name, or the path of a PLY."""
+    generator: str = "recast-mini"
+    """What makes the vehicle: recast-mini (the image-to-3D model of the package), template, an
+    installed generator's name, a model folder, or the path of a PLY."""
     segmenter: str = "box-lidar"
     """What cuts the vehicle out: box-lidar, an installed segmenter's name, or a folder that holds
     grounding-dino and sam (see docs/actors.md)."""

@@ -21,6 +21,9 @@ class Demo:
     """Synthetic scene; `recast log synth --help` lists them."""
     seed: int = 1
     """Seed of everything random, the drive itself included."""
+    generator: str = "recast-mini"
+    """What makes the vehicle: recast-mini (the image-to-3D model of the package), template, an
+    installed generator's name, a model folder, or the path of a PLY."""
     threads: int = 0
     """CPU threads, 0 for all."""
 
@@ -32,4 +35,4 @@ class Demo:
 
         out = self.out or Path("runs/demo-quick" if self.quick else "runs/demo")
         size = QUICK if self.quick else FULL
-        demo(out, self.scene, self.seed, size, self.threads, Console())
+        demo(out, self.scene, self.seed, size, self.threads, Console(), self.generator)

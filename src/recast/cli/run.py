@@ -34,7 +34,8 @@ class Run:
     planner: str | None = None
     """Planner under test: a name, or package.module:attribute. Default: idm-follower."""
     generator: str | None = None
-    """What makes the actor: template, an installed generator's name, or the path of a PLY."""
+    """What makes the actor: recast-mini (the image-to-3D model of the package), template, an
+    installed generator's name, a model folder, or the path of a PLY."""
     segmenter: str | None = None
     """What cuts the actor's picture out: box-lidar, an installed segmenter's name, or a folder that
     holds grounding-dino and sam (see docs/actors.md). Default: box-lidar."""

@@ -30,6 +30,7 @@ from recast.logs import DrivingLog
 from recast.pipeline.fingerprint import file_hash, folder_hash
 from recast.pipeline.layout import ACTOR_FOLDER, OBSERVATION_FOLDER, TURNTABLE_FILE
 from recast.reporting.video import write_video
+from recast.trellis import RECAST_MINI, recast_mini
 
 _TURNTABLE_VIEWS = 72
 _TURNTABLE_SIZE = (640, 360)
@@ -61,6 +62,8 @@ def generator_source(name: str) -> str:
     """
     if name.lower().endswith(".ply"):
         return file_hash(name)
+    if name == RECAST_MINI:
+        return folder_hash(recast_mini())
     return folder_hash(name) if Path(name).is_dir() else name
 
 

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from recast.actors import DEFAULT_SEGMENTER
+from recast.actors import DEFAULT_GENERATOR, DEFAULT_SEGMENTER
 from recast.pipeline.layout import Method
 from recast.records import parse_record
 from recast.scene import SceneConfig
@@ -30,7 +30,9 @@ class RunConfig(BaseModel):
     motions: tuple[str, ...] = Field(min_length=1)
     methods: tuple[Method, ...] = Field(default=("native", "replaced"), min_length=1)
     planner: str = "idm-follower"
-    generator: str = Field(default="template", description="name of a generator, or path of a PLY")
+    generator: str = Field(
+        default=DEFAULT_GENERATOR, description="name of a generator, model folder, or PLY"
+    )
     segmenter: str = Field(
         default=DEFAULT_SEGMENTER, description="name of a segmenter, or folder of its networks"
     )

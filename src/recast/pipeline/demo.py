@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from recast.actors import DEFAULT_GENERATOR
 from recast.errors import InputError
 from recast.logs import DrivingLog, read_log
 from recast.pipeline.config import RunConfig
@@ -55,8 +56,9 @@ QUICK = DemoSize(3.0, 192, 128, ("front",), 500, ("cut-in-a",), steps=20)
 
 
 def demo(
-    out: str | Path, scene: str, seed: int, size: DemoSize, threads: int, console: Console
-) -> Path:
+    out: str | Path, scene: str, seed: int, size: DemoSize, threads: int, console: Console,
+    generator: str = DEFAULT_GENERATOR,
+) -> Path:  # fmt: skip
     """Make a drive, reconstruct it, replace the target, and run it against the truth.
 
     Args:
@@ -66,6 +68,7 @@ def demo(
         size: `FULL` or `QUICK`.
         threads: CPU threads, 0 for all.
         console: shows steps, progress and time left.
+        generator: what makes the vehicle, see `recast.pipeline.actor.generator_of`.
 
     Returns:
         the report's `index.html`.
@@ -81,6 +84,7 @@ def demo(
         track=world.target,
         motions=size.motions,
         methods=tuple(METHODS),
+        generator=generator,
         steps=size.steps,
         seed=seed,
         threads=threads,

@@ -6,9 +6,11 @@ from recast.trellis.flow import MultiImageMode, SamplerSettings
 from recast.trellis.generate import generate
 from recast.trellis.generation import GeneratedVehicle, Generation, GenerationLimits
 from recast.trellis.image_to_3d import ImageTo3D
+from recast.trellis.shipped import RECAST_MINI, recast_mini
 from recast.trellis.viewer_frame import viewer_frame
 
 __all__ = [
+    "RECAST_MINI",
     "GeneratedVehicle",
     "Generation",
     "GenerationLimits",
@@ -20,6 +22,7 @@ __all__ = [
     "generate",
     "load_checkpoint",
     "read_crop",
+    "recast_mini",
     "save_checkpoint",
     "verify_checkpoint",
     "viewer_frame",
