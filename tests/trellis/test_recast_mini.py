@@ -49,9 +49,7 @@ def test_it_makes_the_vehicle_in_the_picture(
     """Its length is along x, and it has the colour of its picture rather than of another's."""
     pictures = [one.view(3) for one in vehicles]
     made = [generate(model, [[one]], [0], names=["car"]).vehicles[0] for one in pictures]
-    shown = [
-        np.mean(one[one[..., 3] > 200][:, :3].astype(float) / 255, axis=0) for one in pictures
-    ]
+    shown = [np.mean(one[one[..., 3] > 200][:, :3].astype(float) / 255, axis=0) for one in pictures]
     for index, vehicle in enumerate(made):
         extent = np.ptp(vehicle.coords.numpy(), axis=0)
         assert extent[0] > 1.3 * max(extent[1], extent[2])
