@@ -133,7 +133,7 @@ def test_bad_input_is_one_line(
 
     out = tmp_path / "out"
     assert "is no folder" in refused(ply, tmp_path / "nowhere", "--out", out)
-    assert "neither set.json nor" in refused(ply, tmp_path, "--out", out)
+    assert "no set.json, no index.json" in refused(ply, tmp_path, "--out", out)
     assert "generator: diorama: is not known" in refused("diorama", crops, "--out", out)
     assert "LPIPS weights: is no file" in refused(
         ply, crops, "--out", out, "--lpips-weights", tmp_path / "alex.pth"
