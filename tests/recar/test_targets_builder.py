@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from recast.errors import InputError
-from recast.recar import VehicleSet, read_set
+from recast.recar import read_set
 from recast.recar.targets import (
     ModelSource,
     TargetCache,
@@ -21,47 +21,32 @@ from recast.recar.targets import (
 )
 from recast.recar.targets.settings import FilterSettings
 from recast.trellis import GenerationLimits, generate
-from support.trellis_folder import write_golden_model
-from support.vehicle_pictures import shape, write_vehicles
+from support.target_places import SETTINGS, Places
+from support.vehicle_pictures import shape
 
 from .sets import tree
 
-SETTINGS = TargetSettings(max_voxels=4096)
-Places = tuple[VehicleSet, ModelSource]
 
-
-@pytest.fixture(scope="module")
-def places(tmp_path_factory: pytest.TempPathFactory) -> Places:
-    folder = tmp_path_factory.mktemp("targets")
-    return write_vehicles(folder / "set", 3), ModelSource(write_golden_model(folder / "model"))
-
-
-@pytest.fixture(scope="module")
-def whole(places: Places, tmp_path_factory: pytest.TempPathFactory) -> TargetCache:
-    """Made at once by one process."""
-    return build_targets(*places, tmp_path_factory.mktemp("whole") / "cache", SETTINGS)
-
-
-def test_targets_are_those_of_the_multi_image_pipeline(places: Places, whole: TargetCache) -> None:
+def test_targets_are_those_of_the_multi_image_pipeline(places: Places, built: TargetCache) -> None:
     vehicles, source = places
-    assert whole.ids(accepted_only=False) == ("car-0", "car-1", "car-2")
+    assert built.ids(accepted_only=False) == ("car-0", "car-1", "car-2")
     model = source.load("cpu")
     for index, name in enumerate(vehicles.identities):
         views = [shape(index, view) for view in (0, 2, 1, 3)]
         made = generate(
             model, [views], [identity_seed(0, name)], limits=GenerationLimits(4096)
         ).vehicles[0]
-        target, record = whole.target(name), whole.records[name]
+        target, record = built.target(name), built.records[name]
         np.testing.assert_array_equal(target.structure, made.structure.numpy())
         np.testing.assert_array_equal(target.coords, made.coords.numpy())
         np.testing.assert_array_equal(target.latent, made.latent.numpy())
         assert record.seed == identity_seed(0, name) and record.voxels == len(made.coords)
         assert record.gaussians == len(made.gaussians) and record.score is not None
-        assert whole.preview_path(name).read_bytes().startswith(b"\x89PNG")
-    assert whole.records["car-1"].split == "held-out"
-    assert whole.record.views_deg == (0.0, 180.0, 90.0, 270.0)
-    assert whole.record.structure_sampler.steps == 6 and whole.record.mode == "stochastic"
-    assert (whole.record.identities, whole.record.failures) == (3, 0)
+        assert built.preview_path(name).read_bytes().startswith(b"\x89PNG")
+    assert built.records["car-1"].split == "held-out"
+    assert built.record.views_deg == (0.0, 180.0, 90.0, 270.0)
+    assert built.record.structure_sampler.steps == 6 and built.record.mode == "stochastic"
+    assert (built.record.identities, built.record.failures) == (3, 0)
 
 
 def test_seeds_depend_on_seed_and_name_alone() -> None:
@@ -71,10 +56,10 @@ def test_seeds_depend_on_seed_and_name_alone() -> None:
 
 
 def test_again_touches_nothing_and_another_threshold_one_file(
-    places: Places, whole: TargetCache, tmp_path: Path
+    places: Places, built: TargetCache, tmp_path: Path
 ) -> None:
     out = tmp_path / "cache"
-    shutil.copytree(whole.folder, out)
+    shutil.copytree(built.folder, out)
     times = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
     again = build_targets(*places, out, SETTINGS)
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == times
@@ -86,27 +71,27 @@ def test_again_touches_nothing_and_another_threshold_one_file(
 
 
 def test_a_cache_grows_to_the_same_bytes(
-    places: Places, whole: TargetCache, tmp_path: Path
+    places: Places, built: TargetCache, tmp_path: Path
 ) -> None:
     part = build_targets(*places, tmp_path / "cache", SETTINGS, identities=["car-1"])
     assert list(part.records) == ["car-1"] and part.record.complete
     seen: list[tuple[int, int]] = []
     build_targets(*places, part.folder, SETTINGS, progress=lambda *done: seen.append(done))
-    assert tree(part.folder) == tree(whole.folder)
+    assert tree(part.folder) == tree(built.folder)
     assert seen == [(1, 3), (2, 3), (3, 3)]
 
 
 def test_other_settings_or_another_folder_are_refused(
-    places: Places, whole: TargetCache, tmp_path: Path
+    places: Places, built: TargetCache, tmp_path: Path
 ) -> None:
-    before = tree(whole.folder)
+    before = tree(built.folder)
     for settings, field in (
         (SETTINGS.model_copy(update={"seed": 1}), "seed"),
         (SETTINGS.model_copy(update={"mode": "multidiffusion"}), "mode"),
         (SETTINGS.model_copy(update={"filter": FilterSettings(kind="none")}), "filter"),
     ):
         with pytest.raises(InputError, match=f"{field}: differs"):
-            build_targets(*places, whole.folder, settings)
+            build_targets(*places, built.folder, settings)
     other = tmp_path / "model"
     shutil.copytree(places[1].folder, other)
     weights = other / "ckpts/ss_dec.safetensors"
@@ -114,8 +99,8 @@ def test_other_settings_or_another_folder_are_refused(
     data[-1] ^= 1
     weights.write_bytes(data)
     with pytest.raises(InputError, match="model: differs"):
-        build_targets(places[0], ModelSource(other), whole.folder, SETTINGS)
-    assert tree(whole.folder) == before
+        build_targets(places[0], ModelSource(other), built.folder, SETTINGS)
+    assert tree(built.folder) == before
     with pytest.raises(InputError, match="is no target cache"):
         build_targets(*places, other, SETTINGS)
     with pytest.raises(InputError, match="car-9: is not in the set"):
@@ -126,7 +111,7 @@ def test_other_settings_or_another_folder_are_refused(
 
 
 def test_failures_are_recorded_and_the_others_go_on(
-    places: Places, whole: TargetCache, tmp_path: Path
+    places: Places, built: TargetCache, tmp_path: Path
 ) -> None:
     folder = tmp_path / "set"
     shutil.copytree(places[0].folder, folder)
@@ -143,7 +128,7 @@ def test_failures_are_recorded_and_the_others_go_on(
     again = build_targets(broken, places[1], cache.folder, SETTINGS)
     assert again.records["car-1"].failure is not None
     build_targets(broken, places[1], cache.folder, SETTINGS, retry_failures=True)
-    assert tree(cache.folder) == tree(whole.folder)
+    assert tree(cache.folder) == tree(built.folder)
 
 
 def test_a_structure_that_is_too_large_is_a_failure_after_all_retries(
@@ -157,12 +142,12 @@ def test_a_structure_that_is_too_large_is_a_failure_after_all_retries(
 
 
 def test_a_full_disk_ends_in_one_line_and_the_same_command_goes_on(
-    places: Places, whole: TargetCache, tmp_path: Path
+    places: Places, built: TargetCache, tmp_path: Path
 ) -> None:
     out = tmp_path / "cache"
     folder = out / "latents/model"
     folder.mkdir(parents=True)
-    shutil.copy(whole.folder / "cache.json", out)
+    shutil.copy(built.folder / "cache.json", out)
     path = out / "cache.json"
     path.write_text(path.read_text().replace('"complete": true', '"complete": false'))
     (folder / ".car-1.npz.partial").symlink_to("/dev/full")  # refuses every byte
@@ -170,7 +155,7 @@ def test_a_full_disk_ends_in_one_line_and_the_same_command_goes_on(
         build_targets(*places, out, SETTINGS)
     assert list(TargetCache.open(out, complete=False).records) == ["car-0"]
     build_targets(*places, out, SETTINGS)
-    assert tree(out) == tree(whole.folder)
+    assert tree(out) == tree(built.folder)
 
 
 def test_a_model_that_cannot_be_read_is_one_line_before_any_work(
@@ -197,8 +182,8 @@ def test_ray_is_asked_for_by_name_where_it_is_missing(
     assert not (tmp_path / "cache").exists()
 
 
-def test_cache_json_says_how_the_targets_were_made(whole: TargetCache) -> None:
-    written = json.loads((whole.folder / "cache.json").read_text())
+def test_cache_json_says_how_the_targets_were_made(built: TargetCache) -> None:
+    written = json.loads((built.folder / "cache.json").read_text())
     assert written["format"] == "recast-target-cache" and written["complete"] is True
     assert written["model"]["name"] == "model" and len(written["model"]["sha256"]) == 64
     assert len(written["model"]["latent_mean"]) == 8

@@ -15,30 +15,13 @@ from pathlib import Path
 import pytest
 import torch
 
-from recast.recar import VehicleSet
-from recast.recar.targets import ModelSource, TargetCache, TargetSettings, build_targets
+from recast.recar.targets import TargetCache, build_targets
 from recast.recar.targets.maker import Job, Outcome, TargetMaker
 from recast.recar.targets.record import TargetRecord
 from support.target_caches import box_target
-from support.trellis_folder import write_golden_model
-from support.vehicle_pictures import write_vehicles
+from support.target_places import SETTINGS, Places
 
 from .sets import tree
-
-SETTINGS = TargetSettings(max_voxels=4096)
-Places = tuple[VehicleSet, ModelSource]
-
-
-@pytest.fixture(scope="module")
-def places(tmp_path_factory: pytest.TempPathFactory) -> Places:
-    folder = tmp_path_factory.mktemp("targets")
-    return write_vehicles(folder / "set", 3), ModelSource(write_golden_model(folder / "model"))
-
-
-@pytest.fixture(scope="module")
-def whole(places: Places, tmp_path_factory: pytest.TempPathFactory) -> TargetCache:
-    """Made at once by one process."""
-    return build_targets(*places, tmp_path_factory.mktemp("whole") / "cache", SETTINGS)
 
 
 def forked(work: Callable[[], object]) -> int:
@@ -56,7 +39,7 @@ def forked(work: Callable[[], object]) -> int:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no fork")
 def test_ten_kills_at_random_moments_change_nothing(
-    places: Places, whole: TargetCache, tmp_path: Path
+    places: Places, built: TargetCache, tmp_path: Path
 ) -> None:
     out = tmp_path / "cache"
     start = time.monotonic()
@@ -71,10 +54,10 @@ def test_ten_kills_at_random_moments_change_nothing(
         _, status = os.waitpid(child, 0)
         kills += 1
         if os.WIFEXITED(status):  # it had finished: start anew
-            assert tree(out) == tree(whole.folder)
+            assert tree(out) == tree(built.folder)
             shutil.rmtree(out)
     build_targets(*places, out, SETTINGS)
-    assert tree(out) == tree(whole.folder)
+    assert tree(out) == tree(built.folder)
 
 
 class QuickMaker:
@@ -127,16 +110,16 @@ def test_a_kill_before_or_after_any_rename_changes_nothing(
 
 
 def test_several_processes_give_the_same_bytes(
-    places: Places, whole: TargetCache, tmp_path: Path
+    places: Places, built: TargetCache, tmp_path: Path
 ) -> None:
     cache = build_targets(*places, tmp_path / "cache", SETTINGS, workers=2)
-    assert tree(cache.folder) == tree(whole.folder)
+    assert tree(cache.folder) == tree(built.folder)
     assert torch.get_num_threads() == 1
 
 
 @pytest.mark.slow
 def test_a_killed_run_of_several_processes_ends_them_and_resumes(
-    places: Places, whole: TargetCache, tmp_path: Path
+    places: Places, built: TargetCache, tmp_path: Path
 ) -> None:
     out = tmp_path / "cache"
     context = multiprocessing.get_context("spawn")
@@ -157,7 +140,7 @@ def test_a_killed_run_of_several_processes_ends_them_and_resumes(
             assert time.monotonic() < deadline, "workers outlive a killed run"
             time.sleep(0.05)
     build_targets(*places, out, SETTINGS, workers=2)
-    assert tree(out) == tree(whole.folder)
+    assert tree(out) == tree(built.folder)
 
 
 def _children(pid: int) -> list[int]:

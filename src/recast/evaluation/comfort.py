@@ -7,28 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import savgol_filter
 
+from recast.dynamics.comfort import NUPLAN_LIMITS, check, savgol_signals
 from recast.evaluation.metric import Metric, invalid
 from recast.geometry import se2
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-LIMITS: Mapping[str, tuple[float, float]] = {
-    "lon_accel": (-4.05, 2.40),
-    "lon_jerk": (-8.37, 8.37),
-    "yaw_rate": (-0.95, 0.95),
-    "yaw_accel": (-1.93, 1.93),
-    "lat_accel": (-4.89, 4.89),
+LIMITS_4_13: Mapping[str, tuple[float, float]] = {
+    name: limits for name, limits in NUPLAN_LIMITS.items() if name != "jerk"
 }
+"""HUGSIM's five checks with nuPlan's limit on the longitudinal jerk."""
+
+LIMITS: Mapping[str, tuple[float, float]] = {**LIMITS_4_13, "lon_jerk": (-8.37, 8.37)}
 """HUGSIM's five checks: m/s^2, m/s^3, rad/s, rad/s^2, m/s^2. The headline."""
-
-LIMITS_4_13 = {**LIMITS, "lon_jerk": (-4.13, 4.13)}
-"""The same with nuPlan's limit on the longitudinal jerk."""
-
-NUPLAN_LIMITS: Mapping[str, tuple[float, float]] = {**LIMITS_4_13, "jerk": (-8.37, 8.37)}
-"""nuPlan's six checks; "jerk" is the rate of the acceleration's magnitude."""
 
 _STANDING = 1.0
 """Metres: a plan that ends nearer than this to its start has no meaningful heading."""
@@ -82,36 +75,6 @@ def plan_signals(predictions: ArrayLike, dt: float = 0.1) -> dict[str, Array]:
     }
 
 
-def savgol_signals(
-    lon_accel: ArrayLike, lat_accel: ArrayLike, magnitude: ArrayLike, heading: ArrayLike, dt: float
-) -> dict[str, Array]:
-    """nuPlan's smoothed comfort signals of trajectories, all (..., N).
-
-    Savitzky-Golay, order 2: accelerations over 8 samples, their derivatives over 15; yaw rate over
-    5. Yaw acceleration: order 3 over 5. The 15 that nuPlan's signature names for the yaw signals is
-    never passed on. Needs N >= 15.
-
-    Args:
-        lon_accel, lat_accel, magnitude: (..., N) m/s^2.
-        heading: (..., N) radians, unwrapped here.
-    """
-    heading = np.unwrap(np.asarray(heading, np.float64), axis=-1)
-
-    def smooth(values: ArrayLike, window: int, order: int = 2, derivative: int = 0) -> Array:
-        smoothed = savgol_filter(values, window, order, deriv=derivative, delta=dt, axis=-1)
-        return np.asarray(smoothed, np.float64)
-
-    lon, total = smooth(lon_accel, 8), smooth(magnitude, 8)
-    return {
-        "lon_accel": lon,
-        "lon_jerk": smooth(lon, 15, derivative=1),
-        "yaw_rate": smooth(heading, 5, derivative=1),
-        "yaw_accel": smooth(heading, 5, order=3, derivative=2),
-        "lat_accel": smooth(lat_accel, 8),
-        "jerk": smooth(total, 15, derivative=1),
-    }
-
-
 def plan_savgol_signals(predictions: ArrayLike, dt: float = 0.1) -> dict[str, Array]:
     """nuPlan's smoothing applied to the finite differences of plans (..., 40, 3).
 
@@ -123,23 +86,6 @@ def plan_savgol_signals(predictions: ArrayLike, dt: float = 0.1) -> dict[str, Ar
     heading = np.cumsum(raw["yaw_rate"], axis=-1) * dt
     heading = np.concatenate([np.zeros_like(heading[..., :1]), heading], axis=-1)
     return savgol_signals(lon, lat, np.hypot(lon, lat), heading, dt)
-
-
-def check(
-    signals: Mapping[str, Array], limits: Mapping[str, tuple[float, float]], *, strict: bool
-) -> BoolArray:
-    """Which checks hold throughout: (..., number of limits), in the order of `limits`.
-
-    Args:
-        signals: (..., any length) by name.
-        strict: whether a value on the limit fails, as in nuPlan.
-    """
-    passed: list[BoolArray] = []
-    for name, (low, high) in limits.items():
-        value = signals[name]
-        inside = (low < value) & (value < high) if strict else (low <= value) & (value <= high)
-        passed.append(np.asarray(np.all(inside, axis=-1)))
-    return np.stack(passed, axis=-1)
 
 
 def com_hugsim(predictions: ArrayLike, dt: float = 0.1) -> Comfort:

@@ -1,0 +1,75 @@
+"""nuPlan's comfort checks: smoothed signals of a motion, and their limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.signal import savgol_filter
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+NUPLAN_LIMITS: Mapping[str, tuple[float, float]] = {
+    "lon_accel": (-4.05, 2.40),
+    "lon_jerk": (-4.13, 4.13),
+    "yaw_rate": (-0.95, 0.95),
+    "yaw_accel": (-1.93, 1.93),
+    "lat_accel": (-4.89, 4.89),
+    "jerk": (-8.37, 8.37),
+}
+"""m/s^2, m/s^3, rad/s, rad/s^2, m/s^2, m/s^3; "jerk" is the rate of the acceleration's
+magnitude."""
+
+
+def savgol_signals(
+    lon_accel: ArrayLike, lat_accel: ArrayLike, magnitude: ArrayLike, heading: ArrayLike, dt: float,
+    *, whole_window: bool = False,
+) -> dict[str, Array]:  # fmt: skip
+    """nuPlan's smoothed comfort signals of trajectories, all (..., N).
+
+    Savitzky-Golay, order 2: accelerations over 8 samples, their derivatives over 15; yaw rate over
+    5. Yaw acceleration: order 3 over 5. The 15 that nuPlan's signature names for the yaw signals is
+    never passed on. Needs N >= 15.
+
+    Args:
+        lon_accel, lat_accel, magnitude: (..., N) m/s^2.
+        heading: (..., N) radians, unwrapped here.
+        dt: seconds per sample.
+        whole_window: tuplan_garage's slip: the accelerations and then the derivatives (of
+            accelerations smoothed over 8) over all N samples, so that little but trends remains.
+    """
+    heading = np.unwrap(np.asarray(heading, np.float64), axis=-1)
+    samples = heading.shape[-1]
+    acceleration_window, jerk_window = (samples, samples) if whole_window else (8, 15)
+
+    def smooth(values: ArrayLike, window: int, order: int = 2, derivative: int = 0) -> Array:
+        smoothed = savgol_filter(values, window, order, deriv=derivative, delta=dt, axis=-1)
+        return np.asarray(smoothed, np.float64)
+
+    return {
+        "lon_accel": smooth(lon_accel, acceleration_window),
+        "lon_jerk": smooth(smooth(lon_accel, 8), jerk_window, derivative=1),
+        "yaw_rate": smooth(heading, 5, derivative=1),
+        "yaw_accel": smooth(heading, 5, order=3, derivative=2),
+        "lat_accel": smooth(lat_accel, acceleration_window),
+        "jerk": smooth(smooth(magnitude, 8), jerk_window, derivative=1),
+    }
+
+
+def check(
+    signals: Mapping[str, Array], limits: Mapping[str, tuple[float, float]], *, strict: bool
+) -> BoolArray:
+    """Which checks hold throughout: (..., number of limits), in the order of `limits`.
+
+    Args:
+        signals: (..., any length) by name.
+        strict: whether a value on the limit fails, as in nuPlan.
+    """
+    passed: list[BoolArray] = []
+    for name, (low, high) in limits.items():
+        value = signals[name]
+        inside = (low < value) & (value < high) if strict else (low <= value) & (value <= high)
+        passed.append(np.asarray(np.all(inside, axis=-1)))
+    return np.stack(passed, axis=-1)

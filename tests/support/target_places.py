@@ -1,0 +1,9 @@
+"""What the tests of the target builder share."""
+
+from __future__ import annotations
+
+from recast.recar import VehicleSet
+from recast.recar.targets import ModelSource, TargetSettings
+
+SETTINGS = TargetSettings(max_voxels=4096)
+Places = tuple[VehicleSet, ModelSource]
