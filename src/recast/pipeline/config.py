@@ -39,6 +39,9 @@ class RunConfig(BaseModel):
     steps: int = Field(default=160, ge=1, description="of 0.1 s; cut where log or road end")
     plan_every: int = Field(default=5, ge=1)
     keep_other_actors: bool = False
+    films: bool = Field(
+        default=True, description="of all cameras; without, only what the planner sees is rendered"
+    )
     seed: int = 0
     threads: int = Field(default=0, ge=0, description="CPU threads, 0: all")
     scene: SceneConfig = SceneConfig()

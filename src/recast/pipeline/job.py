@@ -35,7 +35,7 @@ from recast.pipeline.scores import write_metrics
 from recast.pipeline.truth import compare_with_truth
 from recast.planning import make_planner
 from recast.scene import evaluate_scene, load_scene
-from recast.simulation import MOTIONS, RolloutSetup, prepare
+from recast.simulation import MOTIONS, RolloutSetup, Timings, prepare
 from recast.synthetic import World
 
 
@@ -62,17 +62,9 @@ class Job:
     def finish(self) -> Path:
         """Make what is not finished yet; return the report's page."""
         self._announce()
-        actor = self._step(
-            "actor", self._actor_inputs(), self._make_actor,
-            (OBSERVATION_FOLDER, ACTOR_FOLDER, TURNTABLE_FILE),
-        )  # fmt: skip
-        scene = self._step(
-            "scene", {"log": self._log_hash, "config": self.config.scene.model_dump(mode="json")},
-            self._train, (SCENE_FOLDER,), keep_partial=True,
-        )  # fmt: skip
-        evaluation = self._step(
-            "evaluation", {"scene": scene}, self._evaluate, (EVALUATION_FOLDER,)
-        )
+        actor = self.make_actor()
+        scene = self.make_scene()
+        evaluation = self.evaluate(scene)
         truth = None
         if "oracle" in self.config.methods:
             truth = self._step(
@@ -80,17 +72,45 @@ class Job:
                 self._compare_with_truth, (TRUTH_FOLDER,),
             )  # fmt: skip
         rollouts = {
-            f"{motion}/{method}": self._rollout(motion, method, scene, actor)
+            f"{motion}/{method}": self.make_rollout(motion, method, scene, actor)
             for motion in self.config.motions
             for method in self.config.methods
         }
-        metrics = self._step(
+        metrics = self.score(rollouts, evaluation, actor, truth)
+        self._step("report", {"metrics": metrics}, self._report, (REPORT_FOLDER,))
+        return self._conclude()
+
+    def make_actor(self) -> str:
+        """The actor's folder; this and each of the next returns the hash of what it stands for."""
+        return self._step(
+            "actor", self._actor_inputs(), self._make_actor,
+            (OBSERVATION_FOLDER, ACTOR_FOLDER, TURNTABLE_FILE),
+        )  # fmt: skip
+
+    def make_scene(self) -> str:
+        """The trained scene."""
+        return self._step(
+            "scene", {"log": self._log_hash, "config": self.config.scene.model_dump(mode="json")},
+            self._train, (SCENE_FOLDER,), keep_partial=True,
+        )  # fmt: skip
+
+    def evaluate(self, scene: str) -> str:
+        """Held-out scores of the scene."""
+        return self._step("evaluation", {"scene": scene}, self._evaluate, (EVALUATION_FOLDER,))
+
+    def score(
+        self,
+        rollouts: Mapping[str, str],
+        evaluation: str | None,
+        actor: str | None,
+        truth: str | None = None,
+    ) -> str:
+        """metrics.json, of the rollouts with these hashes and of the other steps that were made."""
+        return self._step(
             "metrics",
             {"rollouts": rollouts, "evaluation": evaluation, "actor": actor, "truth": truth},
             self._score, (METRICS_FILE,),
         )  # fmt: skip
-        self._step("report", {"metrics": metrics}, self._report, (REPORT_FOLDER,))
-        return self._conclude()
 
     @property
     def _log_hash(self) -> str:
@@ -152,7 +172,20 @@ class Job:
     def _cameras(self) -> tuple[str, ...]:
         return self.config.scene.cameras or tuple(self.log.cameras)
 
-    def _rollout(self, motion: str, method: Method, scene: str, actor: str) -> str:
+    def make_rollout(
+        self,
+        motion: str,
+        method: Method,
+        scene: str | None,
+        actor: str | None,
+        timings: Timings | None = None,
+    ) -> str:
+        """One rollout's folder.
+
+        Args:
+            scene, actor: hashes of these steps; None where nothing renders them.
+            timings: is added to, if the rollout is made now.
+        """
         config = self.config
         inputs: dict[str, Any] = {
             "log": self._log_hash,
@@ -163,6 +196,7 @@ class Job:
             "steps": config.steps,
             "plan_every": config.plan_every,
             "keep_other_actors": config.keep_other_actors,
+            "films": config.films,
         }
         if method == "oracle":
             inputs |= {"cameras": list(config.scene.cameras), "scale": config.scene.scale}
@@ -173,7 +207,7 @@ class Job:
         target = f"{ROLLOUTS_FOLDER}/{motion}/{method}"
         return self._step(
             f"rollout-{motion}-{method}", inputs,
-            lambda: self._make_rollout(motion, method, self.path / target), (target,),
+            lambda: self._make_rollout(motion, method, self.path / target, timings), (target,),
         )  # fmt: skip
 
     def _setup(self, motion: str, method: str) -> RolloutSetup:
@@ -190,12 +224,18 @@ class Job:
             camera_names=self._cameras,
         )
 
-    def _make_rollout(self, motion: str, method: Method, target: Path) -> None:
+    def _make_rollout(
+        self, motion: str, method: Method, target: Path, timings: Timings | None
+    ) -> None:
         setup = self._setup(motion, method)
         planner = make_planner(self.config.planner)
-        renderer = self.renderers.of(method)
-        with FrameProgress(self.console, self.possible_steps[motion]) as progress:
-            make_rollout(setup, planner, renderer, target, progress)
+        looked_at = self.config.films or planner.needs_images
+        renderer = self.renderers.of(method) if looked_at else None
+        steps = self.possible_steps.get(motion, self.config.steps)
+        with FrameProgress(self.console, steps) as progress:
+            make_rollout(
+                setup, planner, renderer, target, progress, self.config.films, timings
+            )  # fmt: skip
 
     def _score(self) -> None:
         write_metrics(self.path, self.config, self.map)

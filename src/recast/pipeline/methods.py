@@ -25,27 +25,39 @@ class Renderers:
         run: run folder with scene and actor.
         world: what the log was made from; None where it is not synthetic.
         mounts: cameras to render, see `camera_mounts`.
+        oracle_workers: processes of the oracle, see `OracleRenderer`.
     """
 
-    def __init__(self, run: Path, world: World | None, mounts: Mapping[str, CameraMount]) -> None:
+    def __init__(
+        self,
+        run: Path,
+        world: World | None,
+        mounts: Mapping[str, CameraMount],
+        oracle_workers: int = 0,
+    ) -> None:
         self._run, self._world, self._mounts = run, world, mounts
+        self._oracle_workers = oracle_workers
         self._open = ExitStack()
-        self._oracle: OracleRenderer | None = None
+        self._made: dict[Method, SensorRenderer] = {}
 
     def of(self, method: Method) -> SensorRenderer:
-        """The renderer of a method.
+        """The renderer of a method, made when first asked for and kept.
 
         Raises:
             InputError: the scene or actor folder is missing or broken.
             ValueError: "oracle" without a world.
         """
+        if method not in self._made:
+            self._made[method] = self._make(method)
+        return self._made[method]
+
+    def _make(self, method: Method) -> SensorRenderer:
         if method != "oracle":
             return SceneRenderer(method_scene(method, self._run), self._mounts)
         if self._world is None:
             raise ValueError("Renderers.of: the oracle needs the world")
-        if self._oracle is None:
-            self._oracle = self._open.enter_context(OracleRenderer(self._world, self._mounts))
-        return self._oracle
+        oracle = OracleRenderer(self._world, self._mounts, self._oracle_workers)
+        return self._open.enter_context(oracle)
 
     def __enter__(self) -> Self:
         """Nothing starts before it is asked for."""

@@ -19,6 +19,7 @@ from recast.simulation import (
     RolloutSetup,
     SensorRenderer,
     SimState,
+    Timings,
     failure,
     load_rollout,
     run_rollout,
@@ -32,9 +33,11 @@ _STATES = "states"
 def make_rollout(
     setup: RolloutSetup,
     planner: Planner,
-    renderer: SensorRenderer,
+    renderer: SensorRenderer | None,
     folder: Path,
     on_step: Callable[[], None] = lambda: None,
+    filmed: bool = True,
+    timings: Timings | None = None,
 ) -> None:
     """Run one rollout and write it to a new folder, whole or not at all.
 
@@ -42,8 +45,11 @@ def make_rollout(
     report, not the end of the run.
 
     Args:
+        renderer: None where nothing looks: no film, and a planner that needs no images.
         folder: gets `states/` (see `save_rollout`) and `CAMERA.mp4`, or `failure.json`.
-        on_step: called after each rendered step.
+        on_step: called after each filmed step.
+        filmed: render every step, not only those that the planner sees.
+        timings: is added to.
     """
     with storage.atomic_folder(folder) as partial, ExitStack() as films:
         writers: dict[str, VideoWriter] = {}
@@ -57,7 +63,9 @@ def make_rollout(
             on_step()
 
         try:
-            save_rollout(run_rollout(setup, planner, renderer, film), partial / _STATES)
+            on_frame = film if filmed else None
+            rollout = run_rollout(setup, planner, renderer, on_frame, timings)
+            save_rollout(rollout, partial / _STATES)
         except Exception as error:
             films.close()
             for name in writers:

@@ -7,11 +7,14 @@ it while that hash stays the same, and makes it and all later steps anew where i
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import platform
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -147,9 +150,21 @@ class RunFolder:
     def _note_time(self, name: str, seconds: float) -> None:
         # Kept apart from every result: two runs with the same seed must give the same bytes there.
         path = self.path / "timings.json"
-        timings = storage.read_json(path) if path.exists() else {}
-        timings[name] = round(seconds, 2)
-        storage.write_json(path, timings)
+        with _alone_in(self.path):
+            timings = storage.read_json(path) if path.exists() else {}
+            timings[name] = round(seconds, 2)
+            storage.write_json(path, timings)
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Other processes that ask for the same folder wait: rollouts of a run may be made at once."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)  # unlocks
 
 
 def _remove(path: Path) -> None:

@@ -24,7 +24,7 @@ def write_metrics(run: Path, config: RunConfig, hd_map: HdMap) -> None:
     """Score all rollouts of a run and write them with what its other steps measured.
 
     Args:
-        run: run folder with rollouts and actor; evaluation and truth where they were made.
+        run: run folder with rollouts; actor, evaluation and truth where they were made.
         hd_map: lanes and drivable area that the rollouts are judged by.
     """
     metrics, failures = [], []
@@ -37,6 +37,7 @@ def write_metrics(run: Path, config: RunConfig, hd_map: HdMap) -> None:
                 metrics.append(rollout_metrics(result, hd_map))
     evaluation = run / EVALUATION_FOLDER / "eval.json"
     views = run / TRUTH_FOLDER / "oracle_views.json"
+    actor = run / ACTOR_FOLDER
     storage.write_json(
         run / METRICS_FILE,
         {
@@ -46,6 +47,8 @@ def write_metrics(run: Path, config: RunConfig, hd_map: HdMap) -> None:
             "failures": [vars(f) for f in failures],
             "scene": storage.read_json(evaluation) if evaluation.exists() else None,
             "truth": storage.read_json(views) if views.exists() else None,
-            "actor": load_actor(run / ACTOR_FOLDER).provenance.model_dump(mode="json"),
+            "actor": load_actor(actor).provenance.model_dump(mode="json")
+            if actor.is_dir()
+            else None,
         },
     )
