@@ -6,14 +6,14 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from recast import storage
+from recast.crews import alone, crew_of
 from recast.errors import InputError
 from recast.recar.source import VehicleSource
 from recast.recar.targets.cache import TargetCache
-from recast.recar.targets.crews import Crew, alone, in_processes
+from recast.recar.targets.crews import absolute, start_maker
 from recast.recar.targets.maker import Job
 from recast.recar.targets.model_source import ModelSource
 from recast.recar.targets.quality import filter_record
-from recast.recar.targets.ray_crew import on_ray
 from recast.recar.targets.record import CACHE_FILE, CacheRecord
 from recast.recar.targets.settings import TargetSettings
 from recast.recar.targets.views import encoded_view, nearest_views
@@ -49,7 +49,7 @@ def build_targets(
             threshold of the filter is taken over without making anything anew.
         settings: how.
         workers: processes on this machine, or actors of the cluster.
-        ray: address of a Ray cluster, see `on_ray`.
+        ray: address of a Ray cluster, see `recast.crews.on_ray`.
         identities: only these vehicles; all where not given.
         retry_failures: try again what failed before.
         progress: called as vehicles are done.
@@ -60,12 +60,10 @@ def build_targets(
             disk is full.
     """
     settings, out = settings or TargetSettings(), Path(out)
-    if workers < 1:
-        raise InputError("--workers", "value", f"is {workers}", "give 1 or more")
     wanted = _wanted(vehicles, identities)
     views = nearest_views(vehicles.record)
     record = _cache_record(vehicles, views, model, settings)
-    crew = _crew(workers, ray)
+    crew = crew_of(workers, ray, gpu=model.device != "cpu")
     cache = _begin(out, record)
     finished = {
         one.id for one in cache.records.values() if not (retry_failures and one.failure is not None)
@@ -78,7 +76,8 @@ def build_targets(
         jobs = (_job(vehicles, name, views) for name in left)
         if ray is None and len(left) == 1:
             crew = alone
-        for outcome in crew(model, settings, jobs):
+        plan = (model, settings) if ray is None else absolute(model, settings)
+        for _, outcome in crew(start_maker, plan, lambda: next(jobs, None), "finished targets"):
             cache.write_target(outcome.record, outcome.target, outcome.preview)
             done += 1
             _tell(progress, done, len(wanted))
@@ -101,12 +100,6 @@ def _wanted(vehicles: VehicleSource, identities: Collection[str] | None) -> list
             vehicles.folder, unknown[0], "is not in the set", "choose among its vehicles"
         )
     return sorted(set(identities))
-
-
-def _crew(workers: int, ray: str | None) -> Crew:
-    if ray is not None:
-        return on_ray(ray, workers)
-    return alone if workers == 1 else in_processes(workers)
 
 
 def _cache_record(

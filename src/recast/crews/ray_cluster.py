@@ -1,0 +1,106 @@
+"""Workers on a Ray cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from typing import Any
+
+from recast.crews.crew import Crew, Job, Outcome, Start
+from recast.errors import InputError
+
+
+def on_ray(address: str, workers: int, gpu: bool = False) -> Crew:
+    """A crew of this many actors of a Ray cluster.
+
+    Jobs travel there and outcomes come back; paths in them must be the same on every machine. An
+    actor asks for one core, and for one GPU where it is to have one and the cluster has any. A
+    connection that this process has already is used, and stays.
+
+    Args:
+        address: of the cluster, such as "auto" or "ray://head:10001"; "local" starts one here.
+        workers: actors.
+        gpu: see above.
+
+    Raises:
+        InputError: Ray is not installed; when the crew begins, that there is no cluster.
+    """
+    try:
+        ray: Any = import_module("ray")
+    except ImportError:
+        raise InputError(
+            "--ray", address, "needs Ray, which is not installed",
+            "pip install 'recast[distributed]'",
+        ) from None  # fmt: skip
+
+    def crew(
+        start: Start[Job, Outcome],
+        arguments: tuple[Any, ...],
+        take: Callable[[], Job | None],
+        finished: str,
+    ) -> Iterator[tuple[Job, Outcome]]:
+        ours = not ray.is_initialized()
+        try:
+            if ours:
+                ray.init(address=address, log_to_driver=False)
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            reason = str(error).strip().splitlines()[0]
+            raise InputError(
+                "--ray", address, f"no cluster answers ({reason[:80]})", "start one: ray start"
+            ) from None
+        try:
+            # workers of the cluster import recast by themselves
+            gpus = 1 if gpu and ray.cluster_resources().get("GPU", 0) else 0
+            remote: Any = ray.remote(num_cpus=1, num_gpus=gpus)(_RemoteWorker)
+            actors = [remote.remote(start, number, arguments) for number in range(workers)]
+            yield from _outcomes(ray, actors, take)
+        except ray.exceptions.RayTaskError as error:
+            if isinstance(error.cause, InputError):
+                raise error.cause from None
+            raise
+        except ray.exceptions.RayActorError as error:
+            raise InputError(
+                "--ray", address, f"a worker is gone ({str(error).splitlines()[0][:80]})",
+                f"run again; {finished} stay",
+            ) from None  # fmt: skip
+        finally:
+            if ours:
+                ray.shutdown()
+
+    return crew
+
+
+class _RemoteWorker:
+    """Lives on a worker of the cluster."""
+
+    def __init__(self, start: Start[Any, Any], number: int, arguments: tuple[Any, ...]) -> None:
+        import torch
+
+        from recast.splats import set_threads
+
+        torch.set_num_threads(1)
+        set_threads(1)
+        self._start = lambda: start(number, *arguments)
+        self._work: Callable[[Any], Any] | None = None
+
+    def do(self, job: Any) -> Any:
+        if self._work is None:  # not when made, whose errors come back as a lost actor
+            self._work = self._start()
+        return self._work(job)
+
+
+def _outcomes(
+    ray: Any, actors: list[Any], take: Callable[[], Job | None]
+) -> Iterator[tuple[Job, Any]]:
+    """One job at a time for each actor, another as soon as it is done."""
+    idle, busy = list(actors), {}
+    while True:
+        while idle and (job := take()) is not None:
+            actor = idle.pop(0)
+            busy[actor.do.remote(job)] = (actor, job)
+        if not busy:
+            return
+        done, _ = ray.wait(list(busy), num_returns=1)
+        actor, job = busy.pop(done[0])
+        idle.append(actor)
+        yield job, ray.get(done[0])
