@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from recast.evaluation.metric import Metric, invalid
 from recast.geometry import boxes
-from recast.logs.hdmap import HdMap
 
 Array = NDArray[np.float64]
 
@@ -34,16 +33,6 @@ class DrivableArea:
     dac: Metric
     distance: Array | None
     first_step: int | None
-
-
-def drivable_region(hd_map: HdMap | None) -> shapely.Geometry | None:
-    """Union of a map's drivable area and lanes, or None where there is neither."""
-    if hd_map is None:
-        return None
-    outlines = [*hd_map.drivable_area, *(lane.polygon for lane in hd_map.lanes.values())]
-    if not outlines:
-        return None
-    return shapely.union_all([shapely.make_valid(shapely.Polygon(o)) for o in outlines])
 
 
 def drivable_area_compliance(

@@ -13,7 +13,6 @@ from recast.evaluation.drivable import (
     TOLERANCE,
     DrivableArea,
     drivable_area_compliance,
-    drivable_region,
 )
 from recast.evaluation.metric import Metric
 from recast.evaluation.progress import RouteCompletion, route_completion
@@ -23,6 +22,7 @@ from recast.evaluation.ttc import (
     realised_future,
     time_to_collision,
 )
+from recast.logs.drivable_region import drivable_region
 from recast.logs.hdmap import HdMap
 from recast.simulation.rollout import Rollout
 

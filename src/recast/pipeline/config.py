@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from recast.actors import DEFAULT_GENERATOR, DEFAULT_SEGMENTER
 from recast.pipeline.layout import Method
 from recast.records import parse_record
 from recast.scene import SceneConfig
+from recast.simulation import MOTIONS, ScriptedMotion, motion_of_record
 from recast.storage import read_json
 
 CONFIG_VERSION: Literal[1] = 1
@@ -19,7 +20,8 @@ CONFIG_VERSION: Literal[1] = 1
 class RunConfig(BaseModel):
     """The resolved configuration of a run, as written to `run.json`.
 
-    `motions` are scenario names with their setting, such as "cut-in-a". `methods` say what renders
+    `motions` are scenario names with their setting, such as "cut-in-a"; `own_motions` holds those
+    that came from scenario files, so that the run needs no file again. `methods` say what renders
     the scene; the first is the baseline. "oracle" needs a synthetic log.
     """
 
@@ -28,6 +30,9 @@ class RunConfig(BaseModel):
     version: Literal[1] = CONFIG_VERSION
     track: str
     motions: tuple[str, ...] = Field(min_length=1)
+    own_motions: dict[str, dict[str, Any]] = Field(
+        default={}, description="contents of scenario files, by scenario name"
+    )
     methods: tuple[Method, ...] = Field(default=("native", "replaced"), min_length=1)
     planner: str = "idm-follower"
     generator: str = Field(
@@ -39,6 +44,9 @@ class RunConfig(BaseModel):
     steps: int = Field(default=160, ge=1, description="of 0.1 s; cut where log or road end")
     plan_every: int = Field(default=5, ge=1)
     keep_other_actors: bool = False
+    plan_limit_s: float | None = Field(
+        default=None, gt=0, description="wall-clock seconds that a plan may take"
+    )
     films: bool = Field(
         default=True, description="of all cameras; without, only what the planner sees is rendered"
     )
@@ -46,9 +54,26 @@ class RunConfig(BaseModel):
     threads: int = Field(default=0, ge=0, description="CPU threads, 0: all")
     scene: SceneConfig = SceneConfig()
 
+    @field_validator("own_motions")
+    @classmethod
+    def _own_motions_are_motions(cls, value: dict[str, dict[str, Any]]) -> dict[str, Any]:
+        for record in value.values():
+            motion_of_record(record)
+        return value
+
+    def motion(self, name: str) -> ScriptedMotion:
+        """The motion of one of `motions`."""
+        record = self.own_motions.get(name)
+        return MOTIONS[name] if record is None else motion_of_record(record)
+
     def resolved(self) -> dict[str, Any]:
-        """JSON-able, every default filled in."""
-        return self.model_dump(mode="json")
+        """JSON-able, every default filled in but those of the youngest members."""
+        values = self.model_dump(mode="json")
+        if not self.own_motions:
+            del values["own_motions"]  # runs begun before there were scenario files go on
+        if self.plan_limit_s is None:
+            del values["plan_limit_s"]
+        return values
 
 
 def read_run_config(path: str | Path) -> RunConfig:

@@ -35,7 +35,7 @@ from recast.pipeline.scores import write_metrics
 from recast.pipeline.truth import compare_with_truth
 from recast.planning import make_planner
 from recast.scene import evaluate_scene, load_scene
-from recast.simulation import MOTIONS, RolloutSetup, Timings, prepare
+from recast.simulation import RolloutSetup, Timings, prepare
 from recast.synthetic import World
 
 
@@ -198,6 +198,8 @@ class Job:
             "keep_other_actors": config.keep_other_actors,
             "films": config.films,
         }
+        if motion in config.own_motions:
+            inputs["scenario"] = config.own_motions[motion]
         if method == "oracle":
             inputs |= {"cameras": list(config.scene.cameras), "scale": config.scene.scale}
         else:
@@ -215,7 +217,7 @@ class Job:
         return RolloutSetup(
             log=self.log,
             track_id=config.track,
-            motion=MOTIONS[motion],
+            motion=config.motion(motion),
             method=method,
             map=self.map,
             steps=config.steps,

@@ -8,10 +8,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from recast.errors import InputError
 from recast.pipeline.config import RunConfig, read_run_config
 from recast.records import validation_error
 from recast.scene import SceneConfig, read_config
-from recast.simulation import parse_motions, scenario_name
+from recast.simulation import MOTIONS, parse_motions, scenario_name, scenario_record
 
 DEFAULT_MOTIONS = ("cut-in", "stationary")
 
@@ -42,7 +43,7 @@ def resolve_config(
         **(base.model_dump() if base else {}),
         **_given(run_options),
         "track": track,
-        "motions": tuple(dict.fromkeys(scenario_name(m) for n in names for m in parse_motions(n))),
+        **_motions(names, base.own_motions if base else {}),
     }
     try:
         return RunConfig.model_validate(
@@ -50,6 +51,26 @@ def resolve_config(
         )
     except ValidationError as error:
         raise validation_error("options", error, "give a value in range") from None
+
+
+def _motions(names: Sequence[str], known: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """`motions` and `own_motions`; `known` are those that a configuration file brings along."""
+    found: dict[str, dict[str, Any] | None] = {}
+    for name in names:
+        if name in known:
+            found[name] = known[name]
+            continue
+        for motion in parse_motions(name):
+            scenario = scenario_name(motion)
+            record = None if scenario in MOTIONS else scenario_record(motion)
+            if found.setdefault(scenario, record) != record:
+                raise InputError(
+                    name, "name", f"{scenario} is another scenario already", "choose another name"
+                )
+    return {
+        "motions": tuple(found),
+        "own_motions": {name: record for name, record in found.items() if record is not None},
+    }
 
 
 def _given(options: Mapping[str, Any]) -> dict[str, Any]:

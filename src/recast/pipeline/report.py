@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,6 @@ from recast.pipeline.layout import (
     SCENE_FOLDER,
     TRUTH_FOLDER,
     TURNTABLE_FILE,
-    Method,
 )
 from recast.pipeline.rollouts import films, read_rollout
 from recast.pipeline.run_folder import RunFolder
@@ -49,14 +48,7 @@ from recast.reporting import (
     write_report,
 )
 from recast.scene import load_scene
-from recast.simulation import MOTIONS, RolloutFailure
-
-_DESCRIPTIONS = {
-    "cut-in": "The actor drives in the next lane, moves in ahead of the ego and slows down.",
-    "oncoming": "The actor comes towards the ego in its lane and stops.",
-    "stationary": "The actor stands in the ego's lane and faces it.",
-    "advancing": "The actor drives slowly in the next lane and the ego passes it.",
-}
+from recast.simulation import RolloutFailure
 
 REGISTRATION_LIMIT = 0.15
 """Metres; a larger median LiDAR-to-actor distance is flagged on the page."""
@@ -101,7 +93,7 @@ def gather(folder: RunFolder, log: DrivingLog) -> ReportInputs:
         facts=_facts(config, log),
         actor=_actor(folder.path, config, log),
         scenarios=tuple(
-            _scenario(folder.path, motion, config.methods, hd_map) for motion in config.motions
+            _scenario(folder.path, motion, config, hd_map) for motion in config.motions
         ),
         scene=_scene(folder.path),
         hd_map=hd_map,
@@ -198,13 +190,14 @@ def _shares(counts: dict[str, int]) -> dict[str, float]:
     return {side: count / total for side, count in counts.items()} if total else {}
 
 
-def _scenario(run: Path, name: str, methods: Sequence[Method], hd_map: HdMap) -> ScenarioPart:
-    motion = MOTIONS[name]
+def _scenario(run: Path, name: str, config: RunConfig, hd_map: HdMap) -> ScenarioPart:
+    motion = config.motion(name)
     return ScenarioPart(
         title=f"{motion.name}, setting {motion.setting}".capitalize(),
-        description=_DESCRIPTIONS[motion.name],
+        description=motion.description,
         rollouts=tuple(
-            _rollout(run / ROLLOUTS_FOLDER / name / method, method, hd_map) for method in methods
+            _rollout(run / ROLLOUTS_FOLDER / name / method, method, hd_map)
+            for method in config.methods
         ),
     )
 

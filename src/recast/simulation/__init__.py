@@ -12,6 +12,7 @@ from recast.simulation.motions import (
     Advancing,
     CutIn,
     Oncoming,
+    ScriptedMotion,
     StartSituation,
     Stationary,
 )
@@ -27,6 +28,7 @@ from recast.simulation.rollout import (
 from recast.simulation.rollout_files import load_rollout, save_rollout
 from recast.simulation.rollout_loop import OnFrame, Timings, run_rollout
 from recast.simulation.scenario import MOTIONS, parse_motions, scenario_name
+from recast.simulation.scenario_file import motion_of_record, read_scenario, scenario_record
 from recast.simulation.setup import RolloutSetup
 from recast.simulation.state import SimState
 
@@ -49,6 +51,7 @@ __all__ = [
     "RolloutFailure",
     "RolloutJob",
     "RolloutSetup",
+    "ScriptedMotion",
     "SensorRenderer",
     "SimState",
     "StartSituation",
@@ -58,10 +61,13 @@ __all__ = [
     "ego_centre",
     "failure",
     "load_rollout",
+    "motion_of_record",
     "parse_motions",
     "prepare",
+    "read_scenario",
     "run_batch",
     "run_rollout",
     "save_rollout",
     "scenario_name",
+    "scenario_record",
 ]

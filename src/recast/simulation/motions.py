@@ -1,15 +1,16 @@
-"""What the controlled actor does: the paper's four motions, each in two settings.
+"""What the controlled actor does: the paper's four motions.
 
 A motion is scripted ahead of time from the situation at the start: the actor does not react to the
 ego, so its states are the same for every planner and every renderer. Frenet coordinates are those
-of the ego's reference route; gaps are from bumper to bumper. Source of all numbers: the values are
-our definite reading of the paper, which names the motions but not their parameters.
+of the ego's reference route; gaps are from bumper to bumper. Their settings are in
+`scenarios/*.yaml`. All four have, besides what `ActorMotion` asks for, a `description` for people:
+one sentence.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,6 @@ from recast.geometry import se2
 from recast.planning import ReferenceRoute
 
 Array = NDArray[np.float64]
-
-OncomingMode = Literal["stop", "through"]
 
 DEFAULT_LANE_OFFSET = 3.5
 """Metres to the neighbouring lane where the map knows none."""
@@ -99,6 +98,7 @@ class CutIn:
     delay: float
     duration: float
     name: str = "cut-in"
+    description: str = ""
 
     def script(self, start: StartSituation, steps: int, dt: float) -> Array:
         """Lateral offset l0 (1 - q(u)), q the quintic from 0 to 1, u = (t - delay) / duration."""
@@ -124,26 +124,22 @@ class Oncoming:
     Attributes:
         gap: metres at the start.
         speed: m/s.
-        stop_distance: metres after which it stands, in mode "stop".
+        stop_distance: metres after which it stands: an ego that brakes avoids it. None: it drives
+            on, and hits an ego that stands. The name should say which, as results show it.
         lateral: metres to the left of the route.
-        mode: "stop" can be avoided by braking; "through" drives on, and hits a standing ego.
     """
 
     setting: str
     gap: float
     speed: float
-    stop_distance: float
+    stop_distance: float | None = None
     lateral: float = 0.0
-    mode: OncomingMode = "stop"
-
-    @property
-    def name(self) -> str:
-        """The mode is part of the name, so that results say which one was used."""
-        return "oncoming" if self.mode == "stop" else "oncoming-through"
+    name: str = "oncoming"
+    description: str = ""
 
     def script(self, start: StartSituation, steps: int, dt: float) -> Array:
         """Against the route at constant speed, then braking to the stop point."""
-        stop = self.stop_distance if self.mode == "stop" else np.inf
+        stop = np.inf if self.stop_distance is None else self.stop_distance
         driven, speed = _drive(0.0, self.speed, self.speed, steps, dt, stop)
         poses = start.route.pose(start.ahead(self.gap) - driven, self.lateral)
         poses[:, 2] += np.pi
@@ -171,6 +167,7 @@ class Stationary:
     yaw: float = 0.0
     lateral: float = 0.0
     name: str = "stationary"
+    description: str = ""
 
     def script(self, start: StartSituation, steps: int, dt: float) -> Array:
         """One pose for all steps."""
@@ -193,12 +190,17 @@ class Advancing:
     gap: float
     speed: float
     name: str = "advancing"
+    description: str = ""
 
     def script(self, start: StartSituation, steps: int, dt: float) -> Array:
         """Along the route at constant speed and offset."""
         target = self.speed * start.reference_speed
         s, speed = _drive(start.ahead(self.gap), target, target, steps, dt)
         return _states(start.route.pose(s, start.beside), speed)
+
+
+ScriptedMotion = CutIn | Oncoming | Stationary | Advancing
+"""A motion of this package, which a scenario file can describe."""
 
 
 def _drive(

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from recast.dynamics import initial_state
 from recast.dynamics import state as ego
 from recast.errors import InputError
-from recast.geometry import boxes
 from recast.logs.types import Track
 from recast.planning import ReferenceRoute
 from recast.simulation.lift import RoadSurface
@@ -18,6 +17,12 @@ from recast.simulation.motions import StartSituation
 from recast.simulation.neighbour_lane import neighbour_lateral
 from recast.simulation.rollout import ego_centre
 from recast.simulation.setup import RolloutSetup
+from recast.simulation.start_checks import (
+    refuse_off_map,
+    refuse_off_road,
+    refuse_overlap,
+    surveyed_road,
+)
 
 Array = NDArray[np.float64]
 
@@ -25,7 +30,6 @@ _MIN_START_SPEED = 3.0
 _MIN_CYCLES = 2
 _BEHIND_START = 1.0
 """Metres that a position may lie before the route: a standing ego may roll back a little."""
-_TOUCHING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -61,8 +65,9 @@ def prepare(setup: RolloutSetup) -> PreparedRollout:
     """Find the start, script the actor, and cut what the recorded road does not carry.
 
     Raises:
-        InputError: no such track; no route; a start outside the log; the actor overlaps the ego at
-            the start or stands off the recorded road; less than two plan cycles remain.
+        InputError: no such track; no route; a start outside the log; a route off the map; the actor
+            overlaps the ego at the start, or stands off the recorded road or the map's; less than
+            two plan cycles remain.
     """
     track, log = setup.track, setup.log.world_from_rig
     route = ReferenceRoute.from_trajectory(log)
@@ -78,16 +83,27 @@ def prepare(setup: RolloutSetup) -> PreparedRollout:
         reason = f"the log ends {recorded * setup.dt:.1f} s after the start"
     refuse_if_too_short(setup, steps, reason)
 
-    actor = setup.motion.script(
-        _situation(setup, route, state, track), setup.steps, setup.dt
-    )  # scripted in full first: a motion must not depend on where it is cut
+    situation = _situation(setup, route, state, track)
+    where, rollout, road = setup.log.name, f"rollout {setup.name}", surveyed_road(hdmap)
+    refuse_off_map(where, rollout, road, route, situation.ego_s)
+    # In full first: a motion must not depend on where it is cut.
+    actor = setup.motion.script(situation, setup.steps, setup.dt)
     outside = off_road(route, actor[:, :2], setup.road_margin)
     if np.any(outside[: steps + 1]):
         steps = int(np.argmax(outside)) - 1
         reason = _off_road_reason("the actor", route, actor[steps + 1, :2], setup)
         refuse_if_too_short(setup, steps, reason)
     actor = actor[: steps + 1]
-    _refuse_overlap(setup, state, actor[0], track)
+    vehicle = setup.vehicle
+    refuse_overlap(
+        where,
+        rollout,
+        ego_centre(state[ego.POSE], vehicle.centre_offset),
+        np.array([vehicle.length, vehicle.width]),
+        actor[0, :3],
+        track.size,
+    )
+    refuse_off_road(where, rollout, road, actor[0, :3], track.size)
 
     times = start_us + round(setup.dt * 1e6) * np.arange(steps + 1)
     logged = np.stack(
@@ -179,20 +195,3 @@ def _situation(
         actor_size=track.size,
         neighbour_lateral=neighbour_lateral(setup.log, setup.hdmap, route, s),
     )
-
-
-def _refuse_overlap(setup: RolloutSetup, state: Array, actor: Array, track: Track) -> None:
-    vehicle = setup.vehicle
-    overlap = boxes.bev_overlap_area(
-        ego_centre(state[ego.POSE], vehicle.centre_offset),
-        (vehicle.length, vehicle.width),
-        actor[:3],
-        track.size,
-    )
-    if overlap > _TOUCHING:
-        raise InputError(
-            setup.log.name,
-            f"rollout {setup.name}",
-            f"actor and ego overlap by {overlap:.2f} m2 at the start",
-            "choose another start, motion or setting",
-        )

@@ -1,41 +1,62 @@
-"""Scenario names: a motion and its setting, as written on the command line."""
+"""Scenario names: a motion and its setting, or a scenario file, as written on the command line."""
 
 from __future__ import annotations
 
-from recast.errors import InputError
-from recast.simulation.motions import ActorMotion, Advancing, CutIn, Oncoming, Stationary
+from importlib.resources import as_file, files
+from pathlib import Path
 
-_MOTIONS: tuple[ActorMotion, ...] = (
-    CutIn("a", gap=6.0, initial_speed=0.8, target_speed=0.5, delay=0.5, duration=2.5),
-    CutIn("b", gap=12.0, initial_speed=0.7, target_speed=0.35, delay=1.0, duration=3.0),
-    Oncoming("a", gap=35.0, speed=3.0, stop_distance=15.0),
-    Oncoming("b", gap=55.0, speed=6.0, stop_distance=25.0, lateral=0.3),
-    Oncoming("a", gap=35.0, speed=3.0, stop_distance=15.0, mode="through"),
-    Oncoming("b", gap=55.0, speed=6.0, stop_distance=25.0, lateral=0.3, mode="through"),
-    Stationary("a", min_gap=20.0, braking=3.6, reserve=4.0),
-    Stationary("b", min_gap=35.0, braking=2.4, reserve=6.0, yaw=0.17, lateral=0.3),
-    Advancing("a", gap=5.0, speed=0.5),
-    Advancing("b", gap=12.0, speed=0.65),
-)
+from recast.errors import InputError
+from recast.simulation.motions import ActorMotion, ScriptedMotion
+from recast.simulation.scenario_file import read_scenario
+
+_BUILT_IN = ("cut-in", "oncoming", "oncoming-through", "stationary", "advancing")
+_SUFFIXES = (".yaml", ".yml")
 
 
 def scenario_name(motion: ActorMotion) -> str:
-    """Name such as "cut-in-a"; `parse_motions` reads it back."""
+    """Name such as "cut-in-a"; `parse_motions` reads it back where the motion is built in."""
     return f"{motion.name}-{motion.setting}"
 
 
-MOTIONS: dict[str, ActorMotion] = {scenario_name(motion): motion for motion in _MOTIONS}
+def _built_in() -> dict[str, ScriptedMotion]:
+    with as_file(files("recast.simulation") / "scenarios") as folder:
+        motions = [m for name in _BUILT_IN for m in read_scenario(folder / f"{name}.yaml")]
+    return {scenario_name(motion): motion for motion in motions}
+
+
+MOTIONS: dict[str, ScriptedMotion] = _built_in()
 """The motions with their two settings each, by scenario name."""
 
 
-def parse_motions(name: str) -> tuple[ActorMotion, ...]:
-    """The motion of a scenario name such as "cut-in-b"; of a motion's name, all its settings.
+def parse_motions(name: str) -> tuple[ScriptedMotion, ...]:
+    """The motions that a word on the command line stands for.
+
+    Args:
+        name: a scenario such as "cut-in-b"; a motion, which stands for all its settings; or the
+            path of a scenario file (with a slash, or ending in .yaml or .yml), likewise.
 
     Raises:
-        InputError: no such motion; lists those there are.
+        InputError: no such motion (lists those there are), or a faulty file.
     """
     lowered = name.strip().lower()
     found = tuple(m for key, m in MOTIONS.items() if lowered in (key, m.name))
-    if not found:
-        raise InputError("motion", name, "is not known", f"choose one of {', '.join(MOTIONS)}")
-    return found
+    if found:
+        return found
+    path = Path(name.strip())
+    if "/" not in name and path.suffix.lower() not in _SUFFIXES:
+        raise InputError(
+            "motion",
+            name,
+            "is not known",
+            f"choose one of {', '.join(MOTIONS)}, or a scenario file (.yaml)",
+        )
+    own = read_scenario(path)
+    for motion in own:
+        if scenario_name(motion) in MOTIONS:
+            raise InputError(
+                path,
+                "name",
+                f"{motion.name} with setting {motion.setting} is a scenario of recast",
+                "choose another name, so that results tell them apart",
+            )
+    return own

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import shapely
 
-from recast.evaluation.drivable import drivable_region
 from recast.geometry import Polyline, se2
+from recast.logs.drivable_region import drivable_region
 from recast.logs.map_json import read_map, write_map
 from recast.synthetic.streets import EGO_START, SCENES
 from synthetic.streets.built import LENGTH, built

@@ -1,0 +1,92 @@
+"""What a scenario file may say: the motions, their quantities, units and ranges."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from recast.simulation.motions import Advancing, CutIn, Oncoming, ScriptedMotion, Stationary
+
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number in a scenario file.
+
+    Attributes:
+        unit: as people read it.
+        low, high: the range, both included.
+        positive: `low` is 0 and itself not allowed.
+        optional: may be left out; the motion has a default.
+    """
+
+    unit: str
+    low: float
+    high: float
+    positive: bool = False
+    optional: bool = False
+
+    def fault(self, value: float) -> str | None:
+        """What is wrong with a number, or None."""
+        if not math.isfinite(value):
+            return f"is {value}"
+        if value < 0.0 <= self.low:
+            return "is negative"
+        if not self.low <= value <= self.high or (self.positive and value == 0.0):
+            return f"is {value:g}"
+        return None
+
+    @property
+    def range(self) -> str:
+        """The unit and the range, such as "m within -50 and 500"."""
+        above = "above 0 and at most" if self.positive else f"within {self.low:.5g} and"
+        return f"{self.unit} {above} {self.high:.5g}"
+
+
+@dataclass(frozen=True)
+class MotionSchema:
+    """One motion that files can set: what makes it, from which quantities."""
+
+    make: type[ScriptedMotion]
+    quantities: Mapping[str, Quantity]
+
+
+_GAP = Quantity("m", -50.0, 500.0)  # less than 0: beside or behind the ego
+_SHARE = Quantity("a share of v_r", 0.0, 5.0)
+_LATERAL = Quantity("m", -20.0, 20.0, optional=True)
+
+MOTION_SCHEMAS: Mapping[str, MotionSchema] = {
+    "cut-in": MotionSchema(
+        CutIn,
+        {
+            "gap": _GAP,
+            "initial_speed": _SHARE,
+            "target_speed": _SHARE,
+            "delay": Quantity("s", 0.0, 60.0),
+            "duration": Quantity("s", 0.0, 60.0, positive=True),
+        },
+    ),
+    "oncoming": MotionSchema(
+        Oncoming,
+        {
+            "gap": _GAP,
+            "speed": Quantity("m/s", 0.0, 100.0),
+            "stop_distance": Quantity("m", 0.0, 1000.0, positive=True, optional=True),
+            "lateral": _LATERAL,
+        },
+    ),
+    "stationary": MotionSchema(
+        Stationary,
+        {
+            "min_gap": _GAP,
+            "braking": Quantity("m/s^2", 0.0, 20.0, positive=True),
+            "reserve": Quantity("m", 0.0, 500.0),
+            "yaw": Quantity("rad", -math.pi, math.pi, optional=True),
+            "lateral": _LATERAL,
+        },
+    ),
+    "advancing": MotionSchema(Advancing, {"gap": _GAP, "speed": _SHARE}),
+}
+"""By the word that a file's `motion` names."""

@@ -1,0 +1,74 @@
+"""Scenario files in a run: their contents belong to its configuration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from recast.errors import InputError
+from recast.pipeline.config import RunConfig
+from recast.pipeline.options import resolve_config
+from recast.pipeline.run_folder import RunFolder
+from recast.simulation import MOTIONS
+
+TEXT = """\
+version: 1
+name: near
+motion: stationary
+settings:
+  a: {min_gap: 12, braking: 6.0, reserve: 2.0}
+"""
+
+
+def resolve(motions: list[str], config_file: Path | None = None) -> RunConfig:
+    return resolve_config("0", motions, config_file, None, {}, {})
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    path = tmp_path / "own.yaml"
+    path.write_text(TEXT)
+    return path
+
+
+def test_names_and_files_together(own: Path) -> None:
+    config = resolve(["cut-in-a", str(own)])
+    assert config.motions == ("cut-in-a", "near-a")
+    assert config.motion("near-a").min_gap == 12.0
+    assert config.motion("cut-in-a") is MOTIONS["cut-in-a"]
+
+
+def test_a_run_resumes_while_the_file_says_the_same(own: Path, tmp_path: Path) -> None:
+    RunFolder.create_or_resume(tmp_path / "run", resolve([str(own)]).resolved(), "log", "hash")
+    own.write_text(TEXT.replace("12", "12.0  # m"))  # other words, same scenario
+    RunFolder.create_or_resume(tmp_path / "run", resolve([str(own)]).resolved(), "log", "hash")
+    own.write_text(TEXT.replace("12", "13"))
+    with pytest.raises(InputError, match=r"own_motions\.near-a\.settings\.a\.min_gap"):
+        RunFolder.create_or_resume(tmp_path / "run", resolve([str(own)]).resolved(), "log", "hash")
+
+
+def test_the_record_of_a_run_needs_no_file(own: Path, tmp_path: Path) -> None:
+    config = resolve([str(own)])
+    RunFolder.create_or_resume(tmp_path / "run", config.resolved(), "log", "hash")
+    own.unlink()
+    assert resolve([], tmp_path / "run" / "run.json") == config
+    assert resolve(["near-a"], tmp_path / "run" / "run.json").motions == ("near-a",)
+
+
+def test_two_files_must_not_say_two_things_under_one_name(own: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.yaml"
+    other.write_text(TEXT)
+    assert resolve([str(own), str(other)]).motions == ("near-a",)
+    other.write_text(TEXT.replace("12", "13"))
+    with pytest.raises(InputError, match="near-a is another scenario already"):
+        resolve([str(own), str(other)])
+
+
+def test_runs_without_own_scenarios_are_as_before() -> None:
+    assert "own_motions" not in resolve(["cut-in"]).resolved()
+
+
+def test_a_faulty_record_is_refused() -> None:
+    with pytest.raises(ValueError, match="own_motions"):
+        RunConfig(track="0", motions=("x-a",), own_motions={"x-a": {"version": 1}})
