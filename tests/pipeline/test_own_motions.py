@@ -41,7 +41,7 @@ def test_names_and_files_together(own: Path) -> None:
 
 def test_a_run_resumes_while_the_file_says_the_same(own: Path, tmp_path: Path) -> None:
     RunFolder.create_or_resume(tmp_path / "run", resolve([str(own)]).resolved(), "log", "hash")
-    own.write_text(TEXT.replace("12", "12.0  # m"))  # other words, same scenario
+    own.write_text("# mine\n" + TEXT.replace("12", "12.0"))  # other words, same scenario
     RunFolder.create_or_resume(tmp_path / "run", resolve([str(own)]).resolved(), "log", "hash")
     own.write_text(TEXT.replace("12", "13"))
     with pytest.raises(InputError, match=r"own_motions\.near-a\.settings\.a\.min_gap"):
