@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.evaluation.rollout_metrics import RolloutMetrics
-from recast.simulation.rollout import RolloutFailure
+from recast.evaluation.metric import Metric
 
 Array = NDArray[np.float64]
 
@@ -45,6 +44,42 @@ COLUMNS: Mapping[str, Column] = {
 """Metrics in the order of the table. Higher is better for all."""
 
 
+class Attempt(Protocol):
+    """A rollout, failed or not: `RolloutFailure`, and whatever is `Scored`."""
+
+    @property
+    def planner(self) -> str:
+        """Its name."""
+
+    @property
+    def method(self) -> str:
+        """What rendered it."""
+
+
+class Scored(Attempt, Protocol):
+    """What a rollout scored: `RolloutMetrics`, or a row of a grid; see there."""
+
+    @property
+    def track_id(self) -> str | None:
+        """The controlled actor."""
+
+    @property
+    def motion(self) -> str:
+        """What it did."""
+
+    @property
+    def setting(self) -> str:
+        """How."""
+
+    @property
+    def cut_reason(self) -> str | None:
+        """Why it is shorter than asked."""
+
+    @property
+    def values(self) -> Mapping[str, Metric]:
+        """Metrics, keys of `COLUMNS`."""
+
+
 @dataclass(frozen=True)
 class TableRow:
     """One line: the rollouts of a planner under a rendering method.
@@ -77,9 +112,7 @@ class TableRow:
         }
 
 
-def table(
-    metrics: Sequence[RolloutMetrics], failures: Sequence[RolloutFailure] = ()
-) -> list[TableRow]:
+def table(metrics: Sequence[Scored], failures: Sequence[Attempt] = ()) -> list[TableRow]:
     """Rows in the order in which each planner and method first occurs.
 
     COM is the mean over rollouts of the share of plans that pass; with equally many plans in each
@@ -94,8 +127,8 @@ def table(
 def _row(
     planner: str,
     method: str,
-    metrics: Sequence[RolloutMetrics],
-    failures: Sequence[RolloutFailure],
+    metrics: Sequence[Scored],
+    failures: Sequence[Attempt],
 ) -> TableRow:
     mine = [m for m in metrics if (m.planner, m.method) == (planner, method)]
     means: dict[str, float | None] = {}
@@ -116,7 +149,7 @@ def _row(
 
 
 def paired_differences(
-    scenes: Mapping[str, Sequence[RolloutMetrics]], metric: str, candidate: str, baseline: str
+    scenes: Mapping[str, Sequence[Scored]], metric: str, candidate: str, baseline: str
 ) -> dict[str, Array]:
     """Candidate minus baseline of a metric, by scene, for `bootstrap.cluster_bootstrap`.
 
@@ -130,7 +163,10 @@ def paired_differences(
     """
     differences: dict[str, Array] = {}
     for scene, rollouts in scenes.items():
-        values: dict[str, dict[tuple[str, str, str, str], float]] = {candidate: {}, baseline: {}}
+        values: dict[str, dict[tuple[str, str | None, str, str], float]] = {
+            candidate: {},
+            baseline: {},
+        }
         for m in rollouts:
             value = m.values[metric].value
             if m.method in values and value is not None:

@@ -1,0 +1,111 @@
+"""The table of a grid with intervals, and how the methods differ on the same scenarios."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.evaluation.bootstrap import MOST_EXACT, Bootstrap, cluster_bootstrap, exact_bootstrap
+from recast.evaluation.grid_row import GridRow
+from recast.evaluation.table import COLUMNS, TableRow, paired_differences, table
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MethodSummary:
+    """A method's line.
+
+    Attributes:
+        row: means, see `TableRow`.
+        intervals: by metric, in the column's unit, over scenes drawn whole; none where no rollout
+            has a value.
+    """
+
+    row: TableRow
+    intervals: Mapping[str, Bootstrap]
+
+
+@dataclass(frozen=True)
+class PairedDifference:
+    """Candidate minus baseline of a metric, in the column's unit, on the scenarios of both.
+
+    Attributes:
+        candidate, baseline: methods.
+        metric: key of `COLUMNS`.
+        scenes, pairs: how many both have a value for.
+        sampled: the bootstrap over scenes.
+        exact: the same by enumeration; None where there are too many scenes.
+    """
+
+    candidate: str
+    baseline: str
+    metric: str
+    scenes: int
+    pairs: int
+    sampled: Bootstrap
+    exact: Bootstrap | None
+
+
+def method_summaries(rows: Sequence[GridRow], samples: int, seed: int) -> list[MethodSummary]:
+    """The table: a line for each method, in the order in which they first occur.
+
+    Args:
+        samples, seed: of the bootstrap; every interval sees the same draws.
+    """
+    # By its first row, whether that failed or not: the order is that of the grid.
+    order = {key: i for i, key in enumerate(dict.fromkeys((r.planner, r.method) for r in rows))}
+    scored = [row for row in rows if row.failure is None]
+    lines = table(scored, [row for row in rows if row.failure is not None])
+    lines.sort(key=lambda line: order[line.planner, line.method])
+    summaries = []
+    for line in lines:
+        mine = [r for r in scored if (r.planner, r.method) == (line.planner, line.method)]
+        intervals = {
+            name: cluster_bootstrap(scenes, np.random.default_rng(seed), samples)
+            for name in COLUMNS
+            if (scenes := _by_scene(mine, name))
+        }
+        summaries.append(MethodSummary(line, intervals))
+    return summaries
+
+
+def paired_summaries(
+    rows: Sequence[GridRow], baseline: str, samples: int, seed: int
+) -> list[PairedDifference]:
+    """Every other method against `baseline`, for every metric; nothing for one without a pair.
+
+    Args:
+        samples, seed: of the bootstrap; every interval sees the same draws.
+    """
+    scored = [row for row in rows if row.failure is None]
+    scenes: dict[str, list[GridRow]] = {}
+    for row in scored:
+        scenes.setdefault(row.scene, []).append(row)
+    found = []
+    for candidate in dict.fromkeys(row.method for row in rows if row.method != baseline):
+        for name, column in COLUMNS.items():
+            pairs = paired_differences(scenes, name, candidate, baseline)
+            if not pairs:
+                continue
+            values = [column.scale * one for one in pairs.values()]
+            found.append(
+                PairedDifference(
+                    candidate, baseline, name, len(values), sum(map(len, values)),
+                    cluster_bootstrap(values, np.random.default_rng(seed), samples),
+                    exact_bootstrap(values) if len(values) <= MOST_EXACT else None,
+                )
+            )  # fmt: skip
+    return found
+
+
+def _by_scene(rows: Sequence[GridRow], name: str) -> list[Array]:
+    scenes: dict[str, list[float]] = {}
+    for row in rows:
+        value = row.scores.get(name)
+        if value is not None:
+            scenes.setdefault(row.scene, []).append(COLUMNS[name].scale * value)
+    return [np.array(values) for values in scenes.values()]

@@ -1,0 +1,105 @@
+"""The table of a grid: failures counted, intervals hold the mean, verdicts against the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from recast.evaluation import COLUMNS
+from recast.evaluation.grid_file import SCHEMA, write_rows
+from recast.evaluation.grid_row import GridRow
+from recast.evaluation.grid_summary import method_summaries, paired_summaries
+from recast.evaluation.same_script import script_difference
+from recast.evaluation.verdicts import agreements, verdicts
+
+from .rollouts import make_rollout
+
+
+def row(scene: str, method: str, setting: str, nc: float, ttc: float) -> GridRow:
+    scores = {**dict.fromkeys(COLUMNS, 1.0), "nc": nc, "ttc": ttc}
+    return GridRow(scene, None, None, "cut-in", setting, method, "p", scores=scores)
+
+
+def failed(scene: str, method: str, setting: str) -> GridRow:
+    return row(scene, method, setting, 1.0, 1.0).failed("ValueError", "NaN at waypoint 3")
+
+
+ROWS = [
+    row("one", "native", "a", 0.0, 0.0), row("one", "replaced", "a", 1.0, 4.0),
+    row("one", "oracle", "a", 1.0, 4.0),
+    row("one", "native", "b", 0.0, 1.0), failed("one", "replaced", "b"),
+    row("one", "oracle", "b", 0.0, 0.5),
+    row("two", "native", "a", 1.0, 4.0), row("two", "replaced", "a", 0.0, 2.0),
+    row("two", "oracle", "a", 1.0, 4.0),
+]  # fmt: skip
+
+
+def test_means_are_over_what_was_scored_and_lie_in_their_intervals() -> None:
+    native, replaced, oracle = method_summaries(ROWS, 500, 0)
+    assert [x.row.method for x in (native, replaced, oracle)] == ["native", "replaced", "oracle"]
+    assert (replaced.row.rollouts, replaced.row.failed) == (2, 1)
+    assert native.row.means["nc"] == pytest.approx(100 / 3)
+    assert (native.intervals["nc"].low, native.intervals["nc"].high) == (0.0, 100.0)
+    for line in (native, replaced, oracle):
+        for name, interval in line.intervals.items():
+            assert interval.point == pytest.approx(line.row.means[name])
+            assert interval.low <= interval.point <= interval.high
+
+
+def test_differences_are_of_pairs_and_have_an_exact_reading() -> None:
+    found = {(d.candidate, d.metric): d for d in paired_summaries(ROWS, "native", 500, 0)}
+    nc = found["replaced", "nc"]
+    assert (nc.pairs, nc.scenes) == (2, 2)  # the pair with the failed rollout is left out
+    assert nc.sampled.point == 0.0 and nc.exact is not None
+    assert (nc.exact.low, nc.exact.high) == (-100.0, 100.0)
+    assert found["oracle", "ttc"].sampled.point == pytest.approx((4.0 - 0.5 + 0.0) / 3)
+    assert not any(candidate == "native" for candidate, _ in found)
+
+
+def test_too_many_scenes_to_enumerate_are_only_sampled() -> None:
+    rows = [row(str(i), m, "a", i % 2, 1.0) for i in range(12) for m in ("native", "replaced")]
+    assert all(d.exact is None for d in paired_summaries(rows, "native", 50, 0))
+
+
+def test_verdicts_against_the_oracle() -> None:
+    found = verdicts(ROWS)
+    assert [v is None for v in found] == [False, False, True, False, True, True, False, False, True]
+    assert found[0] is not None and (found[0].agrees, found[0].ttc_error) == (False, -4.0)
+    native, replaced = agreements(ROWS, 500, 0)
+    assert (native.agreeing, native.pairs, native.scenes) == (2, 3, 2)
+    assert (native.false_collisions, native.missed_collisions) == (1, 0)
+    assert native.ttc_error is not None and native.ttc_error.point == pytest.approx(1.5)
+    assert (replaced.agreeing, replaced.pairs) == (1, 2)
+
+
+def test_nothing_is_compared_where_the_oracle_failed() -> None:
+    rows = [row("one", "native", "a", 0.0, 0.0), failed("one", "oracle", "a")]
+    assert agreements(rows, 50, 0) == []
+
+
+def test_the_file_holds_every_column_and_is_the_same_twice(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_rows(ROWS, tmp_path / name)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    table = pq.read_table(tmp_path / "a")
+    assert table.schema.names == SCHEMA.names
+    record = table.to_pylist()[4]
+    assert record["failure_reason"] == "NaN at waypoint 3"
+    assert record["nc"] is None and record["verdict"] is None
+    assert table.to_pylist()[0]["oracle_verdict"] == "no collision"
+
+
+def test_a_shorter_rollout_has_the_same_script_and_a_moved_actor_has_not() -> None:
+    whole, short = make_rollout(), make_rollout(steps=80)
+    assert script_difference(whole, short) is None
+    actor = whole.actor.copy()
+    actor[30, 0] += 1e-12
+    other = make_rollout(actor=actor)
+    assert "from step 30" in (script_difference(whole, other) or "")
+    assert "start_timestamp_us" in (
+        script_difference(whole, make_rollout(start_timestamp_us=5)) or ""
+    )
+    assert np.array_equal(whole.route, short.route)
