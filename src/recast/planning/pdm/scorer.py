@@ -79,7 +79,7 @@ def score_proposals(
     areas = ego_areas(planner_map, route_lanes, corners, centres, poses)
     collision = at_fault_collisions(states, corners, areas, forecast)
     drivable = np.where(areas.non_drivable.any(axis=-1), 0.0, 1.0)
-    direction = _direction(centres, areas)
+    direction = direction_compliance(centres, areas)
     ttc = time_to_collision(states, corners, areas, forecast, dt)
     comfort = is_comfortable(states, dt, whole_window=reference_quirks)
 
@@ -107,8 +107,13 @@ def score_proposals(
     )
 
 
-def _direction(centres: Array, areas: EgoAreas) -> Array:
-    """DDC (P,): by the longest contiguous stretch off the route's lanes, in metres."""
+def direction_compliance(centres: Array, areas: EgoAreas) -> Array:
+    """DDC (P,): by the longest contiguous stretch off the route's lanes, in metres.
+
+    Args:
+        centres: (P, T, >=2) of the boxes.
+        areas: flags (P, T).
+    """
     moved = np.zeros(centres.shape[:2])
     moved[:, 1:] = np.linalg.norm(np.diff(centres[..., :2], axis=1), axis=-1)
     longest = np.zeros(len(centres))

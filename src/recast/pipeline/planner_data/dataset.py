@@ -1,0 +1,159 @@
+"""`recast planner dataset`: worlds of samples, made by several processes; resumes and grows."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+import numpy as np
+
+from recast.errors import InputError
+from recast.pipeline.planner_data.sample import describe, render
+from recast.pipeline.planner_data.situation import Situation, draw_situation
+from recast.pipeline.planner_data.stage import Stage, make_stage
+from recast.planning.gtrs.vocabulary import Trajectories, read_vocabulary, write_vocabulary
+from recast.planning.gtrs_training.store import (
+    MEND,
+    RECORD_FILE,
+    VOCABULARY_FILE,
+    DatasetRecord,
+    Sample,
+    world_folder,
+    write_world,
+)
+from recast.planning.gtrs_training.vocabulary import mirror_index
+from recast.records import read_record
+from recast.storage import write_json
+from recast.synthetic.child_process import end_with_parent, one_thread, worker_faults
+from recast.synthetic.oracle import Oracle
+
+FIRST_SEED = 1000
+"""Of training worlds; those below are for evaluation."""
+_WORLDS_PER_SEED = 100_000
+_WITH_ACTOR = 0.86
+_TWIN = 0.42
+"""Share of second samples that are the first one's without its vehicle. With it 70 % of all
+samples have a vehicle placed."""
+
+
+def make_dataset(
+    out: Path,
+    count: int,
+    record: DatasetRecord,
+    vocabulary: Trajectories,
+    *,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> int:
+    """Make at least `count` samples; worlds that are there already are kept.
+
+    The files are the same for any number of workers and of interruptions.
+
+    Returns:
+        How many samples there are: whole worlds.
+
+    Raises:
+        InputError: `out` holds samples of other settings or another vocabulary, the vocabulary is
+            not symmetrical, embreex is missing, or a count or number of workers is below one.
+    """
+    from recast.synthetic.rendering import require_embree
+
+    for option, value in (("--samples", count), ("--workers", workers)):
+        if value < 1:
+            raise InputError(option, "value", f"is {value}", "give 1 or more")
+    require_embree()
+    mirror_index(vocabulary)
+    _open(out, record, vocabulary)
+    worlds = -(-count // record.per_world)
+    left = [i for i in range(worlds) if not world_folder(out, i).exists()]
+    done = worlds - len(left)
+
+    def report() -> None:
+        if progress is not None:
+            progress(done * record.per_world, worlds * record.per_world)
+
+    report()
+    if workers == 1 or len(left) < 2:
+        with one_thread():
+            for number in left:
+                make_world_samples(out, number, record)
+                done += 1
+                report()
+        return worlds * record.per_world
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the processes, whose numpy loads later
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(workers, len(left)), context, _set_up) as pool:
+        futures = [pool.submit(make_world_samples, out, number, record) for number in left]
+        with worker_faults(pool, "finished worlds"):
+            for future in as_completed(futures):
+                future.result()
+                done += 1
+                report()
+    return worlds * record.per_world
+
+
+def make_world_samples(out: Path, number: int, record: DatasetRecord) -> None:
+    """Make the samples of one world; they depend on the record, the vocabulary and the number."""
+    scene = record.scenes[number % len(record.scenes)]
+    seed = FIRST_SEED + _WORLDS_PER_SEED * record.seed + number
+    stage = make_stage(scene, seed, record.seconds)
+    vocabulary = read_vocabulary(out / VOCABULARY_FILE)
+    oracle = Oracle(stage.world)
+    samples: list[Sample] = []
+    twins: list[int] = []
+    before: Situation | None = None
+    while len(samples) < record.per_world:
+        index = len(samples)
+        rng = np.random.default_rng([seed, record.seed, index])
+        situation, twin = _next(stage, before, index, record.speeds, rng)
+        image = render(oracle, stage, situation, rng)
+        samples.append(describe(stage, situation, image, vocabulary))
+        twins.append(index - 1 if twin else -1)
+        if twin:
+            twins[index - 1] = index
+        before = situation
+    write_world(world_folder(out, number), samples, twins)
+
+
+def _next(
+    stage: Stage, before: Situation | None, index: int, speeds: int, rng: np.random.Generator
+) -> tuple[Situation, bool]:
+    """A situation, and whether it is the one before without its vehicle."""
+    second = index % 2 == 1
+    if second and before is not None and before.actor is not None and rng.uniform() < _TWIN:
+        return before.without_actor(), True
+    with_actor = bool(rng.uniform() < _WITH_ACTOR)
+    found = draw_situation(stage, with_actor, speeds, rng)
+    if found is None:  # no room for a vehicle in this street: an empty one, then
+        found = draw_situation(stage, False, speeds, rng)
+    if found is None:
+        raise InputError(
+            stage.world.name, f"seed {stage.world.seed}", "has no room for the ego",
+            "this should not happen; take another --seed",
+        )  # fmt: skip
+    return found, False
+
+
+def _open(out: Path, record: DatasetRecord, vocabulary: Trajectories) -> None:
+    path = out / RECORD_FILE
+    if path.exists():
+        if read_record(path, DatasetRecord, 1, MEND, record.format) != record:
+            raise InputError(path, "settings", "differ from those asked for", MEND)
+        if not np.array_equal(read_vocabulary(out / VOCABULARY_FILE), vocabulary):
+            raise InputError(out / VOCABULARY_FILE, "vocabulary", "is another one", MEND)
+        return
+    # A kill may have left the vocabulary without the record.
+    if out.exists() and any(entry.name != VOCABULARY_FILE for entry in out.iterdir()):
+        raise InputError(out, "output folder", "holds something else", "name another one")
+    write_vocabulary(out / VOCABULARY_FILE, vocabulary)
+    write_json(path, record.model_dump(mode="json"))  # last: where it is, the vocabulary is
+
+
+def _set_up() -> None:
+    import torch
+
+    torch.set_num_threads(1)
+    end_with_parent()

@@ -1,0 +1,109 @@
+"""The vehicle in the way: a random moment of one of the scripted motions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.dynamics import PACIFICA
+from recast.pipeline.planner_data.stage import Stage
+from recast.planning.gtrs_training.collisions import FORESEEN, Obstacle
+from recast.simulation import Advancing, CutIn, Oncoming, StartSituation, Stationary
+from recast.simulation.motions import DEFAULT_LANE_OFFSET, ActorMotion
+from recast.simulation.neighbour_lane import neighbour_lateral
+from recast.synthetic import clearance
+
+Array = NDArray[np.float64]
+
+_DT = 0.1
+_IN_LANE = 2.2
+"""Metres beside the route within which a vehicle is in the ego's way, or about to be."""
+_LATEST = 100
+"""Steps of a script after which nothing new happens."""
+_SHARES = {"stationary": 0.26, "oncoming": 0.24, "through": 0.06, "cut-in": 0.3, "advancing": 0.14}
+
+
+@dataclass(frozen=True)
+class PlacedActor:
+    """A vehicle from now on.
+
+    Attributes:
+        obstacle: its poses.
+        speed: m/s now.
+        world_from_actor: (4, 4) now.
+        s: of the route, now.
+        gap: metres between the ego's front and it; negative beside the ego.
+        in_lane: whether it is in the ego's way.
+    """
+
+    obstacle: Obstacle
+    speed: float
+    world_from_actor: Array
+    s: float
+    gap: float
+    in_lane: bool
+
+    def meets(self, other: Obstacle) -> bool:
+        """Whether it touches another one, now or later."""
+        mine = self.obstacle
+        return bool(clearance.touching(mine.poses, mine.size, other.poses, other.size, 0.3).any())
+
+
+def place_actor(stage: Stage, rng: np.random.Generator) -> PlacedActor | None:
+    """A random vehicle at a random moment of a random motion around the built-in settings.
+
+    None where it would leave the recorded road within the time that is foreseen.
+    """
+    key = stage.actors[int(rng.integers(len(stage.actors)))]
+    size = stage.world.vehicles[key].model.size
+    motion = _random_motion(rng)
+    start_s = float(rng.uniform(0.0, stage.route.length))
+    beside = neighbour_lateral(stage.log, stage.log.map, stage.route, start_s)
+    if beside is None and rng.uniform() < 0.25:
+        beside = -DEFAULT_LANE_OFFSET  # some logs tell so
+    start = StartSituation(
+        route=stage.route, ego_s=start_s, ego_speed=float(rng.uniform(3.0, 13.0)),
+        ego_length=PACIFICA.length, actor_size=size, neighbour_lateral=beside,
+    )  # fmt: skip
+    begin = int(rng.integers(_LATEST))
+    script = motion.script(start, begin + FORESEEN, _DT)[begin:]
+    s, lateral = stage.route.project(script)
+    if s.min() < 0.0 or s.max() > stage.route.length:
+        return None
+    in_lane = bool(np.abs(lateral).min() < _IN_LANE)
+    ahead = abs(float(lateral[0])) < _IN_LANE
+    if ahead:
+        gap = 0.8 + 52.0 * float(rng.uniform()) ** 1.4
+    else:  # beside the ego only where it stays there: from there a cut-in leaves no way out
+        gap = float(rng.uniform(1.5 if in_lane else -7.0, 32.0))
+    poses = script[:, :3]
+    return PlacedActor(
+        Obstacle(key, poses, size),
+        float(script[0, 3]),
+        stage.surface.actor_poses(poses, size)[0],
+        float(s[0]),
+        gap,
+        in_lane,
+    )
+
+
+def _random_motion(rng: np.random.Generator) -> ActorMotion:
+    def between(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    kind = str(rng.choice(list(_SHARES), p=list(_SHARES.values())))
+    if kind == "stationary":
+        yaw = between(-0.3, 0.3) + (np.pi if rng.uniform() < 0.35 else 0.0)
+        return Stationary("random", min_gap=between(5, 40), braking=3.0, reserve=5.0,
+                          yaw=yaw, lateral=between(-0.8, 0.8))  # fmt: skip
+    if kind in ("oncoming", "through"):
+        stop = between(5, 30) if kind == "oncoming" else None
+        return Oncoming("random", gap=between(20, 60), speed=between(2, 8), stop_distance=stop,
+                        lateral=between(-0.5, 0.6))  # fmt: skip
+    if kind == "cut-in":
+        return CutIn("random", gap=between(3, 16), initial_speed=between(0.5, 1.0),
+                     target_speed=between(0.25, 0.7), delay=between(0.2, 1.5),
+                     duration=between(2.0, 3.8))  # fmt: skip
+    return Advancing("random", gap=between(3, 16), speed=between(0.35, 0.9))

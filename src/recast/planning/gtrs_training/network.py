@@ -1,0 +1,62 @@
+"""The small network's sizes, the pictures it sees, and its first weights."""
+
+from __future__ import annotations
+
+import torch
+
+from recast.planning.gtrs import BackboneConfig, GtrsConfig, GtrsModel, StageConfig, new_model
+from recast.planning.gtrs.views import ViewLayout
+
+NAME = "gtrs-mini"
+
+MINI_VIEWS = ViewLayout(
+    width=480, height=320, crop_rows=32, crop_columns=104, input_width=512, input_height=128
+)
+"""Three cameras of the synthetic rig in the loop: 272 + 480 + 272 columns, averaged two by two."""
+
+HALF_VIEWS = ViewLayout(
+    width=240, height=160, crop_rows=16, crop_columns=52, input_width=512, input_height=128
+)
+"""The same rendered at half the size, for the training: a quarter of the cost."""
+
+
+def _stage(blocks: int, conv_channels: int, out_channels: int) -> StageConfig:
+    return StageConfig(blocks=blocks, conv_channels=conv_channels, out_channels=out_channels)
+
+
+MINI = GtrsConfig(
+    backbone=BackboneConfig(
+        stem=(16, 16, 32),
+        stages=(_stage(1, 24, 48), _stage(1, 48, 96), _stage(3, 64, 192)),
+        layers=3,
+        frozen_norm=False,
+    ),
+    channels=128,
+    feedforward=192,
+    heads=4,
+    decoder_layers=2,
+    token_rows=8,
+    token_columns=32,
+)
+"""A backbone that ends at stride 16: a vehicle 40 m ahead is 11 of 512 columns wide."""
+
+_USUAL = {
+    "no_at_fault_collisions": 1.0,
+    "drivable_area_compliance": 1.0,
+    "traffic_light_compliance": 5.0,
+}
+"""Logits that the heads begin with, where most trajectories are fine."""
+
+
+def first_model(seed: int, config: GtrsConfig = MINI) -> GtrsModel:
+    """The network before its first step; the vocabulary embedding is scaled to metres."""
+    model = new_model(config, torch.Generator().manual_seed(seed))
+    with torch.no_grad():
+        # Raw metres come in, tens of them: unit weights would drown all else in a few entries.
+        first = model.head.pos_embed[0]
+        assert isinstance(first, torch.nn.Linear)
+        first.weight.mul_(0.1)
+        for name, logit in _USUAL.items():
+            last = model.head.heads[name][-1]  # type: ignore[index]
+            last.bias.fill_(logit)
+    return model

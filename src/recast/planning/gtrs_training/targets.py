@@ -1,0 +1,164 @@
+"""What the network learns to foretell: sub-scores of every trajectory, and the best of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from recast.dynamics import PACIFICA, VehicleParameters, plan_to_poses, track
+from recast.dynamics import state as ego
+from recast.planning.gtrs.head import METRICS
+from recast.planning.gtrs.vocabulary import Trajectories
+from recast.planning.gtrs_training.collisions import Obstacle, collisions, overlapping
+from recast.planning.map import PlannerMap
+from recast.planning.pdm import LanePath
+from recast.planning.pdm.comfort import is_comfortable
+from recast.planning.pdm.ego_areas import ego_areas
+from recast.planning.pdm.footprint import box_centres, box_corners
+from recast.planning.pdm.scorer import direction_compliance
+from recast.planning.types import WAYPOINTS
+
+Array = NDArray[np.float64]
+
+SCORED = METRICS[:6]
+"""Heads with targets of their own, in their order; the last one, traffic lights, is always 1."""
+STRIDE = 2
+"""Steps between looks at areas and lanes."""
+
+_ALONG, _ACROSS = 0.5, 0.1
+"""Metres by which obstacles count as longer at each end, and wider at each side, than they are:
+what only just fits is not to be learnt."""
+_OFF_LANE, _OFF_LANE_STEPS = 0.5, 20
+"""Metres off the middle, and steps running: NAVSIM's lane keeping."""
+_LEAVES = 1.0
+"""Metres off the middle that are too much at once."""
+_LEAST_PROGRESS = 5.0
+_BLOCKED = 4.0
+"""Metres up to which it is better to stand than to creep closer."""
+_FULL = 255
+
+
+@dataclass(frozen=True)
+class Road:
+    """Where the ego shall go.
+
+    Attributes:
+        map: lanes and drivable area.
+        lanes: ids of the lanes of the route.
+        middle: path on which progress and lane keeping are measured.
+        speeds: (N,) m/s wanted at the path's poses.
+    """
+
+    map: PlannerMap
+    lanes: tuple[str, ...]
+    middle: LanePath
+    speeds: Array
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Scores of a vocabulary in one situation.
+
+    Attributes:
+        scores: (6, L) uint8, 255 for 1, in the order of `SCORED`.
+        total: (L,) NC DAC DDC (5 TTC + 5 EP + 2 LK + 2 C) / 14.
+    """
+
+    scores: NDArray[np.uint8]
+    total: Array
+
+    @property
+    def best(self) -> int:
+        """Index of the best trajectory."""
+        return int(self.total.argmax())
+
+
+def score_vocabulary(
+    vocabulary: Trajectories,
+    state: Array,
+    road: Road,
+    obstacles: Sequence[Obstacle],
+    vehicle: VehicleParameters = PACIFICA,
+) -> Targets:
+    """Drive every trajectory with the LQR tracker and score it by PDM's rules.
+
+    Obstacles move as they truly will, not at constant velocity. Beyond PDM: touching an obstacle
+    sideways is always the ego's fault, since the closed loop counts every collision. Progress is
+    compared with what the wanted speeds allow, or with the best that gets through in its lane if
+    that is less; more is as bad as less, so that braking beats swerving. Lane keeping is NAVSIM's,
+    not more than 0.5 m off for 2 s running, and never more than 1 m off where it was not.
+
+    Areas and lanes are looked up every 0.2 s.
+
+    Args:
+        vocabulary: (L, 40, 3).
+        state: (11,) of the ego, world.
+    """
+    start = np.broadcast_to(state, (len(vocabulary), ego.SIZE))
+    poses = plan_to_poses(start[:, ego.POSE], vocabulary.astype(np.float64))
+    states = track(start, poses, WAYPOINTS)
+    seen = states[:, ::STRIDE]
+    corners = box_corners(seen[..., ego.POSE], vehicle)
+    centres = box_centres(seen[..., ego.POSE], vehicle)
+    areas = ego_areas(road.map, road.lanes, corners, centres, seen[..., ego.POSE])
+    drivable = np.where(areas.non_drivable.any(axis=-1), 0.0, 1.0)
+    direction = direction_compliance(centres, areas)
+    safe, ttc = collisions(states, [_grown(obstacle) for obstacle in obstacles], vehicle)
+    comfort = is_comfortable(states)
+    keeping = _lane_keeping(centres, areas.in_intersection, road.middle)
+    ends = road.middle.project(centres[:, [0, -1]])
+    metres = np.maximum(ends[:, 1] - ends[:, 0], 0.0)
+    allowed = safe * drivable * direction
+    through = float((metres * allowed * keeping).max())
+    wanted = min(_wanted_metres(road, state), through if through > _BLOCKED else 0.0)
+    missed = np.abs(metres - wanted) / max(wanted, _LEAST_PROGRESS)
+    progress = np.clip(1.0 - missed, 0.0, 1.0)
+    weighted = 5 * ttc + 5 * progress + 2 * keeping + 2 * comfort
+    scores = np.stack([safe, drivable, ttc, progress, direction, keeping])
+    return Targets(np.rint(_FULL * scores).astype(np.uint8), allowed * weighted / 14)
+
+
+def unpacked(scores: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Stored scores as values in [0, 1]."""
+    return np.asarray(scores / np.float32(_FULL), np.float32)
+
+
+def touched(state: Array, obstacles: Sequence[Obstacle], vehicle: VehicleParameters) -> bool:
+    """Whether the ego (11,) touches an obstacle now, the margins counted in."""
+    here = box_centres(state[ego.POSE], vehicle)
+    size = (vehicle.length, vehicle.width)
+    return any(bool(overlapping(here, size, o.poses[0], o.size)) for o in map(_grown, obstacles))
+
+
+def _grown(obstacle: Obstacle) -> Obstacle:
+    return replace(obstacle, size=obstacle.size[:2] + 2 * np.array([_ALONG, _ACROSS]))
+
+
+def _wanted_metres(road: Road, state: Array) -> float:
+    """What a calm driver covers within the trajectory: towards the wanted speeds."""
+    place, speed, driven = float(road.middle.project(state)), float(state[ego.VX]), 0.0
+    for _ in range(WAYPOINTS):
+        goal = float(np.interp(place + driven, road.middle.progress, road.speeds))
+        speed = max(0.0, speed + 0.1 * float(np.clip((goal - speed) / 0.8, -2.5, 1.6)))
+        driven += 0.1 * speed
+    return driven
+
+
+def _lane_keeping(centres: Array, in_intersection: NDArray[np.bool_], middle: LanePath) -> Array:
+    places = middle.project(centres[:, [0, -1]])
+    # The part beside which it all happens: the lookup's cost grows with the path.
+    part = middle.stretch(places.min() - 10.0, places.max() + 10.0, vertices_only=False)
+    shapely.prepare(part)
+    off = shapely.distance(part, shapely.points(centres[..., :2]))
+    off = np.where(in_intersection, 0.0, off)
+    left = (off > np.maximum(_LEAVES, off[:, :1] + 0.2)).any(axis=1)
+    running = np.zeros(len(off), np.int64)
+    longest = running.copy()
+    for step in range(1, off.shape[1]):
+        running = np.where(off[:, step] > _OFF_LANE, running + STRIDE, 0)
+        longest = np.maximum(longest, running)
+    return np.where((longest >= _OFF_LANE_STEPS) | left, 0.0, 1.0)

@@ -1,0 +1,139 @@
+"""What a step of the training sees and minimises."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from recast.planning.gtrs import METRICS, GtrsModel, network_input, training_loss
+from recast.planning.gtrs.loss import DEMONSTRATED
+from recast.planning.gtrs_training.augment import (
+    augment,
+    mirror_clues,
+    mirror_image,
+    mirror_status,
+)
+from recast.planning.gtrs_training.clue_reader import ClueReader
+from recast.planning.gtrs_training.store import SampleStore
+from recast.planning.gtrs_training.targets import SCORED, unpacked
+from recast.planning.gtrs_training.vocabulary import mirror_index
+from recast.recar.training.task import StepLoss, StepRandom
+
+_CLUE_WEIGHT = 1.0
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Samples as tensors.
+
+    Attributes:
+        images: (B, 3, H, W) in [0, 1].
+        status: (B, 8).
+        targets: by metric head, (B, L).
+        demonstration: (B, 8, 3), of the best trajectories.
+        clues: (B, 10).
+    """
+
+    images: Tensor
+    status: Tensor
+    targets: Mapping[str, Tensor]
+    demonstration: Tensor
+    clues: Tensor
+
+
+class GtrsTask:
+    """Trains a GTRS model on stored samples, with the loss of the released training.
+
+    Half of a batch is drawn; the other half are their twins, the same situations with or without
+    the vehicle, where there are some, and else other samples. Half of all are mirrored, and all
+    but one in seven altered, see `augment`. Which of a sample's speeds is taken is drawn too.
+
+    Args:
+        store: of the samples.
+        indices: those to train on.
+        model: what is trained; for the vocabulary of the store.
+        reader: trained with it, and not part of the planner.
+        batch: samples a step; even.
+    """
+
+    def __init__(
+        self,
+        store: SampleStore,
+        indices: NDArray[np.int64],
+        model: GtrsModel,
+        reader: ClueReader,
+        batch: int,
+    ) -> None:
+        self.store, self.indices, self.batch = store, indices, batch
+        self.model, self.reader = model, reader
+        self.modules: Mapping[str, nn.Module] = {"gtrs": model, "reader": reader}
+        self._mirror = mirror_index(store.vocabulary)
+        self.vocabulary = torch.from_numpy(store.vocabulary)
+
+    def loss(self, step: int, random: StepRandom) -> StepLoss:
+        """Loss of the batch of a step, and its terms."""
+        rng = random.numpy
+        drawn = rng.choice(self.indices, self.batch // 2, replace=False)
+        twins = self.store.twin[drawn]
+        others = rng.choice(self.indices, len(drawn), replace=False)
+        chosen = np.concatenate([drawn, np.where(twins >= 0, twins, others)])
+        speeds = rng.integers(self.store.status.shape[1], size=len(chosen))
+        mirrored = rng.uniform(size=len(chosen)) < 0.5
+        # The same speed for both twins: then nothing but the picture tells them apart.
+        paired = np.flatnonzero(twins >= 0)
+        speeds[len(drawn) + paired] = speeds[paired]
+        images = [augment(self.store.image(index), rng) for index in chosen]
+        found = self.of(self.gather(chosen, speeds, mirrored, images))
+        return StepLoss(sum_of(found), {name: float(term) for name, term in found.items()})
+
+    def gather(
+        self,
+        chosen: NDArray[np.int64],
+        speeds: NDArray[np.int64],
+        mirrored: NDArray[np.bool_],
+        images: Sequence[NDArray[np.uint8]] | None = None,
+    ) -> Batch:
+        """Samples as a batch.
+
+        Args:
+            chosen: (B,) indices.
+            speeds: (B,) which of the ego's speeds.
+            mirrored: (B,) which are taken in the mirror.
+            images: instead of the stored ones.
+        """
+        store = self.store
+        pictures = [store.image(i) for i in chosen] if images is None else list(images)
+        status, scores = store.status[chosen, speeds], unpacked(store.scores[chosen, speeds])
+        best, clues = store.best[chosen, speeds].astype(np.int64), store.clues[chosen]
+        for row in np.flatnonzero(mirrored):
+            pictures[row] = mirror_image(pictures[row])
+            status[row], clues[row] = mirror_status(status[row]), mirror_clues(clues[row])
+            scores[row], best[row] = scores[row][:, self._mirror], self._mirror[best[row]]
+        targets = {name: torch.from_numpy(scores[:, i]) for i, name in enumerate(SCORED)}
+        targets[METRICS[6]] = torch.ones_like(targets[SCORED[0]])
+        return Batch(
+            torch.stack([network_input(picture) for picture in pictures]),
+            torch.from_numpy(status),
+            targets,
+            self.vocabulary[torch.from_numpy(best)][:, DEMONSTRATED],
+            torch.from_numpy(clues),
+        )
+
+    def of(self, batch: Batch) -> dict[str, Tensor]:
+        """Terms of the loss by name."""
+        features = self.model.backbone(batch.images)
+        logits = self.model.score(features, batch.status, self.vocabulary)
+        terms = training_loss(logits, batch.targets, self.vocabulary, batch.demonstration)
+        read = self.reader(self.model.image_tokens(features))
+        terms["clues"] = _CLUE_WEIGHT * self.reader.loss(read, batch.clues)
+        return terms
+
+
+def sum_of(terms: Mapping[str, Tensor]) -> Tensor:
+    """Of all terms: the loss."""
+    return torch.stack(list(terms.values())).sum()

@@ -1,0 +1,206 @@
+"""`recast planner train`: a small GTRS planner from scored samples; resumes to the same weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+from rich.console import Console
+from torch import nn
+
+from recast.errors import InputError
+from recast.planning.gtrs import GtrsModel, GtrsPlanner, save_gtrs
+from recast.planning.gtrs.vocabulary import Trajectories
+from recast.planning.gtrs_training.clue_reader import ClueReader
+from recast.planning.gtrs_training.judge import Judgement, judge
+from recast.planning.gtrs_training.network import MINI_VIEWS, NAME, first_model
+from recast.planning.gtrs_training.settings import PlannerTrainingConfig
+from recast.planning.gtrs_training.sheet import decision_sheet
+from recast.planning.gtrs_training.store import RECORD_FILE, VOCABULARY_FILE, SampleStore
+from recast.planning.gtrs_training.task import GtrsTask
+from recast.recar.training.display import TrainingDisplay
+from recast.recar.training.loop import train
+from recast.recar.training.state import TrainingState
+from recast.recar.training.training_record import hash_files
+from recast.records import read_record
+from recast.storage import write_json
+
+TRAINING_FILE = "planner_training.json"
+_MEND = "name another output folder"
+_SHEET_ROWS = 8
+_SETTLING = 32
+"""Batches over which the norms' statistics are taken for the averaged weights."""
+
+
+class PlannerTrainingRecord(BaseModel):
+    """`planner_training.json`: what from and how, and at the end what it reaches.
+
+    Attributes:
+        config: how.
+        dataset_sha256: of the dataset's record and vocabulary; worlds may be added between two
+            trainings, not during one.
+        samples, held_out: how many are trained on, and not.
+        parameters: of the planner.
+        reached: on all held-out samples, by the weights that are exported; None before the end.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    format: Literal["recast-planner-training"] = "recast-planner-training"
+    version: Literal[1] = 1
+    config: PlannerTrainingConfig
+    dataset_sha256: str
+    samples: int
+    held_out: int
+    parameters: int
+    reached: dict[str, float | int | None] | None = None
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """What a training folder trains."""
+
+    store: SampleStore
+    task: GtrsTask
+    held_out: NDArray[np.int64]
+    record: PlannerTrainingRecord
+
+
+def train_planner(
+    dataset: Path, out: Path, config: PlannerTrainingConfig, console: Console
+) -> Judgement:
+    """Train in `out`, from its checkpoint where there is one, and judge the averaged weights.
+
+    `out` gets `log.jsonl`, the checkpoint, sheets of held-out decisions and
+    `planner_training.json`.
+
+    Raises:
+        InputError: the dataset is too small or broken, or `out` holds another training.
+    """
+    setting = _open(dataset, config)
+    _check_same(out, setting.record)
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / TRAINING_FILE, setting.record.model_dump(mode="json"))
+    task, trainer = setting.task, config.trainer
+    shown = _spread(setting.held_out, config.judged)
+    with TrainingDisplay("planner", trainer.steps, console) as display:
+
+        def after_step(state: TrainingState) -> None:
+            display.step(state.step)
+            if config.sheet_every and state.step % config.sheet_every == 0:
+                sheet = decision_sheet(task, _spread(shown, _SHEET_ROWS))
+                sheet.write(out / "sheets" / f"{state.step:07d}.png")
+
+        state = train(
+            task, trainer, out, after_step=after_step,
+            probe=lambda: judge(task, shown).means(),
+            watch=lambda step, values: display.means(step, values, trainer.rate(step - 1)),
+        )  # fmt: skip
+    _take_averages(state, task, trainer.seed)
+    reached = judge(task, setting.held_out)
+    decision_sheet(task, _spread(shown, _SHEET_ROWS)).write(out / "sheets" / "final.png")
+    means = {k: v if np.isfinite(v) else None for k, v in reached.means().items()}
+    record = setting.record.model_copy(update={"reached": {"samples": reached.samples, **means}})
+    write_json(out / TRAINING_FILE, record.model_dump(mode="json"))
+    return reached
+
+
+def export_planner(training: Path, dataset: Path, out: Path) -> GtrsPlanner:
+    """Write the planner of a training, finished or not, as a folder in float16.
+
+    Raises:
+        InputError: no training is there, or it is of another dataset; `out` exists.
+    """
+    found = read_record(
+        training / TRAINING_FILE, PlannerTrainingRecord, 1, "name a folder of recast planner train",
+        "recast-planner-training",
+    )  # fmt: skip
+    setting = _open(dataset, found.config)
+    _check_same(training, setting.record)
+    trainer = found.config.trainer
+    state = TrainingState.begin(setting.task.modules, trainer)
+    state.read(training, trainer)
+    if state.step == 0:
+        raise InputError(training, "checkpoint", "is missing", "train for some steps first")
+    _take_averages(state, setting.task, trainer.seed)
+    planner = _planner(setting.task.model, setting.store.vocabulary)
+    save_gtrs(out, planner, torch.float16)
+    return planner
+
+
+def _open(dataset: Path, config: PlannerTrainingConfig) -> _Setting:
+    store = SampleStore(dataset)
+    train_on, held_out = np.flatnonzero(~store.held_out), np.flatnonzero(store.held_out)
+    if len(train_on) < config.batch or len(held_out) < 2:
+        raise InputError(
+            dataset, "samples",
+            f"{len(train_on)} to train on and {len(held_out)} held out are too few",
+            f"make at least {config.batch} and 2: every tenth world is held out",
+        )  # fmt: skip
+    seed = config.trainer.seed
+    model = first_model(seed, config.network)
+    reader = ClueReader(config.network.channels, torch.Generator().manual_seed(seed + 1))
+    record = PlannerTrainingRecord(
+        config=config,
+        dataset_sha256=hash_files(dataset, [dataset / RECORD_FILE, dataset / VOCABULARY_FILE]),
+        samples=len(train_on),
+        held_out=len(held_out),
+        parameters=sum(parameter.numel() for parameter in model.parameters()),
+    )
+    task = GtrsTask(store, train_on, model, reader, config.batch)
+    return _Setting(store, task, held_out, record)
+
+
+def _check_same(folder: Path, record: PlannerTrainingRecord) -> None:
+    """Check that what lies in a folder, if anything, is the same training."""
+    path = folder / TRAINING_FILE
+    if not path.exists():
+        if folder.exists() and any(folder.iterdir()):
+            raise InputError(folder, "output folder", "holds something else", _MEND)
+        return
+    found = read_record(path, PlannerTrainingRecord, 1, _MEND, record.format)
+    for name in ("dataset_sha256", "samples", "held_out", "parameters"):
+        if getattr(found, name) != getattr(record, name):
+            raise InputError(
+                path, name, f"is {getattr(found, name)}, not {getattr(record, name)}", _MEND
+            )
+    free = {"trainer": True, "judged": True, "sheet_every": True}  # the state checks its settings
+    if found.config.model_dump(exclude=free) != record.config.model_dump(exclude=free):
+        raise InputError(path, "config", "differs from the one asked for", _MEND)
+
+
+def _spread(indices: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """At most `count` of them, evenly."""
+    at = np.linspace(0, len(indices) - 1, min(count, len(indices))).astype(np.int64)
+    return indices[at]
+
+
+def _take_averages(state: TrainingState, task: GtrsTask, seed: int) -> None:
+    """Give the model the averaged weights, and its norms the statistics that belong to them."""
+    for name, average in state.averages.items():
+        average.copy_to(state.modules[name])
+    norms = [m for m in task.model.modules() if isinstance(m, nn.BatchNorm2d)]
+    momentum = [norm.momentum for norm in norms]
+    rng = np.random.default_rng([seed, len(norms)])
+    task.model.train()
+    for norm in norms:
+        norm.reset_running_stats()
+        norm.momentum = None  # a plain mean over the batches
+    with torch.no_grad():
+        for _ in range(_SETTLING):
+            chosen = rng.choice(task.indices, task.batch)
+            zeros = np.zeros(task.batch, np.int64)
+            batch = task.gather(chosen, zeros, rng.uniform(size=task.batch) < 0.5)
+            task.model.backbone(batch.images)
+    for norm, usual in zip(norms, momentum, strict=True):
+        norm.momentum = usual
+    task.model.eval()
+
+
+def _planner(model: GtrsModel, vocabulary: Trajectories) -> GtrsPlanner:
+    return GtrsPlanner(model, vocabulary, MINI_VIEWS, name=NAME)

@@ -1,0 +1,94 @@
+"""One synthetic world, drawn from, rendered and scored as for the real dataset."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recast.dynamics import PACIFICA
+from recast.errors import InputError
+from recast.pipeline.planner_data.dataset import FIRST_SEED, make_dataset
+from recast.pipeline.planner_data.situation import draw_situation
+from recast.pipeline.planner_data.stage import Stage, make_stage
+from recast.planning.gtrs_training.store import DatasetRecord, SampleStore, world_folder
+from recast.planning.gtrs_training.targets import touched
+from recast.planning.gtrs_training.vocabulary import make_vocabulary
+
+pytest.importorskip("embreex")
+
+RECORD = DatasetRecord(per_world=2, speeds=1, seconds=14.0, scenes=("roundabout-approach",))
+
+
+@pytest.fixture(scope="module")
+def stage() -> Stage:
+    return make_stage("roundabout-approach", FIRST_SEED, 14.0)
+
+
+def test_situations_are_possible_and_follow_the_generator(stage: Stage) -> None:
+    for seed in range(6):
+        found = draw_situation(stage, True, 3, np.random.default_rng(seed))
+        again = draw_situation(stage, True, 3, np.random.default_rng(seed))
+        assert found is not None
+        assert again is not None
+        assert found.actor is not None
+        np.testing.assert_array_equal(found.states, again.states)
+        assert not touched(found.states[0], found.obstacles, PACIFICA)
+        assert not any(found.actor.meets(other) for other in (*found.others, *found.parked))
+        assert np.ptp(found.states[:, :3], axis=0).max() == 0.0
+        _, lateral = stage.route.project(found.states[0])
+        assert abs(float(lateral)) <= 1.2 + 1e-6
+        assert found.without_actor().actor is None
+        assert len(found.without_actor().obstacles) == len(found.obstacles) - 1
+
+
+def test_a_dataset_of_one_world(tmp_path: Path) -> None:
+    out, vocabulary = tmp_path / "data", make_vocabulary(64)
+    assert make_dataset(out, 1, RECORD, vocabulary) == 2
+    store = SampleStore(out)
+    assert store.image(0).shape == (128, 512, 3)
+    assert store.image(0).std() > 10
+    assert store.scores.shape == (2, 1, 6, 64)
+    assert store.status.shape == (2, 1, 8)
+    written = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
+    assert make_dataset(out, 2, RECORD, vocabulary) == 2
+    assert all(path.stat().st_mtime_ns == then for path, then in written.items())
+    with pytest.raises(InputError, match="settings"):
+        make_dataset(out, 1, RECORD.model_copy(update={"seed": 1}), vocabulary)
+    with pytest.raises(InputError, match="another one"):
+        make_dataset(out, 1, RECORD, make_vocabulary(64, seed=1))
+
+
+@pytest.mark.slow
+def test_killed_and_repeated_it_has_the_same_bytes(tmp_path: Path) -> None:
+    vocabulary = make_vocabulary(64)
+    make_dataset(tmp_path / "whole", 4, RECORD, vocabulary, workers=2)
+    np.save(tmp_path / "vocabulary.npy", vocabulary)
+    code = (
+        "import sys, numpy as np\n"
+        "from pathlib import Path\n"
+        "from recast.pipeline.planner_data.dataset import make_dataset\n"
+        "from recast.planning.gtrs_training.store import DatasetRecord\n"
+        f"record = DatasetRecord.model_validate({RECORD.model_dump()!r})\n"
+        "folder = Path(sys.argv[1])\n"
+        "make_dataset(folder / 'parts', 4, record, np.load(folder / 'vocabulary.npy'))\n"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path)]
+    first = subprocess.Popen(command)
+    while not world_folder(tmp_path / "parts", 0).exists():
+        assert first.poll() is None
+        time.sleep(0.2)
+    time.sleep(3.0)  # into the second world
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    assert not world_folder(tmp_path / "parts", 1).exists()
+    subprocess.run(command, check=True)
+    for path in sorted((tmp_path / "whole").rglob("*.*")):
+        other = tmp_path / "parts" / path.relative_to(tmp_path / "whole")
+        if path.is_file():
+            assert other.read_bytes() == path.read_bytes()

@@ -1,0 +1,126 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from rich.console import Console
+
+from recast.errors import InputError
+from recast.planning import make_planner
+from recast.planning.gtrs import BackboneConfig, GtrsConfig, StageConfig
+from recast.planning.gtrs_training.network import HALF_VIEWS, MINI, MINI_VIEWS
+from recast.planning.gtrs_training.settings import PlannerTrainingConfig, chosen_training
+from recast.planning.gtrs_training.sheet import truth_sheet
+from recast.planning.gtrs_training.store import SampleStore
+from recast.planning.gtrs_training.train import export_planner, train_planner
+from recast.recar.training.log import LOG_FILE, read_log_lines
+from recast.recar.training.settings import TrainerSettings
+from recast.recar.training.state import STATE_FILE
+from recast.storage import write_json
+
+TINY = GtrsConfig(
+    backbone=BackboneConfig(
+        stem=(4, 4, 8),
+        stages=(StageConfig(blocks=1, conv_channels=8, out_channels=12),),
+        layers=1,
+        frozen_norm=False,
+    ),
+    channels=16, feedforward=16, heads=2, decoder_layers=1, token_rows=2, token_columns=8,
+)  # fmt: skip
+QUIET = Console(quiet=True)
+
+
+def config(steps: int, **changes: object) -> PlannerTrainingConfig:
+    trainer = TrainerSettings(
+        steps=steps, lr=2e-3, ema_decay=0.9, clip=2.0, checkpoint_every=2, log_every=3
+    )
+    said = {"trainer": trainer, "network": TINY, "batch": 4, "judged": 2, "sheet_every": 4}
+    return PlannerTrainingConfig(**(said | changes))
+
+
+def test_a_killed_training_ends_in_the_same_bytes(small_dataset: Path, tmp_path: Path) -> None:
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    reached = train_planner(small_dataset, whole, config(6), QUIET)
+    train_planner(small_dataset, parts, config(3), QUIET)  # a constant rate may go on
+    train_planner(small_dataset, parts, config(6), QUIET)
+    with_settings = [(folder / STATE_FILE).read_bytes() for folder in (whole, parts)]
+    assert with_settings[0] == with_settings[1]
+    lines = [
+        [{k: v for k, v in line.items() if k != "seconds"} for line in read_log_lines(f / LOG_FILE)]
+        for f in (whole, parts)
+    ]
+    assert lines[0] == lines[1]
+    assert {"held_out", "gap", "regret"} <= lines[0][-1].keys()
+    assert reached.samples == 2
+    assert 0.0 <= reached.score <= 1.0
+    assert (whole / "sheets" / "0000004.png").exists()
+
+    planner = export_planner(whole, small_dataset, tmp_path / "planner")
+    loaded = make_planner(str(tmp_path / "planner"))
+    assert loaded.name == "gtrs-mini"
+    half = {
+        k: v.half().float() for k, v in planner.model.state_dict().items() if v.is_floating_point()
+    }
+    for name, value in half.items():
+        torch.testing.assert_close(loaded.model.state_dict()[name], value, rtol=0, atol=0)
+
+
+def test_another_training_in_the_same_folder_is_refused(
+    small_dataset: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "training"
+    train_planner(small_dataset, out, config(2), QUIET)
+    with pytest.raises(InputError, match="config"):
+        train_planner(small_dataset, out, config(2, batch=2), QUIET)
+    with pytest.raises(InputError, match="exists"):
+        export_planner(out, small_dataset, out)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "file").touch()
+    with pytest.raises(InputError, match="something else"):
+        train_planner(small_dataset, tmp_path / "other", config(2), QUIET)
+
+
+def test_it_learns_to_look(small_dataset: Path, tmp_path: Path) -> None:
+    """Some seconds suffice to tell a street with a red patch from one without."""
+    training = config(150, sheet_every=0, judged=2, batch=8).model_copy(
+        update={"trainer": TrainerSettings(steps=150, lr=5e-3, clip=2.0, log_every=150)}
+    )
+    reached = train_planner(small_dataset, tmp_path / "out", training, QUIET)
+    assert reached.gap > 0.0
+    assert reached.slower > 0.0
+
+
+def test_settings_come_from_a_file_and_the_arguments(tmp_path: Path) -> None:
+    path = tmp_path / "config.json"
+    write_json(path, {"trainer": {"lr": 1e-3}, "batch": 4})
+    found = chosen_training(path, seed=3, steps=7)
+    assert (found.trainer.lr, found.trainer.seed, found.trainer.steps, found.batch) == (
+        1e-3,
+        3,
+        7,
+        4,
+    )
+    assert found.network == MINI
+    write_json(path, {"batsch": 4})
+    with pytest.raises(InputError, match="batsch"):
+        chosen_training(path)
+
+
+def test_half_size_views_are_the_loop_s_averaged_two_by_two() -> None:
+    rng = np.random.default_rng(0)
+    small = {
+        name: rng.integers(0, 255, (160, 240, 3)).astype(np.uint8) for name in HALF_VIEWS.cameras
+    }
+    large = {name: image.repeat(2, axis=0).repeat(2, axis=1) for name, image in small.items()}
+    np.testing.assert_array_equal(MINI_VIEWS.stitch(large), HALF_VIEWS.stitch(small))
+
+
+def test_the_store_knows_twins_and_holds_out_whole_worlds(small_dataset: Path) -> None:
+    store = SampleStore(small_dataset)
+    assert len(store) == 20
+    np.testing.assert_array_equal(store.twin[store.twin], np.arange(20))
+    assert set(store.worlds[store.held_out]) == {9}
+    assert store.image(3).shape == (128, 512, 3)
+    assert truth_sheet(store, 0, 3).image.shape == (3 * 128, 512 + 256, 3)
+    with pytest.raises(InputError, match="there are 20"):
+        truth_sheet(store, 18, 3)
