@@ -13,6 +13,7 @@ from recast.cli.demo import Demo
 from recast.cli.doctor import Doctor
 from recast.cli.eval import Eval
 from recast.cli.log import Log
+from recast.cli.planner import Planner
 from recast.cli.recar import Recar
 from recast.cli.report import Report
 from recast.cli.run import Run
@@ -28,6 +29,7 @@ Command = (
     | Annotated[Recar, tyro.conf.subcommand("recar")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Trellis, tyro.conf.subcommand("trellis")]
+    | Annotated[Planner, tyro.conf.subcommand("planner")]
     | Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
