@@ -8,7 +8,13 @@ import pytest
 
 from recast import plugins
 from recast.errors import InputError
-from recast.planning import PLANNERS, IdmLaneFollower, make_planner
+from recast.planning import (
+    PLANNERS,
+    IdmLaneFollower,
+    gtrs_mini,
+    make_planner,
+    planner_folder,
+)
 
 PLUGIN = """
 class Mine:
@@ -35,13 +41,23 @@ def test_built_in_planners_by_name(name: str) -> None:
     assert make_planner(name).name == name
 
 
+def test_the_shipped_planner_is_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "gtrs-mini" in PLANNERS.names()
+    assert planner_folder("gtrs-mini") == gtrs_mini()
+    assert planner_folder("./somewhere") == Path("somewhere")
+    assert planner_folder("pdm-closed") is planner_folder("some.module:Planner") is None
+    monkeypatch.setattr("recast.planning.shipped.gtrs_mini", lambda: tmp_path / "gone")
+    with pytest.raises(InputError, match="planner: gtrs-mini: its weights are not in this inst"):
+        make_planner("gtrs-mini")
+
+
 def test_each_call_makes_a_new_one() -> None:
     assert make_planner("idm-follower") is not make_planner("idm-follower")
     assert isinstance(make_planner("idm-follower"), IdmLaneFollower)
 
 
 def test_an_unknown_name_lists_the_known() -> None:
-    with pytest.raises(InputError, match="constant-velocity, idm-follower, log-replay"):
+    with pytest.raises(InputError, match="constant-velocity, gtrs-mini, idm-follower"):
         make_planner("gtsr")
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +11,12 @@ from synthetic_drives import drive
 from recast.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.logs.types import CameraStream, DrivingLog
-from recast.planning import ConstantVelocity
+from recast.planning import ConstantVelocity, Plan, PlannerInput
+from recast.planning.gtrs import nuplan_rig
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.simulation import MOTIONS, RolloutSetup, SimState, camera_mounts, run_rollout
+from recast.simulation.lens_renderer import through_lenses
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.splats import Gaussians
 
@@ -118,6 +121,30 @@ def test_a_scene_without_the_actor_is_refused(scene: StreetScene) -> None:
     renderer = SceneRenderer(replace(scene, actors={}), camera_mounts(log_with_camera()))
     with pytest.raises(InputError, match="actor 7: has no model in the scene"):
         renderer.render(state(), ["front"])
+
+
+def test_a_planner_that_names_nuplans_cameras_sees_the_scene_through_them(
+    scene: StreetScene,
+) -> None:
+    class Looker(ConstantVelocity):
+        name, needs_images, camera_names = "looker", True, ("nuplan_l0", "nuplan_f0", "nuplan_r0")
+        seen: tuple[Mapping[str, np.ndarray], ...] = ()
+
+        def plan(self, observation: PlannerInput) -> Plan:
+            self.seen = (*self.seen, observation.images)
+            return super().plan(observation)
+
+    log, planner = log_with_camera(), Looker()
+    mounts = camera_mounts(log) | nuplan_rig(0.05)
+    renderer = through_lenses(mounts, lambda sources: SceneRenderer(scene, sources))
+    run_rollout(RolloutSetup(log, "7", MOTIONS["stationary-a"], steps=10), planner, renderer)
+    images = planner.seen[0]
+    assert list(images) == list(planner.camera_names) and len(planner.seen) == 2
+    assert all(image.shape == (54, 96, 3) for image in images.values())
+    red = images["nuplan_f0"][..., 0].astype(int) - images["nuplan_f0"][..., 2]
+    rows, columns = np.nonzero(red > 128)
+    assert len(rows) and abs(columns.mean() - 48) < 3, "the red actor stands straight ahead"
+    assert (images["nuplan_l0"][..., 0] < 64).all()
 
 
 def test_a_film_of_a_rollout(scene: StreetScene) -> None:

@@ -324,6 +324,79 @@ def test_a_wrong_plan_names_the_planner() -> None:
         run_rollout(RolloutSetup(drive(), "7", MOTIONS["cut-in-a"]), Short())
 
 
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (None, "returned NoneType, not a Plan"),
+        (np.zeros((40, 3)), "returned ndarray, not a Plan"),
+        (Plan(np.full((40, 3), np.nan)), "NaN or infinity at waypoint 0"),
+        (Plan([[0.0], [1.0, 2.0]]), "is no array of numbers"),  # type: ignore[arg-type]
+        (Plan(None), r"expected \(40, 3\), got \(\)"),  # type: ignore[arg-type]
+    ],
+)
+def test_what_is_no_plan(answer: object, message: str) -> None:
+    class Wrong(Recorder):
+        name = "wrong"
+
+        def plan(self, observation: PlannerInput) -> Plan:
+            return answer  # type: ignore[return-value]
+
+    with pytest.raises(ValueError, match=f"^planner wrong: .*{message}"):
+        run_rollout(RolloutSetup(drive(), "7", MOTIONS["cut-in-a"]), Wrong())
+
+
+def test_a_plan_that_takes_too_long_fails_the_rollout(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr("recast.simulation.rollout_loop.perf_counter", lambda: clock[0])
+
+    class Slow(Recorder):
+        name = "slow"
+
+        def plan(self, observation: PlannerInput) -> Plan:
+            clock[0] += 2.5 if observation.step == 10 else 0.4
+            return super().plan(observation)
+
+    setup = RolloutSetup(drive(), "7", MOTIONS["cut-in-a"], steps=20)
+    run_rollout(setup, Slow())
+    with pytest.raises(
+        ValueError, match=r"^planner slow: took 2.5 s .* step 10, the limit is 0.5 s"
+    ):
+        run_rollout(replace(setup, plan_limit_s=0.5), Slow())
+
+
+class Looker(Recorder):
+    """Looks at one camera only."""
+
+    camera_names = ("left",)
+
+    def __init__(self) -> None:
+        super().__init__(needs_images=True)
+
+
+def test_a_planner_that_names_its_cameras_gets_only_those() -> None:
+    renderer, planner, timings = CountingRenderer(), Looker(), Timings()
+    setup = RolloutSetup(drive(), "7", MOTIONS["cut-in-a"], steps=12, camera_names=("front",))
+    run_rollout(setup, planner, renderer, timings=timings)
+    assert [set(seen.images) for seen in planner.seen] == [{"left"}] * 3
+    assert planner.context is not None and set(planner.context.cameras) == {"left"}
+    assert timings.frames == 3
+
+    frames: list[Mapping[str, NDArray[np.uint8]]] = []
+    run_rollout(setup, planner, renderer, lambda state, images: frames.append(images), timings)
+    assert [set(images) for images in frames] == [{"front"}] * 12
+    assert [set(seen.images) for seen in planner.seen] == [{"left"}] * 3
+    assert timings.frames == 3 + 12 + 3
+
+
+def test_a_camera_that_cannot_be_rendered_is_named() -> None:
+    class Backward(Looker):
+        camera_names = ("front", "rear")
+
+    setup = RolloutSetup(drive(), "7", MOTIONS["cut-in-a"])
+    with pytest.raises(InputError, match=r"recorder: camera rear: is needed .* front, left"):
+        run_rollout(setup, Backward(), CountingRenderer())
+
+
 def test_a_standing_planner_may_stand() -> None:
     class Stop(Recorder):
         def plan(self, observation: PlannerInput) -> Plan:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +28,14 @@ from recast.pipeline.layout import (
     Method,
 )
 from recast.pipeline.methods import Renderers
+from recast.pipeline.planner import planner_source
 from recast.pipeline.report import report_run
 from recast.pipeline.rollouts import make_rollout
 from recast.pipeline.run_folder import RunFolder
 from recast.pipeline.scene import evaluation_table, train_with_display
 from recast.pipeline.scores import write_metrics
 from recast.pipeline.truth import compare_with_truth
-from recast.planning import make_planner
+from recast.planning import Planner, make_planner
 from recast.scene import evaluate_scene, load_scene
 from recast.simulation import RolloutSetup, Timings, prepare
 from recast.synthetic import World
@@ -168,6 +170,11 @@ class Job:
         assert self.world is not None  # the step is there for the oracle only
         compare_with_truth(self.path, self.log, self.world, self.config, self.console)
 
+    @cached_property
+    def planner(self) -> Planner:
+        """One for all rollouts, since loading may take long."""
+        return make_planner(self.config.planner)
+
     @property
     def _cameras(self) -> tuple[str, ...]:
         return self.config.scene.cameras or tuple(self.log.cameras)
@@ -192,12 +199,15 @@ class Job:
             "track": config.track,
             "motion": motion,
             "method": method,
-            "planner": config.planner,
+            "planner": planner_source(config.planner),
             "steps": config.steps,
             "plan_every": config.plan_every,
             "keep_other_actors": config.keep_other_actors,
-            "films": config.films,
         }
+        if not config.films:
+            inputs["films"] = False
+        if config.plan_limit_s is not None:
+            inputs["plan_limit_s"] = config.plan_limit_s
         if motion in config.own_motions:
             inputs["scenario"] = config.own_motions[motion]
         if method == "oracle":
@@ -223,6 +233,7 @@ class Job:
             steps=config.steps,
             plan_every=config.plan_every,
             keep_other_actors=config.keep_other_actors,
+            plan_limit_s=config.plan_limit_s,
             camera_names=self._cameras,
         )
 
@@ -230,13 +241,12 @@ class Job:
         self, motion: str, method: Method, target: Path, timings: Timings | None
     ) -> None:
         setup = self._setup(motion, method)
-        planner = make_planner(self.config.planner)
-        looked_at = self.config.films or planner.needs_images
+        looked_at = self.config.films or self.planner.needs_images
         renderer = self.renderers.of(method) if looked_at else None
         steps = self.possible_steps.get(motion, self.config.steps)
         with FrameProgress(self.console, steps) as progress:
             make_rollout(
-                setup, planner, renderer, target, progress, self.config.films, timings
+                setup, self.planner, renderer, target, progress, self.config.films, timings
             )  # fmt: skip
 
     def _score(self) -> None:

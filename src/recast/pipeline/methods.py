@@ -13,6 +13,7 @@ from recast.pipeline.layout import ACTOR_FOLDER, SCENE_FOLDER, Method
 from recast.planning import CameraMount
 from recast.scene import StreetScene, load_scene
 from recast.simulation import SensorRenderer
+from recast.simulation.lens_renderer import through_lenses
 from recast.simulation.oracle_renderer import OracleRenderer
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.synthetic import World
@@ -53,11 +54,15 @@ class Renderers:
 
     def _make(self, method: Method) -> SensorRenderer:
         if method != "oracle":
-            return SceneRenderer(method_scene(method, self._run), self._mounts)
-        if self._world is None:
+            scene = method_scene(method, self._run)
+            return through_lenses(self._mounts, lambda mounts: SceneRenderer(scene, mounts))
+        world = self._world
+        if world is None:
             raise ValueError("Renderers.of: the oracle needs the world")
-        oracle = OracleRenderer(self._world, self._mounts, self._oracle_workers)
-        return self._open.enter_context(oracle)
+        workers, keep = self._oracle_workers, self._open.enter_context
+        return through_lenses(
+            self._mounts, lambda mounts: keep(OracleRenderer(world, mounts, workers))
+        )
 
     def __enter__(self) -> Self:
         """Nothing starts before it is asked for."""

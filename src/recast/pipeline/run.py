@@ -16,9 +16,9 @@ from recast.pipeline.config import RunConfig
 from recast.pipeline.fingerprint import folder_hash
 from recast.pipeline.job import Job
 from recast.pipeline.methods import Renderers
+from recast.pipeline.planner import run_mounts
 from recast.pipeline.run_folder import RunFolder
 from recast.planning import make_planner
-from recast.simulation import camera_mounts
 from recast.splats import set_threads
 from recast.synthetic import world_of
 from recast.synthetic.rendering import require_embree
@@ -33,8 +33,8 @@ def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Conso
         console: shows steps, progress and time left.
 
     Raises:
-        InputError: bad log, track, planner, generator or segmenter, or a folder that holds another
-            run.
+        InputError: bad log, track, planner, generator or segmenter, a camera that the planner wants
+            and the log lacks, or a folder that holds another run.
     """
     log_path, out = Path(log_path), Path(out)
     log = read_log(log_path)
@@ -48,7 +48,7 @@ def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Conso
     if "oracle" in config.methods:
         require_embree()
         world = world_of(log)
-    make_planner(config.planner)
+    mounts = run_mounts(log, make_planner(config.planner), config)
     generator_of(config.generator)
     segmenter_of(config.segmenter)
     threads = config.threads or os.cpu_count() or 1
@@ -57,6 +57,5 @@ def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Conso
     folder = RunFolder.create_or_resume(
         out, config.resolved(), str(log_path), folder_hash(log_path)
     )
-    mounts = camera_mounts(log, config.scene.cameras or None, config.scene.scale)
     with Renderers(folder.path, world, mounts) as renderers:
         return Job(log, world, folder, config, renderers, console).finish()

@@ -1,10 +1,13 @@
 """The planner seam, the reference route, and simple planners."""
 
+from recast.planning.cameras import named_cameras, planner_cameras
 from recast.planning.constant_velocity import ConstantVelocity
 from recast.planning.idm_follower import IdmFollowerConfig, IdmLaneFollower
 from recast.planning.log_replay import LogReplay
-from recast.planning.registry import PLANNERS, make_planner
+from recast.planning.registry import NAVSIM_PREFIX, PLANNERS, make_planner, planner_folder
 from recast.planning.route import DrivingCommand, ReferenceRoute, route_lanes
+from recast.planning.shipped import GTRS_MINI, gtrs_mini
+from recast.planning.status import ego_status
 from recast.planning.types import (
     WAYPOINTS,
     ActorState,
@@ -17,6 +20,8 @@ from recast.planning.types import (
 )
 
 __all__ = [
+    "GTRS_MINI",
+    "NAVSIM_PREFIX",
     "PLANNERS",
     "WAYPOINTS",
     "ActorState",
@@ -32,6 +37,11 @@ __all__ = [
     "PlannerInput",
     "PlanningContext",
     "ReferenceRoute",
+    "ego_status",
+    "gtrs_mini",
     "make_planner",
+    "named_cameras",
+    "planner_cameras",
+    "planner_folder",
     "route_lanes",
 ]

@@ -1,10 +1,12 @@
-"""Planners by name: built-in ones, installed plugins, `module:attribute` paths, GTRS folders."""
+"""Planners by name: built in, installed plugins, `module:attribute`, NAVSIM agents, folders."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from recast.errors import InputError
+from recast.planning.shipped import GTRS_MINI, gtrs_mini
 from recast.planning.types import Planner
 from recast.plugins import Registry
 
@@ -13,6 +15,7 @@ PLANNERS = Registry(
     "recast.planners",
     {
         "constant-velocity": "recast.planning.constant_velocity:ConstantVelocity",
+        GTRS_MINI: "recast.planning.shipped:gtrs_mini_planner",
         "idm-follower": "recast.planning.idm_follower:IdmLaneFollower",
         "log-replay": "recast.planning.log_replay:LogReplay",
         "pdm-closed": "recast.planning.pdm:PdmClosedPlanner",
@@ -20,27 +23,31 @@ PLANNERS = Registry(
 )
 """Planners by name; each is a class or function that makes a `Planner`."""
 
+NAVSIM_PREFIX = "navsim:"
+"""Before the "module:attribute" of a NAVSIM agent."""
+
 
 def make_planner(name: str) -> Planner:
     """Create a planner.
 
     Args:
-        name: one of `PLANNERS.names()`, or "package.module:attribute" of a class or function that
-            returns a `Planner` when called without arguments, or a folder that `save_gtrs` wrote.
+        name: one of `PLANNERS.names()`; or "package.module:attribute" of a class or function that
+            returns a `Planner` when called without arguments; or "navsim:package.module:attribute"
+            of one that returns a NAVSIM agent; or a folder that `save_gtrs` wrote.
 
     Raises:
         InputError: the name is unknown, the module does not import, what it makes is no planner, or
             a file of the folder is missing or wrong.
     """
-    # A name wins over a folder that happens to be called alike.
-    if name not in PLANNERS.names() and ("/" in name or Path(name).is_dir()):
+    if name not in PLANNERS.names() and (folder := planner_folder(name)) is not None:
         from recast.planning.gtrs import load_gtrs  # here, as it needs torch and others do not
 
-        return load_gtrs(name)
-    factory = PLANNERS.load(name)
-    if not callable(factory):
-        raise InputError("planner", name, "cannot be called", "name a class or a function")
-    planner = factory()
+        return load_gtrs(folder)
+    if name.startswith(NAVSIM_PREFIX):
+        from recast.planning.navsim import NavsimPlanner
+
+        return NavsimPlanner(_made(name, name.removeprefix(NAVSIM_PREFIX)))
+    planner = _made(name, name)
     if not isinstance(planner, Planner):
         missing = [m for m in ("name", "needs_images", "reset", "plan") if not hasattr(planner, m)]
         raise InputError(
@@ -50,3 +57,23 @@ def make_planner(name: str) -> Planner:
             "see recast.planning.Planner for what a planner has",
         )
     return planner
+
+
+def planner_folder(name: str) -> Path | None:
+    """The folder that holds all of a planner, or None where code makes it.
+
+    It need not be there.
+    """
+    if name == GTRS_MINI:
+        return gtrs_mini()
+    # A name wins over a folder that happens to be called alike.
+    if name not in PLANNERS.names() and ("/" in name or Path(name).is_dir()):
+        return Path(name)
+    return None
+
+
+def _made(name: str, path: str) -> Any:
+    factory = PLANNERS.load(path)
+    if not callable(factory):
+        raise InputError("planner", name, "cannot be called", "name a class or a function")
+    return factory()

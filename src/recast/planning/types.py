@@ -132,10 +132,13 @@ class Plan:
 
     def validate(self) -> None:
         """Raise ValueError naming what is wrong with the waypoints."""
-        shape = np.shape(self.waypoints)
-        if shape != (WAYPOINTS, 3):
-            raise ValueError(f"Plan.waypoints: expected ({WAYPOINTS}, 3), got {shape}")
-        bad = ~np.isfinite(np.asarray(self.waypoints, np.float64)).all(axis=1)
+        try:
+            waypoints = np.asarray(self.waypoints, np.float64)
+        except (TypeError, ValueError):
+            raise ValueError("Plan.waypoints: is no array of numbers") from None
+        if waypoints.shape != (WAYPOINTS, 3):
+            raise ValueError(f"Plan.waypoints: expected ({WAYPOINTS}, 3), got {waypoints.shape}")
+        bad = ~np.isfinite(waypoints).all(axis=1)
         if bad.any():
             raise ValueError(f"Plan.waypoints: NaN or infinity at waypoint {int(np.argmax(bad))}")
 
@@ -143,6 +146,10 @@ class Plan:
 @runtime_checkable
 class Planner(Protocol):
     """Drives the ego. One instance may drive many rollouts, one after the other.
+
+    It may also have `camera_names`, the only cameras to be rendered for it, or
+    `choose_cameras(mounts)`, which returns their names once it is known which there are; see
+    `recast.planning.planner_cameras`.
 
     Attributes:
         name: for tables and file names.

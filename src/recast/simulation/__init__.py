@@ -17,6 +17,7 @@ from recast.simulation.motions import (
     Stationary,
 )
 from recast.simulation.prepare import PreparedRollout, prepare
+from recast.simulation.probe_path import probe_path
 from recast.simulation.renderer import NullRenderer, SensorRenderer, camera_mounts
 from recast.simulation.rollout import (
     EGO_COLUMNS,
@@ -64,6 +65,7 @@ __all__ = [
     "motion_of_record",
     "parse_motions",
     "prepare",
+    "probe_path",
     "read_scenario",
     "run_batch",
     "run_rollout",

@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 
 from recast.dynamics import initial_state
 from recast.dynamics import state as ego
-from recast.planning import ActorState, Plan, Planner, PlannerInput, PlanningContext
+from recast.planning import (
+    ActorState,
+    Plan,
+    Planner,
+    PlannerInput,
+    PlanningContext,
+    planner_cameras,
+)
 from recast.simulation.other_actors import other_actors, other_ids, other_poses
 from recast.simulation.prepare import (
     PreparedRollout,
@@ -54,8 +61,8 @@ def run_rollout(
 ) -> Rollout:
     """Run one rollout; never stopped by a collision.
 
-    Rendered are the plan steps if the planner needs images, every step if `on_frame` is given, and
-    nothing otherwise.
+    Rendered are the planner's cameras at the plan steps if it needs images, the setup's cameras at
+    every step if `on_frame` is given, and nothing otherwise.
 
     Args:
         renderer: needed where anything is rendered.
@@ -63,8 +70,9 @@ def run_rollout(
         timings: is added to.
 
     Raises:
-        InputError: see `prepare`; or the ego leaves the recorded road within two plan cycles.
-        ValueError: the planner's answer is no plan, or a renderer is missing.
+        InputError: see `prepare` and `planner_cameras`; or the ego leaves the recorded road within
+            two plan cycles.
+        ValueError: the planner's answer is no plan or took too long, or a renderer is missing.
         Exception: whatever the planner raises.
     """
     return _Loop(setup, planner, renderer, on_frame, timings or Timings()).run()
@@ -84,8 +92,10 @@ class _Loop:
             raise ValueError(f"run_rollout: {who} needs images, so give a renderer")
         self.setup, self.planner, self.timings = setup, planner, timings
         self.renderer, self.on_frame = renderer, on_frame
-        names = setup.log.cameras if setup.camera_names is None else setup.camera_names
-        self.camera_names = () if renderer is None else tuple(names)
+        names = tuple(setup.log.cameras if setup.camera_names is None else setup.camera_names)
+        self.mounts = {} if renderer is None else renderer.mounts
+        self.seen = planner_cameras(planner, self.mounts, names)
+        self.filmed = () if on_frame is None else names
         self.prepared = prepare(setup)
         self.states = [self.prepared.ego]
         self.predictions: list[Array] = []
@@ -94,14 +104,13 @@ class _Loop:
         self.cut_reason = self.prepared.cut_reason
 
     def run(self) -> Rollout:
-        mounts = {} if self.renderer is None else self.renderer.mounts
         self.planner.reset(
             PlanningContext(
                 route=self.prepared.route,
                 log=self.setup.log.world_from_rig,
                 map=self.setup.hdmap,
                 vehicle=self.setup.vehicle,
-                cameras={name: mounts[name] for name in self.camera_names},
+                cameras={name: self.mounts[name] for name in self.seen},
                 dt=self.setup.dt,
                 plan_every=self.setup.plan_every,
             )
@@ -120,9 +129,10 @@ class _Loop:
         """One plan and its execution; True where the ego came to the end of the road."""
         first = self.step
         images: dict[str, Image] = {}
-        if self.planner.needs_images:
-            images = self._render(self._state(first))
-        plan = self._plan(images)
+        if self.seen:
+            # One call for both, since a renderer may draw its cameras side by side.
+            images = self._render(self._state(first), tuple(dict.fromkeys(self.seen + self.filmed)))
+        plan = self._plan({name: images[name] for name in self.seen})
 
         steps = min(self.setup.plan_every, self.prepared.steps - first)
         began = perf_counter()
@@ -139,8 +149,9 @@ class _Loop:
         if self.on_frame is not None:
             for step in range(first, first + kept):
                 state = self._state(step)
-                seen = images if step == first and images else self._render(state)
-                self.on_frame(state, seen)
+                if step > first or not images:
+                    images = self._render(state, self.filmed)
+                self.on_frame(state, {name: images[name] for name in self.filmed})
         return kept < steps
 
     def _plan(self, images: dict[str, Image]) -> Plan:
@@ -157,17 +168,28 @@ class _Loop:
         )
         began = perf_counter()
         plan = self.planner.plan(observation)
-        self.timings.plan += perf_counter() - began
+        took = perf_counter() - began
+        self.timings.plan += took
+        limit = self.setup.plan_limit_s
+        if limit is not None and took > limit:
+            raise ValueError(
+                f"planner {self.planner.name}: took {took:.3g} s for the plan at step {self.step}, "
+                f"the limit is {limit:g} s"
+            )
+        if not isinstance(plan, Plan):
+            raise ValueError(
+                f"planner {self.planner.name}: returned {type(plan).__name__}, not a Plan"
+            )
         try:
             plan.validate()
         except ValueError as error:
             raise ValueError(f"planner {self.planner.name}: {error}") from None
         return plan
 
-    def _render(self, state: SimState) -> dict[str, Image]:
+    def _render(self, state: SimState, names: tuple[str, ...]) -> dict[str, Image]:
         assert self.renderer is not None  # checked in __init__
         began = perf_counter()
-        images = self.renderer.render(state, self.camera_names)
+        images = self.renderer.render(state, names)
         self.timings.render += perf_counter() - began
         self.timings.frames += len(images)
         return images

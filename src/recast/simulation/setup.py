@@ -31,7 +31,10 @@ class RolloutSetup:
         controller: executes the plans.
         keep_other_actors: leave the other logged actors in, on their logged motion.
         road_margin: metres before the end of the logged road at which a rollout is cut.
-        camera_names: cameras for the planner and for `on_frame`; None for all of the log.
+        camera_names: cameras for `on_frame`, and for planners that do not say which they look at
+            (see `planner_cameras`); None for all of the log.
+        plan_limit_s: seconds of wall-clock time that one plan may take; a planner that takes longer
+            fails the rollout. None for no limit, on which no result may depend.
     """
 
     log: DrivingLog
@@ -48,6 +51,7 @@ class RolloutSetup:
     keep_other_actors: bool = False
     road_margin: float = 2.0
     camera_names: tuple[str, ...] | None = None
+    plan_limit_s: float | None = None
 
     @property
     def name(self) -> str:

@@ -37,6 +37,37 @@ def test_names_and_shapes_are_the_released_ones(
     assert not model.keys() & unused.keys()
 
 
+@pytest.mark.parametrize("frozen", [True, False])
+def test_norms_folded_into_convolutions_change_nothing(frozen: bool) -> None:
+    config = TINY.backbone.model_copy(update={"frozen_norm": frozen})
+    backbone, rng = VovNet(config).eval(), torch.Generator().manual_seed(0)
+    for module in backbone.modules():
+        if isinstance(module, torch.nn.BatchNorm2d):
+            for tensor in (module.weight.data, module.running_var):
+                tensor.uniform_(0.5, 2.0, generator=rng)
+            for tensor in (module.bias.data, module.running_mean):
+                tensor.uniform_(-0.5, 0.5, generator=rng)
+    images = torch.rand(2, 3, 64, 96, generator=rng)
+    before = images.clone()
+    unfolded = backbone(images).detach()  # with gradients nothing is folded
+    with torch.no_grad():
+        folded = backbone(images)
+        backbone.stem[1].weight.data.mul_(1.5)  # weights may change at any time
+        changed = backbone(images)
+    assert unfolded.abs().max() > 0.1
+    torch.testing.assert_close(folded, unfolded, rtol=1e-5, atol=1e-5)
+    torch.testing.assert_close(changed, backbone(images).detach(), rtol=1e-5, atol=1e-5)
+    assert not torch.equal(changed, folded) and torch.equal(images, before)
+
+
+def test_in_training_the_batch_is_normalised_without_gradients_too() -> None:
+    backbone = VovNet(TINY.backbone.model_copy(update={"frozen_norm": False})).train()
+    norm = backbone.stem[1]
+    with torch.no_grad():
+        backbone(torch.rand(2, 3, 32, 32))
+    assert isinstance(norm, torch.nn.BatchNorm2d) and norm.num_batches_tracked == 1
+
+
 def _procedural(name: str, shape: tuple[int, ...]) -> np.ndarray:
     """Weights that a name and a shape determine, as the reference vectors were made."""
     r = np.random.RandomState(zlib.crc32(name.encode()))

@@ -26,8 +26,9 @@ def log() -> DrivingLog:
     return DrivingLog("straight", {}, {}, drive, {"7": car})
 
 
-def _renderer(names: tuple[str, ...]) -> NullRenderer:
+def _renderer(names: tuple[str, ...], scale: int = 1) -> NullRenderer:
     camera = PinholeCamera(VIEWS.width, VIEWS.height, 40.0, 40.0, 24.0, 16.0)
+    camera = camera.resized(scale * VIEWS.width, scale * VIEWS.height)
     mounts = nuplan_rig().values()
     return NullRenderer(
         {n: CameraMount(camera, m.rig_from_camera) for n, m in zip(names, mounts, strict=False)}
@@ -39,6 +40,8 @@ def test_a_rollout_drives_entries_of_the_vocabulary(planner: GtrsPlanner, log: D
         log, "7", MOTIONS["advancing-a"], steps=10, camera_names=planner.camera_names
     )
     rollout = run_rollout(setup, planner, _renderer(planner.camera_names))
+    again = run_rollout(setup, planner, _renderer(planner.camera_names, scale=2))
+    np.testing.assert_array_equal(again.predictions, rollout.predictions)  # black either way
     assert rollout.planner == "tiny" and len(rollout.predictions) == 2
     for prediction in rollout.predictions:
         assert (planner.vocabulary == prediction.astype(np.float32)).all(axis=(1, 2)).any()

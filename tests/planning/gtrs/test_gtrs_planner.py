@@ -130,8 +130,8 @@ def test_a_missing_camera_is_named_before_anything_is_rendered(
 
 def test_other_sizes_and_steps_are_refused(planner: GtrsPlanner, context: PlanningContext) -> None:
     mount = context.cameras["front"]
-    large = CameraMount(mount.camera.resized(96, 64), mount.rig_from_camera)
-    with pytest.raises(InputError, match="renders 96x64, the planner needs 48x32"):
+    large = CameraMount(mount.camera.resized(96, 64), mount.rig_from_camera)  # one of three
+    with pytest.raises(InputError, match="front: renders 96x64, the planner needs three"):
         planner.reset(replace(context, cameras={**context.cameras, "front": large}))
     with pytest.raises(InputError, match=r"dt: is 0.2 s"):
         planner.reset(replace(context, dt=0.2))

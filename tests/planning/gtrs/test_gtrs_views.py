@@ -82,6 +82,45 @@ def test_bad_images_are_named() -> None:
             VIEWS.stitch(images | {"front_right": bad})
 
 
+@pytest.mark.parametrize("size", [(480, 320), (1920, 1280), (240, 160), (300, 200)])
+def test_other_sizes_in_proportion_see_the_same(size: tuple[int, int]) -> None:
+    views = WAYMO_NATIVE.fitted(dict.fromkeys((*WAYMO_NATIVE.cameras, "rear"), size))
+    scale = size[0] / 960
+    assert (views.width, views.height, views.input_width, views.input_height) == (*size, 2048, 512)
+    assert (views.crop_rows, views.crop_columns) == (round(64 * scale), round(208 * scale))
+    small = {
+        name: np.full((size[1], size[0], 3), 80 * i, np.uint8)
+        for i, name in enumerate(views.cameras)
+    }
+    large = {name: np.full((640, 960, 3), 80 * i, np.uint8) for i, name in enumerate(views.cameras)}
+    differs = (views.stitch(small) != WAYMO_NATIVE.stitch(large)).any(axis=(0, 2))
+    assert differs.sum() <= 4 / scale + 8  # columns at the two seams, where pixels mix
+
+
+def test_the_small_models_layout() -> None:
+    mini = ViewLayout(
+        width=480, height=320, crop_rows=32, crop_columns=104, input_width=1024, input_height=256
+    )
+    assert mini.fitted(dict.fromkeys(mini.cameras, (480, 320))) is mini
+    twice = mini.fitted(dict.fromkeys(mini.cameras, (960, 640)))
+    assert twice.model_dump() == WAYMO_NATIVE.model_dump() | {
+        "input_width": 1024, "input_height": 256
+    }  # fmt: skip
+    half = NUPLAN_VIRTUAL.fitted(dict.fromkeys(NUPLAN_VIRTUAL.cameras, (960, 540)))
+    assert (half.crop_rows, half.crop_columns) == (14, 208)  # 544 + 960 + 544 columns, 512 rows
+
+
+def test_other_proportions_and_mixed_sizes_are_refused() -> None:
+    sizes = dict.fromkeys(WAYMO_NATIVE.cameras, (1242, 375))
+    with pytest.raises(InputError, match=r"^planner x: camera front_left: renders 1242x375, the p"):
+        WAYMO_NATIVE.fitted(sizes, "planner x")
+    sizes = dict.fromkeys(WAYMO_NATIVE.cameras, (960, 640)) | {"front": (480, 320)}
+    with pytest.raises(InputError, match="camera front: renders 480x320"):
+        WAYMO_NATIVE.fitted(sizes)
+    with pytest.raises(InputError, match="camera front_left: is needed and not there"):
+        WAYMO_NATIVE.fitted({"front": (960, 640)})
+
+
 @pytest.mark.parametrize(
     "change", [{"crop_rows": 16}, {"crop_columns": -1}, {"cameras": ("a", "b", "a")}, {"width": 0}]
 )

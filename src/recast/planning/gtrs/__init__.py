@@ -17,10 +17,10 @@ from recast.planning.gtrs.scores import (
     final_score,
     product_score,
 )
-from recast.planning.gtrs.status import ego_status
 from recast.planning.gtrs.views import NUPLAN_VIRTUAL, WAYMO_NATIVE, ViewLayout, network_input
 from recast.planning.gtrs.vocabulary import read_vocabulary, write_vocabulary
 from recast.planning.gtrs.weights import load_weights, read_weights
+from recast.planning.status import ego_status
 
 __all__ = [
     "COMBINED",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -14,10 +15,10 @@ from recast.planning.gtrs.decision import GtrsDecision
 from recast.planning.gtrs.head import IMITATION
 from recast.planning.gtrs.model import GtrsModel
 from recast.planning.gtrs.scores import COMBINED, VOCABULARY_ONLY, ScoreWeights, final_score
-from recast.planning.gtrs.status import ego_status
 from recast.planning.gtrs.views import ViewLayout, network_input
 from recast.planning.gtrs.vocabulary import Trajectories, check_vocabulary
-from recast.planning.types import Plan, PlannerInput, PlanningContext
+from recast.planning.status import ego_status
+from recast.planning.types import CameraMount, Plan, PlannerInput, PlanningContext
 
 _DT = 0.1
 
@@ -31,7 +32,8 @@ class GtrsPlanner:
     Args:
         model: in evaluation mode, on the device it shall run on.
         vocabulary: (L, 40, 3), see `read_vocabulary`.
-        views: which cameras, and how they are stitched.
+        views: which cameras, and how they are stitched; of another size in the same proportion,
+            they are stitched alike.
         name: for tables and messages.
         weights: of the final score, where only the vocabulary is scored.
         top_k: how many candidates a plan carries beside the best.
@@ -56,6 +58,7 @@ class GtrsPlanner:
         self.model = model
         self.vocabulary = check_vocabulary(name, vocabulary)
         self.views = views
+        self._fitted = views
         self.weights = weights
         self.top_k = top_k
 
@@ -68,14 +71,22 @@ class GtrsPlanner:
     def _who(self) -> str:
         return f"planner {self.name}"
 
+    def choose_cameras(self, mounts: Mapping[str, CameraMount]) -> tuple[str, ...]:
+        """Its cameras, if they are there at a size it can use.
+
+        Raises:
+            InputError: a camera is not there, or see `ViewLayout.fitted`.
+        """
+        self._fit(mounts)
+        return self.camera_names
+
     def reset(self, context: PlanningContext) -> None:
         """Check that the rollout gives what the planner needs, and leave training mode.
 
         Raises:
-            InputError: a camera is not there or of another size, or waypoints are not 0.1 s apart.
+            InputError: see `choose_cameras`; or waypoints are not 0.1 s apart.
         """
-        sizes = {name: (m.camera.width, m.camera.height) for name, m in context.cameras.items()}
-        self.views.check(sizes, self._who)
+        self._fitted = self._fit(context.cameras)
         if abs(context.dt - _DT) > 1e-9:
             raise InputError(
                 self._who, "dt", f"is {context.dt:g} s, its trajectories have a pose every {_DT} s",
@@ -121,7 +132,7 @@ class GtrsPlanner:
             InputError: a camera is missing, an image has another size, the ego state is not finite,
                 the proposals are no trajectories, or the network's answer is not finite.
         """
-        stitched = self.views.stitch(observation.images, self._who)
+        stitched = self._fitted.stitch(observation.images, self._who)
         status = ego_status(observation.command, observation.ego)
         if not np.isfinite(status).all():
             raise InputError(
@@ -135,6 +146,10 @@ class GtrsPlanner:
             raise ValueError("GtrsPlanner.decide: proposals_only needs proposals")
         decision = self._score(stitched, status, trajectories, weights)
         return replace(decision, first=len(self.vocabulary)) if proposals_only else decision
+
+    def _fit(self, mounts: Mapping[str, CameraMount]) -> ViewLayout:
+        sizes = {name: (m.camera.width, m.camera.height) for name, m in mounts.items()}
+        return self.views.fitted(sizes, self._who)
 
     @torch.no_grad()
     def _score(

@@ -31,17 +31,23 @@ _MOUNTS = (
 )
 
 
-def nuplan_rig() -> dict[str, CameraMount]:
+def nuplan_rig(scale: float = 1.0) -> dict[str, CameraMount]:
     """The virtual rig by camera name, in the rear-axle frame.
 
     NAVSIM feeds the planner the raw images, with their distortion. A renderer of pinhole images
-    renders with `Lens(camera).source` and bends the result.
+    renders with `Lens(camera).source` and bends the result: see
+    `recast.simulation.lens_renderer.through_lenses`.
+
+    Args:
+        scale: of width and height, rounded to whole pixels.
 
     Source: nuPlan's published calibration, rounded: position in metres, yaw to the left, pitch
     upwards (the optical axis of the front camera points 1.5 degrees below the horizon), no roll.
     """
+    size = round(NUPLAN_CAMERA.width * scale), round(NUPLAN_CAMERA.height * scale)
+    camera = NUPLAN_CAMERA.resized(*size)
     return {
-        name: CameraMount(NUPLAN_CAMERA, camera_pose(position, yaw, pitch))
+        name: CameraMount(camera, camera_pose(position, yaw, pitch))
         for name, (position, yaw, pitch) in zip(NUPLAN_CAMERAS, _MOUNTS, strict=True)
     }
 

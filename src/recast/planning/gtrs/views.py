@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from recast.errors import InputError
+from recast.planning.cameras import require_cameras
 from recast.planning.gtrs.config import Count, GtrsRecord
 from recast.planning.gtrs.rig import NUPLAN_CAMERAS
 
@@ -24,7 +25,7 @@ class ViewLayout(GtrsRecord):
 
     Rows are cropped from top and bottom of all three images, columns from both sides of the left
     and the right one; side by side they are resampled to the network's input, unless they have its
-    size already.
+    size already. `fitted` gives the same layout for images of another size.
 
     Attributes:
         cameras: names of the left, front and right camera.
@@ -59,12 +60,11 @@ class ViewLayout(GtrsRecord):
         Raises:
             InputError: a camera is not there, or its image is not (height, width, 3) uint8.
         """
+        require_cameras(self.cameras, images, where)
         rows = slice(self.crop_rows, self.height - self.crop_rows)
         sides = slice(self.crop_columns, self.width - self.crop_columns)
         parts = []
         for name, columns in zip(self.cameras, (sides, slice(None), sides), strict=True):
-            if name not in images:
-                raise self.lacks(name, images, where)
             image = np.asarray(images[name])
             if image.shape != (self.height, self.width, 3) or image.dtype != np.uint8:
                 raise InputError(
@@ -76,34 +76,47 @@ class ViewLayout(GtrsRecord):
         size = (self.input_width, self.input_height)
         if stitched.shape[1::-1] == size:
             return stitched
-        return np.asarray(cv2.resize(stitched, size, interpolation=cv2.INTER_LINEAR), np.uint8)
+        # Bilinear as in the released preprocessing, which halves; beyond that it would skip pixels.
+        halves = stitched.shape[1] <= 2 * size[0] and stitched.shape[0] <= 2 * size[1]
+        how = cv2.INTER_LINEAR if halves else cv2.INTER_AREA
+        return np.asarray(cv2.resize(stitched, size, interpolation=how), np.uint8)
 
-    def check(self, sizes: Mapping[str, tuple[int, int]], where: str = "planner") -> None:
-        """Check the cameras before anything is rendered.
+    def fitted(self, sizes: Mapping[str, tuple[int, int]], where: str = "planner") -> ViewLayout:
+        """This layout for cameras of another size in the same proportion, to the pixel.
+
+        Crops are scaled with the images; the network's input stays as it is.
 
         Args:
-            sizes: (width, height) of the images to come, by camera name.
+            sizes: (width, height) of the images to come, by camera name; others may be there too.
+            where: who asks, for messages.
 
         Raises:
-            InputError: a camera is not there, or has another size.
+            InputError: a camera is not there, its proportion is another, or the three differ.
         """
+        require_cameras(self.cameras, sizes, where)
+        first = sizes[self.cameras[0]]
+        scale = first[0] / self.width
         for name in self.cameras:
-            if name not in sizes:
-                raise self.lacks(name, sizes, where)
-            if sizes[name] != (self.width, self.height):
-                width, height = sizes[name]
+            width, height = sizes[name]
+            if (width, height) != first or abs(height - scale * self.height) > 1.0:
                 raise InputError(
                     where, f"camera {name}",
-                    f"renders {width}x{height}, the planner needs {self.width}x{self.height}",
-                    "render it at that size, or take a planner made for this one",
+                    f"renders {width}x{height}, the planner needs three images in the proportion "
+                    f"{self.width}x{self.height}",
+                    "render it at such a size, or take a planner made for this one",
                 )  # fmt: skip
-
-    def lacks(self, name: str, there: Mapping[str, object], where: str) -> InputError:
-        """The error for a camera that is not there."""
-        return InputError(
-            where, f"camera {name}", "is needed and not there",
-            f"there are {', '.join(there) or 'none'}; render it, or name other cameras",
-        )  # fmt: skip
+        if first == (self.width, self.height):
+            return self
+        width, height = first
+        return ViewLayout(
+            cameras=self.cameras,
+            width=width,
+            height=height,
+            crop_rows=round(self.crop_rows * height / self.height),
+            crop_columns=round(self.crop_columns * scale),
+            input_width=self.input_width,
+            input_height=self.input_height,
+        )
 
 
 WAYMO_NATIVE = ViewLayout(

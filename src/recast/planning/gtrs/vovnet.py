@@ -22,6 +22,40 @@ class _FrozenBatchNorm(nn.BatchNorm2d):
         return super().train(False)
 
 
+class _Chain(nn.Sequential):
+    """Modules one after the other; in inference, a norm is folded into the convolution before it.
+
+    That saves two passes over the features. The folded weights are computed anew each time, which
+    costs nothing beside the convolution: so there is one set of weights, to be trained, saved and
+    replaced, and nothing that could be out of date.
+    """
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, C, H, W) to what the last module gives."""
+        modules = list(self)
+        if torch.is_grad_enabled() or any(module.training for module in modules):
+            for module in modules:
+                x = module(x)
+            return x
+        for module, following in zip(modules, [*modules[1:], None], strict=True):
+            if isinstance(module, nn.Conv2d) and isinstance(following, nn.BatchNorm2d):
+                x = _folded(module, following, x)
+            elif isinstance(module, nn.ReLU):
+                x = x.relu_()  # always behind a convolution, whose output nobody else holds
+            elif not isinstance(module, nn.BatchNorm2d):
+                x = module(x)
+        return x
+
+
+def _folded(conv: nn.Conv2d, norm: nn.BatchNorm2d, x: Tensor) -> Tensor:
+    """`norm(conv(x))` with running statistics, as one convolution."""
+    assert norm.running_mean is not None and norm.running_var is not None
+    scale = norm.weight * torch.rsqrt(norm.running_var + norm.eps)
+    shift = norm.bias - norm.running_mean * scale
+    weight = conv.weight * scale[:, None, None, None]
+    return functional.conv2d(x, weight, shift, conv.stride, conv.padding)
+
+
 class _Blocks:
     """Builds the convolutions of one backbone."""
 
@@ -36,7 +70,7 @@ class _Blocks:
         )
         parts[f"{name}/norm"] = self.norm(outputs)
         parts[f"{name}/relu"] = nn.ReLU()
-        return nn.Sequential(parts)
+        return _Chain(parts)
 
 
 class EffectiveSqueezeExcitation(nn.Module):
@@ -95,7 +129,7 @@ class VovNet(nn.Module):
         for i, (channels, stride) in enumerate(zip(config.stem, (2, 1, 2), strict=True), start=1):
             stem.update(build.conv(f"stem_{i}", inputs, channels, 3, stride).named_children())
             inputs = channels
-        self.stem = nn.Sequential(stem)
+        self.stem = _Chain(stem)
         self.stage_names: list[str] = []
         for number, stage in enumerate(config.stages, start=2):
             parts = OrderedDict[str, nn.Module]()

@@ -1,4 +1,4 @@
-"""The eight numbers about the ego that the network is told."""
+"""The eight numbers about the ego that planners trained on OpenScene are told."""
 
 from __future__ import annotations
 

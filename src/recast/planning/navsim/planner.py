@@ -1,0 +1,177 @@
+"""A NAVSIM agent as a planner."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from recast.errors import InputError
+from recast.planning.cameras import require_cameras
+from recast.planning.navsim.agent_input import InputBuilder
+from recast.planning.navsim.cameras import NAVSIM_CAMERAS, match_cameras
+from recast.planning.navsim.classes import navsim_classes
+from recast.planning.navsim.resample import resample
+from recast.planning.navsim.types import HISTORY_FRAMES
+from recast.planning.types import WAYPOINTS, CameraMount, Plan, PlannerInput, PlanningContext
+
+
+@runtime_checkable
+class NavsimAgent(Protocol):
+    """What is used of NAVSIM's `AbstractAgent`."""
+
+    def initialize(self) -> None:
+        """Load weights."""
+
+    def get_sensor_config(self) -> Any:
+        """Which cameras are wanted in which frames, see `SensorConfig`."""
+
+    def compute_trajectory(self, agent_input: Any) -> Any:
+        """`AgentInput` to `Trajectory`."""
+
+
+class NavsimPlanner:
+    """Drives what a NAVSIM agent answers; initialises it once, at once.
+
+    Trajectories at other intervals than the simulator's are interpolated, see `resample`; of longer
+    ones the first 4 s are used.
+
+    Args:
+        agent: has `initialize`, `get_sensor_config` and `compute_trajectory`.
+        cameras: NAVSIM name to the rig's camera, such as `NUPLAN_RIG`; None to take those that look
+            in the same direction.
+        name: for tables and file names; None for the agent's.
+        installed_classes: see `navsim_classes`.
+
+    Raises:
+        InputError: the object is no agent; the agent wants what is not simulated (LiDAR, the scene
+            with its future) or a camera that NAVSIM does not have; `installed_classes` without the
+            package.
+    """
+
+    def __init__(
+        self,
+        agent: Any,
+        *,
+        cameras: Mapping[str, str] | None = None,
+        name: str | None = None,
+        installed_classes: bool | None = None,
+    ) -> None:
+        self.name = name or _agent_name(agent)
+        if not isinstance(agent, NavsimAgent):
+            methods = ("initialize", "get_sensor_config", "compute_trajectory")
+            missing = [method for method in methods if not hasattr(agent, method)]
+            raise InputError(
+                self._who, type(agent).__name__, f"lacks {', '.join(missing)}",
+                "name a class or function that gives a NAVSIM agent",
+            )  # fmt: skip
+        if getattr(agent, "requires_scene", False):
+            raise InputError(
+                self._who, "requires_scene", "is true: it wants to see the recorded future",
+                "take an agent that drives from its AgentInput alone",
+            )  # fmt: skip
+        self.agent = agent
+        self._classes = navsim_classes(installed_classes)
+        agent.initialize()
+        self._frames = _wanted_frames(agent.get_sensor_config(), self._who)
+        self.needs_images = bool(self._frames)
+        self._given = cameras
+        if cameras is not None:
+            require_cameras(self._frames, cameras, self._who)
+        self._builder: InputBuilder | None = None
+        self._times = 0.1 * np.arange(1, WAYPOINTS + 1)
+
+    @property
+    def camera_names(self) -> tuple[str, ...] | None:
+        """The rig's cameras, where they were named; None where the log decides."""
+        return None if self._given is None else tuple(self._given[name] for name in self._frames)
+
+    @property
+    def _who(self) -> str:
+        return f"planner {self.name}"
+
+    def choose_cameras(self, mounts: Mapping[str, CameraMount]) -> tuple[str, ...]:
+        """The rig's cameras that stand for those that the agent wants.
+
+        Raises:
+            InputError: see `match_cameras`.
+        """
+        return tuple(self._match(mounts).values())
+
+    def reset(self, context: PlanningContext) -> None:
+        """Forget the past.
+
+        Raises:
+            InputError: a camera is not there; see also `InputBuilder`.
+        """
+        cameras = self._match(context.cameras)
+        require_cameras(cameras.values(), context.cameras, self._who)
+        self._builder = InputBuilder(context, cameras, self._frames, self._classes, self._who)
+        self._times = context.dt * np.arange(1, WAYPOINTS + 1)
+
+    def plan(self, observation: PlannerInput) -> Plan:
+        """The agent's trajectory.
+
+        Raises:
+            RuntimeError: `reset` was not called.
+            InputError: the answer is no trajectory, is not finite, or ends too early.
+        """
+        if self._builder is None:
+            raise RuntimeError("NavsimPlanner.plan: call reset first")
+        answer = self.agent.compute_trajectory(self._builder.build(observation))
+        try:
+            poses, interval = answer.poses, float(answer.trajectory_sampling.interval_length)
+        except (AttributeError, TypeError):
+            raise InputError(
+                self._who, "compute_trajectory", f"returned {type(answer).__name__}",
+                "return a Trajectory with poses and trajectory_sampling",
+            ) from None  # fmt: skip
+        try:
+            return Plan(resample(poses, interval, self._times))
+        except ValueError as error:
+            raise InputError(
+                self._who, "compute_trajectory", str(error),
+                "return finite poses x, y, heading that reach 4 s",
+            ) from None  # fmt: skip
+
+    def _match(self, mounts: Mapping[str, CameraMount]) -> dict[str, str]:
+        if self._given is not None:
+            return {name: self._given[name] for name in self._frames}
+        return match_cameras(tuple(self._frames), mounts, self._who)
+
+
+def _agent_name(agent: Any) -> str:
+    """The agent's own name, or its class's, fit for file names."""
+    name = getattr(agent, "name", None)
+    name = name() if callable(name) else name
+    if not isinstance(name, str) or not name:
+        name = type(agent).__name__
+    return re.sub(r"[^\w.+-]+", "-", name)
+
+
+def _wanted_frames(config: Any, where: str) -> dict[str, tuple[int, ...]]:
+    """NAVSIM camera name to the frames, 0 .. 3, in which it is wanted; those never wanted left out.
+
+    Raises:
+        InputError: the LiDAR is wanted, or a frame that there is not.
+    """
+    if getattr(config, "lidar_pc", False):
+        raise InputError(
+            where, "lidar_pc", "is wanted, and no LiDAR is simulated",
+            "take an agent that drives by its cameras, or one without sensors",
+        )  # fmt: skip
+    wanted: dict[str, tuple[int, ...]] = {}
+    for name in NAVSIM_CAMERAS:
+        frames = getattr(config, name, False)
+        if isinstance(frames, bool):
+            frames = range(HISTORY_FRAMES) if frames else ()
+        wanted[name] = tuple(int(frame) for frame in frames)
+        bad = [frame for frame in wanted[name] if not 0 <= frame < HISTORY_FRAMES]
+        if bad:
+            raise InputError(
+                where, f"sensor config, {name}", f"wants frame {bad[0]}",
+                f"there are frames 0 (oldest) to {HISTORY_FRAMES - 1} (now)",
+            )  # fmt: skip
+    return {name: frames for name, frames in wanted.items() if frames}
