@@ -50,6 +50,10 @@ class NcoreFolder:
         """
         self._open()
 
+    def has(self, kind: type[Any], name: str) -> bool:
+        """Whether there is a component of this kind and instance name."""
+        return name in _open_components(self._open(), cast(Hashable, kind))
+
     def component(self, kind: type[Reader], name: str) -> Reader:
         """The component reader of this kind and instance name.
 
@@ -193,7 +197,9 @@ def read_mask(store: NcoreFolder, camera: str) -> Mask | None:
 
 
 def read_images(store: NcoreFolder, camera: str) -> tuple[Int64Array, StoredImages]:
-    """Frame timestamps (F,) and lazy frames of one camera."""
+    """Frame timestamps (F,) and lazy frames of one camera; none where it has only calibration."""
+    if not store.has(CameraSensorComponent.Reader, camera):
+        return np.zeros(0, np.int64), StoredImages(store, camera, ())
     times = store.component(CameraSensorComponent.Reader, camera).frames_timestamps_us
     ends = times.reshape(-1, 2)[:, 1].astype(np.int64)
     return ends, StoredImages(store, camera, tuple(ends.tolist()))
@@ -218,14 +224,18 @@ def _reference_time(reader: LidarSensorComponent.Reader, frame: int) -> int:
 
 def read_tracks(store: NcoreFolder) -> dict[str, Track]:
     """All tracks, in the order in which they were written."""
+    cuboids = store.component(CuboidsComponent.Reader, COMPONENT)
+    # NCore's own get_observations checks types box by box: a millisecond each, and a city log has
+    # 12,000. The stored records are the same.
     rows: dict[str, list[Any]] = {}
-    for box in store.component(CuboidsComponent.Reader, COMPONENT).get_observations():
-        rows.setdefault(box.track_id, []).append(box)
+    for box in cuboids._group["cuboids"].attrs["cuboid_track_observations"]:
+        rows.setdefault(box["track_id"], []).append(box)
     tracks = {}
     for track_id, boxes in rows.items():
-        rotation = Rotation.from_euler("XYZ", [box.bbox3.rot for box in boxes]).as_matrix()
-        poses = se3.from_rotation_translation(rotation, [box.bbox3.centroid for box in boxes])
-        times = np.array([box.timestamp_us for box in boxes], np.int64)
-        size = np.array(boxes[0].bbox3.dim, np.float64)
-        tracks[track_id] = Track(track_id, boxes[0].class_id, size, Trajectory(times, poses))
+        rotation = Rotation.from_euler("XYZ", [box["bbox3"]["rot"] for box in boxes]).as_matrix()
+        centres = [box["bbox3"]["centroid"] for box in boxes]
+        poses = se3.from_rotation_translation(rotation, centres)
+        times = np.array([box["timestamp_us"] for box in boxes], np.int64)
+        size = np.array(boxes[0]["bbox3"]["dim"], np.float64)
+        tracks[track_id] = Track(track_id, boxes[0]["class_id"], size, Trajectory(times, poses))
     return tracks

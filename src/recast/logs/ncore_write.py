@@ -94,7 +94,8 @@ def _write_stores(log: DrivingLog, folder: Path, interval: HalfClosedInterval) -
     _write_calibration(writer, log)
     _write_tracks(writer, log)
     for camera in log.cameras.values():
-        _write_images(writer, camera)
+        if len(camera.timestamps_us):  # NCore cannot read a camera without frames
+            _write_images(writer, camera)
     for lidar in log.lidars.values():
         _write_sweeps(writer, lidar, log.world_from_rig)
     return [store.name for store in writer.finalize()]

@@ -8,7 +8,12 @@ from typing import Protocol
 from recast.plugins import Registry
 
 IMPORTERS = Registry(
-    "importer", "recast.importers", {"kitti": "recast.logs.importers.kitti:import_kitti"}
+    "importer",
+    "recast.importers",
+    {
+        "argoverse2": "recast.logs.importers.argoverse2:import_argoverse2",
+        "kitti": "recast.logs.importers.kitti:import_kitti",
+    },
 )
 """Importers by name; each is a `LogImporter`."""
 

@@ -18,9 +18,10 @@ from recast.geometry import PinholeCamera, se3
 from recast.logs import motion
 from recast.logs.derive_map import derive_map, ego_path
 from recast.logs.importers import kitti_files
+from recast.logs.importers.image_files import ImageFiles
 from recast.logs.importers.kitti_calibration import KittiCalibration, read_calibration
 from recast.logs.importers.kitti_check import check_labels_fit
-from recast.logs.importers.kitti_files import KittiDrive, KittiImages, SensorFiles
+from recast.logs.importers.kitti_files import KittiDrive, SensorFiles
 from recast.logs.importers.kitti_oxts import poses_from_oxts, read_oxts
 from recast.logs.importers.kitti_tracks import place_tracks, read_labels
 from recast.logs.importers.kitti_velodyne import (
@@ -176,8 +177,8 @@ def _camera(
     )
 
 
-def _image_source(camera: PinholeCamera, paths: tuple[Path, ...]) -> KittiImages:
-    return KittiImages(paths, camera.width, camera.height)
+def _image_source(camera: PinholeCamera, paths: tuple[Path, ...]) -> ImageFiles:
+    return ImageFiles(paths, camera.width, camera.height, "calib_cam_to_cam.txt")
 
 
 def _lidar(

@@ -1,16 +1,14 @@
-"""Files of one KITTI raw drive: names, timestamps, images and sweeps."""
+"""Files of one KITTI raw drive: names and timestamps."""
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image as PillowImage
 
 from recast.errors import InputError
-from recast.logs.types import Array, Image, Int64Array
+from recast.logs.types import Array, Int64Array
 
 
 @dataclass(frozen=True)
@@ -132,52 +130,3 @@ def read_numbers(path: Path) -> Array:
         raise InputError(
             path, "numbers", f"cannot be read ({error})", "download it again"
         ) from None
-
-
-@dataclass(frozen=True)
-class KittiImages:
-    """Image files of one camera; an `EncodedImageSource`."""
-
-    paths: tuple[Path, ...]
-    width: int
-    height: int
-
-    def __len__(self) -> int:
-        """Number of frames."""
-        return len(self.paths)
-
-    def __getitem__(self, index: int) -> Image:
-        """Decode frame `index` to (height, width, 3) uint8 RGB."""
-        return self._decode(self.paths[index].read_bytes(), self.paths[index])
-
-    def encoded(self, index: int) -> tuple[bytes, str]:
-        """The file's own bytes."""
-        path = self.paths[index]
-        return path.read_bytes(), "jpeg" if path.suffix in (".jpg", ".jpeg") else "png"
-
-    def check(self) -> None:
-        """Decode every file once.
-
-        Raises:
-            InputError: one is cut off, is no image, or has another size.
-        """
-        for index in range(len(self)):
-            self[index]
-
-    def _decode(self, data: bytes, path: Path) -> Image:
-        try:
-            with PillowImage.open(io.BytesIO(data)) as image:
-                pixels = np.array(image.convert("RGB"))
-        except (OSError, SyntaxError, ValueError) as error:
-            raise InputError(
-                path, "image", f"cannot be decoded ({error})", "download it again"
-            ) from None
-        if pixels.shape[:2] != (self.height, self.width):
-            raise InputError(
-                path,
-                "image size",
-                f"is {pixels.shape[1]}x{pixels.shape[0]}, calib_cam_to_cam.txt says "
-                f"{self.width}x{self.height}",
-                "take images and calibration of the same day",
-            )
-        return pixels

@@ -1,0 +1,173 @@
+"""Argoverse 2 sensor logs: poses, boxes, LiDAR, cameras and HD map into a log folder.
+
+Source: Wilson et al., "Argoverse 2: Next Generation Datasets for Self-Driving Perception and
+Forecasting" (NeurIPS 2021), and the layout of the sensor dataset.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from recast.errors import InputError
+from recast.geometry import se3
+from recast.logs import motion
+from recast.logs.importers.argoverse2_files import POSES, TimedFiles, find_log, list_frames
+from recast.logs.importers.argoverse2_labels import read_tracks
+from recast.logs.importers.argoverse2_map import city_of, find_map, read_map
+from recast.logs.importers.argoverse2_sensors import (
+    INTRINSICS,
+    LASERS,
+    TURN_US,
+    Argoverse2Sweeps,
+    Calibration,
+    check_sensors,
+    read_calibration,
+)
+from recast.logs.importers.argoverse2_tables import POSE, poses, read_columns
+from recast.logs.importers.image_files import ImageFiles
+from recast.logs.store import write_log
+from recast.logs.types import Array, CameraStream, DrivingLog, LidarStream, Trajectory
+
+LICENCE = "CC BY-NC-SA 4.0"
+
+AXLE_HEIGHT = 0.32
+"""Metres from the ground to the rear axle, the origin of the dataset's ego frame: of LiDAR ground
+and of the ground raster under the ego alike (its makers say 0.33)."""
+RIG_FROM_EGO = se3.from_rotation_translation(np.eye(3), [0.0, 0.0, AXLE_HEIGHT])
+LONGEST_GAP_US = 1_000_000
+
+
+def import_argoverse2(root: Path, drive: str, out: Path, labels: Path | None = None) -> None:
+    """Import one Argoverse 2 sensor log, with its map, into the new log folder `out`.
+
+    Args:
+        root: folder that holds the log, or the splits (train, val, test).
+        drive: the log's id.
+        out: log folder to write; it appears whole or not at all.
+        labels: annotations in the dataset's own format where they lie apart from the log.
+
+    Raises:
+        InputError: files are missing, broken or do not belong together; nothing is written then.
+    """
+    if Path(out).exists():
+        raise InputError(out, "output folder", "exists already", "name another one or remove it")
+    log = load_argoverse2(root, drive, labels)
+    for camera in log.cameras.values():
+        if isinstance(camera.images, ImageFiles):
+            camera.images.check()
+    write_log(log, out)
+
+
+def load_argoverse2(root: Path, drive: str, labels: Path | None = None) -> DrivingLog:
+    """Read an Argoverse 2 sensor log; images and sweeps stay in its files until asked for.
+
+    Raises:
+        InputError: see `import_argoverse2`.
+    """
+    folder = find_log(Path(root), drive)
+    calibration = _calibration(folder)
+    sweeps = list_frames(folder / "sensors" / "lidar", ".feather")
+    images = {
+        name: list_frames(folder / "sensors" / "cameras" / name, ".jpg")
+        for name in calibration.cameras
+    }
+    trajectory, offset = _ego(folder, sweeps, images)
+    annotations = _annotations(folder) if labels is None else Path(labels)
+    tracks = {} if annotations is None else read_tracks(annotations, trajectory, RIG_FROM_EGO)
+    return DrivingLog(
+        name=folder.name,
+        cameras={
+            name: _camera(name, calibration, listed, trajectory) for name, listed in images.items()
+        },
+        lidars=_lidars(calibration, sweeps, trajectory),
+        world_from_rig=trajectory,
+        tracks=tracks,
+        map=read_map(folder, trajectory.poses[:, :2, 3], offset),
+        world_offset=offset,
+        metadata={
+            "dataset": "Argoverse 2 sensor",
+            "drive": folder.name,
+            "city": city_of(find_map(folder)),
+            "licence": LICENCE,
+        },
+    )
+
+
+def _calibration(folder: Path) -> Calibration:
+    if not (folder / "calibration").is_dir() and not (folder / "sensors").is_dir():
+        return Calibration({}, {})
+    calibration = read_calibration(folder / "calibration")
+    check_sensors(folder, calibration)
+    return calibration
+
+
+def _annotations(folder: Path) -> Path | None:
+    """The log's own boxes; logs of the test split have none."""
+    names = ("annotations.feather", "annotations_with_ego.feather")
+    return next((folder / name for name in names if (folder / name).is_file()), None)
+
+
+def _ego(
+    folder: Path, sweeps: TimedFiles, images: dict[str, TimedFiles]
+) -> tuple[Trajectory, Array]:
+    """The ego trajectory (of the rig frame, near the origin) and the offset taken off it."""
+    path = folder / POSES
+    rows = read_columns(path, ("timestamp_ns", *POSE))
+    times = rows["timestamp_ns"].astype(np.int64)
+    city_from_ego = poses(path, rows)
+    if len(times) < 2:
+        raise InputError(path, "rows", f"{len(times)}, at least 2 are needed", "download it again")
+    steps = np.diff(times)
+    if np.any(steps <= 0):
+        row = int(np.argmax(steps <= 0)) + 1
+        field = f"timestamp_ns in row {row}"
+        raise InputError(path, field, "is not later than the row before", "download it again")
+    if np.any(steps > 1000 * LONGEST_GAP_US):
+        row = int(np.argmax(steps))
+        problem = f"the next pose comes {steps[row] / 1e9:.1f} s later"
+        raise InputError(path, f"timestamp_ns in row {row}", problem, "use a log without the gap")
+    # Poses of two clocks are merged in the files: some are a nanosecond apart.
+    times_us, first = np.unique(times // 1000, return_index=True)
+    world_from_rig = (city_from_ego @ se3.inverse(RIG_FROM_EGO))[first]
+    offset: Array = world_from_rig[0, :3, 3].copy()
+    world_from_rig[:, :3, 3] -= offset
+    sensed = [listed.timestamps_us for listed in (sweeps, *images.values())]
+    sensed.append(sweeps.timestamps_us + TURN_US)
+    spanned = np.concatenate([*sensed, times_us[[0, -1]]])
+    trajectory = Trajectory(times_us, world_from_rig)
+    return motion.extended(trajectory, int(spanned.min()), int(spanned.max())), offset
+
+
+def _camera(
+    name: str, calibration: Calibration, listed: TimedFiles, trajectory: Trajectory
+) -> CameraStream:
+    camera = calibration.cameras[name]
+    first, last = (int(time) for time in trajectory.timestamps_us[[0, -1]])
+    kept = listed.within(first, last)
+    return CameraStream(
+        name=name,
+        camera=camera,
+        rig_from_camera=RIG_FROM_EGO @ calibration.ego_from_sensor[name],
+        timestamps_us=kept.timestamps_us,
+        images=ImageFiles(kept.paths, camera.width, camera.height, INTRINSICS),
+    )
+
+
+def _lidars(
+    calibration: Calibration, sweeps: TimedFiles, trajectory: Trajectory
+) -> dict[str, LidarStream]:
+    first, last = (int(time) for time in trajectory.timestamps_us[[0, -1]])
+    kept = sweeps.within(first, last - TURN_US)
+    if not kept.paths:
+        return {}
+    return {
+        name: LidarStream(
+            name,
+            RIG_FROM_EGO @ calibration.ego_from_sensor[name],
+            kept.timestamps_us,
+            Argoverse2Sweeps(kept, lasers, RIG_FROM_EGO),
+        )
+        for name, lasers in LASERS.items()
+    }
