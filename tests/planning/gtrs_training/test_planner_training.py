@@ -82,8 +82,8 @@ def test_another_training_in_the_same_folder_is_refused(
 
 def test_it_learns_to_look(small_dataset: Path, tmp_path: Path) -> None:
     """Some seconds suffice to tell a street with a red patch from one without."""
-    training = config(150, sheet_every=0, judged=2, batch=8).model_copy(
-        update={"trainer": TrainerSettings(steps=150, lr=5e-3, clip=2.0, log_every=150)}
+    training = config(80, sheet_every=0, judged=2, batch=4).model_copy(
+        update={"trainer": TrainerSettings(steps=80, lr=5e-3, clip=2.0, log_every=80)}
     )
     reached = train_planner(small_dataset, tmp_path / "out", training, QUIET)
     assert reached.gap > 0.0

@@ -42,14 +42,15 @@ def sample_driving(count: int, rng: np.random.Generator) -> Array:
     limit = np.minimum(_SIDEWAYS / np.maximum(fastest, 1.0) ** 2, _SHARPEST)
     ends = rng.uniform(-1, 1, (2, count)) * limit * bends
     ends[0] = np.where(rng.uniform(size=count) < 0.5, ends[1], ends[0])
-    base = _bend(s, ends)
+    base, curvature = _bend(s, ends)
     u = np.clip(s / over[:, None], 0.0, 1.0)
     aside = shift[:, None] * u**3 * (10 - 15 * u + 6 * u**2)
     slope = shift[:, None] * u**2 * (30 - 60 * u + 30 * u**2) / over[:, None]
     heading = base[..., 2]
     x = base[..., 0] - aside * np.sin(heading)
     y = base[..., 1] + aside * np.cos(heading)
-    return np.stack([x, y, heading + np.arctan(slope)], axis=-1)[:, 1:]
+    heading = heading + np.arctan2(slope, 1.0 - curvature * aside)
+    return np.stack([x, y, heading], axis=-1)[:, 1:]
 
 
 def braking(speeds: ArrayLike, rate: float) -> Array:
@@ -101,8 +102,8 @@ def _path_lengths(speed: Array) -> Array:
     return np.concatenate([np.zeros((len(speed), 1)), np.cumsum(steps, axis=1)], axis=1)
 
 
-def _bend(s: Array, ends: Array) -> Array:
-    """Poses (N, 41, 3) along a clothoid whose curvature goes from `ends[0]` to `ends[1]`."""
+def _bend(s: Array, ends: Array) -> tuple[Array, Array]:
+    """Poses (N, 41, 3) and curvatures (N, 41) of clothoids, from `ends[0]` to `ends[1]`."""
     length = np.maximum(s[:, -1:], 1e-6)
     slope = (ends[1] - ends[0])[:, None] / length
     heading = ends[0][:, None] * s + slope * s**2 / 2
@@ -110,4 +111,4 @@ def _bend(s: Array, ends: Array) -> Array:
     zero = np.zeros((len(s), 1))
     x = np.concatenate([zero, np.cumsum(steps * np.cos(middle), axis=1)], axis=1)
     y = np.concatenate([zero, np.cumsum(steps * np.sin(middle), axis=1)], axis=1)
-    return np.stack([x, y, heading], axis=-1)
+    return np.stack([x, y, heading], axis=-1), ends[0][:, None] + slope * s

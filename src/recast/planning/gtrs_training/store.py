@@ -150,7 +150,7 @@ class SampleStore:
     def image(self, index: int) -> NDArray[np.uint8]:
         """(128, 512, 3) uint8."""
         part = int(np.searchsorted(self._first, index, side="right")) - 1
-        return np.asarray(self._images[part][index - self._first[part]])
+        return np.array(self._images[part][index - self._first[part]])
 
     @property
     def held_out(self) -> NDArray[np.bool_]:

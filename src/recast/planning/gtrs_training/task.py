@@ -89,7 +89,7 @@ class GtrsTask:
         speeds[len(drawn) + paired] = speeds[paired]
         images = [augment(self.store.image(index), rng) for index in chosen]
         found = self.of(self.gather(chosen, speeds, mirrored, images))
-        return StepLoss(sum_of(found), {name: float(term) for name, term in found.items()})
+        return StepLoss(sum_of(found), {k: float(v.detach()) for k, v in found.items()})
 
     def gather(
         self,
