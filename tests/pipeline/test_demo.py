@@ -70,7 +70,7 @@ def test_what_is_there_is_used_again(finished: Path) -> None:
 
 
 def test_another_demo_in_the_same_folder_is_refused(finished: Path) -> None:
-    with pytest.raises(InputError, match="another demo"):
+    with pytest.raises(InputError, match="another drive"):
         run(finished, seed=2)
 
 

@@ -9,19 +9,12 @@ from rich.console import Console
 
 from recast.actors import DEFAULT_GENERATOR
 from recast.errors import InputError
-from recast.logs import DrivingLog, read_log
 from recast.pipeline.config import RunConfig
-from recast.pipeline.display import FrameProgress
+from recast.pipeline.drive import drive_log
 from recast.pipeline.layout import METHODS
 from recast.pipeline.run import run
 from recast.scene import SceneConfig
-from recast.synthetic import (
-    CAMERAS,
-    World,
-    make_world,
-    synthesize_log,
-    world_metadata,
-)
+from recast.synthetic import make_world
 
 LOG_FOLDER = "log"
 RUN_FOLDER = "run"
@@ -79,7 +72,9 @@ def demo(
     if threads < 0:
         raise InputError("threads", str(threads), "is negative", "choose 0 for all cores")
     world = make_world(scene, seed, size.seconds)
-    log = _drive(world, Path(out) / LOG_FOLDER, size, threads, console)
+    log = drive_log(
+        world, Path(out) / LOG_FOLDER, (size.width, size.height), size.cameras, threads, console
+    )
     config = RunConfig(
         track=world.target,
         motions=size.motions,
@@ -97,30 +92,3 @@ def demo(
         ),
     )
     return run(log, Path(out) / RUN_FOLDER, config, console)
-
-
-def _drive(world: World, path: Path, size: DemoSize, threads: int, console: Console) -> Path:
-    """The log at `path`, made where it is not there yet."""
-    console.print(f"[bold]log[/bold] {world.name}, {world.seconds:g} s", highlight=False)
-    if path.exists():
-        _check_same(read_log(path), world, size, path)
-        console.print("  finished before")
-        return path
-    names = size.cameras or None
-    frames = round(size.seconds * 10) * len(size.cameras or CAMERAS)
-    with FrameProgress(console, frames, "images") as progress:
-        synthesize_log(
-            world, path, width=size.width, height=size.height, cameras=names, workers=threads,
-            progress=progress.reach,
-        )  # fmt: skip
-    return path
-
-
-def _check_same(log: DrivingLog, world: World, size: DemoSize, path: Path) -> None:
-    shape = {name: (c.camera.width, c.camera.height) for name, c in log.cameras.items()}
-    wanted = world_metadata(world)
-    same = {name: log.metadata.get(name) for name in wanted} == wanted
-    if not same or shape != dict.fromkeys(size.cameras or CAMERAS, (size.width, size.height)):
-        raise InputError(
-            path, "log", "is that of another demo", "name another --out, or remove this one"
-        )

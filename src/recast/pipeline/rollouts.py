@@ -70,7 +70,7 @@ def make_rollout(
             films.close()
             for name in writers:
                 (partial / f"{name}.mp4").unlink(missing_ok=True)
-            _save_failure(failure(setup, planner.name, error), partial / _FAILURE)
+            storage.write_json(partial / _FAILURE, vars(failure(setup, planner.name, error)))
 
 
 def read_rollout(folder: Path) -> Rollout | RolloutFailure:
@@ -94,5 +94,12 @@ def films(folder: Path) -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.mp4"))}
 
 
-def _save_failure(row: RolloutFailure, path: Path) -> None:
-    storage.write_json(path, vars(row))
+def write_failure(row: RolloutFailure, folder: Path) -> None:
+    """Write why there is no rollout, as a new folder."""
+    with storage.atomic_folder(folder) as partial:
+        storage.write_json(partial / _FAILURE, vars(row))
+
+
+def is_failure(folder: Path) -> bool:
+    """Whether the folder says why there is no rollout."""
+    return (folder / _FAILURE).exists()

@@ -1,0 +1,121 @@
+"""The paper's table on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from recast.evaluation.bootstrap import Bootstrap
+from recast.evaluation.grid_summary import MethodSummary, PairedDifference
+from recast.evaluation.table import COLUMNS
+from recast.evaluation.verdicts import Agreement
+
+_HEADLINE = {name: column for name, column in COLUMNS.items() if column.headline}
+_DIGITS = {"s": 2, "%": 1}
+_COUNTED = ("nc", "dac")
+"""Metrics that are 0 or 1 for a rollout: shown as how many of how many, too."""
+
+
+def grid_table(lines: Sequence[MethodSummary], title: str) -> Table:
+    """A line for each method: means with their intervals over scenes."""
+    table = _table(title)
+    for heading in ("method", "rollouts"):
+        table.add_column(heading, no_wrap=True)
+    for column in _HEADLINE.values():
+        table.add_column(f"{column.label} {column.unit}", no_wrap=True, justify="right")
+    for line in lines:
+        row = line.row
+        counts = [str(row.rollouts)]
+        counts += [f"{n} {what}" for n, what in ((row.failed, "failed"), (row.cut, "cut")) if n]
+        table.add_row(row.method, "\n".join(counts), *(_mean(line, name) for name in _HEADLINE))
+    return table
+
+
+def differences_table(differences: Sequence[PairedDifference]) -> Table:
+    """A line for each headline metric of each method: its difference from the first method."""
+    level = 100 * differences[0].sampled.level
+    scenes = max(one.scenes for one in differences)
+    table = _table(f"paired differences, {scenes} scenes drawn whole")
+    for heading in ("difference", "metric", "mean", f"{level:g} % sampled", "exact", "pairs"):
+        left = heading in ("difference", "metric")
+        table.add_column(heading, no_wrap=True, justify="left" if left else "right")
+    for one in differences:
+        if one.metric not in _HEADLINE:
+            continue
+        column = _HEADLINE[one.metric]
+        digits = _DIGITS[column.unit]
+        table.add_row(
+            f"{one.candidate} - {one.baseline}", f"{column.label} {column.unit}",
+            f"{one.sampled.point:+.{digits}f}", _signed(one.sampled, digits),
+            "n/a" if one.exact is None else _signed(one.exact, digits),
+            str(one.pairs),
+        )  # fmt: skip
+    return table
+
+
+def truth_table(lines: Sequence[Agreement]) -> Table:
+    """A line for each method: whether its rollouts end as the oracle's do.
+
+    False are collisions that the oracle's rollouts do not have, missed are those that they have.
+    """
+    table = _table("against the truth (oracle)")
+    headings = ("method", "same verdict", "%", "false", "missed", "TTC error s")
+    for heading in headings:
+        table.add_column(heading, no_wrap=True, justify="left" if heading == "method" else "right")
+    for one in lines:
+        share = replace(
+            one.share, point=100 * one.share.point, low=100 * one.share.low,
+            high=100 * one.share.high,
+        )  # fmt: skip
+        table.add_row(
+            one.method, f"{one.agreeing}/{one.pairs}",
+            f"{share.point:.1f}\n{_range(share, 1)}",
+            str(one.false_collisions), str(one.missed_collisions),
+            "n/a" if one.ttc_error is None
+            else f"{one.ttc_error.point:.3f}\n{_range(one.ttc_error, 3)}",
+        )  # fmt: skip
+    return table
+
+
+def times_line(times: Mapping[str, Any]) -> str:
+    """Where the time went, in one line."""
+    whole, session = times["all"], times["sessions"][-1]
+    shares = ", ".join(
+        f"{name} {100 * share:.0f} %"
+        for name, share in whole["shares"].items()
+        if share is not None
+    )
+    return (
+        f"{session['seconds']:.0f} s with --workers {session['workers']} for "
+        f"{session['rollouts']} rollouts; all {whole['rollouts']} took {whole['seconds']:.0f} s"
+        + (f": {shares}" if shares else "")
+    )
+
+
+def _table(title: str) -> Table:
+    return Table(
+        title=title, title_justify="left", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False
+    )
+
+
+def _mean(line: MethodSummary, name: str) -> str:
+    mean, digits = line.row.means[name], _DIGITS[COLUMNS[name].unit]
+    if mean is None:
+        return "n/a"
+    shown = [f"{mean:.{digits}f}", _range(line.intervals[name], digits)]
+    if name in _COUNTED:
+        count = line.row.counts[name]
+        shown.insert(1, f"{round(mean * count / 100)}/{count}")
+    return "\n".join(shown)
+
+
+def _range(one: Bootstrap, digits: int) -> str:
+    return f"{one.low:.{digits}f}-{one.high:.{digits}f}"
+
+
+def _signed(one: Bootstrap, digits: int) -> str:
+    return f"[{one.low:+.{digits}f}, {one.high:+.{digits}f}]"

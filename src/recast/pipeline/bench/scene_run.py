@@ -1,0 +1,64 @@
+"""One scene of a grid: an ordinary run, of which each worker makes some of the rollouts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+
+from recast.logs import read_log
+from recast.pipeline.config import RunConfig
+from recast.pipeline.job import Job
+from recast.pipeline.layout import ROLLOUTS_FOLDER, Method
+from recast.pipeline.methods import Renderers
+from recast.pipeline.planner import run_mounts
+from recast.pipeline.run_folder import RunFolder
+from recast.planning import make_planner
+from recast.simulation import Timings
+from recast.synthetic import world_of
+
+
+class SceneRun:
+    """The run of a scene, opened; close it.
+
+    Opening makes actor, scene and evaluation where they are not finished, as far as anything is
+    rendered: a planner that reads states, without films, needs none of them.
+
+    Args:
+        path: run folder, begun with `RunFolder.create_or_resume`.
+
+    Raises:
+        InputError: a faulty log or folder, or a camera that the planner wants and the log lacks.
+    """
+
+    def __init__(self, path: Path) -> None:
+        folder = RunFolder.open(path)
+        config = RunConfig.model_validate(folder.record["config"])
+        log = read_log(folder.record["log"]["path"])
+        planner = make_planner(config.planner)
+        self.planner_name = planner.name
+        looks = config.films or planner.needs_images
+        methods = set(config.methods) if looks else set()
+        world = world_of(log) if "oracle" in methods else None
+        mounts = run_mounts(log, planner, config)
+        self._renderers = Renderers(path, world, mounts, oracle_workers=1)
+        self.job = Job(log, world, folder, config, self._renderers, Console(quiet=True))
+        self._actor = self.job.make_actor() if "replaced" in methods else None
+        self._scene = self.job.make_scene() if methods - {"oracle"} else None
+        self._evaluation = None if self._scene is None else self.job.evaluate(self._scene)
+
+    def rollout_folder(self, motion: str, method: Method) -> Path:
+        """Where a rollout lies."""
+        return self.job.path / ROLLOUTS_FOLDER / motion / method
+
+    def make_rollout(self, motion: str, method: Method, timings: Timings) -> str:
+        """One rollout, see `Job.make_rollout`."""
+        return self.job.make_rollout(motion, method, self._scene, self._actor, timings)
+
+    def score(self, rollouts: dict[str, str]) -> str:
+        """metrics.json, see `Job.score`."""
+        return self.job.score(rollouts, self._evaluation, self._actor)
+
+    def close(self) -> None:
+        """Let go of the renderers."""
+        self._renderers.__exit__(None, None, None)

@@ -1,0 +1,116 @@
+"""What a grid is asked to be, and the record of it in its folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from recast import storage
+from recast.errors import InputError
+from recast.evaluation.bootstrap import SAMPLES
+from recast.pipeline.bench.scenes import BenchScene
+from recast.pipeline.config import RunConfig
+from recast.pipeline.fingerprint import folder_hash
+from recast.pipeline.planner import planner_source
+
+RECORD_FILE, ROLLOUTS_FILE, RESULTS_FILE = "bench.json", "rollouts.parquet", "results.json"
+TIMES_FILE, SCENES_FOLDER = "times.json", "scenes"
+BENCH_FORMAT, BENCH_VERSION = "recast-closed-loop", 1
+
+ANY_TRACK = "*"
+"""Stands in `BenchSettings.run` for the track, which every scene has its own of."""
+
+
+@dataclass(frozen=True)
+class DriveSize:
+    """Of the synthetic scenes: seconds of the drive, and pixels of its images."""
+
+    seconds: float = 20.0
+    width: int = 480
+    height: int = 320
+
+
+@dataclass(frozen=True)
+class BenchSettings:
+    """A grid.
+
+    Attributes:
+        scenes: at least one.
+        run: motions, methods (the first is the baseline), planner and all else, the same for every
+            scene; its track is `ANY_TRACK`.
+        drive: size of synthetic scenes.
+        samples: of the bootstrap.
+    """
+
+    scenes: tuple[BenchScene, ...]
+    run: RunConfig
+    drive: DriveSize = DriveSize()
+    samples: int = SAMPLES
+
+    def run_of(self, track: str) -> RunConfig:
+        """The configuration of a scene whose target is `track`: on one thread, as all workers."""
+        scene = self.run.scene
+        others = (name for name in scene.force_dynamic if name != ANY_TRACK)
+        dynamic = tuple(dict.fromkeys((*others, track)))
+        scene = scene.model_copy(update={"force_dynamic": dynamic, "threads": 1})
+        return self.run.model_copy(update={"track": track, "threads": 1, "scene": scene})
+
+    def record(self) -> dict[str, Any]:
+        """What makes this grid another than others: plain data, without where files lie.
+
+        The member `config` is the configuration of a run, so that `--config` reads it.
+        """
+        return {
+            "format": BENCH_FORMAT,
+            "version": BENCH_VERSION,
+            "config": self.run.resolved(),
+            "planner": planner_source(self.run.planner),
+            "drive": asdict(self.drive),
+            "samples": self.samples,
+            "scenes": [_scene_record(scene) for scene in self.scenes],
+        }
+
+
+def begin(out: Path, settings: BenchSettings) -> None:
+    """Take `out` for this grid, or go on with it there.
+
+    Raises:
+        InputError: it holds something else; nothing is written then.
+    """
+    record, path = settings.record(), out / RECORD_FILE
+    if path.is_file():
+        found = storage.read_json(path)
+        if not isinstance(found, dict) or found.get("format") != BENCH_FORMAT:
+            raise InputError(path, "format", "is no grid's", "name another --out")
+        for name, value in json.loads(json.dumps(record)).items():
+            if found.get(name) != value:
+                raise InputError(
+                    path, _where(name, found.get(name), value), "differs: another grid lies there",
+                    "name another --out, or repeat the options of the grid that lies there",
+                )  # fmt: skip
+        return
+    # a kill at the very start leaves no more than the beginning of the record
+    inside = {entry.name for entry in out.iterdir()} if out.is_dir() else set()
+    if (out.exists() and not out.is_dir()) or inside - {f".{RECORD_FILE}.partial"}:
+        raise InputError(
+            out, "output folder", "exists and holds no grid", "name a new or empty folder"
+        )
+    storage.write_json(path, record)
+
+
+def _where(name: str, found: Any, wanted: Any) -> str:
+    """Dotted name of the first member that differs."""
+    if isinstance(found, Mapping) and isinstance(wanted, Mapping):
+        for key in wanted:
+            if found.get(key) != wanted[key]:
+                return _where(f"{name}.{key}", found.get(key), wanted[key])
+    return name
+
+
+def _scene_record(scene: BenchScene) -> dict[str, Any]:
+    if scene.log is None:
+        return {"id": scene.id, "world": scene.world, "seed": scene.seed}
+    return {"id": scene.id, "log": folder_hash(scene.log), "track": scene.track}

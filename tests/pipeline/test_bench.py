@@ -1,0 +1,218 @@
+"""The closed-loop grid at its smallest: planners that read states, so nothing is rendered."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from recast.cli.main import main
+from recast.errors import InputError
+from recast.pipeline.bench import parse_scenes
+
+TESTS = Path(__file__).parents[1]
+FILES = ("rollouts.parquet", "results.json", "bench.json")
+OPTIONS = ("--motions", "advancing-a", "stationary-a", "--steps", "10", "--samples", "200")
+
+
+def command(scenes: list[str], out: Path, *more: str) -> list[str]:
+    return ["bench", "closed-loop", "--scenes", *scenes, "--out", str(out), *OPTIONS, *more]
+
+
+@pytest.fixture(scope="module")
+def logs(tiny_log_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Two scenes: both vehicles of the tiny drive."""
+    return [f"{tiny_log_folder}:0", f"{tiny_log_folder}:1"]
+
+
+@pytest.fixture(scope="module")
+def finished(logs: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("bench") / "grid"
+    assert main(command(logs, out)) == 0
+    return out
+
+
+def rows(out: Path) -> list[dict[str, object]]:
+    found: list[dict[str, object]] = pq.read_table(out / "rollouts.parquet").to_pylist()
+    return found
+
+
+def test_every_rollout_is_a_row_and_a_refused_one_says_why(finished: Path) -> None:
+    found = rows(finished)
+    assert len(found) == 2 * 2 * 2
+    assert [r["method"] for r in found[:2]] == ["native", "replaced"]
+    refused = [r for r in found if r["failure"] is not None]
+    assert {r["motion"] for r in refused} == {"stationary"}  # the recorded road is too short
+    assert all("road" in str(r["failure_reason"]) for r in refused)
+    for row in found:
+        if row["failure"] is None:
+            assert (row["steps_run"], row["verdict"]) == (10, "no collision")
+            assert row["ttc"] is not None and row["r_c"] is not None
+
+
+def test_results_have_intervals_and_differences(finished: Path) -> None:
+    results = json.loads((finished / "results.json").read_text())
+    assert [line["method"] for line in results["table"]] == ["native", "replaced"]
+    assert all(line["intervals"]["nc"]["mean"] == 100.0 for line in results["table"])
+    ttc = next(d for d in results["differences"] if d["metric"] == "ttc")
+    # nothing looks at the pictures, so the methods cannot differ
+    assert (ttc["candidate"], ttc["baseline"]) == ("replaced", "native")
+    assert (ttc["sampled"]["point"], ttc["exact"]["low"], ttc["exact"]["high"]) == (0.0, 0.0, 0.0)
+    assert results["failed"] == len(results["failures"]) > 0
+
+
+def test_nothing_was_rendered_and_times_are_apart(finished: Path) -> None:
+    run = next((finished / "scenes").iterdir()) / "run"
+    assert not (run / "scene").exists() and not (run / "actor").exists()
+    assert (run / "metrics.json").exists()
+    times = json.loads((finished / "times.json").read_text())
+    assert times["all"]["shares"]["render"] == 0.0
+    assert times["all"]["rollouts"] == times["sessions"][0]["rollouts"] > 0
+    assert "seconds" not in (finished / "results.json").read_text()
+
+
+def test_a_second_time_makes_nothing_and_changes_nothing(
+    finished: Path, logs: list[str], tmp_path: Path
+) -> None:
+    copy = tmp_path / "grid"
+    shutil.copytree(finished, copy)
+    states = list(copy.rglob("rollout.parquet"))
+    before = {p: p.stat().st_mtime_ns for p in states}
+    assert main(command(logs, copy)) == 0
+    assert before == {p: p.stat().st_mtime_ns for p in states} != {}
+    for name in FILES:
+        assert (copy / name).read_bytes() == (finished / name).read_bytes(), name
+
+
+def test_two_workers_give_the_same_bytes(finished: Path, logs: list[str], tmp_path: Path) -> None:
+    assert main(command(logs, tmp_path / "grid", "--workers", "2")) == 0
+    for name in FILES:
+        assert (tmp_path / "grid" / name).read_bytes() == (finished / name).read_bytes(), name
+
+
+def test_a_killed_grid_goes_on(logs: list[str], tmp_path: Path) -> None:
+    out, again = tmp_path / "grid", tmp_path / "again"
+    planner = ("--planner", "pipeline.bench_planners:Kills")
+    args = command(logs, out, *planner)
+    environment = {
+        **os.environ, "RECAST_TEST_KILLS": str(tmp_path / "begun"), "PYTHONPATH": str(TESTS),
+        "OMP_NUM_THREADS": "1",
+    }  # fmt: skip
+
+    def go(args: list[str]) -> int:
+        code = "import sys; from recast.cli.main import main; sys.exit(main(sys.argv[1:]))"
+        done = subprocess.run([sys.executable, "-c", code, *args], env=environment, check=False)
+        return done.returncode
+
+    assert go(args) == -9
+    assert not (out / "results.json").exists()
+    kept = {p: p.stat().st_mtime_ns for p in out.rglob("rollout.parquet")}
+    assert kept
+    assert go(args) == 0
+    assert {p: p.stat().st_mtime_ns for p in kept} == kept
+    assert go(command(logs, again, *planner)) == 0
+    for name in FILES:
+        assert (out / name).read_bytes() == (again / name).read_bytes(), name
+
+
+@pytest.mark.parametrize(
+    ("planner", "reason"),
+    [("Faulty", "no idea"), ("NotANumber", "NaN"), ("TooFew", "expected (40, 3)")],
+)
+def test_a_failing_planner_is_rows_with_a_reason(
+    logs: list[str], tmp_path: Path, planner: str, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(TESTS))
+    out = tmp_path / "grid"
+    assert main(command(logs[:1], out, "--planner", f"pipeline.bench_planners:{planner}")) == 0
+    found = [r for r in rows(out) if r["motion"] == "advancing"]
+    assert len(found) == 2
+    assert all(reason in str(r["failure_reason"]) for r in found)
+
+
+def test_a_slow_planner_is_rows_with_a_reason(logs: list[str], tmp_path: Path) -> None:
+    out = tmp_path / "grid"
+    assert main(command(logs[:1], out, "--plan-timeout", "1e-9")) == 0
+    assert all("limit" in str(r["failure_reason"]) for r in rows(out) if r["motion"] == "advancing")
+
+
+def test_a_scene_that_fails_is_rows_and_the_others_go_on(
+    logs: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from recast.pipeline.bench import worker
+
+    opened = worker.SceneRun
+
+    def only_the_first(path: Path) -> object:
+        if path.parent.name.endswith("-1"):
+            raise RuntimeError("the disk forgot it")
+        return opened(path)
+
+    monkeypatch.setattr(worker, "SceneRun", only_the_first)
+    out = tmp_path / "grid"
+    assert main(command(logs, out)) == 0
+    found = rows(out)
+    assert [r["failure_reason"] for r in found[4:]] == ["the disk forgot it"] * 4
+    assert found[0]["failure"] is None
+
+
+BAD = [
+    (["--scenes", "moonbase"], "moonbase"),
+    (["--scenes", "urban-straight", "urban-straight:0"], "twice"),
+    (["--scenes", "urban-straight:x"], "seed"),
+    (["--scenes", "underpass", "--methods", "warp"], "warp"),
+    (["--scenes", "underpass", "--planner", "psychic"], "psychic"),
+    (["--scenes", "underpass", "--workers", "0"], "workers"),
+    (["--scenes", "underpass", "--seconds", "99"], "seconds"),
+    (["--scenes", "underpass", "--cameras", "periscope"], "periscope"),
+    (["--scenes", "underpass", "--motions", "moonwalk"], "moonwalk"),
+]
+
+
+@pytest.mark.parametrize(("options", "word"), BAD)
+def test_bad_input_is_one_line_before_anything_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], word: str
+) -> None:
+    out = tmp_path / "grid"
+    try:
+        code = main(["bench", "closed-loop", *options, "--out", str(out)])
+    except SystemExit as refused:  # by the reader of the command line
+        code = int(str(refused.code))
+    assert code == 2
+    assert word in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_the_oracle_of_a_recorded_log_is_refused(
+    logs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(command(logs, tmp_path / "grid", "--methods", "native", "oracle")) == 2
+    assert "synthetic" in capsys.readouterr().err
+    assert not (tmp_path / "grid").exists()
+
+
+def test_another_grid_in_the_folder_is_refused(
+    finished: Path, logs: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {p: p.read_bytes() for p in finished.iterdir() if p.is_file()}
+    assert main(command(logs, finished, "--seed", "4")) == 2
+    line = capsys.readouterr().err
+    assert "config.scene.seed" in line or "config.seed" in line
+    assert main(command(logs[:1], finished)) == 2
+    assert before == {p: p.read_bytes() for p in finished.iterdir() if p.is_file()}
+
+
+def test_scenes_by_word(tiny_log_folder: Path) -> None:
+    assert len(parse_scenes(["synthetic"], 3)) == 9
+    one, two = parse_scenes(["underpass:5", str(tiny_log_folder)], 3, track="1")
+    assert (one.id, one.seed, two.track) == ("underpass-5", 5, "1")
+    with pytest.raises(InputError, match="LOG:TRACK"):
+        parse_scenes([str(tiny_log_folder)], 0)
+    with pytest.raises(InputError, match="track 9"):
+        parse_scenes([f"{tiny_log_folder}:9"], 0)
