@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from recast.cli.actor import Actor
+from recast.cli.bench import Bench
 from recast.cli.demo import Demo
 from recast.cli.doctor import Doctor
 from recast.cli.eval import Eval
@@ -28,6 +29,7 @@ Command = (
     | Annotated[Actor, tyro.conf.subcommand("actor")]
     | Annotated[Recar, tyro.conf.subcommand("recar")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
+    | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Trellis, tyro.conf.subcommand("trellis")]
     | Annotated[Planner, tyro.conf.subcommand("planner")]
     | Annotated[Run, tyro.conf.subcommand("run")]
