@@ -54,7 +54,8 @@ def test_recovers_a_known_move(
     moved = Surface(
         (SURFACE.points - shift) @ rotation / scale, SURFACE.normals @ rotation, SURFACE.index
     )
-    result = align(moved, lidar)
+    # nothing is known beforehand: the points alone must give all five numbers
+    result = align(moved, lidar, IcpLimits(scale_deviation=1.0))
     assert result.scale == pytest.approx(scale, abs=0.015)
     assert result.yaw == pytest.approx(yaw, abs=0.015)
     np.testing.assert_allclose(result.apply(moved.points), SURFACE.points, atol=0.06)
@@ -97,6 +98,17 @@ def test_what_the_points_do_not_tell_stays() -> None:
     result = align(SURFACE, rear)
     assert abs(result.scale - 1) < 0.06
     assert result.apply(np.array([[-2.2, 0, 0]]))[0, 0] == pytest.approx(-2.3, abs=0.02)
+
+
+def test_a_vehicle_that_came_out_too_flat_keeps_its_length() -> None:
+    """The box knows the length; LiDAR of two sides must not stretch it to mend the height."""
+    lidar = seen_from(SURFACE, [-8.0, 5.0, 1.5])[::5]
+    flat = Surface(SURFACE.points * [1.0, 1.0, 0.85], SURFACE.normals, SURFACE.index)
+    floor = float(SURFACE.points[:, 2].min())
+    trusting = align(flat, lidar, IcpLimits(scale_deviation=1.0), floor=floor)
+    result = align(flat, lidar, floor=floor)
+    assert trusting.scale > 1.15
+    assert abs(result.scale - 1) < 0.06
 
 
 def test_fit_counts_points() -> None:
