@@ -97,7 +97,7 @@ def _check(
         raise InputError(
             path,
             f"category in row {row}",
-            f"{rows['category'][row]!r} is none of Argoverse 2",
+            f"{str(rows['category'][row])!r} is none of Argoverse 2",
             f"use one of {', '.join(CATEGORIES)}",
         )
     if np.any(size <= 0):

@@ -1,0 +1,131 @@
+"""The Argoverse 2 importer against a made-up log whose truth is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recast.geometry import boxes, se3
+from recast.logs import DrivingLog, read_log
+from recast.logs.importers import IMPORTERS
+from support import tiny_argoverse2 as tiny
+
+
+@pytest.fixture(scope="module")
+def tiny_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("argoverse2")
+    tiny.write_tiny_log(root)
+    return root
+
+
+@pytest.fixture(scope="module")
+def log(tiny_root: Path, tmp_path_factory: pytest.TempPathFactory) -> DrivingLog:
+    out = tmp_path_factory.mktemp("out") / "log"
+    IMPORTERS.load("argoverse2")(tiny_root, tiny.LOG, out)
+    return read_log(out)
+
+
+def _street_from_world(log: DrivingLog) -> np.ndarray:
+    city_from_world = se3.from_rotation_translation(np.eye(3), log.world_offset)
+    return se3.inverse(tiny.CITY_FROM_STREET) @ city_from_world
+
+
+def _seconds(times_us: np.ndarray) -> np.ndarray:
+    return (times_us - tiny.START_NS // 1000) / 1e6
+
+
+def test_the_rig_rolls_on_the_ground_near_the_origin(log: DrivingLog) -> None:
+    times = _seconds(log.world_from_rig.timestamps_us)
+    truth = tiny.street_from_ego(times)
+    truth[:, 2, 3] = 0.0
+    street = _street_from_world(log) @ log.world_from_rig.poses
+    np.testing.assert_allclose(street, truth, atol=1e-5)
+    np.testing.assert_allclose(log.world_from_rig.poses[0, :3, 3], 0.0, atol=1e-9)
+
+
+def test_boxes_are_placed_with_the_ego_of_their_sweep(log: DrivingLog) -> None:
+    assert {key: track.category for key, track in log.tracks.items()} == {
+        "car": "car",
+        "bike": "cyclist",
+    }
+    car = log.tracks["car"]
+    np.testing.assert_array_equal(car.size, tiny.CAR_SIZE)
+    for time, pose in zip(car.trajectory.timestamps_us, car.trajectory.poses, strict=True):
+        truth = tiny.street_from_car(float(_seconds(time)))
+        np.testing.assert_allclose(_street_from_world(log) @ pose, truth, atol=1e-5)
+
+
+def test_both_lidars_see_the_car_with_a_time_for_every_point(log: DrivingLog) -> None:
+    up, down = log.lidars["up_lidar"], log.lidars["down_lidar"]
+    for index in range(2):
+        sweeps = [up.sweeps[index], down.sweeps[index]]
+        time = sweeps[0].timestamp_us
+        assert _seconds(time) == pytest.approx(0.3 + 0.1 * index)
+        pose = se3.inverse(log.world_from_rig.at(time)) @ log.tracks["car"].trajectory.at(time)
+        inside = [boxes.contains(sweep.points, tiny.CAR_SIZE, pose).sum() for sweep in sweeps]
+        assert inside == [tiny.CAR_POINTS / 2] * 2
+        road = np.concatenate([s.points[np.abs(s.points[:, 1] + 4.5) < 1.6] for s in sweeps])
+        assert np.abs(road[:, 2]).max() < 2e-3
+        times = np.sort(np.concatenate([sweep.point_timestamps_us for sweep in sweeps]))
+        assert times[[0, -1]] - time == pytest.approx([2654, 106_000], abs=1)
+        assert sweeps[0].intensity[1] == pytest.approx(2 / 255)
+    lifted = se3.from_rotation_translation(np.eye(3), [0, 0, tiny.AXLE_HEIGHT])
+    np.testing.assert_allclose(down.rig_from_lidar, lifted @ tiny.DOWN, atol=1e-6)
+    np.testing.assert_allclose(up.rig_from_lidar, lifted @ tiny.UP, atol=1e-6)
+
+
+def test_cameras_keep_their_own_times_and_bytes(log: DrivingLog, tiny_root: Path) -> None:
+    ring, stereo = log.cameras["ring_front_center"], log.cameras["stereo_front_left"]
+    np.testing.assert_allclose(_seconds(ring.timestamps_us), 0.05 * np.arange(9), atol=2e-6)
+    files = sorted((tiny_root / "val" / tiny.LOG / "sensors/cameras").glob("*/*.jpg"))
+    assert ring.images.encoded(3) == (files[3].read_bytes(), "jpeg")  # type: ignore[attr-defined]
+    assert ring.images[3].shape == (tiny.HEIGHT, tiny.WIDTH, 3)
+    # Images are undistorted; pixel centres are counted from 0 in the files.
+    assert (ring.camera.fx, ring.camera.cx, ring.camera.cy) == (30.0, 16.0, 12.0)
+    assert ring.camera.is_rectified
+    # Calibrated, but without images here.
+    assert len(stereo.images) == 0 and stereo.camera.fx == 31.0
+    ahead = se3.apply(ring.rig_from_camera, np.array([[0.0, 0.0, 5.0]]))
+    np.testing.assert_allclose(ahead, [[6.6, 0.0, 1.4 + tiny.AXLE_HEIGHT]], atol=1e-6)
+
+
+def test_lanes_have_averaged_centrelines_and_neighbours_of_one_way(log: DrivingLog) -> None:
+    assert log.map is not None
+    lanes = log.map.lanes
+    assert sorted(lanes) == ["1", "2", "3", "4"]  # no bicycle lane
+    street = se3.apply(_street_from_world(log), lanes["1"].centreline)
+    np.testing.assert_allclose(street[[0, -1]], [[-10, 0, 0], [30, 0, 0]], atol=1e-6)
+    np.testing.assert_allclose(street[:, 1:], 0.0, atol=1e-6)
+    assert lanes["1"].successors == ("2",) and lanes["3"].successors == ()
+    assert (lanes["1"].left_neighbour, lanes["1"].right_neighbour) == (None, "3")
+    assert (lanes["3"].left_neighbour, lanes["3"].right_neighbour) == ("1", None)
+    assert lanes["4"].left_neighbour is None
+    assert lanes["2"].is_intersection and not lanes["1"].is_intersection
+    for lane in lanes.values():
+        x, y = lane.polygon.T
+        assert x @ np.roll(y, -1) - y @ np.roll(x, -1) > 0
+    assert len(log.map.drivable_area) == 1
+    assert not log.map.derived and log.map.notes["city"] == "PIT"
+
+
+def test_ground_is_the_raster_under_its_cells(log: DrivingLog) -> None:
+    assert log.map is not None and log.map.ground is not None
+    # Row 40, column 50 of a raster whose corner is (980, 1980).
+    place = np.array([980 + 50.5 * tiny.CELL, 1980 + 40.5 * tiny.CELL]) - log.world_offset[:2]
+    expected = float(np.float16(60 + 0.5 + 0.8)) - log.world_offset[2]
+    for edge in (-0.24, 0.24):
+        assert log.map.ground.at(place + edge) == pytest.approx(expected, abs=1e-3)
+    assert np.isnan(log.map.ground.at(np.array([980.1, 1980.1]) - log.world_offset[:2]))
+
+
+def test_boxes_may_lie_apart_and_may_be_missing(tiny_root: Path, tmp_path: Path) -> None:
+    load = IMPORTERS.load("recast.logs.importers.argoverse2:load_argoverse2")
+    folder = tiny.write_tiny_log(tmp_path)
+    own = folder / "annotations.feather"
+    moved = own.rename(tmp_path / "other.feather")
+    assert load(tmp_path, tiny.LOG).tracks == {}
+    assert set(load(tmp_path, tiny.LOG, moved).tracks) == {"car", "bike"}
+    moved.rename(folder / "annotations_with_ego.feather")
+    assert set(load(folder, tiny.LOG).tracks) == {"car", "bike"}  # named by its own folder
