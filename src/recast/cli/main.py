@@ -18,6 +18,7 @@ from recast.cli.planner import Planner
 from recast.cli.recar import Recar
 from recast.cli.report import Report
 from recast.cli.run import Run
+from recast.cli.scenario import Scenario
 from recast.cli.scene import Scene
 from recast.cli.trellis import Trellis
 from recast.errors import InputError
@@ -32,6 +33,7 @@ Command = (
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Trellis, tyro.conf.subcommand("trellis")]
     | Annotated[Planner, tyro.conf.subcommand("planner")]
+    | Annotated[Scenario, tyro.conf.subcommand("scenario")]
     | Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]

@@ -13,6 +13,7 @@ from recast.logs.hdmap import HdMap
 from recast.reporting import palette
 from recast.reporting.canvas import Canvas, View, dashed
 from recast.reporting.map_layer import MapLayer
+from recast.reporting.map_marks import draw_car, draw_scale_bar, fitted_view
 from recast.reporting.series import Series, planned_paths, series
 from recast.simulation.rollout import Rollout
 
@@ -21,8 +22,6 @@ Image = NDArray[np.uint8]
 
 _FILM_SPAN = 90.0  # metres across the film: an oncoming car 55 m ahead must be in it
 _EGO_AT = 0.28  # share of the film's width behind the ego
-_MARGIN = 6.0  # metres around everything in the still
-_MAX_STILL_SCALE = 14.0  # pixels a metre
 _DASH = 1.5  # metres
 _STAMP = 1.0  # seconds between the ghost boxes of the still
 
@@ -78,7 +77,7 @@ def draw_frames(
         _draw_cars(canvas, rollout, step, touching=bool(curves.contact[step]))
         _draw_readout(canvas, curves, step)
         _draw_legend(canvas, rollout, actor_log_path is not None)
-        _draw_scale_bar(canvas)
+        draw_scale_bar(canvas)
         yield canvas.image
 
 
@@ -117,7 +116,7 @@ def draw_still(
     if hit is not None:
         _draw_contact_label(canvas, rollout, hit, f"contact at {curves.time[hit]:.1f} s")
     _draw_legend(canvas, rollout, actor_log_path is not None, size=20)
-    _draw_scale_bar(canvas, size=20)
+    draw_scale_bar(canvas, size=20)
     return canvas.image
 
 
@@ -138,13 +137,7 @@ def _whole_view(rollout: Rollout, style: BirdseyeStyle) -> View:
             rollout.log_ego[:, :2],
         ]
     )
-    turned = View(np.zeros(2), heading, 1.0, 0, 0).pixels(drawn)
-    low, high = turned.min(axis=0) - _MARGIN, turned.max(axis=0) + _MARGIN
-    span = high - low
-    scale = min(style.still_width / span[0], style.still_max_height / span[1], _MAX_STILL_SCALE)
-    height = int(np.clip(span[1] * scale, style.still_width / 5, style.still_max_height))
-    centre = View(np.zeros(2), heading, 1.0, 0, 0).world((low + high) / 2)
-    return View(centre, heading, scale, style.still_width, height - height % 2)
+    return fitted_view(drawn, heading, style.still_width, style.still_max_height)
 
 
 @dataclass(frozen=True)
@@ -185,19 +178,8 @@ def _draw_cars(canvas: Canvas, rollout: Rollout, step: int, touching: bool) -> N
         (rollout.actor[step, :3], rollout.actor_size[:2], palette.ACTOR),
         (rollout.ego_boxes[step], rollout.ego_size, palette.EGO),
     ):
-        outline = boxes.bev_corners(pose, *size)
-        canvas.polygon(outline, colour)
-        _draw_windscreen(canvas, pose, size, palette.dimmed(colour, 0.35))
         edge = palette.COLLISION if touching else palette.GROUND
-        canvas.line(outline, edge, 3 if touching else 1, closed=True)
-
-
-def _draw_windscreen(canvas: Canvas, pose: Array, size: Array, colour: palette.Colour) -> None:
-    # A dark band a third from the front tells front from rear at any scale.
-    length, width = size[0] * 0.16, size[1] * 0.78
-    ahead = size[0] * 0.20
-    centre = pose + np.array([ahead * np.cos(pose[2]), ahead * np.sin(pose[2]), 0.0])
-    canvas.polygon(boxes.bev_corners(centre, length, width), colour)
+        draw_car(canvas, pose, size, colour, edge, 3 if touching else 1)
 
 
 def _draw_ghosts(canvas: Canvas, rollout: Rollout, step: int, label: str, *, after: bool) -> None:
@@ -248,10 +230,3 @@ def _draw_legend(canvas: Canvas, rollout: Rollout, has_actor_log: bool, size: in
         canvas.line(canvas.view.world([[x, y], [x + 1.2 * size, y]]), colour, 3)
         x += 1.2 * size + 8
         x += canvas.text((x, y), name, palette.TEXT, size, "lm") + 1.2 * size
-
-
-def _draw_scale_bar(canvas: Canvas, metres: float = 10.0, size: int = 17) -> None:
-    right, y = canvas.view.width - 16.0, canvas.view.height - 1.3 * size
-    left = right - metres * canvas.view.scale
-    canvas.line(canvas.view.world([[left, y], [right, y]]), palette.TEXT, 2)
-    canvas.text(((left + right) / 2, y - 5), f"{metres:.0f} m", palette.TEXT, size, "mb")

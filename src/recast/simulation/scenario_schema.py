@@ -40,9 +40,9 @@ class Quantity:
 
     @property
     def range(self) -> str:
-        """The unit and the range, such as "m within -50 and 500"."""
-        above = "above 0 and at most" if self.positive else f"within {self.low:.5g} and"
-        return f"{self.unit} {above} {self.high:.5g}"
+        """The range and the unit, such as "-50 to 500 m"."""
+        low = "more than 0, at most" if self.positive else f"{self.low:.5g} to"
+        return f"{low} {self.high:.5g} {self.unit}"
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class MotionSchema:
 
 
 _GAP = Quantity("m", -50.0, 500.0)  # less than 0: beside or behind the ego
-_SHARE = Quantity("a share of v_r", 0.0, 5.0)
+_SHARE = Quantity("of v_r", 0.0, 5.0)
 _LATERAL = Quantity("m", -20.0, 20.0, optional=True)
 
 MOTION_SCHEMAS: Mapping[str, MotionSchema] = {

@@ -1,0 +1,183 @@
+"""A scenario drawn on the map, before anything runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.geometry import boxes
+from recast.reporting import palette
+from recast.reporting.canvas import Canvas, View, dashed
+from recast.reporting.map_layer import MapLayer
+from recast.reporting.map_marks import draw_car, draw_scale_bar, fitted_view
+from recast.reporting.scenario_facts import ScenarioFacts
+from recast.simulation import PreparedRollout, RolloutSetup, ego_centre
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_WIDTH, _MAX_HEIGHT = 1600, 620
+_HEADER = 92  # pixels
+_DASH = 1.5  # metres
+_RAMP: tuple[palette.Colour, ...] = (palette.ACTOR, (236, 84, 150), (150, 108, 255))
+"""Colours of the first, the middle and the last moment."""
+_APART = 44  # pixels between two labels
+_ASIDE = 36  # pixels from the ego's side, beyond its labels, to the line that measures the gap
+_ACROSS = 5.0  # metres on each side of the route: the bar at its end
+
+
+def draw_scenarios(
+    scenarios: Sequence[tuple[RolloutSetup, PreparedRollout, ScenarioFacts]],
+) -> Image:
+    """Draw scenarios below one another.
+
+    Each shows the map, the ego's route, the ego's box at the start and its recorded place each
+    second, the actor's box each second in the colours of time, the gap and the speeds at the start,
+    and where the recorded road ends.
+
+    Returns:
+        (H, 1600, 3) uint8 RGB.
+    """
+    panels = [part for one in scenarios for part in (_header(*one), _panel(*one))]
+    return np.concatenate(panels, axis=0)
+
+
+def _panel(setup: RolloutSetup, prepared: PreparedRollout, facts: ScenarioFacts) -> Image:
+    vehicle, size = setup.vehicle, setup.track.size
+    ego_size = np.array([vehicle.length, vehicle.width])
+    ego = ego_centre(prepared.log_ego[:, :3], vehicle.centre_offset)
+    drawn = np.concatenate(
+        [
+            boxes.bev_corners(ego[[0, -1]], *ego_size).reshape(-1, 2),
+            boxes.bev_corners(prepared.actor[:, :3], *size[:2]).reshape(-1, 2),
+            ego[:, :2],
+        ]
+    )
+    along = prepared.route.line.points[-1] - ego[0, :2]
+    heading = float(np.arctan2(along[1], along[0]))
+    canvas = Canvas(fitted_view(drawn, heading, _WIDTH, _MAX_HEIGHT))
+    MapLayer(setup.hdmap).draw(canvas)
+    canvas.line(prepared.route.line.points, palette.ROUTE, 2)
+    canvas.lines(dashed(prepared.log_ego, _DASH), palette.LOGGED, 1)
+    _road_end(canvas, setup, prepared)
+
+    every = round(1.0 / setup.dt)
+    stamps = np.arange(0, prepared.steps + 1, every)
+    for step in stamps[:0:-1]:  # the early ones lie on top
+        outline = boxes.bev_corners(prepared.actor[step, :3], *size[:2])
+        colour = _colour(step, prepared)
+        canvas.polygon(outline, palette.dimmed(colour, 0.3))
+        canvas.line(outline, colour, 2, closed=True)
+    for step in stamps[1:]:
+        canvas.dots(ego[[step], :2], _colour(step, prepared), 4)
+    draw_car(canvas, prepared.actor[0, :3], size[:2], _RAMP[0])
+    draw_car(canvas, ego[0], ego_size, palette.EGO)
+    left = facts.laterals[0] > -0.5  # times of the actor on its side, those of the ego on the other
+    _gap(canvas, prepared, ego[0], ego_size, facts, -1 if left else 1)
+    _labels(canvas, prepared.actor[stamps, :3], size[:2], above=left)
+    _labels(canvas, ego[stamps], ego_size, above=not left)
+    draw_scale_bar(canvas, size=18)
+    return canvas.image
+
+
+def _header(setup: RolloutSetup, prepared: PreparedRollout, facts: ScenarioFacts) -> Image:
+    canvas = Canvas(View(np.zeros(2), 0.0, 1.0, _WIDTH, _HEADER), palette.GRID)
+    length, width = setup.track.size[:2]
+    described = getattr(setup.motion, "description", "")
+    canvas.text(
+        (16, 10), f"{facts.name}: {described}" if described else facts.name, palette.TEXT, 24
+    )
+    speeds = " to ".join(dict.fromkeys(f"{speed:.1f}" for speed in facts.actor_speeds))
+    x = 16.0
+    for text, colour in (
+        (f"{setup.log.name}, {facts.start:.1f} s after its start", palette.TEXT),
+        (f"ego {facts.ego_speed:.1f} m/s", palette.EGO),
+        (f"actor {setup.track_id} ({length:.1f} x {width:.1f} m) {speeds} m/s", _RAMP[0]),
+    ):
+        x += canvas.text((x, 40), text, colour, 18) + 28
+    note, colour = f"{facts.seconds:.1f} s, not cut", palette.LOGGED
+    if facts.cut_reason is not None:
+        note = f"cut after {facts.seconds:.1f} of {facts.asked:.1f} s: {facts.cut_reason}"
+        colour = palette.COLLISION
+    canvas.text((16, 66), note, colour, 18)
+    _time_bar(canvas, prepared.steps * setup.dt)
+    return canvas.image
+
+
+def _time_bar(canvas: Canvas, seconds: float) -> None:
+    left, right, y = _WIDTH - 330, _WIDTH - 60, 52
+    for x in range(left, right):
+        colour = _ramp((x - left) / (right - left))
+        canvas.line(canvas.view.world([[x, y], [x, y + 8]]), colour, 2)
+    canvas.text((left - 8, y + 4), "0 s", palette.TEXT, 17, "rm")
+    canvas.text((right + 8, y + 4), f"{seconds:.0f} s", palette.TEXT, 17, "lm")
+    legend = "boxes: actor, dots: ego as recorded"
+    canvas.text((right + 40, y - 14), legend, palette.LOGGED, 16, "rs")
+
+
+def _road_end(canvas: Canvas, setup: RolloutSetup, prepared: PreparedRollout) -> None:
+    """A bar across the route where rollouts are cut, as nothing was recorded beyond."""
+    end = prepared.route.length - setup.road_margin
+    bar = prepared.route.pose(end, np.array([-_ACROSS, _ACROSS]))
+    canvas.line(bar, palette.COLLISION, 3)
+    foot = canvas.view.pixels(bar)
+    below = foot[np.argmax(foot[:, 1])]
+    if 0 <= below[0] < canvas.view.width:
+        right = below[0] > canvas.view.width - 200
+        canvas.text(
+            (below[0], below[1] + 6), "recorded road ends", palette.COLLISION, 17,
+            "rt" if right else "mt",
+        )  # fmt: skip
+
+
+def _gap(
+    canvas: Canvas,
+    prepared: PreparedRollout,
+    ego: Array,
+    ego_size: Array,
+    facts: ScenarioFacts,
+    sign: int,
+) -> None:
+    """A measuring line from the ego's front to the actor's near end; `sign` 1 is left of both."""
+    front = float(prepared.route.project(ego)[0]) + ego_size[0] / 2
+    side = sign * (ego_size[1] / 2 + _ASIDE / canvas.view.scale)
+    s = np.linspace(front, front + facts.gap, 20)
+    canvas.line(prepared.route.pose(s, side), palette.TEXT, 1)
+    for end in (s[0], s[-1]):
+        canvas.line(prepared.route.pose(end, side + np.array([-0.5, 0.5])), palette.TEXT, 1)
+    x, y = canvas.view.pixels(prepared.route.pose(s[10], side))
+    below = canvas.view.pixels(prepared.route.pose(s[10]))[1] < y
+    canvas.text(
+        (x, y + (6 if below else -6)), f"gap {facts.gap:.1f} m", palette.TEXT, 18,
+        "mt" if below else "mb",
+    )  # fmt: skip
+
+
+def _labels(canvas: Canvas, poses: Array, size: Array, *, above: bool) -> None:
+    """Seconds 0, 1, 2, ... above or below boxes; where a box hardly moves, one label for the whole time."""
+    places = canvas.view.pixels(poses)
+    first = 0
+    for i in range(1, len(poses) + 1):
+        if i < len(poses) and np.hypot(*(places[i] - places[first])) < _APART:
+            continue
+        text = f"{first}"
+        if i - 1 > first and i == len(poses):
+            text += f" to {i - 1} s"
+        rows = canvas.view.pixels(boxes.bev_corners(poses[first], *size))[:, 1]
+        y = rows.min() - 5 if above else rows.max() + 5
+        colour = _ramp(first / max(len(poses) - 1, 1))
+        canvas.text((places[first, 0], y), text, colour, 18, "mb" if above else "mt")
+        first = i
+
+
+def _colour(step: int, prepared: PreparedRollout) -> palette.Colour:
+    return _ramp(step / max(prepared.steps, 1))
+
+
+def _ramp(share: float) -> palette.Colour:
+    """Colour of a moment: 0 the start, 1 the end."""
+    at = np.linspace(0.0, 1.0, len(_RAMP))
+    red, green, blue = (round(float(np.interp(share, at, c))) for c in np.transpose(_RAMP))
+    return red, green, blue
