@@ -1,6 +1,7 @@
 """Who does many jobs: this process, several of this machine, or a Ray cluster."""
 
-from recast.crews.crew import Crew, alone, crew_of
+from recast.crews.choose import crew_of
+from recast.crews.crew import Crew, alone
 from recast.crews.processes import in_processes
 from recast.crews.ray_cluster import on_ray
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol, TypeVar
 
-from recast.errors import InputError
 from recast.synthetic.child_process import one_thread
 
 Job = TypeVar("Job")
@@ -57,24 +56,3 @@ def alone(
             if work is None:
                 work = start(0, *arguments)
             yield job, work(job)
-
-
-def crew_of(workers: int, ray: str | None = None, gpu: bool = False) -> Crew:
-    """The crew that the options --workers and --ray name.
-
-    Args:
-        workers: processes, or actors of the cluster.
-        ray: address of a Ray cluster, see `on_ray`; None for none.
-        gpu: whether each worker of a cluster wants a GPU, if there is any.
-
-    Raises:
-        InputError: less than one worker, or Ray is not installed.
-    """
-    from recast.crews.processes import in_processes
-    from recast.crews.ray_cluster import on_ray
-
-    if workers < 1:
-        raise InputError("--workers", "value", f"is {workers}", "give 1 or more")
-    if ray is not None:
-        return on_ray(ray, workers, gpu)
-    return alone if workers == 1 else in_processes(workers)

@@ -1,7 +1,13 @@
 """Synthetic drives with ground truth: streets, vehicles, traffic, sensors, and the oracle."""
 
 from recast.synthetic.oracle import Oracle
-from recast.synthetic.populate import WORLD_VERSION, make_world, world_metadata, world_of
+from recast.synthetic.populate import (
+    WORLD_VERSION,
+    check_drive,
+    make_world,
+    world_metadata,
+    world_of,
+)
 from recast.synthetic.rig import CAMERAS, make_rig
 from recast.synthetic.streets import SCENES
 from recast.synthetic.truth import read_truth
@@ -14,6 +20,7 @@ __all__ = [
     "WORLD_VERSION",
     "Oracle",
     "World",
+    "check_drive",
     "check_request",
     "make_rig",
     "make_world",

@@ -50,6 +50,19 @@ def make_world(
     are lit; all else is the same with either.
 
     Raises:
+        InputError: see `check_drive`.
+    """
+    check_drive(name, seed, seconds)
+    street = make_street(
+        name, _generator(name, seed, _STREET), max(_USUAL_SPEED * seconds, _SHORTEST_STREET)
+    )
+    return replace(populate(street, name, seed, seconds), light=light)
+
+
+def check_drive(name: str, seed: int, seconds: float) -> None:
+    """Refuse what `make_world` would refuse, before it takes its time.
+
+    Raises:
         InputError: no such scene, a negative seed, or seconds not within 0.1 to 20.
     """
     if name not in SCENES:
@@ -59,10 +72,6 @@ def make_world(
     if not 1 / rig.RATE_HZ <= seconds <= _MAX_SECONDS:
         problem = f"{seconds:g} is not within {1 / rig.RATE_HZ:g} to {_MAX_SECONDS:g}"
         raise InputError("scene", "seconds", problem, "choose a duration between them")
-    street = make_street(
-        name, _generator(name, seed, _STREET), max(_USUAL_SPEED * seconds, _SHORTEST_STREET)
-    )
-    return replace(populate(street, name, seed, seconds), light=light)
 
 
 def populate(street: Street, name: str, seed: int, seconds: float) -> World:

@@ -32,7 +32,7 @@ from recast.pipeline.bench.times import Times
 from recast.pipeline.bench.worker import start_worker
 from recast.pipeline.display import FrameProgress
 from recast.planning import Planner, make_planner
-from recast.synthetic import make_world, world_of
+from recast.synthetic import check_drive, world_of
 from recast.synthetic.rendering import require_embree
 from recast.synthetic.rig import make_rig
 
@@ -66,8 +66,8 @@ def run_closed_loop(
         InputError: bad settings or another grid in `out`, before anything is written; or a worker
             was killed.
     """
-    planner = _check(settings)
     crew = crew_of(workers, ray)
+    planner = _check(settings)
     begin(out, settings)
     if ray is not None:  # its workers have another working folder
         logs = (scene.log for scene in settings.scenes)
@@ -113,7 +113,8 @@ def _check(settings: BenchSettings) -> Planner:
             world_of(read_log(scene.log))
     if synthetic:
         make_rig(size.width, size.height, config.scene.cameras or None)
-        make_world(str(synthetic[0].world), 0, size.seconds)
+    for scene in synthetic:
+        check_drive(str(scene.world), scene.seed or 0, size.seconds)
     return planner
 
 
