@@ -156,3 +156,12 @@ def test_the_built_in_numbers() -> None:
         "advancing-a": (5.0, 0.5),
         "advancing-b": (12.0, 0.65),
     }
+
+
+def test_the_example_of_the_documentation(tmp_path: Path) -> None:
+    page = Path(__file__).parents[2] / "docs" / "scenarios.md"
+    text = page.read_text().split("```yaml\n")[1].split("```")[0]
+    (motion,) = read(tmp_path, text)
+    assert motion.name == "hard-cut-in"
+    with pytest.raises(InputError, match="my.yaml:7: gap: is 'near'; give -50 to 500 m"):
+        read(tmp_path, text.replace("gap: 4.0", "gap: near"))

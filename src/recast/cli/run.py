@@ -24,9 +24,9 @@ class Run:
     out: Path
     """Run folder."""
     motion: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """What the actor does: cut-in, oncoming, stationary, advancing (both settings), one setting such
-    as cut-in-a, or a scenario file (.yaml). Give it several times for several. Default: cut-in and
-    stationary."""
+    """What the actor does: cut-in, oncoming, stationary, advancing (both settings), one setting
+    such as cut-in-a, or a scenario file (.yaml). Give it several times for several. Default: cut-in
+    and stationary."""
     method: tyro.conf.UseAppendAction[tuple[Method, ...]] = ()
     """What renders the street: native (the vehicle as reconstructed), replaced (the generated one),
     oracle (the truth, of a synthetic log). Give it several times. Default: native and replaced."""

@@ -156,7 +156,7 @@ def _gap(
 
 
 def _labels(canvas: Canvas, poses: Array, size: Array, *, above: bool) -> None:
-    """Seconds 0, 1, 2, ... above or below boxes; where a box hardly moves, one label for the whole time."""
+    """Seconds 0, 1, 2, ... at boxes; where they hardly move, one label for the whole time."""
     places = canvas.view.pixels(poses)
     first = 0
     for i in range(1, len(poses) + 1):
