@@ -14,16 +14,18 @@ class Import:
     """Import a recorded drive into the log folder that everything else reads."""
 
     importer: tyro.conf.Positional[str]
-    """Kind of the dataset: kitti (raw, synced and rectified), or an installed importer."""
+    """Kind of the dataset: argoverse2 (sensor logs), kitti (raw, synced and rectified), or an
+    installed importer."""
     root: tyro.conf.Positional[Path]
-    """The dataset's folder; for kitti the one that holds the date folder, such as 2011_09_26."""
+    """The dataset's folder; for kitti the one that holds the date folder, such as 2011_09_26, for
+    argoverse2 the one that holds the splits or the log."""
     drive: str
-    """Name of the drive, such as 2011_09_26_drive_0013."""
+    """Name of the drive, such as 2011_09_26_drive_0013; for argoverse2 the log's id."""
     out: Path
     """Log folder to write; must not exist."""
     labels: Path | None = None
-    """Box labels that lie apart from the drive; for kitti a tracking label file. Without it, the
-    drive's own tracklet_labels.xml is read."""
+    """Box labels that lie apart from the drive; for kitti a tracking label file, for argoverse2 an
+    annotations file. Without it, the drive's own labels are read."""
 
     def __call__(self) -> None:
         """Run the command."""
