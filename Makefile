@@ -50,6 +50,7 @@ unit: setup
 
 bench: setup
 	$(BIN)/python benchmarks/raster.py
+	$(BIN)/python benchmarks/rollout.py
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/synthetic.py
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/trellis.py sparse
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/trellis.py actor
