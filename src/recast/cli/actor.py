@@ -35,14 +35,12 @@ class Make:
         from rich.console import Console
 
         from recast.logs import read_log
-        from recast.pipeline.actor import make_actor
+        from recast.pipeline.actor import ActorMakers, make_actor
         from recast.storage import atomic_folder
 
         with atomic_folder(self.out) as folder:
-            actor = make_actor(
-                read_log(self.log), self.track, self.generator, self.seed, folder, self.cameras,
-                self.segmenter,
-            )  # fmt: skip
+            log, makers = read_log(self.log), ActorMakers.named(self.generator, self.segmenter)
+            actor = make_actor(log, self.track, makers, self.seed, folder, self.cameras)
         console = Console()
         console.print(actor.provenance.observation, markup=False)
         console.print(actor.provenance.registration.explain(), markup=False)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import cv2
 import numpy as np
@@ -11,11 +13,11 @@ from PIL import Image
 
 from recast import storage
 from recast.actors import (
-    DEFAULT_SEGMENTER,
     Actor,
     ActorGenerator,
     Observation,
     PlyGenerator,
+    Segmenter,
     is_segmenter_folder,
     make_generator,
     observe,
@@ -72,30 +74,45 @@ def segmenter_source(name: str) -> str:
     return folder_hash(name) if is_segmenter_folder(name) else name
 
 
+@dataclass(frozen=True)
+class ActorMakers:
+    """What cuts a vehicle out and what generates it, their networks in memory."""
+
+    generator: ActorGenerator
+    segmenter: Segmenter
+
+    @classmethod
+    def named(cls, generator: str, segmenter: str) -> Self:
+        """Those of these names, see `generator_of` and `segmenter_of`.
+
+        Raises:
+            InputError: there is none of a name, or it cannot be loaded.
+        """
+        return cls(generator_of(generator), segmenter_of(segmenter))
+
+
 def make_actor(
     log: DrivingLog,
     track_id: str,
-    generator: str,
+    makers: ActorMakers,
     seed: int,
     out: Path,
     cameras: tuple[str, ...] = (),
-    segmenter: str = DEFAULT_SEGMENTER,
 ) -> Actor:
     """Observe, generate, register; write `observation/`, `actor/` and `turntable.mp4` below `out`.
 
     Args:
         cameras: observe from these only; none named: from all.
-        segmenter: cuts the vehicle out, see `segmenter_of`.
 
     Raises:
-        InputError: see `segmenter_of`, `observe` and `register`.
+        InputError: see `observe` and `register`.
     """
-    source = generator_of(generator)
     camera = cameras[0] if len(cameras) == 1 else None
-    observation = observe(log, track_id, segmenter=segmenter_of(segmenter), camera=camera)
+    observation = observe(log, track_id, segmenter=makers.segmenter, camera=camera)
     with storage.atomic_folder(out / OBSERVATION_FOLDER) as folder:
         save_observation(observation, log, folder)
-    actor = register(source.generate(observation, seed), observation, log, log.tracks[track_id])
+    asset = makers.generator.generate(observation, seed)
+    actor = register(asset, observation, log, log.tracks[track_id])
     save_actor(actor, out / ACTOR_FOLDER)
     film_turntable(actor, out / TURNTABLE_FILE)
     return actor

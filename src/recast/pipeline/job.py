@@ -12,7 +12,12 @@ from rich.console import Console
 from recast import storage
 from recast.errors import InputError
 from recast.logs import DrivingLog, HdMap, map_of
-from recast.pipeline.actor import generator_source, make_actor, segmenter_source
+from recast.pipeline.actor import (
+    ActorMakers,
+    generator_source,
+    make_actor,
+    segmenter_source,
+)
 from recast.pipeline.config import RunConfig
 from recast.pipeline.display import FrameProgress, results_table
 from recast.pipeline.layout import (
@@ -42,7 +47,11 @@ from recast.synthetic import World
 
 
 class Job:
-    """The steps of one run, each after those it needs."""
+    """The steps of one run, each after those it needs.
+
+    Args:
+        makers: of the actor, where they are loaded already; let go of when it is made.
+    """
 
     def __init__(
         self,
@@ -52,7 +61,9 @@ class Job:
         config: RunConfig,
         renderers: Renderers,
         console: Console,
+        makers: ActorMakers | None = None,
     ) -> None:
+        self._makers = makers
         self.log, self.world, self.folder = log, world, folder
         self.config, self.renderers, self.console = config, renderers, console
         self.path = folder.path
@@ -146,10 +157,12 @@ class Job:
     def _make_actor(self) -> None:
         config = self.config
         with self.console.status("observing, generating, registering"):
+            makers, self._makers = self._makers, None
+            if makers is None:
+                makers = ActorMakers.named(config.generator, config.segmenter)
             actor = make_actor(
-                self.log, config.track, config.generator, config.seed, self.path,
-                config.scene.cameras, config.segmenter,
-            )  # fmt: skip
+                self.log, config.track, makers, config.seed, self.path, config.scene.cameras
+            )
         for warning in actor.provenance.mask.warnings():
             self.console.print(f"warning: {warning}", markup=False, style="yellow")
         self.console.print(actor.provenance.registration.explain(), markup=False, highlight=False)

@@ -8,10 +8,9 @@ from pathlib import Path
 import torch
 from rich.console import Console
 
-from recast.actors import segmenter_of
 from recast.errors import InputError
 from recast.logs import read_log
-from recast.pipeline.actor import generator_of
+from recast.pipeline.actor import ActorMakers
 from recast.pipeline.config import RunConfig
 from recast.pipeline.fingerprint import folder_hash
 from recast.pipeline.job import Job
@@ -49,8 +48,7 @@ def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Conso
         require_embree()
         world = world_of(log)
     mounts = run_mounts(log, make_planner(config.planner), config)
-    generator_of(config.generator)
-    segmenter_of(config.segmenter)
+    makers = ActorMakers.named(config.generator, config.segmenter)
     threads = config.threads or os.cpu_count() or 1
     torch.set_num_threads(threads)
     set_threads(threads)
@@ -58,4 +56,6 @@ def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Conso
         out, config.resolved(), str(log_path), folder_hash(log_path)
     )
     with Renderers(folder.path, world, mounts) as renderers:
-        return Job(log, world, folder, config, renderers, console).finish()
+        job = Job(log, world, folder, config, renderers, console, makers)
+        del makers  # the job lets go of the networks when the actor is made
+        return job.finish()
