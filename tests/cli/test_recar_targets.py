@@ -32,6 +32,8 @@ def test_targets_of_a_set_and_the_same_command_again(
     assert "2: 1 train, 1 held out" in capsys.readouterr().out
     with pytest.raises(InputError, match="latent_sampler: differs"):
         run(*command, "--steps", "2")
+    with pytest.raises(InputError, match="mode: differs"):
+        run(*command, "--multi-image", "multidiffusion")
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,9 @@ class Targets:
     """Weights of the published image encoder, where the model folder has none."""
     device: str | None = None
     """Such as cpu or cuda:1; CUDA where there is some, one device a process in turn."""
+    multi_image: Literal["stochastic", "multidiffusion"] = "stochastic"
+    """How the four views are used: one a sampling step in turn, as the paper; or the mean of all
+    at every step, at four times the cost."""
     steps: int | None = None
     """Sampling steps of both stages; as the model says where not given."""
     retries: int = 3
@@ -82,6 +85,7 @@ class Targets:
         pipeline = read_pipeline(self.model)
         settings = TargetSettings(
             seed=self.seed,
+            mode=self.multi_image,
             structure=pipeline.sparse_structure_settings.merged(steps=self.steps),
             latent=pipeline.slat_settings.merged(steps=self.steps),
             retries=self.retries,
