@@ -13,6 +13,7 @@ IMPORTERS = Registry(
     {
         "argoverse2": "recast.logs.importers.argoverse2:import_argoverse2",
         "kitti": "recast.logs.importers.kitti:import_kitti",
+        "nuscenes": "recast.logs.importers.nuscenes:import_nuscenes",
     },
 )
 """Importers by name; each is a `LogImporter`."""
