@@ -118,7 +118,7 @@ def _copied_row(table: str, source: str, **changes: Any) -> Damage:
         ),
         (
             _row("ego_pose", "CAM_FRONT-83334", translation=[0.0, 0.0, 0.0]),
-            "ego_pose.json: token CAM_FRONT-83334: translation: 1171 m from the pose",
+            "token CAM_FRONT-83334: translation: is 1171 m from the pose before: mixed",
         ),
         (
             _row("sample_annotation", "car3", translation=[15.0, 1.0, 0.7]),

@@ -12,11 +12,10 @@ from recast.logs import motion
 from recast.logs.importers.nuscenes_frames import Sensor
 from recast.logs.importers.nuscenes_sensors import pose_of
 from recast.logs.importers.nuscenes_tables import EgoPoseRow, SampleRow, linked
+from recast.logs.importers.pose_jumps import first_jump
 from recast.logs.types import Array, Trajectory
 
 LONGEST_GAP_US = 1_000_000
-FASTEST = 100.0
-"""Metres a second that the ego may go between two poses, beside a metre of jitter."""
 _MEND = "take all tables from one metadata archive"
 
 
@@ -38,9 +37,18 @@ def read_ego(
     if len({row.timestamp for row in ordered}) < 2:
         raise InputError(path, "rows", f"{len(ordered)} of this scene, 2 are needed", _MEND)
     placed = np.stack([pose_of(path, row) for row in ordered])
-    kept = _one_for_each_time(path, ordered, placed)
-    times = np.array([ordered[i].timestamp for i in kept], np.int64)
-    poses = placed[kept]
+    all_times = np.array([row.timestamp for row in ordered], np.int64)
+    jump = first_jump(all_times, placed)
+    if jump is not None:
+        problem = f"is {jump[1]:.0f} m from the pose before: mixed coordinate frames"
+        raise InputError(path, f"token {ordered[jump[0]].token}: translation", problem, _MEND)
+    times, first = np.unique(all_times, return_index=True)
+    gaps = np.flatnonzero(np.diff(times) > LONGEST_GAP_US)
+    if len(gaps):
+        problem = f"the next pose comes {(times[gaps[0] + 1] - times[gaps[0]]) / 1e6:.1f} s later"
+        field = f"token {ordered[first[gaps[0]]].token}: timestamp"
+        raise InputError(path, field, problem, "use a scene without the gap")
+    poses = placed[first]
     offset: Array = poses[0, :3, 3].copy()
     poses[:, :3, 3] -= offset
     sensed = [frame.timestamp for frame in frames] + [sample.timestamp for sample in samples]
@@ -52,20 +60,3 @@ def read_ego(
                 where = tables / f"{table}.json"
                 raise InputError(where, f"token {row.token}: timestamp", problem, _MEND)
     return trajectory, offset
-
-
-def _one_for_each_time(path: Path, ordered: Sequence[EgoPoseRow], placed: Array) -> list[int]:
-    kept = [0]
-    for i in range(1, len(ordered)):
-        passed = ordered[i].timestamp - ordered[kept[-1]].timestamp
-        moved = float(np.linalg.norm(placed[i, :3, 3] - placed[kept[-1], :3, 3]))
-        if moved > 1.0 + FASTEST * passed / 1e6:
-            problem = f"{moved:.0f} m from the pose {passed / 1e6:.2f} s before: mixed frames"
-            raise InputError(path, f"token {ordered[i].token}: translation", problem, _MEND)
-        if passed > LONGEST_GAP_US:
-            problem = f"comes {passed / 1e6:.1f} s after the pose before"
-            field = f"token {ordered[i].token}: timestamp"
-            raise InputError(path, field, problem, "use a scene without the gap")
-        if passed > 0:
-            kept.append(i)
-    return kept

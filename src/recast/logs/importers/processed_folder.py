@@ -1,0 +1,161 @@
+"""What the processed Waymo folders of Street Gaussians and DriveStudio have in common.
+
+One folder for each scene, with images, ego poses and calibration in text files:
+`images/FRAME_CAMERA.png|jpg`, `ego_pose/FRAME.txt`, `extrinsics/CAMERA.txt`,
+`intrinsics/CAMERA.txt`. Frames and cameras are numbers.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image as PillowImage
+
+from recast.errors import InputError
+from recast.geometry import PinholeCamera, se3
+from recast.logs.types import Array
+
+CAMERAS = ("FRONT", "FRONT_LEFT", "FRONT_RIGHT", "SIDE_LEFT", "SIDE_RIGHT")
+"""Waymo's cameras by their number in file names."""
+LICENCE = "Waymo Dataset License Agreement for Non-Commercial Use"
+FARTHEST = 500.0
+"""Metres from the ego: no LiDAR sees farther, so such a box is of another place or frame."""
+
+_LISTED = 5
+_ORTHOGONAL = 1e-3
+_MEND = "process the scene again"
+_IMAGE = re.compile(r"(\d+)_(\d+)\.(?:png|jpg|jpeg)")
+
+
+def find_scene(root: Path, drive: str, kind: str) -> Path:
+    """The folder of scene `drive`: in `root`, or `root` itself.
+
+    Raises:
+        InputError: the folder or the scene does not exist.
+    """
+    if not root.is_dir():
+        raise InputError(root, f"{kind} folder", "does not exist", "check the path")
+    for folder in (root / drive, root):
+        if folder.name == drive and folder.is_dir():
+            return folder
+    found = sorted(path.parent.name for path in root.glob("*/ego_pose"))
+    shown = ", ".join(found[:_LISTED]) or "none here"
+    raise InputError(root, f"drive {drive}", "does not exist", f"choose one of {shown}")
+
+
+def read_numbers(path: Path, count: int) -> Array:
+    """`count` finite numbers of a text file.
+
+    Raises:
+        InputError: the file is missing, or holds anything else.
+    """
+    if not path.is_file():
+        raise InputError(path, "file", "is missing", _MEND)
+    try:
+        numbers = np.array([float(word) for word in path.read_text().split()])
+    except ValueError:  # also bytes that are no text
+        raise InputError(path, "numbers", "cannot be read: not plain numbers", _MEND) from None
+    if numbers.shape != (count,) or not np.all(np.isfinite(numbers)):
+        problem = f"{count} finite numbers are needed, found {len(numbers)}"
+        raise InputError(path, "numbers", problem, _MEND)
+    return numbers
+
+
+def read_pose(path: Path) -> Array:
+    """A rigid transform (4, 4) of a text file of 16 numbers, row by row.
+
+    Raises:
+        InputError: see `read_numbers`; the matrix is not rigid.
+    """
+    return rigid(read_numbers(path, 16), path, "matrix")
+
+
+def rigid(values: Array, path: Path, field: str) -> Array:
+    """Sixteen numbers as a transform (4, 4), its rotation made exactly orthogonal.
+
+    Raises:
+        InputError: they are no rotation and translation.
+    """
+    matrix = np.asarray(values, np.float64).reshape(4, 4)
+    u, _, vt = np.linalg.svd(matrix[:3, :3])
+    rotation = u @ vt
+    off = float(np.abs(rotation - matrix[:3, :3]).max())
+    if off > _ORTHOGONAL or np.linalg.det(rotation) < 0 or matrix[3].tolist() != [0, 0, 0, 1]:
+        raise InputError(path, field, "is no rotation and translation", _MEND)
+    return se3.from_rotation_translation(rotation, matrix[:3, 3])
+
+
+def frame_numbers(folder: Path) -> dict[int, Path]:
+    """Poses of whole frames in `ego_pose`, by frame, in order.
+
+    Raises:
+        InputError: there are fewer than two.
+    """
+    paths = {int(path.stem): path for path in folder.glob("*.txt") if path.stem.isdigit()}
+    if len(paths) < 2:
+        raise InputError(folder, "FRAME.txt", f"{len(paths)} files, 2 are needed", _MEND)
+    return dict(sorted(paths.items()))
+
+
+@dataclass(frozen=True)
+class CameraFolder:
+    """One camera of a processed scene.
+
+    Attributes:
+        number: in file names.
+        images: by frame, in order.
+        camera: intrinsics with the lens distortion of Waymo's images, which are as recorded.
+        extrinsic: (4, 4) as written in its file: to the vehicle.
+    """
+
+    number: int
+    images: Mapping[int, Path]
+    camera: PinholeCamera
+    extrinsic: Array
+
+    @property
+    def name(self) -> str:
+        """Waymo's name of the camera."""
+        return CAMERAS[self.number]
+
+
+def read_cameras(scene: Path) -> list[CameraFolder]:
+    """All cameras that have images, with their calibration.
+
+    Raises:
+        InputError: an image's name or camera is unknown, or a camera has no calibration.
+    """
+    listed: dict[int, dict[int, Path]] = {}
+    for path in sorted((scene / "images").glob("*")):
+        parts = _IMAGE.fullmatch(path.name)
+        if parts is None or int(parts[2]) >= len(CAMERAS):
+            problem = "is not FRAME_CAMERA.png or .jpg with a camera of 0 to 4"
+            raise InputError(path, "file name", problem, "remove the file")
+        listed.setdefault(int(parts[2]), {})[int(parts[1])] = path
+    return [_camera(scene, number, listed[number]) for number in sorted(listed)]
+
+
+def _camera(scene: Path, number: int, images: dict[int, Path]) -> CameraFolder:
+    path = scene / "intrinsics" / f"{number}.txt"
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = read_numbers(path, 9).tolist()
+    width, height = _size(next(iter(images.values())))
+    # Waymo counts pixels from the edge of the image, as we do: nothing is added to cx and cy.
+    camera = PinholeCamera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+    try:
+        camera.validate()
+    except ValueError as error:
+        raise InputError(path, "numbers", str(error), _MEND) from None
+    extrinsic = read_pose(scene / "extrinsics" / f"{number}.txt")
+    return CameraFolder(number, dict(sorted(images.items())), camera, extrinsic)
+
+
+def _size(path: Path) -> tuple[int, int]:
+    try:
+        with PillowImage.open(path) as image:
+            return image.size
+    except (OSError, SyntaxError, ValueError) as error:
+        raise InputError(path, "image", f"cannot be read ({error})", _MEND) from None

@@ -1,0 +1,87 @@
+"""Street Gaussians' processed Waymo scenes: poses, boxes, points and images into a log folder.
+
+Source: Yan et al., "Street Gaussians: Modeling Dynamic Urban Scenes with Gaussian Splatting" (ECCV
+2024), and the layout that its preprocessing writes.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from recast.errors import InputError
+from recast.logs.importers.image_files import ImageFiles
+from recast.logs.importers.processed_folder import LICENCE, CameraFolder, find_scene, read_cameras
+from recast.logs.importers.street_gaussians_ego import Drive, read_drive
+from recast.logs.importers.street_gaussians_points import read_lidar
+from recast.logs.importers.street_gaussians_tracks import read_tracks
+from recast.logs.store import write_log
+from recast.logs.types import CameraStream, DrivingLog
+
+
+def import_street_gaussians(root: Path, drive: str, out: Path, labels: Path | None = None) -> None:
+    """Import one processed scene into the new log folder `out`; it has no map.
+
+    Args:
+        root: folder that holds the scenes, or the scene itself.
+        drive: the scene's folder, such as 002.
+        out: log folder to write; it appears whole or not at all.
+        labels: another file in the format of track/track_info.txt, such as a tracker's.
+
+    Raises:
+        InputError: files are missing, broken, hold pickled objects or do not belong together;
+            nothing is written then.
+    """
+    if Path(out).exists():
+        raise InputError(out, "output folder", "exists already", "name another one or remove it")
+    log = load_street_gaussians(root, drive, labels)
+    for camera in log.cameras.values():
+        if isinstance(camera.images, ImageFiles):
+            camera.images.check()
+    write_log(log, out)
+
+
+def load_street_gaussians(root: Path, drive: str, labels: Path | None = None) -> DrivingLog:
+    """Read a processed scene; images and sweeps stay in its files until asked for.
+
+    Raises:
+        InputError: see `import_street_gaussians`.
+    """
+    scene = find_scene(Path(root), drive, "Street Gaussians")
+    cameras = read_cameras(scene)
+    timed = read_drive(scene, cameras)
+    tracks = scene / "track" / "track_info.txt" if labels is None else Path(labels)
+    return DrivingLog(
+        name=f"street-gaussians {drive}",
+        cameras={camera.name: _camera(scene, camera, timed) for camera in cameras},
+        lidars=read_lidar(scene / "pointcloud.npz", timed),
+        world_from_rig=timed.world_from_rig,
+        tracks=read_tracks(tracks, timed),
+        world_offset=timed.offset,
+        metadata={
+            "dataset": "Waymo, processed by Street Gaussians",
+            "drive": drive,
+            "licence": LICENCE,
+        },
+    )
+
+
+def _camera(scene: Path, camera: CameraFolder, drive: Drive) -> CameraStream:
+    times = drive.image_times[camera.number]
+    ordered = sorted(times, key=lambda frame: times[frame])
+    stamps = np.array([times[frame] for frame in ordered], np.int64)
+    if np.any(np.diff(stamps) == 0):
+        frame = ordered[int(np.argmin(np.diff(stamps))) + 1]
+        problem = "is the time of another image"
+        field = f"{camera.name}.{frame:06d}"
+        raise InputError(scene / "timestamps.json", field, problem, "process the scene again")
+    paths = tuple(camera.images[frame] for frame in ordered)
+    width, height = camera.camera.width, camera.camera.height
+    return CameraStream(
+        name=camera.name,
+        camera=camera.camera,
+        rig_from_camera=camera.extrinsic,
+        timestamps_us=stamps,
+        images=ImageFiles(paths, width, height, "its first image"),
+    )
