@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -109,6 +110,21 @@ def test_labels_of_a_tracker_and_a_scene_without_points(tiny_root: Path, tmp_pat
     assert log.lidars == {}
     assert [track.category for track in log.tracks.values()] == ["pedestrian"]
     log.validate()
+
+
+def test_points_converted_as_the_documentation_says_are_read(
+    tiny_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = tmp_path / tiny.SCENE
+    shutil.copytree(tiny_root / tiny.SCENE, scene)
+    _pickled_points(scene)
+    documentation = Path(__file__).parents[2] / "docs" / "data.md"
+    lines = re.search(r"```python\n([^`]*allow_pickle[^`]*)```", documentation.read_text())
+    assert lines is not None
+    monkeypatch.chdir(scene)
+    exec(lines[1], {})
+    sweeps = load_street_gaussians(tmp_path, tiny.SCENE).lidars["lidar"].sweeps
+    assert [len(sweeps[k].points) for k in range(len(sweeps))] == [3, 3]
 
 
 Damage = Callable[[Path], object]

@@ -14,18 +14,22 @@ class Import:
     """Import a recorded drive into the log folder that everything else reads."""
 
     importer: tyro.conf.Positional[str]
-    """Kind of the dataset: argoverse2 (sensor logs), kitti (raw, synced and rectified), or an
-    installed importer."""
+    """Kind of the dataset: argoverse2 (sensor logs), drivestudio and street-gaussians (Waymo scenes
+    they processed), kitti (raw, synced and rectified), nuscenes (JSON tables), or an installed
+    importer."""
     root: tyro.conf.Positional[Path]
     """The dataset's folder; for kitti the one that holds the date folder, such as 2011_09_26, for
-    argoverse2 the one that holds the splits or the log."""
+    argoverse2 the one that holds the splits or the log, for nuscenes the one that holds v1.0-mini
+    or v1.0-trainval, for processed scenes the one that holds them."""
     drive: str
-    """Name of the drive, such as 2011_09_26_drive_0013; for argoverse2 the log's id."""
+    """Name of the drive, such as 2011_09_26_drive_0013; for argoverse2 the log's id, for nuscenes
+    the scene's name, such as scene-0061, for processed scenes their folder, such as 002."""
     out: Path
     """Log folder to write; must not exist."""
     labels: Path | None = None
     """Box labels that lie apart from the drive; for kitti a tracking label file, for argoverse2 an
-    annotations file. Without it, the drive's own labels are read."""
+    annotations file, for processed scenes another track_info.txt or instances_info.json. Without
+    it, the drive's own labels are read."""
 
     def __call__(self) -> None:
         """Run the command."""

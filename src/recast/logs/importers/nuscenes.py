@@ -42,7 +42,7 @@ def import_nuscenes(root: Path, drive: str, out: Path, labels: Path | None = Non
     if Path(out).exists():
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
     if labels is not None:
-        raise InputError(labels, "--labels", "nuScenes tables hold the boxes", "leave it out")
+        raise InputError(labels, "labels", "nuScenes tables hold the boxes", "leave the option out")
     log = load_nuscenes(root, drive)
     for camera in log.cameras.values():
         if isinstance(camera.images, ImageFiles):
