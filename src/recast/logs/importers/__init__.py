@@ -12,8 +12,10 @@ IMPORTERS = Registry(
     "recast.importers",
     {
         "argoverse2": "recast.logs.importers.argoverse2:import_argoverse2",
+        "drivestudio": "recast.logs.importers.drivestudio:import_drivestudio",
         "kitti": "recast.logs.importers.kitti:import_kitti",
         "nuscenes": "recast.logs.importers.nuscenes:import_nuscenes",
+        "street-gaussians": "recast.logs.importers.street_gaussians:import_street_gaussians",
     },
 )
 """Importers by name; each is a `LogImporter`."""
