@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from torch import Tensor
 
 from recast.errors import InputError
 from recast.planning.gtrs.model import GtrsModel
+from recast.torch_file import read_torch_file
 
 PREFIX = "agent.model."
 """Before every name in a released Lightning checkpoint."""
@@ -109,17 +109,7 @@ def _read_safetensors(path: Path) -> dict[str, Tensor]:
 
 
 def _read_pytorch(path: Path) -> dict[str, Tensor]:
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # the unpickler lets through whatever broken bytes lead to
-        # PyTorch's own text is a page long and tells the reader to trust the file.
-        refused = re.search(r"nsupported (?:global: |class )?(?:GLOBAL )?([\w.]+)", str(error))
-        if refused is not None:
-            raise InputError(
-                path, "file", f"holds {refused[1]}, which is no tensor and is never unpickled",
-                "where it was made, save its state dict alone",
-            ) from None  # fmt: skip
-        raise InputError(path, "file", "is damaged, or no PyTorch checkpoint", _MEND) from None
+    content = read_torch_file(path, _MEND)
     if isinstance(content, Mapping) and isinstance(content.get("state_dict"), Mapping):
         content = content["state_dict"]
     if not isinstance(content, Mapping) or not content:
