@@ -1,4 +1,4 @@
-"""`recast scene`: reconstruct a street, judge it."""
+"""`recast scene`: reconstruct a street, judge it, bring one in, take one out."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+
+from recast.cli.scene_import import Import
 
 
 @dataclass(frozen=True)
@@ -68,12 +70,41 @@ class Eval:
 
 
 @dataclass(frozen=True)
+class Export:
+    """Write a scene for other programs: PLY files, sky image and poses."""
+
+    scene: tyro.conf.Positional[Path]
+    """Scene folder."""
+    out: Path
+    """Folder to write; must not exist."""
+    time: float | None = None
+    """Seconds after the scene's first time: one PLY of all that is there then. Without it, one PLY
+    a part, actors in their own frames."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from rich.console import Console
+
+        from recast.scene import export_scene, export_scene_at, load_scene
+
+        scene = load_scene(self.scene)
+        if self.time is None:
+            export_scene(scene, self.out)
+            told = f"wrote {self.out}"
+        else:
+            told = f"wrote {self.out}, at {export_scene_at(scene, self.out, self.time)} us"
+        Console().print(told, markup=False)
+
+
+@dataclass(frozen=True)
 class Scene:
-    """Reconstruct a street, judge it."""
+    """Reconstruct a street, judge it, bring one in, take one out."""
 
     command: (
         Annotated[Train, tyro.conf.subcommand("train")]
         | Annotated[Eval, tyro.conf.subcommand("eval")]
+        | Annotated[Import, tyro.conf.subcommand("import")]
+        | Annotated[Export, tyro.conf.subcommand("export")]
     )
 
     def __call__(self) -> None:

@@ -2,6 +2,7 @@
 
 from recast.scene.config import SceneConfig, read_config, write_config
 from recast.scene.evaluate import FrameScore, SceneEvaluation, evaluate_scene
+from recast.scene.export import export_scene, export_scene_at
 from recast.scene.image_metrics import psnr, ssim
 from recast.scene.progress import ProgressCallback, TrainingDisplay, TrainingStatus
 from recast.scene.render import SceneImage, SceneRasterizer, render_scene
@@ -25,6 +26,8 @@ __all__ = [
     "TrainingDisplay",
     "TrainingStatus",
     "evaluate_scene",
+    "export_scene",
+    "export_scene_at",
     "load_scene",
     "psnr",
     "read_config",

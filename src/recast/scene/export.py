@@ -1,0 +1,141 @@
+"""Scenes for other programs: one PLY a part, or all that is there at a time in one PLY."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recast.errors import InputError
+from recast.scene.sky_image import write_sky
+from recast.scene.street_scene import SceneActor, StreetScene
+from recast.splats import write_ply
+from recast.storage import atomic_folder, write_json
+
+EXPORT_VERSION = 1
+EXPORT_FORMAT = "recast-scene-export"
+RECORD_FILE, SKY_FILE = "scene.json", "sky.png"
+BACKGROUND_FILE, MERGED_FILE = "background.ply", "merged.ply"
+
+CONVENTIONS = {
+    "units": "metres; timestamps in microseconds",
+    "world": "z up; coordinates of the dataset = coordinates here + world_offset",
+    "actor": "origin in the centre of the box, x forward, y left, z up",
+    "poses": "world_from_actor, 4x4, row by row: x_world = R x_actor + t",
+    "gaussians": "PLY of 3D Gaussian splatting: x y z, f_dc and f_rest (real harmonics, channel by "
+    "channel; colour = max(0.5 + sum, 0)), opacity (logit), scale (natural log of standard "
+    "deviations), rot (quaternion w x y z, not normalised)",
+    "sky": "equirectangular, infinitely far, behind the Gaussians (rgb + (1 - alpha) sky): top row "
+    "zenith, bottom row nadir, columns from azimuth -pi to pi, counter-clockwise from x seen from "
+    "above; 16 bits a channel, 65535 = 1",
+}
+
+
+def export_scene(scene: StreetScene, folder: str | Path) -> None:
+    """Write background.ply, actors/ID.ply (actor frame), sky.png and scene.json with the poses.
+
+    An actor's shadow is shadows/ID.ply, in the actor's frame too, and goes where the actor goes.
+
+    Raises:
+        InputError: `folder` exists, or the disk is full.
+    """
+    names = _file_names(scene.actors)
+    with atomic_folder(folder) as partial:
+        write_ply(partial / BACKGROUND_FILE, scene.background)
+        actors = []
+        for track_id, actor in scene.actors.items():
+            files = {"gaussians": f"actors/{names[track_id]}.ply"}
+            write_ply(partial / files["gaussians"], actor.gaussians)
+            if actor.shadow is not None:
+                files["shadow"] = f"shadows/{names[track_id]}.ply"
+                write_ply(partial / files["shadow"], actor.shadow)
+            actors.append(_actor_record(actor) | files)
+        _finish(scene, partial, {"background": BACKGROUND_FILE, "actors": actors})
+
+
+def export_scene_at(scene: StreetScene, folder: str | Path, seconds: float) -> int:
+    """Write merged.ply, everything there at a time in the world frame, sky.png and scene.json.
+
+    Args:
+        seconds: after the first time that the scene knows, see `scene_interval`.
+
+    Returns:
+        The timestamp in microseconds.
+
+    Raises:
+        InputError: the scene knows no times, or not this one; `folder` exists; the disk is full.
+    """
+    first, last = scene_interval(scene)
+    timestamp_us = first + round(seconds * 1e6)
+    if not first <= timestamp_us <= last:
+        raise InputError(
+            "command line", "--time", f"{seconds:g} s is not within the scene's times",
+            f"name one from 0 to {(last - first) / 1e6:g}",
+        )  # fmt: skip
+    poses = scene.actor_poses(timestamp_us)
+    with atomic_folder(folder) as partial:
+        write_ply(partial / MERGED_FILE, scene.at(poses))
+        actors = [
+            {"track_id": track_id, "world_from_actor": pose.tolist()}
+            for track_id, pose in poses.items()
+        ]
+        _finish(
+            scene,
+            partial,
+            {"merged": MERGED_FILE, "timestamp_us": timestamp_us, "actors": actors},
+        )
+    return timestamp_us
+
+
+def scene_interval(scene: StreetScene) -> tuple[int, int]:
+    """First and last time, microseconds, of the actors' poses and the images trained on.
+
+    Raises:
+        InputError: the scene knows no times.
+    """
+    known = [actor.trajectory.timestamps_us for actor in scene.actors.values()]
+    known += [times for times, _ in scene.camera_corrections.values()]
+    times = np.concatenate([np.zeros(0, np.int64), *known])
+    if len(times) == 0:
+        raise InputError(
+            scene.log_name or "scene", "times", "there are none, since nothing moves",
+            "export it without a time",
+        )  # fmt: skip
+    return int(times.min()), int(times.max())
+
+
+def _actor_record(actor: SceneActor) -> dict[str, Any]:
+    return {
+        "track_id": actor.track_id,
+        "size": np.asarray(actor.size).tolist(),
+        "timestamps_us": actor.trajectory.timestamps_us.tolist(),
+        "world_from_actor": actor.trajectory.poses.tolist(),
+    }
+
+
+def _finish(scene: StreetScene, folder: Path, parts: dict[str, Any]) -> None:
+    write_sky(folder / SKY_FILE, scene.sky)
+    record = {
+        "format": EXPORT_FORMAT,
+        "version": EXPORT_VERSION,
+        "log_name": scene.log_name,
+        "world_offset": np.asarray(scene.world_offset).tolist(),
+        "sky": SKY_FILE,
+        **parts,
+        "conventions": CONVENTIONS,
+    }
+    write_json(folder / RECORD_FILE, record)
+
+
+def _file_names(track_ids: Iterable[str]) -> dict[str, str]:
+    """File names without ending: the ids, with what may not stand in a name replaced."""
+    names: dict[str, str] = {}
+    for track_id in track_ids:
+        name = re.sub(r"[^A-Za-z0-9-]", "_", track_id) or "_"
+        while name.lower() in {other.lower() for other in names.values()}:
+            name += "_"
+        names[track_id] = name
+    return names

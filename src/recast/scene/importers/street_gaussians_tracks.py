@@ -1,0 +1,205 @@
+"""Tracks of a folder that Street Gaussians was trained on, with its learned corrections.
+
+The checkpoint stores corrections by frame and slot. Slots are assigned while the label file is
+read, so the assignment is repeated here, and so is the way in which poses are read out, with its
+peculiarities: a learned yaw is applied twice, and the second of the two rotations interpolated
+between starts from the first one and is read in its row.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from torch import Tensor
+
+from recast.errors import InputError
+from recast.geometry import se3
+from recast.logs import DrivingLog, Trajectory
+from recast.scene.importers.placing import Array, read_numbers
+from recast.scene.importers.street_gaussians_slots import read_boxes
+from recast.storage import read_json
+
+CAMERAS = ("FRONT", "FRONT_LEFT", "FRONT_RIGHT", "SIDE_LEFT", "SIDE_RIGHT")
+_MEND = "give the folder that the checkpoint was trained on"
+
+
+@dataclass(frozen=True)
+class ProcessedDrive:
+    """What the importer needs of the folder.
+
+    Attributes:
+        folder: for messages.
+        first, last: frames of the training, both included.
+        camera: name of its first camera, at whose times actors are placed.
+        offset: (3,) dataset coordinates of the scene's origin.
+        boxes: by track number and frame: x, y, z, heading in the vehicle frame.
+        slots: by track number and frame.
+        slot_count: slots of a frame.
+        frame_seconds, camera_seconds: by frame.
+        dataset_from_vehicle: (4, 4) by frame, at the camera's time.
+        numbers: track number by dataset id.
+    """
+
+    folder: Path
+    first: int
+    last: int
+    camera: str
+    offset: Array
+    boxes: Mapping[int, Mapping[int, Array]]
+    slots: Mapping[tuple[int, int], int]
+    slot_count: int
+    frame_seconds: Mapping[int, float]
+    camera_seconds: Mapping[int, float]
+    dataset_from_vehicle: Mapping[int, Array]
+    numbers: Mapping[str, int]
+
+    @property
+    def frame_count(self) -> int:
+        """Frames of the training."""
+        return self.last - self.first + 1
+
+    def dataset_ids(self, number: int) -> list[str]:
+        """Ids in the dataset of a track number: one, or none where it is not listed."""
+        return [name for name, value in self.numbers.items() if value == number]
+
+    def trajectory(
+        self,
+        number: int,
+        translations: Tensor,
+        rotations: Tensor,
+        world_from_scene: Array,
+        log: DrivingLog,
+    ) -> Trajectory:
+        """Where the trained scene shows an actor at the times of its first camera.
+
+        Args:
+            number: of the track.
+            translations, rotations: (F, M, 3) metres and (F, M, 1), as learned.
+            world_from_scene: (4, 4).
+
+        Returns:
+            `world_from_actor`.
+
+        Raises:
+            InputError: the actor has no moving box in these frames, or a time is not the log's.
+        """
+        frames = [frame for frame in self.boxes.get(number, {}) if (number, frame) in self.slots]
+        if not frames:
+            raise InputError(
+                self.folder / "track" / "track_info.txt", f"track {number}",
+                f"has no box that moves in frames {self.first} to {self.last}", _MEND,
+            )  # fmt: skip
+        times, poses = [], []
+        scene_from_dataset = se3.from_rotation_translation(np.eye(3), -self.offset)
+        for frame in frames:
+            pose = self._in_vehicle(number, frames, frame, translations, rotations)
+            times.append(round(self.camera_seconds[frame] * 1e6))
+            poses.append(
+                world_from_scene @ scene_from_dataset @ self.dataset_from_vehicle[frame] @ pose
+            )
+        for time in (times[0], times[-1]):
+            if not log.world_from_rig.covers(time):
+                raise InputError(
+                    self.folder / "timestamps.json", self.camera,
+                    f"{time} us is not within log {log.name}", "give the log of the same drive",
+                )  # fmt: skip
+        return Trajectory(np.array(times, np.int64), np.stack(poses))
+
+    def _in_vehicle(
+        self,
+        number: int,
+        frames: Sequence[int],
+        frame: int,
+        translations: Tensor,
+        rotations: Tensor,
+    ) -> Array:
+        """Pose (4, 4) at the camera's time, between the two labels nearest to it."""
+        seconds = self.camera_seconds[frame]
+        near = sorted(frames, key=lambda other: abs(self.frame_seconds[other] - seconds))[:2]
+        first, second = min(near), max(near)
+        span = self.frame_seconds[second] - self.frame_seconds[first]
+        ratio = 0.0 if span == 0 else (seconds - self.frame_seconds[first]) / span
+        ratio = min(max(ratio, 0.0), 1.0)
+
+        def learned(values: Tensor, row: int, slot_of: int) -> Array:
+            found: Array = values[row - self.first, self.slots[number, slot_of]].numpy()
+            return found.astype(np.float64)
+
+        boxes = self.boxes[number]
+        places = [boxes[at][:3] + learned(translations, at, at) for at in (first, second)]
+        # Both turns are read in the first frame's row, and each turns by twice its value.
+        turns = [2 * float(learned(rotations, first, at)[0]) for at in (first, second)]
+        yaw = boxes[first][3] + turns[0] + ratio * turns[1]
+        place = (1 - ratio) * places[0] + ratio * places[1]
+        return se3.from_rotation_translation(se3.rotation_z(yaw), place)
+
+
+def read_processed(
+    folder: str | Path, frames: tuple[int, int] | None, cameras: Sequence[int]
+) -> ProcessedDrive:
+    """Read poses, times and labels, and assign the slots.
+
+    Args:
+        frames: first and last of the training; all of the folder's if None.
+        cameras: numbers of the cameras of the training, the first one first.
+
+    Raises:
+        InputError: a file is missing or broken, or frames or cameras are not there.
+    """
+    folder = Path(folder)
+    listed = sorted(
+        int(path.stem) for path in folder.glob("ego_pose/*.txt") if re.fullmatch(r"\d+", path.stem)
+    )
+    if not listed:
+        raise InputError(folder, "ego_pose", "holds no pose", _MEND)
+    first, last = frames or (listed[0], listed[-1])
+    if not (first in listed and last in listed and first <= last):
+        raise InputError(
+            folder, f"frames {first} to {last}", f"of {listed[0]} to {listed[-1]}", "name others"
+        )
+    if not cameras or any(not 0 <= camera < len(CAMERAS) for camera in cameras):
+        raise InputError(folder, f"cameras {list(cameras)}", "of 0 to 4", "name others")
+    poses = {frame: _pose(folder / "ego_pose" / f"{frame:06d}.txt") for frame in listed}
+    chosen = range(first, last + 1)
+    camera = CAMERAS[cameras[0]]
+    boxes, slots, count = read_boxes(folder / "track", chosen, cameras, poses)
+    return ProcessedDrive(
+        folder=folder,
+        first=first,
+        last=last,
+        camera=camera,
+        offset=np.mean([pose[:3, 3] for pose in poses.values()], axis=0),
+        boxes=boxes,
+        slots=slots,
+        slot_count=count,
+        frame_seconds=_seconds(folder, "FRAME", chosen),
+        camera_seconds=_seconds(folder, camera, chosen),
+        dataset_from_vehicle={
+            frame: _pose(folder / "ego_pose" / f"{frame:06d}_{cameras[0]}.txt") for frame in chosen
+        },
+        numbers=_numbers(folder / "track" / "track_ids.json"),
+    )
+
+
+def _pose(path: Path) -> Array:
+    return read_numbers(path, (16,)).reshape(4, 4)
+
+
+def _seconds(folder: Path, name: str, frames: Sequence[int]) -> dict[int, float]:
+    path = folder / "timestamps.json"
+    value = read_json(path)
+    try:
+        return {frame: float(value[name][f"{frame:06d}"]) for frame in frames}
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(path, name, f"lacks a time ({error})", _MEND) from None
+
+
+def _numbers(path: Path) -> dict[str, int]:
+    value = read_json(path)
+    if not isinstance(value, dict) or not all(isinstance(n, int) for n in value.values()):
+        raise InputError(path, "JSON", "is no object of track numbers", _MEND)
+    return value
