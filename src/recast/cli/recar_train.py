@@ -24,7 +24,7 @@ class Train:
     """Vehicle set with the pictures, in folders or shards; or a folder of training assets."""
     out: Path
     """Folder of the new model; new, or one of the same training, which is continued."""
-    stage: Literal["1", "2", "base", "mini-1", "mini-2"] | None = None
+    stage: Literal["1", "2", "base", "base-2", "mini-1", "mini-2"] | None = None
     """The paper's stage 1 (vehicles) or 2 (perturbed pictures); of the small model its base, or the
     two stages with its own figures."""
     config: Path | None = None

@@ -43,6 +43,15 @@ BASE = StageConfig(
 )
 """The small model before its adaptation; its image encoder was trained before and stays."""
 
+BASE_2 = BASE.model_copy(
+    update={
+        "name": "base-2",
+        "structure": _trainer(12_000, 8e-4, schedule="cosine", warmup=200, ema_decay=0.999),
+        "latent": _trainer(4_800, 1e-3, schedule="cosine", warmup=100, ema_decay=0.998),
+    }
+)
+"""A second round of the base, from the weights of the first."""
+
 _MINI = STAGE_1.model_copy(update={"objective": FlowObjective(batch=4), "checkpointing": False})
 
 MINI_STAGE_1 = _MINI.model_copy(
@@ -60,10 +69,11 @@ MINI_STAGE_2 = MINI_STAGE_1.model_copy(
 """Stage II of the small model."""
 
 PRESETS: Mapping[str, StageConfig] = {
-    one.name: one for one in (STAGE_1, STAGE_2, BASE, MINI_STAGE_1, MINI_STAGE_2)
+    one.name: one for one in (STAGE_1, STAGE_2, BASE, BASE_2, MINI_STAGE_1, MINI_STAGE_2)
 }
 COMMAND_NAMES: Mapping[str, StageConfig] = {
-    "1": STAGE_1, "2": STAGE_2, "base": BASE, "mini-1": MINI_STAGE_1, "mini-2": MINI_STAGE_2,
+    "1": STAGE_1, "2": STAGE_2, "base": BASE, "base-2": BASE_2,
+    "mini-1": MINI_STAGE_1, "mini-2": MINI_STAGE_2,
 }  # fmt: skip
 """What `--stage` takes."""
 
