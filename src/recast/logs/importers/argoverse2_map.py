@@ -13,13 +13,12 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from recast import storage
 from recast.errors import InputError
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
+from recast.logs.importers.map_place import NEAR, metres_beside
 from recast.logs.types import Array
 from recast.records import validation_error
 
 _STEP = 1.0
 """Metres between points of an averaged centreline, measured on the longer boundary."""
-_NEAR = 200.0
-"""Metres that the ego may be beside the lanes' bounding box."""
 _MEND = "download the log's map again"
 
 
@@ -191,10 +190,8 @@ def _area(outline: Array) -> float:
 
 
 def _check_place(path: Path, lanes: dict[str, Lane], ego: Array) -> None:
-    points = np.concatenate([lane.polygon for lane in lanes.values()])
-    beside = np.maximum(points.min(axis=0) - ego, ego - points.max(axis=0))
-    distance = float(np.linalg.norm(np.maximum(beside, 0.0), axis=1).max())
-    if distance > _NEAR:
+    distance = metres_beside(lanes, ego)
+    if distance > NEAR:
         raise InputError(
             path,
             "lane_segments",

@@ -1,0 +1,139 @@
+"""Waymo LiDAR: the range images of a segment as sweeps.
+
+The TOP LiDAR comes with the vehicle's pose at each pixel; the ego motion of the others' turns is
+not known, and not undone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from recast.geometry import se3
+from recast.logs.importers.waymo_range_image import (
+    LaserCalibration,
+    azimuths,
+    range_image_points,
+    read_calibration,
+    read_matrix,
+    scan_times,
+)
+from recast.logs.importers.waymo_segment import FrameEntry, LaserEntry, Segment, record_errors
+from recast.logs.importers.waymo_wire import FieldError
+from recast.logs.types import (
+    Array,
+    Float32Array,
+    Int64Array,
+    LidarStream,
+    LidarSweep,
+    Trajectory,
+)
+
+_CHANNELS = 4  # range, intensity, elongation, in no-label zone
+_POSE_CHANNELS = 6  # roll, pitch, yaw, x, y, z
+
+
+@dataclass(frozen=True)
+class WaymoSweeps:
+    """The sweeps of one LiDAR in a segment's file, both returns, read on demand.
+
+    Attributes:
+        name: of the LiDAR.
+        frames: those that have it.
+        timestamps_us: (S,) of the sweeps.
+        calibration: of this LiDAR.
+        rig_from_vehicle: (S, 4, 4) from the frame's vehicle frame to the rig's at the sweep's time.
+    """
+
+    name: str
+    frames: tuple[FrameEntry, ...]
+    timestamps_us: Int64Array
+    calibration: LaserCalibration
+    rig_from_vehicle: Array
+
+    def __len__(self) -> int:
+        """Number of sweeps."""
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> LidarSweep:
+        """Decode sweep `index`: first returns, then second ones.
+
+        Raises:
+            InputError: a range image is damaged, empty, or does not fit the calibration.
+        """
+        frame = self.frames[index]
+        laser = frame.lasers[self.name]
+        images = [read_matrix(part, _CHANNELS) for part in laser.returns]
+        poses = _pixel_poses(laser, images[0].shape[:2])
+        points, intensities, columns = [], [], []
+        for part, image in zip(laser.returns, images, strict=True):
+            if image.shape != images[0].shape:
+                raise part.error(f"is {image.shape}, the first return {images[0].shape}")
+            try:
+                placed, row, column = range_image_points(image, self.calibration, poses)
+            except ValueError as error:
+                raise part.error(str(error)) from None
+            points.append(placed)
+            # The sensor's scale is open above; most surfaces are below 1.
+            intensities.append(np.tanh(np.maximum(image[row, column, 1], 0.0)))
+            columns.append(column)
+        in_vehicle = np.concatenate(points)
+        times = None
+        if poses is not None:
+            in_vehicle = se3.apply(se3.inverse(frame.pose), in_vehicle)
+            directions = azimuths(images[0].shape[1])[np.concatenate(columns)]
+            times = scan_times(directions, frame.start_us)
+        return LidarSweep(
+            int(self.timestamps_us[index]),
+            se3.apply(self.rig_from_vehicle[index], in_vehicle).astype(np.float32),
+            np.concatenate(intensities).astype(np.float32),
+            times,
+        )
+
+
+def read_lidars(
+    segment: Segment, frame_times_us: Int64Array, world_from_global: Array, trajectory: Trajectory
+) -> dict[str, LidarStream]:
+    """The LiDARs of a segment by name; none where its range images have been taken out.
+
+    Args:
+        segment: frames and calibration.
+        frame_times_us: (F,) time at which points and labels of each frame are taken to hold.
+        world_from_global: (4, 4).
+        trajectory: of the rig, in the world.
+
+    Raises:
+        InputError: a calibration is wrong or missing, or a LiDAR has no range image in some frames.
+    """
+    names = sorted({name for frame in segment.frames for name in frame.lasers})
+    first = segment.frames[0]
+    with record_errors(segment.path, first.record):
+        calibrations = {
+            message["name"]: read_calibration(message)
+            for message in segment.context["laser_calibrations"]
+        }
+        for name in names:
+            if name not in calibrations:
+                raise FieldError("context.laser_calibrations", f"has none of LiDAR {name}")
+    world_from_vehicle = world_from_global @ np.stack([frame.pose for frame in segment.frames])
+    rig_from_vehicle = se3.inverse(trajectory.at(frame_times_us)) @ world_from_vehicle
+    streams = {}
+    for name in names:
+        for frame in segment.frames:
+            with record_errors(segment.path, frame.record):
+                if name not in frame.lasers:
+                    raise FieldError("lasers", f"the range image of LiDAR {name} is missing")
+        calibration = calibrations[name]
+        sweeps = WaymoSweeps(name, segment.frames, frame_times_us, calibration, rig_from_vehicle)
+        streams[name] = LidarStream(name, calibration.rig_from_lidar, frame_times_us, sweeps)
+    return streams
+
+
+def _pixel_poses(laser: LaserEntry, shape: tuple[int, ...]) -> Float32Array | None:
+    if laser.pixel_poses is None:
+        return None
+    poses = read_matrix(laser.pixel_poses, _POSE_CHANNELS)
+    if poses.shape[:2] != shape:
+        raise laser.pixel_poses.error(f"is {poses.shape[:2]}, the range image {shape}")
+    return poses

@@ -1,0 +1,173 @@
+"""Waymo map features to lanes and drivable area; perception and motion dataset have the same."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import shapely
+
+from recast.logs.hdmap import HdMap, Lane
+from recast.logs.importers.map_place import NEAR, metres_beside
+from recast.logs.importers.waymo_area import drivable_area
+from recast.logs.importers.waymo_segment import Segment, record_errors
+from recast.logs.importers.waymo_wire import FieldError, Message
+from recast.logs.types import Array
+
+MPH = 0.44704
+"""Metres per second."""
+HALF_WIDTH = 1.75
+"""Metres from the centreline to either side where no boundary is named."""
+_NARROWEST, _WIDEST = 0.5, 5.0
+"""Metres from the centreline to a boundary; farther, such as where a lane forks, it is not the
+lane's own."""
+
+
+def read_map(segment: Segment, world_from_global: Array, ego: Array) -> HdMap | None:
+    """The map of a segment in the world frame, or None where it has none (before v1.4.2).
+
+    Args:
+        segment: with the map features of its first frame.
+        world_from_global: (4, 4), a translation.
+        ego: (T, 2) places of the ego in the world.
+
+    Raises:
+        InputError: a field is missing or wrong, there is no lane for cars, or the map lies
+            elsewhere than the drive.
+    """
+    if not segment.map_features:
+        return None
+    with record_errors(segment.path, segment.map_record):
+        return hd_map(segment.map_features, world_from_global[:3, 3] - segment.map_offset, ego)
+
+
+def hd_map(features: Sequence[Message], shift: Array, ego: Array) -> HdMap:
+    """Lanes for cars and drivable area of map features.
+
+    Lanes have their own centreline. Their sides are at the boundaries named for each of its points,
+    else 1.75 m off. Bicycle lanes are only drivable area, lanes of a single point nothing. Of
+    several neighbours on a side, the one along the longest stretch is kept.
+
+    Args:
+        features: decoded MapFeature messages.
+        shift: (3,) world coordinates = map coordinates + shift.
+        ego: (T, 2) places of the ego in the world.
+
+    Raises:
+        FieldError: a field is missing or wrong, there is no lane for cars, or the map lies
+            elsewhere than the drive.
+    """
+    lines = _lines(features, shift)
+    messages: dict[str, Message] = {}
+    centres: dict[str, Array] = {}
+    for feature in features:
+        lane = feature.get("lane")
+        if lane is None:
+            continue
+        key = str(feature["id"])
+        centre = _points(lane, "polyline", shift)
+        if len(centre) >= 2 and np.any(np.ptp(centre[:, :2], axis=0) > 0):
+            messages[key], centres[key] = lane, centre
+    ribbons = {key: _ribbon(centres[key], messages[key], lines) for key in messages}
+    driven = {key: lane for key, lane in messages.items() if lane.get("type") != "bike"}
+    if not driven:
+        raise FieldError("map_features", "hold no lane for cars")
+    lanes = {key: _lane(key, driven, centres[key], *ribbons[key]) for key in driven}
+    distance = metres_beside(lanes, ego)
+    if distance > NEAR:
+        problem = f"the ego drives {distance:.0f} m beside all lanes: not the map of this drive"
+        raise FieldError("map_features", problem)
+    edges = [lines[feature["id"]] for feature in features if "road_edge" in feature.values]
+    driveways = [
+        _points(feature["driveway"], "polygon", shift)[:, :2]
+        for feature in features
+        if "driveway" in feature.values
+    ]
+    return HdMap(
+        lanes=lanes,
+        drivable_area=drivable_area(list(ribbons.values()), edges, driveways),
+        notes={"source": "Waymo"},
+    )
+
+
+def _lines(features: Sequence[Message], shift: Array) -> dict[int, Array]:
+    """Road lines and road edges (N, 3) by feature id."""
+    lines = {}
+    for feature in features:
+        for kind in ("road_line", "road_edge"):
+            if kind in feature.values:
+                lines[feature["id"]] = _points(feature[kind], "polyline", shift)
+    return lines
+
+
+def _points(message: Message, name: str, shift: Array) -> Array:
+    rows = [[point["x"], point["y"], point.get("z", 0.0)] for point in message[name]]
+    points: Array = np.array(rows, np.float64).reshape(-1, 3) + shift
+    if not np.isfinite(points).all():
+        raise FieldError(message.path(name), "holds a point that is not finite")
+    return points
+
+
+def _ribbon(centre: Array, lane: Message, lines: Mapping[int, Array]) -> tuple[Array, Array]:
+    """Left and right boundary (N, 3) of a lane, a point beside each point of its centreline."""
+    left = _left_of(centre)
+    sides = []
+    for name, normal in (("left_boundaries", left), ("right_boundaries", -left)):
+        width = np.full(len(centre), HALF_WIDTH)
+        for part in lane[name]:
+            line = lines.get(part["boundary_feature_id"])
+            if line is None or len(line) < 2:
+                continue
+            first, last = part.get("lane_start_index", 0), part.get("lane_end_index", 0)
+            if not 0 <= first <= last < len(centre):
+                problem = f"runs from point {first} to {last} of {len(centre)}"
+                raise FieldError(part.where, problem)
+            points = shapely.points(centre[first : last + 1, :2])
+            distance = shapely.distance(points, shapely.LineString(line[:, :2]))
+            width[first : last + 1] = np.where(
+                distance <= _WIDEST, np.maximum(distance, _NARROWEST), HALF_WIDTH
+            )
+        sides.append(centre + width[:, None] * np.pad(normal, ((0, 0), (0, 1))))
+    return sides[0], sides[1]
+
+
+def _left_of(line: Array) -> Array:
+    """Unit vectors (N, 2) to the left of a line (N, 3) at its points."""
+    place = line[:, :2]
+    ahead = np.concatenate([place[1:], place[-1:]]) - np.concatenate([place[:1], place[:-1]])
+    length = np.linalg.norm(ahead, axis=1)
+    # A point that comes twice looks where its nearest predecessor looks, or else its successor.
+    known = np.flatnonzero(length > 0)
+    source = known[np.maximum(np.searchsorted(known, np.arange(len(line)), side="right") - 1, 0)]
+    ahead = ahead[source] / length[source, None]
+    return np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
+
+
+def _lane(key: str, lanes: Mapping[str, Message], centre: Array, left: Array, right: Array) -> Lane:
+    message = lanes[key]
+    outline = np.concatenate([right, left[::-1]])[:, :2]
+    mph = message.get("speed_limit_mph", 0.0)
+    if not 0 <= mph < np.inf:
+        raise FieldError(message.path("speed_limit_mph"), f"is {mph:g}")
+    successors = dict.fromkeys(str(other) for other in message["exit_lanes"])
+    return Lane(
+        lane_id=key,
+        centreline=centre,
+        left_boundary=left,
+        right_boundary=right,
+        polygon=outline if shapely.LinearRing(outline).is_ccw else outline[::-1],
+        speed_limit=mph * MPH if mph > 0 else None,
+        successors=tuple(other for other in successors if other in lanes and other != key),
+        left_neighbour=_neighbour(message["left_neighbors"], key, lanes),
+        right_neighbour=_neighbour(message["right_neighbors"], key, lanes),
+        is_intersection=bool(message.get("interpolating", 0)),
+    )
+
+
+def _neighbour(neighbours: list[Message], key: str, lanes: Mapping[str, Message]) -> str | None:
+    def stretch(neighbour: Message) -> int:
+        return int(neighbour.get("self_end_index", 0) - neighbour.get("self_start_index", 0))
+
+    named = [(stretch(n), str(n["feature_id"])) for n in neighbours]
+    usable = [(length, other) for length, other in named if other in lanes and other != key]
+    return max(usable, key=lambda row: row[0])[1] if usable else None

@@ -1,0 +1,221 @@
+"""Faulty Waymo segments: one line that names file, record and field, and nothing written."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recast.errors import InputError
+from recast.logs.importers.waymo import import_waymo
+from support import tiny_waymo as tiny
+from support.proto_writer import (
+    blob,
+    double,
+    doubles,
+    integer,
+    packed_integers,
+    single,
+    write_records,
+)
+
+Parts = tiny.Parts
+CONTEXT = "record 0, context.camera_calibrations"
+
+
+def _frame(k: int, change: Callable[[bytes], bytes]) -> Parts:
+    return Parts(frame=lambda number, data: change(data) if number == k else data)
+
+
+def _camera(change: Callable[[bytes], bytes]) -> Parts:
+    return Parts(calibration=lambda name, data: change(data) if name == "FRONT" else data)
+
+
+def _top(k: int, change: Callable[[bytes], bytes]) -> Parts:
+    return Parts(
+        range_image=lambda number, name, data: (
+            change(data) if (number, name) == (k, "TOP") else data
+        )
+    )
+
+
+def _box(**changes: object) -> Parts:
+    return Parts(label=lambda k, name: tiny.label(k, name, **(changes if k == 1 else {})))  # type: ignore[arg-type]
+
+
+def _jpeg(change: Callable[[bytes], bytes]) -> Parts:
+    return Parts(jpeg=lambda k, name, data: change(data) if (k, name) == (1, "FRONT") else data)
+
+
+def _matrix(values: np.ndarray) -> Callable[[bytes], bytes]:
+    return lambda data: tiny.matrix(values)
+
+
+def _without_rear(number: int, data: bytes) -> bytes:
+    if number != 1:
+        return data
+    rear = tiny.laser_bytes(1, "REAR", Parts())
+    return data.replace(blob(5, rear), b"")
+
+
+def _lanes(*features: bytes) -> Parts:
+    return Parts(features=list(features))
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        (_frame(1, lambda d: d[:-3]), "record 1, Frame: field 500 is cut off"),
+        (_frame(1, lambda d: integer(2, 5) + blob(3, b"")), "record 1, context: is missing"),
+        (_frame(2, lambda d: d + integer(2, 5)), "record 2, timestamp_micros: is not later than"),
+        (_frame(1, lambda d: d + blob(1, blob(1, "other"))), "record 1, context.name: is 'other'"),
+        (
+            _frame(1, lambda d: d + blob(3, doubles(1, range(16)))),
+            "record 1, pose.transform: is no rotation and translation",
+        ),
+        (
+            _frame(1, lambda d: d + blob(3, doubles(1, [1.0, 2.0]))),
+            "record 1, pose.transform: has 2 numbers, not 16",
+        ),
+        (
+            _frame(1, lambda d: d + blob(4, integer(1, 9))),
+            "record 1, images[5].name: is 9, no CameraName (1 FRONT, 2 FRONT_LEFT,",
+        ),
+        (
+            _frame(1, lambda d: d + blob(4, tiny.image_bytes(1, "FRONT", Parts()))),
+            "record 1, images[5].name: FRONT is there twice",
+        ),
+        (
+            Parts(missing={"FRONT"}),
+            "record 0, images[0].image: there is no calibration of camera FRONT",
+        ),
+        (Parts(missing={"TOP"}), "record 0, context.laser_calibrations: has none of LiDAR TOP"),
+        (_camera(lambda d: d + double(2, 1.0)), f"{CONTEXT}[4].intrinsic: has 10 numbers, not 9"),
+        (_camera(lambda d: d + integer(4, 0)), f"{CONTEXT}[4]: PinholeCamera.width, height: 0 x"),
+        (
+            _camera(lambda d: d + integer(6, 8)),
+            f"{CONTEXT}[4].rolling_shutter_direction: is 8, no RollingShutter",
+        ),
+        (_jpeg(lambda d: b""), "record 1, images[0].image: cannot be decoded"),
+        (_jpeg(lambda d: b"no picture"), "record 1, images[0].image: cannot be decoded"),
+        (
+            _camera(lambda d: d + integer(5, 33)),
+            "record 0, images[0].image: is 48x32, the camera's calibration says 48x33",
+        ),
+        (_box(kind=9), "record 1, laser_labels[0].type: is 9, no Label.Type (0 unknown, 1"),
+        (_box(width=0.0), "record 1, laser_labels[0].box.width: is 0"),
+        (_box(heading=float("nan")), "record 1, laser_labels[0].box.heading: is nan"),
+        (
+            Parts(label=lambda k, name: tiny.label(k, "car")),
+            "record 0, laser_labels[1].id: car is there twice",
+        ),
+        (_top(1, lambda d: b""), "record 1, lasers[0].return1.range_image_compressed: is empty"),
+        (
+            _top(1, lambda d: d[: len(d) // 2]),
+            "record 1, lasers[0].return1.range_image_compressed: is cut off",
+        ),
+        (_top(1, lambda d: b"raw"), "range_image_compressed: is no zlib stream"),
+        (
+            _top(1, lambda d: zlib.compress(b"")),
+            "range_image_compressed: holds no matrix: shape: is missing",
+        ),
+        (
+            _top(1, _matrix(np.zeros((0, 40, 4)))),
+            "range_image_compressed: has dimensions [0, 40, 4] for 0 values",
+        ),
+        (
+            _top(1, _matrix(np.zeros((6, 40, 3)))),
+            "range_image_compressed: has dimensions [6, 40, 3] for 720 values",
+        ),
+        (_top(1, _matrix(np.full((6, 40, 4), np.inf))), "holds values that are not finite"),
+        (_top(1, _matrix(np.ones((5, 40, 4)))), "lasers[0].return1.pose_compressed: is (6, 40)"),
+        (
+            Parts(frame=_without_rear),
+            "record 1, lasers: the range image of LiDAR REAR is missing",
+        ),
+        (_lanes(blob(99, "")), "record 0, map_features: hold no lane for cars"),
+        (
+            _lanes(tiny.lane(1, tiny.line((0, 0), (9, 0)), kind=3)),
+            "record 0, map_features: hold no lane for cars",
+        ),
+        (
+            _lanes(tiny.lane(1, tiny.line((0, 0), (9, 0)), kind=7)),
+            "record 0, map_features[0].lane.type: is 7, no LaneType",
+        ),
+        (
+            _lanes(tiny.lane(1, tiny.line((5000, 0), (5009, 0)))),
+            "record 0, map_features: the ego drives 4998 m beside all lanes",
+        ),
+        (
+            _lanes(*tiny.map_features()[5:],
+                   tiny.lane(1, tiny.line((0, 0), (9, 0)), tiny.boundary(13, 11, 0, 40))),
+            "map_features[5].lane.left_boundaries[0]: runs from point 0 to 40 of 11",
+        ),
+    ],
+)  # fmt: skip
+def test_a_faulty_segment_is_one_clear_line(tmp_path: Path, parts: Parts, message: str) -> None:
+    path = tiny.write_segment(tmp_path / "root", parts)
+    _refused(tmp_path, tiny.NAME, f"{path}: {message}" if message.startswith("record") else message)
+
+
+def _refused(tmp_path: Path, drive: str, message: str) -> None:
+    with pytest.raises(InputError) as raised:
+        import_waymo(tmp_path / "root", drive, tmp_path / "out" / "log")
+    assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
+    assert not (tmp_path / "out").exists() or list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_damaged_file_names_its_record(tmp_path: Path) -> None:
+    path = tiny.write_segment(tmp_path / "root")
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-100] + bytes([whole[-100] ^ 1]) + whole[-99:])
+    _refused(tmp_path, tiny.NAME, f"{path}: record 2, data: do not fit their checksum")
+    path.write_bytes(whole[:-20])
+    _refused(tmp_path, tiny.NAME, f"{path}: record 2, data: are cut off, 20 bytes are missing")
+    path.write_bytes(b"\x1f\x8b" + whole)
+    _refused(tmp_path, tiny.NAME, f"{path}: record 0, length: this is no (uncompressed) TFRecord")
+
+
+def test_what_is_not_there_is_answered_with_what_is(tmp_path: Path) -> None:
+    root = tmp_path / "root"
+    _refused(tmp_path, "1234", f"{root}: Waymo folder: does not exist")
+    tiny.write_segment(root)
+    _refused(tmp_path, "999", f"{root}: drive 999: does not exist; choose one of {tiny.FILE}")
+    with pytest.raises(InputError, match="output folder: exists already"):
+        import_waymo(root, tiny.NAME, root)
+    with pytest.raises(InputError, match="labels: a segment holds its own"):
+        import_waymo(root, tiny.NAME, tmp_path / "log", labels=root / tiny.FILE)
+    tiny.write_segment(root / "validation")
+    _refused(tmp_path, tiny.NAME, f"may be {tiny.FILE}, validation/{tiny.FILE}")
+
+
+def _scenario(name: str, *more: bytes) -> bytes:
+    def track(key: int, x: float) -> bytes:
+        states = b"".join(
+            blob(3, double(2, x + k) + double(3, 0.0) + double(4, 1.0)
+                 + b"".join(single(n, v) for n, v in ((5, 5), (6, 2), (7, 2), (8, 0)))
+                 + integer(11, 1))
+            for k in range(3)
+        )  # fmt: skip
+        return blob(2, integer(1, key) + integer(2, 1) + states)
+
+    return b"".join(
+        [doubles(1, [0.0, 0.1, 0.2]), track(3, 0.0), track(8, 20.0), blob(5, name),
+         integer(6, 0), *more]
+    )  # fmt: skip
+
+
+def test_a_scenario_is_named_where_a_file_holds_several(tmp_path: Path) -> None:
+    path = tmp_path / "root" / "shard.tfrecord"
+    write_records(path, [_scenario("aa"), _scenario("bb")])
+    _refused(tmp_path, "shard", f"{path}: scenario_id: 2 scenarios are in the file; name one")
+    _refused(tmp_path, "shard:cc", f"{path}: scenario_id: cc is not in the file")
+    import_waymo(tmp_path / "root", "shard.tfrecord:bb", tmp_path / "log")
+    write_records(path, [_scenario("aa", packed_integers(6, []) + integer(6, 2))])
+    _refused(tmp_path, "shard", f"{path}: record 0, sdc_track_index: has wire type 2, not 0")
+    write_records(path, [_scenario("aa", integer(6, 2))])
+    _refused(tmp_path, "shard", f"{path}: record 0, sdc_track_index: is 2 of 2 tracks")
