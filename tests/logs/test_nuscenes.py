@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recast.geometry import boxes, se3
-from recast.logs import DrivingLog, read_log
+from recast.logs import DrivingLog, read_log, track_points
 from recast.logs.derive_map import map_of
 from recast.logs.importers import IMPORTERS
 from recast.logs.importers.nuscenes import load_nuscenes
@@ -52,15 +52,30 @@ def test_the_ego_has_the_pose_of_every_frame(log: DrivingLog) -> None:
     np.testing.assert_allclose(log.world_from_rig.poses[0, :3, 3], 0.0, atol=1e-9)
 
 
-def test_boxes_are_those_of_key_frames_and_between_them_interpolated(log: DrivingLog) -> None:
+def test_boxes_are_those_of_key_frames_and_ten_a_second_between_them(log: DrivingLog) -> None:
     kinds = {key: track.category for key, track in log.tracks.items()}
     assert kinds == {"car": "car", "walk": "pedestrian"}  # not the ego's own box
     car = log.tracks["car"]
     np.testing.assert_allclose(car.size, tiny.CAR_SIZE)
-    np.testing.assert_allclose(np.diff(car.trajectory.timestamps_us), tiny.KEY_US)
+    np.testing.assert_array_equal(np.diff(car.trajectory.timestamps_us), tiny.KEY_US // 5)
+    # Every sweep is near a label.
+    assert len(track_points(log, car).points) == 41 * tiny.CAR_POINTS
     for time in tiny.START_US + np.arange(0, 2_000_000, 130_000):
         pose = _street_from_world(log) @ car.trajectory.at(time)
         np.testing.assert_allclose(pose, tiny.street_from_car(_seconds(time)), atol=1e-5)
+
+
+def test_nothing_is_filled_in_over_a_key_frame_without_a_box(
+    tiny_root: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(tiny_root, tmp_path / "gap")
+    tables = tmp_path / "gap" / tiny.VERSION
+    rows = tiny.read_table(tables, "sample_annotation")
+    tiny.write_table(tables, "sample_annotation", [row for row in rows if row["token"] != "car2"])
+    times = load_nuscenes(tmp_path / "gap", tiny.SCENE).tracks["car"].trajectory.timestamps_us
+    seconds = (times - tiny.START_US) / 1e6
+    np.testing.assert_allclose(seconds[:6], 0.1 * np.arange(6))
+    np.testing.assert_allclose(seconds[6:], 1.5 + 0.1 * np.arange(6))
 
 
 def test_sweeps_lie_on_the_car_and_the_road(log: DrivingLog) -> None:

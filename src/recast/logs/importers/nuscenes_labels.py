@@ -47,6 +47,10 @@ CATEGORIES = {
 }
 """The dataset's categories; the ego's own box, should there be one, is left out."""
 
+STEPS = 5
+"""Poses for each interval of two key frames: ten a second, as other datasets label. What uses boxes
+takes sweeps far from every label as unlabelled."""
+
 _TABLE = "sample_annotation"
 _FARTHEST = 500.0
 """Metres from the ego: no LiDAR sees farther, so such a box is of another place or frame."""
@@ -56,7 +60,10 @@ _MEND = "take all tables from one metadata archive"
 def read_tracks(
     tables: Path, samples: Sequence[SampleRow], world_from_rig: Trajectory, offset: Array
 ) -> dict[str, Track]:
-    """Tracks by instance token, posed at key frames; `Trajectory.at` interpolates between them.
+    """Tracks by instance token, posed at key frames and ten times a second between them.
+
+    Poses between two key frames in a row that both show the object are interpolated, positions
+    linearly and turns by slerp. Over a key frame without a box nothing is filled in.
 
     Args:
         tables: folder of the JSON tables.
@@ -91,8 +98,10 @@ def read_tracks(
             problem = f"a second box of instance {box.instance_token} at one key frame"
             raise InputError(path, field, problem, _MEND)
         of_instance[time] = box
+    in_order = np.array(sorted(times.values()), np.int64)
+    ends = dict(zip(in_order[:-1].tolist(), in_order[1:].tolist(), strict=True))
     return {
-        token: _track(path, token, category, grouped[token], world_from_rig, offset)
+        token: _track(path, token, category, grouped[token], ends, world_from_rig, offset)
         for token in grouped
         if (category := CATEGORIES.get(kinds[instances[token].category_token].name)) is not None
     }
@@ -103,9 +112,16 @@ def _track(
     token: str,
     category: str,
     boxes: dict[int, AnnotationRow],
+    ends: dict[int, int],
     world_from_rig: Trajectory,
     offset: Array,
 ) -> Track:
+    """The track of one instance.
+
+    Args:
+        boxes: by the time of their key frame.
+        ends: of the interval that begins at a key frame.
+    """
     times = np.array(sorted(boxes), np.int64)
     ordered = [boxes[int(time)] for time in times]
     poses = np.stack([pose_of(path, box) for box in ordered])
@@ -120,4 +136,13 @@ def _track(
             problem = f"the box is {distance:.0f} m from the ego: mixed coordinate frames"
             raise InputError(path, f"token {box.token}: translation", problem, _MEND)
     width, length, height = np.median([box.size for box in ordered], axis=0)
-    return Track(token, category, np.array([length, width, height]), Trajectory(times, poses))
+    at_keys = Trajectory(times, poses)
+    between = [
+        start + (end - start) * step // STEPS
+        for start in times.tolist()
+        if (end := ends.get(start)) in boxes
+        for step in range(1, STEPS)
+    ]
+    filled = np.sort(np.append(times, np.array(between, np.int64)))
+    size = np.array([length, width, height])
+    return Track(token, category, size, Trajectory(filled, at_keys.at(filled)))
