@@ -16,6 +16,7 @@ IMPORTERS = Registry(
         "kitti": "recast.logs.importers.kitti:import_kitti",
         "nuscenes": "recast.logs.importers.nuscenes:import_nuscenes",
         "street-gaussians": "recast.logs.importers.street_gaussians:import_street_gaussians",
+        "waymo": "recast.logs.importers.waymo:import_waymo",
     },
 )
 """Importers by name; each is a `LogImporter`."""
