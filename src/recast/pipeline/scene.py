@@ -19,6 +19,7 @@ from recast.scene import (
     read_training_config,
     train_scene,
 )
+from recast.scene.importers import IMPORT_FILE
 
 
 def train_with_display(
@@ -32,8 +33,13 @@ def train_with_display(
 def evaluate_and_print(
     scene: str | Path, log: DrivingLog, out: str | Path, console: Console | None = None
 ) -> SceneEvaluation:
-    """Score a trained scene's held-out images, write eval.json and pictures, print a table."""
-    evaluation = evaluate_scene(load_scene(scene), log, read_training_config(scene), out)
+    """Score a scene's held-out images, write eval.json and pictures, print a table.
+
+    A scene that another program trained is scored on the images that ours would keep by default.
+    """
+    imported = (Path(scene) / IMPORT_FILE).is_file()
+    config = SceneConfig() if imported else read_training_config(scene)
+    evaluation = evaluate_scene(load_scene(scene), log, config, out)
     (console or Console()).print(evaluation_table(evaluation), f"pictures: {out}", sep="\n")
     return evaluation
 

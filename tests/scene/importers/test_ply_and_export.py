@@ -12,6 +12,7 @@ from recast.cli.main import main
 from recast.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog
+from recast.pipeline.scene import evaluate_and_print
 from recast.scene import (
     SceneActor,
     SkyMap,
@@ -182,3 +183,10 @@ def test_the_commands(
     assert main([*command, "--sky", f"{out}/sky.png"]) == 0
     assert "left out" not in capsys.readouterr().out
     assert load_scene(again).log_name == "drive"
+
+
+def test_an_imported_scene_can_be_judged(tiny_log: DrivingLog, tmp_path: Path) -> None:
+    write_ply(tmp_path / "a.ply", made.make_background(1))
+    import_ply(tmp_path / "a.ply", tiny_log, tmp_path / "scene")
+    judged = evaluate_and_print(tmp_path / "scene", tiny_log, tmp_path / "eval")
+    assert len(judged.frames) == 3 and (tmp_path / "eval" / "eval.json").is_file()

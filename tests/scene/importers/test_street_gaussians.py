@@ -146,10 +146,12 @@ def test_what_cannot_be_carried_over_is_named(
         obj_009=made.street_gaussians_part(made.make_car(1)),
         novelty={"x": torch.zeros(2)},
     )
+    content["background"] |= {"semantic": torch.zeros(300, 19), "optimizer": {"state": {}}}
     path = save(tmp_path / "a.pth", content)
     record = import_street_gaussians(
         path, log, tmp_path / "scene", processed=processed, leave_out=("obj_009",)
     )
+    assert "in the models: optimizer, semantic" in record.left_out
     for start in ("obj_009", "color_correction", "pose_correction", "sky", "novelty"):
         assert any(line.startswith(start) for line in record.left_out), start
     kept = json.loads((tmp_path / "scene" / "import.json").read_text())
@@ -261,7 +263,7 @@ def test_a_cut_file_and_a_missing_one(log: DrivingLog, tmp_path: Path) -> None:
         ("track/track_camera_vis.json", "[1]", "no table of cameras"),
         ("track/track_ids.json", "[1]", "no object of track numbers"),
         ("timestamps.json", "{}", "FRAME: lacks a time"),
-        ("ego_pose/000004.txt", "1 2 3", "numbers: 3"),
+        ("ego_pose/000004.txt", "1 2 3", "16 finite numbers are needed"),
     ],
 )
 def test_broken_processed_folders_are_refused(

@@ -2,7 +2,13 @@
 
 from recast.scene.importers.drivestudio import import_drivestudio
 from recast.scene.importers.ply import import_ply
-from recast.scene.importers.record import ImportRecord
+from recast.scene.importers.record import IMPORT_FILE, ImportRecord
 from recast.scene.importers.street_gaussians import import_street_gaussians
 
-__all__ = ["ImportRecord", "import_drivestudio", "import_ply", "import_street_gaussians"]
+__all__ = [
+    "IMPORT_FILE",
+    "ImportRecord",
+    "import_drivestudio",
+    "import_ply",
+    "import_street_gaussians",
+]

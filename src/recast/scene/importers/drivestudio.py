@@ -13,8 +13,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from recast.geometry import se3
 from recast.logs import DrivingLog
+from recast.logs.importers.processed_folder import read_pose
 from recast.scene.importers.actors import (
     TURNING,
     check_names,
@@ -23,10 +23,17 @@ from recast.scene.importers.actors import (
     read_track_names,
 )
 from recast.scene.importers.cubemap import NO_SKY, RESAMPLED, read_faces, sky_from_cubemap
-from recast.scene.importers.drivestudio_nodes import NAMES, Instance, read_constant, read_instances
+from recast.scene.importers.drivestudio_nodes import (
+    CONSTANT,
+    INSTANCES,
+    NAMES,
+    Instance,
+    read_constant,
+    read_instances,
+)
 from recast.scene.importers.exposure import exposed, exposed_colours, mean_affine
 from recast.scene.importers.matching import SUSPICIOUS_M, choose_tracks
-from recast.scene.importers.parts import read_gaussians
+from recast.scene.importers.parts import read_gaussians, unused_members
 from recast.scene.importers.placing import (
     Placement,
     frame_times,
@@ -152,13 +159,15 @@ def _placement(
         return given_placement(world_from_scene)
     if processed is None:
         return Placement(
-            log.world_from_rig.at(start_us), f"the log's rig at frame {first_frame} ({start_us} us)"
+            log.world_from_rig.at(start_us),
+            f"the log's rig at frame {first_frame} ({start_us} us), which is the origin "
+            "where the rig is the vehicle frame of the training, as on Waymo",
         )
     name = f"ego_pose/{first_frame:03d}.txt"
     if not (processed / "ego_pose").is_dir():
         name = f"extrinsics/{first_frame:03d}_0.txt"  # the world is the first camera's first pose
-    given = given_placement(processed / name)
-    moved = se3.from_rotation_translation(torch.eye(3), -log.world_offset) @ given.world_from_scene
+    moved = read_pose(processed / name)
+    moved[:3, 3] -= log.world_offset
     return Placement(moved, f"{name} of the processed folder")
 
 
@@ -206,5 +215,7 @@ def _left_out(models: Table) -> list[str]:
         left_out.append(NO_SKY)
     if "Affine" in models:
         left_out.append("Affine: the colours of single images")
+    parts = [models.table(name) for name in ("Background", "RigidNodes") if name in models]
+    left_out += unused_members(parts, NAMES, (CONSTANT, *INSTANCES))
     known = ("Background", "RigidNodes", "Sky", "Affine", *_LEFT_OUT)
     return [*left_out, *(f"{name}: not known" for name in models if name not in known)]

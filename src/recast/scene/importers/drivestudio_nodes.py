@@ -15,6 +15,14 @@ from recast.scene.importers.table import Table
 from recast.splats import Gaussians
 
 NAMES = Names("_means", "_features_rest", "_scales", "_quats", "_opacities")
+CONSTANT = "_features_dc"
+INSTANCES = (
+    "instances_quats",
+    "instances_trans",
+    "instances_fv",
+    "instances_size",
+    "points_ids",
+)
 
 
 @dataclass(frozen=True)
@@ -34,7 +42,7 @@ class Instance:
 
 def read_constant(table: Table) -> Tensor:
     """Constant harmonics (N, 3)."""
-    return table.tensor("_features_dc", None, 3)
+    return table.tensor(CONSTANT, None, 3)
 
 
 def read_instances(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, dataclass
 
 import torch
 from torch import Tensor
@@ -51,3 +52,10 @@ def read_gaussians(table: Table, names: Names, constant: Tensor) -> Gaussians:
         logit_opacities=table.tensor(names.logit_opacities, n, 1)[:, 0],
         sh=torch.cat([constant[:, None], rest], dim=1),
     )
+
+
+def unused_members(tables: Iterable[Table], names: Names, others: Sequence[str]) -> list[str]:
+    """A sentence on what the tables hold beside Gaussians and `others`; none where that is all."""
+    known = {*astuple(names), *others}
+    found = sorted({name for table in tables for name in table if name not in known})
+    return [f"in the models: {', '.join(found)}"] if found else []

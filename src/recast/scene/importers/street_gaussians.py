@@ -25,7 +25,7 @@ from recast.scene.importers.actors import (
     track_of,
 )
 from recast.scene.importers.cubemap import NO_SKY, RESAMPLED, read_faces, sky_from_cubemap
-from recast.scene.importers.parts import Names, read_gaussians
+from recast.scene.importers.parts import Names, read_gaussians, unused_members
 from recast.scene.importers.placing import Placement, frame_times, given_placement
 from recast.scene.importers.record import Imported, ImportRecord, check_output, write_imported
 from recast.scene.importers.street_gaussians_tracks import ProcessedDrive, read_processed
@@ -217,5 +217,13 @@ def _left_out(table: Table, drive: ProcessedDrive | None) -> list[str]:
         left_out.append(NO_SKY)
     if "actor_pose" in table and drive is None:
         left_out.append("actor_pose: its slots mean nothing without the processed folder")
+    models = [table.table(n) for n in table if n == "background" or OBJECT.fullmatch(n)]
+    # Nearly always there and without a column; its width tells whether semantics were learned.
+    semantics = [model for model in models if _semantic_width(model)]
+    left_out += unused_members(models, NAMES, (CONSTANT, *([] if semantics else ["semantic"])))
     strangers = [name for name in table if name not in KNOWN and not OBJECT.fullmatch(name)]
     return [*left_out, *(f"{name}: not known" for name in strangers)]
+
+
+def _semantic_width(model: Table) -> int:
+    return model.tensor("semantic", None, None).shape[1] if "semantic" in model else 0

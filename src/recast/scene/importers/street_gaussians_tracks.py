@@ -8,7 +8,6 @@ between starts from the first one and is read in its row.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,11 +18,11 @@ from torch import Tensor
 from recast.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog, Trajectory
-from recast.scene.importers.placing import Array, read_numbers
+from recast.logs.importers.processed_folder import CAMERAS, frame_numbers, read_pose
+from recast.scene.importers.placing import Array
 from recast.scene.importers.street_gaussians_slots import read_boxes
 from recast.storage import read_json
 
-CAMERAS = ("FRONT", "FRONT_LEFT", "FRONT_RIGHT", "SIDE_LEFT", "SIDE_RIGHT")
 _MEND = "give the folder that the checkpoint was trained on"
 
 
@@ -151,11 +150,8 @@ def read_processed(
         InputError: a file is missing or broken, or frames or cameras are not there.
     """
     folder = Path(folder)
-    listed = sorted(
-        int(path.stem) for path in folder.glob("ego_pose/*.txt") if re.fullmatch(r"\d+", path.stem)
-    )
-    if not listed:
-        raise InputError(folder, "ego_pose", "holds no pose", _MEND)
+    paths = frame_numbers(folder / "ego_pose")
+    listed = list(paths)
     first, last = frames or (listed[0], listed[-1])
     if not (first in listed and last in listed and first <= last):
         raise InputError(
@@ -163,7 +159,7 @@ def read_processed(
         )
     if not cameras or any(not 0 <= camera < len(CAMERAS) for camera in cameras):
         raise InputError(folder, f"cameras {list(cameras)}", "of 0 to 4", "name others")
-    poses = {frame: _pose(folder / "ego_pose" / f"{frame:06d}.txt") for frame in listed}
+    poses = {frame: read_pose(path) for frame, path in paths.items()}
     chosen = range(first, last + 1)
     camera = CAMERAS[cameras[0]]
     boxes, slots, count = read_boxes(folder / "track", chosen, cameras, poses)
@@ -179,14 +175,11 @@ def read_processed(
         frame_seconds=_seconds(folder, "FRAME", chosen),
         camera_seconds=_seconds(folder, camera, chosen),
         dataset_from_vehicle={
-            frame: _pose(folder / "ego_pose" / f"{frame:06d}_{cameras[0]}.txt") for frame in chosen
+            frame: read_pose(folder / "ego_pose" / f"{frame:06d}_{cameras[0]}.txt")
+            for frame in chosen
         },
         numbers=_numbers(folder / "track" / "track_ids.json"),
     )
-
-
-def _pose(path: Path) -> Array:
-    return read_numbers(path, (16,)).reshape(4, 4)
 
 
 def _seconds(folder: Path, name: str, frames: Sequence[int]) -> dict[int, float]:
