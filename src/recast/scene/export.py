@@ -69,12 +69,12 @@ def export_scene_at(scene: StreetScene, folder: str | Path, seconds: float) -> i
         InputError: the scene knows no times, or not this one; `folder` exists; the disk is full.
     """
     first, last = scene_interval(scene)
-    timestamp_us = first + round(seconds * 1e6)
-    if not first <= timestamp_us <= last:
+    if not 0 <= seconds * 1e6 <= last - first:
         raise InputError(
             "command line", "--time", f"{seconds:g} s is not within the scene's times",
             f"name one from 0 to {(last - first) / 1e6:g}",
         )  # fmt: skip
+    timestamp_us = first + round(seconds * 1e6)
     poses = scene.actor_poses(timestamp_us)
     with atomic_folder(folder) as partial:
         write_ply(partial / MERGED_FILE, scene.at(poses))

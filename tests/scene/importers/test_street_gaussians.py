@@ -23,6 +23,7 @@ SCENE_ORIGIN = np.mean([made.world_from_rig(f)[:3, 3] for f in range(made.FRAMES
 WORLD_FROM_SCENE = se3.from_rotation_translation(np.eye(3), SCENE_ORIGIN)
 ROWS = [(frame, track) for frame in range(made.FRAMES) for track in (5, 6, 8, 3)]
 FOURIER = 5
+NAMES, STAMPS = ("FRAME", "FRONT"), [f"{frame:06d}" for frame in range(made.FRAMES)]
 
 
 @pytest.fixture(scope="module")
@@ -263,6 +264,7 @@ def test_a_cut_file_and_a_missing_one(log: DrivingLog, tmp_path: Path) -> None:
         ("track/track_camera_vis.json", "[1]", "no table of cameras"),
         ("track/track_ids.json", "[1]", "no object of track numbers"),
         ("timestamps.json", "{}", "FRAME: lacks a time"),
+        ("timestamps.json", json.dumps({n: dict.fromkeys(STAMPS, 7) for n in NAMES}), "increase"),
         ("ego_pose/000004.txt", "1 2 3", "16 finite numbers are needed"),
     ],
 )
@@ -273,3 +275,12 @@ def test_broken_processed_folders_are_refused(
     path = save(tmp_path / "a.pth", checkpoint())
     with pytest.raises(InputError, match=line):
         import_street_gaussians(path, log, tmp_path / "scene", processed=processed)
+
+
+@pytest.mark.parametrize("frames", [(3, 2), (0, 11), (-1, 4)])
+def test_frames_that_the_folder_does_not_have(
+    log: DrivingLog, processed: Path, tmp_path: Path, frames: tuple[int, int]
+) -> None:
+    path = save(tmp_path / "a.pth", checkpoint())
+    with pytest.raises(InputError, match="not all of them are in ego_pose"):
+        import_street_gaussians(path, log, tmp_path / "s", processed=processed, frames=frames)

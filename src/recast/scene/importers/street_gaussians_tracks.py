@@ -86,7 +86,8 @@ class ProcessedDrive:
         Raises:
             InputError: the actor has no moving box in these frames, or a time is not the log's.
         """
-        frames = [frame for frame in self.boxes.get(number, {}) if (number, frame) in self.slots]
+        boxes = self.boxes.get(number, {})
+        frames = sorted(frame for frame in boxes if (number, frame) in self.slots)
         if not frames:
             raise InputError(
                 self.folder / "track" / "track_info.txt", f"track {number}",
@@ -153,14 +154,15 @@ def read_processed(
     paths = frame_numbers(folder / "ego_pose")
     listed = list(paths)
     first, last = frames or (listed[0], listed[-1])
-    if not (first in listed and last in listed and first <= last):
+    chosen = range(first, last + 1)
+    if not chosen or any(frame not in paths for frame in chosen):
         raise InputError(
-            folder, f"frames {first} to {last}", f"of {listed[0]} to {listed[-1]}", "name others"
-        )
+            folder, f"frames {first} to {last}", f"not all of them are in ego_pose, which has "
+            f"{len(listed)} from {listed[0]} to {listed[-1]}", "name others (--frames)",
+        )  # fmt: skip
     if not cameras or any(not 0 <= camera < len(CAMERAS) for camera in cameras):
         raise InputError(folder, f"cameras {list(cameras)}", "of 0 to 4", "name others")
     poses = {frame: read_pose(path) for frame, path in paths.items()}
-    chosen = range(first, last + 1)
     camera = CAMERAS[cameras[0]]
     boxes, slots, count = read_boxes(folder / "track", chosen, cameras, poses)
     return ProcessedDrive(
@@ -186,9 +188,13 @@ def _seconds(folder: Path, name: str, frames: Sequence[int]) -> dict[int, float]
     path = folder / "timestamps.json"
     value = read_json(path)
     try:
-        return {frame: float(value[name][f"{frame:06d}"]) for frame in frames}
+        seconds = {frame: float(value[name][f"{frame:06d}"]) for frame in frames}
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(path, name, f"lacks a time ({error})", _MEND) from None
+    steps = np.diff(list(seconds.values()))
+    if not (np.isfinite(list(seconds.values())).all() and np.all(steps > 0)):
+        raise InputError(path, name, "does not increase from frame to frame", _MEND)
+    return seconds
 
 
 def _numbers(path: Path) -> dict[str, int]:
