@@ -209,3 +209,15 @@ def test_a_segment_without_range_images_map_or_second_frame(tmp_path: Path) -> N
     log.validate()
     assert not log.lidars and log.map is None and len(log.tracks) == 2
     assert len(log.cameras["FRONT"].images) == 1
+
+
+def test_a_turn_in_which_nothing_returned_has_no_points(tmp_path: Path) -> None:
+    def nothing(frame: int, name: str, data: bytes) -> bytes:
+        image, _ = tiny.range_images(frame, name)
+        return tiny.matrix(np.full_like(image, -1.0)) if name == "REAR" else data
+
+    tiny.write_segment(tmp_path, tiny.Parts(frames=1, range_image=nothing, second=False))
+    IMPORTERS.load("waymo")(tmp_path, tiny.NAME, tmp_path / "log")
+    log = read_log(tmp_path / "log")
+    assert len(log.lidars["REAR"].sweeps[0].points) == 0
+    assert len(log.lidars["TOP"].sweeps[0].points) > 50

@@ -70,7 +70,10 @@ def _lanes(*features: bytes) -> Parts:
     [
         (_frame(1, lambda d: d[:-3]), "record 1, Frame: field 500 is cut off"),
         (_frame(1, lambda d: integer(2, 5) + blob(3, b"")), "record 1, context: is missing"),
-        (_frame(2, lambda d: d + integer(2, 5)), "record 2, timestamp_micros: is not later than"),
+        (
+            _frame(2, lambda d: tiny.frame_bytes(1, Parts())),
+            "record 2, timestamp_micros: is not later than",
+        ),
         (_frame(1, lambda d: d + blob(1, blob(1, "other"))), "record 1, context.name: is 'other'"),
         (
             _frame(1, lambda d: d + blob(3, doubles(1, range(16)))),
@@ -104,6 +107,10 @@ def _lanes(*features: bytes) -> Parts:
         (
             _camera(lambda d: d + integer(5, 33)),
             "record 0, images[0].image: is 48x32, the camera's calibration says 48x33",
+        ),
+        (
+            _frame(1, lambda d: d + integer(2, tiny.START_US + 400_000)),
+            "record 1, images[0].pose_timestamp: is -0.248 s after the frame's time",
         ),
         (_box(kind=9), "record 1, laser_labels[0].type: is 9, no Label.Type (0 unknown, 1"),
         (_box(width=0.0), "record 1, laser_labels[0].box.width: is 0"),
@@ -178,6 +185,12 @@ def test_a_damaged_file_names_its_record(tmp_path: Path) -> None:
     _refused(tmp_path, tiny.NAME, f"{path}: record 2, data: are cut off, 20 bytes are missing")
     path.write_bytes(b"\x1f\x8b" + whole)
     _refused(tmp_path, tiny.NAME, f"{path}: record 0, length: this is no (uncompressed) TFRecord")
+
+
+def test_a_gap_in_the_drive_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "root" / tiny.FILE
+    write_records(path, [tiny.frame_bytes(k, Parts()) for k in (0, 1, 13)])
+    _refused(tmp_path, tiny.NAME, f"{path}: record 2, pose: comes 1.1 s after the one before")
 
 
 def test_what_is_not_there_is_answered_with_what_is(tmp_path: Path) -> None:

@@ -98,6 +98,7 @@ class Parts:
     jpeg: Callable[[int, str, bytes], bytes] = lambda frame, name, data: data
     features: list[bytes] | None = None
     lasers: bool = True
+    second: bool = True
     missing: set[str] = field(default_factory=set)
 
 
@@ -209,7 +210,8 @@ def laser_bytes(k: int, name: str, parts: Parts) -> bytes:
     if name == "TOP":
         first += blob(4, matrix(poses))
     number = 1 if name == "TOP" else 5
-    return integer(1, number) + blob(2, first) + blob(3, blob(2, matrix(second)))
+    more = blob(3, blob(2, matrix(second))) if parts.second else b""
+    return integer(1, number) + blob(2, first) + more
 
 
 def label(k: int, name: str, kind: int | None = None, **changes: float) -> bytes:

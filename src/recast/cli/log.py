@@ -15,15 +15,17 @@ class Import:
 
     importer: tyro.conf.Positional[str]
     """Kind of the dataset: argoverse2 (sensor logs), drivestudio and street-gaussians (Waymo scenes
-    they processed), kitti (raw, synced and rectified), nuscenes (JSON tables), or an installed
-    importer."""
+    they processed), kitti (raw, synced and rectified), nuscenes (JSON tables), waymo (v1 TFRecords
+    and motion scenarios), or an installed importer."""
     root: tyro.conf.Positional[Path]
     """The dataset's folder; for kitti the one that holds the date folder, such as 2011_09_26, for
     argoverse2 the one that holds the splits or the log, for nuscenes the one that holds v1.0-mini
-    or v1.0-trainval, for processed scenes the one that holds them."""
+    or v1.0-trainval, for processed scenes the one that holds them, for waymo the one that holds
+    the TFRecord files."""
     drive: str
     """Name of the drive, such as 2011_09_26_drive_0013; for argoverse2 the log's id, for nuscenes
-    the scene's name, such as scene-0061, for processed scenes their folder, such as 002."""
+    the scene's name, such as scene-0061, for processed scenes their folder, such as 002, for waymo
+    the segment's name or file, or FILE:SCENARIO."""
     out: Path
     """Log folder to write; must not exist."""
     labels: Path | None = None

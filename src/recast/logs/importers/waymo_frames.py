@@ -23,6 +23,10 @@ from recast.logs.importers.waymo_tfrecord import Record, read_records
 from recast.logs.importers.waymo_wire import FieldError, Message, decode
 from recast.logs.types import Array
 
+_EARLIEST_US, _LATEST_US = -50_000, 150_000
+"""Of an image from the start of its frame's turn (in the real frame 22 to 72 ms): within reach of
+the ego trajectory, which goes through the images and is continued by 0.15 s."""
+
 
 def read_segment(path: Path) -> Segment:
     """Go through a segment once, checking every checksum; no more than a record is in memory.
@@ -68,15 +72,20 @@ def _frame(path: Path, record: Record, message: Message) -> FrameEntry:
 
     images: dict[str, ImageEntry] = {}
     lasers: dict[str, LaserEntry] = {}
+    start_us = message["timestamp_micros"]
     for image in message["images"]:
-        images[_new_name(image, images)] = _image(image, _part_of(image, "image", part))
+        entry = _image(image, _part_of(image, "image", part))
+        images[_new_name(image, images)] = entry
+        if not _EARLIEST_US <= entry.time_us - start_us <= _LATEST_US:
+            problem = f"is {(entry.time_us - start_us) / 1e6:g} s after the frame's time"
+            raise FieldError(image.path("pose_timestamp"), problem)
     for laser in message["lasers"]:
-        entry = _laser(laser, part)
-        if entry is not None:
-            lasers[_new_name(laser, lasers)] = entry
+        returns = _laser(laser, part)
+        if returns is not None:
+            lasers[_new_name(laser, lasers)] = returns
     return FrameEntry(
         record.number,
-        message["timestamp_micros"],
+        start_us,
         transform(message, "pose"),
         images,
         lasers,
