@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from recast.crews import crew_of
 from recast.errors import InputError
 from recast.pipeline.planner_data.sample import describe, render
 from recast.pipeline.planner_data.situation import Situation, draw_situation
@@ -27,7 +27,6 @@ from recast.planning.gtrs_training.store import (
 from recast.planning.gtrs_training.vocabulary import mirror_index
 from recast.records import read_record
 from recast.storage import write_json
-from recast.synthetic.child_process import end_with_parent, one_thread, worker_faults
 from recast.synthetic.oracle import Oracle
 
 FIRST_SEED = 1000
@@ -69,30 +68,24 @@ def make_dataset(
     _open(out, record, vocabulary)
     worlds = -(-count // record.per_world)
     left = [i for i in range(worlds) if not world_folder(out, i).exists()]
-    done = worlds - len(left)
+    done, numbers = worlds - len(left), iter(left)
 
     def report() -> None:
         if progress is not None:
             progress(done * record.per_world, worlds * record.per_world)
 
     report()
-    if workers == 1 or len(left) < 2:
-        with one_thread():
-            for number in left:
-                make_world_samples(out, number, record)
-                done += 1
-                report()
-        return worlds * record.per_world
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the processes, whose numpy loads later
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(left)), context, _set_up) as pool:
-        futures = [pool.submit(make_world_samples, out, number, record) for number in left]
-        with worker_faults(pool, "finished worlds"):
-            for future in as_completed(futures):
-                future.result()
-                done += 1
-                report()
+    crew = crew_of(min(workers, len(left)) or 1)
+    for _ in crew(_start, (out, record), lambda: next(numbers, None), "finished worlds"):
+        done += 1
+        report()
     return worlds * record.per_world
+
+
+def _start(worker: int, out: Path, record: DatasetRecord) -> Callable[[int], None]:
+    del worker  # makes no difference
+    return partial(make_world_samples, out, record=record)
 
 
 def make_world_samples(out: Path, number: int, record: DatasetRecord) -> None:
@@ -150,10 +143,3 @@ def _open(out: Path, record: DatasetRecord, vocabulary: Trajectories) -> None:
         raise InputError(out, "output folder", "holds something else", "name another one")
     write_vocabulary(out / VOCABULARY_FILE, vocabulary)
     write_json(path, record.model_dump(mode="json"))  # last: where it is, the vocabulary is
-
-
-def _set_up() -> None:
-    import torch
-
-    torch.set_num_threads(1)
-    end_with_parent()

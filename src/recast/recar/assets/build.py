@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from recast.crews import crew_of
 from recast.errors import InputError
 from recast.recar.assets.asset import write_asset
 from recast.records import read_record
 from recast.storage import write_json
-from recast.synthetic.child_process import end_with_parent, worker_faults
 
 RECORD_FILE = "assets.json"
 _MEND = "name a new folder, or make the assets again"
@@ -71,25 +70,19 @@ def make_assets(
     else:
         write_json(path, record.model_dump(mode="json"))
     left = [i for i in range(count) if not asset_path(out, i).exists()]
-    done = count - len(left)
+    done, indices = count - len(left), iter(left)
     if progress is not None:
         progress(done, count)
-    if workers == 1 or len(left) < 2:
-        for index in left:
-            _make(out, index, record)
-            done += 1
-            if progress is not None:
-                progress(done, count)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(left)), context, _set_up) as pool:
-        futures = [pool.submit(_make, out, index, record) for index in left]
-        with worker_faults(pool, "finished assets"):
-            for future in as_completed(futures):
-                future.result()
-                done += 1
-                if progress is not None:
-                    progress(done, count)
+    crew = crew_of(min(workers, len(left)) or 1)
+    for _ in crew(_start, (out, record), lambda: next(indices, None), "finished assets"):
+        done += 1
+        if progress is not None:
+            progress(done, count)
+
+
+def _start(worker: int, out: Path, record: AssetsRecord) -> Callable[[int], None]:
+    del worker  # makes no difference
+    return partial(_make, out, record=record)
 
 
 def asset_path(folder: Path, index: int) -> Path:
@@ -106,7 +99,3 @@ def _make(out: Path, index: int, record: AssetsRecord) -> None:
     model = sample_shape(rng) if shape else sample_vehicle(rng)
     settings = AssetSettings(record.resolution, record.crops, record.around, record.pixels)
     write_asset(asset_path(out, index), make_asset(model, settings, rng))
-
-
-def _set_up() -> None:
-    end_with_parent()
