@@ -54,7 +54,8 @@ def test_it_makes_the_vehicle_in_the_picture(
         extent = np.ptp(vehicle.coords.numpy(), axis=0)
         assert extent[0] > 1.3 * max(extent[1], extent[2])
         apart = [float(np.linalg.norm(colour(vehicle) - other)) for other in shown]
-        assert apart[index] < 0.15 or int(np.argmin(apart)) == index
+        # two are silver and alike; a black one is 0.5 away from them
+        assert apart[index] < 0.2 or int(np.argmin(apart)) == index
 
 
 def test_the_same_seed_gives_the_same_vehicle(
