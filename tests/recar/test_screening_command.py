@@ -18,8 +18,11 @@ from .sets import write_set
 
 
 def test_the_command_serves_until_it_is_interrupted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
 ) -> None:
+    # A shell starts background jobs with the interrupt ignored, and the tests may be one.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     folder = write_cache(tmp_path / "cache").folder
     write_set(tmp_path / "set")
     Screening(folder).decide("car-0", "flip")
