@@ -11,6 +11,7 @@ from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, read_log
 from recast.logs.importers import IMPORTERS
 from support import tiny_argoverse2 as tiny
+from support.street_frame import street_from_world
 
 
 @pytest.fixture(scope="module")
@@ -27,11 +28,6 @@ def log(tiny_root: Path, tmp_path_factory: pytest.TempPathFactory) -> DrivingLog
     return read_log(out)
 
 
-def _street_from_world(log: DrivingLog) -> np.ndarray:
-    city_from_world = se3.from_rotation_translation(np.eye(3), log.world_offset)
-    return se3.inverse(tiny.CITY_FROM_STREET) @ city_from_world
-
-
 def _seconds(times_us: np.ndarray) -> np.ndarray:
     return (times_us - tiny.START_NS // 1000) / 1e6
 
@@ -40,7 +36,7 @@ def test_the_rig_rolls_on_the_ground_near_the_origin(log: DrivingLog) -> None:
     times = _seconds(log.world_from_rig.timestamps_us)
     truth = tiny.street_from_ego(times)
     truth[:, 2, 3] = 0.0
-    street = _street_from_world(log) @ log.world_from_rig.poses
+    street = street_from_world(log, tiny.CITY_FROM_STREET) @ log.world_from_rig.poses
     np.testing.assert_allclose(street, truth, atol=1e-5)
     np.testing.assert_allclose(log.world_from_rig.poses[0, :3, 3], 0.0, atol=1e-9)
 
@@ -54,7 +50,9 @@ def test_boxes_are_placed_with_the_ego_of_their_sweep(log: DrivingLog) -> None:
     np.testing.assert_array_equal(car.size, tiny.CAR_SIZE)
     for time, pose in zip(car.trajectory.timestamps_us, car.trajectory.poses, strict=True):
         truth = tiny.street_from_car(float(_seconds(time)))
-        np.testing.assert_allclose(_street_from_world(log) @ pose, truth, atol=1e-5)
+        np.testing.assert_allclose(
+            street_from_world(log, tiny.CITY_FROM_STREET) @ pose, truth, atol=1e-5
+        )
 
 
 def test_both_lidars_see_the_car_with_a_time_for_every_point(log: DrivingLog) -> None:
@@ -95,7 +93,7 @@ def test_lanes_have_averaged_centrelines_and_neighbours_of_one_way(log: DrivingL
     assert log.map is not None
     lanes = log.map.lanes
     assert sorted(lanes) == ["1", "2", "3", "4"]  # no bicycle lane
-    street = se3.apply(_street_from_world(log), lanes["1"].centreline)
+    street = se3.apply(street_from_world(log, tiny.CITY_FROM_STREET), lanes["1"].centreline)
     np.testing.assert_allclose(street[[0, -1]], [[-10, 0, 0], [30, 0, 0]], atol=1e-6)
     np.testing.assert_allclose(street[:, 1:], 0.0, atol=1e-6)
     assert lanes["1"].successors == ("2",) and lanes["3"].successors == ()

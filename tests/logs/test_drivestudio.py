@@ -16,6 +16,7 @@ from recast.logs import DrivingLog, read_log
 from recast.logs.importers import IMPORTERS
 from recast.logs.importers.drivestudio import import_drivestudio
 from support import tiny_processed as tiny
+from support.street_frame import street_from_world
 
 
 @pytest.fixture(scope="module")
@@ -32,17 +33,14 @@ def log(tiny_root: Path, tmp_path_factory: pytest.TempPathFactory) -> DrivingLog
     return read_log(out)
 
 
-def _street_from_world(log: DrivingLog) -> np.ndarray:
-    global_from_world = se3.from_rotation_translation(np.eye(3), log.world_offset)
-    return se3.inverse(tiny.GLOBAL_FROM_STREET) @ global_from_world
-
-
 def test_frames_come_ten_a_second_with_their_poses(log: DrivingLog) -> None:
     times = log.world_from_rig.timestamps_us
     np.testing.assert_array_equal(times, 100_000 * np.arange(tiny.FRAMES))
     for time, pose in zip(times, log.world_from_rig.poses, strict=True):
         truth = tiny.street_from_ego(time / 1e6)
-        np.testing.assert_allclose(_street_from_world(log) @ pose, truth, atol=1e-5)
+        np.testing.assert_allclose(
+            street_from_world(log, tiny.GLOBAL_FROM_STREET) @ pose, truth, atol=1e-5
+        )
 
 
 def test_boxes_hold_the_points_of_each_scanner(log: DrivingLog) -> None:
@@ -63,7 +61,7 @@ def test_boxes_hold_the_points_of_each_scanner(log: DrivingLog) -> None:
 
 
 def test_the_lamp_is_painted_where_the_camera_sees_it(log: DrivingLog, tiny_root: Path) -> None:
-    lamp = se3.apply(se3.inverse(_street_from_world(log)), tiny.LAMP[None])
+    lamp = se3.apply(se3.inverse(street_from_world(log, tiny.GLOBAL_FROM_STREET)), tiny.LAMP[None])
     stream = log.cameras["FRONT"]
     for index in (0, 5, 11):
         time = stream.timestamps_us[index]

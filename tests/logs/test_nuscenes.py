@@ -17,6 +17,7 @@ from recast.logs.importers import IMPORTERS
 from recast.logs.importers.nuscenes import load_nuscenes
 from recast.logs.importers.nuscenes_tables import stream_rows
 from support import tiny_nuscenes as tiny
+from support.street_frame import street_from_world
 
 
 @pytest.fixture(scope="module")
@@ -33,11 +34,6 @@ def log(tiny_root: Path, tmp_path_factory: pytest.TempPathFactory) -> DrivingLog
     return read_log(out)
 
 
-def _street_from_world(log: DrivingLog) -> np.ndarray:
-    global_from_world = se3.from_rotation_translation(np.eye(3), log.world_offset)
-    return se3.inverse(tiny.GLOBAL_FROM_STREET) @ global_from_world
-
-
 def _seconds(time_us: int) -> float:
     return (int(time_us) - tiny.START_US) / 1e6
 
@@ -48,7 +44,9 @@ def test_the_ego_has_the_pose_of_every_frame(log: DrivingLog) -> None:
     assert set(log.lidars["LIDAR_TOP"].timestamps_us) <= set(times)
     for time, pose in zip(times, log.world_from_rig.poses, strict=True):
         truth = tiny.street_from_ego(_seconds(time))
-        np.testing.assert_allclose(_street_from_world(log) @ pose, truth, atol=1e-5)
+        np.testing.assert_allclose(
+            street_from_world(log, tiny.GLOBAL_FROM_STREET) @ pose, truth, atol=1e-5
+        )
     np.testing.assert_allclose(log.world_from_rig.poses[0, :3, 3], 0.0, atol=1e-9)
 
 
@@ -61,7 +59,7 @@ def test_boxes_are_those_of_key_frames_and_ten_a_second_between_them(log: Drivin
     # Every sweep is near a label.
     assert len(track_points(log, car).points) == 41 * tiny.CAR_POINTS
     for time in tiny.START_US + np.arange(0, 2_000_000, 130_000):
-        pose = _street_from_world(log) @ car.trajectory.at(time)
+        pose = street_from_world(log, tiny.GLOBAL_FROM_STREET) @ car.trajectory.at(time)
         np.testing.assert_allclose(pose, tiny.street_from_car(_seconds(time)), atol=1e-5)
 
 
@@ -101,7 +99,7 @@ def test_images_keep_their_bytes_and_show_the_lamp_where_it_is(
     files = sorted(tiny_root.glob("s*/CAM_FRONT/*.jpg"), key=lambda path: path.name)
     assert len(stream.images) == len(files) == 25
     assert stream.images.encoded(7) == (files[7].read_bytes(), "jpeg")  # type: ignore[attr-defined]
-    lamp = se3.apply(se3.inverse(_street_from_world(log)), tiny.LAMP[None])
+    lamp = se3.apply(se3.inverse(street_from_world(log, tiny.GLOBAL_FROM_STREET)), tiny.LAMP[None])
     for index in (0, 7, 24):
         world_from_camera = (
             log.world_from_rig.at(stream.timestamps_us[index]) @ stream.rig_from_camera
@@ -120,7 +118,9 @@ def test_any_point_ahead_hits_the_pixel_the_tables_say(
 ) -> None:
     stream = log.cameras["CAM_FRONT"]
     time = stream.timestamps_us[index]
-    world = se3.apply(se3.inverse(_street_from_world(log)), np.array([[x, y, z]]))
+    world = se3.apply(
+        se3.inverse(street_from_world(log, tiny.GLOBAL_FROM_STREET)), np.array([[x, y, z]])
+    )
     camera_from_world = se3.inverse(log.world_from_rig.at(time) @ stream.rig_from_camera)
     pixel, _ = stream.camera.project(se3.apply(camera_from_world, world))
     truth = tiny.pixel_of(np.array([x, y, z]), _seconds(time))

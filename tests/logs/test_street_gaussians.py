@@ -19,6 +19,7 @@ from recast.logs import DrivingLog, read_log
 from recast.logs.importers import IMPORTERS
 from recast.logs.importers.street_gaussians import import_street_gaussians, load_street_gaussians
 from support import tiny_processed as tiny
+from support.street_frame import street_from_world
 
 START_US = round(tiny.START * 1e6)
 
@@ -37,11 +38,6 @@ def log(tiny_root: Path, tmp_path_factory: pytest.TempPathFactory) -> DrivingLog
     return read_log(out)
 
 
-def _street_from_world(log: DrivingLog) -> np.ndarray:
-    global_from_world = se3.from_rotation_translation(np.eye(3), log.world_offset)
-    return se3.inverse(tiny.GLOBAL_FROM_STREET) @ global_from_world
-
-
 def test_images_have_the_ego_pose_of_their_own_time(log: DrivingLog) -> None:
     assert list(log.cameras) == ["FRONT", "FRONT_LEFT"]
     for number, stream in enumerate(log.cameras.values()):
@@ -49,7 +45,7 @@ def test_images_have_the_ego_pose_of_their_own_time(log: DrivingLog) -> None:
         expected = 0.1 * np.arange(tiny.FRAMES) + tiny.CAMERA_DELAY[number]
         np.testing.assert_allclose(seconds, expected, atol=2e-6)
         for time, second in zip(stream.timestamps_us, seconds, strict=True):
-            pose = _street_from_world(log) @ log.world_from_rig.at(time)
+            pose = street_from_world(log, tiny.GLOBAL_FROM_STREET) @ log.world_from_rig.at(time)
             np.testing.assert_allclose(pose, tiny.street_from_ego(second), atol=1e-4)
 
 
@@ -63,7 +59,9 @@ def test_boxes_and_points_hold_when_the_frame_s_pose_does(log: DrivingLog) -> No
     for k, time in enumerate(car.trajectory.timestamps_us):
         truth = tiny.street_from_car(0.1 * k + tiny.FRAME_DELAY)
         np.testing.assert_allclose(
-            _street_from_world(log) @ car.trajectory.poses[k], truth, atol=1e-4
+            street_from_world(log, tiny.GLOBAL_FROM_STREET) @ car.trajectory.poses[k],
+            truth,
+            atol=1e-4,
         )
         sweep = lidar.sweeps[k]
         assert sweep.timestamp_us == time
@@ -73,7 +71,7 @@ def test_boxes_and_points_hold_when_the_frame_s_pose_does(log: DrivingLog) -> No
 
 
 def test_the_lamp_is_painted_where_the_camera_sees_it(log: DrivingLog, tiny_root: Path) -> None:
-    lamp = se3.apply(se3.inverse(_street_from_world(log)), tiny.LAMP[None])
+    lamp = se3.apply(se3.inverse(street_from_world(log, tiny.GLOBAL_FROM_STREET)), tiny.LAMP[None])
     stream = log.cameras["FRONT"]
     assert stream.camera.distortion == tiny.INTRINSIC[4:]
     for index in (0, 5, 11):
@@ -94,7 +92,9 @@ def test_any_point_ahead_hits_the_pixel_of_waymo_s_model(
 ) -> None:
     stream = log.cameras["FRONT"]
     time = stream.timestamps_us[index]
-    world = se3.apply(se3.inverse(_street_from_world(log)), np.array([[x, y, z]]))
+    world = se3.apply(
+        se3.inverse(street_from_world(log, tiny.GLOBAL_FROM_STREET)), np.array([[x, y, z]])
+    )
     camera_from_world = se3.inverse(log.world_from_rig.at(time) @ stream.rig_from_camera)
     pixel, _ = stream.camera.project(se3.apply(camera_from_world, world))
     truth = tiny.pixel_of(np.array([x, y, z]), (time - START_US) / 1e6, 0)

@@ -73,6 +73,8 @@ class RunConfig(BaseModel):
             del values["own_motions"]  # runs begun before there were scenario files go on
         if self.plan_limit_s is None:
             del values["plan_limit_s"]
+        if self.films:
+            del values["films"]
         return values
 
 

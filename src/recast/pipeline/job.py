@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +39,7 @@ from recast.pipeline.run_folder import RunFolder
 from recast.pipeline.scene import evaluation_table, train_with_display
 from recast.pipeline.scores import write_metrics
 from recast.pipeline.truth import compare_with_truth
-from recast.planning import Planner, make_planner
+from recast.planning import Planner
 from recast.scene import evaluate_scene, load_scene
 from recast.simulation import RolloutSetup, Timings, prepare
 from recast.synthetic import World
@@ -50,6 +49,7 @@ class Job:
     """The steps of one run, each after those it needs.
 
     Args:
+        planner: of all rollouts, as loading one may take long.
         makers: of the actor, where they are loaded already; let go of when it is made.
     """
 
@@ -59,11 +59,12 @@ class Job:
         world: World | None,
         folder: RunFolder,
         config: RunConfig,
+        planner: Planner,
         renderers: Renderers,
         console: Console,
         makers: ActorMakers | None = None,
     ) -> None:
-        self._makers = makers
+        self._makers, self.planner = makers, planner
         self.log, self.world, self.folder = log, world, folder
         self.config, self.renderers, self.console = config, renderers, console
         self.path = folder.path
@@ -182,11 +183,6 @@ class Job:
     def _compare_with_truth(self) -> None:
         assert self.world is not None  # the step is there for the oracle only
         compare_with_truth(self.path, self.log, self.world, self.config, self.console)
-
-    @cached_property
-    def planner(self) -> Planner:
-        """One for all rollouts, since loading may take long."""
-        return make_planner(self.config.planner)
 
     @property
     def _cameras(self) -> tuple[str, ...]:

@@ -47,7 +47,8 @@ def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Conso
     if "oracle" in config.methods:
         require_embree()
         world = world_of(log)
-    mounts = run_mounts(log, make_planner(config.planner), config)
+    planner = make_planner(config.planner)
+    mounts = run_mounts(log, planner, config)
     makers = ActorMakers.named(config.generator, config.segmenter)
     threads = config.threads or os.cpu_count() or 1
     torch.set_num_threads(threads)
@@ -56,6 +57,6 @@ def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Conso
         out, config.resolved(), str(log_path), folder_hash(log_path)
     )
     with Renderers(folder.path, world, mounts) as renderers:
-        job = Job(log, world, folder, config, renderers, console, makers)
+        job = Job(log, world, folder, config, planner, renderers, console, makers)
         del makers  # the job lets go of the networks when the actor is made
         return job.finish()

@@ -36,13 +36,13 @@ class SceneRun:
         config = RunConfig.model_validate(folder.record["config"])
         log = read_log(folder.record["log"]["path"])
         planner = make_planner(config.planner)
-        self.planner_name = planner.name
         looks = config.films or planner.needs_images
         methods = set(config.methods) if looks else set()
         world = world_of(log) if "oracle" in methods else None
         mounts = run_mounts(log, planner, config)
         self._renderers = Renderers(path, world, mounts, oracle_workers=1)
-        self.job = Job(log, world, folder, config, self._renderers, Console(quiet=True))
+        console = Console(quiet=True)
+        self.job = Job(log, world, folder, config, planner, self._renderers, console)
         self._actor = self.job.make_actor() if "replaced" in methods else None
         self._scene = self.job.make_scene() if methods - {"oracle"} else None
         self._evaluation = None if self._scene is None else self.job.evaluate(self._scene)

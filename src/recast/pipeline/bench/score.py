@@ -49,7 +49,7 @@ def score_scene(run: SceneRun, task: ScoreTask) -> tuple[GridRow, ...]:
     for motion in run.job.config.motions:
         first: Rollout | None = None
         for method in run.job.config.methods:
-            row = blank_row(task.scene, run.job.config, motion, method, run.planner_name)
+            row = blank_row(task.scene, run.job.config, motion, method, run.job.planner.name)
             row = row.of_log(run.job.log.name, run.job.config.track)
             key = (row.motion, row.setting, method)
             if key in failures:

@@ -125,7 +125,7 @@ def _failure(task: RolloutTask, run: SceneRun, error: Exception) -> RolloutFailu
         track_id=run.job.config.track,
         motion=motion.name,
         setting=motion.setting,
-        planner=run.planner_name,
+        planner=run.job.planner.name,
         error=type(error).__name__,
         reason=str(error),
     )
