@@ -32,7 +32,7 @@ def save_checkpoint(trainer: Trainer, notes: Mapping[str, Any], path: Path) -> N
     tensors |= _prefixed("local", rows(model.local))
     tensors |= _prefixed("background_adam", model.background_adam.state_dict())
     tensors |= _prefixed("local_adam", model.local_adam.state_dict())
-    tensors |= _prefixed("sky", trainer.sky.state_dict())
+    tensors |= _prefixed("sky", trainer.sky.table.state_dict())
     tensors |= _prefixed("camera_poses", trainer.camera_poses.table.state_dict())
     tensors |= _prefixed("track_poses", trainer.track_poses.table.state_dict())
     for name in ("background_statistics", "local_statistics"):
@@ -59,7 +59,7 @@ def load_checkpoint(trainer: Trainer, path: Path) -> dict[str, Any]:
         background_statistics=_group(tensors, "background_statistics"),
         local_statistics=_group(tensors, "local_statistics"),
     )
-    trainer.sky.load_state_dict(_group(tensors, "sky"))
+    trainer.sky.table.load_state_dict(_group(tensors, "sky"))
     trainer.camera_poses.table.load_state_dict(_group(tensors, "camera_poses"))
     trainer.track_poses.table.load_state_dict(_group(tensors, "track_poses"))
     trainer.iteration = int(header["iteration"])

@@ -5,21 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from recast.records import parse_record
+from recast.scene.method_config import MethodConfig
 from recast.storage import read_json, write_json
 
 CONFIG_VERSION = 1
 
 
-class SceneConfig(BaseModel):
+class SceneConfig(MethodConfig):
     """Settings of `train_scene`. Schedules run over iterations, never over the clock.
 
     The learning rates are those of the start; `train.py` decays them over the run.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     version: int = CONFIG_VERSION
     cameras: tuple[str, ...] = Field(default=(), description="cameras to train on; none named: all")

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from recast.logs import DrivingLog, Track
-from recast.scene.adam_table import AdamTable
 from recast.scene.config import SceneConfig
 from recast.scene.initialise import Initialisation
 from recast.scene.levels import Level, full_level, half_level
@@ -18,9 +17,9 @@ from recast.scene.losses import depth_loss, photometric_loss, sky_loss
 from recast.scene.population import change_population
 from recast.scene.poses import CameraPoses, TrackPoses
 from recast.scene.schedule import gaussian_rates, pose_factor, sky_rate
-from recast.scene.sky import SkyMap, composite, pixel_coordinates
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.scene.trainable import TrainableScene, copy
+from recast.scene.trainable_sky import make_sky
 from recast.scene.views import View
 from recast.splats import rasterize
 
@@ -43,8 +42,7 @@ class Trainer:
         iteration: steps done.
         model: the Gaussians.
         camera_poses, track_poses: pose corrections.
-        sky: (cells, 3) table of the sky map's colours.
-        sky_shape: (H, W, 3) of the map.
+        sky: the sky's colours.
     """
 
     def __init__(
@@ -66,8 +64,7 @@ class Trainer:
         self.model = TrainableScene(start.background, start.actors)
         self.camera_poses = CameraPoses(self._views)
         self.track_poses = TrackPoses(tracks, views)
-        self.sky_shape = start.sky.colours.shape
-        self.sky = AdamTable(start.sky.colours.reshape(-1, 3))
+        self.sky = make_sky(config, start.sky)
 
     def step(self) -> StepReport:
         """Fit one view, then densify when it is time."""
@@ -105,10 +102,8 @@ class Trainer:
         drawn = self.model.draw(self.poses(view.timestamp_us))
         pose = self.camera_poses.camera_from_world(view)
         result = rasterize(drawn.gaussians, pose, level.K, camera.width, camera.height)
-        sky = self.sky.value.view(self.sky_shape)
         # The sky is smooth and far: the logged pose does for it.
-        coordinates = pixel_coordinates(camera, view.camera_from_world)
-        image = composite(result.rgb, result.alpha, sky, coordinates)
+        image = self.sky.behind(result.rgb, result.alpha, camera, view.camera_from_world)
         if level.usable is not None:
             image = image * level.usable
         target = level.target
@@ -129,9 +124,9 @@ class Trainer:
     def _update(self, background: Tensor, local: Tensor, u: float) -> None:
         config = self.config
         self.model.step(background, local, gaussian_rates(config, u))
-        self.sky.step(sky_rate(config, u))
+        self.sky.table.step(sky_rate(config, u))
         with torch.no_grad():
-            self.sky.value.clamp_(0, 1)
+            self.sky.table.value.clamp_(0, 1)
         factor = pose_factor(u)
         self.track_poses.table.step(factor * config.actor_pose_lr)
         metres = factor * config.camera_pose_lr
@@ -152,7 +147,7 @@ class Trainer:
                 )
                 for track_id, gaussians in actors.items()
             },
-            sky=SkyMap(self.sky.value.detach().view(self.sky_shape).clone()),
+            sky=self.sky.sky_map(),
             world_offset=log.world_offset,
             camera_corrections=self.camera_poses.corrections(self._views),
             log_name=log.name,

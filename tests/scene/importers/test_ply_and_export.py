@@ -24,8 +24,8 @@ from recast.scene import (
     render_scene,
     save_scene,
 )
+from recast.scene.cubemap import sample_cubemap, sky_from_cubemap
 from recast.scene.importers import import_ply
-from recast.scene.importers.cubemap import sample_cubemap, sky_from_cubemap
 from recast.scene.sky_image import read_sky, write_sky
 from recast.splats import read_ply, write_ply
 from support import trained_scenes as made

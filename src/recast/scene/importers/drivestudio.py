@@ -15,6 +15,7 @@ from torch import Tensor
 
 from recast.logs import DrivingLog
 from recast.logs.importers.processed_folder import read_pose
+from recast.scene.cubemap import sky_from_cubemap
 from recast.scene.importers.actors import (
     TURNING,
     check_names,
@@ -22,7 +23,7 @@ from recast.scene.importers.actors import (
     colours_in_own_frame,
     read_track_names,
 )
-from recast.scene.importers.cubemap import NO_SKY, RESAMPLED, read_faces, sky_from_cubemap
+from recast.scene.importers.cubemap import NO_SKY, RESAMPLED, read_faces
 from recast.scene.importers.drivestudio_nodes import (
     CONSTANT,
     INSTANCES,

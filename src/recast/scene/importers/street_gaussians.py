@@ -16,6 +16,7 @@ from torch import Tensor
 
 from recast.geometry import se3
 from recast.logs import DrivingLog
+from recast.scene.cubemap import sky_from_cubemap
 from recast.scene.importers.actors import (
     TURNING,
     check_names,
@@ -24,7 +25,7 @@ from recast.scene.importers.actors import (
     read_track_names,
     track_of,
 )
-from recast.scene.importers.cubemap import NO_SKY, RESAMPLED, read_faces, sky_from_cubemap
+from recast.scene.importers.cubemap import NO_SKY, RESAMPLED, read_faces
 from recast.scene.importers.parts import Names, read_gaussians, unused_members
 from recast.scene.importers.placing import Placement, frame_times, given_placement
 from recast.scene.importers.record import Imported, ImportRecord, check_output, write_imported
