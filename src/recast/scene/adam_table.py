@@ -19,7 +19,13 @@ class AdamTable:
         self.value = value.detach().clone().requires_grad_()
         self._first = torch.zeros_like(value)
         self._second = torch.zeros_like(value)
-        self._steps = torch.zeros(value.shape[0], 1, dtype=value.dtype)
+        self._steps = value.new_zeros(value.shape[0], 1)
+
+    def to(self, device: torch.device | str) -> None:
+        """Move value and moments; `value` is another tensor then."""
+        self.value = self.value.detach().to(device).requires_grad_()
+        self._first, self._second = self._first.to(device), self._second.to(device)
+        self._steps = self._steps.to(device)
 
     def step(self, lr: float | Tensor) -> None:
         """Move the rows that have a gradient, then forget it.

@@ -49,8 +49,8 @@ def load_checkpoint(trainer: Trainer, path: Path) -> dict[str, Any]:
     tensors, header = read_tensors(path)
     model = trainer.model
     model.place(
-        Gaussians(**_group(tensors, "background")),
-        Gaussians(**_group(tensors, "local")),
+        Gaussians(**_group(tensors, "background")).to(trainer.device),
+        Gaussians(**_group(tensors, "local")).to(trainer.device),
         tensors["owner"],
     )
     model.restore(

@@ -26,14 +26,14 @@ class GradientStatistics:
     which 3DGS states its thresholds.
     """
 
-    def __init__(self, count: int) -> None:
-        self.total = torch.zeros(count)
-        self.views = torch.zeros(count)
+    def __init__(self, count: int, device: torch.device | str = "cpu") -> None:
+        self.total = torch.zeros(count, device=device)
+        self.views = torch.zeros(count, device=device)
 
     def add(self, meta: RasterMeta, rows: slice, into: slice, width: int, height: int) -> None:
         """Count one view: rows `rows` of its meta belong to rows `into` here."""
         assert meta.means2d_grad is not None
-        scale = torch.tensor([width / 2, height / 2])
+        scale = meta.means2d_grad.new_tensor([width / 2, height / 2])
         norm = (meta.means2d_grad[rows] * scale).norm(dim=1)
         visible = meta.visible[rows]
         self.total[into] += torch.where(visible, norm, 0.0)
@@ -49,7 +49,9 @@ class GradientStatistics:
 
     def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
         """Go on from `state_dict`."""
-        self.total, self.views = state["total"].clone(), state["views"].clone()
+        device = self.total.device
+        self.total = state["total"].to(device, copy=True)
+        self.views = state["views"].to(device, copy=True)
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ def plan_change(
 def _spread_splits(born: Gaussians, clones: int, generator: torch.Generator) -> Gaussians:
     """Move the halves of split rows to places drawn from their parent, and shrink them."""
     sigma = born.log_scales[clones:].exp()
-    noise = torch.randn(sigma.shape, generator=generator) * sigma
+    noise = torch.randn(sigma.shape, generator=generator).to(sigma.device) * sigma
     turn = quat_to_matrix(torch.nn.functional.normalize(born.quats[clones:], dim=1))
     means, log_scales = born.means.clone(), born.log_scales.clone()
     means[clones:] += (turn @ noise[..., None])[..., 0]

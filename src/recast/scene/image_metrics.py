@@ -69,7 +69,7 @@ def window() -> Tensor:
 
 
 def _blur(planes: Tensor) -> Tensor:
-    kernel = window().to(planes.dtype)
+    kernel = window().to(planes)
     half = WINDOW // 2
     rows = functional.conv2d(planes, kernel.view(1, 1, 1, -1), padding=(0, half))
     return functional.conv2d(rows, kernel.view(1, 1, -1, 1), padding=(half, 0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -37,6 +37,17 @@ class Level:
     sky: Tensor
     depth_pixels: Tensor
     depths: Tensor
+
+    def to(self, device: torch.device | str) -> Level:
+        """The same on another device, but for `K`, whose numbers are read on the CPU."""
+        return replace(
+            self,
+            image=self.image.to(device),
+            usable=None if self.usable is None else self.usable.to(device),
+            sky=self.sky.to(device),
+            depth_pixels=self.depth_pixels.to(device),
+            depths=self.depths.to(device),
+        )
 
     @property
     def target(self) -> Tensor:

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from recast.scene.image_metrics import C1, C2, WINDOW, window
+from recast.scene.image_metrics import C1, C2, WINDOW, ssim_map, window
 
 Float32Array = NDArray[np.float32]
 
@@ -43,8 +43,12 @@ def photometric_loss(
 ) -> Tensor:
     """(1 - w) mean |x - y| + w (1 - mean SSIM) of float32 images (H, W, 3) in [0, 1].
 
-    Zhao et al. 2017 as used by 3D Gaussian splatting (eq. 7). Differentiable in `image` only.
+    Zhao et al. 2017 as used by 3D Gaussian splatting (eq. 7). Differentiable in `image` only. The
+    fused form is the CPU's; on another device it is torch's own kernels.
     """
+    if image.device.type != "cpu":
+        similarity = ssim_map(image, target).mean()
+        return (1 - ssim_weight) * (image - target).abs().mean() + ssim_weight * (1 - similarity)
     return _Photometric.apply(image.contiguous(), target.contiguous(), ssim_weight, threads)
 
 

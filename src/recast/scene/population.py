@@ -52,22 +52,23 @@ def change_population(
     new_background = _merge(model.background, background)
     order = morton_order(new_background.means)
     new_local = _merge(model.local, local)
-    owner = torch.cat([model.owner[local.kept], model.owner[local.parents]])
+    owner = torch.cat([model.owner[local.kept.cpu()], model.owner[local.parents.cpu()]])
     by_owner = owner.argsort(stable=True)
     model.place(new_background.select(order), new_local.select(by_owner), owner[by_owner])
     _follow(model.background_adam, background, order, model.background)
     _follow(model.local_adam, local, by_owner, model.local)
-    model.background_statistics = GradientStatistics(len(model.background))
-    model.local_statistics = GradientStatistics(len(model.local))
+    device = model.background.means.device
+    model.background_statistics = GradientStatistics(len(model.background), device)
+    model.local_statistics = GradientStatistics(len(model.local), device)
 
 
 def inside_boxes(model: TrainableScene, tracks: Mapping[str, Track]) -> Tensor:
     """(A,) bool: actor rows whose centre lies in its box (grown to the sides and upwards)."""
-    if len(model.local) == 0:
-        return torch.zeros(0, dtype=torch.bool)
-    sizes = torch.stack([torch.from_numpy(tracks[name].size) for name in model.track_ids]).float()
-    half = sizes[model.owner] / 2
     means = model.local.means.detach()
+    if len(means) == 0:
+        return torch.zeros(0, dtype=torch.bool, device=means.device)
+    sizes = torch.stack([torch.from_numpy(tracks[name].size) for name in model.track_ids]).float()
+    half = (sizes[model.owner] / 2).to(means.device)
     high = half + BOX_MARGIN_M
     low = -high
     low[:, 2] = -half[:, 2] - 0.05

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from recast.geometry import PinholeCamera
 from recast.scene.sky import composite, pixel_coordinates
 from recast.scene.street_scene import StreetScene
-from recast.splats import Gaussians, rasterize
+from recast.splats import Gaussians, Rasterization, rasterize
 
 Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -39,21 +39,26 @@ class SceneRasterizer:
     """Draws one scene again and again: the background stays in place, only actors are written.
 
     Holds a copy of the scene's parameters with room for all actors behind them.
+
+    Args:
+        device: where it is drawn; see `recast.splats.rasterize` on what that takes.
     """
 
-    def __init__(self, scene: StreetScene) -> None:
-        self._scene = scene
-        self._local = {track_id: actor.drawn.detach() for track_id, actor in scene.actors.items()}
+    def __init__(self, scene: StreetScene, device: torch.device | str = "cpu") -> None:
+        self._sky = scene.sky.colours.to(device)
+        self._local = {
+            track_id: actor.drawn.detach().to(device) for track_id, actor in scene.actors.items()
+        }
         first = len(scene.background)
         room = first + sum(len(local) for local in self._local.values())
         bases = max(g.sh.shape[1] for g in (scene.background, *self._local.values()))
         self._first = first
         self._buffer = Gaussians(
-            means=torch.zeros(room, 3),
-            quats=torch.zeros(room, 4),
-            log_scales=torch.zeros(room, 3),
-            logit_opacities=torch.zeros(room),
-            sh=torch.zeros(room, bases, 3),
+            means=torch.zeros(room, 3, device=device),
+            quats=torch.zeros(room, 4, device=device),
+            log_scales=torch.zeros(room, 3, device=device),
+            logit_opacities=torch.zeros(room, device=device),
+            sh=torch.zeros(room, bases, 3, device=device),
         )
         self._write(scene.background.detach(), 0)
 
@@ -75,6 +80,20 @@ class SceneRasterizer:
         poses: Mapping[str, Array],
     ) -> SceneImage:
         """Draw one view; see `render_scene`."""
+        drawn = self.draw(camera, camera_from_world, poses)
+        return SceneImage(
+            rgb=drawn.rgb.cpu().numpy(),
+            depth=drawn.depth.cpu().numpy(),
+            alpha=drawn.alpha.cpu().numpy(),
+        )
+
+    def draw(
+        self,
+        camera: PinholeCamera,
+        camera_from_world: Array,
+        poses: Mapping[str, Array],
+    ) -> Rasterization:
+        """Draw one view and leave it where it was drawn, sky included, rgb in [0, 1]."""
         last = self._first
         for track_id, pose in poses.items():
             last = self._write(self._local[track_id].transformed(torch.from_numpy(pose)), last)
@@ -90,12 +109,10 @@ class SceneRasterizer:
             rgb = composite(
                 result.rgb,
                 result.alpha,
-                self._scene.sky.colours,
+                self._sky,
                 pixel_coordinates(camera, camera_from_world),
             )
-        return SceneImage(
-            rgb=rgb.clamp(0, 1).numpy(), depth=result.depth.numpy(), alpha=result.alpha.numpy()
-        )
+        return replace(result, rgb=rgb.clamp(0, 1))
 
 
 def render_scene(

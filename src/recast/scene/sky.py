@@ -95,7 +95,7 @@ def composite(rgb: Tensor, alpha: Tensor, colours: Tensor, coordinates: Tensor) 
     """
     flat = alpha.reshape(-1)
     shown = (flat.detach() < OPAQUE).nonzero()[:, 0]
-    sky = _sample(colours, coordinates.reshape(-1, 2)[shown])
+    sky = _sample(colours, coordinates.reshape(-1, 2).to(shown.device)[shown])
     through = 1 - flat.index_select(0, shown)
     return rgb.reshape(-1, 3).index_add(0, shown, through[:, None] * sky).view_as(rgb)
 

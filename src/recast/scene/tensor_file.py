@@ -23,7 +23,7 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str
     Raises:
         InputError: the disk is full.
     """
-    plain = {name: tensor.detach().contiguous().clone() for name, tensor in tensors.items()}
+    plain = {name: t.detach().to("cpu", copy=True).contiguous() for name, t in tensors.items()}
     write_bytes(path, save(plain, metadata={HEADER: json.dumps(header)}))
 
 

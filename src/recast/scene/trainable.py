@@ -57,7 +57,7 @@ class TrainableScene:
 
     Attributes:
         track_ids: the actors, in order.
-        owner: (A,) int64, ascending: the actor of each row of `local`.
+        owner: (A,) int64, ascending, on the CPU: the actor of each row of `local`.
         background: world-frame parameters, views into the buffer.
         local: all actors' parameters, box frames, one after the other.
     """
@@ -72,8 +72,9 @@ class TrainableScene:
         counts = torch.tensor([len(part) for part in actors.values()], dtype=torch.int64)
         owner = torch.repeat_interleave(torch.arange(len(actors)), counts)
         self.place(background, concatenate([nothing, *actors.values()]), owner)
-        self.background_statistics = GradientStatistics(len(self.background))
-        self.local_statistics = GradientStatistics(len(self.local))
+        device = self.background.means.device
+        self.background_statistics = GradientStatistics(len(self.background), device)
+        self.local_statistics = GradientStatistics(len(self.local), device)
         self.background_adam = _adam(self.background, math.inf)
         self.local_adam = _adam(self.local, MAX_ACTOR_LOG_SCALE)
 
@@ -129,7 +130,7 @@ class TrainableScene:
 
     def visible(self, drawn: Drawn, meta: RasterMeta) -> tuple[Tensor, Tensor]:
         """Which rows of the background and of the actors the view saw: two bool masks."""
-        local = torch.zeros(len(self.local), dtype=torch.bool)
+        local = torch.zeros(len(self.local), dtype=torch.bool, device=meta.visible.device)
         for span in drawn.spans:
             local[span.start : span.stop] = meta.visible[span.first : span.last]
         return meta.visible[: len(self.background)], local

@@ -32,7 +32,7 @@ class TrainableSky(Protocol):
         ...
 
     def sky_map(self) -> SkyMap:
-        """The sky as it stands, copied."""
+        """The sky as it stands, copied to the CPU."""
         ...
 
 
@@ -57,7 +57,7 @@ class PanoramaSky:
 
     def sky_map(self) -> SkyMap:
         """See `TrainableSky`."""
-        return SkyMap(self.table.value.detach().view(self._shape).clone())
+        return SkyMap(self.table.value.detach().view(self._shape).to("cpu", copy=True))
 
 
 class CubeSky:
@@ -87,7 +87,7 @@ class CubeSky:
 
     def sky_map(self) -> SkyMap:
         """See `TrainableSky`."""
-        return sky_from_cubemap(self.table.value.detach().view(self._shape), torch.eye(3))
+        return sky_from_cubemap(self.table.value.detach().cpu().view(self._shape), torch.eye(3))
 
 
 def _world_directions(
@@ -97,6 +97,7 @@ def _world_directions(
     if not camera.is_rectified:
         raise ValueError("the sky needs a rectified camera: use camera.rectified()")
     axes = torch.from_numpy(np.array(camera_from_world, np.float64)[:3, :3]).float()
+    axes = axes.to(pixels.device)
     x = (pixels % camera.width + (0.5 - camera.cx)) / camera.fx
     y = (pixels // camera.width + (0.5 - camera.cy)) / camera.fy
     return x[:, None] * axes[0] + y[:, None] * axes[1] + axes[2]

@@ -40,6 +40,7 @@ class Trainer:
 
     Attributes:
         iteration: steps done.
+        device: where the Gaussians, the sky and the view at hand lie; poses stay on the CPU.
         model: the Gaussians.
         camera_poses, track_poses: pose corrections.
         sky: the sky's colours.
@@ -52,19 +53,25 @@ class Trainer:
         tracks: Mapping[str, Track],
         start: Initialisation,
         threads: int,
+        device: torch.device | str = "cpu",
     ) -> None:
         self.config = config
         self.iteration = 0
+        self.device = torch.device(device)
         self._threads = threads
         self._views = [view for view in views if not view.held_out]
         self._tracks = dict(tracks)
         triples = list(zip(self._views, start.sky_pixels, start.depths, strict=True))
         self._fine = [full_level(*triple) for triple in triples]
         self._coarse = [half_level(*triple) for triple in triples]
-        self.model = TrainableScene(start.background, start.actors)
+        self.model = TrainableScene(
+            start.background.to(self.device),
+            {name: part.to(self.device) for name, part in start.actors.items()},
+        )
         self.camera_poses = CameraPoses(self._views)
         self.track_poses = TrackPoses(tracks, views)
         self.sky = make_sky(config, start.sky)
+        self.sky.table.to(self.device)
 
     def step(self) -> StepReport:
         """Fit one view, then densify when it is time."""
@@ -99,6 +106,7 @@ class Trainer:
 
     def _fit(self, view: View, level: Level, u: float) -> StepReport:
         config, camera = self.config, level.camera
+        level = level.to(self.device)
         drawn = self.model.draw(self.poses(view.timestamp_us))
         pose = self.camera_poses.camera_from_world(view)
         result = rasterize(drawn.gaussians, pose, level.K, camera.width, camera.height)
@@ -134,14 +142,14 @@ class Trainer:
         self.camera_poses.table.step(torch.tensor([metres] * 3 + [radians] * 3))
 
     def scene(self, log: DrivingLog) -> StreetScene:
-        """The scene as it stands, copied."""
+        """The scene as it stands, copied to the CPU."""
         actors = self.model.actors()
         return StreetScene(
-            background=copy(self.model.background),
+            background=copy(self.model.background).to("cpu"),
             actors={
                 track_id: SceneActor(
                     track_id=track_id,
-                    gaussians=gaussians,
+                    gaussians=gaussians.to("cpu"),
                     size=self._tracks[track_id].size,
                     trajectory=self.track_poses.refined(track_id),
                 )

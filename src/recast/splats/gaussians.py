@@ -105,17 +105,19 @@ class Gaussians:
         Raises:
             ValueError: `world_from_local` is not rigid, or `scale` is not positive.
         """
-        pose = world_from_local.to(self.means)
+        # A pose is small: it is worked on where it lies, so that no accelerator is waited for.
+        pose = world_from_local.to(self.means.dtype)
         rotation, translation = pose[:3, :3], pose[:3, 3]
         with torch.no_grad():
-            error = (rotation @ rotation.T - torch.eye(3, dtype=pose.dtype)).abs().max()
+            error = (rotation @ rotation.T - torch.eye(3).to(pose)).abs().max()
             if not (error < 1e-3 and torch.linalg.det(rotation) > 0):
                 raise ValueError("Gaussians.transformed: world_from_local is not a rigid transform")
         if not scale > 0:
             raise ValueError(f"Gaussians.transformed: scale {scale}, expected a positive number")
-        turn = matrix_to_quat(rotation).expand_as(self.quats)
+        turn = matrix_to_quat(rotation).to(self.quats.device).expand_as(self.quats)
+        device = self.means.device
         return Gaussians(
-            means=(self.means * scale) @ rotation.T + translation,
+            means=(self.means * scale) @ rotation.T.to(device) + translation.to(device),
             quats=quat_multiply(turn, self.quats),
             log_scales=self.log_scales + float(torch.tensor(scale, dtype=torch.float64).log()),
             logit_opacities=self.logit_opacities,

@@ -15,13 +15,13 @@ def morton_order(means: Tensor) -> Tensor:
     initialised or densified (`gaussians.select(morton_order(gaussians.means))`).
     """
     if len(means) == 0:
-        return torch.zeros(0, dtype=torch.int64)
+        return torch.zeros(0, dtype=torch.int64, device=means.device)
     points = means.detach().double()
     low = points.amin(dim=0)
     # One scale for all axes: cells must be cubes for the curve to keep neighbours together.
     size = (points.amax(dim=0) - low).max().clamp(min=1e-12)
     cells = ((points - low) / size * (2**_BITS - 1)).long()
-    code = torch.zeros(len(means), dtype=torch.int64)
+    code = torch.zeros(len(means), dtype=torch.int64, device=means.device)
     for axis in range(3):
         code |= _spread(cells[:, axis]) << axis
     return code.argsort(stable=True)

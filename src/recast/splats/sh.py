@@ -102,7 +102,11 @@ def rotate(coefficients: Tensor, rotation: Tensor) -> Tensor:
     blocks = rotation_blocks(rotation.to(coefficients.dtype), degree)
     # D is orthogonal: the basis turns by D, so the coefficients turn by D^-T = D.
     bands = [
-        torch.einsum("ij,njc->nic", block, coefficients[:, band * band : (band + 1) ** 2])
+        torch.einsum(
+            "ij,njc->nic",
+            block.to(coefficients.device),
+            coefficients[:, band * band : (band + 1) ** 2],
+        )
         for band, block in enumerate(blocks)
     ]
     return torch.cat(bands, dim=1)
