@@ -116,7 +116,7 @@ def _cut(path: Path) -> None:
         (_column(SWEEP, "offset_ns", 0, 10**9), f"{SWEEP}: column offset_ns, row 0: is 1000000000"),
         (lambda f: (f / SWEEP).rename(f / SWEEP.replace("3159", "x")), "is not a time"),
         (lambda f: _cut(f / IMAGE), f"{IMAGE}: image: cannot be decoded"),
-        (_column(INTRINSICS, "width_px", 0, 64), "intrinsics.feather says 64x24"),
+        (_column(INTRINSICS, "width_px", 0, 64), "intrinsics.feather says 64x32"),
         (lambda f: (f / MAP).unlink(), "map: log_map_archive_*.json: is missing"),
         (lambda f: _cut(f / MAP), "PIT_city_1.json: JSON: cannot be read"),
         (_map(lambda d: d["lane_segments"].clear()), "lane_segments: holds no lane for cars"),

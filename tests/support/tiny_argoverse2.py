@@ -26,8 +26,15 @@ CITY_FROM_STREET = se3.from_rotation_translation(
 )
 CAR_SIZE = np.array([4.0, 1.8, 1.5])
 CAR_POINTS = 40
-WIDTH, HEIGHT = 32, 24
+LABEL_NS = 54_000_000
+"""After the sweep's time, when its boxes are where they are said to be."""
+SEEN_NS = {"up_lidar": 85_000_000, "down_lidar": 35_000_000}
+"""After the sweep's time, when each scanner meets the car."""
+WIDTH, HEIGHT = 24, 32
+"""Of the front camera, which stands upright; of the others the other way round."""
 CAMERA_NS = 50_000_000
+SIDE_NS = 23_000_000
+"""From an image of the front camera to the next of the one at the side."""
 FORWARD = se3.from_rotation_translation(
     np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), [1.6, 0.0, 1.4]
 )
@@ -46,7 +53,7 @@ def street_from_ego(seconds: float | np.ndarray) -> np.ndarray:
 def street_from_car(seconds: float) -> np.ndarray:
     """A car ahead, on the ground, turned and drifting so that every axis shows."""
     return se3.from_rotation_translation(
-        se3.rotation_z(np.radians(20.0)), [15.0 + 2.0 * seconds, 1.0, CAR_SIZE[2] / 2]
+        se3.rotation_z(np.radians(20.0)), [15.0 + 10.0 * seconds, 1.0, CAR_SIZE[2] / 2]
     )
 
 
@@ -92,7 +99,7 @@ def _write_boxes(folder: Path) -> None:
         bicycle = se3.from_rotation_translation(np.eye(3), [20.0, 4.0, 0.5])
         for track, category, size, pose in (
             ("ego", "EGO_VEHICLE", (4.9, 2.0, 1.5), se3.inverse(ego_from_street)),
-            ("car", "REGULAR_VEHICLE", CAR_SIZE, street_from_car(time / 1e9)),
+            ("car", "REGULAR_VEHICLE", CAR_SIZE, street_from_car((time + LABEL_NS) / 1e9)),
             ("bike", "BICYCLE", (1.6, 0.6, 1.0), bicycle),
         ):
             rows.append((START_NS + time, track, category, size, ego_from_street @ pose))
@@ -111,46 +118,69 @@ def _write_boxes(folder: Path) -> None:
 def _write_sensors(folder: Path) -> None:
     write_table(
         folder / "calibration" / "intrinsics.feather",
-        sensor_name=["ring_front_center", "stereo_front_left"],
-        **{name: np.array([30.0, 31.0]) for name in ("fx_px", "fy_px")},
-        cx_px=np.array([15.5, 15.5]),
-        cy_px=np.array([11.5, 11.5]),
-        **{name: np.array([-0.2, -0.2]) for name in ("k1", "k2", "k3")},
-        height_px=np.array([HEIGHT, HEIGHT], np.uint16),
-        width_px=np.array([WIDTH, WIDTH], np.uint16),
+        sensor_name=["ring_front_center", "ring_side_left", "stereo_front_left"],
+        **{name: np.array([30.0, 32.0, 31.0]) for name in ("fx_px", "fy_px")},
+        cx_px=np.array([11.5, 15.5, 15.5]),
+        cy_px=np.array([15.5, 11.5, 11.5]),
+        **{name: np.full(3, -0.2) for name in ("k1", "k2", "k3")},
+        height_px=np.array([HEIGHT, WIDTH, WIDTH], np.uint16),
+        width_px=np.array([WIDTH, HEIGHT, HEIGHT], np.uint16),
     )
     write_table(
         folder / "calibration" / "egovehicle_SE3_sensor.feather",
-        sensor_name=["ring_front_center", "stereo_front_left", "up_lidar", "down_lidar"],
-        **_pose_columns(np.stack([FORWARD, FORWARD, UP, DOWN])),
-    )
-    images = folder / "sensors" / "cameras" / "ring_front_center"
-    images.mkdir(parents=True)
-    for k in range(10):
-        # Camera times are not those of the sweeps, and the last image comes after the last pose.
-        time = START_NS + 216 + k * CAMERA_NS + (0 if k < 9 else int(1.9e9))
-        picture = Image.new("RGB", (WIDTH, HEIGHT), (20 * k, 100, 200))
-        picture.save(images / f"{time}.jpg", quality=95)
+        sensor_name=[
+            "ring_front_center", "ring_side_left", "stereo_front_left", "up_lidar", "down_lidar",
+        ],
+        **_pose_columns(np.stack([FORWARD, FORWARD, FORWARD, UP, DOWN])),
+    )  # fmt: skip
+    for camera, size, after in (
+        ("ring_front_center", (WIDTH, HEIGHT), 216),
+        ("ring_side_left", (HEIGHT, WIDTH), 216 + SIDE_NS),
+    ):
+        images = folder / "sensors" / "cameras" / camera
+        images.mkdir(parents=True)
+        for k in range(10):
+            # Camera times are not those of sweeps, and the last image comes after the last pose.
+            time = START_NS + after + k * CAMERA_NS + (0 if k < 9 else int(1.9e9))
+            picture = Image.new("RGB", size, (20 * k, 100, 200))
+            picture.save(images / f"{time}.jpg", quality=95)
     for k in (3, 4):
         _write_sweep(folder / "sensors" / "lidar", k * SWEEP_NS)
 
 
-def _write_sweep(folder: Path, time: int) -> None:
-    """40 points on the car and 200 on the road, half from each LiDAR, ego motion undone."""
+def car_points(time: int) -> np.ndarray:
+    """Points (CAR_POINTS, 3) that a sweep meets on the car, in its own frame."""
     generator = np.random.default_rng(time)
-    in_box = (generator.random((CAR_POINTS, 3)) - 0.5) * (CAR_SIZE - 0.2)
+    return (generator.random((CAR_POINTS, 3)) - 0.5) * (CAR_SIZE - 0.2)
+
+
+def _write_sweep(folder: Path, time: int) -> None:
+    """40 points on the car and 200 on the road, every second one from the same LiDAR.
+
+    The ego motion is undone, that of the car is not: each scanner meets it at its own place.
+    """
+    generator = np.random.default_rng(time)
     road = np.column_stack(
         [generator.uniform(-20, 30, 200), generator.uniform(-6, -3, 200), np.zeros(200)]
     )
-    street = np.concatenate([se3.apply(street_from_car(time / 1e9), in_box), road])
+    count = CAR_POINTS + len(road)
+    from_down = np.arange(count) % 2 == 1
+    offset = np.linspace(2_654_000, 106_000_000, count).astype(np.int32)
+    offset[1:CAR_POINTS] = np.where(from_down, SEEN_NS["down_lidar"], SEEN_NS["up_lidar"])[
+        1:CAR_POINTS
+    ]
+    car = [
+        se3.apply(street_from_car((time + after) / 1e9), point[None])[0]
+        for point, after in zip(car_points(time), offset.tolist(), strict=False)
+    ]
+    street = np.concatenate([car, road])
     points = se3.apply(se3.inverse(street_from_ego(time / 1e9)), street).astype(np.float16)
-    count = len(points)
     write_table(
         folder / f"{START_NS + time}.feather",
         **{axis: points[:, i] for i, axis in enumerate("xyz")},
         intensity=np.arange(count).astype(np.uint8),
-        laser_number=np.where(np.arange(count) % 2, 40, 7).astype(np.uint8),
-        offset_ns=np.linspace(2_654_000, 106_000_000, count).astype(np.int32),
+        laser_number=np.where(from_down, 40, 7).astype(np.uint8),
+        offset_ns=offset,
     )
 
 
