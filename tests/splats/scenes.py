@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from recast.splats import Gaussians, Rasterization, rasterize
+from recast.splats import Gaussians, Rasterization, RasterMeta, rasterize
 from recast.splats.rotations import quat_to_matrix
 
 WIDTH, HEIGHT = 90, 61  # not whole tiles
@@ -57,13 +57,17 @@ def render_with_gradients(
     backend: str,
     dtype: torch.dtype,
     background: Tensor | None = None,
+    device: str = "cpu",
     **options: object,
 ) -> Outcome:
-    """Render and differentiate sum(random * (rgb, depth, alpha)) in `dtype`."""
+    """Render and differentiate sum(random * (rgb, depth, alpha)) in `dtype`; results on the CPU."""
     generator = torch.Generator().manual_seed(5)
-    weights = torch.randn(HEIGHT, WIDTH, 5, generator=generator).to(dtype)
+    weights = torch.randn(HEIGHT, WIDTH, 5, generator=generator).to(device, dtype)
     leaves = Gaussians(
-        **{name: v.to(dtype).clone().requires_grad_() for name, v in vars(gaussians).items()}
+        **{
+            name: v.to(device, dtype, copy=True).requires_grad_()
+            for name, v in vars(gaussians).items()
+        }
     )
     pose = camera().to(dtype).requires_grad_()
     extra = {}
@@ -72,12 +76,15 @@ def render_with_gradients(
     image = rasterize(leaves, pose, K, WIDTH, HEIGHT, backend=backend, **extra, **options)
     channels = torch.cat([image.rgb, image.depth[..., None], image.alpha[..., None]], dim=-1)
     (channels * weights).sum().backward()
-    gradients = {name: v.grad for name, v in vars(leaves).items()}
+    gradients = {name: v.grad.cpu() for name, v in vars(leaves).items()}
     gradients["pose"] = tangent(camera(), pose.grad.double())
-    gradients["means2d"] = image.meta.means2d_grad
+    gradients["means2d"] = image.meta.means2d_grad.cpu()
     if background is not None:
         gradients["background"] = extra["background"].grad
-    return Outcome(image, gradients)
+    meta = RasterMeta(**{name: v.detach().cpu() for name, v in vars(image.meta).items()})
+    return Outcome(
+        Rasterization(image.rgb.cpu(), image.depth.cpu(), image.alpha.cpu(), meta), gradients
+    )
 
 
 def tangent(pose: Tensor, gradient: Tensor) -> Tensor:

@@ -34,30 +34,37 @@ def visible_rows(count: int, seed: int) -> torch.Tensor:
     return torch.rand(count // 7 + 1, generator=generator).repeat_interleave(7)[:count] < 0.6
 
 
-def test_compiled_matches_reference(isa: str) -> None:
-    count = 9000  # more than one work item
+def check_against_reference(backend: str, count: int) -> None:
     options = {
         "column_rates": {"sh": torch.tensor([1.0, 0.05, 0.05, 0.05])[:, None]},
         "bounds": {"log_scales": (-0.5, math.inf), "sh": (torch.full((4, 3), -1.5), 1.5)},
     }
-    compiled, plain = parameters(count), parameters(count)
-    first = RowAdam(compiled, RATES, backend="native", **options)
+    quick, plain = parameters(count), parameters(count)
+    first = RowAdam(quick, RATES, backend=backend, **options)
     second = RowAdam(plain, RATES, backend="reference", **options)
     for step in range(5):
-        give_gradients(compiled, step)
+        give_gradients(quick, step)
         give_gradients(plain, step)
         visible = visible_rows(count, step)
         first.step(visible)
         second.step(visible)
     for name in SHAPES:
-        assert torch.allclose(compiled[name], plain[name], atol=2e-6, rtol=1e-5), name
+        assert torch.allclose(quick[name], plain[name], atol=2e-6, rtol=1e-5), name
     state, wanted = first.state_dict(), second.state_dict()
     for name, value in wanted.items():
         atol = 1e-10 if name.startswith("first") else 1e-14
         assert torch.allclose(state[name], value, rtol=1e-5, atol=atol), name
 
 
-@pytest.mark.parametrize("backend", ["native", "reference"])
+def test_compiled_matches_reference(isa: str) -> None:
+    check_against_reference("native", 9000)  # more than one work item
+
+
+def test_foreach_matches_reference() -> None:
+    check_against_reference("foreach", 500)
+
+
+@pytest.mark.parametrize("backend", ["native", "foreach", "reference"])
 @pytest.mark.usefixtures("compiled")
 def test_three_steps_by_the_textbook(backend: str) -> None:
     params = parameters(50)
@@ -79,7 +86,7 @@ def test_three_steps_by_the_textbook(backend: str) -> None:
         assert torch.allclose(params[name].double(), wanted[name], atol=1e-5), name
 
 
-@pytest.mark.parametrize("backend", ["native", "reference"])
+@pytest.mark.parametrize("backend", ["native", "foreach", "reference"])
 @pytest.mark.usefixtures("compiled")
 def test_rows_not_visible_stay(backend: str) -> None:
     params = parameters(100)
@@ -156,6 +163,31 @@ def test_wrong_shapes_are_named() -> None:
         adam.step(torch.ones(10, dtype=torch.bool))
     with pytest.raises(ValueError, match="numbers of rows"):
         RowAdam({"a": torch.zeros(2), "b": torch.zeros(3)}, {})
+
+
+def test_the_compiled_kernel_wants_the_cpu() -> None:
+    with pytest.raises(ValueError, match="on the CPU"):
+        RowAdam({"a": torch.zeros(2, device="meta")}, {}, backend="native")
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA GPU")
+def test_the_gpu_agrees_with_the_cpu() -> None:
+    options = {
+        "column_rates": {"sh": torch.tensor([1.0, 0.05, 0.05, 0.05])[:, None]},
+        "bounds": {"log_scales": (-0.5, math.inf), "sh": (torch.full((4, 3), -1.5), 1.5)},
+    }
+    plain = parameters(5000)
+    there = {name: p.detach().cuda().requires_grad_() for name, p in plain.items()}
+    first, second = RowAdam(there, RATES, **options), RowAdam(plain, RATES, **options)
+    for step in range(5):
+        give_gradients(plain, step)
+        for name, p in there.items():
+            p.grad = plain[name].grad.cuda()
+        visible = visible_rows(5000, step)
+        first.step(visible.cuda())
+        second.step(visible)
+    for name in SHAPES:
+        assert torch.allclose(there[name].cpu(), plain[name], atol=2e-6, rtol=1e-5), name
 
 
 def test_long_unhit_rows_do_not_slow_down() -> None:

@@ -1,6 +1,7 @@
 """3D Gaussians: type, harmonics, files and the differentiable rasterizer."""
 
 from recast.splats.adam import RowAdam
+from recast.splats.cuda import pick_device
 from recast.splats.gaussians import Gaussians, concatenate
 from recast.splats.native import set_threads
 from recast.splats.order import morton_order
@@ -15,6 +16,7 @@ __all__ = [
     "RowAdam",
     "concatenate",
     "morton_order",
+    "pick_device",
     "rasterize",
     "read_ply",
     "set_threads",

@@ -23,7 +23,7 @@ class RowAdam:
     """Adam (Kingma & Ba 2015) on rows: those not visible keep value and moments as they are.
 
     The bias correction counts steps, not visits of a row. The values change in place, outside of
-    autograd's sight.
+    autograd's sight. Moments lie where their parameters do.
 
     Args:
         params: leaf tensors (N, ...) by name, float32 and contiguous; their `.grad` is read.
@@ -31,14 +31,16 @@ class RowAdam:
         column_rates: by name, factors of the learning rate within a row (shape of a row).
         bounds: by name, low and high that a value is clamped to after its step (each a number or
             the shape of a row).
-        backend: "auto" takes the compiled kernel where there is one.
+        backend: "native" the compiled kernel (CPU), "foreach" a few operations on whole tensors
+            that never wait for the device (CUDA), "reference" the readable one; "auto" what suits
+            the parameters' device.
 
     Attributes:
         params: put new tensors here after `select` or `append`.
         steps: number of steps done.
 
     Raises:
-        ValueError: numbers of rows differ, or a tensor has the wrong type or layout.
+        ValueError: numbers of rows differ, or a tensor has the wrong type, layout or device.
     """
 
     def __init__(
@@ -48,14 +50,20 @@ class RowAdam:
         *,
         column_rates: Mapping[str, Tensor] | None = None,
         bounds: Mapping[str, Bounds] | None = None,
-        backend: Literal["auto", "native", "reference"] = "auto",
+        backend: Literal["auto", "native", "foreach", "reference"] = "auto",
     ) -> None:
         self.params = dict(params)
         self.lrs = dict(lrs)
         self.steps = 0
         self._column_rates = dict(column_rates or {})
         self._bounds = dict(bounds or {})
-        self._native = backend == "native" or (backend == "auto" and info().available)
+        on_cpu = all(p.device.type == "cpu" for p in self.params.values())
+        if backend == "auto":
+            backend = ("native" if info().available else "reference") if on_cpu else "foreach"
+        if backend == "native" and not on_cpu:
+            raise ValueError("RowAdam: the compiled kernel takes parameters on the CPU")
+        self._backend = backend
+        self._patterns: dict[str, tuple[Tensor, Tensor, Tensor]] = {}
         self._first = {name: torch.zeros_like(p.detach()) for name, p in self.params.items()}
         self._second = {name: torch.zeros_like(p.detach()) for name, p in self.params.items()}
         if len({len(p) for p in self.params.values()}) > 1:
@@ -80,8 +88,12 @@ class RowAdam:
         moved = [name for name, p in self.params.items() if p.grad is not None]
         for name in moved:
             self._check(name, visible)
-        if self._native and moved:
+        if not moved:
+            return
+        if self._backend == "native":
             self._step_native(moved, visible, rates)
+        elif self._backend == "foreach":
+            self._step_foreach(moved, visible, rates)
         else:
             for name in moved:
                 self._step_reference(name, visible, rates[name])
@@ -102,13 +114,15 @@ class RowAdam:
             )
 
     def _row_pattern(self, name: str) -> tuple[Tensor, Tensor, Tensor]:
-        """Rate factors, low and high bounds, each of the shape of a row."""
-        shape = self.params[name].shape[1:]
-        low, high = self._bounds.get(name, (-math.inf, math.inf))
-        factors = self._column_rates.get(name, 1.0)
-        parts = (torch.as_tensor(part, dtype=torch.float32) for part in (factors, low, high))
-        first, second, third = (part.expand(shape) for part in parts)
-        return first, second, third
+        """Rate factors, low and high bounds, each of the shape of a row, beside the parameter."""
+        if name not in self._patterns:
+            p = self.params[name]
+            low, high = self._bounds.get(name, (-math.inf, math.inf))
+            factors = self._column_rates.get(name, 1.0)
+            parts = (torch.as_tensor(part, dtype=torch.float32) for part in (factors, low, high))
+            first, second, third = (part.to(p.device).expand(p.shape[1:]) for part in parts)
+            self._patterns[name] = first, second, third
+        return self._patterns[name]
 
     def _step_reference(self, name: str, visible: Tensor, rate: float) -> None:
         p = self.params[name]
@@ -123,6 +137,34 @@ class RowAdam:
         p[visible] = value.clamp(low, high)
         self._first[name][visible] = first
         self._second[name][visible] = second
+
+    def _step_foreach(self, moved: list[str], visible: Tensor, rates: Mapping[str, float]) -> None:
+        params = [self.params[name] for name in moved]
+        gradients = [p.grad.float() for p in params if p.grad is not None]
+        firsts = [self._first[name] for name in moved]
+        seconds = [self._second[name] for name in moved]
+        masks = [visible.view(-1, *[1] * (p.ndim - 1)) for p in params]
+        squares = torch._foreach_mul(gradients, gradients)
+        # A share of 0 leaves a row's moments: no row is looked up, so that nothing need be counted.
+        share1, share2 = (1 - BETA1) * visible, (1 - BETA2) * visible
+        for first, second, gradient, square, mask in zip(
+            firsts, seconds, gradients, squares, masks, strict=True
+        ):
+            first.lerp_(gradient, share1.view(mask.shape))
+            second.lerp_(square, share2.view(mask.shape))
+        roots = torch._foreach_sqrt(seconds)
+        torch._foreach_mul_(roots, 1 / math.sqrt(1 - BETA2**self.steps))
+        torch._foreach_add_(roots, EPSILON)
+        updates = torch._foreach_div(firsts, roots)
+        torch._foreach_mul_(updates, [-rates[name] / (1 - BETA1**self.steps) for name in moved])
+        for name, p, update, mask in zip(moved, params, updates, masks, strict=True):
+            factors, low, high = self._row_pattern(name)
+            if name in self._column_rates:
+                update.mul_(factors)
+            value = update.add_(p)
+            if name in self._bounds:
+                value.clamp_(low, high)
+            p.copy_(torch.where(mask, value, p))
 
     def _step_native(self, moved: list[str], visible: Tensor, rates: Mapping[str, float]) -> None:
         rows = (AdamRows * len(moved))()
@@ -177,5 +219,6 @@ class RowAdam:
             KeyError: a parameter's moments are missing.
         """
         self.steps = int(state["steps"])
-        self._first = {name: state[f"first.{name}"].clone() for name in self.params}
-        self._second = {name: state[f"second.{name}"].clone() for name in self.params}
+        for part, moments in (("first", self._first), ("second", self._second)):
+            for name, p in self.params.items():
+                moments[name] = state[f"{part}.{name}"].to(p.device, copy=True)

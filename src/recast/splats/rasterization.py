@@ -125,8 +125,11 @@ def check_settings(
     )
 
 
-def check_shapes(gaussians: Gaussians) -> None:
+def check_shapes(gaussians: Gaussians, device_type: str) -> None:
     """Check shapes, types and devices: the values are checked where they are read.
+
+    Args:
+        device_type: "cpu" or "cuda", where all fields must lie, on one device.
 
     Raises:
         ValueError: names the field at fault.
@@ -147,8 +150,9 @@ def check_shapes(gaussians: Gaussians) -> None:
         value: Tensor = getattr(gaussians, name)
         if tuple(value.shape) != shape:
             raise ValueError(f"Gaussians.{name}: shape {tuple(value.shape)}, expected {shape}")
-        if value.device.type != "cpu":
-            raise ValueError(f"Gaussians.{name}: on {value.device}, expected on the CPU")
+        if value.device.type != device_type or value.device != gaussians.means.device:
+            wanted = gaussians.means.device if name != "means" else device_type
+            raise ValueError(f"Gaussians.{name}: on {value.device}, expected on {wanted}")
         if value.dtype != gaussians.means.dtype or not value.is_floating_point():
             raise ValueError(
                 f"Gaussians.{name}: dtype {value.dtype}, expected that of the means, floating point"

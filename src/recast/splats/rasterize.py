@@ -6,15 +6,20 @@ import warnings
 from functools import lru_cache
 from typing import Literal
 
-from torch import Tensor
+from torch import Tensor, device
 
-from recast.splats import native
+from recast.splats import cuda, native
+from recast.splats.cuda import rasterize_gsplat
 from recast.splats.gaussians import Gaussians
 from recast.splats.native.autograd import rasterize_native
 from recast.splats.rasterization import Rasterization, check_settings, check_shapes
 from recast.splats.reference import rasterize_reference
 
-Backend = Literal["auto", "native", "reference"]
+Backend = Literal["auto", "native", "gsplat", "reference"]
+DEVICE_OF = {"native": "cpu", "reference": "cpu", "gsplat": "cuda"}
+"""The kind of device that each backend takes its Gaussians from."""
+MAX_ALPHA = 0.99
+"""Of the CPU's backends by default; gsplat's is built in."""
 
 
 def rasterize(
@@ -29,7 +34,7 @@ def rasterize(
     far: float = 1e10,
     eps2d: float = 0.3,
     antialiased: bool = False,
-    max_alpha: float = 0.99,
+    max_alpha: float | None = None,
     backend: Backend = "auto",
 ) -> Rasterization:
     """Render Gaussians by sorted alpha compositing; differentiable.
@@ -40,7 +45,8 @@ def rasterize(
     through its upper 3x4 entries and is meant to be projected to the tangent of SE(3).
 
     Args:
-        gaussians: N Gaussians in the world frame.
+        gaussians: N Gaussians in the world frame, all fields on one device. Images and `meta` are
+            given there; pose and background may lie on the CPU all the same.
         camera_from_world: (4, 4) rigid, OpenCV axes (x right, y down, z forward).
         K: (3, 3) pinhole intrinsics in pixels, without skew. Not differentiated.
         width: image width, pixels.
@@ -51,28 +57,43 @@ def rasterize(
         eps2d: variance of the low-pass filter added to every projected covariance, px^2.
         antialiased: lower the opacity so that the filter keeps a Gaussian's integral
             (Mip-Splatting); else the classic 3DGS behaviour.
-        max_alpha: cap on the alpha of one Gaussian (3DGS and gsplat main 0.99; gsplat 1.5.3 0.999).
-        backend: "native" the compiled kernel (float32), "reference" plain torch in the dtype of the
-            Gaussians, "auto" the kernel where it is there.
+        max_alpha: cap on the alpha of one Gaussian; None is 0.99 on the CPU, as in 3DGS, and on
+            CUDA what gsplat has built in (`cuda.max_alpha`: 0.999 in 1.5.3), the only one it takes.
+        backend: "native" the compiled kernel (float32, CPU), "gsplat" the package of that name
+            (float32, CUDA), "reference" plain torch in the dtype of the Gaussians (CPU), "auto"
+            gsplat on CUDA, on the CPU the kernel where it is there.
 
     Raises:
-        ValueError: an argument is at fault: a shape, a value that is not finite, a pose that is not
-            rigid, a quaternion of norm zero.
+        ValueError: an argument is at fault: a shape, a device, a value that is not finite, a pose
+            that is not rigid, a quaternion of norm zero.
+        InputError: the Gaussians are on CUDA and gsplat is not installed.
         RuntimeError: backend is "native" and there is none; the message says why.
     """
+    if backend == "auto":
+        backend = _choose(gaussians.means.device)
+    if backend not in DEVICE_OF:
+        known = ", ".join(("auto", *DEVICE_OF))
+        raise ValueError(f"rasterize: backend {backend!r}, expected one of {known}")
+    check_shapes(gaussians, DEVICE_OF[backend])
+    if max_alpha is None:
+        max_alpha = cuda.max_alpha() if backend == "gsplat" else MAX_ALPHA
     settings = check_settings(
         camera_from_world, K, width, height, background, near, far, eps2d, antialiased, max_alpha
     )
-    check_shapes(gaussians)
-    if backend == "auto":
-        backend = "native" if native.info().available else "reference"
-        if backend == "reference":
-            _warn_once(native.info().reason)
+    if backend == "gsplat":
+        return rasterize_gsplat(gaussians, camera_from_world, settings, background)
     if backend == "native":
         return rasterize_native(gaussians, camera_from_world, settings, background)
-    if backend == "reference":
-        return rasterize_reference(gaussians, camera_from_world, settings, background)
-    raise ValueError(f"rasterize: backend {backend!r}, expected auto, native or reference")
+    return rasterize_reference(gaussians, camera_from_world, settings, background)
+
+
+def _choose(where: device) -> Backend:
+    if where.type == DEVICE_OF["gsplat"]:
+        return "gsplat"
+    if native.info().available:
+        return "native"
+    _warn_once(native.info().reason)
+    return "reference"
 
 
 @lru_cache(maxsize=1)
