@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from recast.geometry import PinholeCamera
 from recast.scene.sky import composite, pixel_coordinates
 from recast.scene.street_scene import StreetScene
-from recast.splats import Gaussians, Rasterization, rasterize
+from recast.splats import Gaussians, Rasterization, pick_device, rasterize
 
 Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -41,24 +41,28 @@ class SceneRasterizer:
     Holds a copy of the scene's parameters with room for all actors behind them.
 
     Args:
-        device: where it is drawn; see `recast.splats.rasterize` on what that takes.
+        device: where it is drawn, see `recast.splats.pick_device`.
+
+    Raises:
+        InputError: there is no such device, or gsplat is missing.
     """
 
-    def __init__(self, scene: StreetScene, device: torch.device | str = "cpu") -> None:
-        self._sky = scene.sky.colours.to(device)
+    def __init__(self, scene: StreetScene, device: str = "auto") -> None:
+        place = pick_device(device)
+        self._sky = scene.sky.colours.to(place)
         self._local = {
-            track_id: actor.drawn.detach().to(device) for track_id, actor in scene.actors.items()
+            track_id: actor.drawn.detach().to(place) for track_id, actor in scene.actors.items()
         }
         first = len(scene.background)
         room = first + sum(len(local) for local in self._local.values())
         bases = max(g.sh.shape[1] for g in (scene.background, *self._local.values()))
         self._first = first
         self._buffer = Gaussians(
-            means=torch.zeros(room, 3, device=device),
-            quats=torch.zeros(room, 4, device=device),
-            log_scales=torch.zeros(room, 3, device=device),
-            logit_opacities=torch.zeros(room, device=device),
-            sh=torch.zeros(room, bases, 3, device=device),
+            means=torch.zeros(room, 3, device=place),
+            quats=torch.zeros(room, 4, device=place),
+            log_scales=torch.zeros(room, 3, device=place),
+            logit_opacities=torch.zeros(room, device=place),
+            sh=torch.zeros(room, bases, 3, device=place),
         )
         self._write(scene.background.detach(), 0)
 

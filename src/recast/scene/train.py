@@ -31,7 +31,7 @@ from recast.scene.store import SCENE_FILE, load_scene, save_scene
 from recast.scene.street_scene import StreetScene
 from recast.scene.trainer import Trainer
 from recast.scene.views import View, read_views
-from recast.splats import set_threads
+from recast.splats import pick_device, set_threads
 from recast.storage import read_json, write_json
 
 WORK_FOLDER = "work"
@@ -59,27 +59,32 @@ def train_scene(
     out: str | Path,
     config: SceneConfig | None = None,
     progress: ProgressCallback | None = None,
+    device: str = "auto",
 ) -> TrainResult:
     """Reconstruct the street of a log into the folder `out`.
 
     Writes config.json and source.json first, keeps first scene and checkpoints under work/, and
     ends with the scene's files, scene.json last. Run again on the same folder it goes on from the
-    last checkpoint, or only loads what is finished; the bytes are those of an uninterrupted run
-    with the same number of threads.
+    last checkpoint, or only loads what is finished; on the CPU the bytes are those of an
+    uninterrupted run with the same number of threads. On CUDA gradients are added in no fixed
+    order, so that no two runs are the same.
 
     Args:
         progress: told every few steps how far training is; see `TrainingDisplay`.
+        device: where to train, see `recast.splats.pick_device`; a run may go on on another one.
 
     Raises:
-        InputError: the folder holds another run, the log lacks what is needed, the disk is full.
+        InputError: the folder holds another run, the log lacks what is needed, the disk is full,
+            there is no such device.
     """
     config = config or SceneConfig()
     out = Path(out)
+    place = pick_device(device)
     claim_folder(out, log, config)
     if (out / SCENE_FILE).is_file():
         return TrainResult(load_scene(out), out, read_json(out / HISTORY_FILE))
     threads = config.threads or _available_cores()
-    run = _Run(log, out, config, threads, progress or (lambda status: None))
+    run = _Run(log, out, config, threads, place, progress or (lambda status: None))
     before = torch.get_num_threads(), cv2.getNumThreads()
     try:
         # The rasterizer and the losses bring their own threads; torch's and OpenCV's would spin
@@ -106,10 +111,11 @@ class _Run:
         out: Path,
         config: SceneConfig,
         threads: int,
+        device: torch.device,
         progress: ProgressCallback,
     ) -> None:
         self._log, self._out, self._config = log, out, config
-        self._progress, self._threads = progress, threads
+        self._progress, self._threads, self._device = progress, threads, device
         self._work = out / WORK_FOLDER
         self._recent: deque[tuple[float, float]] = deque(maxlen=100)
         self._clock: deque[tuple[int, float]] = deque(maxlen=20)
@@ -161,7 +167,7 @@ class _Run:
             rng = np.random.default_rng(config.seed)
             start = initialise(self._log, views, tracks, config, rng, self._threads)
             save_initialisation(start, path)
-        return Trainer(config, views, tracks, start, self._threads)
+        return Trainer(config, views, tracks, start, self._threads, self._device)
 
     def _evaluate(self, trainer: Trainer, held_out: list[View]) -> dict[str, float]:
         losses, psnrs = zip(*self._recent, strict=True)

@@ -31,7 +31,7 @@ class SceneRenderer:
         self,
         scene: StreetScene,
         mounts: Mapping[str, CameraMount],
-        device: torch.device | str = "cpu",
+        device: str = "auto",
     ) -> None:
         self.scene = scene
         self._rasterizer = SceneRasterizer(scene, device)
