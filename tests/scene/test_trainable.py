@@ -3,25 +3,12 @@ from __future__ import annotations
 import pytest
 import torch
 
+from recast.scene.appearance import coloured
+from recast.scene.mirror import mirrored
 from recast.scene.trainable import COLOUR_LIMIT, MIN_LOG_SCALE, TrainableScene, rows
 from recast.splats import Gaussians, concatenate, rasterize
 
-K = torch.tensor([[40.0, 0.0, 24.0], [0.0, 40.0, 16.0], [0.0, 0.0, 1.0]])
-
-
-def part(n: int, seed: int) -> Gaussians:
-    generator = torch.Generator().manual_seed(seed)
-
-    def random(*shape: int) -> torch.Tensor:
-        return torch.randn(*shape, generator=generator)
-
-    return Gaussians(
-        means=random(n, 3) * 0.5 + torch.tensor([0.0, 0.0, 4.0]),
-        quats=random(n, 4),
-        log_scales=random(n, 3) * 0.3 - 2,
-        logit_opacities=random(n),
-        sh=random(n, 4, 3) * 0.3,
-    )
+from .made_up import K, part
 
 
 def pose(yaw: float, x: float) -> torch.Tensor:
@@ -88,9 +75,8 @@ def test_a_step_moves_visible_rows_within_bounds(model: TrainableScene) -> None:
 
 
 def test_actors_come_out_as_they_went_in(model: TrainableScene) -> None:
-    actors = model.actors()
-    assert list(actors) == ["a", "b", "c"]
-    assert torch.equal(actors["b"].means, part(12, 2).means)
+    assert model.track_ids == ("a", "b", "c")
+    assert torch.equal(model.actor("b")[0].means, part(12, 2).means)
     assert model.span("c") == (22, 31) and model.count_rows() == 71
 
 
@@ -99,4 +85,27 @@ def test_a_scene_without_actors() -> None:
     drawn = model.draw({})
     loss_of(drawn.gaussians).backward()
     model.take_gradients(drawn)
-    assert model.actors() == {} and len(drawn.gaussians) == 20
+    assert model.track_ids == () and len(drawn.gaussians) == 20
+
+
+def test_colours_over_time_and_mirrored_rows_are_drawn_and_learned() -> None:
+    model = TrainableScene(part(5, 0), {"a": part(10, 1), "b": part(12, 2)}, fourier_terms=3)
+    with torch.no_grad():
+        model.waves += 0.1
+    flipped = torch.arange(22) % 2 == 0
+    drawn = model.draw({"b": torch.eye(4)}, {"b": 0.25}, flipped)
+    expected = mirrored(coloured(part(12, 2), torch.full((12, 2, 3), 0.1), 0.25), flipped[10:])
+    for name, value in rows(expected).items():
+        assert torch.allclose(getattr(drawn.gaussians, name)[5:], value, atol=1e-6)
+    loss_of(drawn.gaussians).backward()
+    model.take_gradients(drawn)
+    gradient = model.waves.grad
+    assert gradient is not None and (gradient[:10] == 0).all()
+    # sin(2 pi / 4) = 1 and cos(2 pi / 4) = 0 times the constant harmonic's gradient
+    assert torch.allclose(gradient[10:, 0], model.local.sh.grad[10:, 0], atol=1e-6)
+    assert gradient[10:, 1].abs().max() < 1e-6
+    before = model.waves.detach().clone()
+    rates = dict.fromkeys(("means", "quats", "log_scales", "logit_opacities", "sh"), 0.01)
+    model.step(torch.ones(5, dtype=torch.bool), torch.ones(22, dtype=torch.bool), rates)
+    assert (model.waves[10:, 0] != before[10:, 0]).any()
+    assert torch.equal(model.actor("a")[1], before[:10])

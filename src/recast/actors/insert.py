@@ -26,5 +26,11 @@ def insert(scene: StreetScene, actor: Actor) -> StreetScene:
         )  # fmt: skip
     native = scene.actors[actor.track_id]
     return scene.with_actor(
-        replace(native, gaussians=actor.gaussians, size=actor.size, shadow=actor.shadow)
+        replace(
+            native,
+            gaussians=actor.gaussians,
+            size=actor.size,
+            shadow=actor.shadow,
+            appearance=None,
+        )
     )

@@ -12,6 +12,7 @@ from recast.scene.background_points import COLOUR_LIMIT_US, pixel_colours, usabl
 from recast.scene.config import SceneConfig
 from recast.scene.dynamic import pose_at
 from recast.scene.lidar import OwnedSweep, project_visible
+from recast.scene.mirror import DEFORMABLE, with_other_side
 from recast.scene.point_cloud import (
     PointCloud,
     concatenate,
@@ -48,7 +49,10 @@ def actor_gaussians(
     cloud = voxel_downsample(concatenate(clouds), config.actor_voxel_m)
     if len(cloud) < FEW_POINTS:
         cloud = concatenate([cloud, _box_grid(track, cloud)])
-    return gaussians_from_points(cloud, config.sh_degree, sigma_range=(0.01, 0.3))
+    gaussians = gaussians_from_points(cloud, config.sh_degree, sigma_range=(0.01, 0.3))
+    if config.flip_probability > 0 and track.category not in DEFORMABLE:
+        return with_other_side(gaussians)
+    return gaussians
 
 
 def _box_grid(track: Track, cloud: PointCloud) -> PointCloud:

@@ -28,13 +28,14 @@ def save_checkpoint(trainer: Trainer, notes: Mapping[str, Any], path: Path) -> N
     """
     model = trainer.model
     tensors: dict[str, Tensor] = {"owner": model.owner}
+    if model.waves.shape[1]:
+        tensors["waves"] = model.waves
     tensors |= _prefixed("background", rows(model.background))
     tensors |= _prefixed("local", rows(model.local))
     tensors |= _prefixed("background_adam", model.background_adam.state_dict())
     tensors |= _prefixed("local_adam", model.local_adam.state_dict())
-    tensors |= _prefixed("sky", trainer.sky.table.state_dict())
-    tensors |= _prefixed("camera_poses", trainer.camera_poses.table.state_dict())
-    tensors |= _prefixed("track_poses", trainer.track_poses.table.state_dict())
+    for name, table in trainer.tables().items():
+        tensors |= _prefixed(name, table.state_dict())
     for name in ("background_statistics", "local_statistics"):
         tensors |= _prefixed(name, getattr(model, name).state_dict())
     write_tensors(path, tensors, {"iteration": trainer.iteration, "notes": notes})
@@ -48,10 +49,12 @@ def load_checkpoint(trainer: Trainer, path: Path) -> dict[str, Any]:
     """
     tensors, header = read_tensors(path)
     model = trainer.model
+    local = Gaussians(**_group(tensors, "local"))
     model.place(
         Gaussians(**_group(tensors, "background")).to(trainer.device),
-        Gaussians(**_group(tensors, "local")).to(trainer.device),
+        local.to(trainer.device),
         tensors["owner"],
+        tensors.get("waves", torch.zeros(len(local), 0, 3)).to(trainer.device),
     )
     model.restore(
         background_adam=_group(tensors, "background_adam"),
@@ -59,9 +62,8 @@ def load_checkpoint(trainer: Trainer, path: Path) -> dict[str, Any]:
         background_statistics=_group(tensors, "background_statistics"),
         local_statistics=_group(tensors, "local_statistics"),
     )
-    trainer.sky.table.load_state_dict(_group(tensors, "sky"))
-    trainer.camera_poses.table.load_state_dict(_group(tensors, "camera_poses"))
-    trainer.track_poses.table.load_state_dict(_group(tensors, "track_poses"))
+    for name, table in trainer.tables().items():
+        table.load_state_dict(_group(tensors, name))
     trainer.iteration = int(header["iteration"])
     return dict(header["notes"])
 

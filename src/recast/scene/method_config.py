@@ -19,3 +19,19 @@ class MethodConfig(BaseModel):
         default="panorama", description="cells of the sky under training; saved as a panorama"
     )
     sky_face_px: int = Field(default=128, ge=1, le=4096, description="edge of a cubemap's face")
+
+    fourier_terms: int = Field(
+        default=1, ge=1, le=9, description="of an actor's colour over its time, 1: constant"
+    )
+    appearance_share: float = Field(
+        default=0.5, ge=0, le=1, description="of an actor's time, whose colours simulations have"
+    )
+    flip_probability: float = Field(
+        default=0.0, ge=0, le=1, description="that a step sees an actor's Gaussian mirrored, 0: off"
+    )
+    exposure_lr: float = Field(
+        default=0.0, ge=0, description="of each image's affine colours, 0: off"
+    )
+    exposure_weight: float = Field(
+        default=0.0, ge=0, description="of an image's change of colours, mean absolute"
+    )

@@ -52,11 +52,13 @@ def change_population(
     new_background = _merge(model.background, background)
     order = morton_order(new_background.means)
     new_local = _merge(model.local, local)
-    owner = torch.cat([model.owner[local.kept.cpu()], model.owner[local.parents.cpu()]])
+    origin = torch.cat([local.kept, local.parents])
+    owner = model.owner[origin.cpu()]
     by_owner = owner.argsort(stable=True)
-    model.place(new_background.select(order), new_local.select(by_owner), owner[by_owner])
-    _follow(model.background_adam, background, order, model.background)
-    _follow(model.local_adam, local, by_owner, model.local)
+    waves = model.waves[origin][by_owner]
+    model.place(new_background.select(order), new_local.select(by_owner), owner[by_owner], waves)
+    _follow(model.background_adam, background, order, rows(model.background))
+    _follow(model.local_adam, local, by_owner, model.local_parameters())
     device = model.background.means.device
     model.background_statistics = GradientStatistics(len(model.background), device)
     model.local_statistics = GradientStatistics(len(model.local), device)
@@ -79,9 +81,9 @@ def _merge(old: Gaussians, change: Change) -> Gaussians:
     return concatenate([old.detach().select(change.kept), change.born])
 
 
-def _follow(adam: RowAdam, change: Change, order: Tensor, params: Gaussians) -> None:
+def _follow(adam: RowAdam, change: Change, order: Tensor, parameters: dict[str, Tensor]) -> None:
     """Carry the moments of the kept rows along; new rows start without history."""
     adam.select(change.kept)
     adam.append(len(change.born))
     adam.select(order)
-    adam.params = rows(params)
+    adam.params = parameters

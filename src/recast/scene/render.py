@@ -49,6 +49,7 @@ class SceneRasterizer:
 
     def __init__(self, scene: StreetScene, device: str = "auto") -> None:
         place = pick_device(device)
+        self._actors, self._device = scene.actors, place
         self._sky = scene.sky.colours.to(place)
         self._local = {
             track_id: actor.drawn.detach().to(place) for track_id, actor in scene.actors.items()
@@ -82,9 +83,10 @@ class SceneRasterizer:
         camera: PinholeCamera,
         camera_from_world: Array,
         poses: Mapping[str, Array],
+        colours_us: int | None = None,
     ) -> SceneImage:
-        """Draw one view; see `render_scene`."""
-        drawn = self.draw(camera, camera_from_world, poses)
+        """Draw one view; see `render_scene` and `draw`."""
+        drawn = self.draw(camera, camera_from_world, poses, colours_us)
         return SceneImage(
             rgb=drawn.rgb.cpu().numpy(),
             depth=drawn.depth.cpu().numpy(),
@@ -96,11 +98,20 @@ class SceneRasterizer:
         camera: PinholeCamera,
         camera_from_world: Array,
         poses: Mapping[str, Array],
+        colours_us: int | None = None,
     ) -> Rasterization:
-        """Draw one view and leave it where it was drawn, sky included, rgb in [0, 1]."""
+        """Draw one view and leave it where it was drawn, sky included, rgb in [0, 1].
+
+        Args:
+            colours_us: time of the recording whose colours the actors have, where they change; None
+                for those that they are stored with.
+        """
         last = self._first
         for track_id, pose in poses.items():
-            last = self._write(self._local[track_id].transformed(torch.from_numpy(pose)), last)
+            local = self._local[track_id]
+            if colours_us is not None and self._actors[track_id].appearance is not None:
+                local = self._actors[track_id].coloured_at(colours_us).drawn.to(self._device)
+            last = self._write(local.transformed(torch.from_numpy(pose)), last)
         drawn = Gaussians(*(getattr(self._buffer, name)[:last] for name in FIELDS))
         with torch.no_grad():
             result = rasterize(

@@ -24,6 +24,11 @@ def sky_rate(config: SceneConfig, u: float) -> float:
     return config.sky_lr * 0.1**u
 
 
+def exposure_rate(config: SceneConfig, u: float) -> float:
+    """Learning rate of the images' affine colours."""
+    return config.exposure_lr * 0.1**u
+
+
 def pose_factor(u: float) -> float:
     """Factor on the learning rates of poses: none at first, then falling to a twentieth."""
     return 0.0 if u < POSES_FROM else 1 - 0.95 * u

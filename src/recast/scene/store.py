@@ -14,6 +14,7 @@ from torch import Tensor
 from recast.errors import InputError
 from recast.logs import Trajectory
 from recast.records import read_record
+from recast.scene.appearance import Appearance
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.scene.tensor_file import read_tensors, write_tensors
@@ -71,6 +72,10 @@ def save_scene(scene: StreetScene, folder: str | Path) -> None:
             actor.trajectory.timestamps_us
         )
         tensors[f"actor/{track_id}/poses"] = torch.from_numpy(actor.trajectory.poses)
+        if actor.appearance is not None:
+            share = torch.tensor([actor.appearance.frozen_share], dtype=torch.float64)
+            tensors[f"actor/{track_id}/waves"] = actor.appearance.waves
+            tensors[f"actor/{track_id}/frozen_share"] = share
         records.append(
             ActorRecord(
                 track_id=track_id,
@@ -120,6 +125,11 @@ def load_scene(folder: str | Path) -> StreetScene:
                 tensor(f"{prefix}/timestamps_us").numpy(), tensor(f"{prefix}/poses").numpy()
             ),
             shadow=None if entry.shadow is None else _read_part(folder / entry.shadow),
+            appearance=Appearance(
+                tensor(f"{prefix}/waves"), float(tensor(f"{prefix}/frozen_share"))
+            )
+            if f"{prefix}/waves" in tensors
+            else None,
         )
     return StreetScene(
         background=_read_part(folder / record.background),

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from recast.logs import Trajectory
+from recast.scene.appearance import Appearance, share_of
 from recast.scene.dynamic import pose_at
 from recast.scene.poses import corrected
 from recast.scene.sky import SkyMap
@@ -29,6 +30,7 @@ class SceneActor:
         size: (3,) length, width, height in metres.
         trajectory: refined `world_from_actor` as logged.
         shadow: actor-local Gaussians on the ground, drawn with the actor, or None.
+        appearance: how the Gaussians' colours change over the trajectory's time, or None.
     """
 
     track_id: str
@@ -36,6 +38,14 @@ class SceneActor:
     size: Array
     trajectory: Trajectory
     shadow: Gaussians | None = None
+    appearance: Appearance | None = None
+
+    def coloured_at(self, timestamp_us: int) -> SceneActor:
+        """The actor with the colours that it had at a time of the recording."""
+        if self.appearance is None:
+            return self
+        share = share_of(self.trajectory, timestamp_us)
+        return replace(self, gaussians=self.appearance.at(self.gaussians, share), appearance=None)
 
     @property
     def drawn(self) -> Gaussians:

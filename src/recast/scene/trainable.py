@@ -14,7 +14,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from recast.scene.appearance import coloured
 from recast.scene.densify import GradientStatistics
+from recast.scene.mirror import mirrored
 from recast.splats import Gaussians, RasterMeta, RowAdam, concatenate
 from recast.splats.sh import C0
 
@@ -60,25 +62,32 @@ class TrainableScene:
         owner: (A,) int64, ascending, on the CPU: the actor of each row of `local`.
         background: world-frame parameters, views into the buffer.
         local: all actors' parameters, box frames, one after the other.
+        waves: (A, F - 1, 3) how the actors' colours change over their time, see
+            `recast.scene.appearance`; F is 1 where they do not.
     """
 
     background: Gaussians
     local: Gaussians
     owner: Tensor
+    waves: Tensor
 
-    def __init__(self, background: Gaussians, actors: Mapping[str, Gaussians]) -> None:
+    def __init__(
+        self, background: Gaussians, actors: Mapping[str, Gaussians], fourier_terms: int = 1
+    ) -> None:
         self.track_ids = tuple(actors)
         nothing = background.select(torch.zeros(0, dtype=torch.int64))
         counts = torch.tensor([len(part) for part in actors.values()], dtype=torch.int64)
         owner = torch.repeat_interleave(torch.arange(len(actors)), counts)
-        self.place(background, concatenate([nothing, *actors.values()]), owner)
+        local = concatenate([nothing, *actors.values()])
+        waves = local.means.new_zeros(len(local), fourier_terms - 1, 3)
+        self.place(background, local, owner, waves)
         device = self.background.means.device
         self.background_statistics = GradientStatistics(len(self.background), device)
         self.local_statistics = GradientStatistics(len(self.local), device)
-        self.background_adam = _adam(self.background, math.inf)
-        self.local_adam = _adam(self.local, MAX_ACTOR_LOG_SCALE)
+        self.background_adam = _adam(self.background, rows(self.background), math.inf)
+        self.local_adam = _adam(self.local, self.local_parameters(), MAX_ACTOR_LOG_SCALE)
 
-    def place(self, background: Gaussians, local: Gaussians, owner: Tensor) -> None:
+    def place(self, background: Gaussians, local: Gaussians, owner: Tensor, waves: Tensor) -> None:
         """Lay out new parameter values; optimiser states are the caller's business."""
         room = concatenate([background.detach(), local.detach()])
         self._buffer = Gaussians(**{name: value.contiguous() for name, value in rows(room).items()})
@@ -87,7 +96,13 @@ class TrainableScene:
         self.local = Gaussians(
             **{k: v.clone().requires_grad_() for k, v in rows(local.detach()).items()}
         )
+        self.waves = waves.detach().clone().requires_grad_()
         self.owner = owner
+
+    def local_parameters(self) -> dict[str, Tensor]:
+        """The actors' leaf tensors by name."""
+        parameters = rows(self.local)
+        return {**parameters, "waves": self.waves} if self.waves.shape[1] else parameters
 
     def span(self, track_id: str) -> tuple[int, int]:
         """Rows [start, stop) of an actor in `local`."""
@@ -95,13 +110,27 @@ class TrainableScene:
         start, stop = torch.searchsorted(self.owner, torch.tensor([index, index + 1])).tolist()
         return start, stop
 
-    def draw(self, poses: Mapping[str, Tensor]) -> Drawn:
-        """Put the actors at `world_from_actor` poses (4, 4) behind the background."""
+    def draw(
+        self,
+        poses: Mapping[str, Tensor],
+        shares: Mapping[str, float] | None = None,
+        flipped: Tensor | None = None,
+    ) -> Drawn:
+        """Put the actors at `world_from_actor` poses (4, 4) behind the background.
+
+        Args:
+            shares: of each actor's time, where colours change with it.
+            flipped: (A,) bool, rows of actors to draw mirrored; see `recast.scene.mirror`.
+        """
         first = len(self.background)
         spans = []
         for track_id, pose in poses.items():
             start, stop = self.span(track_id)
             own = Gaussians(**{k: v[start:stop] for k, v in rows(self.local).items()})
+            if shares is not None and self.waves.shape[1]:
+                own = coloured(own, self.waves[start:stop], shares[track_id])
+            if flipped is not None:
+                own = mirrored(own, flipped[start:stop])
             posed = own.transformed(pose)
             last = first + stop - start
             for name in FIELDS:
@@ -119,6 +148,7 @@ class TrainableScene:
             gradient = gradients[name]
             getattr(self.background, name).grad = None if gradient is None else gradient[:n]
             getattr(self.local, name).grad = None
+        self.waves.grad = None
         for span in drawn.spans:
             outputs, given = [], []
             for name in FIELDS:
@@ -148,11 +178,11 @@ class TrainableScene:
 
         Args:
             background, local: visible rows, as `visible` gives.
-            rates: learning rate by field; `sh` is that of the constant band.
+            rates: learning rate by field; `sh` is that of the constant band, over time as well.
         """
         self.background_adam.step(background, rates)
         if len(self.local):
-            self.local_adam.step(local, rates)
+            self.local_adam.step(local, {**rates, "waves": rates["sh"]})
 
     def count_rows(self) -> int:
         """Number of Gaussians, actors included."""
@@ -167,17 +197,16 @@ class TrainableScene:
     ) -> None:
         """After `place`: take over optimiser states and statistics of a checkpoint."""
         self.background_adam.params = rows(self.background)
-        self.local_adam.params = rows(self.local)
+        self.local_adam.params = self.local_parameters()
         self.background_adam.load_state_dict(background_adam)
         self.local_adam.load_state_dict(local_adam)
         self.background_statistics.load_state_dict(background_statistics)
         self.local_statistics.load_state_dict(local_statistics)
 
-    def actors(self) -> dict[str, Gaussians]:
-        """Copies of the actors' Gaussians, box frames."""
-        return {
-            track_id: copy(self.local, slice(*self.span(track_id))) for track_id in self.track_ids
-        }
+    def actor(self, track_id: str) -> tuple[Gaussians, Tensor]:
+        """Copies of an actor's Gaussians in its box frame, and of their waves."""
+        part = slice(*self.span(track_id))
+        return copy(self.local, part), self.waves.detach()[part].clone()
 
 
 def copy(gaussians: Gaussians, part: slice = slice(None)) -> Gaussians:
@@ -190,14 +219,14 @@ def rows(gaussians: Gaussians) -> dict[str, Tensor]:
     return {name: getattr(gaussians, name) for name in FIELDS}
 
 
-def _adam(gaussians: Gaussians, max_log_scale: float) -> RowAdam:
+def _adam(gaussians: Gaussians, parameters: Mapping[str, Tensor], max_log_scale: float) -> RowAdam:
     bases = gaussians.sh.shape[1]
     rates = torch.full((bases, 3), REST_RATE)
     rates[0] = 1
     limit = torch.full((bases, 3), math.inf)
     limit[0] = COLOUR_LIMIT
     return RowAdam(
-        rows(gaussians),
+        parameters,
         {},
         column_rates={"sh": rates},
         bounds={"sh": (-limit, limit), "log_scales": (MIN_LOG_SCALE, max_log_scale)},

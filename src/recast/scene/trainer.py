@@ -10,21 +10,29 @@ import torch
 from torch import Tensor
 
 from recast.logs import DrivingLog, Track
+from recast.scene.adam_table import AdamTable
+from recast.scene.appearance import Appearance, coloured, share_of
 from recast.scene.config import SceneConfig
+from recast.scene.exposure import Exposures, exposed, exposed_colours
 from recast.scene.initialise import Initialisation
 from recast.scene.levels import Level, full_level, half_level
 from recast.scene.losses import depth_loss, photometric_loss, sky_loss
+from recast.scene.mirror import DEFORMABLE
 from recast.scene.population import change_population
 from recast.scene.poses import CameraPoses, TrackPoses
-from recast.scene.schedule import gaussian_rates, pose_factor, sky_rate
+from recast.scene.schedule import exposure_rate, gaussian_rates, pose_factor, sky_rate
+from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene
-from recast.scene.trainable import TrainableScene, copy
+from recast.scene.trainable import Drawn, TrainableScene, copy
 from recast.scene.trainable_sky import make_sky
 from recast.scene.views import View
 from recast.splats import rasterize
 
 RADIANS_PER_METRE = 0.1
 """Learning rate of a camera's rotation in radians to that of its translation in metres."""
+
+FLIPS = 1
+"""Stream of random numbers that choose what a step sees mirrored."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +51,7 @@ class Trainer:
         device: where the Gaussians, the sky and the view at hand lie; poses stay on the CPU.
         model: the Gaussians.
         camera_poses, track_poses: pose corrections.
+        exposures: changes of the images' colours.
         sky: the sky's colours.
     """
 
@@ -67,9 +76,13 @@ class Trainer:
         self.model = TrainableScene(
             start.background.to(self.device),
             {name: part.to(self.device) for name, part in start.actors.items()},
+            config.fourier_terms,
         )
+        symmetric = [tracks[name].category not in DEFORMABLE for name in self.model.track_ids]
+        self._symmetric = torch.tensor(symmetric, dtype=torch.bool)
         self.camera_poses = CameraPoses(self._views)
         self.track_poses = TrackPoses(tracks, views)
+        self.exposures = Exposures(self._views)
         self.sky = make_sky(config, start.sky)
         self.sky.table.to(self.device)
 
@@ -82,10 +95,26 @@ class Trainer:
         report = self._fit(self._views[index], level, u)
         self.iteration += 1
         if self.iteration % config.densify_every == 0 and self._densifies():
-            seed = np.random.SeedSequence([config.seed, self.iteration]).generate_state(1)[0]
-            generator = torch.Generator().manual_seed(int(seed))
-            change_population(self.model, self._tracks, config, generator)
+            change_population(self.model, self._tracks, config, self._generator())
         return report
+
+    def tables(self) -> dict[str, AdamTable]:
+        """What is learned beside the Gaussians, by name."""
+        found = {
+            "sky": self.sky.table,
+            "camera_poses": self.camera_poses.table,
+            "track_poses": self.track_poses.table,
+        }
+        return {**found, "exposures": self.exposures.table} if self._exposes() else found
+
+    def _exposes(self) -> bool:
+        return self.config.exposure_lr > 0
+
+    def _generator(self, *stream: int) -> torch.Generator:
+        """Random numbers of this iteration, others for every `stream`."""
+        words = [self.config.seed, self.iteration, *stream]
+        seed = np.random.SeedSequence(words).generate_state(1)[0]
+        return torch.Generator().manual_seed(int(seed))
 
     def _densifies(self) -> bool:
         return self.iteration < self.config.densify_until * self.config.iterations
@@ -104,14 +133,34 @@ class Trainer:
         }
         return {track_id: pose for track_id, pose in found.items() if pose is not None}
 
+    def _draw(self, timestamp_us: int) -> Drawn:
+        poses = self.poses(timestamp_us)
+        shares = {
+            track_id: share_of(self._tracks[track_id].trajectory, timestamp_us)
+            for track_id in poses
+        }
+        return self.model.draw(poses, shares, self._flipped())
+
+    def _flipped(self) -> Tensor | None:
+        """Rows of actors that this step sees mirrored, drawn anew for every step."""
+        probability = self.config.flip_probability
+        if probability == 0:
+            return None
+        owner = self.model.owner
+        drawn = torch.rand(len(owner), generator=self._generator(FLIPS)) < probability
+        return (drawn & self._symmetric[owner]).to(self.device)
+
     def _fit(self, view: View, level: Level, u: float) -> StepReport:
         config, camera = self.config, level.camera
         level = level.to(self.device)
-        drawn = self.model.draw(self.poses(view.timestamp_us))
+        drawn = self._draw(view.timestamp_us)
         pose = self.camera_poses.camera_from_world(view)
         result = rasterize(drawn.gaussians, pose, level.K, camera.width, camera.height)
         # The sky is smooth and far: the logged pose does for it.
         image = self.sky.behind(result.rgb, result.alpha, camera, view.camera_from_world)
+        change = None
+        if self._exposes():
+            image, change = self.exposures.applied(image, view)
         if level.usable is not None:
             image = image * level.usable
         target = level.target
@@ -121,6 +170,8 @@ class Trainer:
             loss = loss + config.depth_weight * depth
         if config.sky_weight > 0:
             loss = loss + config.sky_weight * sky_loss(result.alpha, level.sky)
+        if change is not None:
+            loss = loss + config.exposure_weight * change
         loss.backward()
         self.model.take_gradients(drawn)
         if self._densifies():
@@ -135,6 +186,7 @@ class Trainer:
         self.sky.table.step(sky_rate(config, u))
         with torch.no_grad():
             self.sky.table.value.clamp_(0, 1)
+        self.exposures.table.step(exposure_rate(config, u))
         factor = pose_factor(u)
         self.track_poses.table.step(factor * config.actor_pose_lr)
         metres = factor * config.camera_pose_lr
@@ -142,21 +194,36 @@ class Trainer:
         self.camera_poses.table.step(torch.tensor([metres] * 3 + [radians] * 3))
 
     def scene(self, log: DrivingLog) -> StreetScene:
-        """The scene as it stands, copied to the CPU."""
-        actors = self.model.actors()
+        """The scene as it stands, copied to the CPU; colours are those of the mean exposure."""
+        affine = self.exposures.mean().cpu() if self._exposes() else None
+        background = copy(self.model.background).to("cpu")
+        sky = self.sky.sky_map()
+        if affine is not None:
+            background = exposed(background, affine)
+            sky = SkyMap(exposed_colours(sky.colours, affine).clamp(0, 1))
         return StreetScene(
-            background=copy(self.model.background).to("cpu"),
-            actors={
-                track_id: SceneActor(
-                    track_id=track_id,
-                    gaussians=gaussians.to("cpu"),
-                    size=self._tracks[track_id].size,
-                    trajectory=self.track_poses.refined(track_id),
-                )
-                for track_id, gaussians in actors.items()
-            },
-            sky=self.sky.sky_map(),
+            background=background,
+            actors={track_id: self._actor(track_id, affine) for track_id in self.model.track_ids},
+            sky=sky,
             world_offset=log.world_offset,
             camera_corrections=self.camera_poses.corrections(self._views),
             log_name=log.name,
+        )
+
+    def _actor(self, track_id: str, affine: Tensor | None) -> SceneActor:
+        gaussians, waves = self.model.actor(track_id)
+        gaussians, waves = gaussians.to("cpu"), waves.cpu()
+        appearance = None
+        if waves.shape[1]:
+            gaussians = coloured(gaussians, waves, self.config.appearance_share)
+        if affine is not None:
+            gaussians, waves = exposed(gaussians, affine), waves @ affine[:, :3].T
+        if waves.shape[1]:
+            appearance = Appearance(waves, self.config.appearance_share)
+        return SceneActor(
+            track_id=track_id,
+            gaussians=gaussians,
+            size=self._tracks[track_id].size,
+            trajectory=self.track_poses.refined(track_id),
+            appearance=appearance,
         )

@@ -16,6 +16,7 @@ from torch import Tensor
 from recast.logs import DrivingLog
 from recast.logs.importers.processed_folder import read_pose
 from recast.scene.cubemap import sky_from_cubemap
+from recast.scene.exposure import exposed, exposed_colours
 from recast.scene.importers.actors import (
     TURNING,
     check_names,
@@ -32,7 +33,7 @@ from recast.scene.importers.drivestudio_nodes import (
     read_constant,
     read_instances,
 )
-from recast.scene.importers.exposure import exposed, exposed_colours, mean_affine
+from recast.scene.importers.exposure import mean_affine
 from recast.scene.importers.matching import SUSPICIOUS_M, choose_tracks
 from recast.scene.importers.parts import read_gaussians, unused_members
 from recast.scene.importers.placing import (

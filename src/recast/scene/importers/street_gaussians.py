@@ -6,7 +6,6 @@ Source: Yan et al., "Street Gaussians: Modeling Dynamic Urban Scenes with Gaussi
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,6 +15,7 @@ from torch import Tensor
 
 from recast.geometry import se3
 from recast.logs import DrivingLog
+from recast.scene.appearance import fourier_basis
 from recast.scene.cubemap import sky_from_cubemap
 from recast.scene.importers.actors import (
     TURNING,
@@ -129,15 +129,9 @@ def import_street_gaussians(
 
 
 def frozen_constant(constant: Tensor, share: float) -> Tensor:
-    """Constant harmonics (N, 3) at a share of an actor's time, of (N, F, 3) Fourier coefficients.
-
-    The basis is cos(pi t k) for even k and sin(pi t (k + 1)) for odd k.
-    """
-    basis = [
-        math.cos(math.pi * share * k) if k % 2 == 0 else math.sin(math.pi * share * (k + 1))
-        for k in range(constant.shape[1])
-    ]
-    return torch.einsum("k,nkc->nc", torch.tensor(basis, dtype=constant.dtype), constant)
+    """Constant harmonics (N, 3) at a share of the time, of Fourier coefficients (N, F, 3)."""
+    basis = fourier_basis(share, constant.shape[1]).to(constant)
+    return torch.einsum("k,nkc->nc", basis, constant)
 
 
 def _gaussians(table: Table, share: float) -> Gaussians:

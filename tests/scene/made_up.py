@@ -1,0 +1,26 @@
+"""Gaussians in front of a camera at the origin."""
+
+from __future__ import annotations
+
+import torch
+
+from recast.splats import Gaussians
+
+K = torch.tensor([[40.0, 0.0, 24.0], [0.0, 40.0, 16.0], [0.0, 0.0, 1.0]])
+"""Of an image of 48 x 32."""
+
+
+def part(n: int, seed: int) -> Gaussians:
+    """`n` Gaussians around (0, 0, 4) with view-dependent colour."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def random(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, generator=generator)
+
+    return Gaussians(
+        means=random(n, 3) * 0.5 + torch.tensor([0.0, 0.0, 4.0]),
+        quats=random(n, 4),
+        log_scales=random(n, 3) * 0.3 - 2,
+        logit_opacities=random(n),
+        sh=random(n, 4, 3) * 0.3,
+    )
