@@ -25,10 +25,18 @@ def test_scores_pictures_and_repeatability(
     assert record["psnr"] == result.psnr and record["ssim"] == result.ssim
     assert 0.5 < result.ssim < 1.0
     assert set(result.box_psnr_by_track()) == {"0"}
+    assert record["version"] == 2 and record["shifts"] == [] and record["lpips"] is None
+    for frame, written in zip(result.frames, record["frames"], strict=True):
+        assert written["psnr"] == frame.whole.psnr and written["ssim"] == frame.whole.ssim
+        assert written["boxes"] == frame.boxes
+    assert result.moving is not None and record["moving"]["psnr"] == result.moving.psnr
+    assert result.depth is not None and record["depth"]["points"] == result.depth.points > 300
+    assert result.depth.median_abs_m < 0.5 and result.depth.missing < 0.2
+    assert 80 < result.depth.lag_ms < 120  # odd frames have no sweep of their own
 
     picture = np.asarray(Image.open(tmp_path / "a" / "image_02_000003.png")) / 255.0
     recorded, rendered, _ = np.split(picture, 3)
-    assert psnr(rendered, recorded) == pytest.approx(result.frames[0].psnr, abs=0.05)
+    assert psnr(rendered, recorded) == pytest.approx(result.frames[0].whole.psnr, abs=0.05)
 
     evaluate_scene(load_scene(trained.folder), tiny_log, TINY, tmp_path / "b")
     for path in (tmp_path / "a").iterdir():
@@ -46,6 +54,18 @@ def test_box_score_looks_at_the_actor_only(trained: TrainResult, tiny_log: Drivi
     )
     assert whole.box_psnr is not None and broken.box_psnr is not None
     assert whole.box_psnr - broken.box_psnr > 2 * max(0.1, whole.psnr - broken.psnr)
+
+
+def test_a_distance_by_networks_is_asked_for_every_image(
+    trained: TrainResult, tiny_log: DrivingLog
+) -> None:
+    def distance(image: np.ndarray, reference: np.ndarray) -> float:
+        return float(np.abs(image - reference).mean())
+
+    result = evaluate_scene(trained.scene, tiny_log, TINY, lpips=distance)
+    assert result.lpips is not None and 0 < result.lpips < 0.3
+    assert result.moving is not None and result.moving.lpips is not None
+    assert all(frame.whole.lpips is not None for frame in result.frames)
 
 
 def test_nothing_held_out(trained: TrainResult, tiny_log: DrivingLog) -> None:

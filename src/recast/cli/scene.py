@@ -52,7 +52,11 @@ class Train:
 
 @dataclass(frozen=True)
 class Eval:
-    """Held-out PSNR and SSIM, whole image and inside the actors' boxes, with pictures."""
+    """How well a scene redraws the images that were kept from its training, with pictures.
+
+    PSNR, SSIM and, with its weights, LPIPS of whole images and inside the boxes of what moves, and
+    depth against the LiDAR.
+    """
 
     scene: tyro.conf.Positional[Path]
     """Scene folder."""
@@ -60,13 +64,27 @@ class Eval:
     """Log folder the scene was made from."""
     out: Path | None = None
     """Folder to write to; SCENE/eval where none is named."""
+    shifts: bool = False
+    """Also look from 1, 2 and 3 m to either side and turned by 5 and 10 degrees: scored where the
+    log is synthetic, so that the truth is known, and pictures alone where it is not."""
+    lpips_weights: Annotated[Path | None, tyro.conf.arg(aliases=("--lpips",))] = None
+    """AlexNet or VGG-16 weights as torchvision saves them, for LPIPS."""
+    workers: int = 0
+    """Processes that render the truth of shifted views; 0 for one for each core."""
 
     def __call__(self) -> None:
         """Run the command."""
         from recast.logs import read_log
         from recast.pipeline.scene import evaluate_and_print
 
-        evaluate_and_print(self.scene, read_log(self.log), self.out or self.scene / "eval")
+        evaluate_and_print(
+            self.scene,
+            read_log(self.log),
+            self.out or self.scene / "eval",
+            shifts=self.shifts,
+            lpips=self.lpips_weights,
+            workers=self.workers,
+        )
 
 
 @dataclass(frozen=True)

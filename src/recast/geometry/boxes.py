@@ -108,16 +108,13 @@ def bev_overlap_area(
     )
 
 
-def project(
+def silhouette(
     size: ArrayLike, camera_from_box: ArrayLike, camera: PinholeCamera, near: float = 0.1
-) -> Array | None:
-    """Image rectangle (left, top, right, bottom) in pixels around a projected box, not clipped.
+) -> Array:
+    """Pixels (N, 2) whose convex hull is the image of a box; none where it is all behind `near`.
 
     Edges that cross the near plane are cut there, so a box beside the camera keeps a finite,
     correct outline.
-
-    Returns:
-        (4,) or None where the whole box lies behind the near plane.
     """
     points = corners(size, camera_from_box)
     visible = [p for p in points if p[2] >= near]
@@ -127,6 +124,20 @@ def project(
             t = (near - a[2]) / (b[2] - a[2])
             visible.append(a + t * (b - a))
     if not visible:
-        return None
+        return np.zeros((0, 2))
     pixels, _ = camera.rectified().project(np.array(visible))
+    return pixels
+
+
+def project(
+    size: ArrayLike, camera_from_box: ArrayLike, camera: PinholeCamera, near: float = 0.1
+) -> Array | None:
+    """Image rectangle (left, top, right, bottom) in pixels around a projected box, not clipped.
+
+    Returns:
+        (4,) or None where the whole box lies behind the near plane; see `silhouette`.
+    """
+    pixels = silhouette(size, camera_from_box, camera, near)
+    if len(pixels) == 0:
+        return None
     return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])

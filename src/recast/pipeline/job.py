@@ -36,7 +36,8 @@ from recast.pipeline.planner import planner_source
 from recast.pipeline.report import report_run
 from recast.pipeline.rollouts import make_rollout
 from recast.pipeline.run_folder import RunFolder
-from recast.pipeline.scene import evaluation_table, train_with_display
+from recast.pipeline.scene import train_with_display
+from recast.pipeline.scene_tables import evaluation_table
 from recast.pipeline.scores import write_metrics
 from recast.pipeline.truth import compare_with_truth
 from recast.planning import Planner

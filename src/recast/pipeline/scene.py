@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table
 
+from recast.evaluation.perceptual import load_distances
 from recast.logs import DrivingLog
+from recast.pipeline.display import FrameProgress
+from recast.pipeline.scene_tables import evaluation_table, shift_table
+from recast.pipeline.scene_truth import ShiftedTruth, has_truth
 from recast.scene import (
+    SHIFTS,
     SceneConfig,
     SceneEvaluation,
     TrainingDisplay,
@@ -20,6 +24,7 @@ from recast.scene import (
     train_scene,
 )
 from recast.scene.importers import IMPORT_FILE
+from recast.synthetic import world_of
 
 
 def train_with_display(
@@ -31,29 +36,52 @@ def train_with_display(
 
 
 def evaluate_and_print(
-    scene: str | Path, log: DrivingLog, out: str | Path, console: Console | None = None
+    scene: str | Path,
+    log: DrivingLog,
+    out: str | Path,
+    console: Console | None = None,
+    *,
+    shifts: bool = False,
+    lpips: Path | None = None,
+    workers: int = 0,
 ) -> SceneEvaluation:
-    """Score a scene's held-out images, write eval.json and pictures, print a table.
+    """Score a scene's held-out images, write eval.json and pictures, print tables.
 
     A scene that another program trained is scored on the images that ours would keep by default.
+
+    Args:
+        shifts: also views from beside the drive, `recast.scene.SHIFTS`: against the truth where the
+            log is synthetic, else as pictures alone.
+        lpips: weights of the backbone, see `recast.evaluation.perceptual_lpips.load_lpips`.
+        workers: processes that render the truth; 0 for one for each core.
+
+    Raises:
+        InputError: scene or weights are at fault, no image was held out, or another version of
+            recast made the synthetic log.
     """
+    console = console or Console()
+    distances = load_distances(lpips=lpips)
     imported = (Path(scene) / IMPORT_FILE).is_file()
     config = SceneConfig() if imported else read_training_config(scene)
-    evaluation = evaluate_scene(load_scene(scene), log, config, out)
-    (console or Console()).print(evaluation_table(evaluation), f"pictures: {out}", sep="\n")
+    loaded = load_scene(scene)
+    with ExitStack() as stack:
+        truth = None
+        if shifts and has_truth(log):
+            truth = stack.enter_context(ShiftedTruth(world_of(log), workers))
+        progress = stack.enter_context(FrameProgress(console, 1, "views"))
+        evaluation = evaluate_scene(
+            loaded, log, config, out,
+            lpips=distances[0] if distances else None,
+            shifts=SHIFTS if shifts else (),
+            truth=truth,
+            progress=progress.reach,
+        )  # fmt: skip
+    console.print(evaluation_table(evaluation))
+    if evaluation.shift_truth:
+        console.print(shift_table(evaluation))
+    elif evaluation.shifts:
+        console.print(
+            "shifted views: nobody knows what they truly show, so they are pictures without figures"
+        )
+    console.print(f"pictures: {out}", markup=False)
     return evaluation
-
-
-def evaluation_table(evaluation: SceneEvaluation) -> Table:
-    """Held-out scores as a table for the console."""
-    table = Table(title="held-out images", title_justify="left", box=SIMPLE_HEAD)
-    for heading in ("region", "images", "PSNR dB", "SSIM"):
-        table.add_column(heading)
-    frames = str(len(evaluation.frames))
-    table.add_row("whole image", frames, f"{evaluation.psnr:.2f}", f"{evaluation.ssim:.3f}")
-    for track, value in evaluation.box_psnr_by_track().items():
-        seen = sum(track in frame.boxes for frame in evaluation.frames)
-        table.add_row(f"box of track {track}", str(seen), f"{value:.2f}", "")
-    if evaluation.box_psnr is not None:
-        table.add_row("all boxes", frames, f"{evaluation.box_psnr:.2f}", "")
-    return table

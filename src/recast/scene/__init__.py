@@ -1,7 +1,10 @@
 """Reconstruction: from a driving log to background, actors and sky as 3D Gaussians."""
 
 from recast.scene.config import SceneConfig, read_config, write_config
-from recast.scene.evaluate import FrameScore, SceneEvaluation, evaluate_scene
+from recast.scene.evaluate import evaluate_scene
+from recast.scene.evaluate_record import FrameScore, SceneEvaluation
+from recast.scene.evaluate_regions import RegionScore
+from recast.scene.evaluate_shifts import SHIFTS, ShiftedView, ShiftScores, ViewShift
 from recast.scene.export import export_scene, export_scene_at
 from recast.scene.image_metrics import psnr, ssim
 from recast.scene.progress import ProgressCallback, TrainingDisplay, TrainingStatus
@@ -13,18 +16,23 @@ from recast.scene.street_scene import SceneActor, StreetScene
 from recast.scene.train import TrainResult, train_scene
 
 __all__ = [
+    "SHIFTS",
     "FrameScore",
     "ProgressCallback",
+    "RegionScore",
     "SceneActor",
     "SceneConfig",
     "SceneEvaluation",
     "SceneImage",
     "SceneRasterizer",
+    "ShiftScores",
+    "ShiftedView",
     "SkyMap",
     "StreetScene",
     "TrainResult",
     "TrainingDisplay",
     "TrainingStatus",
+    "ViewShift",
     "evaluate_scene",
     "export_scene",
     "export_scene_at",

@@ -1,180 +1,130 @@
-"""How well a scene redraws images it was not trained on."""
+"""How well a scene redraws images it was not trained on, and views that the log does not have."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from PIL import Image
 
 from recast.errors import InputError
 from recast.logs import DrivingLog
 from recast.scene.config import SceneConfig
-from recast.scene.dynamic import box_rectangle
-from recast.scene.image_metrics import psnr, ssim
+from recast.scene.evaluate_record import SceneEvaluation
+from recast.scene.evaluate_regions import Distance, moving_tracks
+from recast.scene.evaluate_shifts import ShiftScores, Truth, ViewShift, shifted_views
+from recast.scene.evaluate_views import ViewJudge, draw_view, write_comparison
+from recast.scene.image_metrics import psnr
 from recast.scene.render import SceneRasterizer
 from recast.scene.street_scene import StreetScene
 from recast.scene.views import View, camera_names, is_held_out, read_view
-from recast.storage import atomic_file, write_json
+from recast.storage import write_json
 
-EVALUATION_VERSION = 1
-MIN_BOX_PX = 8
-"""Boxes with a shorter edge than this in the image are not scored: too few pixels."""
+EVALUATION_FILE = "eval.json"
+PICTURED_MOMENTS = 3
+"""Held-out moments, spread over the drive, at which shifted views are written as pictures."""
 
-
-@dataclass(frozen=True)
-class FrameScore:
-    """Scores of one held-out image.
-
-    Attributes:
-        camera, frame, timestamp_us: which image.
-        psnr, ssim: of the whole image.
-        boxes: PSNR in dB inside the rectangle around each visible actor's projected box.
-    """
-
-    camera: str
-    frame: int
-    timestamp_us: int
-    psnr: float
-    ssim: float
-    boxes: Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class SceneEvaluation:
-    """Scores of all held-out images; means are over images, and over (image, actor) for boxes."""
-
-    frames: tuple[FrameScore, ...]
-
-    @property
-    def psnr(self) -> float:
-        """Mean PSNR in dB."""
-        return float(np.mean([frame.psnr for frame in self.frames]))
-
-    @property
-    def ssim(self) -> float:
-        """Mean SSIM."""
-        return float(np.mean([frame.ssim for frame in self.frames]))
-
-    @property
-    def box_psnr(self) -> float | None:
-        """Mean PSNR in dB inside the actors' boxes; None where no actor is seen."""
-        values = [value for frame in self.frames for value in frame.boxes.values()]
-        return float(np.mean(values)) if values else None
-
-    def box_psnr_by_track(self) -> dict[str, float]:
-        """Mean PSNR in dB inside each actor's box."""
-        tracks = sorted({track for frame in self.frames for track in frame.boxes})
-        return {
-            track: float(np.mean([f.boxes[track] for f in self.frames if track in f.boxes]))
-            for track in tracks
-        }
+Progress = Callable[[int, int], None]
+"""Called with how many views are scored, and how many there will be."""
 
 
 def evaluate_scene(
-    scene: StreetScene, log: DrivingLog, config: SceneConfig, out: str | Path | None = None
+    scene: StreetScene,
+    log: DrivingLog,
+    config: SceneConfig,
+    out: str | Path | None = None,
+    *,
+    lpips: Distance | None = None,
+    shifts: Sequence[ViewShift] = (),
+    truth: Truth | None = None,
+    progress: Progress | None = None,
 ) -> SceneEvaluation:
-    """Score the held-out images of a log; optionally write eval.json and pictures.
+    """Score the held-out images of a log, and views from beside its drive.
 
     Args:
         config: the configuration of the training, for cameras, scale and split.
-        out: folder for eval.json (no timings: equal runs give equal bytes) and, for each image, a
-            PNG with recording, rendering and three times their difference.
+        out: folder for eval.json (no timings: equal runs give equal bytes) and, for each held-out
+            image and some shifted ones, a PNG with truth, rendering and three times their
+            difference.
+        lpips: a distance by networks, scored too.
+        shifts: of the ego at the held-out moments.
+        truth: what shifted cameras truly see. Without it no shifted view is scored: `out` gets
+            pictures of what the scene makes of them.
 
     Raises:
         InputError: the configuration keeps no image from training.
     """
-    names = camera_names(log, config)
-    chosen = [
-        (name, frame)
-        for name in names
-        for frame in range(len(log.cameras[name].timestamps_us))
-        if is_held_out(frame, config)
-    ]
+    chosen = held_out_frames(log, config)
     if not chosen:
         raise InputError(
             "configuration", "holdout_every", "keeps no image", "set it to 8 and train again"
         )
-    rasterizer = SceneRasterizer(scene)
+    folder = None if out is None else Path(out)
+    pictured = _pictured(log, chosen)
+    planned = [shifted_views(log, chosen, config.scale, shift) for shift in shifts]
+    if truth is None:
+        planned = [[v for v in views if v.timestamp_us in pictured] for views in planned]
+    total, done = len(chosen) + sum(len(views) for views in planned), 0
+
+    def tell() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, total)
+
+    judge = ViewJudge(scene, moving_tracks(log), lpips)
     scores = []
     for name, frame in chosen:
         view = read_view(log, log.cameras[name], frame, config.scale, held_out=True)
-        rendered = draw_view(rasterizer, scene, view)
-        scores.append(score_view(scene, view, rendered))
-        if out is not None:
-            _write_picture(Path(out) / f"{name}_{frame:06d}.png", view, rendered)
-    evaluation = SceneEvaluation(tuple(scores))
-    if out is not None:
-        write_json(Path(out) / "eval.json", _record(evaluation))
+        rendered = draw_view(judge.rasterizer, scene, view)
+        scores.append(judge.held_out(log, view, rendered))
+        if folder is not None:
+            write_comparison(folder / f"{name}_{frame:06d}.png", view, rendered.rgb)
+        tell()
+    found = []
+    for shift, views in zip(shifts, planned, strict=True):
+        seen = iter(()) if truth is None else truth(views)
+        frames, pictures = [], []
+        for shifted in views:
+            shown = folder is not None and shifted.timestamp_us in pictured
+            score = judge.shifted(shifted, next(seen, None), folder if shown else None)
+            frames += [score] if score is not None else []
+            pictures += [shifted.picture] if shown else []
+            tell()
+        found.append(ShiftScores(shift, tuple(frames), tuple(pictures)))
+    evaluation = SceneEvaluation(tuple(scores), tuple(found), bool(found) and truth is not None)
+    if folder is not None:
+        write_json(folder / EVALUATION_FILE, evaluation.to_json())
     return evaluation
 
 
+def held_out_frames(log: DrivingLog, config: SceneConfig) -> list[tuple[str, int]]:
+    """Camera and frame of every image that is kept from training."""
+    return [
+        (name, frame)
+        for name in camera_names(log, config)
+        for frame in range(len(log.cameras[name].timestamps_us))
+        if is_held_out(frame, config)
+    ]
+
+
 def held_out_psnr(scene: StreetScene, views: Sequence[View]) -> float:
-    """Mean PSNR in dB over views."""
+    """Mean PSNR in dB over the usable pixels of views."""
     rasterizer = SceneRasterizer(scene)
-    return float(np.mean([psnr(draw_view(rasterizer, scene, v), v.image / 255.0) for v in views]))
+    found = []
+    for view in views:
+        drawn, wanted = draw_view(rasterizer, scene, view).rgb, view.image / 255.0
+        usable = slice(None) if view.mask is None else view.mask
+        found.append(psnr(drawn[usable], wanted[usable]))
+    return float(np.mean(found))
 
 
-def draw_view(rasterizer: SceneRasterizer, scene: StreetScene, view: View) -> NDArray[np.float32]:
-    """A log view redrawn: camera corrected, actors where they were; unusable pixels as recorded."""
-    pose = scene.corrected_camera(view.camera_from_world, view.camera_name, view.timestamp_us)
-    rgb = rasterizer.render(view.camera, pose, scene.actor_poses(view.timestamp_us)).rgb
-    if view.mask is not None:
-        rgb = np.where(view.mask[..., None], rgb, view.image.astype(np.float32) / 255)
-    return rgb
-
-
-def score_view(scene: StreetScene, view: View, rendered: NDArray[np.float32]) -> FrameScore:
-    """PSNR and SSIM of a redrawn view, and PSNR inside the actors' rectangles."""
-    recorded = view.image.astype(np.float64) / 255
-    boxes = {}
-    for track_id, pose in scene.actor_poses(view.timestamp_us).items():
-        rectangle = box_rectangle(scene.actors[track_id].size, pose, view)
-        if rectangle is None:
-            continue
-        left, top = np.floor(rectangle[:2]).astype(int)
-        right, bottom = np.ceil(rectangle[2:]).astype(int)
-        if min(right - left, bottom - top) >= MIN_BOX_PX:
-            inside = (slice(top, bottom), slice(left, right))
-            boxes[track_id] = psnr(rendered[inside], recorded[inside])
-    return FrameScore(
-        camera=view.camera_name,
-        frame=view.frame,
-        timestamp_us=view.timestamp_us,
-        psnr=psnr(rendered, recorded),
-        ssim=ssim(rendered, recorded),
-        boxes=boxes,
-    )
-
-
-def _record(evaluation: SceneEvaluation) -> dict[str, Any]:
-    return {
-        "version": EVALUATION_VERSION,
-        "psnr": evaluation.psnr,
-        "ssim": evaluation.ssim,
-        "box_psnr": evaluation.box_psnr,
-        "box_psnr_by_track": evaluation.box_psnr_by_track(),
-        "frames": [
-            {
-                "camera": frame.camera,
-                "frame": frame.frame,
-                "timestamp_us": frame.timestamp_us,
-                "psnr": frame.psnr,
-                "ssim": frame.ssim,
-                "boxes": dict(frame.boxes),
-            }
-            for frame in evaluation.frames
-        ],
-    }
-
-
-def _write_picture(path: Path, view: View, rendered: NDArray[np.float32]) -> None:
-    recorded = view.image.astype(np.float32) / 255
-    difference = np.clip(3 * np.abs(rendered - recorded), 0, 1)
-    stack = np.concatenate([recorded, rendered, difference], axis=0)
-    with atomic_file(path) as partial:
-        Image.fromarray((stack * 255 + 0.5).astype(np.uint8)).save(partial, format="PNG")
+def _pictured(log: DrivingLog, chosen: Sequence[tuple[str, int]]) -> set[int]:
+    """Times of `PICTURED_MOMENTS` held-out frames of each camera."""
+    times: set[int] = set()
+    for name in dict.fromkeys(name for name, _ in chosen):
+        frames = [frame for other, frame in chosen if other == name]
+        count = min(PICTURED_MOMENTS, len(frames))
+        picked = [frames[int((i + 0.5) / count * len(frames))] for i in range(count)]
+        times.update(int(log.cameras[name].timestamps_us[frame]) for frame in picked)
+    return times
