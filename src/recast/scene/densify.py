@@ -33,7 +33,7 @@ class GradientStatistics:
     def add(self, meta: RasterMeta, rows: slice, into: slice, width: int, height: int) -> None:
         """Count one view: rows `rows` of its meta belong to rows `into` here."""
         assert meta.means2d_grad is not None
-        scale = meta.means2d_grad.new_tensor([width / 2, height / 2])
+        scale = torch.tensor([width / 2, height / 2]).to(meta.means2d_grad)
         norm = (meta.means2d_grad[rows] * scale).norm(dim=1)
         visible = meta.visible[rows]
         self.total[into] += torch.where(visible, norm, 0.0)

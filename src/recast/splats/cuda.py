@@ -125,7 +125,7 @@ def rasterize_gsplat(
         opacities=gaussians.logit_opacities.float().sigmoid(),
         colors=gaussians.sh.float(),
         viewmats=pose[None],
-        Ks=means.new_tensor(intrinsics)[None],
+        Ks=torch.tensor(intrinsics).to(means)[None],
         width=settings.width,
         height=settings.height,
         near_plane=settings.near,
