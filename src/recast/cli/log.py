@@ -37,11 +37,13 @@ class Import:
         """Run the command."""
         from rich.console import Console
 
+        from recast.logs import watch_writing
         from recast.logs.importers import IMPORTERS, LogImporter
+        from recast.pipeline.display import FrameProgress
 
         importer: LogImporter = IMPORTERS.load(self.importer)
         console = Console()
-        with console.status(f"importing {self.drive}"):
+        with FrameProgress(console, None, "images and sweeps") as bar, watch_writing(bar.reach):
             importer(self.root, self.drive, self.out, self.labels)
         console.print(f"wrote {self.out}; next: recast log info {self.out}", markup=False)
 

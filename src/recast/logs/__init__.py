@@ -3,7 +3,7 @@
 from recast.logs.derive_map import derive_map, map_of
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
 from recast.logs.info import LogInfo, TrackInfo, TrackVisibility, log_info
-from recast.logs.store import read_log, write_log
+from recast.logs.store import read_log, watch_writing, write_log
 from recast.logs.track_points import TrackPoints, all_track_points, track_points
 from recast.logs.types import (
     CameraStream,
@@ -34,5 +34,6 @@ __all__ = [
     "map_of",
     "read_log",
     "track_points",
+    "watch_writing",
     "write_log",
 ]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -57,8 +57,11 @@ REFERENCE = "reference_timestamp_us"
 SEQUENCE_FILE = "ncore.json"
 
 
-def write_ncore(log: DrivingLog, folder: Path) -> None:
+def write_ncore(log: DrivingLog, folder: Path, progress: Callable[[int, int], None]) -> None:
     """Write the NCore V4 stores of `log` into `folder`, and ncore.json that lists them.
+
+    Args:
+        progress: called with the images and sweeps written so far, from 0, and with all there are.
 
     Raises:
         ValueError: the ego trajectory has fewer than two poses, or an intensity is outside [0, 1].
@@ -67,7 +70,7 @@ def write_ncore(log: DrivingLog, folder: Path) -> None:
     if first == last:
         raise ValueError("world_from_rig: at least two poses are needed")
     with _repeatable_compression():
-        stores = _write_stores(log, folder, HalfClosedInterval(first, last + 1))
+        stores = _write_stores(log, folder, HalfClosedInterval(first, last + 1), progress)
     _write_sequence_file(folder, stores)
 
 
@@ -82,7 +85,12 @@ def _repeatable_compression() -> Iterator[None]:
         blosc.use_threads = before
 
 
-def _write_stores(log: DrivingLog, folder: Path, interval: HalfClosedInterval) -> list[str]:
+def _write_stores(
+    log: DrivingLog,
+    folder: Path,
+    interval: HalfClosedInterval,
+    progress: Callable[[int, int], None],
+) -> list[str]:
     writer = SequenceComponentGroupsWriter(
         output_dir_path=UPath(folder),
         store_base_name="log",
@@ -93,12 +101,21 @@ def _write_stores(log: DrivingLog, folder: Path, interval: HalfClosedInterval) -
     _write_poses(writer, log)
     _write_calibration(writer, log)
     _write_tracks(writer, log)
+    total = sum(len(camera.timestamps_us) for camera in log.cameras.values())
+    total += sum(len(lidar.timestamps_us) for lidar in log.lidars.values())
+    progress(0, total)
+    for done, _ in enumerate(_write_frames(writer, log), start=1):
+        progress(done, total)
+    return [store.name for store in writer.finalize()]
+
+
+def _write_frames(writer: SequenceComponentGroupsWriter, log: DrivingLog) -> Iterator[None]:
+    """Write images and sweeps, one at each step."""
     for camera in log.cameras.values():
         if len(camera.timestamps_us):  # NCore cannot read a camera without frames
-            _write_images(writer, camera)
+            yield from _write_images(writer, camera)
     for lidar in log.lidars.values():
-        _write_sweeps(writer, lidar, log.world_from_rig)
-    return [store.name for store in writer.finalize()]
+        yield from _write_sweeps(writer, lidar, log.world_from_rig)
 
 
 def _write_poses(writer: SequenceComponentGroupsWriter, log: DrivingLog) -> None:
@@ -169,13 +186,14 @@ def _triple(values: Array) -> tuple[float, float, float]:
     return (float(values[0]), float(values[1]), float(values[2]))
 
 
-def _write_images(writer: SequenceComponentGroupsWriter, stream: CameraStream) -> None:
+def _write_images(writer: SequenceComponentGroupsWriter, stream: CameraStream) -> Iterator[None]:
     frames = writer.register_component_writer(
         CameraSensorComponent.Writer, stream.name, group_name=stream.name
     )
     for index, time in enumerate(stream.timestamps_us):
         data, kind = _encoded(stream, index)
         frames.store_frame(data, kind, np.array([time, time], np.uint64), {}, {})
+        yield
 
 
 def _encoded(stream: CameraStream, index: int) -> tuple[bytes, str]:
@@ -189,7 +207,7 @@ def _encoded(stream: CameraStream, index: int) -> tuple[bytes, str]:
 
 def _write_sweeps(
     writer: SequenceComponentGroupsWriter, lidar: LidarStream, world_from_rig: Trajectory
-) -> None:
+) -> Iterator[None]:
     frames = writer.register_component_writer(
         LidarSensorComponent.Writer, lidar.name, group_name=lidar.name
     )
@@ -213,6 +231,7 @@ def _write_sweeps(
             generic_data={},
             generic_meta_data={REFERENCE: int(sweep.timestamp_us)},
         )
+        yield
 
 
 def _rays(

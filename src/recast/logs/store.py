@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +20,36 @@ from recast.logs.types import CameraStream, DrivingLog, LidarStream
 LOG_FILE = "log.json"
 MAP_FILE = "map.json"
 
+WriteProgress = Callable[[int, int], None]
+"""Called with the images and sweeps written so far, and with all there are."""
+
+
+def _unwatched(done: int, total: int) -> None:
+    pass
+
+
+_watcher: ContextVar[WriteProgress] = ContextVar("_watcher", default=_unwatched)
+
+
+@contextmanager
+def watch_writing(progress: WriteProgress) -> Iterator[None]:
+    """Have `progress` called by the `write_log` calls within the block.
+
+    It is no argument of `write_log`, so that importers, which end with it, need not hand it on.
+    """
+    token = _watcher.set(progress)
+    try:
+        yield
+    finally:
+        _watcher.reset(token)
+
 
 def write_log(log: DrivingLog, path: str | Path) -> None:
     """Write `log` to the new folder `path`; it appears whole or not at all.
 
-    Images that are PNG or JPEG files already keep their bytes, others become PNG. LiDAR points are
-    stored as NCore wants them: rays in the sensor frame, as measured.
+    One image or sweep at a time is in memory. Images that are PNG or JPEG files already keep their
+    bytes, others become PNG. LiDAR points are stored as NCore wants them: rays in the sensor frame,
+    as measured.
 
     Raises:
         ValueError: the log is not valid.
@@ -30,7 +57,7 @@ def write_log(log: DrivingLog, path: str | Path) -> None:
     """
     log.validate()
     with storage.atomic_folder(path) as folder:
-        write_ncore(log, folder)
+        write_ncore(log, folder, _watcher.get())
         if log.map is not None:
             write_map(log.map, folder / MAP_FILE)
         x, y, z = (float(value) for value in log.world_offset)

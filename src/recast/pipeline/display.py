@@ -34,9 +34,15 @@ class _CountingBars(Bars):
 
 
 class FrameProgress(_CountingBars):
-    """A bar over equal pieces of work, with the time left; call it after each."""
+    """A bar over equal pieces of work, with the time left; call it after each.
 
-    def __init__(self, console: Console, total: int, what: str = "steps") -> None:
+    Args:
+        console: where to.
+        total: pieces; None where `reach` will tell.
+        what: the pieces are.
+    """
+
+    def __init__(self, console: Console, total: int | None, what: str = "steps") -> None:
         super().__init__(console)
         self._task = self._bars.add_task(what, total=total)
 

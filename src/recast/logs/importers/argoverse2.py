@@ -53,11 +53,7 @@ def import_argoverse2(root: Path, drive: str, out: Path, labels: Path | None = N
     """
     if Path(out).exists():
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
-    log = load_argoverse2(root, drive, labels)
-    for camera in log.cameras.values():
-        if isinstance(camera.images, ImageFiles):
-            camera.images.check()
-    write_log(log, out)
+    write_log(load_argoverse2(root, drive, labels), out)
 
 
 def load_argoverse2(root: Path, drive: str, labels: Path | None = None) -> DrivingLog:

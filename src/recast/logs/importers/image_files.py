@@ -37,9 +37,15 @@ class ImageFiles:
         return self._decode(self.paths[index].read_bytes(), self.paths[index])
 
     def encoded(self, index: int) -> tuple[bytes, str]:
-        """The file's own bytes."""
+        """The file's own bytes, decoded once to be sure of them.
+
+        Raises:
+            InputError: it is cut off, is no image, or has another size.
+        """
         path = self.paths[index]
-        return path.read_bytes(), "jpeg" if path.suffix in (".jpg", ".jpeg") else "png"
+        data = path.read_bytes()
+        self._decode(data, path)
+        return data, "jpeg" if path.suffix in (".jpg", ".jpeg") else "png"
 
     def check(self) -> None:
         """Decode every file once.

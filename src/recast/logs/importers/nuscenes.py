@@ -43,11 +43,7 @@ def import_nuscenes(root: Path, drive: str, out: Path, labels: Path | None = Non
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
     if labels is not None:
         raise InputError(labels, "labels", "nuScenes tables hold the boxes", "leave the option out")
-    log = load_nuscenes(root, drive)
-    for camera in log.cameras.values():
-        if isinstance(camera.images, ImageFiles):
-            camera.images.check()
-    write_log(log, out)
+    write_log(load_nuscenes(root, drive), out)
 
 
 def load_nuscenes(root: Path, drive: str) -> DrivingLog:
