@@ -14,7 +14,8 @@ from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, read_log
 from recast.logs.importers import IMPORTERS
 from recast.logs.importers.waymo import load_waymo
-from recast.logs.importers.waymo_range_image import LaserCalibration, range_image_points
+from recast.logs.importers.waymo_range_image import beams, range_image_points
+from recast.logs.importers.waymo_segment import LaserCalibration
 from support import tiny_waymo as tiny
 
 
@@ -124,8 +125,8 @@ def test_the_points_of_a_range_image_are_those_of_single_rays() -> None:
 
 
 def test_evenly_spread_beams_and_columns_look_where_the_dataset_says() -> None:
-    beams = LaserCalibration(np.zeros(0), -1.5, 0.5, np.eye(4)).beams(4)
-    np.testing.assert_allclose(beams, [0.25, -0.25, -0.75, -1.25])
+    rows = beams(LaserCalibration(np.zeros(0), -1.5, 0.5, np.eye(4)), 4)
+    np.testing.assert_allclose(rows, [0.25, -0.25, -0.75, -1.25])
     image = np.ones((4, 8, 4), np.float32)
     points, _, columns = range_image_points(
         image, LaserCalibration(np.zeros(0), -1.5, 0.5, np.eye(4)), None

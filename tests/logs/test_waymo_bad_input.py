@@ -95,7 +95,10 @@ def _lanes(*features: bytes) -> Parts:
             Parts(missing={"FRONT"}),
             "record 0, images[0].image: there is no calibration of camera FRONT",
         ),
-        (Parts(missing={"TOP"}), "record 0, context.laser_calibrations: has none of LiDAR TOP"),
+        (
+            Parts(missing={"TOP"}),
+            "record 0, lasers[0].return1.range_image_compressed: there is no calibration of LiDAR",
+        ),
         (_camera(lambda d: d + double(2, 1.0)), f"{CONTEXT}[4].intrinsic: has 10 numbers, not 9"),
         (_camera(lambda d: d + integer(4, 0)), f"{CONTEXT}[4]: PinholeCamera.width, height: 0 x"),
         (
@@ -141,7 +144,7 @@ def _lanes(*features: bytes) -> Parts:
         (_top(1, _matrix(np.ones((5, 40, 4)))), "lasers[0].return1.pose_compressed: is (6, 40)"),
         (
             Parts(frame=_without_rear),
-            "record 1, lasers: the range image of LiDAR REAR is missing",
+            "record 1, LiDAR REAR: its range image is missing",
         ),
         (_lanes(blob(99, "")), "record 0, map_features: hold no lane for cars"),
         (

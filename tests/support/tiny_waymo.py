@@ -203,9 +203,14 @@ def range_images(k: int, name: str) -> tuple[np.ndarray, np.ndarray]:
     return image, poses
 
 
+def second_return(image: np.ndarray) -> np.ndarray:
+    """Of what is far away, brighter."""
+    return np.where(image[..., :1] > 30.0, image + np.array([0, 3, 0, 0]), [-1.0, 0, 0, 0])
+
+
 def laser_bytes(k: int, name: str, parts: Parts) -> bytes:
     image, poses = range_images(k, name)
-    second = np.where(image[..., :1] > 30.0, image + np.array([0, 3, 0, 0]), [-1.0, 0, 0, 0])
+    second = second_return(image)
     first = blob(2, parts.range_image(k, name, matrix(image)))
     if name == "TOP":
         first += blob(4, matrix(poses))
@@ -214,7 +219,10 @@ def laser_bytes(k: int, name: str, parts: Parts) -> bytes:
     return integer(1, number) + blob(2, first) + more
 
 
-def label(k: int, name: str, kind: int | None = None, **changes: float) -> bytes:
+KINDS = {"car": 1, "sign": 3}
+
+
+def box_values(k: int, name: str) -> dict[str, float]:
     """A box as it is drawn: on the points of the turn, seen from the frame's pose."""
     vehicle_from_global = se3.inverse(global_from_vehicle(image_seconds("FRONT", k)))
     size = CAR_SIZE if name == "car" else np.array([0.1, 0.6, 0.6])
@@ -223,14 +231,17 @@ def label(k: int, name: str, kind: int | None = None, **changes: float) -> bytes
     for _ in range(20 if name == "car" else 0):
         azimuth = math.atan2(pose[1, 3], pose[0, 3])
         pose = vehicle_from_global @ global_from_car(scan_seconds(azimuth, k))
-    values = dict(
+    return dict(
         zip(("cx", "cy", "cz", "width", "length", "height"),
             (*pose[:3, 3], size[1], size[0], size[2]), strict=True),
         heading=float(se3.yaw(pose)),
-    ) | changes  # fmt: skip
+    )  # fmt: skip
+
+
+def label(k: int, name: str, kind: int | None = None, **changes: float) -> bytes:
+    values = box_values(k, name) | changes
     box = b"".join(double(i + 1, value) for i, value in enumerate(values.values()))
-    kinds = {"car": 1, "sign": 3}
-    return blob(1, box) + integer(3, kinds[name] if kind is None else kind) + blob(4, name)
+    return blob(1, box) + integer(3, KINDS[name] if kind is None else kind) + blob(4, name)
 
 
 def in_map(points: list[tuple[float, float]]) -> list[bytes]:

@@ -11,28 +11,24 @@ from pathlib import Path
 import numpy as np
 
 from recast.errors import InputError
-from recast.geometry import se3
 from recast.logs.importers.drivestudio_instances import read_tracks
 from recast.logs.importers.drivestudio_lidar import read_lidars
 from recast.logs.importers.image_files import ImageFiles
 from recast.logs.importers.pose_jumps import first_jump
 from recast.logs.importers.processed_folder import (
-    LICENCE,
     CameraFolder,
     find_scene,
     frame_numbers,
     read_cameras,
     read_pose,
 )
+from recast.logs.importers.waymo_schema import LICENCE
+from recast.logs.importers.waymo_values import WAYMO_FROM_OPENCV
 from recast.logs.store import write_log
 from recast.logs.types import CameraStream, DrivingLog, Trajectory
 
 FRAME_US = 100_000
 """The folder has no times; Waymo's frames are ten a second."""
-WAYMO_FROM_CAMERA = se3.from_rotation_translation(
-    np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3)
-)
-"""Waymo's camera frame looks along x, y to the left, z up."""
 _MEND = "process the scene again"
 
 
@@ -109,7 +105,7 @@ def _camera(camera: CameraFolder, frame_times: dict[int, int]) -> CameraStream:
     return CameraStream(
         name=camera.name,
         camera=camera.camera,
-        rig_from_camera=camera.extrinsic @ WAYMO_FROM_CAMERA,
+        rig_from_camera=camera.extrinsic @ WAYMO_FROM_OPENCV,
         timestamps_us=np.array([frame_times[frame] for frame in camera.images], np.int64),
         images=ImageFiles(tuple(camera.images.values()), width, height, "its first image"),
     )

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from recast.errors import InputError
 from recast.geometry import se3
+from recast.logs.importers.waymo_schema import LASER_NAME
 from recast.logs.types import Int64Array, LidarStream, LidarSweep
 
-LASERS = ("TOP", "FRONT", "SIDE_LEFT", "SIDE_RIGHT", "REAR")
+LASERS = tuple(LASER_NAME.names.values())
 """By number in the files, which is Waymo's LaserName less one."""
 FLOATS = 14
 """Origin (3) and point (3) in the vehicle frame, flow (3), flow class, ground, intensity,

@@ -17,11 +17,11 @@ from PIL import Image as PillowImage
 
 from recast.errors import InputError
 from recast.geometry import PinholeCamera, se3
+from recast.logs.importers.waymo_schema import CAMERA_NAME
 from recast.logs.types import Array
 
-CAMERAS = ("FRONT", "FRONT_LEFT", "FRONT_RIGHT", "SIDE_LEFT", "SIDE_RIGHT")
-"""Waymo's cameras by their number in file names."""
-LICENCE = "Waymo Dataset License Agreement for Non-Commercial Use"
+CAMERAS = tuple(CAMERA_NAME.names.values())
+"""Waymo's cameras by their number in file names, which is Waymo's CameraName less one."""
 FARTHEST = 500.0
 """Metres from the ego: no LiDAR sees farther, so such a box is of another place or frame."""
 

@@ -12,10 +12,11 @@ import numpy as np
 
 from recast.errors import InputError
 from recast.logs.importers.image_files import ImageFiles
-from recast.logs.importers.processed_folder import LICENCE, CameraFolder, find_scene, read_cameras
+from recast.logs.importers.processed_folder import CameraFolder, find_scene, read_cameras
 from recast.logs.importers.street_gaussians_ego import Drive, read_drive
 from recast.logs.importers.street_gaussians_points import read_lidar
 from recast.logs.importers.street_gaussians_tracks import read_tracks
+from recast.logs.importers.waymo_schema import LICENCE
 from recast.logs.store import write_log
 from recast.logs.types import CameraStream, DrivingLog
 

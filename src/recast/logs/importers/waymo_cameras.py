@@ -1,8 +1,4 @@
-"""Waymo cameras: calibration, images and their rolling shutter.
-
-Waymo's camera frame is x forward, y left, z up; its distortion is OpenCV's, on u = -y / x and
-v = -z / x. Pixel coordinates are continuous, 0 at the left edge of the first pixel: as ours.
-"""
+"""Waymo cameras: images and their rolling shutter."""
 
 from __future__ import annotations
 
@@ -15,24 +11,14 @@ import numpy as np
 from PIL import Image as PillowImage
 
 from recast.errors import InputError
-from recast.geometry import PinholeCamera, se3
-from recast.logs.importers.waymo_segment import (
-    ImageEntry,
-    Segment,
-    record_errors,
-    transform,
-)
-from recast.logs.importers.waymo_wire import FieldError, Message
-from recast.logs.types import Array, CameraStream, Image
-
-WAYMO_FROM_OPENCV = se3.from_rotation_translation(
-    np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3)
-)
+from recast.geometry import PinholeCamera
+from recast.logs.importers.waymo_segment import ImageEntry, Segment
+from recast.logs.types import CameraStream, Image
 
 
 @dataclass(frozen=True)
 class WaymoImages:
-    """The images of one camera in a segment's file; an `EncodedImageSource`.
+    """The images of one camera of a segment; an `EncodedImageSource`.
 
     Attributes:
         entries: in the order of time.
@@ -48,22 +34,28 @@ class WaymoImages:
 
     def __getitem__(self, index: int) -> Image:
         """Decode frame `index` to (height, width, 3) uint8 RGB."""
-        data = self.entries[index].jpeg.read()
+        return self._decode(index, self.entries[index].jpeg.read())
+
+    def encoded(self, index: int) -> tuple[bytes, str]:
+        """The JPEG file as it is in the dataset, decoded once where no checksum vouches for it.
+
+        Raises:
+            InputError: it is no JPEG, or of another size than the calibration says.
+        """
+        jpeg = self.entries[index].jpeg
+        data = jpeg.read()
+        if jpeg.sealed:
+            self._open(index, data).close()
+        else:
+            self._decode(index, data)
+        return data, "jpeg"
+
+    def _decode(self, index: int, data: bytes) -> Image:
         with self._open(index, data) as image:
             try:
                 return np.array(image.convert("RGB"))
             except (OSError, SyntaxError, ValueError) as error:
                 raise self._undecodable(index, error) from None
-
-    def encoded(self, index: int) -> tuple[bytes, str]:
-        """The JPEG file as it is in the record, whose checksum has been compared.
-
-        Raises:
-            InputError: it is no JPEG, or of another size than the calibration says.
-        """
-        data = self.entries[index].jpeg.read()
-        self._open(index, data).close()
-        return data, "jpeg"
 
     def _open(self, index: int, data: bytes) -> PillowImage.Image:
         try:
@@ -85,21 +77,14 @@ def read_cameras(segment: Segment) -> dict[str, CameraStream]:
     """The cameras of a segment by name; those without images keep their calibration.
 
     Raises:
-        InputError: a calibration is wrong or missing, or images of a camera are out of order.
+        InputError: a calibration is missing, or images of a camera are out of order.
     """
-    with record_errors(segment.path, segment.frames[0].record):
-        calibrations = {
-            message["name"]: message for message in segment.context["camera_calibrations"]
-        }
-        known = {name: _calibration(message) for name, message in calibrations.items()}
-    streams = {}
     for frame in segment.frames:
         for name, image in frame.images.items():
-            if name not in known:
-                raise image.jpeg.error(
-                    f"there is no calibration of camera {name} in the first frame's context"
-                )
-    for name, (camera, rig_from_camera) in known.items():
+            if name not in segment.cameras:
+                raise image.jpeg.error(f"there is no calibration of camera {name}")
+    streams = {}
+    for name, known in sorted(segment.cameras.items()):
         entries = tuple(frame.images[name] for frame in segment.frames if name in frame.images)
         times = np.array([entry.time_us for entry in entries], np.int64)
         late = np.flatnonzero(np.diff(times) <= 0)
@@ -107,8 +92,8 @@ def read_cameras(segment: Segment) -> dict[str, CameraStream]:
             raise entries[late[0] + 1].jpeg.error(
                 "its pose is not later than that of the one before"
             )
-        images = WaymoImages(entries, camera)
-        streams[name] = CameraStream(name, camera, rig_from_camera, times, images)
+        images = WaymoImages(entries, known.camera)
+        streams[name] = CameraStream(name, known.camera, known.rig_from_camera, times, images)
     return streams
 
 
@@ -120,29 +105,12 @@ def shutter_notes(segment: Segment) -> Mapping[str, str]:
     from the image's timestamp.
     """
     notes = {}
-    for message in segment.context["camera_calibrations"]:
-        name = message["name"]
+    for name, known in sorted(segment.cameras.items()):
         entries = [frame.images[name] for frame in segment.frames if name in frame.images]
         if entries:
             notes[name] = {
-                "direction": message.get("rolling_shutter_direction", "unknown"),
+                "direction": known.shutter,
                 "first_us": round(np.median([e.first_us - e.time_us for e in entries])),
                 "last_us": round(np.median([e.last_us - e.time_us for e in entries])),
             }
     return {"rolling_shutter": json.dumps(notes)} if notes else {}
-
-
-def _calibration(message: Message) -> tuple[PinholeCamera, Array]:
-    """Intrinsics, and (4, 4) `rig_from_camera` with OpenCV's axes."""
-    intrinsic = message["intrinsic"]
-    if len(intrinsic) != 9:
-        raise FieldError(message.path("intrinsic"), f"has {len(intrinsic)} numbers, not 9")
-    fu, fv, cu, cv, k1, k2, p1, p2, k3 = intrinsic.tolist()
-    camera = PinholeCamera(
-        message["width"], message["height"], fu, fv, cu, cv, (k1, k2, p1, p2, k3)
-    )
-    try:
-        camera.validate()
-    except ValueError as error:
-        raise FieldError(message.where, str(error)) from None
-    return camera, transform(message, "extrinsic") @ WAYMO_FROM_OPENCV

@@ -1,4 +1,4 @@
-"""Frames of a Waymo segment, read once and one at a time."""
+"""Frames of a Waymo TFRecord segment, read once and one at a time."""
 
 from __future__ import annotations
 
@@ -7,25 +7,29 @@ from pathlib import Path
 
 import numpy as np
 
-from recast.geometry import se3
+from recast.logs.importers.waymo_parts import FilePart, PackedMatrix
 from recast.logs.importers.waymo_schema import FRAME, MAP_FEATURE
 from recast.logs.importers.waymo_segment import (
-    FilePart,
+    CameraCalibration,
     FrameEntry,
     ImageEntry,
     LabelEntry,
+    LaserCalibration,
     LaserEntry,
+    MapFeatures,
+    Place,
     Segment,
-    record_errors,
-    transform,
 )
 from recast.logs.importers.waymo_tfrecord import Record, read_records
+from recast.logs.importers.waymo_values import (
+    camera_calibration,
+    image_entry,
+    label_entry,
+    laser_calibration,
+    rigid,
+)
 from recast.logs.importers.waymo_wire import FieldError, Message, decode
 from recast.logs.types import Array
-
-_EARLIEST_US, _LATEST_US = -50_000, 150_000
-"""Of an image from the start of its frame's turn (in the real frame 22 to 72 ms): within reach of
-the ego trajectory, which goes through the images and is continued by 0.15 s."""
 
 
 def read_segment(path: Path) -> Segment:
@@ -37,25 +41,30 @@ def read_segment(path: Path) -> Segment:
     """
     frames: list[FrameEntry] = []
     context: Message | None = None
-    features: tuple[Message, ...] = ()
-    map_record, map_offset = 0, np.zeros(3)
+    map_features: MapFeatures | None = None
     for record in read_records(path):
-        with record_errors(path, record.number):
+        place = Place(path, f"record {record.number}")
+        with place.errors():
             message = decode(FRAME, record.data)
             _check_same_segment(context, message)
-            entry = _frame(path, record, message)
+            entry = _frame(place, record, message)
             if frames and entry.start_us <= frames[-1].start_us:
                 raise FieldError("timestamp_micros", "is not later than the frame before")
-            if message["map_features"] and not features:
+            if message["map_features"] and map_features is None:
                 features = tuple(
                     decode(MAP_FEATURE, record.data, span, f"map_features[{i}]")
                     for i, span in enumerate(message["map_features"])
                 )
-                map_record, map_offset = record.number, _map_offset(message)
+                map_features = MapFeatures(place, features, _map_offset(message))
         frames.append(entry)
         context = context or message["context"]
     assert context is not None  # read_records refuses a file without records
-    return Segment(path, context, tuple(frames), features, map_record, map_offset)
+    with frames[0].place.errors():
+        cameras = {m["name"]: _camera(m) for m in context["camera_calibrations"]}
+        lasers = {m["name"]: _laser_calibration(m) for m in context["laser_calibrations"]}
+        stats = context.get("stats", Message(""))
+        notes = {key: str(value) for key, value in stats.values.items()}
+        return Segment(context["name"], cameras, lasers, tuple(frames), notes, map_features)
 
 
 def _check_same_segment(context: Message | None, message: Message) -> None:
@@ -65,32 +74,54 @@ def _check_same_segment(context: Message | None, message: Message) -> None:
         raise FieldError("context.name", problem)
 
 
-def _frame(path: Path, record: Record, message: Message) -> FrameEntry:
+def transform(message: Message, name: str) -> Array:
+    """The (4, 4) pose in the field `name`.
+
+    Raises:
+        FieldError: missing, not 16 numbers, or no rotation and translation.
+    """
+    return rigid(message[name]["transform"], f"{message.path(name)}.transform")
+
+
+def _camera(message: Message) -> CameraCalibration:
+    intrinsic = message["intrinsic"]
+    if len(intrinsic) != 9:
+        raise FieldError(message.path("intrinsic"), f"has {len(intrinsic)} numbers, not 9")
+    return camera_calibration(
+        message.where,
+        (message["width"], message["height"]),
+        intrinsic.tolist(),
+        transform(message, "extrinsic"),
+        message.get("rolling_shutter_direction", "unknown"),
+    )
+
+
+def _laser_calibration(message: Message) -> LaserCalibration:
+    values = message["beam_inclinations"].astype(np.float64)
+    ends = () if len(values) else ("beam_inclination_min", "beam_inclination_max")
+    return laser_calibration(
+        (message.path("beam_inclinations"), values),
+        {message.path(end): message[end] for end in ends},
+        transform(message, "extrinsic"),
+    )
+
+
+def _frame(place: Place, record: Record, message: Message) -> FrameEntry:
     def part(field: str, span: slice) -> FilePart:
-        size = span.stop - span.start
-        return FilePart(path, record.number, field, record.offset + span.start, size)
+        return FilePart(place.inside(field), record.offset + span.start, span.stop - span.start)
 
     images: dict[str, ImageEntry] = {}
     lasers: dict[str, LaserEntry] = {}
     start_us = message["timestamp_micros"]
     for image in message["images"]:
-        entry = _image(image, _part_of(image, "image", part))
+        entry = _image(image, _part_of(image, "image", part), start_us)
         images[_new_name(image, images)] = entry
-        if not _EARLIEST_US <= entry.time_us - start_us <= _LATEST_US:
-            problem = f"is {(entry.time_us - start_us) / 1e6:g} s after the frame's time"
-            raise FieldError(image.path("pose_timestamp"), problem)
     for laser in message["lasers"]:
         returns = _laser(laser, part)
         if returns is not None:
             lasers[_new_name(laser, lasers)] = returns
-    return FrameEntry(
-        record.number,
-        start_us,
-        transform(message, "pose"),
-        images,
-        lasers,
-        tuple(_label(label) for label in message["laser_labels"]),
-    )
+    labels = tuple(_label(place, label) for label in message["laser_labels"])
+    return FrameEntry(place, start_us, transform(message, "pose"), images, lasers, labels)
 
 
 def _new_name(message: Message, known: Mapping[str, object]) -> str:
@@ -100,22 +131,10 @@ def _new_name(message: Message, known: Mapping[str, object]) -> str:
     return name
 
 
-def _image(image: Message, jpeg: FilePart) -> ImageEntry:
-    seconds = {
-        name: image[name]
-        for name in ("pose_timestamp", "shutter", "camera_trigger_time", "camera_readout_done_time")
-    }
-    for name, value in seconds.items():
-        if not np.isfinite(value):
-            raise FieldError(image.path(name), f"is {value}")
-    half = seconds["shutter"] / 2
-    return ImageEntry(
-        jpeg,
-        transform(image, "pose"),
-        round(seconds["pose_timestamp"] * 1e6),
-        round((seconds["camera_trigger_time"] + half) * 1e6),
-        round((seconds["camera_readout_done_time"] - half) * 1e6),
-    )
+def _image(image: Message, jpeg: FilePart, start_us: int) -> ImageEntry:
+    names = ("pose_timestamp", "shutter", "camera_trigger_time", "camera_readout_done_time")
+    seconds = {image.path(name): image[name] for name in names}
+    return image_entry(jpeg, transform(image, "pose"), seconds, start_us)
 
 
 def _laser(laser: Message, part: Callable[[str, slice], FilePart]) -> LaserEntry | None:
@@ -125,9 +144,9 @@ def _laser(laser: Message, part: Callable[[str, slice], FilePart]) -> LaserEntry
         image = laser.get(name)
         if image is None or image.get("range_image_compressed") is None:
             continue
-        parts.append(_part_of(image, "range_image_compressed", part))
+        parts.append(PackedMatrix(_part_of(image, "range_image_compressed", part)))
         if name == "return1" and image.get("pose_compressed") is not None:
-            poses = _part_of(image, "pose_compressed", part)
+            poses = PackedMatrix(_part_of(image, "pose_compressed", part))
     return LaserEntry(tuple(parts), poses) if parts else None
 
 
@@ -135,21 +154,15 @@ def _part_of(message: Message, name: str, part: Callable[[str, slice], FilePart]
     return part(message.path(name), message[name])
 
 
-def _label(label: Message) -> LabelEntry:
+def _label(place: Place, label: Message) -> LabelEntry:
     box = label["box"]
     names = ("center_x", "center_y", "center_z", "length", "width", "height", "heading")
-    values = np.array([box[name] for name in names])
-    for name, value in zip(names, values, strict=True):
-        if not np.isfinite(value) or (name in ("length", "width", "height") and value <= 0):
-            raise FieldError(box.path(name), f"is {value:g}")
-    return LabelEntry(
-        label["id"], label.get("type", "unknown"), placed_box(values[:3], values[6]), values[3:6]
+    return label_entry(
+        place.inside(label.path("id")),
+        label["id"],
+        label.get("type", "unknown"),
+        {box.path(name): box[name] for name in names},
     )
-
-
-def placed_box(centre: Array, heading: float) -> Array:
-    """Pose (4, 4) of a level box."""
-    return se3.from_rotation_translation(se3.rotation_z(heading), centre)
 
 
 def _map_offset(message: Message) -> Array:

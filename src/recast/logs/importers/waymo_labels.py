@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from recast.errors import InputError
 from recast.logs import motion
 from recast.logs.importers.waymo_range_image import TURN_US, scan_times
-from recast.logs.importers.waymo_segment import MEND, LabelEntry, Segment
+from recast.logs.importers.waymo_segment import LabelEntry, Segment
 from recast.logs.types import Array, Track, Trajectory
 
 CATEGORIES = {
@@ -36,10 +35,9 @@ def read_tracks(segment: Segment, world_from_global: Array) -> dict[str, Track]:
     for frame in segment.frames:
         world_from_vehicle = world_from_global @ frame.pose
         seen = set()
-        for i, label in enumerate(frame.labels):
+        for label in frame.labels:
             if label.label_id in seen:
-                field = f"record {frame.record}, laser_labels[{i}].id"
-                raise InputError(segment.path, field, f"{label.label_id} is there twice", MEND)
+                raise label.place.error(f"{label.label_id} is there twice")
             seen.add(label.label_id)
             x, y = label.vehicle_from_box[:2, 3]
             time = int(scan_times(np.arctan2(y, x), frame.start_us))

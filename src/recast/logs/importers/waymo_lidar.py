@@ -11,16 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from recast.geometry import se3
-from recast.logs.importers.waymo_range_image import (
+from recast.logs.importers.waymo_range_image import azimuths, range_image_points, scan_times
+from recast.logs.importers.waymo_segment import (
+    FrameEntry,
     LaserCalibration,
-    azimuths,
-    range_image_points,
-    read_calibration,
-    read_matrix,
-    scan_times,
+    LaserEntry,
+    Segment,
 )
-from recast.logs.importers.waymo_segment import FrameEntry, LaserEntry, Segment, record_errors
-from recast.logs.importers.waymo_wire import FieldError
 from recast.logs.types import (
     Array,
     Float32Array,
@@ -36,7 +33,7 @@ _POSE_CHANNELS = 6  # roll, pitch, yaw, x, y, z
 
 @dataclass(frozen=True)
 class WaymoSweeps:
-    """The sweeps of one LiDAR in a segment's file, both returns, read on demand.
+    """The sweeps of one LiDAR of a segment, both returns, read on demand.
 
     Attributes:
         name: of the LiDAR.
@@ -64,7 +61,7 @@ class WaymoSweeps:
         """
         frame = self.frames[index]
         laser = frame.lasers[self.name]
-        images = [read_matrix(part, _CHANNELS) for part in laser.returns]
+        images = [part.read(_CHANNELS) for part in laser.returns]
         poses = _pixel_poses(laser, images[0].shape[:2])
         points, intensities, columns = [], [], []
         for part, image in zip(laser.returns, images, strict=True):
@@ -104,27 +101,22 @@ def read_lidars(
         trajectory: of the rig, in the world.
 
     Raises:
-        InputError: a calibration is wrong or missing, or a LiDAR has no range image in some frames.
+        InputError: a calibration is missing, or a LiDAR has no range image in some frames.
     """
     names = sorted({name for frame in segment.frames for name in frame.lasers})
-    first = segment.frames[0]
-    with record_errors(segment.path, first.record):
-        calibrations = {
-            message["name"]: read_calibration(message)
-            for message in segment.context["laser_calibrations"]
-        }
+    for frame in segment.frames:
         for name in names:
-            if name not in calibrations:
-                raise FieldError("context.laser_calibrations", f"has none of LiDAR {name}")
+            if name not in frame.lasers:
+                raise frame.place.inside(f"LiDAR {name}").error("its range image is missing")
+            if name not in segment.lasers:
+                raise (
+                    frame.lasers[name].returns[0].error(f"there is no calibration of LiDAR {name}")
+                )
     world_from_vehicle = world_from_global @ np.stack([frame.pose for frame in segment.frames])
     rig_from_vehicle = se3.inverse(trajectory.at(frame_times_us)) @ world_from_vehicle
     streams = {}
     for name in names:
-        for frame in segment.frames:
-            with record_errors(segment.path, frame.record):
-                if name not in frame.lasers:
-                    raise FieldError("lasers", f"the range image of LiDAR {name} is missing")
-        calibration = calibrations[name]
+        calibration = segment.lasers[name]
         sweeps = WaymoSweeps(name, segment.frames, frame_times_us, calibration, rig_from_vehicle)
         streams[name] = LidarStream(name, calibration.rig_from_lidar, frame_times_us, sweeps)
     return streams
@@ -133,7 +125,7 @@ def read_lidars(
 def _pixel_poses(laser: LaserEntry, shape: tuple[int, ...]) -> Float32Array | None:
     if laser.pixel_poses is None:
         return None
-    poses = read_matrix(laser.pixel_poses, _POSE_CHANNELS)
+    poses = laser.pixel_poses.read(_POSE_CHANNELS)
     if poses.shape[:2] != shape:
         raise laser.pixel_poses.error(f"is {poses.shape[:2]}, the range image {shape}")
     return poses

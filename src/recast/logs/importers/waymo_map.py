@@ -10,7 +10,7 @@ import shapely
 from recast.logs.hdmap import HdMap, Lane
 from recast.logs.importers.map_place import NEAR, metres_beside
 from recast.logs.importers.waymo_area import drivable_area
-from recast.logs.importers.waymo_segment import Segment, record_errors
+from recast.logs.importers.waymo_segment import MapFeatures
 from recast.logs.importers.waymo_wire import FieldError, Message
 from recast.logs.types import Array
 
@@ -23,11 +23,11 @@ _NARROWEST, _WIDEST = 0.5, 5.0
 lane's own."""
 
 
-def read_map(segment: Segment, world_from_global: Array, ego: Array) -> HdMap | None:
-    """The map of a segment in the world frame, or None where it has none (before v1.4.2).
+def read_map(found: MapFeatures, world_from_global: Array, ego: Array) -> HdMap:
+    """The map of a segment in the world frame.
 
     Args:
-        segment: with the map features of its first frame.
+        found: the map features of the first frame.
         world_from_global: (4, 4), a translation.
         ego: (T, 2) places of the ego in the world.
 
@@ -35,10 +35,8 @@ def read_map(segment: Segment, world_from_global: Array, ego: Array) -> HdMap | 
         InputError: a field is missing or wrong, there is no lane for cars, or the map lies
             elsewhere than the drive.
     """
-    if not segment.map_features:
-        return None
-    with record_errors(segment.path, segment.map_record):
-        return hd_map(segment.map_features, world_from_global[:3, 3] - segment.map_offset, ego)
+    with found.place.errors():
+        return hd_map(found.features, world_from_global[:3, 3] - found.offset, ego)
 
 
 def hd_map(features: Sequence[Message], shift: Array, ego: Array) -> HdMap:

@@ -9,6 +9,8 @@ from recast.logs.importers.waymo_wire import Choice, Kind, Schema, many, one
 
 INT, DOUBLE, FLOAT, STRING, SPAN = Kind.INT, Kind.DOUBLE, Kind.FLOAT, Kind.STRING, Kind.SPAN
 
+LICENCE = "Waymo Dataset License Agreement for Non-Commercial Use"
+
 CAMERA_NAME = Choice(
     "CameraName",
     {1: "FRONT", 2: "FRONT_LEFT", 3: "FRONT_RIGHT", 4: "SIDE_LEFT", 5: "SIDE_RIGHT"},

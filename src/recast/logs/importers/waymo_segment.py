@@ -1,46 +1,108 @@
-"""What is kept of a Waymo segment: the small things, and where in the file the large ones lie."""
+"""What is kept of a Waymo segment: the small things, and where in its files the large ones lie.
+
+Both versions of the dataset, TFRecords and parquet, are read into this.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
+from typing import Protocol
 
 from recast.errors import InputError
+from recast.geometry import PinholeCamera
 from recast.logs.importers.waymo_wire import FieldError, Message
-from recast.logs.types import Array
+from recast.logs.types import Array, Float32Array
 
 MEND = "download it again"
 
 
 @dataclass(frozen=True)
-class FilePart:
-    """Bytes of a file, read when asked for.
-
-    Attributes:
-        record: number of the record they belong to.
-        field: their name in the record.
-        offset, size: in bytes.
-    """
+class Place:
+    """Where something is written, for messages: the file, and what to look for in it."""
 
     path: Path
-    record: int
     field: str
-    offset: int
-    size: int
 
-    def read(self) -> bytes:
-        """The bytes."""
-        with self.path.open("rb") as file:
-            file.seek(self.offset)
-            return file.read(self.size)
+    def inside(self, field: str) -> Place:
+        """A field of what lies here."""
+        return Place(self.path, f"{self.field}, {field}")
 
     def error(self, problem: str, mend: str = MEND) -> InputError:
-        """An error that names file, record and field."""
-        return InputError(self.path, f"record {self.record}, {self.field}", problem, mend)
+        """An error that names this place."""
+        return InputError(self.path, self.field, problem, mend)
+
+    @contextmanager
+    def errors(self) -> Iterator[None]:
+        """Turn a FieldError into the InputError that also names this place."""
+        try:
+            yield
+        except FieldError as error:
+            raise self.inside(error.field).error(error.problem) from None
+
+
+@contextmanager
+def record_errors(path: Path, record: int) -> Iterator[None]:
+    """Turn a FieldError into the InputError that also names file and record."""
+    with Place(path, f"record {record}").errors():
+        yield
+
+
+class StoredBytes(Protocol):
+    """Bytes in a file, read when asked for."""
+
+    @property
+    def sealed(self) -> bool:
+        """Whether a checksum of theirs has been compared."""
+
+    def read(self) -> bytes:
+        """The bytes; raises InputError where they are damaged or missing."""
+
+    def error(self, problem: str) -> InputError:
+        """An error that names their place."""
+
+
+class StoredMatrix(Protocol):
+    """A range image in a file, read when asked for."""
+
+    def read(self, channels: int) -> Float32Array:
+        """The (H, W, channels) matrix; raises InputError where it is empty, damaged or another."""
+
+    def error(self, problem: str) -> InputError:
+        """An error that names its place."""
+
+
+@dataclass(frozen=True)
+class CameraCalibration:
+    """One camera.
+
+    Attributes:
+        camera: intrinsics, with the lens distortion.
+        rig_from_camera: (4, 4) of the OpenCV camera frame.
+        shutter: the direction in which the rolling shutter reads, as CAMERA calibrations name it.
+    """
+
+    camera: PinholeCamera
+    rig_from_camera: Array
+    shutter: str
+
+
+@dataclass(frozen=True)
+class LaserCalibration:
+    """One LiDAR.
+
+    Attributes:
+        inclinations: (B,) radians, ascending, of each beam; empty where they are evenly spread.
+        lowest, highest: radians, ends of the field of view where evenly spread.
+        rig_from_lidar: (4, 4).
+    """
+
+    inclinations: Array
+    lowest: float
+    highest: float
+    rig_from_lidar: Array
 
 
 @dataclass(frozen=True)
@@ -54,7 +116,7 @@ class ImageEntry:
         first_us, last_us: middle of the exposure of the first and last column (or row) read.
     """
 
-    jpeg: FilePart
+    jpeg: StoredBytes
     pose: Array
     time_us: int
     first_us: int
@@ -63,21 +125,25 @@ class ImageEntry:
 
 @dataclass(frozen=True)
 class LaserEntry:
-    """The range images of one LiDAR in one frame, zlib streams.
+    """The range images of one LiDAR in one frame.
 
     Attributes:
         returns: first and, where there is one, second return.
         pixel_poses: of the first return's pixels, or None.
     """
 
-    returns: tuple[FilePart, ...]
-    pixel_poses: FilePart | None
+    returns: tuple[StoredMatrix, ...]
+    pixel_poses: StoredMatrix | None
 
 
 @dataclass(frozen=True)
 class LabelEntry:
-    """One box: (4, 4) `vehicle_from_box`, size (3,) length, width, height in metres."""
+    """One box: (4, 4) `vehicle_from_box`, size (3,) length, width, height in metres.
 
+    `place` is where its id is written.
+    """
+
+    place: Place
     label_id: str
     category: str
     vehicle_from_box: Array
@@ -89,19 +155,33 @@ class FrameEntry:
     """One frame.
 
     Attributes:
-        record: its number in the file.
+        place: where it is written.
         start_us: when the first column of the TOP LiDAR was scanned.
         pose: (4, 4) `global_from_vehicle`, about the middle of the frame; labels and points are in
             this vehicle frame.
         images, lasers: by name.
     """
 
-    record: int
+    place: Place
     start_us: int
     pose: Array
-    images: dict[str, ImageEntry]
-    lasers: dict[str, LaserEntry]
+    images: Mapping[str, ImageEntry]
+    lasers: Mapping[str, LaserEntry]
     labels: tuple[LabelEntry, ...]
+
+
+@dataclass(frozen=True)
+class MapFeatures:
+    """The map features of the first frame that has some.
+
+    Attributes:
+        place: of the frame.
+        offset: (3,) map coordinates = vehicle coordinates + this.
+    """
+
+    place: Place
+    features: tuple[Message, ...]
+    offset: Array
 
 
 @dataclass(frozen=True)
@@ -109,42 +189,15 @@ class Segment:
     """A whole segment.
 
     Attributes:
-        context: of the first frame: name, calibrations, statistics.
-        map_features: of the first frame that has some; empty where none does.
-        map_record: number of that frame's record.
-        map_offset: (3,) map coordinates = vehicle coordinates + this.
+        cameras, lasers: calibrations by name.
+        frames: in the order of time.
+        notes: where, when and in which weather, as far as it is known.
+        map: None where there is none: before v1.4.2, and in v2.
     """
 
-    path: Path
-    context: Message
+    name: str
+    cameras: Mapping[str, CameraCalibration]
+    lasers: Mapping[str, LaserCalibration]
     frames: tuple[FrameEntry, ...]
-    map_features: tuple[Message, ...]
-    map_record: int
-    map_offset: Array
-
-
-@contextmanager
-def record_errors(path: Path, record: int) -> Iterator[None]:
-    """Turn a FieldError into the InputError that also names file and record."""
-    try:
-        yield
-    except FieldError as error:
-        field = f"record {record}, {error.field}"
-        raise InputError(path, field, error.problem, MEND) from None
-
-
-def transform(message: Message, name: str) -> Array:
-    """The (4, 4) pose in the field `name`.
-
-    Raises:
-        FieldError: missing, not 16 numbers, or no rotation and translation.
-    """
-    values = message[name]["transform"]
-    where = f"{message.path(name)}.transform"
-    if len(values) != 16:
-        raise FieldError(where, f"has {len(values)} numbers, not 16")
-    pose: Array = values.reshape(4, 4).astype(np.float64)
-    rotation = pose[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5):  # also where one is not finite
-        raise FieldError(where, "is no rotation and translation")
-    return pose
+    notes: Mapping[str, str]
+    map: MapFeatures | None

@@ -35,6 +35,13 @@ class Choice:
     name: str
     names: Mapping[int, str]
 
+    def of(self, number: int, where: str) -> str:
+        """The name of `number`; raises FieldError where it has none."""
+        if number not in self.names:
+            known = ", ".join(f"{key} {name}" for key, name in self.names.items())
+            raise FieldError(where, f"is {number}, no {self.name} ({known})")
+        return self.names[number]
+
 
 @dataclass(frozen=True)
 class Schema:
@@ -199,10 +206,7 @@ def _value(row: Field, value: Any, data: bytes, message: Message) -> Any:
     if isinstance(row.kind, Schema):
         return decode(row.kind, data, value, where)
     if isinstance(row.kind, Choice):
-        if value not in row.kind.names:
-            known = ", ".join(f"{number} {name}" for number, name in row.kind.names.items())
-            raise FieldError(where, f"is {_signed(value)}, no {row.kind.name} ({known})")
-        return row.kind.names[value]
+        return row.kind.of(_signed(value), where)
     try:
         return data[value].decode()
     except UnicodeDecodeError:
