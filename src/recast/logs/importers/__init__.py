@@ -17,6 +17,7 @@ IMPORTERS = Registry(
         "nuscenes": "recast.logs.importers.nuscenes:import_nuscenes",
         "street-gaussians": "recast.logs.importers.street_gaussians:import_street_gaussians",
         "waymo": "recast.logs.importers.waymo:import_waymo",
+        "waymo-v2": "recast.logs.importers.waymo2:import_waymo2",
     },
 )
 """Importers by name; each is a `LogImporter`."""

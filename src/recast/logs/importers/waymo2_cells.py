@@ -1,0 +1,125 @@
+"""Large cells of Waymo v2 tables, images and range images, read from their file when asked for.
+
+A row group holds about fifty frames, a gigabyte of range images when decoded. So rows are decoded
+one at a time. Rows asked for in the order in which they lie cost one pass over the file; one that
+lies before the last costs another from the start of its row group.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from recast.errors import InputError
+from recast.logs.importers.waymo2_tables import open_parquet, unreadable
+from recast.logs.importers.waymo_segment import MEND, Place
+from recast.logs.importers.waymo_values import shaped
+from recast.logs.types import Float32Array
+
+
+class RowReader:
+    """Some columns of a parquet file, row by row; no more than a row is kept.
+
+    Raises:
+        InputError: the file is none, or lacks a column.
+    """
+
+    def __init__(self, path: Path, columns: Sequence[str]) -> None:
+        self._path, self._columns = path, list(columns)
+        self._file = open_parquet(path, columns)
+        groups = [self._file.metadata.row_group(i) for i in range(self._file.num_row_groups)]
+        self._first = np.cumsum([0, *(group.num_rows for group in groups)])
+        self._batches: Iterator[pa.RecordBatch] = iter(())
+        self._group, self._at = -1, -1
+        self._row: pa.RecordBatch | None = None
+
+    def cell(self, row: int, column: str) -> Any:
+        """The pyarrow scalar in a row (counted from 0).
+
+        Raises:
+            InputError: the file is damaged.
+        """
+        group = int(np.searchsorted(self._first, row, side="right")) - 1
+        try:
+            if group != self._group or row < self._at:
+                self._batches = self._file.iter_batches(
+                    1, row_groups=[group], columns=self._columns, use_threads=False
+                )
+                self._group, self._at = group, int(self._first[group]) - 1
+            while self._at < row:
+                self._row = None  # frees it before the next is decoded
+                self._row = next(self._batches)
+                self._at += 1
+        except (OSError, pa.ArrowException, StopIteration) as error:
+            self._group = -1
+            raise unreadable(Place(self._path, f"row {row}"), error) from None
+        assert self._row is not None
+        return self._row[column][0]
+
+
+@dataclass(frozen=True)
+class BytesCell:
+    """Bytes in a cell; `StoredBytes`. The tables come without checksums."""
+
+    reader: RowReader
+    place: Place
+    row: int
+    column: str
+    sealed: bool = False
+
+    def error(self, problem: str, mend: str = MEND) -> InputError:
+        """An error that names file, row and column."""
+        return self.place.inside(self.column).error(problem, mend)
+
+    def read(self) -> bytes:
+        """The bytes.
+
+        Raises:
+            InputError: the file is damaged, or the cell is empty or holds something else.
+        """
+        value = self.reader.cell(self.row, self.column).as_py()
+        if value is None:
+            raise self.error("is empty")
+        if not isinstance(value, bytes):
+            raise self.error(f"holds {type(value).__name__}, not bytes")
+        return value
+
+
+@dataclass(frozen=True)
+class MatrixCell:
+    """A range image in two cells, FIELD.values and FIELD.shape; `StoredMatrix`.
+
+    Attributes:
+        shape: as its cell has it.
+    """
+
+    reader: RowReader
+    place: Place
+    row: int
+    column: str
+    shape: tuple[int, ...]
+
+    def error(self, problem: str, mend: str = MEND) -> InputError:
+        """An error that names file, row and column."""
+        return self.place.inside(self.column).error(problem, mend)
+
+    def read(self, channels: int) -> Float32Array:
+        """The (H, W, channels) float32 matrix.
+
+        Raises:
+            InputError: it is empty, damaged, or of another shape.
+        """
+        cell = self.reader.cell(self.row, self.column)
+        values = getattr(cell, "values", None)
+        if values is None or len(values) == 0:
+            raise self.error("is empty")
+        try:
+            # An empty element becomes a NaN, which is refused.
+            return shaped(values.to_numpy(zero_copy_only=False), self.shape, channels)
+        except (TypeError, ValueError) as error:
+            raise self.error(str(error)) from None

@@ -1,0 +1,165 @@
+"""The tables of a Waymo v2 segment joined by their keys into frames."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeVar
+
+from recast.logs.importers.waymo2_cells import BytesCell, MatrixCell, RowReader
+from recast.logs.importers.waymo2_context import (
+    CAMERA,
+    LASER,
+    read_cameras,
+    read_lasers,
+    read_notes,
+)
+from recast.logs.importers.waymo2_files import Components
+from recast.logs.importers.waymo2_tables import TIME, Row, Table
+from recast.logs.importers.waymo_schema import CAMERA_NAME, LABEL_TYPE, LASER_NAME
+from recast.logs.importers.waymo_segment import (
+    FrameEntry,
+    ImageEntry,
+    LabelEntry,
+    LaserEntry,
+    Place,
+    Segment,
+)
+from recast.logs.importers.waymo_values import image_entry, label_entry
+from recast.logs.importers.waymo_wire import Choice, FieldError
+from recast.logs.types import Array
+
+LABEL = "key.laser_object_id"
+_TOP = "TOP"
+_TIMES = [
+    "pose_timestamp",
+    "rolling_shutter_params.shutter",
+    "rolling_shutter_params.camera_trigger_time",
+    "rolling_shutter_params.camera_readout_done_time",
+]
+_BOX = [*(f"box.{part}.{axis}" for part in ("center", "size") for axis in "xyz"), "box.heading"]
+_RETURNS = ("range_image_return1", "range_image_return2")
+
+_Entry = TypeVar("_Entry")
+_ByFrame = dict[int, dict[str, _Entry]]
+"""By the frame's time and the sensor's name."""
+
+
+def read_segment(components: Components) -> Segment:
+    """Everything but the large cells, in the order of time whatever the order of the rows.
+
+    A component that was not downloaded is left out; what is there must be whole.
+
+    Raises:
+        InputError: a file is missing or damaged or lacks a column; a value is missing, unknown or
+            wrong; a row is of another segment, of no frame, or there twice.
+    """
+    poses = _poses(components.table("vehicle_pose"))
+    images = _images(components, poses)
+    lasers = _lasers(components, poses)
+    labels = _labels(components, poses)
+    frames = tuple(
+        FrameEntry(place, time, pose, images[time], lasers[time], tuple(labels[time]))
+        for time, (place, pose) in sorted(poses.items())
+    )
+    cameras, calibrated = read_cameras(components), read_lasers(components)
+    return Segment(components.segment, cameras, calibrated, frames, read_notes(components), None)
+
+
+def _poses(table: Table) -> dict[int, tuple[Place, Array]]:
+    """Place in the file and pose of each frame."""
+    poses: dict[int, tuple[Place, Array]] = {}
+    for row in table.rows([TIME, "world_from_vehicle.transform"]):
+        with row.place.errors():
+            time = row.integer(TIME)
+            if time in poses:
+                raise FieldError(TIME, f"{time} is there twice")
+            poses[time] = row.place, row.pose("world_from_vehicle")
+    if not poses:
+        raise Place(table.path, "rows").error("there are none")
+    return poses
+
+
+def _key(row: Row, column: str, choice: Choice, found: Mapping[int, Mapping]) -> tuple[int, str]:
+    """Frame and sensor of a row."""
+    time, name = _frame_of(row, found), row.choice(column, choice)
+    if name in found[time]:
+        raise FieldError(column, f"{name} is there twice at {time}")
+    return time, name
+
+
+def _frame_of(row: Row, frames: Mapping[int, Any]) -> int:
+    time = row.integer(TIME)
+    if time not in frames:
+        raise FieldError(TIME, f"{time} is of no frame in vehicle_pose")
+    return time
+
+
+def _images(components: Components, times: Iterable[int]) -> _ByFrame[ImageEntry]:
+    found: _ByFrame[ImageEntry] = {time: {} for time in times}
+    if not components.has("camera_image"):
+        return found
+    table = components.table("camera_image")
+    column = table.column("image")
+    readers = _readers(table, column)
+    for row in table.rows([TIME, CAMERA, "pose.transform", *_TIMES]):
+        with row.place.errors():
+            time, name = _key(row, CAMERA, CAMERA_NAME, found)
+            cell = BytesCell(readers[name], row.place, row.index, column)
+            seconds = {row.column(field): row.number(field) for field in _TIMES}
+            found[time][name] = image_entry(cell, row.pose("pose"), seconds, time)
+    return found
+
+
+def _readers(table: Table, *columns: str) -> defaultdict[str, RowReader]:
+    """A reader for each sensor, so that each goes through its own rows in order."""
+    return defaultdict(lambda: RowReader(table.path, columns))
+
+
+def _lasers(components: Components, times: Iterable[int]) -> _ByFrame[LaserEntry]:
+    found: _ByFrame[LaserEntry] = {time: {} for time in times}
+    if not components.has("lidar"):
+        return found
+    poses = _matrices(components.table("lidar_pose"), _RETURNS[:1], found)
+    for time, sensors in _matrices(components.table("lidar"), _RETURNS, found).items():
+        for name, returns in sensors.items():
+            pose = poses[time].get(name, (None,))[0]
+            if name == _TOP and pose is None:
+                raise returns[0].error("of TOP has no row in lidar_pose at the frame's time")
+            found[time][name] = LaserEntry(returns, pose)
+    return found
+
+
+def _matrices(
+    table: Table, fields: tuple[str, ...], times: Iterable[int]
+) -> _ByFrame[tuple[MatrixCell, ...]]:
+    """The range images of each row: the first field must be there, others may be empty."""
+    found: _ByFrame[tuple[MatrixCell, ...]] = {time: {} for time in times}
+    columns = {field: table.column(f"{field}.values") for field in fields}
+    readers = _readers(table, *columns.values())
+    shapes = [f"{field}.shape" for field in fields]
+    for row in table.rows([TIME, LASER, *shapes]):
+        with row.place.errors():
+            time, name = _key(row, LASER, LASER_NAME, found)
+            cells = []
+            for field, column in columns.items():
+                shape = tuple(int(length) for length in row.numbers(f"{field}.shape"))
+                if not shape and field == fields[0]:
+                    raise FieldError(row.column(f"{field}.shape"), "is empty")
+                if shape:
+                    cells.append(MatrixCell(readers[name], row.place, row.index, column, shape))
+            found[time][name] = tuple(cells)
+    return found
+
+
+def _labels(components: Components, times: Iterable[int]) -> dict[int, list[LabelEntry]]:
+    found: dict[int, list[LabelEntry]] = {time: [] for time in times}
+    if not components.has("lidar_box"):
+        return found
+    for row in components.table("lidar_box").rows([TIME, LABEL, "type", *_BOX]):
+        with row.place.errors():
+            box = {row.column(field): row.number(field) for field in _BOX}
+            category = row.choice("type", LABEL_TYPE)
+            entry = label_entry(row.place.inside(LABEL), row.text(LABEL), category, box)
+            found[_frame_of(row, found)].append(entry)
+    return found
