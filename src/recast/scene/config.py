@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field
 
@@ -39,7 +39,10 @@ class SceneConfig(MethodConfig):
     )
 
     coarse_fraction: float = Field(
-        default=0.15, ge=0, le=1, description="share of the run at half the scale"
+        default=0.15, ge=0, le=1, description="share of the run at a coarser scale"
+    )
+    coarse_factors: tuple[Annotated[int, Field(ge=1)], ...] = Field(
+        default=(2,), description="by which it is coarser, one after the other"
     )
     voxel_m: float = Field(default=0.22, gt=0, description="LiDAR voxel of the background")
     actor_voxel_m: float = Field(default=0.05, gt=0, description="LiDAR voxel of the actors")
@@ -63,7 +66,7 @@ class SceneConfig(MethodConfig):
     actor_pose_lr: float = Field(default=2e-3, ge=0, description="metres and radians; 0: fixed")
 
     ssim_weight: float = Field(default=0.2, ge=0, le=1, description="the rest is L1")
-    depth_weight: float = Field(default=0.1, ge=0, description="of relative LiDAR depth")
+    depth_weight: float = Field(default=0.1, ge=0, description="of LiDAR depth")
     sky_weight: float = Field(default=0.02, ge=0, description="of opacity before the sky")
 
     densify_every: int = Field(default=100, ge=1, description="steps")

@@ -14,6 +14,8 @@ import torch
 from torch import Tensor
 
 from recast.scene.adam_table import AdamTable
+from recast.scene.sky import SkyMap
+from recast.scene.street_scene import SceneActor, StreetScene
 from recast.scene.views import View
 from recast.splats import Gaussians
 from recast.splats.sh import C0
@@ -35,7 +37,7 @@ class Exposures:
 
         Both are differentiable, the second is what a regulariser weighs.
         """
-        residual = self.table.value[self._rows[view.camera_name, view.frame]]
+        residual = self.table.value[self._rows[view.camera_name, view.frame]].to(image.device)
         return exposed_colours(image, _affine(residual)), residual.abs().mean()
 
     def mean(self) -> Tensor:
@@ -55,6 +57,23 @@ def exposed(gaussians: Gaussians, affine: Tensor) -> Gaussians:
     shift = exposed_colours(torch.full((3,), 0.5), affine) - 0.5
     constant = sh[:, :1] + shift / C0
     return replace(gaussians, sh=torch.cat([constant, sh[:, 1:]], dim=1))
+
+
+def exposed_scene(scene: StreetScene, affine: Tensor) -> StreetScene:
+    """The scene with the colours' transform (3, 4) in all its parts; the sky stays in [0, 1]."""
+    return replace(
+        scene,
+        background=exposed(scene.background, affine),
+        actors={name: _exposed_actor(actor, affine) for name, actor in scene.actors.items()},
+        sky=SkyMap(exposed_colours(scene.sky.colours, affine).clamp(0, 1)),
+    )
+
+
+def _exposed_actor(actor: SceneActor, affine: Tensor) -> SceneActor:
+    appearance = actor.appearance
+    if appearance is not None:
+        appearance = replace(appearance, waves=appearance.waves @ affine[:, :3].T)
+    return replace(actor, gaussians=exposed(actor.gaussians, affine), appearance=appearance)
 
 
 def _affine(residual: Tensor) -> Tensor:

@@ -13,7 +13,6 @@ from recast.logs import DrivingLog, Track
 from recast.scene.actor_points import actor_gaussians
 from recast.scene.background_points import (
     coloured_background,
-    near_samples,
     plane_sweep_points,
     without_points_in_sky,
 )
@@ -26,7 +25,7 @@ from recast.scene.point_cloud import (
     voxel_downsample,
 )
 from recast.scene.sky import SkyMap, sky_from_pixels
-from recast.scene.sky_mask import sky_mask
+from recast.scene.sky_masks import sky_masks
 from recast.scene.views import View
 from recast.splats import Gaussians
 
@@ -74,10 +73,7 @@ def initialise(
     training = [view for view in views if not view.held_out]
     sweeps = read_sweeps(log, actors, [view.timestamp_us for view in views if view.held_out])
     depths = [depth_samples(view, sweeps, actors) for view in training]
-    skies = [
-        sky_mask(view.image, near_samples(view, samples))
-        for view, samples in zip(training, depths, strict=True)
-    ]
+    skies = sky_masks(log, training, depths, config)
     clouds = [coloured_background(sweep, training, actors) for sweep in sweeps]
     lidar = voxel_downsample(concatenate(clouds), config.voxel_m)
     far = PointCloud.empty()

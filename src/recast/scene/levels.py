@@ -1,8 +1,11 @@
-"""One training view at one resolution, ready to be compared with a rendering."""
+"""One training view at one resolution: kept small, and laid out for the losses when it is its turn.
+
+A view waits with 3 bytes a pixel of colour, one bit a pixel for each mask, and 8 bytes a depth.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -14,6 +17,8 @@ from recast.geometry import PinholeCamera
 from recast.scene.lidar import DepthSamples
 from recast.scene.views import View
 
+Mask = NDArray[np.bool_]
+
 MAX_DEPTHS = 12_000
 
 
@@ -23,86 +28,108 @@ class Level:
 
     Attributes:
         camera: intrinsics at this resolution.
-        K: (3, 3) float32.
-        image: (H, W, 3) uint8.
+        K: (3, 3) float32, on the CPU, where its numbers are read.
+        target: (H, W, 3) float32 in [0, 1], unusable pixels black.
         usable: (H, W, 1) float32 0 or 1, or None where every pixel counts.
         sky: (S,) int64 flat indices of sure sky pixels.
+        ground: (G,) int64 flat indices of pixels that are surely none, where a loss asks for them.
         depth_pixels: (M,) int64 flat indices; depths: (M,) float32 metres.
     """
 
     camera: PinholeCamera
     K: Tensor
-    image: Tensor
+    target: Tensor
     usable: Tensor | None
     sky: Tensor
+    ground: Tensor
     depth_pixels: Tensor
     depths: Tensor
 
-    def to(self, device: torch.device | str) -> Level:
-        """The same on another device, but for `K`, whose numbers are read on the CPU."""
-        return replace(
-            self,
-            image=self.image.to(device),
-            usable=None if self.usable is None else self.usable.to(device),
-            sky=self.sky.to(device),
-            depth_pixels=self.depth_pixels.to(device),
-            depths=self.depths.to(device),
+
+@dataclass(frozen=True)
+class StoredLevel:
+    """A level that waits: `unpacked` gives its tensors.
+
+    Attributes:
+        camera: intrinsics at this resolution.
+        image: (H, W, 3) uint8.
+        usable, sky, ground: masks of H W pixels as bits; see `Level`.
+        depth_pixels: (M,) int32; depths: (M,) float32.
+    """
+
+    camera: PinholeCamera
+    image: NDArray[np.uint8]
+    usable: NDArray[np.uint8] | None
+    sky: NDArray[np.uint8]
+    ground: NDArray[np.uint8]
+    depth_pixels: NDArray[np.int32]
+    depths: NDArray[np.float32]
+
+    def unpacked(self, device: torch.device | str = "cpu") -> Level:
+        """The level on a device; a few float images, to be dropped after the step."""
+        target = torch.from_numpy(self.image).to(device).to(torch.float32) * (1 / 255)
+        usable = None
+        if self.usable is not None:
+            bits = self._unpacked(self.usable).reshape(self.camera.height, self.camera.width, 1)
+            usable = torch.from_numpy(bits).to(device).to(torch.float32)
+            target = target * usable
+        return Level(
+            camera=self.camera,
+            K=torch.from_numpy(self.camera.matrix).float(),
+            target=target,
+            usable=usable,
+            sky=torch.from_numpy(np.flatnonzero(self._unpacked(self.sky))).to(device),
+            ground=torch.from_numpy(np.flatnonzero(self._unpacked(self.ground))).to(device),
+            depth_pixels=torch.from_numpy(self.depth_pixels).to(device).to(torch.int64),
+            depths=torch.from_numpy(self.depths).to(device),
         )
 
     @property
-    def target(self) -> Tensor:
-        """The image as float32 in [0, 1], unusable pixels black."""
-        target = self.image.to(torch.float32) * (1 / 255)
-        return target if self.usable is None else target * self.usable
+    def nbytes(self) -> int:
+        """Bytes held, the image included."""
+        arrays = (self.image, self.usable, self.sky, self.ground, self.depth_pixels, self.depths)
+        return sum(array.nbytes for array in arrays if array is not None)
+
+    def _unpacked(self, bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        return np.unpackbits(bits, count=min(8 * len(bits), self.camera.width * self.camera.height))
 
 
-def full_level(view: View, sky_pixels: NDArray[np.int64], samples: DepthSamples) -> Level:
-    """The view as it is, its depth samples thinned evenly to `MAX_DEPTHS`."""
-    return _level(view.camera, view.image, view.mask, sky_pixels, samples)
+def make_level(
+    view: View, sky: Mask, ground: Mask | None, samples: DepthSamples, factor: int = 1
+) -> StoredLevel:
+    """The view with width and height divided by `factor`.
 
-
-def half_level(view: View, sky_pixels: NDArray[np.int64], samples: DepthSamples) -> Level:
-    """The view at half the width and height."""
-    camera = view.camera
-    width, height = max(1, camera.width // 2), max(1, camera.height // 2)
-    size = (width, height)
-    sky = np.zeros(camera.height * camera.width, bool)
-    sky[sky_pixels] = True
-    small_sky = _wholly(sky.reshape(camera.height, camera.width), size)
-    uv = samples.uv * np.array([width / camera.width, height / camera.height], np.float32)
-    return _level(
-        camera.resized(width, height),
-        np.asarray(cv2.resize(view.image, size, interpolation=cv2.INTER_AREA), np.uint8),
-        None if view.mask is None else _wholly(view.mask, size),
-        np.flatnonzero(small_sky),
-        DepthSamples(samples.depths, uv),
+    Args:
+        sky, ground: (H, W) masks of the view; no ground is kept where it is None.
+        samples: thinned evenly to `MAX_DEPTHS`.
+    """
+    camera, image, usable, uv = view.camera, view.image, view.mask, samples.uv
+    if factor > 1:
+        width, height = max(1, camera.width // factor), max(1, camera.height // factor)
+        size = (width, height)
+        uv = uv * np.array([width / camera.width, height / camera.height], np.float32)
+        camera = camera.resized(width, height)
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+        usable = None if usable is None else _wholly(usable, size)
+        sky = _wholly(sky, size)
+        ground = None if ground is None else _wholly(ground, size)
+    step = max(1, -(-len(samples.depths) // MAX_DEPTHS))
+    uv, depths = uv[::step], samples.depths[::step]
+    columns = np.minimum(uv[:, 0].astype(np.int32), camera.width - 1)
+    rows = np.minimum(uv[:, 1].astype(np.int32), camera.height - 1)
+    return StoredLevel(
+        camera=camera,
+        image=image,
+        usable=None if usable is None else np.packbits(usable),
+        sky=np.packbits(sky),
+        ground=np.zeros(0, np.uint8) if ground is None else np.packbits(ground),
+        depth_pixels=rows * np.int32(camera.width) + columns,
+        depths=np.ascontiguousarray(depths),
     )
 
 
-def _wholly(mask: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_]:
+def _wholly(mask: Mask, size: tuple[int, int]) -> Mask:
     """Pixels of the smaller image that lie in the mask altogether."""
     area = cv2.resize(mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
-    whole: NDArray[np.bool_] = area == 255
+    whole: Mask = area == 255
     return whole
-
-
-def _level(
-    camera: PinholeCamera,
-    image: NDArray[np.uint8],
-    mask: NDArray[np.bool_] | None,
-    sky: NDArray[np.int64],
-    samples: DepthSamples,
-) -> Level:
-    step = max(1, -(-len(samples.depths) // MAX_DEPTHS))
-    uv, depths = samples.uv[::step], samples.depths[::step]
-    columns = np.minimum(uv[:, 0].astype(np.int64), camera.width - 1)
-    rows = np.minimum(uv[:, 1].astype(np.int64), camera.height - 1)
-    return Level(
-        camera=camera,
-        K=torch.from_numpy(camera.matrix).float(),
-        image=torch.from_numpy(image),
-        usable=None if mask is None else torch.from_numpy(mask[..., None].astype(np.float32)),
-        sky=torch.from_numpy(sky),
-        depth_pixels=torch.from_numpy(rows * camera.width + columns),
-        depths=torch.from_numpy(np.ascontiguousarray(depths)),
-    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -15,6 +15,10 @@ from torch import Tensor
 from recast.scene.image_metrics import C1, C2, WINDOW, ssim_map, window
 
 Float32Array = NDArray[np.float32]
+DepthError = Literal["relative", "metric", "inverse"]
+
+NEAREST_M = 0.5
+"""Inverse depths are compared no nearer than this: rays that meet nothing have depth 0."""
 
 
 class _Photometric(torch.autograd.Function):
@@ -133,28 +137,40 @@ def _photometric_rows(
 
 
 def depth_loss(
-    depth: Tensor, alpha: Tensor, pixels: Tensor, measured: Tensor, keep: float = 0.95
+    depth: Tensor,
+    alpha: Tensor,
+    pixels: Tensor,
+    measured: Tensor,
+    keep: float = 0.95,
+    error: DepthError = "relative",
 ) -> Tensor:
-    """Mean relative error of the expected depth at measured pixels, largest errors dropped.
+    """Mean error of the expected depth e = D / (alpha + 1e-10) at measured pixels z.
 
-    |D / (alpha + 1e-10) - z| / z; the worst 5 % are moving things and edges that the laser saw
-    from another place (Street Gaussians' trimming, on relative errors).
+    The largest errors are dropped: at 0.95 the worst 5 %, which are moving things and edges that
+    the laser saw from another place (Street Gaussians' trimming).
 
     Args:
         depth, alpha: (H, W) as rendered, depth not normalised.
         pixels: (M,) int64 flat pixel indices.
         measured: (M,) metres along the camera's z axis.
         keep: share of the smallest errors that count.
+        error: "relative" |e - z| / z, "metric" |e - z| in metres, "inverse" |1 / e - 1 / z|, where
+            e counts as at least `NEAREST_M`.
     """
     if len(pixels) == 0:
         return depth.new_zeros(())
     weight = alpha.reshape(-1)[pixels]
     expected = depth.reshape(-1)[pixels] / (weight + 1e-10)
-    error = (expected - measured).abs() / measured
-    count = max(1, int(keep * len(error)))
-    if count < len(error):
-        error = error.topk(count, largest=False, sorted=False).values
-    return error.mean()
+    if error == "inverse":
+        errors = (1 / expected.clamp(min=NEAREST_M) - 1 / measured).abs()
+    else:
+        errors = (expected - measured).abs()
+        if error == "relative":
+            errors = errors / measured
+    count = max(1, int(keep * len(errors)))
+    if count < len(errors):
+        errors = errors.topk(count, largest=False, sorted=False).values
+    return errors.mean()
 
 
 def sky_loss(alpha: Tensor, sky: Tensor) -> Tensor:
@@ -165,3 +181,17 @@ def sky_loss(alpha: Tensor, sky: Tensor) -> Tensor:
         sky: (S,) int64 flat indices of pixels known to be sky.
     """
     return alpha.reshape(-1)[sky].sum() / alpha.numel()
+
+
+def sky_entropy(alpha: Tensor, sky: Tensor, ground: Tensor) -> Tensor:
+    """Binary cross entropy of opacity, as a share of the whole image: 0 on sky, 1 on the ground.
+
+    -ln(1 - a) on sky pixels, -ln a on those that are surely none, a within [1e-6, 1 - 1e-6]; pixels
+    in neither set do not count. Street Gaussians and OmniRe have every pixel in one of them.
+
+    Args:
+        alpha: (H, W) accumulated opacity.
+        sky, ground: (S,) and (G,) int64 flat indices.
+    """
+    a = alpha.reshape(-1).clamp(1e-6, 1 - 1e-6)
+    return -((1 - a[sky]).log().sum() + a[ground].log().sum()) / alpha.numel()

@@ -35,3 +35,29 @@ class MethodConfig(BaseModel):
     exposure_weight: float = Field(
         default=0.0, ge=0, description="of an image's change of colours, mean absolute"
     )
+
+    depth_error: Literal["relative", "metric", "inverse"] = Field(
+        default="relative", description="of LiDAR depth: relative, in metres, or of 1 / metres"
+    )
+    depth_keep: float = Field(
+        default=0.95, gt=0, le=1, description="share of the smallest depth errors that count"
+    )
+    sky_mask: Literal["heuristic", "files", "model"] = Field(
+        default="heuristic", description="which pixels are sky: guessed, read, or segmented"
+    )
+    sky_mask_path: str = Field(
+        default="", description="folder of FRAME_CAMERA.png, white the sky, or of a SegFormer"
+    )
+    sky_loss: Literal["opacity", "entropy"] = Field(
+        default="opacity",
+        description="opacity: before sky pixels; entropy: also its lack before others",
+    )
+    sharp_shape_weight: float = Field(
+        default=0.0, ge=0, description="of Gaussians' axes beyond 10 to 1, every tenth step"
+    )
+    track_smoothness_weight: float = Field(
+        default=0.0, ge=0, description="of uneven motion of the tracks"
+    )
+    actor_opacity_weight: float = Field(
+        default=0.0, ge=0, description="of half-opaque actors, once densification is over"
+    )

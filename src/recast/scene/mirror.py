@@ -6,11 +6,13 @@ where an equal one is expected on the side that no camera sees.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
+from recast.logs import Track
 from recast.splats import Gaussians, concatenate
 
 DEFORMABLE = frozenset({"pedestrian"})
@@ -50,3 +52,8 @@ def _parity(gaussians: Gaussians) -> Tensor:
     degrees = range(gaussians.sh_degree + 1)
     orders = [order for degree in degrees for order in range(-degree, degree + 1)]
     return torch.tensor([-1.0 if order < 0 else 1.0 for order in orders]).to(gaussians.sh)[:, None]
+
+
+def symmetric_tracks(tracks: Iterable[Track]) -> Tensor:
+    """(T,) bool: tracks whose category is symmetric at every moment."""
+    return torch.tensor([track.category not in DEFORMABLE for track in tracks], dtype=torch.bool)

@@ -32,3 +32,10 @@ def exposure_rate(config: SceneConfig, u: float) -> float:
 def pose_factor(u: float) -> float:
     """Factor on the learning rates of poses: none at first, then falling to a twentieth."""
     return 0.0 if u < POSES_FROM else 1 - 0.95 * u
+
+
+def coarse_factor(config: SceneConfig, u: float) -> int:
+    """By how much width and height are divided: each factor has an equal part of the coarse run."""
+    if u >= config.coarse_fraction or not config.coarse_factors:
+        return 1
+    return config.coarse_factors[int(u / config.coarse_fraction * len(config.coarse_factors))]

@@ -13,15 +13,22 @@ from recast.logs import DrivingLog, Track
 from recast.scene.adam_table import AdamTable
 from recast.scene.appearance import Appearance, coloured, share_of
 from recast.scene.config import SceneConfig
-from recast.scene.exposure import Exposures, exposed, exposed_colours
+from recast.scene.exposure import Exposures, exposed_scene
 from recast.scene.initialise import Initialisation
-from recast.scene.levels import Level, full_level, half_level
-from recast.scene.losses import depth_loss, photometric_loss, sky_loss
-from recast.scene.mirror import DEFORMABLE
+from recast.scene.level_set import make_levels
+from recast.scene.levels import Level
+from recast.scene.mirror import symmetric_tracks
+from recast.scene.objective import actors_alone, view_loss
 from recast.scene.population import change_population
 from recast.scene.poses import CameraPoses, TrackPoses
-from recast.scene.schedule import exposure_rate, gaussian_rates, pose_factor, sky_rate
-from recast.scene.sky import SkyMap
+from recast.scene.regularisers import SHARP_SHAPE_EVERY, TrackSmoothness, sharp_shape
+from recast.scene.schedule import (
+    coarse_factor,
+    exposure_rate,
+    gaussian_rates,
+    pose_factor,
+    sky_rate,
+)
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.scene.trainable import Drawn, TrainableScene, copy
 from recast.scene.trainable_sky import make_sky
@@ -70,18 +77,16 @@ class Trainer:
         self._threads = threads
         self._views = [view for view in views if not view.held_out]
         self._tracks = dict(tracks)
-        triples = list(zip(self._views, start.sky_pixels, start.depths, strict=True))
-        self._fine = [full_level(*triple) for triple in triples]
-        self._coarse = [half_level(*triple) for triple in triples]
+        self._levels = make_levels(config, self._views, start)
         self.model = TrainableScene(
             start.background.to(self.device),
             {name: part.to(self.device) for name, part in start.actors.items()},
             config.fourier_terms,
         )
-        symmetric = [tracks[name].category not in DEFORMABLE for name in self.model.track_ids]
-        self._symmetric = torch.tensor(symmetric, dtype=torch.bool)
+        self._symmetric = symmetric_tracks(tracks[name] for name in self.model.track_ids)
         self.camera_poses = CameraPoses(self._views)
         self.track_poses = TrackPoses(tracks, views)
+        self._smoothness = TrackSmoothness(self.track_poses)
         self.exposures = Exposures(self._views)
         self.sky = make_sky(config, start.sky)
         self.sky.table.to(self.device)
@@ -91,7 +96,7 @@ class Trainer:
         config = self.config
         u = self.iteration / config.iterations
         index = self._pick()
-        level = (self._coarse if u < config.coarse_fraction else self._fine)[index]
+        level = self._levels[coarse_factor(config, u)][index].unpacked(self.device)
         report = self._fit(self._views[index], level, u)
         self.iteration += 1
         if self.iteration % config.densify_every == 0 and self._densifies():
@@ -133,12 +138,8 @@ class Trainer:
         }
         return {track_id: pose for track_id, pose in found.items() if pose is not None}
 
-    def _draw(self, timestamp_us: int) -> Drawn:
-        poses = self.poses(timestamp_us)
-        shares = {
-            track_id: share_of(self._tracks[track_id].trajectory, timestamp_us)
-            for track_id in poses
-        }
+    def _draw(self, poses: Mapping[str, Tensor], timestamp_us: int) -> Drawn:
+        shares = {name: share_of(self._tracks[name].trajectory, timestamp_us) for name in poses}
         return self.model.draw(poses, shares, self._flipped())
 
     def _flipped(self) -> Tensor | None:
@@ -152,32 +153,34 @@ class Trainer:
 
     def _fit(self, view: View, level: Level, u: float) -> StepReport:
         config, camera = self.config, level.camera
-        level = level.to(self.device)
-        drawn = self._draw(view.timestamp_us)
+        poses = self.poses(view.timestamp_us)
+        drawn = self._draw(poses, view.timestamp_us)
         pose = self.camera_poses.camera_from_world(view)
         result = rasterize(drawn.gaussians, pose, level.K, camera.width, camera.height)
         # The sky is smooth and far: the logged pose does for it.
         image = self.sky.behind(result.rgb, result.alpha, camera, view.camera_from_world)
-        change = None
+        prior = image.new_zeros(())
         if self._exposes():
             image, change = self.exposures.applied(image, view)
+            prior = config.exposure_weight * change
         if level.usable is not None:
             image = image * level.usable
-        target = level.target
-        loss = photometric_loss(image, target, config.ssim_weight, self._threads)
-        if config.depth_weight > 0:
-            depth = depth_loss(result.depth, result.alpha, level.depth_pixels, level.depths)
-            loss = loss + config.depth_weight * depth
-        if config.sky_weight > 0:
-            loss = loss + config.sky_weight * sky_loss(result.alpha, level.sky)
-        if change is not None:
-            loss = loss + config.exposure_weight * change
+        loss = view_loss(config, image, result, level, self._threads)
+        if config.sharp_shape_weight > 0 and self.iteration % SHARP_SHAPE_EVERY == 0:
+            prior = prior + config.sharp_shape_weight * sharp_shape(drawn.gaussians.log_scales)
+        if config.track_smoothness_weight > 0:
+            rough = self._smoothness.loss().to(prior.device)
+            prior = prior + config.track_smoothness_weight * rough
+        if config.actor_opacity_weight > 0 and not self._densifies():
+            placed = [(self._tracks[name].size, at) for name, at in poses.items()]
+            prior = prior + config.actor_opacity_weight * actors_alone(drawn, pose, level, placed)
+        loss = loss + prior
         loss.backward()
         self.model.take_gradients(drawn)
         if self._densifies():
             self.model.count(drawn, result.meta, camera.width, camera.height)
         self._update(*self.model.visible(drawn, result.meta), u)
-        squared = float((image.detach() - target).square().mean())
+        squared = float((image.detach() - level.target).square().mean())
         return StepReport(float(loss.detach()), -10 * float(np.log10(max(squared, 1e-10))))
 
     def _update(self, background: Tensor, local: Tensor, u: float) -> None:
@@ -195,31 +198,22 @@ class Trainer:
 
     def scene(self, log: DrivingLog) -> StreetScene:
         """The scene as it stands, copied to the CPU; colours are those of the mean exposure."""
-        affine = self.exposures.mean().cpu() if self._exposes() else None
-        background = copy(self.model.background).to("cpu")
-        sky = self.sky.sky_map()
-        if affine is not None:
-            background = exposed(background, affine)
-            sky = SkyMap(exposed_colours(sky.colours, affine).clamp(0, 1))
-        return StreetScene(
-            background=background,
-            actors={track_id: self._actor(track_id, affine) for track_id in self.model.track_ids},
-            sky=sky,
+        scene = StreetScene(
+            background=copy(self.model.background).to("cpu"),
+            actors={track_id: self._actor(track_id) for track_id in self.model.track_ids},
+            sky=self.sky.sky_map(),
             world_offset=log.world_offset,
             camera_corrections=self.camera_poses.corrections(self._views),
             log_name=log.name,
         )
+        return exposed_scene(scene, self.exposures.mean()) if self._exposes() else scene
 
-    def _actor(self, track_id: str, affine: Tensor | None) -> SceneActor:
+    def _actor(self, track_id: str) -> SceneActor:
         gaussians, waves = self.model.actor(track_id)
         gaussians, waves = gaussians.to("cpu"), waves.cpu()
-        appearance = None
-        if waves.shape[1]:
-            gaussians = coloured(gaussians, waves, self.config.appearance_share)
-        if affine is not None:
-            gaussians, waves = exposed(gaussians, affine), waves @ affine[:, :3].T
-        if waves.shape[1]:
-            appearance = Appearance(waves, self.config.appearance_share)
+        share, appearance = self.config.appearance_share, None
+        if self.config.fourier_terms > 1:
+            gaussians, appearance = coloured(gaussians, waves, share), Appearance(waves, share)
         return SceneActor(
             track_id=track_id,
             gaussians=gaussians,

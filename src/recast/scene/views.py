@@ -131,11 +131,30 @@ def nearest_view(
     return best
 
 
-def _rectify(camera: PinholeCamera, image: Image, mask: Mask | None) -> tuple[Image, Mask]:
-    """Undo the distortion; pixels from outside the raw image become unusable."""
+def fit_mask(camera: PinholeCamera, mask: Mask, scale: float) -> Mask:
+    """A mask (H, W) of the recorded image as it lies on its view: rectified and scaled."""
+    fitted = mask.astype(np.uint8)
+    if not camera.is_rectified:
+        source = _source_pixels(camera)
+        # Pixels from outside the recorded image: 0.
+        found = cv2.remap(fitted, source[..., 0], source[..., 1], cv2.INTER_NEAREST)
+        fitted = np.asarray(found, np.uint8)
+    target = scaled_camera(camera, scale)
+    size = (target.width, target.height)
+    whole: Mask = cv2.resize(fitted, size, interpolation=cv2.INTER_NEAREST) > 0
+    return whole
+
+
+def _source_pixels(camera: PinholeCamera) -> NDArray[np.float32]:
+    """Where OpenCV finds the pixels (H, W, 2) of the rectified image in the recorded one."""
     target = camera.rectified()
     pixels, _ = camera.project(target.rays(target.pixel_grid()))
-    source = pixels.astype(np.float32) - 0.5  # OpenCV puts pixel centres at whole numbers
+    return pixels.astype(np.float32) - np.float32(0.5)  # it puts centres at whole numbers
+
+
+def _rectify(camera: PinholeCamera, image: Image, mask: Mask | None) -> tuple[Image, Mask]:
+    """Undo the distortion; pixels from outside the raw image become unusable."""
+    source = _source_pixels(camera)
     usable = np.ones(image.shape[:2], np.uint8) if mask is None else mask.astype(np.uint8)
     rectified = cv2.remap(
         image, source[..., 0], source[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE

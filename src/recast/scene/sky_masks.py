@@ -1,0 +1,130 @@
+"""Where the sky masks of a training come from: a guess, files, or a segmentation network."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from recast.errors import InputError
+from recast.logs import DrivingLog
+from recast.logs.importers.processed_folder import CAMERAS
+from recast.pretrained import PretrainedFolder
+from recast.scene.background_points import near_samples
+from recast.scene.config import SceneConfig
+from recast.scene.lidar import DepthSamples
+from recast.scene.sky_mask import Mask, sky_mask
+from recast.scene.views import View, fit_mask
+
+_FILE = re.compile(r"(\d+)_(.+)\.png", re.IGNORECASE)
+_NAMES = "name them FRAME_CAMERA.png, with the log's name of the camera or Waymo's number of it"
+
+
+def sky_masks(
+    log: DrivingLog, views: Sequence[View], depths: Sequence[DepthSamples], config: SceneConfig
+) -> list[Mask]:
+    """Sky of each view (H, W) bool, by the method that the configuration names.
+
+    Args:
+        depths: of the views; the guess takes no pixel near a LiDAR return.
+
+    Raises:
+        InputError: files or network are missing, or are not what is needed.
+    """
+    if config.sky_mask == "heuristic":
+        return [
+            sky_mask(view.image, near_samples(view, samples))
+            for view, samples in zip(views, depths, strict=True)
+        ]
+    if not config.sky_mask_path:
+        kind = "a folder of PNG files" if config.sky_mask == "files" else "a SegFormer folder"
+        raise InputError("configuration", "sky_mask_path", "is not given", f"name {kind}")
+    folder = Path(config.sky_mask_path)
+    if config.sky_mask == "files":
+        return list(_from_files(log, views, config.scale, folder))
+    return list(_from_network(views, folder))
+
+
+def _from_files(
+    log: DrivingLog, views: Sequence[View], scale: float, folder: Path
+) -> Iterator[Mask]:
+    """Masks as the processed folders of DriveStudio and Street Gaussians hold them: white is sky.
+
+    The files of a camera, in order of their frame numbers, belong to its images in order.
+    """
+    if not folder.is_dir():
+        raise InputError(folder, "sky masks", "is no folder", "check sky_mask_path")
+    by_camera: dict[str, dict[int, Path]] = {}
+    for path in sorted(folder.iterdir()):
+        found = _FILE.fullmatch(path.name)
+        if found is not None:
+            by_camera.setdefault(_camera(log, found[2]), {})[int(found[1])] = path
+    ordered = {}
+    for name in dict.fromkeys(view.camera_name for view in views):
+        files, images = by_camera.get(name, {}), len(log.cameras[name].timestamps_us)
+        if len(files) != images:
+            raise InputError(
+                folder, f"camera {name}", f"has {len(files)} masks, the log {images} images", _NAMES
+            )
+        ordered[name] = [files[frame] for frame in sorted(files)]
+    for view in views:
+        camera = log.cameras[view.camera_name].camera
+        mask = _read_mask(ordered[view.camera_name][view.frame])
+        if mask.shape != (camera.height, camera.width):
+            raise InputError(
+                ordered[view.camera_name][view.frame], "size",
+                f"is {mask.shape[1]}x{mask.shape[0]}, the image {camera.width}x{camera.height}",
+                "write a mask of the size of the recorded image",
+            )  # fmt: skip
+        yield fit_mask(camera, mask, scale)
+
+
+def _camera(log: DrivingLog, name: str) -> str:
+    """The log's camera that a file name means: by its name, or by Waymo's number."""
+    numbered = CAMERAS[int(name)] if name.isdigit() and int(name) < len(CAMERAS) else name
+    return name if name in log.cameras else numbered
+
+
+def _read_mask(path: Path) -> Mask:
+    try:
+        data = np.frombuffer(path.read_bytes(), np.uint8)
+    except OSError as error:
+        raise InputError(
+            path, "sky mask", (error.strerror or "cannot be read").lower(), "check the file"
+        ) from None
+    pixels = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+    if pixels is None:
+        raise InputError(path, "sky mask", "is no image, or cut short", "write it anew")
+    white: Mask = pixels > 127
+    return white
+
+
+def _from_network(views: Sequence[View], folder: Path) -> Iterator[Mask]:
+    """Masks of a SegFormer that knows a class called sky; no code of the folder runs."""
+    published = PretrainedFolder(
+        folder,
+        "segformer",
+        "SegformerForSemanticSegmentation",
+        "SegformerImageProcessor",
+        "nvidia/segformer-b5-finetuned-cityscapes-1024-1024",
+    )
+    processor, network = published.read("cpu")
+    labels = {str(name).lower(): int(index) for index, name in network.config.id2label.items()}
+    if "sky" not in labels:
+        known = ", ".join(sorted(labels)[:8])
+        raise InputError(
+            folder, "config.json", f"names no class sky (there are {known})",
+            "take a network trained on Cityscapes or ADE20K",
+        )  # fmt: skip
+    for view in views:
+        with torch.inference_mode():
+            outputs = network(**processor(images=view.image, return_tensors="pt"))
+        size = (view.camera.height, view.camera.width)
+        classes = processor.post_process_semantic_segmentation(outputs, target_sizes=[size])[0]
+        found: NDArray[np.bool_] = (classes == labels["sky"]).numpy()
+        yield found
