@@ -69,7 +69,9 @@ def test_only_a_synthetic_log_has_truth(tiny_log: DrivingLog) -> None:
 
 def shown(evaluation: SceneEvaluation) -> str:
     console = Console(width=110, record=True, file=StringIO())
-    console.print(evaluation_table(evaluation), shift_table(evaluation))
+    console.print(evaluation_table(evaluation))
+    if evaluation.shift_truth:
+        console.print(shift_table(evaluation))
     return console.export_text()
 
 
