@@ -1,8 +1,9 @@
 """Large cells of Waymo v2 tables, images and range images, read from their file when asked for.
 
 A row group holds about fifty frames, a gigabyte of range images when decoded. So rows are decoded
-one at a time. Rows asked for in the order in which they lie cost one pass over the file; one that
-lies before the last costs another from the start of its row group.
+one at a time, by one reader for all sensors of a table. Rows asked for in the order in which they
+lie cost one pass over the file, so each sensor on its own costs one; a row that lies before the
+last one in its row group costs another pass from the start of the group.
 """
 
 from __future__ import annotations

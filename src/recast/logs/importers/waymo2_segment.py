@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
 
@@ -101,19 +100,14 @@ def _images(components: Components, times: Iterable[int]) -> _ByFrame[ImageEntry
         return found
     table = components.table("camera_image")
     column = table.column("image")
-    readers = _readers(table, column)
+    reader = RowReader(table.path, [column])
     for row in table.rows([TIME, CAMERA, "pose.transform", *_TIMES]):
         with row.place.errors():
             time, name = _key(row, CAMERA, CAMERA_NAME, found)
-            cell = BytesCell(readers[name], row.place, row.index, column)
+            cell = BytesCell(reader, row.place, row.index, column)
             seconds = {row.column(field): row.number(field) for field in _TIMES}
             found[time][name] = image_entry(cell, row.pose("pose"), seconds, time)
     return found
-
-
-def _readers(table: Table, *columns: str) -> defaultdict[str, RowReader]:
-    """A reader for each sensor, so that each goes through its own rows in order."""
-    return defaultdict(lambda: RowReader(table.path, columns))
 
 
 def _lasers(components: Components, times: Iterable[int]) -> _ByFrame[LaserEntry]:
@@ -136,7 +130,7 @@ def _matrices(
     """The range images of each row: the first field must be there, others may be empty."""
     found: _ByFrame[tuple[MatrixCell, ...]] = {time: {} for time in times}
     columns = {field: table.column(f"{field}.values") for field in fields}
-    readers = _readers(table, *columns.values())
+    reader = RowReader(table.path, list(columns.values()))
     shapes = [f"{field}.shape" for field in fields]
     for row in table.rows([TIME, LASER, *shapes]):
         with row.place.errors():
@@ -147,7 +141,7 @@ def _matrices(
                 if not shape and field == fields[0]:
                     raise FieldError(row.column(f"{field}.shape"), "is empty")
                 if shape:
-                    cells.append(MatrixCell(readers[name], row.place, row.index, column, shape))
+                    cells.append(MatrixCell(reader, row.place, row.index, column, shape))
             found[time][name] = tuple(cells)
     return found
 
