@@ -15,6 +15,7 @@ IMPORTERS = Registry(
         "drivestudio": "recast.logs.importers.drivestudio:import_drivestudio",
         "kitti": "recast.logs.importers.kitti:import_kitti",
         "nuscenes": "recast.logs.importers.nuscenes:import_nuscenes",
+        "py123d": "recast.logs.importers.py123d:import_py123d",
         "street-gaussians": "recast.logs.importers.street_gaussians:import_street_gaussians",
         "waymo": "recast.logs.importers.waymo:import_waymo",
         "waymo-v2": "recast.logs.importers.waymo2:import_waymo2",

@@ -1,0 +1,174 @@
+"""Cameras and LiDARs of a py123d scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recast.errors import InputError
+from recast.geometry import PinholeCamera, se3
+from recast.logs.types import (
+    Array,
+    CameraStream,
+    Image,
+    Int64Array,
+    LidarStream,
+    LidarSweep,
+    Trajectory,
+)
+
+_MEND = "convert the log again"
+
+
+def matrix(pose: Any) -> Array:
+    """The (4, 4) of a `py123d.geometry.PoseSE3`."""
+    return np.asarray(pose.transformation_matrix, np.float64)
+
+
+@dataclass(frozen=True)
+class Py123dImages:
+    """The images of one camera, decoded by py123d when asked for."""
+
+    scene: Any
+    camera_id: Any
+    name: str
+    timestamps_us: Int64Array
+    camera: PinholeCamera
+    folder: Path
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.timestamps_us)
+
+    def __getitem__(self, index: int) -> Image:
+        """Decode frame `index` to (height, width, 3) uint8 RGB.
+
+        Raises:
+            InputError: it is missing, or of another size than the calibration says.
+        """
+        time = int(self.timestamps_us[index])
+        found = self.scene.get_camera_at_timestamp(time, self.camera_id)
+        where = f"camera {self.name} at {time} us"
+        if found is None:
+            raise InputError(self.folder, where, "has no image", _MEND)
+        image = np.asarray(found.rgb_image, np.uint8)
+        expected = (self.camera.height, self.camera.width, 3)
+        if image.shape != expected:
+            problem = f"has an image of {image.shape}, its calibration says {expected}"
+            raise InputError(self.folder, where, problem, _MEND)
+        return image
+
+
+def read_cameras(
+    scene: Any, folder: Path, rig_from_imu: Array, trajectory: Trajectory
+) -> tuple[dict[str, CameraStream], list[str]]:
+    """Pinhole cameras by name, and the names of the others, which are left out.
+
+    Raises:
+        InputError: a camera has no intrinsics, or some that a pinhole camera has not.
+    """
+    streams, left_out = {}, []
+    for camera_id, known in scene.get_camera_metadatas().items():
+        name = known.camera_name
+        if known.camera_model.name != "PINHOLE":
+            left_out.append(name)
+            continue
+        camera = _camera(folder, known)
+        times = _within(scene.get_all_camera_timestamps(camera_id), trajectory)
+        images = Py123dImages(scene, camera_id, name, times, camera, folder)
+        mount = rig_from_imu @ matrix(known.camera_to_imu_se3)
+        streams[name] = CameraStream(name, camera, mount, times, images)
+    return streams, left_out
+
+
+def _camera(folder: Path, known: Any) -> PinholeCamera:
+    where, intrinsics = f"camera {known.camera_name}", known.intrinsics
+    if intrinsics is None:
+        raise InputError(folder, where, "has no intrinsics", _MEND)
+    if intrinsics.skew != 0:
+        raise InputError(
+            folder, where, f"has a skew of {intrinsics.skew:g}", "undistort its images"
+        )
+    lens = None if known.is_undistorted else known.distortion
+    k1, k2, p1, p2, k3 = (
+        (0.0,) * 5 if lens is None else (lens.k1, lens.k2, lens.p1, lens.p2, lens.k3)
+    )
+    focal = float(intrinsics.fx), float(intrinsics.fy)
+    centre = float(intrinsics.cx), float(intrinsics.cy)
+    distortion = (float(k1), float(k2), float(p1), float(p2), float(k3))
+    camera = PinholeCamera(int(known.width), int(known.height), *focal, *centre, distortion)
+    try:
+        camera.validate()
+    except ValueError as error:
+        raise InputError(folder, where, str(error), _MEND) from None
+    return camera
+
+
+@dataclass(frozen=True)
+class Py123dSweeps:
+    """The sweeps of one LiDAR, decoded by py123d when asked for.
+
+    A cloud of several scanners, which is how py123d may keep them, is parted by its point ids.
+    """
+
+    scene: Any
+    lidar_id: Any
+    name: str
+    timestamps_us: Int64Array
+    rig_from_imu: Array
+    folder: Path
+
+    def __len__(self) -> int:
+        """Number of sweeps."""
+        return len(self.timestamps_us)
+
+    def __getitem__(self, index: int) -> LidarSweep:
+        """Decode sweep `index`; py123d's points are in the IMU frame at the sweep's time.
+
+        Raises:
+            InputError: it is missing, or points of several scanners cannot be told apart.
+        """
+        time = int(self.timestamps_us[index])
+        found = self.scene.get_lidar_at_timestamp(time, self.lidar_id)
+        where = f"LiDAR {self.name} at {time} us"
+        if found is None:
+            raise InputError(self.folder, where, "has no points", _MEND)
+        points = np.asarray(found.point_cloud_3d, np.float64)
+        mine = np.ones(len(points), bool)
+        if found.is_merged:
+            if found.ids is None:
+                problem = "is merged with others, and points have no ids"
+                raise InputError(self.folder, where, problem, _MEND)
+            mine = found.ids == int(self.lidar_id)
+        times, intensity = found.timestamps, found.intensity
+        brightness = np.zeros(len(points)) if intensity is None else np.asarray(intensity) / 255.0
+        return LidarSweep(
+            time,
+            se3.apply(self.rig_from_imu, points[mine]).astype(np.float32),
+            brightness[mine].astype(np.float32),
+            None if times is None else np.asarray(times, np.int64)[mine],
+        )
+
+
+def read_lidars(
+    scene: Any, folder: Path, rig_from_imu: Array, trajectory: Trajectory
+) -> dict[str, LidarStream]:
+    """LiDARs by name."""
+    streams = {}
+    for lidar_id, known in scene.get_lidar_metadatas().items():
+        name = known.lidar_name
+        own = scene.get_all_lidar_timestamps(lidar_id)
+        times = _within(own or scene.get_all_lidar_timestamps("lidar_merged"), trajectory)
+        sweeps = Py123dSweeps(scene, lidar_id, name, times, rig_from_imu, folder)
+        mount = rig_from_imu @ matrix(known.lidar_to_imu_se3)
+        streams[name] = LidarStream(name, mount, times, sweeps)
+    return streams
+
+
+def _within(times: list[Any], trajectory: Trajectory) -> Int64Array:
+    """Sensors start and stop within a cycle of the ego states: what is beyond is left out."""
+    listed = [int(time.time_us) for time in times]
+    return np.array([time for time in listed if trajectory.covers(time)], np.int64)
