@@ -19,7 +19,7 @@ def population(n: int = 10) -> Gaussians:
 
 
 def plan(gaussians: Gaussians, gradient: torch.Tensor, **options: object):
-    defaults = {"threshold": 1.0, "most_new": 100, "split_above": 0.5}
+    defaults = {"threshold": 1.0, "most_new": 100, "split_above": 0.5, "min_opacity": 0.01}
     generator = torch.Generator().manual_seed(1)
     return plan_change(gaussians, gradient, **{**defaults, **options}, generator=generator)
 

@@ -65,6 +65,8 @@ def test_no_tracks_and_short_tracks_cost_nothing() -> None:
     assert TrackSmoothness(TrackPoses({}, [view(0)])).loss().item() == 0
     short = TrackPoses({"7": drive(np.zeros((2, 3)))}, [view(0), view(1)])
     assert TrackSmoothness(short).loss().item() == 0
+    unseen = TrackPoses({"7": drive(np.zeros((3, 3)))}, [view(0, held_out=True)])
+    assert TrackSmoothness(unseen).loss().item() == 0
 
 
 def test_actor_opacity_by_hand() -> None:

@@ -61,3 +61,12 @@ def test_distorted_images_are_rectified_and_their_rim_masked(tiny_log: DrivingLo
     assert np.abs(view.image[..., 0] - (128 + 100 * straight[..., 0]))[inner].max() < 3
     assert np.abs(view.image[..., 1] - (128 + 200 * straight[..., 1]))[inner].max() < 3
     assert 0.7 < view.mask.mean() < 1.0 and not view.mask[0, 0]
+
+
+def test_a_cameras_views_share_their_mask(tiny_log: DrivingLog) -> None:
+    stream = tiny_log.cameras["image_02"]
+    bent = replace(stream.camera, distortion=(0.2, 0.0, 0.0, 0.0, 0.0))
+    log = replace(tiny_log, cameras={"image_02": replace(stream, camera=bent)})
+    views = read_views(log, SceneConfig(scale=0.5))
+    assert views[0].mask is not None and not views[0].mask.all()
+    assert all(view.mask is views[0].mask for view in views)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -19,8 +19,11 @@ class Train:
     """Log folder."""
     out: Path
     """Scene folder to write."""
+    preset: Literal["streetgs", "omnire"] | None = None
+    """Train by the method of Street Gaussians or of OmniRe; recast's own where none is named."""
     config: Path | None = None
-    """Configuration file (JSON, see docs/scenes.md). The options below override it."""
+    """Configuration file (JSON, see docs/scenes.md): goes before the preset, and the options below
+    before both."""
     cameras: tuple[str, ...] | None = None
     """Cameras to train on; all of the log where none is named."""
     scale: float | None = None
@@ -38,15 +41,12 @@ class Train:
         """Run the command."""
         from recast.logs import read_log
         from recast.pipeline.scene import train_with_display
-        from recast.scene import SceneConfig, read_config
+        from recast.scene import read_config, resolve_config
 
-        base = SceneConfig() if self.config is None else read_config(self.config)
-        given = {
-            name: getattr(self, name)
-            for name in ("cameras", "scale", "iterations", "force_dynamic", "seed", "threads")
-            if getattr(self, name) is not None
-        }
-        config = SceneConfig.model_validate({**base.model_dump(), **given})
+        names = ("cameras", "scale", "iterations", "force_dynamic", "seed", "threads")
+        written = None if self.config is None else read_config(self.config)
+        options = {name: getattr(self, name) for name in names}
+        config = resolve_config(self.preset, written, options)
         train_with_display(read_log(self.log), self.out, config)
 
 

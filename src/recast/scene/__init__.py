@@ -7,6 +7,7 @@ from recast.scene.evaluate_regions import RegionScore
 from recast.scene.evaluate_shifts import SHIFTS, ShiftedView, ShiftScores, ViewShift
 from recast.scene.export import export_scene, export_scene_at
 from recast.scene.image_metrics import psnr, ssim
+from recast.scene.presets import Preset, resolve_config
 from recast.scene.progress import ProgressCallback, TrainingDisplay, TrainingStatus
 from recast.scene.render import SceneImage, SceneRasterizer, render_scene
 from recast.scene.run_identity import read_training_config
@@ -18,6 +19,7 @@ from recast.scene.train import TrainResult, train_scene
 __all__ = [
     "SHIFTS",
     "FrameScore",
+    "Preset",
     "ProgressCallback",
     "RegionScore",
     "SceneActor",
@@ -41,6 +43,7 @@ __all__ = [
     "read_config",
     "read_training_config",
     "render_scene",
+    "resolve_config",
     "save_scene",
     "ssim",
     "train_scene",

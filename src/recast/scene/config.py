@@ -74,9 +74,25 @@ class SceneConfig(MethodConfig):
     densify_growth: float = Field(
         default=0.08, ge=0, description="most new rows a time, share of all"
     )
+    densify_from: float = Field(
+        default=0.0, ge=0, le=1, description="share of the run after which it starts"
+    )
     densify_gradient: float = Field(
         default=3e-4, gt=0, description="mean image-plane gradient, NDC units"
     )
+    split_above_m: float = Field(
+        default=0.08, gt=0, description="larger Gaussians are split, smaller ones cloned"
+    )
+    actor_split_above_m: float = Field(default=0.03, gt=0, description="likewise of actors")
+    prune_opacity: float = Field(default=0.01, ge=0, lt=1, description="fainter ones go")
+    prune_above_m: float = Field(
+        default=1e6, gt=0, description="larger ones go, from the first reset of opacities on"
+    )
+    actor_prune_above_m: float = Field(default=1e6, gt=0, description="likewise of actors")
+    opacity_reset_every: float = Field(
+        default=0.0, ge=0, le=1, description="share of the run between resets to 0.01, 0: none"
+    )
+    opacity_reset_until: float = Field(default=1.0, ge=0, le=1, description="share of the run")
 
     evaluate_every: int = Field(default=500, ge=1, description="steps between held-out PSNRs")
     checkpoint_every: int = Field(default=200, ge=1, description="steps that a kill costs at most")

@@ -16,7 +16,6 @@ from recast.splats import Gaussians, RasterMeta
 from recast.splats.rotations import quat_to_matrix
 
 SPLIT_SHRINK = 1.6
-MIN_OPACITY = 0.01
 
 
 class GradientStatistics:
@@ -76,6 +75,7 @@ def plan_change(
     threshold: float,
     most_new: int,
     split_above: float,
+    min_opacity: float,
     generator: torch.Generator,
     doomed: Tensor | None = None,
 ) -> Change:
@@ -86,11 +86,12 @@ def plan_change(
         threshold: rows above it are candidates, the largest first.
         most_new: most rows that the population may grow by.
         split_above: metres; larger rows are split, smaller ones cloned.
+        min_opacity: rows below it are taken away.
         generator: places the halves of split rows.
-        doomed: (N,) bool, rows to take away besides the transparent ones.
+        doomed: (N,) bool, rows to take away besides those.
     """
     sigma = gaussians.log_scales.detach().amax(dim=1).exp()
-    gone = torch.sigmoid(gaussians.logit_opacities.detach()) < MIN_OPACITY
+    gone = torch.sigmoid(gaussians.logit_opacities.detach()) < min_opacity
     if doomed is not None:
         gone = gone | doomed
     wanted = torch.where(gone, 0.0, mean_gradient)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import torch
@@ -13,8 +14,8 @@ from recast.scene.densify import Change, GradientStatistics, plan_change
 from recast.scene.trainable import TrainableScene, rows
 from recast.splats import Gaussians, RowAdam, concatenate, morton_order
 
-SPLIT_ABOVE_M = 0.08
-ACTOR_SPLIT_ABOVE_M = 0.03
+RESET_OPACITY = 0.01
+"""What a reset leaves of an opacity (3DGS)."""
 BOX_MARGIN_M = 0.15
 """How far an actor's centres may leave its box, to the sides and upwards."""
 
@@ -24,11 +25,17 @@ def change_population(
     tracks: Mapping[str, Track],
     config: SceneConfig,
     generator: torch.Generator,
+    oversize: bool = False,
 ) -> None:
     """Clone, split and prune; background rows are put back into Morton order.
 
     The room below `max_gaussians` is shared in proportion to the parts' sizes.
+
+    Args:
+        oversize: whether rows above `prune_above_m` and `actor_prune_above_m` go as well.
     """
+    limit = config.prune_above_m if oversize else math.inf
+    actor_limit = config.actor_prune_above_m if oversize else math.inf
     total = len(model.background) + len(model.local)
     room = max(config.max_gaussians - total, 0) / max(total, 1)
     growth = min(config.densify_growth, room)
@@ -37,17 +44,20 @@ def change_population(
         model.background_statistics.mean(),
         threshold=config.densify_gradient,
         most_new=int(growth * len(model.background)),
-        split_above=SPLIT_ABOVE_M,
+        split_above=config.split_above_m,
+        min_opacity=config.prune_opacity,
         generator=generator,
+        doomed=_larger(model.background, limit),
     )
     local = plan_change(
         model.local,
         model.local_statistics.mean(),
         threshold=config.densify_gradient,
         most_new=int(growth * len(model.local)),
-        split_above=ACTOR_SPLIT_ABOVE_M,
+        split_above=config.actor_split_above_m,
+        min_opacity=config.prune_opacity,
         generator=generator,
-        doomed=~inside_boxes(model, tracks),
+        doomed=~inside_boxes(model, tracks) | _larger(model.local, actor_limit),
     )
     new_background = _merge(model.background, background)
     order = morton_order(new_background.means)
@@ -62,6 +72,24 @@ def change_population(
     device = model.background.means.device
     model.background_statistics = GradientStatistics(len(model.background), device)
     model.local_statistics = GradientStatistics(len(model.local), device)
+
+
+def reset_opacities(model: TrainableScene) -> None:
+    """Lower all opacities to `RESET_OPACITY`; what is needed grows back, what is not is pruned.
+
+    Kerbl et al. 2023, section 5.2: against floaters close to the cameras. Moments are forgotten.
+    """
+    limit = math.log(RESET_OPACITY / (1 - RESET_OPACITY))
+    parts = ((model.background, model.background_adam), (model.local, model.local_adam))
+    for gaussians, adam in parts:
+        with torch.no_grad():
+            gaussians.logit_opacities.clamp_(max=limit)
+        adam.forget("logit_opacities")
+
+
+def _larger(gaussians: Gaussians, limit: float) -> Tensor:
+    """(N,) bool: rows whose longest standard deviation is above `limit` metres."""
+    return gaussians.log_scales.detach().amax(dim=1).exp() > limit
 
 
 def inside_boxes(model: TrainableScene, tracks: Mapping[str, Track]) -> Tensor:

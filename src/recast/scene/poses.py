@@ -132,10 +132,11 @@ class TrackPoses:
         return Trajectory(logged.timestamps_us, np.stack(poses))
 
     def knots(self) -> list[tuple[int, Int64Array, Array]]:
-        """By track: its first row in the table, its knots' times (K,), logged centres (K, 3)."""
+        """By track that has any: first row in the table, times (K,), logged centres (K, 3)."""
         return [
             (self._first_row[name], times, self._logged[name].at(times)[:, :3, 3])
             for name, times in self._knots.items()
+            if len(times)
         ]
 
     def _at(self, track_id: str, timestamp_us: int) -> Tensor:

@@ -36,6 +36,7 @@ def pose_factor(u: float) -> float:
 
 def coarse_factor(config: SceneConfig, u: float) -> int:
     """By how much width and height are divided: each factor has an equal part of the coarse run."""
-    if u >= config.coarse_fraction or not config.coarse_factors:
+    factors = config.coarse_factors
+    if u >= config.coarse_fraction or not factors:
         return 1
-    return config.coarse_factors[int(u / config.coarse_fraction * len(config.coarse_factors))]
+    return factors[min(int(u / config.coarse_fraction * len(factors)), len(factors) - 1)]

@@ -13,13 +13,14 @@ from recast.logs import DrivingLog, Track
 from recast.scene.adam_table import AdamTable
 from recast.scene.appearance import Appearance, coloured, share_of
 from recast.scene.config import SceneConfig
+from recast.scene.density import DensitySchedule
 from recast.scene.exposure import Exposures, exposed_scene
 from recast.scene.initialise import Initialisation
 from recast.scene.level_set import make_levels
 from recast.scene.levels import Level
 from recast.scene.mirror import symmetric_tracks
 from recast.scene.objective import actors_alone, view_loss
-from recast.scene.population import change_population
+from recast.scene.population import change_population, reset_opacities
 from recast.scene.poses import CameraPoses, TrackPoses
 from recast.scene.regularisers import SHARP_SHAPE_EVERY, TrackSmoothness, sharp_shape
 from recast.scene.schedule import (
@@ -77,6 +78,7 @@ class Trainer:
         self._threads = threads
         self._views = [view for view in views if not view.held_out]
         self._tracks = dict(tracks)
+        self._density = DensitySchedule(config)
         self._levels = make_levels(config, self._views, start)
         self.model = TrainableScene(
             start.background.to(self.device),
@@ -99,8 +101,11 @@ class Trainer:
         level = self._levels[coarse_factor(config, u)][index].unpacked(self.device)
         report = self._fit(self._views[index], level, u)
         self.iteration += 1
-        if self.iteration % config.densify_every == 0 and self._densifies():
-            change_population(self.model, self._tracks, config, self._generator())
+        if self._density.changes(self.iteration):
+            oversize = self._density.prunes_oversize(self.iteration)
+            change_population(self.model, self._tracks, config, self._generator(), oversize)
+        if self._density.resets(self.iteration):
+            reset_opacities(self.model)
         return report
 
     def tables(self) -> dict[str, AdamTable]:
@@ -120,9 +125,6 @@ class Trainer:
         words = [self.config.seed, self.iteration, *stream]
         seed = np.random.SeedSequence(words).generate_state(1)[0]
         return torch.Generator().manual_seed(int(seed))
-
-    def _densifies(self) -> bool:
-        return self.iteration < self.config.densify_until * self.config.iterations
 
     def _pick(self) -> int:
         """Each epoch visits every view once, in an order that hangs on seed and epoch alone."""
@@ -171,13 +173,13 @@ class Trainer:
         if config.track_smoothness_weight > 0:
             rough = self._smoothness.loss().to(prior.device)
             prior = prior + config.track_smoothness_weight * rough
-        if config.actor_opacity_weight > 0 and not self._densifies():
+        if config.actor_opacity_weight > 0 and not self._density.counts(self.iteration):
             placed = [(self._tracks[name].size, at) for name, at in poses.items()]
             prior = prior + config.actor_opacity_weight * actors_alone(drawn, pose, level, placed)
         loss = loss + prior
         loss.backward()
         self.model.take_gradients(drawn)
-        if self._densifies():
+        if self._density.counts(self.iteration):
             self.model.count(drawn, result.meta, camera.width, camera.height)
         self._update(*self.model.visible(drawn, result.meta), u)
         squared = float((image.detach() - level.target).square().mean())

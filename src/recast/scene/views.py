@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -78,12 +78,19 @@ def is_held_out(frame: int, config: SceneConfig) -> bool:
 
 
 def read_views(log: DrivingLog, config: SceneConfig) -> list[View]:
-    """All views of the chosen cameras, camera by camera, in order of time."""
-    return [
-        read_view(log, log.cameras[name], frame, config.scale, is_held_out(frame, config))
-        for name in camera_names(log, config)
-        for frame in range(len(log.cameras[name].timestamps_us))
-    ]
+    """All views of the chosen cameras, camera by camera, in order of time.
+
+    A camera's views share one mask: it hangs on lens and mount alone.
+    """
+    views = []
+    for name in camera_names(log, config):
+        mask = None
+        for frame in range(len(log.cameras[name].timestamps_us)):
+            held_out = is_held_out(frame, config)
+            view = read_view(log, log.cameras[name], frame, config.scale, held_out)
+            mask = view.mask if mask is None else mask
+            views.append(replace(view, mask=mask))
+    return views
 
 
 def read_view(

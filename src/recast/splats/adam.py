@@ -204,6 +204,11 @@ class RowAdam:
             for name, m in moments.items():
                 moments[name] = torch.cat([m, m.new_zeros(count, *m.shape[1:])])
 
+    def forget(self, name: str) -> None:
+        """Start one parameter's moments anew, for values that were set from outside."""
+        self._first[name] = torch.zeros_like(self._first[name])
+        self._second[name] = torch.zeros_like(self._second[name])
+
     def state_dict(self) -> dict[str, Tensor]:
         """Moments and step count as plain tensors: `first.NAME`, `second.NAME`, `steps`."""
         state = {"steps": torch.tensor(self.steps)}

@@ -1,0 +1,47 @@
+"""When Gaussians are added, taken away and made transparent during a run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from recast.scene.config import SceneConfig
+
+
+@dataclass(frozen=True)
+class DensitySchedule:
+    """The steps of density control; all its spans are shares of the run, so they hold for any.
+
+    recast's own recipe grows by a share of all Gaussians at a time and never resets opacities;
+    that of 3DGS, which both published trainers follow, takes every row above the threshold and
+    resets. Both are numbers of the configuration.
+    """
+
+    config: SceneConfig
+
+    def counts(self, iteration: int) -> bool:
+        """Whether the screen-space gradients of this step (from 0) count."""
+        return iteration < self.config.densify_until * self.config.iterations
+
+    def changes(self, iteration: int) -> bool:
+        """Whether the population changes when `iteration` steps are done."""
+        config = self.config
+        return (
+            iteration % config.densify_every == 0
+            and iteration >= config.densify_from * config.iterations
+            and self.counts(iteration)
+        )
+
+    def resets(self, iteration: int) -> bool:
+        """Whether opacities are reset when `iteration` steps are done; never at the very end."""
+        period, steps = self._period(), self.config.iterations
+        last = min(math.floor(self.config.opacity_reset_until * steps), steps - 1)
+        return period > 0 and iteration % period == 0 and period <= iteration <= last
+
+    def prunes_oversize(self, iteration: int) -> bool:
+        """Whether there has been a reset before: until then large Gaussians may still shrink."""
+        return 0 < self._period() < iteration
+
+    def _period(self) -> int:
+        share = self.config.opacity_reset_every
+        return max(1, round(share * self.config.iterations)) if share > 0 else 0
