@@ -192,6 +192,7 @@ def over_gsplat(
 
 def measure(options: argparse.Namespace, device: torch.device) -> None:
     """Print all figures of one device."""
+    torch.backends.cudnn.allow_tf32 = False  # as in `train_scene`
     width, height = options.size
     found = torch.cuda.get_device_name(device) if device.type == "cuda" else "no GPU"
     version = getattr(load_gsplat(), "__version__", "of unknown version")

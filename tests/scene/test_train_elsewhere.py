@@ -17,6 +17,7 @@ from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.planning import CameraMount
 from recast.scene import TrainingStatus, TrainResult, train_scene
+from recast.scene.losses import photometric_loss
 from recast.scene.render import SceneRasterizer
 from recast.scene.train import WORK_FOLDER
 from recast.simulation.scene_renderer import SceneRenderer
@@ -60,7 +61,7 @@ def rasterize_elsewhere(gaussians: Any, pose: torch.Tensor, *arguments: Any) -> 
 @pytest.fixture
 def there(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """`ELSEWHERE` is the device that is picked."""
-    for name in ("trainer", "render"):
+    for name in ("trainer", "objective", "render"):
         monkeypatch.setattr(sys.modules[f"recast.scene.{name}"], "rasterize", rasterize_elsewhere)
     for name in ("train", "render"):
         monkeypatch.setattr(
@@ -70,6 +71,21 @@ def there(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         )
     with elsewhere():
         yield
+
+
+def test_the_photometric_loss_elsewhere_is_the_fused_one() -> None:
+    generator = torch.Generator().manual_seed(0)
+    image, target = torch.rand(2, 20, 30, 3, generator=generator)
+    here = image.clone().requires_grad_()
+    fused = photometric_loss(here, target)
+    fused.backward()
+    with elsewhere() as device:
+        there = image.to(device).requires_grad_()
+        loss = photometric_loss(there, target.to(device))
+        loss.backward()
+        assert float(loss.detach()) == pytest.approx(float(fused.detach()), rel=1e-5)
+        difference = there.grad.cpu() - here.grad
+    assert float(difference.norm()) < 1e-4 * float(here.grad.norm())
 
 
 class KilledError(Exception):
@@ -97,6 +113,28 @@ def test_training_elsewhere_learns_the_same(tiny_log: DrivingLog, tmp_path: Path
     for track_id, actor in here.scene.actors.items():
         poses = there.scene.actors[track_id].trajectory.poses
         assert np.allclose(poses, actor.trajectory.poses, atol=5e-3)
+
+
+@pytest.mark.usefixtures("there")
+def test_every_method_works_elsewhere(tiny_log: DrivingLog, tmp_path: Path) -> None:
+    everything = SHORT.model_copy(
+        update={
+            "sky": "cubemap",
+            "sky_face_px": 8,
+            "fourier_terms": 3,
+            "flip_probability": 0.5,
+            "exposure_lr": 1e-3,
+            "exposure_weight": 1e-3,
+            "depth_error": "metric",
+            "sky_loss": "entropy",
+            "sharp_shape_weight": 1.0,
+            "track_smoothness_weight": 0.01,
+            "actor_opacity_weight": 0.1,
+            "densify_until": 0.6,
+        }
+    )
+    result = train_scene(tiny_log, tmp_path / "there", everything)
+    assert result.history[-1]["held_out_psnr"] > 12  # not black, not noise
 
 
 @pytest.mark.usefixtures("there")

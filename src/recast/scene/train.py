@@ -85,17 +85,20 @@ def train_scene(
         return TrainResult(load_scene(out), out, read_json(out / HISTORY_FILE))
     threads = config.threads or _available_cores()
     run = _Run(log, out, config, threads, place, progress or (lambda status: None))
-    before = torch.get_num_threads(), cv2.getNumThreads()
+    before = torch.get_num_threads(), cv2.getNumThreads(), torch.backends.cudnn.allow_tf32
     try:
         # The rasterizer and the losses bring their own threads; torch's and OpenCV's would spin
         # against them for tensors that one core handles in microseconds.
         torch.set_num_threads(1)
         cv2.setNumThreads(1)
+        # SSIM takes variances as differences of blurs: ten bits of mantissa leave little of them.
+        torch.backends.cudnn.allow_tf32 = False
         set_threads(threads)
         return run.finish()
     finally:
         torch.set_num_threads(before[0])
         cv2.setNumThreads(before[1])
+        torch.backends.cudnn.allow_tf32 = before[2]
 
 
 def _available_cores() -> int:
