@@ -36,6 +36,8 @@ class Train:
     """Seed of everything random."""
     threads: int | None = None
     """CPU threads, 0 for all."""
+    device: str = "auto"
+    """auto, cpu, cuda or cuda:1; auto is CUDA where there are a GPU and gsplat."""
 
     def __call__(self) -> None:
         """Run the command."""
@@ -47,7 +49,7 @@ class Train:
         written = None if self.config is None else read_config(self.config)
         options = {name: getattr(self, name) for name in names}
         config = resolve_config(self.preset, written, options)
-        train_with_display(read_log(self.log), self.out, config)
+        train_with_display(read_log(self.log), self.out, config, device=self.device)
 
 
 @dataclass(frozen=True)

@@ -28,11 +28,15 @@ from recast.synthetic import world_of
 
 
 def train_with_display(
-    log: DrivingLog, out: str | Path, config: SceneConfig, console: Console | None = None
+    log: DrivingLog,
+    out: str | Path,
+    config: SceneConfig,
+    console: Console | None = None,
+    device: str = "auto",
 ) -> TrainResult:
     """Train a scene, or go on with one, while showing progress and time left."""
     with TrainingDisplay(console) as display:
-        return train_scene(log, out, config, progress=display)
+        return train_scene(log, out, config, progress=display, device=device)
 
 
 def evaluate_and_print(
