@@ -15,17 +15,20 @@ class Import:
 
     importer: tyro.conf.Positional[str]
     """Kind of the dataset: argoverse2 (sensor logs), drivestudio and street-gaussians (Waymo scenes
-    they processed), kitti (raw, synced and rectified), nuscenes (JSON tables), waymo (v1 TFRecords
-    and motion scenarios), or an installed importer."""
+    they processed), kitti (raw, synced and rectified), nuscenes (JSON tables), py123d (logs it
+    converted; needs that package), waymo (v1 TFRecords and motion scenarios), waymo-v2 (parquet),
+    or an installed importer."""
     root: tyro.conf.Positional[Path]
     """The dataset's folder; for kitti the one that holds the date folder, such as 2011_09_26, for
     argoverse2 the one that holds the splits or the log, for nuscenes the one that holds v1.0-mini
-    or v1.0-trainval, for processed scenes the one that holds them, for waymo the one that holds
-    the TFRecord files."""
+    or v1.0-trainval, for processed scenes the one that holds them, for py123d its data folder, for
+    waymo the one that holds the TFRecord files, for waymo-v2 the one that holds vehicle_pose and the
+    other components, or the splits."""
     drive: str
     """Name of the drive, such as 2011_09_26_drive_0013; for argoverse2 the log's id, for nuscenes
     the scene's name, such as scene-0061, for processed scenes their folder, such as 002, for waymo
-    the segment's name or file, or FILE:SCENARIO."""
+    the segment's name or file, or FILE:SCENARIO, for waymo-v2 and py123d the segment's or log's
+    name."""
     out: Path
     """Log folder to write; must not exist."""
     labels: Path | None = None
