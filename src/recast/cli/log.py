@@ -22,8 +22,8 @@ class Import:
     """The dataset's folder; for kitti the one that holds the date folder, such as 2011_09_26, for
     argoverse2 the one that holds the splits or the log, for nuscenes the one that holds v1.0-mini
     or v1.0-trainval, for processed scenes the one that holds them, for py123d its data folder, for
-    waymo the one that holds the TFRecord files, for waymo-v2 the one that holds vehicle_pose and the
-    other components, or the splits."""
+    waymo the one that holds the TFRecord files, for waymo-v2 the one that holds vehicle_pose and
+    the other components, or the splits."""
     drive: str
     """Name of the drive, such as 2011_09_26_drive_0013; for argoverse2 the log's id, for nuscenes
     the scene's name, such as scene-0061, for processed scenes their folder, such as 002, for waymo
