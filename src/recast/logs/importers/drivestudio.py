@@ -47,11 +47,7 @@ def import_drivestudio(root: Path, drive: str, out: Path, labels: Path | None = 
     """
     if Path(out).exists():
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
-    log = load_drivestudio(root, drive, labels)
-    for camera in log.cameras.values():
-        if isinstance(camera.images, ImageFiles):
-            camera.images.check()
-    write_log(log, out)
+    write_log(load_drivestudio(root, drive, labels), out)
 
 
 def load_drivestudio(root: Path, drive: str, labels: Path | None = None) -> DrivingLog:

@@ -36,11 +36,7 @@ def import_street_gaussians(root: Path, drive: str, out: Path, labels: Path | No
     """
     if Path(out).exists():
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
-    log = load_street_gaussians(root, drive, labels)
-    for camera in log.cameras.values():
-        if isinstance(camera.images, ImageFiles):
-            camera.images.check()
-    write_log(log, out)
+    write_log(load_street_gaussians(root, drive, labels), out)
 
 
 def load_street_gaussians(root: Path, drive: str, labels: Path | None = None) -> DrivingLog:
