@@ -16,6 +16,14 @@ from __future__ import annotations
 
 import argparse
 import sys
+
+if __name__ == "cuda":
+    # NVIDIA's package has this name too, and torch asks for it: not this file is meant.
+    raise ModuleNotFoundError("a benchmark, not NVIDIA's package cuda", name="cuda")
+if __name__ == "__main__":
+    # For the same reason this folder is the last to be looked through.
+    sys.path.append(sys.path.pop(0))
+
 from collections.abc import Callable, Sequence
 from statistics import mean, median
 from time import perf_counter

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
@@ -34,6 +35,13 @@ def test_without_a_gpu_it_says_so(
     assert told.err == (
         "benchmarks/cuda.py: device: cuda: torch sees 0 GPUs; choose auto, cpu or cuda\n"
     )
+
+
+def test_it_does_not_pass_for_the_package_of_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(FOLDER))
+    monkeypatch.delitem(sys.modules, "cuda", raising=False)
+    with pytest.raises(ModuleNotFoundError, match="NVIDIA"):
+        import_module("cuda")
 
 
 def test_it_runs_through(
