@@ -31,6 +31,8 @@ def test_fewer_steps_have_larger_rates_within_what_was_tried(name: Preset) -> No
     short, shorter = preset_values(name, 2900), preset_values(name, 300)
     assert short["scales_lr"] == pytest.approx(5.8 * 5e-3, rel=0.01)
     assert shorter["scales_lr"] == pytest.approx(12 * 5e-3)
+    assert shorter["opacity_reset_every"] == 1.0 and preset_values(name, 10)
+    assert short["opacity_reset_every"] == pytest.approx(300 / 2900)
     assert shorter["means_lr"] <= 0.02 and short["densify_until"] == shorter["densify_until"]
 
 

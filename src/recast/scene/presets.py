@@ -25,6 +25,10 @@ MOST = 12.0
 """Times the published rate: more has not been tried."""
 MOST_METRES = 0.02
 """Of a centre in one step: more has not been tried."""
+RESET_EVERY = 0.1
+"""Share of the run between resets of opacities."""
+LEAST_BETWEEN_RESETS = 300
+"""Steps: every view must be seen a few times before what was lowered is judged."""
 
 _RATES: dict[Preset, dict[str, float]] = {
     # Centres: 1.6e-4 times the scene's radius, which is 10 m (Street Gaussians' `extent`) and, of
@@ -43,7 +47,7 @@ _RATES: dict[Preset, dict[str, float]] = {
 # Adaptive density control of 3DGS: every row above the threshold, of signed gradients in both.
 _EVERY_ROW = {
     "densify_growth": 1e3, "densify_from": 1 / 60, "densify_gradient": 2e-4,
-    "prune_opacity": 0.005, "opacity_reset_every": 0.1,
+    "prune_opacity": 0.005,
 }  # fmt: skip
 
 _VALUES: dict[Preset, dict[str, Any]] = {
@@ -77,7 +81,8 @@ def preset_values(name: Preset, iterations: int) -> dict[str, Any]:
     factor = min((PUBLISHED_STEPS / iterations) ** EXPONENT, MOST)
     rates = {field: factor * rate for field, rate in _RATES[name].items()}
     rates["means_lr"] = min(rates["means_lr"], MOST_METRES)
-    return {**_VALUES[name], **rates, "iterations": iterations}
+    resets = min(max(RESET_EVERY, LEAST_BETWEEN_RESETS / iterations), 1.0)
+    return {**_VALUES[name], **rates, "opacity_reset_every": resets, "iterations": iterations}
 
 
 def resolve_config(
