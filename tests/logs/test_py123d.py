@@ -64,6 +64,15 @@ def test_the_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert _imported(tmp_path / "b", monkeypatch, tiny.Scene(map=None)).map is None
 
 
+def test_a_map_without_heights_lies_where_the_ego_drives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = tiny.Scene(map=tiny.Map(tiny.flat(tiny.lanes()), map_has_z=False))
+    log = _imported(tmp_path, monkeypatch, scene)
+    assert log.map is not None
+    np.testing.assert_allclose(log.map.lanes["1"].left_boundary[:, 2], 0.0, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("own", "common", "ours"),
     [

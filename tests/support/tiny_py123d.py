@@ -99,6 +99,14 @@ def line(start: Any, end: Any) -> SimpleNamespace:
     return SimpleNamespace(array=np.linspace(FAR + start, FAR + end, 5))
 
 
+def flat(lanes: list[Any]) -> list[Any]:
+    """As the real one does with maps without heights: they are zero."""
+    for found in lanes:
+        for name in ("left_boundary_3d", "right_boundary_3d", "centerline_3d"):
+            getattr(found, name).array[:, 2] = 0.0
+    return lanes
+
+
 def lane(key: int, y: float, kind: str, **links: Any) -> SimpleNamespace:
     first, last = [-20.0, y, 0.0], [90.0, y, 0.0]
     left, right = [0.0, 1.7, 0.0], [0.0, -1.7, 0.0]
@@ -123,7 +131,8 @@ def lane(key: int, y: float, kind: str, **links: Any) -> SimpleNamespace:
 
 
 class Map:
-    def __init__(self, lanes: list[Any]) -> None:
+    def __init__(self, lanes: list[Any], map_has_z: bool = True) -> None:
+        self.map_has_z = map_has_z
         group = SimpleNamespace(
             lane_ids=[2], intersection_id=9, shapely_polygon=lanes[0].shapely_polygon
         )

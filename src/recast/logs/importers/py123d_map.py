@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import shapely
+from scipy.spatial import cKDTree
 
 from recast.errors import InputError
 from recast.logs.hdmap import HdMap, Lane
@@ -55,7 +56,8 @@ def read_map(api: Any, folder: Path, ego: Array, offset: Array) -> HdMap | None:
         if group.intersection_id is not None
         for key in group.lane_ids
     }
-    lanes = {str(lane.object_id): _lane(lane, known, crossing, offset) for lane in driven}
+    heights = None if api.map_has_z else ego
+    lanes = {str(lane.object_id): _lane(lane, known, crossing, offset, heights) for lane in driven}
     distance = metres_beside(lanes, ego[:, :2])
     if distance > NEAR:
         problem = f"the ego drives {distance:.0f} m beside all lanes: not the map of this drive"
@@ -68,10 +70,16 @@ def read_map(api: Any, folder: Path, ego: Array, offset: Array) -> HdMap | None:
     return HdMap(lanes=lanes, drivable_area=areas, notes={"source": "py123d"})
 
 
-def _lane(lane: Any, known: set[str], crossing: set[str], offset: Array) -> Lane:
+def _lane(
+    lane: Any, known: set[str], crossing: set[str], offset: Array, heights: Array | None
+) -> Lane:
+    """`heights` are places (T, 3) that give a flat map its heights: those of the nearest."""
+
     def line(name: str) -> Array:
-        points = np.asarray(getattr(lane, f"{name}_3d").array, np.float64)
-        return points - offset
+        points = np.asarray(getattr(lane, f"{name}_3d").array, np.float64) - offset
+        if heights is not None:
+            points[:, 2] = heights[cKDTree(heights[:, :2]).query(points[:, :2])[1], 2]
+        return points
 
     def named(key: Any) -> str | None:
         return str(key) if key is not None and str(key) in known else None
