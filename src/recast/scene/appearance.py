@@ -57,3 +57,12 @@ class Appearance:
     def at(self, frozen: Gaussians, share: float) -> Gaussians:
         """The Gaussians with the colours of another share of the time."""
         return coloured(coloured(frozen, -self.waves, self.frozen_share), self.waves, share)
+
+
+def frozen(
+    gaussians: Gaussians, waves: Tensor, share: float
+) -> tuple[Gaussians, Appearance | None]:
+    """Gaussians with the colours of a share of the time, and how those go on, if they change."""
+    if waves.shape[1] == 0:
+        return gaussians, None
+    return coloured(gaussians, waves, share), Appearance(waves, share)

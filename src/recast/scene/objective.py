@@ -10,11 +10,12 @@ from torch import Tensor
 
 from recast.geometry import boxes
 from recast.scene.config import SceneConfig
+from recast.scene.drawn import Drawn
 from recast.scene.levels import Level
 from recast.scene.losses import depth_loss, photometric_loss, sky_entropy, sky_loss
 from recast.scene.regularisers import actor_opacity
 from recast.scene.street_scene import Array
-from recast.scene.trainable import Drawn, rows
+from recast.scene.trainable import rows
 from recast.splats import Gaussians, Rasterization, rasterize
 
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from recast.scene.appearance import coloured
 from recast.scene.densify import GradientStatistics
+from recast.scene.drawn import Drawn, Span
 from recast.scene.mirror import mirrored
 from recast.splats import Gaussians, RasterMeta, RowAdam, concatenate
 from recast.splats.sh import C0
@@ -29,29 +29,6 @@ COLOUR_LIMIT = 0.5 / C0
 """Keeps the constant colour in [0, 1]: below 0 the rasterizer's clamp kills the gradient."""
 REST_RATE = 0.05
 """View-dependent colour learns this much slower than the constant band (3DGS)."""
-
-
-@dataclass(frozen=True)
-class Span:
-    """Rows of one present actor: `[first, last)` as drawn, `[start, stop)` among all actors' rows.
-
-    Attributes:
-        posed: its Gaussians in the world, with the graph back to the parameters and the pose.
-    """
-
-    first: int
-    last: int
-    start: int
-    stop: int
-    posed: Gaussians
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """What one view sees: leaf Gaussians for the rasterizer, and where the actors are in them."""
-
-    gaussians: Gaussians
-    spans: tuple[Span, ...]
 
 
 class TrainableScene:

@@ -11,9 +11,11 @@ from torch import Tensor
 
 from recast.logs import DrivingLog, Track
 from recast.scene.adam_table import AdamTable
-from recast.scene.appearance import Appearance, coloured, share_of
+from recast.scene.appearance import frozen, share_of
+from recast.scene.chance import FLIPS, generator, picked_view
 from recast.scene.config import SceneConfig
 from recast.scene.density import DensitySchedule
+from recast.scene.drawn import Drawn
 from recast.scene.exposure import Exposures, exposed_scene
 from recast.scene.initialise import Initialisation
 from recast.scene.level_set import make_levels
@@ -31,16 +33,13 @@ from recast.scene.schedule import (
     sky_rate,
 )
 from recast.scene.street_scene import SceneActor, StreetScene
-from recast.scene.trainable import Drawn, TrainableScene, copy
+from recast.scene.trainable import TrainableScene, copy
 from recast.scene.trainable_sky import make_sky
 from recast.scene.views import View
 from recast.splats import rasterize
 
 RADIANS_PER_METRE = 0.1
 """Learning rate of a camera's rotation in radians to that of its translation in metres."""
-
-FLIPS = 1
-"""Stream of random numbers that choose what a step sees mirrored."""
 
 
 @dataclass(frozen=True)
@@ -97,13 +96,14 @@ class Trainer:
         """Fit one view, then densify when it is time."""
         config = self.config
         u = self.iteration / config.iterations
-        index = self._pick()
+        index = picked_view(config.seed, self.iteration, len(self._views))
         level = self._levels[coarse_factor(config, u)][index].unpacked(self.device)
         report = self._fit(self._views[index], level, u)
         self.iteration += 1
         if self._density.changes(self.iteration):
             oversize = self._density.prunes_oversize(self.iteration)
-            change_population(self.model, self._tracks, config, self._generator(), oversize)
+            chance = generator(config.seed, self.iteration)
+            change_population(self.model, self._tracks, config, chance, oversize)
         if self._density.resets(self.iteration):
             reset_opacities(self.model)
         return report
@@ -119,18 +119,6 @@ class Trainer:
 
     def _exposes(self) -> bool:
         return self.config.exposure_lr > 0
-
-    def _generator(self, *stream: int) -> torch.Generator:
-        """Random numbers of this iteration, others for every `stream`."""
-        words = [self.config.seed, self.iteration, *stream]
-        seed = np.random.SeedSequence(words).generate_state(1)[0]
-        return torch.Generator().manual_seed(int(seed))
-
-    def _pick(self) -> int:
-        """Each epoch visits every view once, in an order that hangs on seed and epoch alone."""
-        epoch, position = divmod(self.iteration, len(self._views))
-        order = np.random.default_rng([self.config.seed, epoch]).permutation(len(self._views))
-        return int(order[position])
 
     def poses(self, timestamp_us: int) -> dict[str, Tensor]:
         """`world_from_actor` (4, 4) of the actors present, differentiable in their offsets."""
@@ -150,7 +138,8 @@ class Trainer:
         if probability == 0:
             return None
         owner = self.model.owner
-        drawn = torch.rand(len(owner), generator=self._generator(FLIPS)) < probability
+        chance = generator(self.config.seed, self.iteration, FLIPS)
+        drawn = torch.rand(len(owner), generator=chance) < probability
         return (drawn & self._symmetric[owner]).to(self.device)
 
     def _fit(self, view: View, level: Level, u: float) -> StepReport:
@@ -211,11 +200,9 @@ class Trainer:
         return exposed_scene(scene, self.exposures.mean()) if self._exposes() else scene
 
     def _actor(self, track_id: str) -> SceneActor:
-        gaussians, waves = self.model.actor(track_id)
-        gaussians, waves = gaussians.to("cpu"), waves.cpu()
-        share, appearance = self.config.appearance_share, None
-        if self.config.fourier_terms > 1:
-            gaussians, appearance = coloured(gaussians, waves, share), Appearance(waves, share)
+        learned, waves = self.model.actor(track_id)
+        share = self.config.appearance_share
+        gaussians, appearance = frozen(learned.to("cpu"), waves.cpu(), share)
         return SceneActor(
             track_id=track_id,
             gaussians=gaussians,
