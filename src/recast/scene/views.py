@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -152,6 +153,7 @@ def fit_mask(camera: PinholeCamera, mask: Mask, scale: float) -> Mask:
     return whole
 
 
+@lru_cache(maxsize=1)  # a camera's images come one after the other
 def _source_pixels(camera: PinholeCamera) -> NDArray[np.float32]:
     """Where OpenCV finds the pixels (H, W, 2) of the rectified image in the recorded one."""
     target = camera.rectified()
