@@ -79,9 +79,13 @@ def render_with_gradients(
     gradients = {name: v.grad.cpu() for name, v in vars(leaves).items()}
     gradients["pose"] = tangent(camera(), pose.grad.double())
     gradients["means2d"] = image.meta.means2d_grad.cpu()
+    if image.meta.means2d_absgrad is not None:
+        gradients["means2d_abs"] = image.meta.means2d_absgrad.cpu()
     if background is not None:
         gradients["background"] = extra["background"].grad
-    meta = RasterMeta(**{name: v.detach().cpu() for name, v in vars(image.meta).items()})
+    meta = RasterMeta(
+        **{name: v if v is None else v.detach().cpu() for name, v in vars(image.meta).items()}
+    )
     return Outcome(
         Rasterization(image.rgb.cpu(), image.depth.cpu(), image.alpha.cpu(), meta), gradients
     )

@@ -60,6 +60,7 @@ def _rasterization(
     packed: bool = True,
     backgrounds: Tensor | None = None,
     render_mode: str = "RGB",
+    absgrad: bool = False,
     rasterize_mode: str = "classic",
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
     n = len(means)
@@ -81,13 +82,16 @@ def _rasterization(
     gaussians = Gaussians(means, quats, scales.log(), opacities.logit(), colors)
     splats = reference.project(gaussians, viewmats[0], settings)
 
+    columns = range(0, width, TILE)
     rubbish = torch.full((1, n, 2), math.nan)
     means2d = rubbish.index_copy(1, splats.ids, splats.means2d[None])
     radii = torch.zeros(1, n, 2, dtype=torch.int32)
     radii[0, splats.ids] = splats.extents.ceil().int()
-    drawn = replace(splats, means2d=means2d[0, splats.ids])
+    sizes = torch.zeros(len(splats.ids), 2) if absgrad else None
+    centres = means2d if sizes is None else _Sizes.apply(means2d, splats.ids, sizes)
+    drawn = replace(splats, means2d=centres[0, splats.ids])
     rows = [
-        torch.cat([reference.tile(drawn, x, y, settings) for x in range(0, width, TILE)], dim=1)
+        torch.cat([reference.tile(drawn, x, y, settings, sizes) for x in columns], dim=1)
         for y in range(0, height, TILE)
     ]
     image = torch.cat(rows)[None]
@@ -97,3 +101,19 @@ def _rasterization(
         behind = torch.cat([backgrounds, torch.zeros(1, 1)], dim=1)
         colours = colours + (1 - alphas) * behind[:, None, None]
     return colours, alphas, {"means2d": means2d, "radii": radii}
+
+
+class _Sizes(torch.autograd.Function):
+    """Hangs the absolute gradient on the tensor of the centres itself, in the backward pass."""
+
+    @staticmethod
+    def forward(ctx: Any, means2d: Tensor, ids: Tensor, sizes: Tensor) -> Tensor:
+        ctx.save_for_backward(means2d)
+        ctx.ids, ctx.sizes = ids, sizes
+        return means2d.clone()
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
+        (means2d,) = ctx.saved_tensors
+        means2d.absgrad = torch.zeros_like(gradient).index_copy_(1, ctx.ids, ctx.sizes[None])
+        return gradient, None, None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+import weakref
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -99,8 +100,9 @@ def rasterize_gsplat(
     """Render with gsplat; arguments as `rasterize`, checked by it.
 
     float32. As in the CPU kernel depth is the sum of T alpha z and gradients of projected centres
-    are per pixel. `meta.visible` may have a few rows more, at the image's rim or between pixel
-    centres, for gsplat rounds bounding boxes up; their gradients are zero.
+    are per pixel, absolute ones too; they reach `meta` if it is still held when the backward pass
+    runs. `meta.visible` may have a few rows more, at the image's rim or between pixel centres, for
+    gsplat rounds bounding boxes up; their gradients are zero.
 
     Raises:
         InputError: gsplat is missing.
@@ -136,13 +138,14 @@ def rasterize_gsplat(
         packed=False,
         backgrounds=None if background is None else background.to(means)[None],
         render_mode="RGB+D",
+        absgrad=settings.absgrad,
         rasterize_mode="antialiased" if settings.antialiased else "classic",
     )
-    meta = _meta(found["radii"][0], found["means2d"])
+    meta = _meta(found["radii"][0], found["means2d"], settings.absgrad)
     return Rasterization(images[0, ..., :3], images[0, ..., 3], alphas[0, ..., 0], meta)
 
 
-def _meta(radii: Tensor, means2d: Tensor) -> RasterMeta:
+def _meta(radii: Tensor, means2d: Tensor, absgrad: bool) -> RasterMeta:
     """From radii (N, 2) and projected centres (1, N, 2) with their graph."""
     visible = (radii > 0).all(dim=1)
     # gsplat leaves the centres of culled rows as it found the memory.
@@ -152,9 +155,19 @@ def _meta(radii: Tensor, means2d: Tensor) -> RasterMeta:
         means2d=torch.where(visible[:, None], means2d.detach()[0], 0.0),
     )
     if means2d.requires_grad:
+        wanted = weakref.ref(meta)
+        # gsplat hangs absolute gradients on this very tensor, which nobody else holds by then. A
+        # hook that holds its own tensor would live for ever: whoever drops `meta` drops it.
+        held: list[Any] = [means2d] if absgrad else []
+        weakref.finalize(meta, held.clear).atexit = False
 
         def keep_gradient(gradient: Tensor) -> None:
+            meta = wanted()
+            if meta is None:
+                return
             meta.means2d_grad = gradient[0]
+            if held:
+                meta.means2d_absgrad = held[0].absgrad[0]
 
         means2d.register_hook(keep_gradient)
     return meta
@@ -185,6 +198,7 @@ def _nothing(
 
         def keep_gradient(gradient: Tensor) -> None:
             meta.means2d_grad = gradient.new_zeros(0, 2)
+            meta.means2d_absgrad = gradient.new_zeros(0, 2) if settings.absgrad else None
 
         plane.register_hook(keep_gradient)
     return Rasterization(rgb, plane, plane.clone(), meta)

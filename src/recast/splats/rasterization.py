@@ -31,12 +31,15 @@ class RasterMeta:
             not visible.
         means2d: (N, 2) projected centres, pixels; 0 where not visible.
         means2d_grad: (N, 2) d loss / d means2d, per pixel; None before the backward pass.
+        means2d_absgrad: (N, 2) likewise, but the sizes of what the pixels contribute added up, each
+            component by itself (AbsGS); None where it was not asked for.
     """
 
     visible: Tensor
     radii: Tensor
     means2d: Tensor
     means2d_grad: Tensor | None = None
+    means2d_absgrad: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,7 @@ class RasterSettings:
     eps2d: float
     antialiased: bool
     max_alpha: float
+    absgrad: bool = False
 
 
 def check_settings(
@@ -84,6 +88,7 @@ def check_settings(
     eps2d: float,
     antialiased: bool,
     max_alpha: float,
+    absgrad: bool,
 ) -> RasterSettings:
     """Check the view and gather its numbers.
 
@@ -121,7 +126,18 @@ def check_settings(
     if background is not None and tuple(background.shape) != (3,):
         raise ValueError(f"rasterize: background: shape {tuple(background.shape)}, expected (3,)")
     return RasterSettings(
-        fx, fy, cx, cy, int(width), int(height), near, far, eps2d, bool(antialiased), max_alpha
+        fx=fx,
+        fy=fy,
+        cx=cx,
+        cy=cy,
+        width=int(width),
+        height=int(height),
+        near=near,
+        far=far,
+        eps2d=eps2d,
+        antialiased=bool(antialiased),
+        max_alpha=max_alpha,
+        absgrad=bool(absgrad),
     )
 
 

@@ -35,6 +35,7 @@ def rasterize(
     eps2d: float = 0.3,
     antialiased: bool = False,
     max_alpha: float | None = None,
+    absgrad: bool = False,
     backend: Backend = "auto",
 ) -> Rasterization:
     """Render Gaussians by sorted alpha compositing; differentiable.
@@ -59,6 +60,8 @@ def rasterize(
             (Mip-Splatting); else the classic 3DGS behaviour.
         max_alpha: cap on the alpha of one Gaussian; None is 0.99 on the CPU, as in 3DGS, and on
             CUDA what gsplat has built in (`cuda.max_alpha`: 0.999 in 1.5.3), the only one it takes.
+        absgrad: give `meta.means2d_absgrad` as well (Ye et al. 2024, AbsGS): in the plain gradient
+            pixels that pull a Gaussian in opposite directions cancel.
         backend: "native" the compiled kernel (float32, CPU), "gsplat" the package of that name
             (float32, CUDA), "reference" plain torch in the dtype of the Gaussians (CPU), "auto"
             gsplat on CUDA, on the CPU the kernel where it is there.
@@ -78,7 +81,17 @@ def rasterize(
     if max_alpha is None:
         max_alpha = cuda.max_alpha() if backend == "gsplat" else MAX_ALPHA
     settings = check_settings(
-        camera_from_world, K, width, height, background, near, far, eps2d, antialiased, max_alpha
+        camera_from_world,
+        K,
+        width,
+        height,
+        background,
+        near,
+        far,
+        eps2d,
+        antialiased,
+        max_alpha,
+        absgrad,
     )
     if backend == "gsplat":
         return rasterize_gsplat(gaussians, camera_from_world, settings, background)

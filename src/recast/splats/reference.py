@@ -62,16 +62,20 @@ def rasterize_reference(
         ),
         means2d=torch.zeros(n, 2).index_copy_(0, splats.ids, splats.means2d.detach().float()),
     )
+    sizes = torch.zeros_like(splats.means2d.detach()) if settings.absgrad else None
     if splats.means2d.requires_grad:
 
         def keep_gradient(gradient: Tensor) -> None:
             meta.means2d_grad = torch.zeros(n, 2).index_copy_(0, splats.ids, gradient.float())
+            if sizes is not None:  # all tiles have added theirs by now
+                meta.means2d_absgrad = torch.zeros(n, 2).index_copy_(0, splats.ids, sizes.float())
+                sizes.zero_()
 
         splats.means2d.register_hook(keep_gradient)
 
     rows = []
     for top in range(0, settings.height, TILE):
-        row = [tile(splats, left, top, settings) for left in range(0, settings.width, TILE)]
+        row = [tile(splats, left, top, settings, sizes) for left in range(0, settings.width, TILE)]
         rows.append(torch.cat(row, dim=1))
     image = torch.cat(rows, dim=0)
     rgb, depth, alpha = image[..., :3], image[..., 3], image[..., 4]
@@ -153,8 +157,15 @@ def _jacobian(centres: Tensor, settings: RasterSettings) -> Tensor:
     return torch.stack(rows, dim=1)
 
 
-def tile(splats: Splats, left: int, top: int, settings: RasterSettings) -> Tensor:
-    """Composite one tile: (h, w, 5) with channels rgb, depth, alpha."""
+def tile(
+    splats: Splats, left: int, top: int, settings: RasterSettings, sizes: Tensor | None = None
+) -> Tensor:
+    """Composite one tile: (h, w, 5) with channels rgb, depth, alpha.
+
+    Args:
+        sizes: (M, 2), to which the backward pass adds the absolute values of d loss / d means2d of
+            every pixel, component by component.
+    """
     width, height = min(TILE, settings.width - left), min(TILE, settings.height - top)
     dtype = splats.means2d.dtype
     low, high = splats.means2d - splats.extents, splats.means2d + splats.extents
@@ -165,7 +176,14 @@ def tile(splats: Splats, left: int, top: int, settings: RasterSettings) -> Tenso
     ys = torch.arange(height, dtype=dtype) + (top + 0.5)
     xs = torch.arange(width, dtype=dtype) + (left + 0.5)
     pixels = torch.stack(torch.meshgrid(xs, ys, indexing="xy"), dim=-1).reshape(-1, 1, 2)
-    dx, dy = (pixels - splats.means2d[near]).unbind(-1)
+    centres = splats.means2d[near].expand(len(pixels), -1, -1)
+    if sizes is not None and centres.requires_grad:
+
+        def add_sizes(gradient: Tensor) -> None:  # (pixels, near, 2)
+            sizes.index_add_(0, near, gradient.abs().sum(dim=0))
+
+        centres.register_hook(add_sizes)
+    dx, dy = (pixels - centres).unbind(-1)
     xx, xy, yy = splats.conics[near].unbind(-1)
     sigma = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy
     alpha = (splats.opacities[near] * (-sigma).exp()).clamp(max=settings.max_alpha)

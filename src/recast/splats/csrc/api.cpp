@@ -22,7 +22,7 @@ extern const Kernels kernels_avx512;
 
 namespace {
 
-constexpr int kAbi = 1;
+constexpr int kAbi = 2;
 
 // Best first.
 int available(const Kernels** out) {
@@ -103,6 +103,7 @@ struct RecastGradients {
   const float *rgb, *depth, *alpha;
   float *means_grad, *quats_grad, *log_scales_grad, *logits_grad, *sh_grad, *means2d_grad;
   float* pose_grad;  // 3x4
+  float* means2d_absgrad;  // null: not asked for
 };
 
 // 0; a Fault (> 0) with its row; -1 too many intersections; -2 out of memory.
@@ -159,6 +160,7 @@ RECAST_EXPORT int recast_backward(Context* c, const RecastGradients* g) {
   f.logits_grad = g->logits_grad;
   f.sh_grad = g->sh_grad;
   f.means2d_grad = g->means2d_grad;
+  f.means2d_absgrad = g->means2d_absgrad;
   try {
     c->backward(recast::kernels(), f, g->pose_grad);
     return 0;

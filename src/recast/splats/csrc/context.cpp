@@ -83,9 +83,13 @@ void Context::backward(const Kernels& kernels, const Frame& g, float* pose_grad)
   f.logits_grad = g.logits_grad;
   f.sh_grad = g.sh_grad;
   f.means2d_grad = g.means2d_grad;
+  f.means2d_absgrad = g.means2d_absgrad;
   const int64_t chunks = chunk_count(f);
   double start = cpu_milliseconds();
   f.records = records_.reserve(int64_t(intersections) * kSums + 16);
+  f.absolute_records = nullptr;
+  if (f.means2d_absgrad)
+    f.absolute_records = absolute_records_.reserve(int64_t(intersections) * kAbsoluteSums + 1);
   f.record_used = used_.reserve(int64_t(intersections) + 1);
   std::memset(f.record_used, 0, size_t(intersections));
   parallel_for(tile_count(f), [&](int64_t t) { kernels.raster_backward(f, t); });
@@ -107,7 +111,8 @@ void Context::backward(const Kernels& kernels, const Frame& g, float* pose_grad)
 int64_t Context::bytes() const {
   return binning_.bytes() + splats_.bytes() + footprints_.bytes() + slots_.bytes() + ids_.bytes() +
          keys_.bytes() + tile_begin_.bytes() + chunks_.bytes() + intersections_.bytes() +
-         visible_.bytes() + used_.bytes() + state_.bytes() + records_.bytes() + pose_.bytes();
+         visible_.bytes() + used_.bytes() + state_.bytes() + records_.bytes() +
+         absolute_records_.bytes() + pose_.bytes();
 }
 
 }  // namespace recast

@@ -29,7 +29,7 @@ class Context {
   Buffer<ChunkResult> chunks_;
   Buffer<Intersection> intersections_;
   Buffer<uint8_t> visible_, used_;
-  Buffer<float> state_, records_;
+  Buffer<float> state_, records_, absolute_records_;
   Buffer<double> pose_;
 };
 

@@ -8,6 +8,7 @@ constexpr int kTile = 16;          // tile edge, pixels
 constexpr int kTilePixels = kTile * kTile;
 constexpr int kChunk = 1024;       // Gaussians a work item
 constexpr int kSums = 10;          // floats a gradient record
+constexpr int kAbsoluteSums = 2;   // of those more that absolute gradients need
 constexpr float kAlphaThreshold = 1.0f / 255.0f;
 constexpr float kLog2AlphaThreshold = -7.9943534369f;
 constexpr float kTransmittanceThreshold = 1e-4f;
@@ -95,8 +96,10 @@ struct Frame {
   // Backward.
   const float *rgb_grad, *depth_grad, *alpha_grad;  // may be null
   float* records;           // kSums floats an intersection
+  float* absolute_records;  // kAbsoluteSums floats an intersection; null where not asked for
   uint8_t* record_used;
   float *means_grad, *quats_grad, *log_scales_grad, *logits_grad, *sh_grad, *means2d_grad;
+  float* means2d_absgrad;    // null where not asked for
   double* pose_grad_chunks;  // 12 a chunk: rotation, translation
 };
 

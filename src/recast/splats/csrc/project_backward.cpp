@@ -10,9 +10,10 @@ namespace {
 
 enum Sum { kSumU, kSumV, kSumUU, kSumUV, kSumVV, kSumOpacity, kSumR, kSumG, kSumB, kSumDepth };
 
-// Adds up the records of the Gaussian's tiles, in the order of its slots.
-void collect(const Frame& f, uint32_t row, float* out) {
-  for (int i = 0; i < kSums; ++i) out[i] = 0.0f;
+// Adds up `records` of the Gaussian's tiles, in the order of its slots.
+template <int Sums>
+void collect(const Frame& f, const float* records, uint32_t row, float* out) {
+  for (int i = 0; i < Sums; ++i) out[i] = 0.0f;
   const Footprint print = f.footprints[row];
   const uint32_t w = (print >> 28 & 0xFFF) + 1, h = (print >> 16 & 0xFFF) + 1;
   const uint32_t n =
@@ -20,8 +21,8 @@ void collect(const Frame& f, uint32_t row, float* out) {
   const uint32_t first = f.slots[row];
   for (uint32_t k = first; k < first + n; ++k) {
     if (!f.record_used[k]) continue;
-    const float* record = f.records + int64_t(k) * kSums;
-    for (int i = 0; i < kSums; ++i) out[i] += record[i];
+    const float* record = records + int64_t(k) * Sums;
+    for (int i = 0; i < Sums; ++i) out[i] += record[i];
   }
 }
 
@@ -123,12 +124,25 @@ void store_columns(float* base, const uint32_t* rows, int lanes, const vf* colum
     for (int c = 0; c < Stride; ++c) base[int64_t(rows[lane]) * Stride + c] = stage[c][lane];
 }
 
+// The sum over pixels of each component's size: x is 2 ln 2 l1 q u, y is 2 ln 2 (l2 q u + l3 q v).
+void absolute_gradient(const Frame& f, const uint32_t* rows, int lanes, const Projection& o) {
+  alignas(64) float stage[kAbsoluteSums][W] = {};
+  for (int lane = 0; lane < lanes; ++lane) {
+    float total[kAbsoluteSums];
+    collect<kAbsoluteSums>(f, f.absolute_records, rows[lane], total);
+    for (int i = 0; i < kAbsoluteSums; ++i) stage[i][lane] = total[i];
+  }
+  const vf c = 1.38629436111989f;
+  const vf pixel_absgrad[2] = {c * o.l1 * load(stage[0]), c * load(stage[1])};
+  store_columns<2>(f.means2d_absgrad, rows, lanes, pixel_absgrad);
+}
+
 template <int K>
 void group(const Frame& f, const uint32_t* rows, int lanes, const float* offset, PoseSums& pose) {
   alignas(64) float stage[kSums][W];
   for (int lane = 0; lane < W; ++lane) {
     float total[kSums] = {};
-    if (lane < lanes) collect(f, rows[lane], total);
+    if (lane < lanes) collect<kSums>(f, f.records, rows[lane], total);
     for (int i = 0; i < kSums; ++i) stage[i][lane] = total[i];
   }
   vf sums[kSums];
@@ -142,6 +156,7 @@ void group(const Frame& f, const uint32_t* rows, int lanes, const float* offset,
   pixel_grad[0] = c * o.l1 * sums[kSumU];
   pixel_grad[1] = c * (o.l2 * sums[kSumU] + o.l3 * sums[kSumV]);
   store_columns<2>(f.means2d_grad, rows, lanes, pixel_grad);
+  if (f.absolute_records) absolute_gradient(f, rows, lanes, o);
 
   vf logit_grad = sums[kSumOpacity] * (vf(1.0f) - o.sigmoid);
   store_columns<1>(f.logits_grad, rows, lanes, &logit_grad);
@@ -208,6 +223,7 @@ void chunk_gradient(const Frame& f, int64_t chunk) {
     __builtin_memset(f.quats_grad + 4 * row, 0, 4 * sizeof(float));
     __builtin_memset(f.log_scales_grad + 3 * row, 0, 3 * sizeof(float));
     __builtin_memset(f.means2d_grad + 2 * row, 0, 2 * sizeof(float));
+    if (f.means2d_absgrad) __builtin_memset(f.means2d_absgrad + 2 * row, 0, 2 * sizeof(float));
     __builtin_memset(f.sh_grad + 3 * K * row, 0, 3 * K * sizeof(float));
     f.logits_grad[row] = 0.0f;
   }

@@ -60,15 +60,19 @@ void load_pixels(const Frame& f, const Tile& t, int64_t index, Pixels& p) {
   }
 }
 
-// Adds the gradient of one Gaussian over the blocks in `mask` to ten sums; returns the blocks whose
-// last pixel stopped.
-uint32_t gather(Pixels& p, const Splat& s, uint32_t mask, float max_alpha, float* record) {
+// Adds the gradient of one Gaussian over the blocks in `mask` to ten sums, and where `Absolute` the
+// sizes of its pixels' gradients along x and y, up to common factors, to two more; returns the blocks
+// whose last pixel stopped.
+template <bool Absolute>
+uint32_t gather(Pixels& p, const Splat& s, uint32_t mask, float max_alpha, float* record,
+                float* absolute) {
   const vf sx = s.x, sy = s.y, l1 = s.l1, l2 = s.l2, l3 = s.l3, lo = s.log2_opacity;
   const vf sr = s.r, sg = s.g, sb = s.b, sd = s.depth;
   const vf threshold = kLog2AlphaThreshold, stop_at = kTransmittanceThreshold, cap = max_alpha;
   const vf one = 1.0f, zero = 0.0f;
   vf sum_u = zero, sum_v = zero, sum_uu = zero, sum_uv = zero, sum_vv = zero, sum = zero;
   vf sum_r = zero, sum_g = zero, sum_b = zero, sum_d = zero;
+  vf sum_ax = zero, sum_ay = zero;
   uint32_t finished = 0;
   for (uint32_t left = mask; left; left &= left - 1) {
     const int block = __builtin_ctz(left);
@@ -109,15 +113,19 @@ uint32_t gather(Pixels& p, const Splat& s, uint32_t mask, float max_alpha, float
     sum_g = fma(weight, vg, sum_g);
     sum_b = fma(weight, vb, sum_b);
     sum_d = fma(weight, vd, sum_d);
+    if (Absolute) {
+      sum_ax = sum_ax + vabs(qu);
+      sum_ay = sum_ay + vabs(fma(l2, qu, l3 * qv));
+    }
   }
   const vf sums[kSums] = {sum_u, sum_v, sum_uu, sum_uv, sum_vv, sum, sum_r, sum_g, sum_b, sum_d};
   store_ten_sums(record, sums);
+  if (Absolute) store_two_sums(absolute, sum_ax, sum_ay);
   return finished;
 }
 
-}  // namespace
-
-void raster_tile_backward(const Frame& f, int64_t index) {
+template <bool Absolute>
+void tile_gradient(const Frame& f, int64_t index) {
   const Tile t = tile_at(f, index);
   if (t.begin == t.end) return;
   Pixels pixels;
@@ -142,10 +150,20 @@ void raster_tile_backward(const Frame& f, int64_t index) {
       if (!mask) continue;
       const uint32_t slot = f.intersections[begin + uint32_t(i)].slot;
       f.record_used[slot] = 1;
-      alive &= ~gather(pixels, batch.splats[i], mask, f.max_alpha,
-                       f.records + int64_t(slot) * kSums);
+      alive &= ~gather<Absolute>(
+          pixels, batch.splats[i], mask, f.max_alpha, f.records + int64_t(slot) * kSums,
+          Absolute ? f.absolute_records + int64_t(slot) * kAbsoluteSums : nullptr);
     }
   }
+}
+
+}  // namespace
+
+void raster_tile_backward(const Frame& f, int64_t index) {
+  if (f.absolute_records)
+    tile_gradient<true>(f, index);
+  else
+    tile_gradient<false>(f, index);
 }
 
 }  // namespace RECAST_ISA

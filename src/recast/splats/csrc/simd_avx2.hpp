@@ -136,6 +136,13 @@ static inline void load_columns(const float* p, vf (&out)[4]) {
   out[3] = _mm256_shuffle_ps(b, d, 0xEE);
 }
 
+// Writes the sums over the lanes of two vectors.
+static inline void store_two_sums(float* out, vf a, vf b) {
+  __m256 x = _mm256_hadd_ps(a.v, b.v);
+  x = _mm256_hadd_ps(x, x);
+  const __m128 sums = _mm_add_ps(_mm256_castps256_ps128(x), _mm256_extractf128_ps(x, 1));
+  _mm_storel_pi(reinterpret_cast<__m64*>(out), sums);
+}
 // Writes the sums over the lanes of ten vectors.
 static inline void store_ten_sums(float* out, const vf* a) {
   auto four = [](__m256 p, __m256 q, __m256 r, __m256 s) {
@@ -144,10 +151,7 @@ static inline void store_ten_sums(float* out, const vf* a) {
   };
   _mm_storeu_ps(out, four(a[0].v, a[1].v, a[2].v, a[3].v));
   _mm_storeu_ps(out + 4, four(a[4].v, a[5].v, a[6].v, a[7].v));
-  __m256 x = _mm256_hadd_ps(a[8].v, a[9].v);
-  x = _mm256_hadd_ps(x, x);
-  __m128 last = _mm_add_ps(_mm256_castps256_ps128(x), _mm256_extractf128_ps(x, 1));
-  _mm_storel_pi(reinterpret_cast<__m64*>(out + 8), last);
+  store_two_sums(out + 8, a[8], a[9]);
 }
 
 }  // namespace RECAST_ISA

@@ -150,6 +150,11 @@ static inline __m512 quad_sum(__m512 a, __m512 b) {
   return _mm512_add_ps(_mm512_castpd_ps(_mm512_unpacklo_pd(x, y)),
                        _mm512_castpd_ps(_mm512_unpackhi_pd(x, y)));
 }
+// Writes the sums over the lanes of two vectors.
+static inline void store_two_sums(float* out, vf a, vf b) {
+  out[0] = _mm512_reduce_add_ps(a.v);
+  out[1] = _mm512_reduce_add_ps(b.v);
+}
 // Writes the sums over the lanes of ten vectors.
 static inline void store_ten_sums(float* out, const vf* a) {
   const __m512 zero = _mm512_setzero_ps();

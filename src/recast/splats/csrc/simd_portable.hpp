@@ -169,11 +169,18 @@ static inline void load_columns(const float* p, vf (&out)[Stride]) {
 }
 
 // Writes the sums over the lanes of ten vectors.
+static inline float lane_sum(vf x) {
+  f4 s = x.a + x.b;
+  return (s[0] + s[2]) + (s[1] + s[3]);
+}
+// Writes the sums over the lanes of two vectors.
+static inline void store_two_sums(float* out, vf a, vf b) {
+  out[0] = lane_sum(a);
+  out[1] = lane_sum(b);
+}
+// Writes the sums over the lanes of ten vectors.
 static inline void store_ten_sums(float* out, const vf* x) {
-  for (int i = 0; i < 10; ++i) {
-    f4 s = x[i].a + x[i].b;
-    out[i] = (s[0] + s[2]) + (s[1] + s[3]);
-  }
+  for (int i = 0; i < 10; ++i) out[i] = lane_sum(x[i]);
 }
 
 }  // namespace RECAST_ISA

@@ -135,7 +135,9 @@ class _Rasterize(torch.autograd.Function):
             )
         given = [None if g is None else g.float().contiguous() for g in image_grads]
         gradients = [empty(*p.shape) for p in parameters]
-        means2d_grad = empty(parameters[0].shape[0], 2)
+        n = parameters[0].shape[0]
+        means2d_grad = empty(n, 2)
+        means2d_absgrad = empty(n, 2) if ctx.settings.absgrad else None
         pose_grad = torch.zeros(4, 4)
         names = ("means", "quats", "log_scales", "logits", "sh")
         structure = Gradients(
@@ -147,12 +149,14 @@ class _Rasterize(torch.autograd.Function):
             **{f"{name}_grad": g.data_ptr() for name, g in zip(names, gradients, strict=True)},
             means2d_grad=means2d_grad.data_ptr(),
             pose_grad=pose_grad.data_ptr(),
+            means2d_absgrad=None if means2d_absgrad is None else means2d_absgrad.data_ptr(),
         )
         if library().recast_backward(ctx.workspace.handle, ctypes.byref(structure)):
             raise MemoryError("rasterize: out of memory")
         # The graph may live on until the next step is built: the memory is needed there.
         ctx.workspace = None
         ctx.meta.means2d_grad = means2d_grad
+        ctx.meta.means2d_absgrad = means2d_absgrad
 
         background_grad = None
         if background is not None and ctx.needs_input_grad[6]:

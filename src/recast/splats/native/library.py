@@ -12,7 +12,7 @@ from pathlib import Path
 
 from recast.splats.native.structures import AdamRows, AdamSettings, Gradients, View
 
-_ABI = 1
+_ABI = 2
 _SUFFIXES = (".so", ".dylib", ".dll")
 
 

@@ -40,6 +40,7 @@ class Gradients(ctypes.Structure):
                 "sh_grad",
                 "means2d_grad",
                 "pose_grad",
+                "means2d_absgrad",
             )
         ),
     ]
