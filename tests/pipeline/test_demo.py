@@ -14,7 +14,7 @@ from recast.pipeline.demo import DemoSize, demo
 from recast.reporting.video import read_video
 
 SCENE = "urban-straight"
-TINY = DemoSize(2.0, 192, 128, ("front",), 40, ("cut-in-a",), steps=10)
+TINY = DemoSize(2.0, 192, 128, ("front",), 40, ("cut-in-a",), 10, "idm-follower")
 
 
 def run(out: Path, scene: str = SCENE, seed: int = 1, size: DemoSize = TINY) -> Path:
@@ -77,6 +77,14 @@ def test_another_demo_in_the_same_folder_is_refused(finished: Path) -> None:
 def test_an_unknown_scene_lists_the_known_ones(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"moon.*urban-straight.*underpass"):
         run(tmp_path / "out", scene="moon")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("part", ["generator", "planner"])
+def test_an_unknown_part_is_refused_before_anything_is_made(tmp_path: Path, part: str) -> None:
+    console = Console(quiet=True)
+    with pytest.raises(InputError, match="moon"):
+        demo(tmp_path / "out", SCENE, 1, TINY, threads=1, console=console, **{part: "moon"})
     assert not (tmp_path / "out").exists()
 
 

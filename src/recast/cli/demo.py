@@ -24,6 +24,9 @@ class Demo:
     generator: str = "recast-mini"
     """What makes the vehicle: recast-mini (the image-to-3D model of the package), template, an
     installed generator's name, a model folder, or the path of a PLY."""
+    planner: str | None = None
+    """Planner under test, as for recast run. Default: gtrs-mini (the package's, which looks at
+    three cameras); with --quick, which has one camera, idm-follower."""
     threads: int = 0
     """CPU threads, 0 for all."""
 
@@ -35,4 +38,6 @@ class Demo:
 
         out = self.out or Path("runs/demo-quick" if self.quick else "runs/demo")
         size = QUICK if self.quick else FULL
-        demo(out, self.scene, self.seed, size, self.threads, Console(), self.generator)
+        demo(
+            out, self.scene, self.seed, size, self.threads, Console(), self.generator, self.planner
+        )

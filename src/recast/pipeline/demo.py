@@ -9,10 +9,12 @@ from rich.console import Console
 
 from recast.actors import DEFAULT_GENERATOR
 from recast.errors import InputError
+from recast.pipeline.actor import generator_of
 from recast.pipeline.config import RunConfig
 from recast.pipeline.drive import drive_log
 from recast.pipeline.layout import METHODS
 from recast.pipeline.run import run
+from recast.planning import GTRS_MINI, make_planner
 from recast.scene import SceneConfig
 from recast.synthetic import make_world
 
@@ -31,6 +33,7 @@ class DemoSize:
         iterations: training steps of the scene.
         motions: of the actor, with their settings.
         steps: of 0.1 s, a rollout.
+        planner: under test, where no other is asked for.
     """
 
     seconds: float
@@ -40,17 +43,19 @@ class DemoSize:
     iterations: int
     motions: tuple[str, ...]
     steps: int
+    planner: str
 
 
 FULL = DemoSize(
-    8.0, 384, 256, (), 2000, ("cut-in-a", "oncoming-a", "stationary-a"), steps=50
+    8.0, 384, 256, (), 2000, ("cut-in-a", "oncoming-a", "stationary-a"), 50, GTRS_MINI
 )  # fmt: skip
-QUICK = DemoSize(3.0, 192, 128, ("front",), 500, ("cut-in-a",), steps=20)
+# One camera is not enough for a planner that looks.
+QUICK = DemoSize(3.0, 192, 128, ("front",), 500, ("cut-in-a",), 20, "idm-follower")
 
 
 def demo(
     out: str | Path, scene: str, seed: int, size: DemoSize, threads: int, console: Console,
-    generator: str = DEFAULT_GENERATOR,
+    generator: str = DEFAULT_GENERATOR, planner: str | None = None,
 ) -> Path:  # fmt: skip
     """Make a drive, reconstruct it, replace the target, and run it against the truth.
 
@@ -62,23 +67,23 @@ def demo(
         threads: CPU threads, 0 for all.
         console: shows steps, progress and time left.
         generator: what makes the vehicle, see `recast.pipeline.actor.generator_of`.
+        planner: under test, see `recast.planning.make_planner`; None for that of the size.
 
     Returns:
         the report's `index.html`.
 
     Raises:
-        InputError: unknown scene, or `out` holds something else.
+        InputError: unknown scene, generator or planner, before anything is written; or `out` holds
+            something else.
     """
     if threads < 0:
         raise InputError("threads", str(threads), "is negative", "choose 0 for all cores")
     world = make_world(scene, seed, size.seconds)
-    log = drive_log(
-        world, Path(out) / LOG_FOLDER, (size.width, size.height), size.cameras, threads, console
-    )
     config = RunConfig(
         track=world.target,
         motions=size.motions,
         methods=tuple(METHODS),
+        planner=planner or size.planner,
         generator=generator,
         steps=size.steps,
         seed=seed,
@@ -90,5 +95,10 @@ def demo(
             threads=threads,
             force_dynamic=(world.target,),
         ),
+    )
+    make_planner(config.planner)
+    generator_of(config.generator)
+    log = drive_log(
+        world, Path(out) / LOG_FOLDER, (size.width, size.height), size.cameras, threads, console
     )
     return run(log, Path(out) / RUN_FOLDER, config, console)

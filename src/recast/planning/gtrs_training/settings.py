@@ -29,7 +29,7 @@ class PlannerTrainingConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     trainer: TrainerSettings = TrainerSettings(
-        steps=10_000, lr=6e-4, schedule="cosine", warmup=300, ema_decay=0.998, clip=2.0,
+        steps=4_800, lr=6e-4, schedule="cosine", warmup=300, ema_decay=0.998, clip=2.0,
         checkpoint_every=250, log_every=250,
     )  # fmt: skip
     network: GtrsConfig = MINI
