@@ -10,7 +10,7 @@ WORKERS ?= 2
 
 help:
 	@echo "make setup   install into $(VENV)"
-	@echo "make demo    a made-up drive, from log to report (about ten minutes)"
+	@echo "make demo    a made-up drive, from log to report (about twelve minutes)"
 	@echo "make test    lint, types, layer contracts and the tests (what CI runs)"
 	@echo "make bench   the benchmarks of rasterizer, ray tracer and image-to-3D model"
 	@echo "make clean   remove $(VENV) and build folders"
