@@ -11,7 +11,7 @@ from rich.console import Console
 
 from recast.logs import DrivingLog
 from recast.pipeline.scene_tables import evaluation_table, shift_table
-from recast.pipeline.scene_truth import ShiftedTruth, has_truth
+from recast.pipeline.scene_truth import ShiftedTruth
 from recast.scene import (
     FrameScore,
     RegionScore,
@@ -23,6 +23,7 @@ from recast.scene import (
 )
 from recast.scene.evaluate_depth import DepthScore
 from recast.scene.evaluate_shifts import ShiftedScore
+from recast.synthetic import is_synthetic
 from recast.synthetic.oracle import Oracle
 from recast.synthetic.rig import exposure, make_rig
 from recast.synthetic.world import World
@@ -63,8 +64,8 @@ def test_shifted_cameras_see_the_world_with_their_own_exposure(world: World) -> 
 
 
 def test_only_a_synthetic_log_has_truth(tiny_log: DrivingLog) -> None:
-    assert not has_truth(tiny_log)
-    assert has_truth(replace(tiny_log, metadata={"dataset": "synthetic"}))
+    assert not is_synthetic(tiny_log)
+    assert is_synthetic(replace(tiny_log, metadata={"dataset": "synthetic"}))
 
 
 def shown(evaluation: SceneEvaluation) -> str:

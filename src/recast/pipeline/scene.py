@@ -11,7 +11,7 @@ from recast.evaluation.perceptual import load_distances
 from recast.logs import DrivingLog
 from recast.pipeline.display import FrameProgress
 from recast.pipeline.scene_tables import evaluation_table, shift_table
-from recast.pipeline.scene_truth import ShiftedTruth, has_truth
+from recast.pipeline.scene_truth import ShiftedTruth
 from recast.scene import (
     SHIFTS,
     SceneConfig,
@@ -24,7 +24,7 @@ from recast.scene import (
     train_scene,
 )
 from recast.scene.importers import IMPORT_FILE
-from recast.synthetic import world_of
+from recast.synthetic import is_synthetic, world_of
 
 
 def train_with_display(
@@ -70,7 +70,7 @@ def evaluate_and_print(
     loaded = load_scene(scene)
     with ExitStack() as stack:
         truth = None
-        if shifts and has_truth(log):
+        if shifts and is_synthetic(log):
             truth = stack.enter_context(ShiftedTruth(world_of(log), workers))
         progress = stack.enter_context(FrameProgress(console, 1, "views"))
         evaluation = evaluate_scene(

@@ -13,8 +13,7 @@ def evaluation_table(evaluation: SceneEvaluation) -> Table:
     with_lpips = evaluation.lpips is not None
     table = _table("held-out images", "region", with_lpips)
     frames = len(evaluation.frames)
-    whole = RegionScore(evaluation.psnr, evaluation.ssim, evaluation.lpips)
-    table.add_row("whole image", str(frames), *_cells(whole, with_lpips))
+    table.add_row("whole image", str(frames), *_cells(evaluation.whole, with_lpips))
     if evaluation.moving is not None:
         seen = sum(frame.moving is not None for frame in evaluation.frames)
         cells = _cells(evaluation.moving, with_lpips)

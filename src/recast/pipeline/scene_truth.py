@@ -9,21 +9,14 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.logs import DrivingLog
 from recast.scene import ShiftedView
 from recast.synthetic import Oracle, World
 from recast.synthetic.oracle_pool import OraclePool
-from recast.synthetic.populate import DATASET
 from recast.synthetic.rig import exposure, sensor_number
 
 Image = NDArray[np.uint8]
 
 _STREAM = 801
-
-
-def has_truth(log: DrivingLog) -> bool:
-    """Whether a log was made from a world that can be looked at from anywhere."""
-    return log.metadata.get("dataset") == DATASET
 
 
 class ShiftedTruth:

@@ -53,20 +53,27 @@ class SceneEvaluation:
     shift_truth: bool = False
 
     @property
+    def whole(self) -> RegionScore:
+        """Mean over the images."""
+        found = mean_score([frame.whole for frame in self.frames])
+        if found is None:
+            raise ValueError("SceneEvaluation: no image was scored")
+        return found
+
+    @property
     def psnr(self) -> float:
         """Mean PSNR in dB."""
-        return float(np.mean([frame.whole.psnr for frame in self.frames]))
+        return self.whole.psnr
 
     @property
     def ssim(self) -> float:
         """Mean SSIM."""
-        return float(np.mean([frame.whole.ssim for frame in self.frames]))
+        return self.whole.ssim
 
     @property
     def lpips(self) -> float | None:
         """Mean LPIPS; None where no weights were given."""
-        whole = mean_score([frame.whole for frame in self.frames])
-        return None if whole is None else whole.lpips
+        return self.whole.lpips
 
     @property
     def box_psnr(self) -> float | None:

@@ -4,6 +4,7 @@ from recast.synthetic.oracle import Oracle
 from recast.synthetic.populate import (
     WORLD_VERSION,
     check_drive,
+    is_synthetic,
     make_world,
     world_metadata,
     world_of,
@@ -22,6 +23,7 @@ __all__ = [
     "World",
     "check_drive",
     "check_request",
+    "is_synthetic",
     "make_rig",
     "make_world",
     "read_truth",

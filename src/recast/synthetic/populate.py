@@ -111,6 +111,11 @@ def world_metadata(world: World) -> dict[str, str]:
     }
 
 
+def is_synthetic(log: DrivingLog) -> bool:
+    """Whether a log was made from a world that can be looked at from anywhere."""
+    return log.metadata.get("dataset") == DATASET
+
+
 def world_of(log: DrivingLog) -> World:
     """The world that a synthetic log shows, made again.
 
@@ -118,7 +123,7 @@ def world_of(log: DrivingLog) -> World:
         InputError: the log is not synthetic, or another version of recast made it.
     """
     metadata: Mapping[str, str] = log.metadata
-    if metadata.get("dataset") != DATASET:
+    if not is_synthetic(log):
         raise InputError(
             log.name,
             "dataset",

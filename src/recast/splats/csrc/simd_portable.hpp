@@ -168,7 +168,6 @@ static inline void load_columns(const float* p, vf (&out)[Stride]) {
   }
 }
 
-// Writes the sums over the lanes of ten vectors.
 static inline float lane_sum(vf x) {
   f4 s = x.a + x.b;
   return (s[0] + s[2]) + (s[1] + s[3]);
