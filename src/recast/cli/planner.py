@@ -101,6 +101,8 @@ class Train:
     config: Path | None = None
     """JSON file with what differs from the shipped planner's training, such as
     {"trainer": {"steps": 4000}}."""
+    start: Path | None = None
+    """Folder of a planner of the same sizes whose weights are the first; drawn where not given."""
     seed: int = 0
     """Seed of everything random."""
     steps: int | None = None
@@ -119,7 +121,7 @@ class Train:
         torch.set_num_threads(self.threads)
         console = Console()
         config = chosen_training(self.config, self.seed, self.steps)
-        reached = train_planner(self.dataset, self.out, config, console)
+        reached = train_planner(self.dataset, self.out, config, console, self.start)
         for name, value in reached.means().items():
             console.print(f"{name}: {value:.4g}", highlight=False)
         console.print(f"wrote {self.out}; next: recast planner export {self.out}", markup=False)

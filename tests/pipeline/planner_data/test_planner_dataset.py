@@ -14,6 +14,7 @@ import pytest
 from recast.dynamics import PACIFICA
 from recast.errors import InputError
 from recast.pipeline.planner_data.dataset import FIRST_SEED, make_dataset
+from recast.pipeline.planner_data.placed_actor import place_actor
 from recast.pipeline.planner_data.situation import draw_situation
 from recast.pipeline.planner_data.stage import Stage, make_stage
 from recast.planning.gtrs_training.store import DatasetRecord, SampleStore, world_folder
@@ -45,6 +46,24 @@ def test_situations_are_possible_and_follow_the_generator(stage: Stage) -> None:
         assert abs(float(lateral)) <= 1.2 + 1e-6
         assert found.without_actor().actor is None
         assert len(found.without_actor().obstacles) == len(found.obstacles) - 1
+
+
+def test_what_is_placed_is_where_a_run_could_have_brought_it(stage: Stage) -> None:
+    """Played vehicles come with the ego's speed; the gap is that between the two boxes."""
+    placed = [place_actor(stage, np.random.default_rng(seed)) for seed in range(60)]
+    there = [one for one in placed if one is not None]
+    played = [one for one in there if one.ego_speed is not None]
+    assert 0.15 * len(there) < len(played) < 0.7 * len(there)
+    for one in there:
+        s, lateral = stage.route.project(one.obstacle.poses)
+        assert one.s == pytest.approx(float(s[0]), abs=0.05)
+        assert one.slowest >= 0.0
+        assert one.slowest <= max(one.speed + 0.5, 0.0)
+        if abs(float(lateral[0])) < 1.0:  # in the ego's lane: never within its box
+            assert one.gap >= 0.8
+        else:
+            assert one.gap >= -7.0
+        assert one.gap <= 53.0
 
 
 def test_a_dataset_of_one_world(tmp_path: Path) -> None:

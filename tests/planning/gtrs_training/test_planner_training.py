@@ -8,11 +8,14 @@ from rich.console import Console
 from recast.errors import InputError
 from recast.planning import make_planner
 from recast.planning.gtrs import BackboneConfig, GtrsConfig, StageConfig
-from recast.planning.gtrs_training.network import HALF_VIEWS, MINI, MINI_VIEWS
+from recast.planning.gtrs_training.clue_reader import ClueReader
+from recast.planning.gtrs_training.network import HALF_VIEWS, MINI, MINI_VIEWS, first_model
 from recast.planning.gtrs_training.settings import PlannerTrainingConfig, chosen_training
 from recast.planning.gtrs_training.sheet import truth_sheet
 from recast.planning.gtrs_training.store import SampleStore
+from recast.planning.gtrs_training.task import GtrsTask
 from recast.planning.gtrs_training.train import export_planner, train_planner
+from recast.planning.gtrs_training.vocabulary import mirror_index
 from recast.recar.training.log import LOG_FILE, read_log_lines
 from recast.recar.training.settings import TrainerSettings
 from recast.recar.training.state import STATE_FILE
@@ -78,6 +81,50 @@ def test_another_training_in_the_same_folder_is_refused(
     (tmp_path / "other" / "file").touch()
     with pytest.raises(InputError, match="something else"):
         train_planner(small_dataset, tmp_path / "other", config(2), QUIET)
+
+
+def test_a_training_may_begin_from_a_planner(small_dataset: Path, tmp_path: Path) -> None:
+    first, then = tmp_path / "first", tmp_path / "then"
+    train_planner(small_dataset, first, config(4), QUIET)
+    export_planner(first, small_dataset, tmp_path / "planner")
+    still = config(2).model_copy(update={"trainer": TrainerSettings(steps=2, lr=1e-9)})
+    train_planner(small_dataset, then, still, QUIET, tmp_path / "planner")
+    begun = make_planner(str(tmp_path / "planner")).model
+    ended = export_planner(then, small_dataset, tmp_path / "ended").model
+    for name, value in begun.named_parameters():
+        torch.testing.assert_close(ended.state_dict()[name], value, rtol=0, atol=1e-6)
+    with pytest.raises(InputError, match="start_sha256"):  # it is another training without it
+        train_planner(small_dataset, then, still, QUIET)
+    with pytest.raises(InputError, match="other sizes"):
+        bigger = still.model_copy(update={"network": MINI})
+        train_planner(small_dataset, tmp_path / "third", bigger, QUIET, tmp_path / "planner")
+
+
+def test_a_batch_holds_every_speed_of_a_picture(small_dataset: Path) -> None:
+    """With part of the vocabulary and a mirror, entries are those taken one by one."""
+    store = SampleStore(small_dataset)
+    model = first_model(0, TINY)
+    reader = ClueReader(TINY.channels, torch.Generator().manual_seed(0))
+    task = GtrsTask(store, np.arange(20), model, reader, 4, 16)
+    chosen, scored = np.array([3, 8]), np.array([5, 77, 2])
+    mirrored = np.array([False, True])
+    both = task.gather(chosen, np.arange(2), mirrored, None, scored)
+    assert both.images.shape[0] == 2
+    torch.testing.assert_close(both.trajectories, task.vocabulary[torch.from_numpy(scored)])
+    for k in range(2):
+        alone = task.gather(chosen, np.array([k]), mirrored)
+        torch.testing.assert_close(both.status[k::2], alone.status)
+        torch.testing.assert_close(both.demonstration[k::2], alone.demonstration)
+        for name, values in alone.targets.items():
+            torch.testing.assert_close(both.targets[name][k::2], values[:, scored])
+    twice = mirror_index(store.vocabulary)
+    straight = task.gather(chosen[1:], np.arange(2), np.array([False]))
+    name = "no_at_fault_collisions"
+    torch.testing.assert_close(both.targets[name][2:], straight.targets[name][:, twice[scored]])
+    features = model.backbone(both.images)
+    logits = task.logits(features, both)
+    one = model.score(features[1:], both.status[3:], both.trajectories)
+    torch.testing.assert_close(logits[name][3:], one[name])
 
 
 def test_it_learns_to_look(small_dataset: Path, tmp_path: Path) -> None:

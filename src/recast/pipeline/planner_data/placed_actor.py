@@ -22,7 +22,14 @@ _IN_LANE = 2.2
 """Metres beside the route within which a vehicle is in the ego's way, or about to be."""
 _LATEST = 100
 """Steps of a script after which nothing new happens."""
-_SHARES = {"stationary": 0.26, "oncoming": 0.24, "through": 0.06, "cut-in": 0.3, "advancing": 0.14}
+_SHARES = {"stationary": 0.24, "oncoming": 0.27, "through": 0.04, "cut-in": 0.38, "advancing": 0.07}
+_PLAYED = 0.5
+_EARLY = 45
+"""Steps from the start of those that are played."""
+_CLOSEST, _FARTHEST, _BESIDE = 0.8, 53.0, 7.0
+"""Metres of gap."""
+ABOUT = (0.8, 1.15)
+"""Of the log's speed, at which the ego starts."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +42,10 @@ class PlacedActor:
         world_from_actor: (4, 4) now.
         s: of the route, now.
         gap: metres between the ego's front and it; negative beside the ego.
-        in_lane: whether it is in the ego's way.
+        in_lane: whether it is in the ego's way, now or within the time that is foreseen.
+        slowest: least speed along the route within that time, m/s; 0 where it comes towards the
+            ego.
+        ego_speed: m/s at which the ego comes there, where the motion was played since its start.
     """
 
     obstacle: Obstacle
@@ -44,6 +54,8 @@ class PlacedActor:
     s: float
     gap: float
     in_lane: bool
+    slowest: float
+    ego_speed: float | None
 
     def meets(self, other: Obstacle) -> bool:
         """Whether it touches another one, now or later."""
@@ -54,30 +66,47 @@ class PlacedActor:
 def place_actor(stage: Stage, rng: np.random.Generator) -> PlacedActor | None:
     """A random vehicle at a random moment of a random motion around the built-in settings.
 
-    None where it would leave the recorded road within the time that is foreseen.
+    Half of them are played as a run plays them, from a start at about the log's speed, the ego
+    braking meanwhile more or less: then gap and speeds fit the moment. Of the other half they are
+    drawn by themselves, from what a planner gets into by its own mistakes.
+
+    None where it would leave the recorded road within the time that is foreseen, or the ego would
+    have run into it.
     """
     key = stage.actors[int(rng.integers(len(stage.actors)))]
     size = stage.world.vehicles[key].model.size
-    motion = _random_motion(rng)
-    start_s = float(rng.uniform(0.0, stage.route.length))
-    beside = neighbour_lateral(stage.log, stage.log.map, stage.route, start_s)
+    motion, played = _random_motion(rng), bool(rng.uniform() < _PLAYED)
+    route = stage.route
+    start_s = float(rng.uniform(0.0, route.length))
+    beside = neighbour_lateral(stage.log, stage.log.map, route, start_s)
     if beside is None and rng.uniform() < 0.25:
         beside = -DEFAULT_LANE_OFFSET  # some logs tell so
+    if played:
+        started = float(np.clip(route.logged_speed(start_s) * rng.uniform(*ABOUT), 3.0, 14.0))
+        begin = int(rng.integers(_EARLY))
+    else:
+        started, begin = float(rng.uniform(3.0, 13.0)), int(rng.integers(_LATEST))
     start = StartSituation(
-        route=stage.route, ego_s=start_s, ego_speed=float(rng.uniform(3.0, 13.0)),
-        ego_length=PACIFICA.length, actor_size=size, neighbour_lateral=beside,
+        route=route, ego_s=start_s, ego_speed=started, ego_length=PACIFICA.length,
+        actor_size=size, neighbour_lateral=beside,
     )  # fmt: skip
-    begin = int(rng.integers(_LATEST))
     script = motion.script(start, begin + FORESEEN, _DT)[begin:]
-    s, lateral = stage.route.project(script)
-    if s.min() < 0.0 or s.max() > stage.route.length:
+    s, lateral = route.project(script)
+    if s.min() < 0.0 or s.max() > route.length:
         return None
     in_lane = bool(np.abs(lateral).min() < _IN_LANE)
     ahead = abs(float(lateral[0])) < _IN_LANE
-    if ahead:
-        gap = 0.8 + 52.0 * float(rng.uniform()) ** 1.4
+    ego_speed = None
+    if played:
+        ego_speed = started * float(rng.uniform(0.15, 1.05))
+        driven = begin * _DT * (started + ego_speed) / 2
+        gap = float(s[0]) - start_s - driven - (PACIFICA.length + float(size[0])) / 2
+        if gap < (_CLOSEST if ahead else -_BESIDE) or gap > _FARTHEST:
+            return None
+    elif ahead:
+        gap = _CLOSEST + (_FARTHEST - _CLOSEST) * float(rng.uniform()) ** 1.4
     else:  # beside the ego only where it stays there: from there a cut-in leaves no way out
-        gap = float(rng.uniform(1.5 if in_lane else -7.0, 32.0))
+        gap = float(rng.uniform(1.5 if in_lane else -_BESIDE, 32.0))
     poses = script[:, :3]
     return PlacedActor(
         Obstacle(key, poses, size),
@@ -86,6 +115,8 @@ def place_actor(stage: Stage, rng: np.random.Generator) -> PlacedActor | None:
         float(s[0]),
         gap,
         in_lane,
+        max(float(np.diff(s).min()) / _DT, 0.0),
+        ego_speed,
     )
 
 

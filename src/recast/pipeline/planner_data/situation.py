@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from recast.dynamics import PACIFICA, make_state
 from recast.dynamics import state as ego
 from recast.geometry import se2
-from recast.pipeline.planner_data.placed_actor import PlacedActor, place_actor
+from recast.pipeline.planner_data.placed_actor import ABOUT, PlacedActor, place_actor
 from recast.pipeline.planner_data.stage import Stage
 from recast.planning import DrivingCommand
 from recast.planning.gtrs_training.collisions import FORESEEN, Obstacle
@@ -113,14 +113,21 @@ def _states(
     stage: Stage, pose: Array, s: float, actor: PlacedActor | None, count: int,
     rng: np.random.Generator,
 ) -> Array:  # fmt: skip
-    """(count, 11): speeds from which the situation can mostly be mastered."""
+    """(count, 11): at about the log's speed, or the one that the ego comes with; the last ones,
+    less than half, at any from which the situation can mostly be mastered."""
     turn = float(se2.wrap_angle(stage.route.heading(s + 4.0) - stage.route.heading(s - 1.0)))
     bend = turn / 5.0
     fastest = min(_TOP_SPEED, np.sqrt(4.5 / max(abs(bend), 1e-3)))
     if actor is not None and actor.in_lane:
         # A little more than can be braked in time: also then braking hard is the best.
-        fastest = min(fastest, 1.5 + np.sqrt(2 * _CAN_BRAKE * max(actor.gap, 0.0)))
-    speed = rng.uniform(0.0, fastest, count) * (rng.uniform(size=count) > 0.06)
+        braked = 1.5 + np.sqrt(2 * _CAN_BRAKE * max(actor.gap, 0.0))
+        fastest = min(fastest, actor.slowest + braked)
+    if actor is None or actor.ego_speed is None:
+        usual = np.minimum(stage.route.logged_speed(s) * rng.uniform(*ABOUT, count), fastest)
+    else:
+        usual = actor.ego_speed * rng.uniform(0.9, 1.1, count)
+    anywhere = rng.uniform(0.0, fastest, count) * (rng.uniform(size=count) > 0.06)
+    speed = np.where(np.arange(count) < (count + 1) // 2, usual, anywhere)
     rate = np.where(rng.uniform(size=count) < 0.4, 0.0, rng.uniform(-3.5, 1.8, count))
     rate = np.where(speed < 0.5, np.maximum(rate, 0.0), rate)
     yaw_rate = speed * (bend + rng.normal(0.0, 0.006, count))

@@ -8,12 +8,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from recast.planning.gtrs import GtrsModel, final_score, training_loss
+from recast.planning.gtrs import ScoreWeights, final_score, training_loss
 from recast.planning.gtrs_training.targets import SCORED, unpacked
-from recast.planning.gtrs_training.task import Batch, GtrsTask, sum_of
+from recast.planning.gtrs_training.task import GtrsTask, sum_of
 
 Float32 = NDArray[np.float32]
 
+FIRST_SPEED = np.zeros(1, np.int64)
+"""The speed at which samples are judged: one at which the ego usually comes there."""
 _BATCH = 16
 
 
@@ -65,13 +67,14 @@ def true_scores(scores: NDArray[np.uint8]) -> Float32:
 
 
 @torch.no_grad()
-def judge(task: GtrsTask, indices: NDArray[np.int64]) -> Judgement:
+def judge(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWeights) -> Judgement:
     """Judge the model of a task, in its present mode of training, on unaltered samples.
 
     The model is put into evaluation mode meanwhile.
 
     Args:
         indices: of the samples, at least two; the first speed of each is taken.
+        weights: by which it chooses.
     """
     model, store = task.model, task.store
     was_training = model.training
@@ -79,10 +82,10 @@ def judge(task: GtrsTask, indices: NDArray[np.int64]) -> Judgement:
     try:
         twin = store.twin[indices]
         with_twin = (twin >= 0) & (store.clues[indices, 0] > 0)
-        chosen, loss = _choose(task, indices, indices)
-        _, shuffled = _choose(task, indices, np.roll(indices, len(indices) // 2))
+        chosen, loss = _choose(task, weights, indices, indices)
+        _, shuffled = _choose(task, weights, indices, np.roll(indices, len(indices) // 2))
         paired = indices[with_twin]
-        erased = _choose(task, paired, twin[with_twin])[0] if len(paired) else chosen[:0]
+        erased = _choose(task, weights, paired, twin[with_twin])[0] if len(paired) else chosen[:0]
     finally:
         model.train(was_training)
     scores = store.scores[indices, 0]
@@ -106,27 +109,19 @@ def judge(task: GtrsTask, indices: NDArray[np.int64]) -> Judgement:
 
 
 def _choose(
-    task: GtrsTask, indices: NDArray[np.int64], pictures: NDArray[np.int64]
+    task: GtrsTask, weights: ScoreWeights, indices: NDArray[np.int64], pictures: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], float]:
     """Chosen trajectory of each sample, seen with another's picture, and the mean loss."""
     chosen, losses = [], []
     for first in range(0, len(indices), _BATCH):
         part, seen = indices[first : first + _BATCH], pictures[first : first + _BATCH]
-        zeros = np.zeros(len(part), np.int64)
         images = [task.store.image(index) for index in seen]
-        batch = task.gather(part, zeros, zeros.astype(np.bool_), images)
-        logits, loss = _logits(task, task.model, batch)
-        chosen.append(final_score(logits).argmax(dim=1).numpy())
-        losses.append(loss * len(part))
+        batch = task.gather(part, FIRST_SPEED, np.zeros(len(part), np.bool_), images)
+        logits = task.model(batch.images, batch.status, batch.trajectories)
+        terms = training_loss(logits, batch.targets, batch.trajectories, batch.demonstration)
+        chosen.append(final_score(logits, weights).argmax(dim=1).numpy())
+        losses.append(float(sum_of(terms)) * len(part))
     return np.concatenate(chosen), float(np.sum(losses) / len(indices))
-
-
-def _logits(
-    task: GtrsTask, model: GtrsModel, batch: Batch
-) -> tuple[dict[str, torch.Tensor], float]:
-    logits = model(batch.images, batch.status, task.vocabulary)
-    terms = training_loss(logits, batch.targets, task.vocabulary, batch.demonstration)
-    return logits, float(sum_of(terms))
 
 
 def _mean(values: np.ndarray) -> float:

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import torch
 
-from recast.planning.gtrs import BackboneConfig, GtrsConfig, GtrsModel, StageConfig, new_model
+from recast.planning.gtrs import (
+    BackboneConfig,
+    GtrsConfig,
+    GtrsModel,
+    ScoreWeights,
+    StageConfig,
+    new_model,
+)
 from recast.planning.gtrs.views import ViewLayout
 
 NAME = "gtrs-mini"
@@ -39,6 +46,20 @@ MINI = GtrsConfig(
     token_columns=32,
 )
 """A backbone that ends at stride 16: a vehicle 40 m ahead is 11 of 512 columns wide."""
+
+MINI_SCORING = ScoreWeights(
+    imitation=0.03,
+    no_collision=4.0,
+    drivable_area=2.0,
+    direction=0.2,
+    traffic_light=0.1,
+    average=6.0,
+    time_to_collision=10.0,
+    progress=7.0,
+    lane_keeping=6.0,
+)
+"""Weights of the final score, chosen on held-out samples of training worlds, as the published
+ones were on a validation set: a small network is less sure, and collisions weigh more."""
 
 _USUAL = {
     "no_at_fault_collisions": 1.0,

@@ -8,8 +8,8 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from recast.errors import InputError
-from recast.planning.gtrs import GtrsConfig
-from recast.planning.gtrs_training.network import MINI
+from recast.planning.gtrs import GtrsConfig, ScoreWeights
+from recast.planning.gtrs_training.network import MINI, MINI_SCORING
 from recast.recar.training.settings import TrainerSettings
 from recast.records import validation_error
 from recast.storage import read_json
@@ -21,7 +21,9 @@ class PlannerTrainingConfig(BaseModel):
     Attributes:
         trainer: optimiser and schedule.
         network: sizes.
+        scoring: of the exported planner, by which it is judged too.
         batch: samples a step, even.
+        kept: trajectories of the vocabulary that are scored in a step.
         judged: held-out samples that each line of the log is judged on; at the end all are.
         sheet_every: steps between sheets of held-out decisions; 0 draws none.
     """
@@ -33,7 +35,9 @@ class PlannerTrainingConfig(BaseModel):
         checkpoint_every=250, log_every=250,
     )  # fmt: skip
     network: GtrsConfig = MINI
+    scoring: ScoreWeights = MINI_SCORING
     batch: int = Field(default=8, ge=2, multiple_of=2)
+    kept: int = Field(default=192, ge=1)
     judged: int = Field(default=96, ge=2)
     sheet_every: int = Field(default=2_000, ge=0)
 

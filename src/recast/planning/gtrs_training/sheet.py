@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 
 from recast.errors import InputError
-from recast.planning.gtrs import final_score
-from recast.planning.gtrs_training.judge import true_scores
+from recast.planning.gtrs import ScoreWeights, final_score
+from recast.planning.gtrs_training.judge import FIRST_SPEED, true_scores
 from recast.planning.gtrs_training.store import SampleStore
 from recast.planning.gtrs_training.task import GtrsTask
 from recast.storage import write_bytes
@@ -39,19 +39,19 @@ class Sheet:
 
 
 @torch.no_grad()
-def decision_sheet(task: GtrsTask, indices: NDArray[np.int64]) -> Sheet:
+def decision_sheet(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWeights) -> Sheet:
     """What the network chooses, red, on what `truth_sheet` shows.
 
     Args:
         indices: of the samples; the first speed of each.
+        weights: by which it chooses.
     """
     was_training = task.model.training
     task.model.eval()
-    zeros = np.zeros(len(indices), np.int64)
-    batch = task.gather(indices, zeros, zeros.astype(np.bool_))
-    logits = task.model(batch.images, batch.status, task.vocabulary)
+    batch = task.gather(indices, FIRST_SPEED, np.zeros(len(indices), np.bool_))
+    logits = task.model(batch.images, batch.status, batch.trajectories)
     task.model.train(was_training)
-    chosen = final_score(logits).argmax(dim=1).tolist()
+    chosen = final_score(logits, weights).argmax(dim=1).tolist()
     rows = [_row(task.store, i, choice) for i, choice in zip(indices, chosen, strict=True)]
     return Sheet(np.vstack(rows))
 

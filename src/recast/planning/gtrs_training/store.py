@@ -48,7 +48,7 @@ class DatasetRecord(BaseModel):
     version: Literal[1] = 1
     seed: int = Field(default=0, ge=0)
     per_world: int = Field(default=32, ge=2)
-    speeds: int = Field(default=2, ge=1)
+    speeds: int = Field(default=3, ge=1)
     seconds: float = Field(default=16.0, ge=14.0, le=20.0)
     scenes: tuple[str, ...] = Field(min_length=1)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from recast.planning.gtrs import METRICS, GtrsModel, network_input, training_loss
-from recast.planning.gtrs.loss import DEMONSTRATED
+from recast.planning.gtrs.loss import DEMONSTRATED, vocabulary_dropout
 from recast.planning.gtrs_training.augment import (
     augment,
     mirror_clues,
@@ -29,18 +29,20 @@ _CLUE_WEIGHT = 1.0
 
 @dataclass(frozen=True)
 class Batch:
-    """Samples as tensors.
+    """Samples as tensors: B pictures, K speeds of each, L trajectories.
 
     Attributes:
         images: (B, 3, H, W) in [0, 1].
-        status: (B, 8).
-        targets: by metric head, (B, L).
-        demonstration: (B, 8, 3), of the best trajectories.
+        status: (B K, 8), those of a picture one after another.
+        trajectories: (L, 40, 3) that are scored.
+        targets: by metric head, (B K, L).
+        demonstration: (B K, 8, 3), of the best trajectories of the whole vocabulary.
         clues: (B, 10).
     """
 
     images: Tensor
     status: Tensor
+    trajectories: Tensor
     targets: Mapping[str, Tensor]
     demonstration: Tensor
     clues: Tensor
@@ -51,7 +53,9 @@ class GtrsTask:
 
     Half of a batch is drawn; the other half are their twins, the same situations with or without
     the vehicle, where there are some, and else other samples. Half of all are mirrored, and all
-    but one in seven altered, see `augment`. Which of a sample's speeds is taken is drawn too.
+    but one in seven altered, see `augment`. Each picture is looked at once and scored at all its
+    speeds, with a part of the vocabulary that is drawn for the step: twins have the same speeds,
+    so that nothing but the picture tells them apart.
 
     Args:
         store: of the samples.
@@ -59,6 +63,7 @@ class GtrsTask:
         model: what is trained; for the vocabulary of the store.
         reader: trained with it, and not part of the planner.
         batch: samples a step; even.
+        kept: trajectories scored in a step; all where the vocabulary has fewer.
     """
 
     def __init__(
@@ -68,8 +73,10 @@ class GtrsTask:
         model: GtrsModel,
         reader: ClueReader,
         batch: int,
+        kept: int,
     ) -> None:
         self.store, self.indices, self.batch = store, indices, batch
+        self._kept = min(kept, len(store.vocabulary))
         self.model, self.reader = model, reader
         self.modules: Mapping[str, nn.Module] = {"gtrs": model, "reader": reader}
         self._mirror = mirror_index(store.vocabulary)
@@ -82,13 +89,11 @@ class GtrsTask:
         twins = self.store.twin[drawn]
         others = rng.choice(self.indices, len(drawn), replace=False)
         chosen = np.concatenate([drawn, np.where(twins >= 0, twins, others)])
-        speeds = rng.integers(self.store.status.shape[1], size=len(chosen))
         mirrored = rng.uniform(size=len(chosen)) < 0.5
-        # The same speed for both twins: then nothing but the picture tells them apart.
-        paired = np.flatnonzero(twins >= 0)
-        speeds[len(drawn) + paired] = speeds[paired]
         images = [augment(self.store.image(index), rng) for index in chosen]
-        found = self.of(self.gather(chosen, speeds, mirrored, images))
+        scored = vocabulary_dropout(len(self.vocabulary), self._kept, random.torch).numpy()
+        every = np.arange(self.store.status.shape[1])
+        found = self.of(self.gather(chosen, every, mirrored, images, scored))
         return StepLoss(sum_of(found), {k: float(v.detach()) for k, v in found.items()})
 
     def gather(
@@ -97,44 +102,60 @@ class GtrsTask:
         speeds: NDArray[np.int64],
         mirrored: NDArray[np.bool_],
         images: Sequence[NDArray[np.uint8]] | None = None,
+        scored: NDArray[np.int64] | None = None,
     ) -> Batch:
         """Samples as a batch.
 
         Args:
             chosen: (B,) indices.
-            speeds: (B,) which of the ego's speeds.
+            speeds: (K,) which of the ego's speeds, for all alike.
             mirrored: (B,) which are taken in the mirror.
             images: instead of the stored ones.
+            scored: (L,) indices of the trajectories; None: all.
         """
-        store = self.store
+        store, twice = self.store, self._mirror
+        if scored is None:
+            scored = np.arange(len(twice))
         pictures = [store.image(i) for i in chosen] if images is None else list(images)
-        status, scores = store.status[chosen, speeds], unpacked(store.scores[chosen, speeds])
-        best, clues = store.best[chosen, speeds].astype(np.int64), store.clues[chosen]
+        at = np.ix_(chosen, speeds)
+        # Of a mirrored sample a trajectory has the score that its mirror image has in the sample.
+        columns = np.where(mirrored[:, None], twice[scored], scored)[:, None, None]
+        scores = unpacked(np.take_along_axis(store.scores[at], columns, axis=-1))
+        status, best, clues = store.status[at], store.best[at].astype(np.int64), store.clues[chosen]
         for row in np.flatnonzero(mirrored):
             pictures[row] = mirror_image(pictures[row])
             status[row], clues[row] = mirror_status(status[row]), mirror_clues(clues[row])
-            scores[row], best[row] = scores[row][:, self._mirror], self._mirror[best[row]]
-        targets = {name: torch.from_numpy(scores[:, i]) for i, name in enumerate(SCORED)}
+            best[row] = twice[best[row]]
+        scores = np.moveaxis(scores, 2, 0).reshape(len(SCORED), -1, len(scored))
+        targets = {name: torch.from_numpy(scores[i]) for i, name in enumerate(SCORED)}
         targets[METRICS[6]] = torch.ones_like(targets[SCORED[0]])
         # Channels last, as the pictures come: a step takes a fifth less.
         return Batch(
             torch.stack([network_input(picture) for picture in pictures]).contiguous(
                 memory_format=torch.channels_last
             ),
-            torch.from_numpy(status),
+            torch.from_numpy(status).flatten(0, 1),
+            self.vocabulary[torch.from_numpy(scored)],
             targets,
-            self.vocabulary[torch.from_numpy(best)][:, DEMONSTRATED],
+            self.vocabulary[torch.from_numpy(best.ravel())][:, DEMONSTRATED],
             torch.from_numpy(clues),
         )
 
     def of(self, batch: Batch) -> dict[str, Tensor]:
         """Terms of the loss by name."""
         features = self.model.backbone(batch.images)
-        logits = self.model.score(features, batch.status, self.vocabulary)
-        terms = training_loss(logits, batch.targets, self.vocabulary, batch.demonstration)
+        logits = self.logits(features, batch)
+        terms = training_loss(logits, batch.targets, batch.trajectories, batch.demonstration)
         read = self.reader(self.model.image_tokens(features))
         terms["clues"] = _CLUE_WEIGHT * self.reader.loss(read, batch.clues)
         return terms
+
+    def logits(self, features: Tensor, batch: Batch) -> dict[str, Tensor]:
+        """Of every head (B K, L), from the backbone's features (B, C, h, w) of a batch's images."""
+        speeds = len(batch.status) // len(features)
+        return self.model.score(
+            features.repeat_interleave(speeds, dim=0), batch.status, batch.trajectories
+        )
 
 
 def sum_of(terms: Mapping[str, Tensor]) -> Tensor:

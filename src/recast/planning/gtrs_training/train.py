@@ -14,10 +14,10 @@ from rich.console import Console
 from torch import nn
 
 from recast.errors import InputError
-from recast.planning.gtrs import GtrsModel, GtrsPlanner, save_gtrs
-from recast.planning.gtrs.vocabulary import Trajectories
+from recast.planning.gtrs import GtrsModel, GtrsPlanner, load_gtrs, save_gtrs
+from recast.planning.gtrs.folder import CONFIG_FILE, WEIGHTS_FILE
 from recast.planning.gtrs_training.clue_reader import ClueReader
-from recast.planning.gtrs_training.judge import Judgement, judge
+from recast.planning.gtrs_training.judge import FIRST_SPEED, Judgement, judge
 from recast.planning.gtrs_training.network import MINI_VIEWS, NAME, first_model
 from recast.planning.gtrs_training.settings import PlannerTrainingConfig
 from recast.planning.gtrs_training.sheet import decision_sheet
@@ -46,6 +46,7 @@ class PlannerTrainingRecord(BaseModel):
             trainings, not during one.
         samples, held_out: how many are trained on, and not.
         parameters: of the planner.
+        start_sha256: of the planner folder that it began from; None where weights were drawn.
         reached: on all held-out samples, by the weights that are exported; None before the end.
     """
 
@@ -58,6 +59,7 @@ class PlannerTrainingRecord(BaseModel):
     samples: int
     held_out: int
     parameters: int
+    start_sha256: str | None = None
     reached: dict[str, float | int | None] | None = None
 
 
@@ -72,17 +74,25 @@ class _Setting:
 
 
 def train_planner(
-    dataset: Path, out: Path, config: PlannerTrainingConfig, console: Console
+    dataset: Path,
+    out: Path,
+    config: PlannerTrainingConfig,
+    console: Console,
+    start: Path | None = None,
 ) -> Judgement:
     """Train in `out`, from its checkpoint where there is one, and judge the averaged weights.
 
     `out` gets `log.jsonl`, the checkpoint, sheets of held-out decisions and
     `planner_training.json`.
 
+    Args:
+        start: folder of a GTRS planner of the same sizes, whose weights are the first; None: drawn.
+
     Raises:
-        InputError: the dataset is too small or broken, or `out` holds another training.
+        InputError: the dataset is too small or broken, `start` is no such planner, or `out` holds
+            another training.
     """
-    setting = _open(dataset, config)
+    setting = _open(dataset, config, start)
     _check_same(out, setting.record)
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / TRAINING_FILE, setting.record.model_dump(mode="json"))
@@ -93,17 +103,18 @@ def train_planner(
         def after_step(state: TrainingState) -> None:
             display.step(state.step)
             if config.sheet_every and state.step % config.sheet_every == 0:
-                sheet = decision_sheet(task, _spread(shown, _SHEET_ROWS))
+                sheet = decision_sheet(task, _spread(shown, _SHEET_ROWS), config.scoring)
                 sheet.write(out / "sheets" / f"{state.step:07d}.png")
 
         state = train(
             task, trainer, out, after_step=after_step,
-            probe=lambda: judge(task, shown).means(),
+            probe=lambda: judge(task, shown, config.scoring).means(),
             watch=lambda step, values: display.means(step, values, trainer.rate(step - 1)),
         )  # fmt: skip
     _take_averages(state, task, trainer.seed)
-    reached = judge(task, setting.held_out)
-    decision_sheet(task, _spread(shown, _SHEET_ROWS)).write(out / "sheets" / "final.png")
+    reached = judge(task, setting.held_out, config.scoring)
+    last = decision_sheet(task, _spread(shown, _SHEET_ROWS), config.scoring)
+    last.write(out / "sheets" / "final.png")
     means = {k: v if np.isfinite(v) else None for k, v in reached.means().items()}
     record = setting.record.model_copy(update={"reached": {"samples": reached.samples, **means}})
     write_json(out / TRAINING_FILE, record.model_dump(mode="json"))
@@ -121,19 +132,23 @@ def export_planner(training: Path, dataset: Path, out: Path) -> GtrsPlanner:
         "recast-planner-training",
     )  # fmt: skip
     setting = _open(dataset, found.config)
-    _check_same(training, setting.record)
+    begun = setting.record.model_copy(update={"start_sha256": found.start_sha256})
+    _check_same(training, begun)
     trainer = found.config.trainer
     state = TrainingState.begin(setting.task.modules, trainer)
     state.read(training, trainer)
     if state.step == 0:
         raise InputError(training, "checkpoint", "is missing", "train for some steps first")
     _take_averages(state, setting.task, trainer.seed)
-    planner = _planner(setting.task.model, setting.store.vocabulary)
+    planner = GtrsPlanner(
+        setting.task.model, setting.store.vocabulary, MINI_VIEWS,
+        name=NAME, weights=found.config.scoring,
+    )  # fmt: skip
     save_gtrs(out, planner, torch.float16)
     return planner
 
 
-def _open(dataset: Path, config: PlannerTrainingConfig) -> _Setting:
+def _open(dataset: Path, config: PlannerTrainingConfig, start: Path | None = None) -> _Setting:
     store = SampleStore(dataset)
     train_on, held_out = np.flatnonzero(~store.held_out), np.flatnonzero(store.held_out)
     if len(train_on) < config.batch or len(held_out) < 2:
@@ -144,6 +159,8 @@ def _open(dataset: Path, config: PlannerTrainingConfig) -> _Setting:
         )  # fmt: skip
     seed = config.trainer.seed
     model = first_model(seed, config.network)
+    if start is not None:
+        _begin_from(model, start)
     reader = ClueReader(config.network.channels, torch.Generator().manual_seed(seed + 1))
     record = PlannerTrainingRecord(
         config=config,
@@ -151,9 +168,21 @@ def _open(dataset: Path, config: PlannerTrainingConfig) -> _Setting:
         samples=len(train_on),
         held_out=len(held_out),
         parameters=sum(parameter.numel() for parameter in model.parameters()),
+        start_sha256=None if start is None else hash_files(start, [start / WEIGHTS_FILE]),
     )
-    task = GtrsTask(store, train_on, model, reader, config.batch)
+    task = GtrsTask(store, train_on, model, reader, config.batch, config.kept)
     return _Setting(store, task, held_out, record)
+
+
+def _begin_from(model: GtrsModel, folder: Path) -> None:
+    """Give a model the weights of a planner's folder; any vocabulary will do."""
+    found = load_gtrs(folder).model
+    if found.config != model.config:
+        raise InputError(
+            folder / CONFIG_FILE, "model", "has other sizes than those to be trained",
+            "name another planner, or give its sizes as network with --config",
+        )  # fmt: skip
+    model.load_state_dict(found.state_dict())
 
 
 def _check_same(folder: Path, record: PlannerTrainingRecord) -> None:
@@ -164,12 +193,13 @@ def _check_same(folder: Path, record: PlannerTrainingRecord) -> None:
             raise InputError(folder, "output folder", "holds something else", _MEND)
         return
     found = read_record(path, PlannerTrainingRecord, 1, _MEND, record.format)
-    for name in ("dataset_sha256", "samples", "held_out", "parameters"):
+    for name in ("dataset_sha256", "samples", "held_out", "parameters", "start_sha256"):
         if getattr(found, name) != getattr(record, name):
             raise InputError(
                 path, name, f"is {getattr(found, name)}, not {getattr(record, name)}", _MEND
             )
-    free = {"trainer": True, "judged": True, "sheet_every": True}  # the state checks its settings
+    # The state checks the trainer's settings; the others change no weights.
+    free = {"trainer": True, "scoring": True, "judged": True, "sheet_every": True}
     if found.config.model_dump(exclude=free) != record.config.model_dump(exclude=free):
         raise InputError(path, "config", "differs from the one asked for", _MEND)
 
@@ -194,13 +224,8 @@ def _take_averages(state: TrainingState, task: GtrsTask, seed: int) -> None:
     with torch.no_grad():
         for _ in range(_SETTLING):
             chosen = rng.choice(task.indices, task.batch)
-            zeros = np.zeros(task.batch, np.int64)
-            batch = task.gather(chosen, zeros, rng.uniform(size=task.batch) < 0.5)
+            batch = task.gather(chosen, FIRST_SPEED, rng.uniform(size=task.batch) < 0.5)
             task.model.backbone(batch.images)
     for norm, usual in zip(norms, momentum, strict=True):
         norm.momentum = usual
     task.model.eval()
-
-
-def _planner(model: GtrsModel, vocabulary: Trajectories) -> GtrsPlanner:
-    return GtrsPlanner(model, vocabulary, MINI_VIEWS, name=NAME)
