@@ -1,21 +1,26 @@
-"""Files of `torch.save`, of which nothing but tensors and plain values is ever unpickled."""
+"""Foreign files of tensors, of which nothing but tensors and plain values is ever unpickled."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor
 
 from recast.errors import InputError
 
 
-def read_torch_file(path: Path, mend: str) -> Any:
-    """What the file holds, its tensors on the CPU.
+def read_torch_file(path: Path, mend: str, field: str = "file") -> Any:
+    """What a file of `torch.save` holds, its tensors on the CPU.
 
     Args:
         mend: what the user can do about a damaged file.
+        field: what the file is, for messages.
 
     Raises:
         InputError: the file is missing or damaged, or holds other objects than tensors, plain
@@ -25,13 +30,46 @@ def read_torch_file(path: Path, mend: str) -> Any:
         return torch.load(path, map_location="cpu", weights_only=True)
     except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
         problem = (error.strerror or "cannot be read").lower()
-        raise InputError(path, "file", problem, "check the path") from None
+        raise InputError(path, field, problem, "check the path") from None
     except Exception as error:  # the unpickler lets through whatever broken bytes lead to
         # PyTorch's own text is a page long and tells the reader to trust the file.
-        refused = re.search(r"nsupported (?:global: |class )?(?:GLOBAL )?([\w.]+)", str(error))
+        refused = re.search(r"nsupported (?:global: )?GLOBAL ([\w.]+)", str(error))
         if refused is not None:
             raise InputError(
-                path, "file", f"holds {refused[1]}, which is no tensor and is never unpickled",
+                path, field, f"holds {refused[1]}, which is no tensor and is never unpickled",
                 "where it was made, save its state dict alone",
             ) from None  # fmt: skip
-        raise InputError(path, "file", "is damaged, or no PyTorch checkpoint", mend) from None
+        reason = "" if isinstance(error, UnpicklingError) else _reason(error)
+        problem = f"is damaged, or no PyTorch checkpoint{reason}"
+        raise InputError(path, field, problem, mend) from None
+
+
+def read_tensors(path: Path, field: str, mend: str) -> dict[str, Tensor]:
+    """Tensors by name, on the CPU, of a file that holds nothing else.
+
+    Args:
+        path: .safetensors, or anything else as `torch.save` writes it.
+        field: what the tensors are, for messages.
+        mend: what the user can do about any fault.
+
+    Raises:
+        InputError: no file; see `read_torch_file`; or it holds something else than a table of
+            tensors.
+    """
+    if not path.is_file():
+        raise InputError(path, field, "is no file", mend)
+    if path.suffix == ".safetensors":
+        try:
+            return load_file(path)
+        except (SafetensorError, OSError) as error:
+            raise InputError(path, field, f"cannot be read{_reason(error)}", mend) from None
+    state = read_torch_file(path, mend, field)
+    if not isinstance(state, dict) or not all(isinstance(v, Tensor) for v in state.values()):
+        raise InputError(path, field, "is no table of tensors", mend)
+    return dict(state)
+
+
+def _reason(error: Exception) -> str:
+    """The first sentence of a library's message in brackets; nothing where it has none."""
+    lines = str(error).strip().splitlines()
+    return f" ({re.split(r'[.] ', lines[0])[0].rstrip('.')})" if lines else ""

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from recast.errors import InputError
-from recast.evaluation.weights_file import checked_weight, read_weights
+from recast.evaluation.weights_file import checked_weight
+from recast.torch_file import read_tensors
 
 Array = NDArray[np.float64]
 Shape = tuple[int, int, int, int]
@@ -232,7 +233,7 @@ def load_inception(path: Path) -> Inception:
     Raises:
         InputError: no file, unreadable, of another network, or a value that is not finite.
     """
-    state = read_weights(path, "Inception weights", _MEND)
+    state = read_tensors(path, "Inception weights", _MEND)
     head = state.get("fc.weight")
     classes = None if head is None else head.shape[0]
     if classes not in (_FID_CLASSES, _IMAGENET_CLASSES):

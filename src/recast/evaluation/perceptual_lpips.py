@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from recast.errors import InputError
-from recast.evaluation.weights_file import checked_weight, read_weights
+from recast.evaluation.weights_file import checked_weight
+from recast.torch_file import read_tensors
 
 Array = NDArray[np.float64]
 
@@ -141,7 +142,7 @@ def load_lpips(path: Path) -> Lpips:
         InputError: the file is missing, unreadable, of another network, or has a value that is not
             finite; torchmetrics is not installed.
     """
-    state = read_weights(path, "LPIPS weights", _MEND)
+    state = read_tensors(path, "LPIPS weights", _MEND)
     first = state.get("features.0.weight")
     kernel = first.shape[-1] if first is not None and first.ndim == 4 else None
     backbone = {11: "alex", 3: "vgg"}.get(kernel or 0)
@@ -165,7 +166,7 @@ def _heads(backbone: str) -> list[Tensor]:
     for folder in folders:
         path = Path(folder) / "functional" / "image" / "lpips_models" / f"{backbone}.pth"
         if path.is_file():
-            state = torch.load(path, map_location="cpu", weights_only=True)
+            state = read_tensors(path, "LPIPS heads", "install torchmetrics anew")
             taps = sum(layer.tapped for layer in BACKBONES[backbone])
             return [state[f"lin{index}.model.1.weight"].flatten() for index in range(taps)]
     raise InputError(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from pickle import UnpicklingError
 
 import torch
 from PIL import Image as PilImage
@@ -19,6 +18,7 @@ from recast.recar.targets.quality import Candidate, Quality
 from recast.recar.targets.render import render
 from recast.recar.targets.views import Viewpoint
 from recast.splats import Gaussians
+from recast.torch_file import read_tensors
 
 WIDTHS = (768, 1024, 128, 64, 16, 1)
 _DROPPED_AFTER = (
@@ -95,15 +95,7 @@ def load_predictor(path: Path) -> nn.Sequential:
     Raises:
         InputError: the file is missing, broken, holds more than tensors, or another network.
     """
-    try:
-        found = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError:
-        raise InputError(path, "aesthetic predictor", "is missing", _MEND) from None
-    except (OSError, RuntimeError, EOFError, UnpicklingError) as error:
-        reason = str(error).strip().splitlines() or [type(error).__name__]
-        raise InputError(
-            path, "aesthetic predictor", f"cannot be read ({reason[0][:80]})", _MEND
-        ) from None
+    found = read_tensors(path, "aesthetic predictor", _MEND)
     layers: dict[str, nn.Module] = {}
     position = 0
     for index, (width, out) in enumerate(pairwise(WIDTHS)):
@@ -114,11 +106,11 @@ def load_predictor(path: Path) -> nn.Sequential:
         for name, layer in layers.items()
         for part, tensor in layer.state_dict().items()
     }
-    if not isinstance(found, dict) or found.keys() != expected.keys():
+    if found.keys() != expected.keys():
         raise InputError(path, "aesthetic predictor", "is another network", _MEND)
     for name, tensor in expected.items():
         given = found[name]
-        if not isinstance(given, Tensor) or given.shape != tensor.shape:
+        if given.shape != tensor.shape:
             raise InputError(path, name, f"is not of shape {tuple(tensor.shape)}", _MEND)
         if not bool(torch.isfinite(given).all()):
             raise InputError(path, name, "holds NaN or infinite values", _MEND)

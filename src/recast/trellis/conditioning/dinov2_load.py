@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import math
-import pickle
 from collections.abc import Mapping
 from pathlib import Path
 
 import torch
 from pydantic import ValidationError
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor
 
 from recast import storage
 from recast.errors import InputError
 from recast.records import validation_error
+from recast.torch_file import read_tensors
 from recast.trellis.conditioning.dinov2 import Dinov2Config, Dinov2Encoder
 from recast.trellis.conditioning.dinov2_names import to_hub
 
 # Channels of an attention head in every published DINOv2; the weights alone do not tell.
 _HEAD_CHANNELS = 64
 
+_WEIGHTS = "DINOv2 weights"
 _MEND = (
     "take torch hub's dinov2_vitl14_reg4_pretrain.pth or the folder of "
     "facebook/dinov2-with-registers-large"
@@ -51,7 +50,9 @@ def load_dinov2(path: str | Path, config: Dinov2Config | None = None) -> Dinov2E
         state, told = _read_transformers_folder(path)
         path = path / "model.safetensors"
     else:
-        state = _read_tensors(path)
+        if path.is_file() and path.suffix not in (".pth", ".pt", ".safetensors"):
+            raise InputError(path, _WEIGHTS, f"end in {path.suffix!r}", _MEND)
+        state = read_tensors(path, _WEIGHTS, _MEND)
         told = config or _config_beside(path) or config_from_shapes(state, path)
     # On the meta device nothing is drawn that the file would replace.
     with torch.device("meta"):
@@ -115,32 +116,6 @@ def config_from_shapes(state: Mapping[str, Tensor], where: str | Path) -> Dinov2
     return _validated(where, arguments)
 
 
-def _read_tensors(path: Path) -> dict[str, Tensor]:
-    if not path.exists():
-        raise InputError(path, "DINOv2 weights", "are missing", _MEND)
-    if path.suffix == ".safetensors":
-        try:
-            return load_file(path)
-        except (SafetensorError, OSError) as error:
-            raise InputError(
-                path, "safetensors", f"cannot be read ({error})", "fetch the file again"
-            ) from None
-    if path.suffix not in (".pth", ".pt"):
-        raise InputError(path, "DINOv2 weights", f"end in {path.suffix!r}", _MEND)
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except pickle.UnpicklingError:
-        raise InputError(
-            path, "file", "is no PyTorch file of plain tensors, and nothing else is loaded", _MEND
-        ) from None
-    except (RuntimeError, OSError, EOFError, ValueError) as error:
-        reason = str(error).split("\n")[0].rstrip(".")
-        raise InputError(path, "file", f"cannot be read ({reason})", "fetch it again") from None
-    if not isinstance(state, dict) or not all(isinstance(t, Tensor) for t in state.values()):
-        raise InputError(path, "file", "holds no table of tensors", _MEND)
-    return dict(state)
-
-
 def _read_transformers_folder(folder: Path) -> tuple[dict[str, Tensor], Dinov2Config]:
     file = folder / "config.json"
     record = storage.read_json(file)
@@ -165,7 +140,7 @@ def _read_transformers_folder(folder: Path) -> tuple[dict[str, Tensor], Dinov2Co
     config = _validated(file, {ours: record.get(*theirs) for ours, theirs in names.items()})
     weights = folder / "model.safetensors"
     try:
-        return to_hub(_read_tensors(weights)), config
+        return to_hub(read_tensors(weights, _WEIGHTS, _MEND)), config
     except KeyError as error:
         raise InputError(
             weights, "tensor", f"{error.args[0]!r} is unknown or incomplete", _MEND
