@@ -260,7 +260,12 @@ def test_a_cut_file_and_a_missing_one(log: DrivingLog, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("member", "text", "line"),
     [
-        ("track/track_info.txt", "header\n0 3 vehicle\n", "line 2: is no box"),
+        ("track/track_info.txt", "header\n0 3 vehicle\n", "line 2: has 3 columns"),
+        (
+            "track/track_info.txt",
+            "header\n0 b vehicle 0 1 1 1 5 0 0 0\n",
+            "track: 'b' is no number",
+        ),
         ("track/track_camera_vis.json", "[1]", "no table of cameras"),
         ("track/track_ids.json", "[1]", "no object of track numbers"),
         ("timestamps.json", "{}", "FRAME: lacks a time"),

@@ -11,13 +11,11 @@ import numpy as np
 from recast.errors import InputError
 from recast.geometry import se3
 from recast.logs import Trajectory
+from recast.logs.importers.street_gaussians_boxes import CATEGORIES, read_box_rows
 from recast.scene.dynamic import moves
 from recast.scene.importers.placing import Array
 from recast.storage import read_json
 
-CLASSES = ("vehicle", "pedestrian", "cyclist")
-COLUMNS = 11
-"""frame track class alpha height width length x y z heading, and perhaps a speed."""
 _MEND = "give the folder that the checkpoint was trained on"
 
 Boxes = dict[int, dict[int, Array]]
@@ -40,30 +38,21 @@ def read_boxes(
         InputError: a file is missing or broken.
     """
     path = folder / "track_info.txt"
-    try:
-        lines = path.read_text().splitlines()[1:]
-    except (OSError, UnicodeDecodeError):
-        raise InputError(path, "file", "is missing or cannot be read", _MEND) from None
     seen_by = _visibility(folder / "track_camera_vis.json")
     boxes: Boxes = {}
     rows: list[tuple[int, int]] = []
-    for number, line in enumerate(lines, start=2):
-        words = line.split()
-        if not words:
+    for row in read_box_rows(path, _MEND):
+        if row.kind not in CATEGORIES or row.frame not in frames:
             continue
         try:
-            frame, track, kind = int(words[0]), int(words[1]), words[2].lower()
-            values = np.array(words[3:COLUMNS], np.float64)
-        except (ValueError, IndexError):
-            values = np.zeros(0)
-        if len(values) != COLUMNS - 3 or not np.isfinite(values).all():
-            raise InputError(path, f"line {number}", "is no box", _MEND)
-        if kind not in CLASSES or frame not in frames:
+            track = int(row.track)
+        except ValueError:
+            problem = f"{row.track!r} is no number"
+            raise InputError(path, f"{row.where}: track", problem, _MEND) from None
+        if not seen_by.get((track, row.frame), frozenset()) & set(cameras):
             continue
-        if not seen_by.get((track, frame), frozenset()) & set(cameras):
-            continue
-        boxes.setdefault(track, {})[frame] = values[4:8]
-        rows.append((track, frame))
+        boxes.setdefault(track, {})[row.frame] = np.array([*row.centre, row.heading])
+        rows.append((track, row.frame))
     moving = {track for track, own in boxes.items() if moves(_in_world(own, poses))}
     slots, count = assign_slots(rows, moving)
     return boxes, slots, count
