@@ -35,6 +35,21 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "one").read_text() == "1"
 
 
+@pytest.mark.parametrize("left", ["file", "folder"])
+def test_what_a_kill_left_is_gone_with_the_next_write(tmp_path: Path, left: str) -> None:
+    for name in ("a", "b"):
+        partial = tmp_path / f".{name}.partial"  # as the writes below name theirs
+        if left == "file":
+            partial.write_text("half")
+        else:
+            (partial / "deeper").mkdir(parents=True)
+            (partial / "deeper" / "half").write_text("half")
+    storage.write_text(tmp_path / "a", "whole")
+    with storage.atomic_folder(tmp_path / "b") as partial:
+        assert list(partial.iterdir()) == []
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
+
+
 def test_an_existing_folder_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     with pytest.raises(InputError, match="exists already"), storage.atomic_folder(tmp_path / "out"):

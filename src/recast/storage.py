@@ -22,6 +22,14 @@ def _partial_name(path: Path) -> Path:
     return path.with_name(f".{path.name}.partial")
 
 
+def _clear(partial: Path) -> None:
+    """Remove what a killed write left, which may have been of the other kind, file or folder."""
+    if partial.is_dir() and not partial.is_symlink():
+        shutil.rmtree(partial)
+    else:
+        partial.unlink(missing_ok=True)
+
+
 @contextmanager
 def _full_disk_is_an_input_error(path: Path) -> Iterator[None]:
     try:
@@ -38,6 +46,8 @@ def _full_disk_is_an_input_error(path: Path) -> Iterator[None]:
 def atomic_file(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` on success, remove it on failure.
 
+    What a killed write to `path` left behind is removed first.
+
     Raises:
         InputError: the disk is full.
     """
@@ -46,6 +56,7 @@ def atomic_file(path: str | Path) -> Iterator[Path]:
     with _full_disk_is_an_input_error(path):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            _clear(partial)
             yield partial
             partial.replace(path)
         except BaseException:
@@ -57,7 +68,8 @@ def atomic_file(path: str | Path) -> Iterator[Path]:
 def atomic_folder(path: str | Path) -> Iterator[Path]:
     """Yield a fresh temporary folder beside `path`; rename it to `path` on success.
 
-    On failure the temporary folder is removed. An existing folder at `path` is never touched.
+    On failure the temporary folder is removed, and what a killed write to `path` left behind
+    before anything is written. An existing folder at `path` is never touched.
 
     Raises:
         InputError: `path` exists already, or the disk is full.
@@ -68,7 +80,7 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
     partial = _partial_name(path)
     with _full_disk_is_an_input_error(path):
         try:
-            shutil.rmtree(partial, ignore_errors=True)
+            _clear(partial)
             partial.mkdir(parents=True)
             yield partial
             partial.replace(path)
