@@ -9,7 +9,8 @@ import pytest
 from PIL import Image
 
 from recast.errors import InputError
-from recast.logs import DrivingLog
+from recast.logs import DrivingLog, LidarSweep
+from recast.logs.types import SweepSource
 from recast.scene import SceneConfig, TrainResult, evaluate_scene, load_scene, psnr
 
 from .conftest import TINY
@@ -66,6 +67,41 @@ def test_a_distance_by_networks_is_asked_for_every_image(
     assert result.lpips is not None and 0 < result.lpips < 0.3
     assert result.moving is not None and result.moving.lpips is not None
     assert all(frame.whole.lpips is not None for frame in result.frames)
+
+
+class CountedSweeps:
+    """Sweeps of a log, and how often one of them was read."""
+
+    def __init__(self, sweeps: SweepSource) -> None:
+        self._sweeps, self.reads = sweeps, 0
+
+    def __len__(self) -> int:
+        return len(self._sweeps)
+
+    def __getitem__(self, index: int) -> LidarSweep:
+        self.reads += 1
+        return self._sweeps[index]
+
+
+def test_a_sweep_is_read_once_for_all_cameras(trained: TrainResult, tiny_log: DrivingLog) -> None:
+    alone = evaluate_scene(trained.scene, tiny_log, TINY)
+    (name, stream), (lidar_name, lidar) = *tiny_log.cameras.items(), *tiny_log.lidars.items()
+    sweeps = CountedSweeps(lidar.sweeps)
+    twin = replace(stream, name="twin")  # another camera that sees the same
+    log = replace(
+        tiny_log,
+        cameras={"twin": twin, name: stream},
+        lidars={lidar_name: replace(lidar, sweeps=sweeps)},
+    )
+    both = evaluate_scene(trained.scene, log, TINY)
+    assert sweeps.reads == len(alone.frames)
+    assert [frame.camera for frame in both.frames] == ["twin"] * 3 + [name] * 3
+    assert both.frames[3:] == alone.frames
+    assert [frame.timestamp_us for frame in both.frames[:3]] == [
+        frame.timestamp_us for frame in alone.frames
+    ]
+    assert both.depth is not None and alone.depth is not None
+    assert both.depth.points > alone.depth.points
 
 
 def test_nothing_held_out(trained: TrainResult, tiny_log: DrivingLog) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from recast.geometry import PinholeCamera, se2, se3
 from recast.logs import DrivingLog, LidarStream, LidarSweep, Trajectory
 from recast.scene import SceneImage
-from recast.scene.evaluate_depth import DepthScore, depth_score, mean_depth, sweeps_at
+from recast.scene.evaluate_depth import DepthScore, NearestSweeps, depth_score, mean_depth
 from recast.scene.views import View
 
 CAMERA = PinholeCamera(60, 40, 50.0, 50.0, 30.0, 20.0)
@@ -38,7 +41,7 @@ def rendered(depth: float, alpha: float = 1.0) -> SceneImage:
 
 
 def test_depth_is_that_of_the_surface_not_weighted_with_its_opacity() -> None:
-    sweeps = sweeps_at(wall_log(500_000), 510_000, {})
+    sweeps = NearestSweeps(wall_log(500_000), {}).at(510_000)
     assert depth_score(rendered(WALL_M, 0.7), view(510_000), sweeps, {}) == DepthScore(
         200,
         0.0,
@@ -50,7 +53,7 @@ def test_depth_is_that_of_the_surface_not_weighted_with_its_opacity() -> None:
 
 
 def test_errors_and_holes() -> None:
-    sweeps = sweeps_at(wall_log(500_000), 500_000, {})
+    sweeps = NearestSweeps(wall_log(500_000), {}).at(500_000)
     image = rendered(WALL_M + 0.5)
     image.depth[:20] += 2.0  # the upper half of the wall is further off still
     image.alpha[:, :30] = 0.4  # half of it is not there
@@ -64,8 +67,43 @@ def test_errors_and_holes() -> None:
 
 def test_the_sweep_of_the_moment_is_taken_and_no_other() -> None:
     log = wall_log(400_000, 500_000, 600_000)
-    assert [s.timestamp_us for s in sweeps_at(log, 520_000, {})] == [500_000]
-    assert sweeps_at(log, 725_000, {}) == []
+    sweeps = NearestSweeps(log, {})
+    assert [s.timestamp_us for s in sweeps.at(520_000)] == [500_000]
+    assert sweeps.at(725_000) == []
+
+
+class Counted(list[LidarSweep]):
+    """Sweeps that remember which of them were read."""
+
+    def __init__(self, sweeps: Iterable[LidarSweep]) -> None:
+        super().__init__(sweeps)
+        self.read: list[int] = []
+
+    def __getitem__(self, index: int) -> LidarSweep:  # type: ignore[override]
+        self.read.append(index)
+        return super().__getitem__(index)
+
+
+def test_the_cameras_of_a_moment_share_its_sweeps() -> None:
+    plain = wall_log(400_000, 500_000, 600_000)
+    second = replace(
+        plain.lidars["top"], name="low", timestamps_us=np.array([460, 560, 660]) * 1000
+    )
+    both = replace(plain, lidars={"low": second, "top": plain.lidars["top"]})
+    counted = {name: Counted(stream.sweeps) for name, stream in both.lidars.items()}
+    lidars = {name: replace(s, sweeps=counted[name]) for name, s in both.lidars.items()}
+    sweeps = NearestSweeps(replace(both, lidars=lidars), {})
+    for time in (390_000, 400_000, 415_000, 490_000, 500_000, 515_000, 620_000):
+        alone = NearestSweeps(both, {}).at(time)
+        found = sweeps.at(time)
+        assert [s.timestamp_us for s in found] == [s.timestamp_us for s in alone]
+        image = rendered(WALL_M + 0.2)
+        assert depth_score(image, view(time), found, {}) == depth_score(
+            image, view(time), alone, {}
+        )
+    assert {name: stream.read for name, stream in counted.items()} == {
+        "top": [0, 1, 2], "low": [0, 1, 2],
+    }  # fmt: skip
 
 
 def test_means_are_over_images() -> None:

@@ -11,7 +11,7 @@ from recast.errors import InputError
 from recast.logs import DrivingLog
 from recast.scene.config import SceneConfig
 from recast.scene.evaluate_record import SceneEvaluation
-from recast.scene.evaluate_regions import Distance, moving_tracks
+from recast.scene.evaluate_regions import Distance
 from recast.scene.evaluate_shifts import ShiftScores, Truth, ViewShift, shifted_views
 from recast.scene.evaluate_views import ViewJudge, draw_view, write_comparison
 from recast.scene.image_metrics import psnr
@@ -72,12 +72,13 @@ def evaluate_scene(
         if progress is not None:
             progress(done, total)
 
-    judge = ViewJudge(scene, moving_tracks(log), lpips)
-    scores = []
-    for name, frame in chosen:
+    judge = ViewJudge(scene, log, lpips)
+    scores = {}
+    # In order of time: all cameras of a moment share its sweeps.
+    for name, frame in sorted(chosen, key=lambda image: _time(log, image)):
         view = read_view(log, log.cameras[name], frame, config.scale, held_out=True)
         rendered = draw_view(judge.rasterizer, scene, view)
-        scores.append(judge.held_out(log, view, rendered))
+        scores[name, frame] = judge.held_out(view, rendered)
         if folder is not None:
             write_comparison(folder / f"{name}_{frame:06d}.png", view, rendered.rgb)
         tell()
@@ -92,7 +93,8 @@ def evaluate_scene(
             pictures += [shifted.picture] if shown else []
             tell()
         found.append(ShiftScores(shift, tuple(frames), tuple(pictures)))
-    evaluation = SceneEvaluation(tuple(scores), tuple(found), bool(found) and truth is not None)
+    frames_scored = tuple(scores[image] for image in chosen)
+    evaluation = SceneEvaluation(frames_scored, tuple(found), bool(found) and truth is not None)
     if folder is not None:
         write_json(folder / EVALUATION_FILE, evaluation.to_json())
     return evaluation
@@ -119,6 +121,11 @@ def held_out_psnr(scene: StreetScene, views: Sequence[View]) -> float:
     return float(np.mean(found))
 
 
+def _time(log: DrivingLog, image: tuple[str, int]) -> int:
+    name, frame = image
+    return int(log.cameras[name].timestamps_us[frame])
+
+
 def _pictured(log: DrivingLog, chosen: Sequence[tuple[str, int]]) -> set[int]:
     """Times of `PICTURED_MOMENTS` held-out frames of each camera."""
     times: set[int] = set()
@@ -126,5 +133,5 @@ def _pictured(log: DrivingLog, chosen: Sequence[tuple[str, int]]) -> set[int]:
         frames = [frame for other, frame in chosen if other == name]
         count = min(PICTURED_MOMENTS, len(frames))
         picked = [frames[int((i + 0.5) / count * len(frames))] for i in range(count)]
-        times.update(int(log.cameras[name].timestamps_us[frame]) for frame in picked)
+        times.update(_time(log, (name, frame)) for frame in picked)
     return times

@@ -39,27 +39,48 @@ class DepthScore:
     lag_ms: float
 
 
-def sweeps_at(log: DrivingLog, timestamp_us: int, actors: Mapping[str, Track]) -> list[OwnedSweep]:
-    """The sweep of each LiDAR that is nearest in time, where it is within `SWEEP_REACH_US`.
+class NearestSweeps:
+    """The sweep of each LiDAR that is nearest in time to an image.
+
+    A sweep is read once for all cameras of its moment, as long as they are asked for in order of
+    time: the last one of each LiDAR is kept.
 
     Args:
-        timestamp_us: of the image.
+        log: with the sweeps.
         actors: tracks whose points are told from the street's.
     """
-    nearest = {}
-    for name, stream in log.lidars.items():
-        if len(stream.timestamps_us) == 0:
-            continue
-        index = int(np.argmin(np.abs(stream.timestamps_us - timestamp_us)))
-        if abs(int(stream.timestamps_us[index]) - timestamp_us) > SWEEP_REACH_US:
-            continue
-        nearest[name] = LidarStream(
-            name=name,
-            rig_from_lidar=stream.rig_from_lidar,
-            timestamps_us=stream.timestamps_us[[index]],
-            sweeps=[stream.sweeps[index]],
-        )
-    return read_sweeps(replace(log, lidars=nearest), actors, held_out_us=())
+
+    def __init__(self, log: DrivingLog, actors: Mapping[str, Track]) -> None:
+        self._log, self._actors = log, actors
+        self._kept: dict[str, tuple[int, list[OwnedSweep]]] = {}
+
+    def at(self, timestamp_us: int) -> list[OwnedSweep]:
+        """Those within `SWEEP_REACH_US` of an image, at most one of each LiDAR, in order of time.
+
+        Args:
+            timestamp_us: of the image.
+        """
+        found: list[OwnedSweep] = []
+        for stream in self._log.lidars.values():
+            if len(stream.timestamps_us) == 0:
+                continue
+            index = int(np.argmin(np.abs(stream.timestamps_us - timestamp_us)))
+            if abs(int(stream.timestamps_us[index]) - timestamp_us) <= SWEEP_REACH_US:
+                found += self._read(stream, index)
+        return sorted(found, key=lambda sweep: sweep.timestamp_us)
+
+    def _read(self, stream: LidarStream, index: int) -> list[OwnedSweep]:
+        kept = self._kept.get(stream.name)
+        if kept is None or kept[0] != index:
+            own = replace(
+                stream,
+                timestamps_us=stream.timestamps_us[[index]],
+                sweeps=[stream.sweeps[index]],
+            )
+            log = replace(self._log, lidars={stream.name: own})
+            kept = (index, read_sweeps(log, self._actors, held_out_us=()))
+            self._kept[stream.name] = kept
+        return kept[1]
 
 
 def depth_score(
@@ -72,7 +93,7 @@ def depth_score(
 
     Args:
         rendered: drawn from the view's pose.
-        sweeps: see `sweeps_at`.
+        sweeps: see `NearestSweeps`.
         actors: the tracks that the sweeps were divided by.
 
     Returns:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,14 +10,15 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from recast.geometry import se3
-from recast.logs import DrivingLog, Track
+from recast.logs import DrivingLog
 from recast.scene.dynamic import box_rectangle
-from recast.scene.evaluate_depth import depth_score, sweeps_at
+from recast.scene.evaluate_depth import NearestSweeps, depth_score
 from recast.scene.evaluate_record import FrameScore
 from recast.scene.evaluate_regions import (
     Distance,
     capped_psnr,
     moving_region,
+    moving_tracks,
     score_regions,
 )
 from recast.scene.evaluate_shifts import ShiftedScore, ShiftedView
@@ -35,25 +35,26 @@ class ViewJudge:
     """Draws and scores views of one scene.
 
     Args:
-        moving: tracks of the log that move.
+        log: of the views.
         lpips: a distance by networks, or None.
     """
 
-    def __init__(
-        self, scene: StreetScene, moving: Mapping[str, Track], lpips: Distance | None
-    ) -> None:
+    def __init__(self, scene: StreetScene, log: DrivingLog, lpips: Distance | None) -> None:
         self.rasterizer = SceneRasterizer(scene)
-        self._scene, self._moving, self._lpips = scene, moving, lpips
+        self._scene, self._moving, self._lpips = scene, moving_tracks(log), lpips
+        self._sweeps = NearestSweeps(log, self._moving)
 
-    def held_out(self, log: DrivingLog, view: View, rendered: SceneImage) -> FrameScore:
-        """Score a held-out image against its recording and the LiDAR of its moment."""
+    def held_out(self, view: View, rendered: SceneImage) -> FrameScore:
+        """Score a held-out image against its recording and the LiDAR of its moment.
+
+        Sweeps are read once where images come in order of time.
+        """
         scene, time = self._scene, view.timestamp_us
         region = moving_region(self._moving, view)
         whole, moving = score_regions(rendered.rgb, view, region, self._lpips)
         # The laser's points are looked at from where the image was drawn from.
         pose = scene.corrected_camera(view.camera_from_world, view.camera_name, time)
         drawn_from = replace(view, world_from_camera=se3.inverse(pose))
-        sweeps = sweeps_at(log, time, self._moving)
         return FrameScore(
             camera=view.camera_name,
             frame=view.frame,
@@ -61,7 +62,7 @@ class ViewJudge:
             whole=whole,
             boxes=_box_psnr(scene, view, rendered.rgb),
             moving=moving,
-            depth=depth_score(rendered, drawn_from, sweeps, self._moving),
+            depth=depth_score(rendered, drawn_from, self._sweeps.at(time), self._moving),
         )
 
     def shifted(
