@@ -1,8 +1,9 @@
 from __future__ import annotations
 
+import pytest
 import torch
 
-from recast.scene.densify import GradientStatistics, plan_change
+from recast.scene.densify import GradientStatistics, Measure, plan_change
 from recast.splats import Gaussians, RasterMeta
 
 
@@ -78,3 +79,19 @@ def test_statistics_average_over_views_that_saw_a_row_in_ndc() -> None:
         )
         statistics.add(meta, slice(0, 2), slice(0, 2), width=20, height=10)
     assert torch.allclose(statistics.mean(), torch.tensor([3.0, 2.0]))
+
+
+@pytest.mark.parametrize(
+    ("measure", "expected"), [("signed", 1.0), ("absolute_norm", 5.0), ("absolute_l1", 7.0)]
+)
+def test_statistics_take_the_gradient_that_is_named(measure: Measure, expected: float) -> None:
+    statistics = GradientStatistics(1)
+    meta = RasterMeta(
+        visible=torch.tensor([True]),
+        radii=torch.ones(1),
+        means2d=torch.zeros(1, 2),
+        means2d_grad=torch.tensor([[-0.1, 0.0]]),
+        means2d_absgrad=torch.tensor([[0.3, 0.8]]),
+    )
+    statistics.add(meta, slice(0, 1), slice(0, 1), width=20, height=10, measure=measure)
+    assert torch.allclose(statistics.mean(), torch.tensor([expected]))

@@ -16,8 +16,8 @@ from recast.scene.trainable import TrainableScene, rows
 from .made_up import part
 
 
-def steps(config: SceneConfig, what: str) -> list[int]:
-    schedule = DensitySchedule(config)
+def steps(config: SceneConfig, what: str, views: int = 60) -> list[int]:
+    schedule = DensitySchedule(config, views)
     return [i for i in range(1, config.iterations + 1) if getattr(schedule, what)(i)]
 
 
@@ -36,6 +36,60 @@ def test_the_papers_schedules_at_the_papers_steps() -> None:
     omnire = resolve_config("omnire", options={"iterations": 30_000})
     assert steps(omnire, "resets") == list(range(3000, 27_001, 3000))
     assert steps(omnire, "changes")[-1] == 14_900
+
+
+@pytest.mark.parametrize(("views", "first"), [(60, 200), (150, 200), (600, 700), (5000, 1100)])
+def test_omnire_waits_after_a_reset_until_every_image_was_seen(views: int, first: int) -> None:
+    config = resolve_config("omnire", options={"iterations": 30_000})
+    changes = steps(config, "changes", views)
+    assert changes[0] == 500  # there was no reset yet
+    for reset in (3000, 6000, 12_000):
+        # What is changed in the step of a reset comes before it.
+        assert [i for i in changes if i >= reset][:2] == [reset, reset + first]
+    # Gradients count from the last change that was left out; until then they have no use.
+    counted = set(steps(config, "counts", views))
+    left_out = range(3000, 3000 + first - 100)
+    assert not counted & set(left_out) and counted >= set(range(left_out[-1] + 1, 6000))
+
+
+def test_short_runs_keep_most_of_their_changes() -> None:
+    config = resolve_config("omnire", options={"iterations": 2800})
+    assert steps(config, "changes", 210) == [100, 200, 300, 500, 600, 800, 900, 1100, 1200]
+
+
+def test_only_a_reset_makes_a_pause() -> None:
+    config = SceneConfig(iterations=1000, densify_every=10, densify_until=1.0, densify_pause=1.0)
+    everything = list(range(10, 1000, 10))
+    assert steps(config, "changes") == everything
+    resets = {"opacity_reset_every": 0.2, "opacity_reset_until": 0.4}
+    config = config.model_copy(update=resets)
+    assert steps(config, "resets") == [200, 400]
+    paused = {*range(210, 261, 10), *range(410, 461, 10)}
+    assert steps(config, "changes") == [i for i in everything if i not in paused]
+    config = config.model_copy(update={"densify_pause": 0.0})
+    assert steps(config, "changes") == everything
+
+
+def test_absolute_gradients_are_asked_for_only_while_they_count() -> None:
+    assert steps(SceneConfig(iterations=100), "counts_sizes") == []
+    for one in ("densify_by", "actor_densify_by"):
+        config = SceneConfig(iterations=100, **{one: "absolute_norm"})
+        assert steps(config, "counts_sizes") == list(range(1, 60))
+
+
+def test_actors_have_a_threshold_of_their_own(model: TrainableScene) -> None:
+    for statistics in (model.background_statistics, model.local_statistics):
+        statistics.total[:] = 4e-4
+        statistics.views[:] = 1
+    config = SceneConfig(
+        densify_gradient=6e-4, actor_densify_gradient=2e-4, densify_growth=10.0, prune_opacity=0.0
+    )
+    change_population(model, tracks(), config, torch.Generator())
+    assert (len(model.background), len(model.local)) == (40, 24)
+    model.background_statistics.total[:] = 7e-4
+    model.background_statistics.views[:] = 1
+    change_population(model, tracks(), config, torch.Generator())
+    assert (len(model.background), len(model.local)) == (80, 24)
 
 
 @pytest.mark.parametrize("iterations", [1, 3, 47])

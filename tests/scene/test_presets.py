@@ -7,7 +7,7 @@ from typing import get_args
 import pytest
 
 from recast.errors import InputError
-from recast.scene import SceneConfig, read_config, resolve_config
+from recast.scene import SceneConfig, read_config, resolve_config, write_config
 from recast.scene.presets import Preset, preset_values
 
 NAMES = get_args(Preset)
@@ -51,6 +51,20 @@ def test_the_presets_differ_where_the_methods_do() -> None:
     assert street.sky == omnire.sky == "cubemap"
 
 
+def test_thresholds_belong_to_the_gradient_they_were_published_for() -> None:
+    def control(config: SceneConfig) -> list[object]:
+        return [
+            config.densify_by, config.densify_gradient,
+            config.actor_densify_by, config.actor_densify_gradient,
+        ]  # fmt: skip
+
+    assert resolve_config("streetgs").densify_pause == SceneConfig().densify_pause == 0
+    assert resolve_config("omnire").densify_pause > 0
+    assert control(resolve_config("streetgs")) == ["absolute_l1", 6e-4, "signed", 2e-4]
+    assert control(resolve_config("omnire")) == ["absolute_norm", 5e-4, "absolute_norm", 5e-4]
+    assert control(SceneConfig()) == ["signed", 3e-4, "signed", None]
+
+
 def test_files_and_options_go_before_the_preset(tmp_path: Path) -> None:
     path = tmp_path / "config.json"
     path.write_text(json.dumps({"version": 1, "flip_probability": 0.5, "iterations": 30_000}))
@@ -64,3 +78,10 @@ def test_files_and_options_go_before_the_preset(tmp_path: Path) -> None:
 def test_a_wrong_option_is_named() -> None:
     with pytest.raises(InputError, match="scale"):
         resolve_config("omnire", options={"scale": 3.0})
+
+
+def test_a_preset_over_a_file_that_names_every_field_is_refused(tmp_path: Path) -> None:
+    write_config(SceneConfig(), tmp_path / "config.json")
+    with pytest.raises(InputError, match="omnire: changes nothing"):
+        resolve_config("omnire", read_config(tmp_path / "config.json"))
+    assert resolve_config(None, read_config(tmp_path / "config.json")) == SceneConfig()

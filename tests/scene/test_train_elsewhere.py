@@ -49,11 +49,13 @@ class Meta:
         return None if value is None else value.to(ELSEWHERE)
 
 
-def rasterize_elsewhere(gaussians: Any, pose: torch.Tensor, *arguments: Any) -> Rasterization:
+def rasterize_elsewhere(
+    gaussians: Any, pose: torch.Tensor, *arguments: Any, **options: Any
+) -> Rasterization:
     """The CPU kernel in gsplat's place, for Gaussians elsewhere."""
     if gaussians.means.device != ELSEWHERE:
-        return rasterize(gaussians, pose, *arguments)
-    drawn = rasterize(gaussians.to("cpu"), pose.cpu(), *arguments)
+        return rasterize(gaussians, pose, *arguments, **options)
+    drawn = rasterize(gaussians.to("cpu"), pose.cpu(), *arguments, **options)
     images = (getattr(drawn, name).to(ELSEWHERE) for name in ("rgb", "depth", "alpha"))
     return Rasterization(*images, Meta(drawn.meta))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from recast.scene import (
     train_scene,
 )
 from recast.scene.views import read_view
+from recast.splats import Rasterization, rasterize
 
 EVERYTHING = SceneConfig(
     scale=0.5, iterations=24, sweep_points=0, voxel_m=0.8, threads=1, seed=3,
@@ -27,7 +29,9 @@ EVERYTHING = SceneConfig(
     sharp_shape_weight=1.0, track_smoothness_weight=0.1, actor_opacity_weight=0.1,
     coarse_fraction=0.5, coarse_factors=(4, 2),
     densify_every=4, densify_growth=10.0, densify_from=0.1, densify_gradient=1e-6,
+    densify_by="absolute_l1", actor_densify_by="absolute_norm",
     max_gaussians=3000, prune_opacity=0.005, prune_above_m=1.0, opacity_reset_every=0.4,
+    densify_pause=0.5,
     evaluate_every=24, checkpoint_every=5,
 )  # fmt: skip
 
@@ -54,6 +58,25 @@ def test_killed_and_resumed_it_ends_in_the_same_bytes(
     train_scene(tiny_log, folder, EVERYTHING)
     for path in made.folder.iterdir():
         assert path.read_bytes() == (folder / path.name).read_bytes(), path.name
+
+
+def test_sizes_of_gradients_are_computed_only_while_they_count(
+    tiny_log: DrivingLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[bool] = []
+
+    def spy(*arguments: Any, absgrad: bool) -> Rasterization:
+        asked.append(absgrad)
+        return rasterize(*arguments, absgrad=absgrad)
+
+    monkeypatch.setattr("recast.scene.trainer.rasterize", spy)
+    short = EVERYTHING.model_copy(update={"iterations": 4, "densify_until": 0.5})
+    train_scene(tiny_log, tmp_path / "absolute", short)
+    assert asked == [True, True, False, False]
+    asked.clear()
+    signed = {"densify_by": "signed", "actor_densify_by": "signed"}
+    train_scene(tiny_log, tmp_path / "signed", short.model_copy(update=signed))
+    assert asked == [False] * 4
 
 
 def test_actors_keep_how_their_colours_change(made: TrainResult, tiny_log: DrivingLog) -> None:

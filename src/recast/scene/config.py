@@ -12,6 +12,7 @@ from recast.scene.method_config import MethodConfig
 from recast.storage import read_json, write_json
 
 CONFIG_VERSION = 1
+_YOUNGEST = ("densify_by", "actor_densify_by", "actor_densify_gradient", "densify_pause")
 
 
 class SceneConfig(MethodConfig):
@@ -80,6 +81,9 @@ class SceneConfig(MethodConfig):
     densify_gradient: float = Field(
         default=3e-4, gt=0, description="mean image-plane gradient, NDC units"
     )
+    actor_densify_gradient: float | None = Field(
+        default=None, gt=0, description="likewise of actors; none: the same"
+    )
     split_above_m: float = Field(
         default=0.08, gt=0, description="larger Gaussians are split, smaller ones cloned"
     )
@@ -93,10 +97,31 @@ class SceneConfig(MethodConfig):
         default=0.0, ge=0, le=1, description="share of the run between resets to 0.01, 0: none"
     )
     opacity_reset_until: float = Field(default=1.0, ge=0, le=1, description="share of the run")
+    densify_pause: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="most of the time between resets that changes wait after one, 0: none",
+    )
 
     evaluate_every: int = Field(default=500, ge=1, description="steps between held-out PSNRs")
     checkpoint_every: int = Field(default=200, ge=1, description="steps that a kill costs at most")
     threads: int = Field(default=0, ge=0, description="CPU threads, 0: all")
+
+    def is_whole(self) -> bool:
+        """Whether every field was named, as in the record of a run; the youngest may lack."""
+        return self.model_fields_set >= SceneConfig.model_fields.keys() - set(_YOUNGEST)
+
+    def resolved(self) -> dict[str, Any]:
+        """JSON-able, every default filled in but those of the youngest fields.
+
+        What was begun before these were a choice has the same record as what leaves them alone.
+        """
+        values = self.model_dump(mode="json")
+        for name in _YOUNGEST:
+            if values[name] == SceneConfig.model_fields[name].default:
+                del values[name]
+        return values
 
 
 def read_config(path: str | Path) -> SceneConfig:

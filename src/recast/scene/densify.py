@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -16,6 +17,11 @@ from recast.splats import Gaussians, RasterMeta
 from recast.splats.rotations import quat_to_matrix
 
 SPLIT_SHRINK = 1.6
+
+Measure = Literal["signed", "absolute_norm", "absolute_l1"]
+"""Of a row's screen-space gradient in a view: the length of its sum over pixels (3DGS); or, with
+the components' sizes added up over pixels (AbsGS), their length (gsplat) or sum (Street Gaussians).
+"""
 
 
 class GradientStatistics:
@@ -29,13 +35,26 @@ class GradientStatistics:
         self.total = torch.zeros(count, device=device)
         self.views = torch.zeros(count, device=device)
 
-    def add(self, meta: RasterMeta, rows: slice, into: slice, width: int, height: int) -> None:
-        """Count one view: rows `rows` of its meta belong to rows `into` here."""
-        assert meta.means2d_grad is not None
-        scale = torch.tensor([width / 2, height / 2]).to(meta.means2d_grad)
-        norm = (meta.means2d_grad[rows] * scale).norm(dim=1)
+    def add(
+        self,
+        meta: RasterMeta,
+        rows: slice,
+        into: slice,
+        width: int,
+        height: int,
+        measure: Measure = "signed",
+    ) -> None:
+        """Count one view: rows `rows` of its meta belong to rows `into` here.
+
+        Args:
+            measure: absolute ones need a meta with `means2d_absgrad`.
+        """
+        gradient = meta.means2d_grad if measure == "signed" else meta.means2d_absgrad
+        assert gradient is not None
+        scale = torch.tensor([width / 2, height / 2]).to(gradient)
+        size = (gradient[rows] * scale).norm(p=1 if measure == "absolute_l1" else 2, dim=1)
         visible = meta.visible[rows]
-        self.total[into] += torch.where(visible, norm, 0.0)
+        self.total[into] += torch.where(visible, size, 0.0)
         self.views[into] += visible
 
     def mean(self) -> Tensor:

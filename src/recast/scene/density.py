@@ -15,13 +15,32 @@ class DensitySchedule:
     recast's own recipe grows by a share of all Gaussians at a time and never resets opacities;
     that of 3DGS, which both published trainers follow, takes every row above the threshold and
     resets. Both are numbers of the configuration.
+
+    Attributes:
+        views: training images, by whose number a pause after a reset is measured.
     """
 
     config: SceneConfig
+    views: int
+
+    def goes_on(self, iteration: int) -> bool:
+        """Whether the population may still change after this step (from 0)."""
+        return iteration < self.config.densify_until * self.config.iterations
 
     def counts(self, iteration: int) -> bool:
-        """Whether the screen-space gradients of this step (from 0) count."""
-        return iteration < self.config.densify_until * self.config.iterations
+        """Whether the screen-space gradients of this step (from 0) count.
+
+        They count for the next change; where a pause leaves that out, they are of no use to a later
+        one, as a reset made them what they are.
+        """
+        every = self.config.densify_every
+        following = (iteration // every + 1) * every
+        return self.goes_on(iteration) and not self._pauses(following)
+
+    def counts_sizes(self, iteration: int) -> bool:
+        """Whether absolute ones are needed for that."""
+        measures = {self.config.densify_by, self.config.actor_densify_by}
+        return self.counts(iteration) and measures != {"signed"}
 
     def changes(self, iteration: int) -> bool:
         """Whether the population changes when `iteration` steps are done."""
@@ -29,7 +48,8 @@ class DensitySchedule:
         return (
             iteration % config.densify_every == 0
             and iteration >= config.densify_from * config.iterations
-            and self.counts(iteration)
+            and self.goes_on(iteration)
+            and not self._pauses(iteration)
         )
 
     def resets(self, iteration: int) -> bool:
@@ -41,6 +61,15 @@ class DensitySchedule:
     def prunes_oversize(self, iteration: int) -> bool:
         """Whether there has been a reset before: until then large Gaussians may still shrink."""
         return 0 < self._period() < iteration
+
+    def _pauses(self, iteration: int) -> bool:
+        """Whether not every image was seen since the last reset (OmniRe's and gsplat's pause)."""
+        if self.config.densify_pause == 0 or self._period() == 0:
+            return False
+        since = iteration % self._period()
+        most = self.config.densify_pause * self._period()
+        pause = min(max(self.views, self.config.densify_every), most)
+        return 0 < since <= pause and self.resets(iteration - since)
 
     def _period(self) -> int:
         share = self.config.opacity_reset_every

@@ -6,6 +6,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from recast.scene.densify import Measure
+
 
 class MethodConfig(BaseModel):
     """Fields of `SceneConfig` that choose between methods; the defaults are recast's own.
@@ -52,6 +54,11 @@ class MethodConfig(BaseModel):
         default="opacity",
         description="opacity: before sky pixels; entropy: also its lack before others",
     )
+    densify_by: Measure = Field(
+        default="signed",
+        description="screen-space gradient: of the sum over pixels, or of their sizes (AbsGS)",
+    )
+    actor_densify_by: Measure = Field(default="signed", description="likewise of actors")
     sharp_shape_weight: float = Field(
         default=0.0, ge=0, description="of Gaussians' axes beyond 10 to 1, every tenth step"
     )

@@ -52,7 +52,7 @@ def change_population(
     local = plan_change(
         model.local,
         model.local_statistics.mean(),
-        threshold=config.densify_gradient,
+        threshold=config.actor_densify_gradient or config.densify_gradient,
         most_new=int(growth * len(model.local)),
         split_above=config.actor_split_above_m,
         min_opacity=config.prune_opacity,

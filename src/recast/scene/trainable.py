@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from recast.scene.appearance import coloured
-from recast.scene.densify import GradientStatistics
+from recast.scene.densify import GradientStatistics, Measure
 from recast.scene.drawn import Drawn, Span
 from recast.scene.mirror import mirrored
 from recast.splats import Gaussians, RasterMeta, RowAdam, concatenate
@@ -142,13 +142,21 @@ class TrainableScene:
             local[span.start : span.stop] = meta.visible[span.first : span.last]
         return meta.visible[: len(self.background)], local
 
-    def count(self, drawn: Drawn, meta: RasterMeta, width: int, height: int) -> None:
+    def count(
+        self,
+        drawn: Drawn,
+        meta: RasterMeta,
+        width: int,
+        height: int,
+        measure: Measure = "signed",
+        actor_measure: Measure = "signed",
+    ) -> None:
         """Add a view's screen-space gradients to the statistics for density control."""
-        n = len(self.background)
-        self.background_statistics.add(meta, slice(0, n), slice(0, n), width, height)
+        every = slice(0, len(self.background))
+        self.background_statistics.add(meta, every, every, width, height, measure)
         for span in drawn.spans:
             source, target = slice(span.first, span.last), slice(span.start, span.stop)
-            self.local_statistics.add(meta, source, target, width, height)
+            self.local_statistics.add(meta, source, target, width, height, actor_measure)
 
     def step(self, background: Tensor, local: Tensor, rates: Mapping[str, float]) -> None:
         """Adam on the visible rows, within the bounds that keep Gaussians honest.

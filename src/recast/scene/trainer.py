@@ -77,7 +77,7 @@ class Trainer:
         self._threads = threads
         self._views = [view for view in views if not view.held_out]
         self._tracks = dict(tracks)
-        self._density = DensitySchedule(config)
+        self._density = DensitySchedule(config, len(self._views))
         self._levels = make_levels(config, self._views, start)
         self.model = TrainableScene(
             start.background.to(self.device),
@@ -147,7 +147,14 @@ class Trainer:
         poses = self.poses(view.timestamp_us)
         drawn = self._draw(poses, view.timestamp_us)
         pose = self.camera_poses.camera_from_world(view)
-        result = rasterize(drawn.gaussians, pose, level.K, camera.width, camera.height)
+        result = rasterize(
+            drawn.gaussians,
+            pose,
+            level.K,
+            camera.width,
+            camera.height,
+            absgrad=self._density.counts_sizes(self.iteration),
+        )
         # The sky is smooth and far: the logged pose does for it.
         image = self.sky.behind(result.rgb, result.alpha, camera, view.camera_from_world)
         prior = image.new_zeros(())
@@ -162,14 +169,15 @@ class Trainer:
         if config.track_smoothness_weight > 0:
             rough = self._smoothness.loss().to(prior.device)
             prior = prior + config.track_smoothness_weight * rough
-        if config.actor_opacity_weight > 0 and not self._density.counts(self.iteration):
+        if config.actor_opacity_weight > 0 and not self._density.goes_on(self.iteration):
             placed = [(self._tracks[name].size, at) for name, at in poses.items()]
             prior = prior + config.actor_opacity_weight * actors_alone(drawn, pose, level, placed)
         loss = loss + prior
         loss.backward()
         self.model.take_gradients(drawn)
         if self._density.counts(self.iteration):
-            self.model.count(drawn, result.meta, camera.width, camera.height)
+            measures = config.densify_by, config.actor_densify_by
+            self.model.count(drawn, result.meta, camera.width, camera.height, *measures)
         self._update(*self.model.visible(drawn, result.meta), u)
         squared = float((image.detach() - level.target).square().mean())
         return StepReport(float(loss.detach()), -10 * float(np.log10(max(squared, 1e-10))))
