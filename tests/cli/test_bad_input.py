@@ -14,6 +14,7 @@ import pytest
 from recast import storage
 from recast.cli.main import main
 from recast.logs import DrivingLog, LidarSweep, Trajectory, read_log, write_log
+from recast.scene import SceneConfig, write_config
 from support import tiny_drive as tiny
 
 RUN = ("--track", "0", "--motion", "advancing-a", "--threads", "1")
@@ -211,3 +212,14 @@ def test_something_that_is_no_log(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_the_tiny_log_reads_back(tiny_log_folder: Path) -> None:
     assert main(["log", "info", str(tiny_log_folder)]) == 0
     assert read_log(tiny_log_folder).tracks
+
+
+def test_a_preset_that_a_whole_configuration_leaves_nothing_to_set(
+    tiny_log_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_config(SceneConfig(), tmp_path / "scene.json")
+    out = tmp_path / "run"
+    scene = ("--preset", "omnire", "--scene-config", tmp_path / "scene.json")
+    line = refused(capsys, "run", tiny_log_folder, *RUN, *scene, "--out", out)
+    assert "--preset: omnire: changes nothing" in line
+    assert not out.exists()

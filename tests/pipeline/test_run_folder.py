@@ -2,12 +2,17 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from recast import storage
 from recast.errors import InputError
+from recast.pipeline.config import RunConfig
 from recast.pipeline.fingerprint import folder_hash, value_hash
+from recast.pipeline.options import resolve_config
 from recast.pipeline.run_folder import RunFolder
+from recast.scene import resolve_config as scene_config
 
 
 def start(path: Path, seed: int = 0, log_hash: str = "abc") -> RunFolder:
@@ -97,3 +102,75 @@ def test_hashes_follow_the_content_and_not_the_order(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("3")
     assert folder_hash(tmp_path) != before
     assert value_hash({"a": 1, "b": 2}) == value_hash({"b": 2, "a": 1})
+
+
+def resolve(
+    preset: str | None = None,
+    file: Path | None = None,
+    scene_file: Path | None = None,
+    **scene: Any,
+) -> RunConfig:
+    return resolve_config("0", (), file, scene_file, {"preset": preset}, scene)
+
+
+def begin(path: Path, config: RunConfig) -> RunFolder:
+    return RunFolder.create_or_resume(path, config.resolved(), "log", "abc")
+
+
+def test_a_preset_sets_the_scene_as_it_does_when_a_scene_is_trained_alone(tmp_path: Path) -> None:
+    options = {"iterations": 1000, "scale": 0.25}
+    alone = scene_config("omnire", None, {**options, "force_dynamic": ("0",)})
+    assert resolve("omnire", **options).scene == alone
+
+    file = tmp_path / "scene.json"
+    file.write_text(json.dumps({"version": 1, "sh_degree": 2, "iterations": 30_000}))
+    scene = resolve("omnire", scene_file=file, iterations=3000).scene
+    assert (scene.sh_degree, scene.densify_by, scene.iterations) == (2, "absolute_norm", 3000)
+    assert scene == scene_config(
+        "omnire", None, {"iterations": 3000, "sh_degree": 2, "force_dynamic": ("0",)}
+    )
+
+
+@pytest.mark.parametrize(("first", "second"), [("omnire", "streetgs"), ("omnire", None)])
+def test_a_run_goes_on_with_its_preset_alone(
+    tmp_path: Path, first: str, second: str | None
+) -> None:
+    path = tmp_path / "run"
+    record = begin(path, resolve(first)).record
+    assert record["config"]["preset"] == first
+    assert begin(path, resolve(first)).record == record
+    with pytest.raises(InputError, match="another configuration") as caught:
+        begin(path, resolve(second))
+    assert caught.value.field == "config.preset"
+    assert begin(path, resolve(file=path / "run.json")).record == record
+    assert begin(path, resolve(first, file=path / "run.json")).record == record
+
+
+def test_the_record_keeps_what_was_chosen_against_the_preset(tmp_path: Path) -> None:
+    file = tmp_path / "config.json"
+    scene = {"version": 1, "densify_pause": 0.0}  # as without a preset
+    file.write_text(
+        json.dumps({"version": 1, "track": "0", "motions": [], "preset": "omnire", "scene": scene})
+    )
+    with pytest.raises(InputError, match="motions"):
+        resolve(file=file)
+    file.write_text(file.read_text().replace("[]", '["cut-in-a"]'))
+    config = resolve(file=file)
+    assert (config.scene.densify_pause, config.scene.sh_degree) == (0.0, 3)
+    path = begin(tmp_path / "run", config).path
+    assert resolve(file=path / "run.json") == config
+    assert resolve("streetgs", file=file).scene.fourier_terms == 5  # the option goes before
+
+
+def test_a_preset_over_the_record_of_another_run_is_refused(tmp_path: Path) -> None:
+    path = begin(tmp_path / "run", resolve()).path
+    assert "preset" not in storage.read_json(path / "run.json")["config"]
+    with pytest.raises(InputError, match="omnire: changes nothing"):
+        resolve("omnire", file=path / "run.json")
+
+
+def test_runs_begun_before_there_were_these_choices_go_on(tmp_path: Path) -> None:
+    config = resolve()
+    assert not {"densify_by", "densify_pause"} & config.resolved()["scene"].keys()
+    folder = begin(tmp_path / "run", config)
+    assert resolve(file=folder.path / "run.json").resolved() == config.resolved()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import tyro
 
@@ -40,8 +41,12 @@ class Run:
     segmenter: str | None = None
     """What cuts the actor's picture out: box-lidar, an installed segmenter's name, or a folder that
     holds grounding-dino and sam (see docs/actors.md). Default: box-lidar."""
+    preset: Literal["streetgs", "omnire"] | None = None
+    """Reconstruct by the method of Street Gaussians or of OmniRe; recast's own where none is named
+    (see docs/scenes.md)."""
     scene_config: Path | None = None
-    """Scene configuration file (JSON, see docs/scenes.md)."""
+    """Scene configuration file (JSON, see docs/scenes.md): goes before the preset, and the options
+    below before both."""
     cameras: tuple[str, ...] | None = None
     """Cameras to reconstruct and render; all of the log where none is named."""
     scale: float | None = None
@@ -69,6 +74,7 @@ class Run:
             scene_config_file=self.scene_config,
             run_options={
                 "methods": self.method or None,
+                "preset": self.preset,
                 "planner": self.planner,
                 "generator": self.generator,
                 "segmenter": self.segmenter,

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from recast.actors import DEFAULT_GENERATOR, DEFAULT_SEGMENTER
 from recast.pipeline.layout import Method
 from recast.records import parse_record
-from recast.scene import SceneConfig
+from recast.scene import Preset, SceneConfig
 from recast.simulation import MOTIONS, ScriptedMotion, motion_of_record
 from recast.storage import read_json
 
@@ -52,6 +52,9 @@ class RunConfig(BaseModel):
     )
     seed: int = 0
     threads: int = Field(default=0, ge=0, description="CPU threads, 0: all")
+    preset: Preset | None = Field(
+        default=None, description="method of the scene: sets what `scene` does not name"
+    )
     scene: SceneConfig = SceneConfig()
 
     @field_validator("own_motions")
@@ -69,6 +72,9 @@ class RunConfig(BaseModel):
     def resolved(self) -> dict[str, Any]:
         """JSON-able, every default filled in but those of the youngest members."""
         values = self.model_dump(mode="json")
+        if self.preset is None:  # else a default may be a choice against the preset
+            del values["preset"]
+            values["scene"] = self.scene.resolved()
         if not self.own_motions:
             del values["own_motions"]  # runs begun before there were scenario files go on
         if self.plan_limit_s is None:

@@ -105,7 +105,7 @@ class Job:
     def make_scene(self) -> str:
         """The trained scene."""
         return self._step(
-            "scene", {"log": self._log_hash, "config": self.config.scene.model_dump(mode="json")},
+            "scene", {"log": self._log_hash, "config": self.config.scene.resolved()},
             self._train, (SCENE_FOLDER,), keep_partial=True,
         )  # fmt: skip
 

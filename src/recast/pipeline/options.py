@@ -12,6 +12,7 @@ from recast.errors import InputError
 from recast.pipeline.config import RunConfig, read_run_config
 from recast.records import validation_error
 from recast.scene import SceneConfig, read_config
+from recast.scene import resolve_config as scene_config
 from recast.simulation import MOTIONS, parse_motions, scenario_name, scenario_record
 
 DEFAULT_MOTIONS = ("cut-in", "stationary")
@@ -34,21 +35,24 @@ def resolve_config(
     """
     base = None if config_file is None else read_run_config(config_file)
     names = tuple(motions) or (base.motions if base else DEFAULT_MOTIONS)
-    scene = base.scene if base else SceneConfig()
+    written = base.scene if base else SceneConfig()
     if scene_config_file is not None:
-        scene = read_config(scene_config_file)
-    scene_values = {**scene.model_dump(), **_given(scene_options)}
-    scene_values["force_dynamic"] = tuple(dict.fromkeys((*scene.force_dynamic, track)))
+        written = read_config(scene_config_file)
+    known = base.preset if base else None
+    preset = run_options.get("preset") or known
+    # The record of a run holds all that its preset set.
+    sets = None if preset == known and written.is_whole() else preset
+    force_dynamic = tuple(dict.fromkeys((*written.force_dynamic, track)))
+    scene = scene_config(sets, written, {**scene_options, "force_dynamic": force_dynamic})
     values = {
         **(base.model_dump() if base else {}),
         **_given(run_options),
         "track": track,
         **_motions(names, base.own_motions if base else {}),
+        "scene": scene,
     }
     try:
-        return RunConfig.model_validate(
-            {**values, "scene": SceneConfig.model_validate(scene_values).model_dump()}
-        )
+        return RunConfig.model_validate(values)
     except ValidationError as error:
         raise validation_error("options", error, "give a value in range") from None
 
