@@ -77,6 +77,7 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> ReportInputs:
             (ImageScore("whole image", 21.93, 18, 0.771, 21.5, 0.75),),
             (Comparison("frame 3", {"recorded": noise(20, 30, 3), HOSTILE: noise(20, 30, 3)}),),
             (Fact("Gaussians", "241830"),),
+            (Fact("Median error", "0.061 m", HOSTILE),),
         ),
         hd_map=hd_map,
         config={"scene": {"steps": 3000}, "name": f"</pre>{HOSTILE}"},

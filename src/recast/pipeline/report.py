@@ -33,7 +33,6 @@ from recast.reporting import (
     ActorPart,
     Comparison,
     Fact,
-    ImageScore,
     NotMade,
     ObservationPart,
     ProvenancePart,
@@ -47,6 +46,7 @@ from recast.reporting import (
     truth_parts,
     write_report,
 )
+from recast.reporting.scene_scores import depth_facts, score_lines
 from recast.scene import load_scene
 from recast.simulation import RolloutFailure
 
@@ -218,13 +218,9 @@ def _scene(run: Path) -> ScenePart | NotMade:
     evaluation = storage.read_json(path)
     scene = load_scene(run / SCENE_FOLDER)
     frames: list[dict[str, Any]] = evaluation["frames"]
-    scores = [ImageScore("whole image", evaluation["psnr"], len(frames), evaluation["ssim"])]
-    for track, value in evaluation["box_psnr_by_track"].items():
-        seen = sum(track in frame["boxes"] for frame in frames)
-        scores.append(ImageScore(f"inside the box of track {track}", value, seen))
     actors = sum(len(actor.gaussians) for actor in scene.actors.values())
     return ScenePart(
-        scores=tuple(scores),
+        scores=score_lines(evaluation),
         comparisons=tuple(
             Comparison(
                 f"{frame['camera']}, frame {frame['frame']}: {frame['psnr']:.1f} dB",
@@ -237,6 +233,7 @@ def _scene(run: Path) -> ScenePart | NotMade:
             Fact("Gaussians of the actors", f"{actors:,}"),
             Fact("Actors", ", ".join(scene.actors)),
         ),
+        depth=depth_facts(evaluation),
     )
 
 

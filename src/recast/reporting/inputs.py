@@ -157,11 +157,13 @@ class ScenePart:
     Attributes:
         scores, comparisons: see there.
         facts: number of Gaussians, training time, image size and the like.
+        depth: against the LiDAR.
     """
 
     scores: tuple[ImageScore, ...]
     comparisons: tuple[Comparison, ...] = ()
     facts: tuple[Fact, ...] = ()
+    depth: tuple[Fact, ...] = ()
 
 
 @dataclass(frozen=True)
