@@ -73,7 +73,8 @@ def test_every_part_is_on_the_page(report: Path) -> None:
         "Input crop", "Turntable of the made actor", "Registration to the LiDAR",
         "0.310 m before", "0.182 m after", "Sides that the LiDAR saw",
         "contact at 2.3 s", "bird's-eye view", "Time to collision of each plan",
-        "21.93 dB", "LiDAR depth", "0.061 m", "Side-by-side films", "Resolved configuration", '"steps": 3000',
+        "21.93 dB", "LiDAR depth", "0.061 m",
+        "Side-by-side films", "Resolved configuration", '"steps": 3000',
         "torch", "2.13.0", "9c1f0a7e", "312.4 s", "The map was derived.",
         "the rollout failed", "the recorded road ends", "Drivable-area compliance",
     ):  # fmt: skip
