@@ -22,14 +22,6 @@ def _partial_name(path: Path) -> Path:
     return path.with_name(f".{path.name}.partial")
 
 
-def _clear(partial: Path) -> None:
-    """Remove what a killed write left, which may have been of the other kind, file or folder."""
-    if partial.is_dir() and not partial.is_symlink():
-        shutil.rmtree(partial)
-    else:
-        partial.unlink(missing_ok=True)
-
-
 @contextmanager
 def _full_disk_is_an_input_error(path: Path) -> Iterator[None]:
     try:
@@ -46,7 +38,7 @@ def _full_disk_is_an_input_error(path: Path) -> Iterator[None]:
 def atomic_file(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` on success, remove it on failure.
 
-    What a killed write to `path` left behind is removed first.
+    What a killed write to `path` left behind is overwritten.
 
     Raises:
         InputError: the disk is full.
@@ -56,7 +48,8 @@ def atomic_file(path: str | Path) -> Iterator[Path]:
     with _full_disk_is_an_input_error(path):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            _clear(partial)
+            if partial.is_dir():  # a file is overwritten
+                shutil.rmtree(partial)
             yield partial
             partial.replace(path)
         except BaseException:
@@ -80,7 +73,9 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
     partial = _partial_name(path)
     with _full_disk_is_an_input_error(path):
         try:
-            _clear(partial)
+            if partial.is_dir():
+                shutil.rmtree(partial)
+            partial.unlink(missing_ok=True)
             partial.mkdir(parents=True)
             yield partial
             partial.replace(path)
