@@ -5,8 +5,7 @@
 
 The street is made up, as dense as a reconstructed one, along a synthetic drive. The planner
 decides on the pictures as in any rollout, but the log's own motion is driven, so that every planner
-is timed on the same drive; the default has the small network's sizes and untrained weights, which
-cost what trained ones cost. Only the planner's cameras are rendered, and only when it plans.
+is timed on the same drive. Only the planner's cameras are rendered, and only when it plans.
 Times are wall-clock seconds.
 """
 
@@ -34,9 +33,6 @@ from recast.planning import (
     make_planner,
     planner_cameras,
 )
-from recast.planning.gtrs import GtrsPlanner
-from recast.planning.gtrs_training.network import MINI_VIEWS, first_model
-from recast.planning.gtrs_training.vocabulary import make_vocabulary
 from recast.scene import SceneActor, StreetScene
 from recast.scene.sky import SkyMap
 from recast.simulation import MOTIONS, RolloutSetup, Timings, run_rollout
@@ -103,7 +99,9 @@ def made_up_scene(stage: Stage, track: Track, count: int) -> StreetScene:
 def main() -> None:
     """Print one line a rollout and the ratio to the time driven."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--planner", help="a planner of docs/planners.md that looks at images")
+    parser.add_argument(
+        "--planner", default="gtrs-mini", help="a planner of docs/planners.md that looks at images"
+    )
     parser.add_argument("--gaussians", type=int, default=300_000)
     parser.add_argument("--size", type=int, nargs=2, default=(480, 320))
     parser.add_argument("--steps", type=int, default=160)
@@ -113,13 +111,7 @@ def main() -> None:
     torch.set_num_threads(chosen.threads)
     set_threads(chosen.threads)
 
-    planner: Planner
-    if chosen.planner is None:
-        planner = GtrsPlanner(
-            first_model(0), make_vocabulary(), MINI_VIEWS, name="gtrs-mini, untrained"
-        )
-    else:
-        planner = make_planner(chosen.planner)
+    planner = make_planner(chosen.planner)
     stage = make_stage("urban-straight", 0, seconds=20.0)
     vehicle = stage.world.vehicles[stage.world.target]
     track = Track(stage.world.target, "car", np.asarray(vehicle.model.size), vehicle.trajectory)
