@@ -6,7 +6,13 @@ import pytest
 import torch
 
 from recast.scene.image_metrics import ssim_map
-from recast.scene.losses import depth_loss, photometric_loss, sky_entropy, sky_loss
+from recast.scene.losses import (
+    depth_loss,
+    photometric_loss,
+    sky_entropy,
+    sky_loss,
+    solid_loss,
+)
 
 
 @pytest.fixture
@@ -101,3 +107,12 @@ def test_sky_entropy_pulls_sky_open_and_ground_shut() -> None:
     loss.backward()
     assert alpha.grad is not None
     assert alpha.grad[0, 0] > 0 and alpha.grad[0, 1] < 0 and (alpha.grad[1, [0, 2]] == 0).all()
+
+
+def test_what_the_lidar_met_is_pulled_shut() -> None:
+    alpha = torch.tensor([[0.5, 0.25], [1.0, 0.0]], requires_grad=True)
+    loss = solid_loss(alpha, torch.tensor([0, 1, 2]))
+    assert loss.item() == pytest.approx((math.log(2) + math.log(4)) / 4)
+    loss.backward()
+    assert alpha.grad is not None
+    assert torch.allclose(alpha.grad, torch.tensor([[-0.5, -1.0], [-0.25, 0.0]]))

@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 
 from recast.errors import InputError
-from recast.logs import DrivingLog
+from recast.logs import DrivingLog, ego_path, even_ground
 from recast.scene import TrainingStatus, TrainResult, train_scene
+from recast.scene.dynamic import choose_actors
+from recast.scene.ground_sheet import REACH_M, GroundSheet
+from recast.scene.lidar import read_sweeps
 from recast.scene.train import WORK_FOLDER
+from recast.scene.views import read_views
 
 from .conftest import TINY
 
@@ -36,6 +40,22 @@ def test_training_raises_held_out_psnr(trained: TrainResult) -> None:
 def test_only_the_moving_track_becomes_an_actor(trained: TrainResult, tiny_log: DrivingLog) -> None:
     assert set(tiny_log.tracks) == {"0", "1"}
     assert set(trained.scene.actors) == {"0"}
+
+
+def test_the_road_is_a_sheet(trained: TrainResult, tiny_log: DrivingLog) -> None:
+    views = read_views(tiny_log, TINY)
+    tracks = choose_actors(tiny_log, views, TINY)
+    held_out = [view.timestamp_us for view in views if view.held_out]
+    path = ego_path(tiny_log.world_from_rig)
+    assert path is not None
+    sweeps = read_sweeps(tiny_log, tracks, held_out)
+    ground = even_ground((sweep.background.astype(float) for sweep in sweeps), path)
+    sheet = GroundSheet(ground, TINY.ground_tolerance_m)
+    means = trained.scene.background.means
+    above = (means[:, 2] - sheet.surface(means)[0]).abs()
+    near = above < REACH_M
+    assert int(near.sum()) > 100
+    assert above[near].max() <= TINY.ground_tolerance_m + 1e-5
 
 
 def test_progress_is_told(trained: TrainResult, told: list[TrainingStatus]) -> None:

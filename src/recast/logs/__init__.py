@@ -1,6 +1,7 @@
 """Driving logs: the data, the store, importers, and what can be derived from a drive."""
 
-from recast.logs.derive_map import derive_map, map_of
+from recast.logs.derive_map import derive_map, ego_path, map_of
+from recast.logs.ground import even_ground
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
 from recast.logs.info import LogInfo, TrackInfo, TrackVisibility, log_info
 from recast.logs.store import read_log, watch_writing, write_log
@@ -30,6 +31,8 @@ __all__ = [
     "Trajectory",
     "all_track_points",
     "derive_map",
+    "ego_path",
+    "even_ground",
     "log_info",
     "map_of",
     "read_log",

@@ -15,7 +15,16 @@ from shapely.geometry.polygon import orient
 
 from recast.errors import InputError
 from recast.geometry import Polyline, se3
-from recast.logs.ground import CELL, Grid, GroundGrid, ground_grid, height_map, surface_of
+from recast.logs.ground import (
+    CELL,
+    Grid,
+    GroundGrid,
+    ground_grid,
+    ground_points,
+    height_map,
+    low_points,
+    surface_of,
+)
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
 from recast.logs.types import Array, DrivingLog, Trajectory
 
@@ -58,7 +67,7 @@ def derive_map(log: DrivingLog) -> HdMap:
             "moves less than 2 m, so no map can be derived from it",
             "choose a drive in which the ego moves, or a log with a map",
         )
-    grid = ground_grid(log, path)
+    grid = ground_grid(ground_points(low_points(log), path), path)
     surface = surface_of(grid, path)
     ground = height_map(grid, path)
     line = Polyline.from_points(path)

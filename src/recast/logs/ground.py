@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ ROUGHNESS = 0.10  # metres between them on smooth ground
 STEP = 0.07  # metres across two cells: a road's crossfall is less, a kerb more
 CAR_RADIUS = 0.9  # metres, half a car's width
 CLOSING = 0.6  # metres, half the width of gaps in the evidence that are closed
+LEAST_WEIGHT = 0.02  # of smoothing: less is the far tail of a known cell
 FILL = 2.5  # metres over which heights are continued into cells without ground points
 
 Grid = NDArray[np.bool_]
@@ -47,44 +49,51 @@ class GroundGrid:
         return np.clip(index[..., 1], 0, rows - 1), np.clip(index[..., 0], 0, columns - 1)
 
 
-def ground_grid(log: DrivingLog, path: Array) -> GroundGrid:
-    """Gather the LiDAR points near the ego path and judge every cell.
+def ground_grid(points: Array, path: Array, quantile: float = LOW) -> GroundGrid:
+    """Judge every cell by the points in it.
 
     Args:
+        points: (N, 3) world, as `ground_points` gathers them.
         path: (P, 3) ego positions on the ground, at most a metre or so apart.
+        quantile: of the heights in a cell that counts as its level.
     """
     origin = np.floor((path[:, :2].min(axis=0) - REACH) / CELL) * CELL
     shape = np.ceil((path[:, :2].max(axis=0) + REACH - origin) / CELL).astype(int)[::-1] + 1
-    points = _points_near(log, path)
     column, row = np.rint((points[:, :2] - origin) / CELL).astype(int).T
     cell = row * shape[1] + column
     order = np.lexsort((points[:, 2], cell))
     height, cell = points[order, 2], cell[order]
     names, first, count = np.unique(cell, return_index=True, return_counts=True)
-    low = height[first + (LOW * (count - 1)).astype(int)]
-    high = height[first + (HIGH * (count - 1)).astype(int)]
+    low, middle, high = (
+        height[first + (share * (count - 1)).astype(int)] for share in (LOW, quantile, HIGH)
+    )
     enough = count >= MIN_POINTS
     level = np.full(shape, np.nan)
-    level.ravel()[names[enough]] = low[enough]
+    level.ravel()[names[enough]] = middle[enough]
     smooth = np.zeros(shape, bool)
     smooth.ravel()[names[enough]] = (high - low < ROUGHNESS)[enough]
     return GroundGrid(origin, level, smooth)
 
 
-def _points_near(log: DrivingLog, path: Array) -> Array:
-    """World points (N, 3) of all sweeps near the path and near its height."""
+def ground_points(clouds: Iterable[Array], path: Array) -> Array:
+    """The points (N, 3) near the path and near its height, of clouds (M, 3), all in the world."""
     tree = cKDTree(path[:, :2])
     kept = [np.zeros((0, 3))]
+    for points in clouds:
+        distance, nearest = tree.query(points[:, :2], distance_upper_bound=REACH)
+        near = np.flatnonzero(np.isfinite(distance))
+        above = points[near, 2] - path[nearest[near], 2]
+        kept.append(points[near[np.abs(above) < 0.4 + 0.04 * distance[near]]])
+    return np.concatenate(kept)
+
+
+def low_points(log: DrivingLog) -> Iterator[Array]:
+    """Points (M, 3) of each sweep, in the world, within 3 m of the height of the rig."""
     for lidar in log.lidars.values():
         for index in range(len(lidar.timestamps_us)):
             sweep = lidar.sweeps[index]
             low = sweep.points[np.abs(sweep.points[:, 2]) < 3.0]
-            points = se3.apply(log.world_from_rig.at(sweep.timestamp_us), low)
-            distance, nearest = tree.query(points[:, :2], distance_upper_bound=REACH)
-            near = np.flatnonzero(np.isfinite(distance))
-            above = points[near, 2] - path[nearest[near], 2]
-            kept.append(points[near[np.abs(above) < 0.4 + 0.04 * distance[near]]])
-    return np.concatenate(kept)
+            yield se3.apply(log.world_from_rig.at(sweep.timestamp_us), low)
 
 
 def surface_of(grid: GroundGrid, path: Array) -> Grid:
@@ -134,10 +143,32 @@ def height_map(grid: GroundGrid, path: Array) -> GroundHeight:
         np.isfinite(level[rows, columns]), level[rows, columns], path[:, 2]
     )
     known = np.isfinite(level)
-    sigma = 0.4 / CELL
-    weight = ndimage.gaussian_filter(known.astype(float), sigma, mode="constant")
-    total = ndimage.gaussian_filter(np.where(known, level, 0.0), sigma, mode="constant")
-    smoothed = np.where(known, total / np.maximum(weight, 1e-12), np.nan)
+    smoothed = _smoothed(level, known)
     distance, (near_row, near_column) = ndimage.distance_transform_edt(~known, return_indices=True)
     filled = np.where(distance * CELL <= FILL, smoothed[near_row, near_column], np.nan)
     return GroundHeight(grid.origin, CELL, np.round(filled, 3).astype(np.float64))
+
+
+def even_ground(clouds: Iterable[Array], path: Array) -> GroundHeight:
+    """Heights smoothed over about a metre where the ground is even, NaN elsewhere.
+
+    Even is what is smooth and no kerb: road and pavement, each by itself, but not what stands on
+    them. Gaps in the evidence of less than a metre are closed.
+
+    Args:
+        clouds: world points (M, 3) of sweeps, without what moves.
+        path: (P, 3) ego positions on the ground, at most a metre or so apart.
+    """
+    grid = ground_grid(ground_points(clouds, path), path, 0.5)
+    kerbs = _kerbs(grid.level)
+    even = ndimage.binary_closing(grid.smooth & ~kerbs, _disk(CLOSING), border_value=0) & ~kerbs
+    seen = even & np.isfinite(grid.level)
+    return GroundHeight(grid.origin, CELL, np.where(even, _smoothed(grid.level, seen), np.nan))
+
+
+def _smoothed(level: Array, known: Grid) -> Array:
+    """Gaussian mean of the known levels; NaN where there is none near."""
+    sigma = 0.4 / CELL
+    weight = ndimage.gaussian_filter(known.astype(float), sigma, mode="constant")
+    total = ndimage.gaussian_filter(np.where(known, level, 0.0), sigma, mode="constant")
+    return np.where(weight > LEAST_WEIGHT, total / np.maximum(weight, LEAST_WEIGHT), np.nan)

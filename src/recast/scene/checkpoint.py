@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from recast.logs import GroundHeight
 from recast.scene.initialise import Initialisation
 from recast.scene.lidar import DepthSamples
 from recast.scene.sky import SkyMap
@@ -77,7 +78,11 @@ def save_initialisation(start: Initialisation, path: Path) -> None:
         tensors[f"view/{index}/sky"] = torch.from_numpy(sky)
         tensors[f"view/{index}/depths"] = torch.from_numpy(depths.depths)
         tensors[f"view/{index}/uv"] = torch.from_numpy(depths.uv)
-    header = {"actors": list(start.actors), "views": len(start.depths)}
+    header: dict[str, Any] = {"actors": list(start.actors), "views": len(start.depths)}
+    if start.ground is not None:
+        tensors["ground:origin"] = torch.from_numpy(start.ground.origin)
+        tensors["ground:height"] = torch.from_numpy(start.ground.height)
+        header["ground_cell_m"] = start.ground.cell
     write_tensors(path, tensors, header)
 
 
@@ -89,6 +94,12 @@ def load_initialisation(path: Path) -> Initialisation:
     """
     tensors, header = read_tensors(path)
     views = range(header["views"])
+    ground = None
+    if "ground_cell_m" in header:
+        part = _group(tensors, "ground")
+        ground = GroundHeight(
+            part["origin"].numpy(), header["ground_cell_m"], part["height"].numpy()
+        )
     return Initialisation(
         background=Gaussians(**_group(tensors, "background")),
         actors={name: Gaussians(**_group(tensors, f"actor/{name}")) for name in header["actors"]},
@@ -98,6 +109,7 @@ def load_initialisation(path: Path) -> Initialisation:
             DepthSamples(tensors[f"view/{i}/depths"].numpy(), tensors[f"view/{i}/uv"].numpy())
             for i in views
         ],
+        ground=ground,
     )
 
 

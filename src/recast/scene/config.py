@@ -69,6 +69,12 @@ class SceneConfig(MethodConfig):
     ssim_weight: float = Field(default=0.2, ge=0, le=1, description="the rest is L1")
     depth_weight: float = Field(default=0.1, ge=0, description="of LiDAR depth")
     sky_weight: float = Field(default=0.02, ge=0, description="of opacity before the sky")
+    solid_weight: float = Field(
+        default=0.02, ge=0, description="of what opacity lacks where the LiDAR met something"
+    )
+    ground_tolerance_m: float = Field(
+        default=0.02, ge=0, description="of centres on even ground about its surface, 0: free"
+    )
 
     densify_every: int = Field(default=100, ge=1, description="steps")
     densify_until: float = Field(default=0.6, ge=0, le=1, description="share of the run")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.errors import InputError
-from recast.logs import DrivingLog, Track
+from recast.logs import DrivingLog, GroundHeight, Track, ego_path, even_ground
 from recast.scene.actor_points import actor_gaussians
 from recast.scene.background_points import (
     coloured_background,
@@ -17,7 +17,7 @@ from recast.scene.background_points import (
     without_points_in_sky,
 )
 from recast.scene.config import SceneConfig
-from recast.scene.lidar import DepthSamples, depth_samples, read_sweeps
+from recast.scene.lidar import DepthSamples, OwnedSweep, depth_samples, read_sweeps
 from recast.scene.point_cloud import (
     PointCloud,
     concatenate,
@@ -44,6 +44,7 @@ class Initialisation:
         sky: first sky map.
         sky_pixels: (S,) int64 flat indices of sure sky pixels, for each training view.
         depths: measured depths of each training view.
+        ground: where the ground is even and how high; None without such ground.
     """
 
     background: Gaussians
@@ -51,6 +52,7 @@ class Initialisation:
     sky: SkyMap
     sky_pixels: list[NDArray[np.int64]]
     depths: list[DepthSamples]
+    ground: GroundHeight | None = None
 
 
 def initialise(
@@ -99,7 +101,16 @@ def initialise(
         sky=_first_sky(training, skies),
         sky_pixels=[np.flatnonzero(sky) for sky in skies],
         depths=depths,
+        ground=_even_ground(log, sweeps),
     )
+
+
+def _even_ground(log: DrivingLog, sweeps: Sequence[OwnedSweep]) -> GroundHeight | None:
+    path = ego_path(log.world_from_rig)
+    if path is None or not sweeps:
+        return None
+    found = even_ground((sweep.background.astype(np.float64) for sweep in sweeps), path)
+    return found if np.isfinite(found.height).any() else None
 
 
 def _first_sky(views: Sequence[View], skies: Sequence[Mask]) -> SkyMap:

@@ -34,7 +34,7 @@ def _ground(config: SceneConfig, view: View, sky: Mask, samples: DepthSamples) -
 
     The guessed sky errs on the small side; then only pixels near a LiDAR return are sure.
     """
-    if config.sky_loss != "entropy":
+    if config.sky_loss != "entropy" and config.solid_weight == 0:
         return None
     ground = ~sky if view.mask is None else view.mask & ~sky
     return ground & near_samples(view, samples) if config.sky_mask == "heuristic" else ground

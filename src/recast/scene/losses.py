@@ -194,4 +194,17 @@ def sky_entropy(alpha: Tensor, sky: Tensor, ground: Tensor) -> Tensor:
         sky, ground: (S,) and (G,) int64 flat indices.
     """
     a = alpha.reshape(-1).clamp(1e-6, 1 - 1e-6)
-    return -((1 - a[sky]).log().sum() + a[ground].log().sum()) / alpha.numel()
+    return solid_loss(alpha, ground) - (1 - a[sky]).log().sum() / alpha.numel()
+
+
+def solid_loss(alpha: Tensor, ground: Tensor) -> Tensor:
+    """-ln a summed over pixels where something is, as a share of the whole image.
+
+    Else the sky may show through a road and lend it colour, which seen from beside is wrong.
+
+    Args:
+        alpha: (H, W) accumulated opacity, taken to be at least 1e-6.
+        ground: (G,) int64 flat indices.
+    """
+    a = alpha.reshape(-1)[ground].clamp(min=1e-6)
+    return -a.log().sum() / alpha.numel()

@@ -12,7 +12,13 @@ from recast.geometry import boxes
 from recast.scene.config import SceneConfig
 from recast.scene.drawn import Drawn
 from recast.scene.levels import Level
-from recast.scene.losses import depth_loss, photometric_loss, sky_entropy, sky_loss
+from recast.scene.losses import (
+    depth_loss,
+    photometric_loss,
+    sky_entropy,
+    sky_loss,
+    solid_loss,
+)
 from recast.scene.regularisers import actor_opacity
 from recast.scene.street_scene import Array
 from recast.scene.trainable import rows
@@ -22,7 +28,7 @@ from recast.splats import Gaussians, Rasterization, rasterize
 def view_loss(
     config: SceneConfig, image: Tensor, result: Rasterization, level: Level, threads: int
 ) -> Tensor:
-    """The weighted sum of photometric, depth and sky loss.
+    """The weighted sum of photometric, depth, sky and opacity loss.
 
     Args:
         image: (H, W, 3) composited, unusable pixels black.
@@ -45,6 +51,8 @@ def view_loss(
         else:
             sky = sky_loss(result.alpha, level.sky)
         loss = loss + config.sky_weight * sky
+    if config.solid_weight > 0:
+        loss = loss + config.solid_weight * solid_loss(result.alpha, level.ground)
     return loss
 
 

@@ -47,6 +47,8 @@ _RATES: dict[Preset, dict[str, float]] = {
 
 # Adaptive density control of 3DGS: every row above the threshold.
 _EVERY_ROW = {"densify_growth": 1e3, "densify_from": 1 / 60, "prune_opacity": 0.005}
+# Opacity is the entropy's, and roads are like the rest of the scene.
+_NOT_OURS = {"solid_weight": 0.0, "ground_tolerance_m": 0.0}
 
 _VALUES: dict[Preset, dict[str, Any]] = {
     "streetgs": {
@@ -55,7 +57,7 @@ _VALUES: dict[Preset, dict[str, Any]] = {
         "coarse_fraction": 0.0,
         "depth_error": "metric", "depth_keep": 0.95, "depth_weight": 0.1,
         "actor_opacity_weight": 0.1,
-        **_EVERY_ROW, "densify_until": 25 / 30, "opacity_reset_until": 25 / 30,
+        **_NOT_OURS, **_EVERY_ROW, "densify_until": 25 / 30, "opacity_reset_until": 25 / 30,
         "densify_by": "absolute_l1", "densify_gradient": 6e-4,
         "actor_densify_by": "signed", "actor_densify_gradient": 2e-4,
         "split_above_m": 0.1, "prune_above_m": 1.0,
@@ -69,7 +71,7 @@ _VALUES: dict[Preset, dict[str, Any]] = {
         "depth_error": "metric", "depth_keep": 1.0, "depth_weight": 0.01,
         "sharp_shape_weight": 1.0, "track_smoothness_weight": 0.01,
         "exposure_weight": 1e-5,
-        **_EVERY_ROW, "densify_until": 0.5,
+        **_NOT_OURS, **_EVERY_ROW, "densify_until": 0.5,
         # A step an image, at least 100; a third of the time between resets holds 1000 images at the
         # published steps, and leaves short runs two changes of three.
         "densify_pause": 1 / 3,

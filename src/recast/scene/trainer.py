@@ -17,6 +17,7 @@ from recast.scene.config import SceneConfig
 from recast.scene.density import DensitySchedule
 from recast.scene.drawn import Drawn
 from recast.scene.exposure import Exposures, exposed_scene
+from recast.scene.ground_sheet import SETTLE_EVERY, GroundSheet
 from recast.scene.initialise import Initialisation
 from recast.scene.level_set import make_levels
 from recast.scene.levels import Level
@@ -89,6 +90,10 @@ class Trainer:
         self.track_poses = TrackPoses(tracks, views)
         self._smoothness = TrackSmoothness(self.track_poses)
         self.exposures = Exposures(self._views)
+        self._sheet: GroundSheet | None = None
+        if config.ground_tolerance_m > 0 and start.ground is not None:
+            self._sheet = GroundSheet(start.ground, config.ground_tolerance_m, self.device)
+            self._sheet.settle(self.model.background)
         self.sky = make_sky(config, start.sky)
         self.sky.table.to(self.device)
 
@@ -106,7 +111,12 @@ class Trainer:
             change_population(self.model, self._tracks, config, chance, oversize)
         if self._density.resets(self.iteration):
             reset_opacities(self.model)
+        if self._sheet is not None and self._settles():
+            self._sheet.settle(self.model.background)
         return report
+
+    def _settles(self) -> bool:
+        return self.iteration % SETTLE_EVERY == 0 or self.iteration == self.config.iterations
 
     def tables(self) -> dict[str, AdamTable]:
         """What is learned beside the Gaussians, by name."""
