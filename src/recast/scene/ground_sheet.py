@@ -45,20 +45,16 @@ class GroundSheet:
 
         Bilinear between the centres of four cells; NaN where one of them is not even.
         """
-        at = (points[:, :2] - self._origin) / self._cell
-        first = at.floor()
-        rows, columns = self._height.shape
-        limit = first.new_tensor([columns - 1, rows - 1])
-        inside = ((first >= 0) & (first < limit)).all(dim=1)
-        column, row = torch.where(inside[:, None], first, 0).long().unbind(dim=1)
-        x, y = (at - first).unbind(dim=1)
+        column_at, row_at = ((points[:, :2] - self._origin) / self._cell).unbind(dim=1)
+        column, x, in_columns = _between(column_at, self._height.shape[1])
+        row, y, in_rows = _between(row_at, self._height.shape[0])
         h00, h10 = self._height[row, column], self._height[row, column + 1]
         h01, h11 = self._height[row + 1, column], self._height[row + 1, column + 1]
         along_x = torch.lerp(h10 - h00, h11 - h01, y) / self._cell
         along_y = torch.lerp(h01 - h00, h11 - h10, x) / self._cell
         height = torch.lerp(torch.lerp(h00, h10, x), torch.lerp(h01, h11, x), y)
         normal = torch.stack([-along_x, -along_y, torch.ones_like(height)], dim=1)
-        height = torch.where(inside, height, math.nan)
+        height = torch.where(in_columns & in_rows, height, math.nan)
         return height, torch.nn.functional.normalize(normal, dim=1)
 
     @torch.no_grad()
@@ -78,6 +74,13 @@ class GroundSheet:
         gaussians.quats[rows] = _upright(gaussians.quats[rows], thinnest[:, 0], normal[rows])
         thin = scales.gather(1, thinnest).clamp(max=math.log(THICKNESS_M))
         gaussians.log_scales[rows] = scales.scatter(1, thinnest, thin)
+
+
+def _between(at: Tensor, cells: int) -> tuple[Tensor, Tensor, Tensor]:
+    """First of the two cells (N,) about each place, the share of the second, whether both exist."""
+    first = at.floor()
+    inside = (first >= 0) & (first < cells - 1)
+    return torch.where(inside, first, 0).long(), at - first, inside
 
 
 def _upright(quats: Tensor, axis: Tensor, normal: Tensor) -> Tensor:
