@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -117,6 +119,18 @@ def test_a_folder_with_another_configuration_is_refused(
     with pytest.raises(InputError, match=field):
         train_scene(tiny_log, trained.folder, TINY.model_copy(update={field: value}))
     assert contents(trained.folder) == before
+
+
+def test_a_folder_of_an_earlier_recipe_is_refused(
+    trained: TrainResult, tiny_log: DrivingLog, tmp_path: Path
+) -> None:
+    folder = tmp_path / "scene"
+    shutil.copytree(trained.folder, folder)
+    fields = json.loads((folder / "config.json").read_text())
+    del fields["ground_tolerance_m"]
+    (folder / "config.json").write_text(json.dumps(fields))
+    with pytest.raises(InputError, match=r"config\.json: fields: .*earlier release"):
+        train_scene(tiny_log, folder, TINY)
 
 
 def test_a_folder_of_another_log_is_refused(trained: TrainResult, tiny_log: DrivingLog) -> None:

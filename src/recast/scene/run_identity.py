@@ -91,6 +91,9 @@ def read_training_config(folder: str | Path) -> SceneConfig:
 def _check_same(folder: Path, source: Source, config: SceneConfig) -> None:
     mend = "name another folder or remove this one"
     found = read_training_config(folder)
+    if not found.is_whole():
+        problem = "are those of an earlier release, whose recipe was another"
+        raise InputError(folder / CONFIG_FILE, "fields", problem, mend)
     for name in SceneConfig.model_fields:
         before, asked = getattr(found, name), getattr(config, name)
         if name not in FREE_FIELDS and before != asked:
