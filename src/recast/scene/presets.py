@@ -72,6 +72,8 @@ _VALUES: dict[Preset, dict[str, Any]] = {
         "sharp_shape_weight": 1.0, "track_smoothness_weight": 0.01,
         "exposure_weight": 1e-5,
         **_NOT_OURS, **_EVERY_ROW, "densify_until": 0.5,
+        # As at the published steps, a tenth of the run is left after the last one.
+        "opacity_reset_until": 1 - RESET_EVERY,
         # A step an image, at least 100; a third of the time between resets holds 1000 images at the
         # published steps, and leaves short runs two changes of three.
         "densify_pause": 1 / 3,
