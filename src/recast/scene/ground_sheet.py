@@ -45,17 +45,28 @@ class GroundSheet:
 
         Bilinear between the centres of four cells; NaN where one of them is not even.
         """
-        column_at, row_at = ((points[:, :2] - self._origin) / self._cell).unbind(dim=1)
-        column, x, in_columns = _between(column_at, self._height.shape[1])
-        row, y, in_rows = _between(row_at, self._height.shape[0])
+        column, x, row, y, inside = self._cells(points)
         h00, h10 = self._height[row, column], self._height[row, column + 1]
         h01, h11 = self._height[row + 1, column], self._height[row + 1, column + 1]
         along_x = torch.lerp(h10 - h00, h11 - h01, y) / self._cell
         along_y = torch.lerp(h01 - h00, h11 - h10, x) / self._cell
         height = torch.lerp(torch.lerp(h00, h10, x), torch.lerp(h01, h11, x), y)
         normal = torch.stack([-along_x, -along_y, torch.ones_like(height)], dim=1)
-        height = torch.where(in_columns & in_rows, height, math.nan)
+        height = torch.where(inside, height, math.nan)
         return height, torch.nn.functional.normalize(normal, dim=1)
+
+    def _perhaps_near(self, points: Tensor) -> Tensor:
+        """Rows of points within reach of the surface, and a few more: cheap, by a single cell."""
+        column, _, row, _, inside = self._cells(points)
+        above = (points[:, 2] - self._height[row, column]).abs()
+        return torch.nonzero(inside & (above < 2 * REACH_M))[:, 0]
+
+    def _cells(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Column and share of the next one, row and share of the next one, whether all exist."""
+        column_at, row_at = ((points[:, :2] - self._origin) / self._cell).unbind(dim=1)
+        column, x, in_columns = _between(column_at, self._height.shape[1])
+        row, y, in_rows = _between(row_at, self._height.shape[0])
+        return column, x, row, y, in_columns & in_rows
 
     @torch.no_grad()
     def settle(self, gaussians: Gaussians) -> None:
@@ -64,14 +75,16 @@ class GroundSheet:
         Centres end within the tolerance of the surface, in height; the thinnest axis turns the
         shortest way to its normal and is at most `THICKNESS_M`. Colours and opacities stay.
         """
-        height, normal = self.surface(gaussians.means)
-        above = gaussians.means[:, 2] - height
-        rows = torch.nonzero(above.abs() < REACH_M)[:, 0]  # NaN is not near
-        held = above[rows].clamp(-self._tolerance, self._tolerance)
-        gaussians.means[rows, 2] = height[rows] + held
+        rows = self._perhaps_near(gaussians.means)
+        height, normal = self.surface(gaussians.means[rows])
+        above = gaussians.means[rows, 2] - height
+        near = torch.nonzero(above.abs() < REACH_M)[:, 0]  # NaN is not near
+        rows, height, normal = rows[near], height[near], normal[near]
+        held = above[near].clamp(-self._tolerance, self._tolerance)
+        gaussians.means[rows, 2] = height + held
         scales = gaussians.log_scales[rows]
         thinnest = scales.argmin(dim=1, keepdim=True)
-        gaussians.quats[rows] = _upright(gaussians.quats[rows], thinnest[:, 0], normal[rows])
+        gaussians.quats[rows] = _upright(gaussians.quats[rows], thinnest[:, 0], normal)
         thin = scales.gather(1, thinnest).clamp(max=math.log(THICKNESS_M))
         gaussians.log_scales[rows] = scales.scatter(1, thinnest, thin)
 
