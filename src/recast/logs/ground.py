@@ -103,16 +103,22 @@ def surface_of(grid: GroundGrid, path: Array) -> Grid:
     kerb or a gap in the evidence would let the pavement in.
     """
     rows, columns = grid.cells(path)
-    known = grid.smooth & ~_kerbs(grid.level)
+    kerbs = _kerbs(grid.level)
+    known = grid.smooth & ~kerbs
     known[rows, columns] = True
-    known = ndimage.binary_closing(known, _disk(CLOSING), border_value=0)
-    known &= ~_kerbs(grid.level)
+    known = _closed(known, kerbs)
     wide = ndimage.binary_erosion(known, _disk(CAR_RADIUS))
     wide[rows, columns] = True
     label, _ = ndimage.label(wide)
     core = np.isin(label, np.unique(label[rows, columns]))
     reached: Grid = ndimage.binary_dilation(core, _disk(CAR_RADIUS)) & known
     return ndimage.binary_fill_holes(reached)
+
+
+def _closed(known: Grid, kerbs: Grid) -> Grid:
+    """Known cells with the gaps between them, but for kerbs."""
+    closed: Grid = ndimage.binary_closing(known, _disk(CLOSING), border_value=0) & ~kerbs
+    return closed
 
 
 def _kerbs(level: Array) -> Grid:
@@ -161,7 +167,7 @@ def even_ground(clouds: Iterable[Array], path: Array) -> GroundHeight:
     """
     grid = ground_grid(ground_points(clouds, path), path, 0.5)
     kerbs = _kerbs(grid.level)
-    even = ndimage.binary_closing(grid.smooth & ~kerbs, _disk(CLOSING), border_value=0) & ~kerbs
+    even = _closed(grid.smooth & ~kerbs, kerbs)
     seen = even & np.isfinite(grid.level)
     return GroundHeight(grid.origin, CELL, np.where(even, _smoothed(grid.level, seen), np.nan))
 

@@ -44,7 +44,8 @@ class Initialisation:
         sky: first sky map.
         sky_pixels: (S,) int64 flat indices of sure sky pixels, for each training view.
         depths: measured depths of each training view.
-        ground: where the ground is even and how high; None without such ground.
+        ground: where the ground is even and how high; None without such ground, or where it is
+            left free.
     """
 
     background: Gaussians
@@ -101,7 +102,7 @@ def initialise(
         sky=_first_sky(training, skies),
         sky_pixels=[np.flatnonzero(sky) for sky in skies],
         depths=depths,
-        ground=_even_ground(log, sweeps),
+        ground=_even_ground(log, sweeps) if config.ground_tolerance_m > 0 else None,
     )
 
 

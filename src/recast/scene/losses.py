@@ -186,8 +186,9 @@ def sky_loss(alpha: Tensor, sky: Tensor) -> Tensor:
 def sky_entropy(alpha: Tensor, sky: Tensor, ground: Tensor) -> Tensor:
     """Binary cross entropy of opacity, as a share of the whole image: 0 on sky, 1 on the ground.
 
-    -ln(1 - a) on sky pixels, -ln a on those that are surely none, a within [1e-6, 1 - 1e-6]; pixels
-    in neither set do not count. Street Gaussians and OmniRe have every pixel in one of them.
+    -ln(1 - a) on sky pixels, at least 1e-6 from either end, and `solid_loss` on those that are
+    surely none; pixels in neither set do not count. Street Gaussians and OmniRe have every pixel
+    in one of them.
 
     Args:
         alpha: (H, W) accumulated opacity.

@@ -91,7 +91,7 @@ class Trainer:
         self._smoothness = TrackSmoothness(self.track_poses)
         self.exposures = Exposures(self._views)
         self._sheet: GroundSheet | None = None
-        if config.ground_tolerance_m > 0 and start.ground is not None:
+        if start.ground is not None:
             self._sheet = GroundSheet(start.ground, config.ground_tolerance_m, self.device)
             self._sheet.settle(self.model.background)
         self.sky = make_sky(config, start.sky)
