@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import unicodedata
 from pathlib import Path
+
+LINE_LIMIT = 300
+"""Characters of an `InputError`'s line, at most."""
+
+_UNPRINTABLE = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 
 
 class InputError(ValueError):
     """Bad input from outside: a file, a folder, a configuration or a command-line value.
 
-    The CLI prints it as one line and exits with code 2, so the message must stand alone.
+    The CLI prints it as one line and exits with code 2, so the message must stand alone. The line
+    has at most `LINE_LIMIT` characters, control characters in it are escaped; the attributes hold
+    the whole text.
 
     Args:
         where: file or folder at fault (or the command-line argument).
@@ -22,9 +30,34 @@ class InputError(ValueError):
         self.field = field
         self.problem = problem
         self.mend = mend
-        super().__init__(f"{self.where}: {field}: {problem}; {mend}")
+        names = printable(self.where), printable(field)
+        # Texts of libraries may span lines; names may not.
+        texts = (printable(" ".join(text.split())) for text in (problem, mend))
+        where, field, problem, mend = _fitted([*names, *texts], LINE_LIMIT - len(": : ; "))
+        super().__init__(f"{where}: {field}: {problem}; {mend}")
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
         # Exceptions pickle through `args`, which holds the joined line; worker processes need the
         # parts.
         return (InputError, (self.where, self.field, self.problem, self.mend))
+
+
+def printable(text: str) -> str:
+    """`text` with control characters, marks of text direction and lone surrogates escaped."""
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(
+        one.encode("unicode_escape").decode() if unicodedata.category(one) in _UNPRINTABLE else one
+        for one in text
+    )
+
+
+def _fitted(parts: list[str], limit: int) -> list[str]:
+    """The parts, the longest of them shortened until all have `limit` characters together."""
+    cap = max(len(part) for part in parts)
+    while sum(min(len(part), cap) for part in parts) > limit:
+        cap -= 1
+    where, *others = parts
+    if len(where) > cap:
+        where = "…" + where[len(where) - cap + 1 :]  # a path is known by its end
+    return [where, *(part if len(part) <= cap else part[: cap - 1] + "…" for part in others)]

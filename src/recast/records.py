@@ -49,6 +49,8 @@ def parse_record(
         return model.model_validate(value)
     except ValidationError as error:
         raise validation_error(where, error, mend) from None
+    except (RecursionError, OverflowError) as error:
+        raise InputError(where, "JSON", f"cannot be read ({error})", mend) from None
 
 
 def validation_error(where: str | Path, error: ValidationError, mend: str) -> InputError:

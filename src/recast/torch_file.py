@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -24,10 +26,17 @@ def read_torch_file(path: Path, mend: str, field: str = "file") -> Any:
 
     Raises:
         InputError: the file is missing or damaged, or holds other objects than tensors, plain
-            values, lists and dictionaries; no code in it is run.
+            values, lists and dictionaries; no code in it is run. Or it would take more memory than
+            the file has bytes: compressed members, or tensors larger than what is stored of them.
     """
     try:
-        return torch.load(path, map_location="cpu", weights_only=True)
+        _require_stored(path, field)
+        found = torch.load(path, map_location="cpu", weights_only=True)
+        for tensor in _tensors(found):
+            _require_whole(tensor, path, field)
+        return found
+    except InputError:
+        raise
     except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
         problem = (error.strerror or "cannot be read").lower()
         raise InputError(path, field, problem, "check the path") from None
@@ -67,6 +76,44 @@ def read_tensors(path: Path, field: str, mend: str) -> dict[str, Tensor]:
     if not isinstance(state, dict) or not all(isinstance(v, Tensor) for v in state.values()):
         raise InputError(path, field, "is no table of tensors", mend)
     return dict(state)
+
+
+def _require_stored(path: Path, field: str) -> None:
+    """`torch.save` never compresses: what is compressed was made to grow."""
+    if not zipfile.is_zipfile(path):  # the format before PyTorch 1.6
+        return
+    with zipfile.ZipFile(path) as archive:
+        for one in archive.infolist():
+            if one.compress_type != zipfile.ZIP_STORED or one.file_size > path.stat().st_size:
+                raise InputError(
+                    path, field, "is compressed, which no PyTorch checkpoint is",
+                    "save it with torch.save",
+                )  # fmt: skip
+
+
+def _tensors(value: Any) -> Iterator[Tensor]:
+    waiting, seen = [value], set()
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, Tensor):
+            yield one
+        elif isinstance(one, dict | list | tuple | set) and id(one) not in seen:
+            seen.add(id(one))  # lists may hold themselves
+            waiting.extend(one.values() if isinstance(one, dict) else one)
+
+
+def _require_whole(tensor: Tensor, path: Path, field: str) -> None:
+    # A few bytes can be expanded to any shape; the first copy of it takes the memory.
+    if tensor.layout != torch.strided or tensor.device.type != "cpu":
+        raise InputError(path, field, f"holds a {tensor.layout} tensor on {tensor.device}",
+                         "save dense tensors")  # fmt: skip
+    stored = tensor.untyped_storage().nbytes()
+    if tensor.numel() * tensor.element_size() > stored:
+        shape = "x".join(str(size) for size in tensor.shape)
+        raise InputError(
+            path, field, f"has a tensor of {shape} values, of which {stored} bytes are stored",
+            "save contiguous tensors",
+        )  # fmt: skip
 
 
 def _reason(error: Exception) -> str:
