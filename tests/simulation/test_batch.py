@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from synthetic_drives import drive
 
@@ -10,8 +12,10 @@ from recast.simulation import (
     RolloutFailure,
     RolloutJob,
     RolloutSetup,
+    error_fields,
     run_batch,
 )
+from recast.simulation.batch import TRACEBACK_LIMIT
 
 
 class Failing(ConstantVelocity):
@@ -37,7 +41,10 @@ def test_failures_become_rows_and_the_rest_goes_on() -> None:
     first, failed, refused, last = run_batch(jobs())
     assert isinstance(first, Rollout)
     assert isinstance(last, Rollout)
-    assert failed == RolloutFailure(
+    assert isinstance(failed, RolloutFailure)
+    assert "in plan\n" in failed.traceback
+    assert failed.traceback.endswith("ZeroDivisionError: no road left\n")
+    assert replace(failed, traceback="") == RolloutFailure(
         name="cut-in-a-native",
         method="native",
         track_id="7",
@@ -66,3 +73,22 @@ def test_an_interrupt_ends_the_batch() -> None:
     setup = RolloutSetup(drive(seconds=6), "7", MOTIONS["cut-in-a"], steps=20)
     with pytest.raises(KeyboardInterrupt):
         run_batch([RolloutJob(setup, Interrupted())])
+
+
+def test_a_traceback_keeps_its_end() -> None:
+    fields = error_fields(ValueError("a" * 4000 + "b" * (TRACEBACK_LIMIT - 1)))
+    assert fields["traceback"] == "b" * (TRACEBACK_LIMIT - 1) + "\n"
+    assert fields["reason"] == "a" * 2000
+
+
+def test_an_exception_without_a_message_is_a_row_too() -> None:
+    class MuteError(Exception):
+        def __str__(self) -> str:
+            raise RuntimeError("no words")
+
+    fields = error_fields(MuteError())
+    assert (fields["error"], fields["reason"]) == (
+        "MuteError",
+        "its message cannot be read (RuntimeError)",
+    )
+    assert "MuteError" in fields["traceback"]

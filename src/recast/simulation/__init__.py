@@ -4,7 +4,7 @@ The renderer over a reconstructed scene is in `recast.simulation.scene_renderer`
 works without torch.
 """
 
-from recast.simulation.batch import RolloutJob, failure, run_batch
+from recast.simulation.batch import RolloutJob, error_fields, failure, run_batch
 from recast.simulation.ego_controller import EgoController, LqrController, PerfectController
 from recast.simulation.lift import RoadSurface
 from recast.simulation.motions import (
@@ -60,6 +60,7 @@ __all__ = [
     "Timings",
     "camera_mounts",
     "ego_centre",
+    "error_fields",
     "failure",
     "load_rollout",
     "motion_of_record",

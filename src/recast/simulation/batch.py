@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -10,6 +11,10 @@ from recast.simulation.renderer import SensorRenderer
 from recast.simulation.rollout import Rollout, RolloutFailure
 from recast.simulation.rollout_loop import OnFrame, Timings, run_rollout
 from recast.simulation.setup import RolloutSetup
+
+TRACEBACK_LIMIT = 8000
+"""Characters of a traceback that a failure keeps: the last ones, which name the place."""
+_REASON_LIMIT = 2000
 
 OnDone = Callable[["RolloutJob", Rollout | RolloutFailure, Timings], None]
 
@@ -59,6 +64,19 @@ def failure(setup: RolloutSetup, planner: str, error: Exception) -> RolloutFailu
         motion=setup.motion.name,
         setting=setup.motion.setting,
         planner=planner,
-        error=type(error).__name__,
-        reason=str(error),
+        **error_fields(error),
     )
+
+
+def error_fields(error: BaseException) -> dict[str, str]:
+    """The members `error`, `reason` and `traceback` of a `RolloutFailure`."""
+    try:
+        reason = str(error)
+    except Exception as another:  # an exception class of a planner may be faulty itself
+        reason = f"its message cannot be read ({type(another).__name__})"
+    lines = "".join(traceback.format_exception(error))
+    return {
+        "error": type(error).__name__,
+        "reason": reason[:_REASON_LIMIT],
+        "traceback": lines[-TRACEBACK_LIMIT:],
+    }

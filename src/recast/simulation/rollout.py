@@ -136,6 +136,8 @@ class RolloutFailure:
         name, method, track_id, motion, setting, planner: as in `Rollout`.
         error: the exception's class.
         reason: its message.
+        traceback: where it was raised, the last `batch.TRACEBACK_LIMIT` characters; "" in records
+            of an older recast.
     """
 
     name: str
@@ -146,6 +148,7 @@ class RolloutFailure:
     planner: str
     error: str
     reason: str
+    traceback: str = ""
 
 
 def ego_centre(rear_axle: Array, offset: float) -> Array:
