@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import errno
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -62,3 +65,100 @@ def test_json_errors_name_the_file(tmp_path: Path) -> None:
         storage.read_json(tmp_path / "bad.json")
     with pytest.raises(InputError, match="is missing"):
         storage.read_json(tmp_path / "none.json")
+
+
+REFUSALS = [
+    (errno.ENOSPC, "no space left"), (errno.EDQUOT, "no space left"), (errno.EROFS, "read-only"),
+    (errno.EACCES, "permission denied"), (errno.EPERM, "permission denied"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("code", "said"), REFUSALS)
+@pytest.mark.parametrize("call", ["mkdir", "open", "replace", "unlink"])
+def test_a_disk_that_refuses_is_one_clear_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, said: str, call: str
+) -> None:
+    """Whatever is refused, and where the clean-up is refused as well."""
+    target = tmp_path / "deeper" / "value.json"
+
+    def refuse(*args: object, **_: object) -> None:
+        raise OSError(code, "refused", str(args[0]))
+
+    for name in {call, "unlink"}:
+        monkeypatch.setattr(os, name, refuse)
+    if call == "unlink":
+        with storage.atomic_file(target) as partial:
+            partial.write_text("whole")  # nothing needs to be removed
+        return
+    with pytest.raises(InputError, match=said) as raised, storage.atomic_file(target):
+        pass
+    assert "partial" not in str(raised.value)
+    with pytest.raises(InputError, match=said), storage.atomic_folder(tmp_path / "deeper" / "out"):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[" * 100_000, "nested too deeply"),
+        ('{"a":' * 100_000, "nested too deeply"),
+        ("1" * 5000, "integer string conversion"),
+        ("NaN", "NaN is no number"),
+        ("[-Infinity]", "-Infinity is no number"),
+        ("1e999", "too large"),
+        ("", "cannot be read"),
+        ("{} {}", "cannot be read"),
+    ],
+)
+def test_hostile_json_is_one_clear_line(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "bad.json").write_text(text)
+    with pytest.raises(InputError, match=said):
+        storage.read_json(tmp_path / "bad.json")
+
+
+def test_what_is_no_text_file_is_one_clear_line(tmp_path: Path) -> None:
+    (tmp_path / "latin").write_bytes(b'{"a": "\xff"}')
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    faults = {"latin": "utf-8", "loop": "link", ".": "is a folder", "none": "is missing"}
+    faults |= {"latin/below": "no folder", "a\0b": "NUL", "a" * 300: "too long"}
+    for name, said in faults.items():
+        with pytest.raises(InputError, match=said):
+            storage.read_json(tmp_path / name)
+    with pytest.raises(InputError, match="10 bytes, 9 are read at most"):
+        storage.read_bytes(tmp_path / "latin", limit=9)
+
+
+def test_two_processes_do_not_write_the_same(tmp_path: Path) -> None:
+    """Within one process two handles stand for two processes: flock does not tell them apart."""
+    with storage.atomic_folder(tmp_path / "out") as partial:
+        (partial / "one").write_text("1")
+        with (
+            pytest.raises(InputError, match="another process is at work"),
+            storage.atomic_folder(tmp_path / "out"),
+        ):
+            pass
+    assert (tmp_path / "out" / "one").read_text() == "1"
+    with storage.atomic_file(tmp_path / "file") as partial:
+        partial.write_text("first")
+        with pytest.raises(InputError, match="at work"), storage.atomic_file(tmp_path / "file"):
+            pass
+    assert (tmp_path / "file").read_text() == "first"
+
+
+def test_a_lock_ends_with_the_process_that_holds_it(tmp_path: Path) -> None:
+    script = (
+        "import sys, time; from recast import storage\n"
+        "with storage.alone_in(sys.argv[1]):\n"
+        "    print('locked', flush=True); time.sleep(60)"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-c", script, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
+    assert child.stdout is not None
+    assert child.stdout.readline() == "locked\n"
+    with pytest.raises(InputError, match="at work"), storage.alone_in(tmp_path):
+        pass
+    child.kill()
+    child.wait()
+    with storage.alone_in(tmp_path):
+        pass
