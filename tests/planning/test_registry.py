@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import sys
+import traceback
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from recast.planning import (
     gtrs_mini,
     make_planner,
     planner_folder,
+    planner_source_files,
 )
 
 PLUGIN = """
@@ -23,6 +25,10 @@ class Mine:
     def reset(self, context): ...
     def plan(self, observation): ...
 def broken(): return object()
+def itself(): return Mine
+def needy(size): return Mine()
+def failing(): raise RuntimeError("out of\\nmemory")
+def leaving(): raise SystemExit(3)
 value = 3
 """
 
@@ -78,9 +84,64 @@ def test_installed_plugins_are_found(plugin: str, monkeypatch: pytest.MonkeyPatc
         ("no_such_module:Mine", "cannot be imported"),
         ("{plugin}:Nothing", "cannot be imported"),
         ("{plugin}:value", "cannot be called"),
-        ("{plugin}:broken", "lacks name, needs_images, reset, plan"),
+        ("{plugin}:broken", "made object, which lacks name, needs_images, reset, plan"),
+        ("{plugin}:itself", "made the class Mine; return a planner"),
+        (".x:y", r"cannot be imported \(TypeError: .*relative import"),
+        (":y", r"cannot be imported \(ValueError"),
+        ("a..b:c", "cannot be imported"),
+        ("{plugin}:needy", r"cannot be made \(TypeError: needy\(\) missing 1 required"),
+        ("{plugin}:failing", r"cannot be made \(RuntimeError: out of memory\)"),
+        ("{plugin}:leaving", r"cannot be made \(SystemExit: 3\)"),
+        ("navsim:{plugin}:needy", r"cannot be made \(TypeError: needy"),
+        ("navsim:.x:y", r"cannot be imported \(TypeError"),
+        ("navsim:", "is not known"),
     ],
 )
-def test_bad_paths_are_named(plugin: str, path: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
+def test_bad_paths_are_one_line(plugin: str, path: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
         make_planner(path.format(plugin=plugin))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "body", ["raise OSError('no disk')", "import sys; sys.exit('bye')", "x = ("]
+)
+def test_a_module_that_does_not_import_keeps_its_traceback(
+    body: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "my_broken_module.py").write_text(f"def f():\n    {body}\nf()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(
+        InputError, match="planner: my_broken_module:P: cannot be imported"
+    ) as caught:
+        make_planner("my_broken_module:P")
+    cause = caught.value.__cause__
+    assert isinstance(cause, OSError | SystemExit | SyntaxError)
+    if not isinstance(cause, SyntaxError):  # which has its line in itself
+        frames = [frame.f_code.co_name for frame, _ in traceback.walk_tb(cause.__traceback__)]
+        assert frames[-1] == "f"
+
+
+def test_an_agent_that_fails_to_start_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    agent = """
+class Agent:
+    def initialize(self): raise FileNotFoundError("weights.ckpt")
+    def get_sensor_config(self): ...
+    def compute_trajectory(self, agent_input): ...
+"""
+    (tmp_path / "my_failing_agent.py").write_text(agent)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InputError, match=r"cannot be made \(FileNotFoundError: weights.ckpt\)"):
+        make_planner("navsim:my_failing_agent:Agent")
+
+
+def test_the_files_behind_a_name(plugin: str, tmp_path: Path) -> None:
+    mine = (tmp_path / f"{plugin}.py",)
+    assert planner_source_files(f"{plugin}:Mine") == mine
+    assert planner_source_files(f"navsim:{plugin}:Agent") == mine
+    assert planner_source_files("idm-follower") == planner_source_files("gtrs-mini") == ()
+    assert planner_source_files(str(tmp_path)) == ()
+    with pytest.raises(InputError, match="gtsr: is not known"):
+        planner_source_files("gtsr")

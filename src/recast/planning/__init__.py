@@ -4,7 +4,13 @@ from recast.planning.cameras import named_cameras, planner_cameras
 from recast.planning.constant_velocity import ConstantVelocity
 from recast.planning.idm_follower import IdmFollowerConfig, IdmLaneFollower
 from recast.planning.log_replay import LogReplay
-from recast.planning.registry import NAVSIM_PREFIX, PLANNERS, make_planner, planner_folder
+from recast.planning.registry import (
+    NAVSIM_PREFIX,
+    PLANNERS,
+    make_planner,
+    planner_folder,
+    planner_source_files,
+)
 from recast.planning.route import DrivingCommand, ReferenceRoute, route_lanes
 from recast.planning.shipped import GTRS_MINI, gtrs_mini
 from recast.planning.status import ego_status
@@ -43,5 +49,6 @@ __all__ = [
     "named_cameras",
     "planner_cameras",
     "planner_folder",
+    "planner_source_files",
     "route_lanes",
 ]

@@ -36,25 +36,27 @@ def make_planner(name: str) -> Planner:
             of one that returns a NAVSIM agent; or a folder that `save_gtrs` wrote.
 
     Raises:
-        InputError: the name is unknown, the module does not import, what it makes is no planner, or
-            a file of the folder is missing or wrong.
+        InputError: the name is unknown, the module does not import, what it names raises when it is
+            called (its exception is the error's `__cause__`) or makes no planner, or a file of the
+            folder is missing or wrong.
     """
-    if name not in PLANNERS.names() and (folder := planner_folder(name)) is not None:
-        from recast.planning.gtrs import load_gtrs  # here, as it needs torch and others do not
-
-        return load_gtrs(folder)
-    if name.startswith(NAVSIM_PREFIX):
-        from recast.planning.navsim import NavsimPlanner
-
-        return NavsimPlanner(_made(name, name.removeprefix(NAVSIM_PREFIX)))
-    planner = _made(name, name)
-    if not isinstance(planner, Planner):
-        missing = [m for m in ("name", "needs_images", "reset", "plan") if not hasattr(planner, m)]
+    try:
+        planner = _made(name)
+    except InputError:
+        raise
+    except (Exception, SystemExit) as error:  # code of the user
         raise InputError(
-            "planner",
-            name,
-            f"made {type(planner).__name__}, which lacks {', '.join(missing)}",
-            "see recast.planning.Planner for what a planner has",
+            "planner", name, f"cannot be made ({type(error).__name__}: {error})",
+            "name a class or function that works when called without arguments",
+        ) from error  # fmt: skip
+    if isinstance(planner, type) or not isinstance(planner, Planner):
+        members = ("name", "needs_images", "reset", "plan")
+        missing = ", ".join(member for member in members if not hasattr(planner, member))
+        what = f"made {type(planner).__name__}" + (f", which lacks {missing}" if missing else "")
+        if isinstance(planner, type):
+            what = f"made the class {planner.__name__}"
+        raise InputError(
+            "planner", name, what, "return a planner; see recast.planning.Planner for what it has"
         )
     return planner
 
@@ -72,7 +74,32 @@ def planner_folder(name: str) -> Path | None:
     return None
 
 
-def _made(name: str, path: str) -> Any:
+def planner_source_files(name: str) -> tuple[Path, ...]:
+    """The files of a user's own code behind a planner's name, see `recast.plugins.source_files`.
+
+    () for built-in planners and for folders.
+
+    Raises:
+        InputError: the name is unknown.
+    """
+    if planner_folder(name) is not None:
+        return ()
+    return PLANNERS.source_files(name.removeprefix(NAVSIM_PREFIX))
+
+
+def _made(name: str) -> Any:
+    if name not in PLANNERS.names() and (folder := planner_folder(name)) is not None:
+        from recast.planning.gtrs import load_gtrs  # here, as it needs torch and others do not
+
+        return load_gtrs(folder)
+    if not name.startswith(NAVSIM_PREFIX):
+        return _called(name, name)
+    from recast.planning.navsim import NavsimPlanner
+
+    return NavsimPlanner(_called(name, name.removeprefix(NAVSIM_PREFIX)))
+
+
+def _called(name: str, path: str) -> Any:
     factory = PLANNERS.load(path)
     if not callable(factory):
         raise InputError("planner", name, "cannot be called", "name a class or a function")
