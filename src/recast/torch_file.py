@@ -10,8 +10,7 @@ from pickle import UnpicklingError
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file
+from safetensors import safe_open
 from torch import Tensor
 
 from recast.errors import InputError
@@ -68,14 +67,29 @@ def read_tensors(path: Path, field: str, mend: str) -> dict[str, Tensor]:
     if not path.is_file():
         raise InputError(path, field, "is no file", mend)
     if path.suffix == ".safetensors":
-        try:
-            return load_file(path)
-        except (SafetensorError, OSError) as error:
-            raise InputError(path, field, f"cannot be read{_reason(error)}", mend) from None
+        return read_safetensors(path, field, mend)[0]
     state = read_torch_file(path, mend, field)
     if not isinstance(state, dict) or not all(isinstance(v, Tensor) for v in state.values()):
         raise InputError(path, field, "is no table of tensors", mend)
     return dict(state)
+
+
+def read_safetensors(path: Path, field: str, mend: str) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """Tensors by name, mapped from disk until they are copied, and the texts of the header.
+
+    The format has no gaps and no overlaps, so a tensor never has more values than the file holds.
+
+    Raises:
+        InputError: the file is missing or damaged, or has a type of numbers that torch lacks.
+    """
+    if not path.is_file():
+        raise InputError(path, field, "is missing or no file", "check the path")
+    try:
+        with safe_open(path, framework="pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            return tensors, dict(file.metadata() or {})
+    except Exception as error:  # of the parser, of torch, of the file system
+        raise InputError(path, field, f"cannot be read{_reason(error)}", mend) from None
 
 
 def _require_stored(path: Path, field: str) -> None:
@@ -104,8 +118,9 @@ def _tensors(value: Any) -> Iterator[Tensor]:
 
 def _require_whole(tensor: Tensor, path: Path, field: str) -> None:
     # A few bytes can be expanded to any shape; the first copy of it takes the memory.
-    if tensor.layout != torch.strided or tensor.device.type != "cpu":
-        raise InputError(path, field, f"holds a {tensor.layout} tensor on {tensor.device}",
+    if tensor.layout != torch.strided or tensor.device.type != "cpu" or tensor.is_quantized:
+        kind = "quantized" if tensor.is_quantized else str(tensor.layout)
+        raise InputError(path, field, f"holds a {kind} tensor on {tensor.device}",
                          "save dense tensors")  # fmt: skip
     stored = tensor.untyped_storage().nbytes()
     if tensor.numel() * tensor.element_size() > stored:

@@ -157,7 +157,7 @@ def test_quaternion_of_norm_zero(tmp_path: Path) -> None:
     columns = columns_of(random_gaussians("normal", count=5, degree=1))
     for i in range(4):
         columns[f"rot_{i}"] = np.zeros(5, np.float32)
-    with pytest.raises(InputError, match="row 0 is a quaternion of norm zero"):
+    with pytest.raises(InputError, match="row 0 has a norm out of 1e-15"):
         read_ply(foreign_file(tmp_path / "a.ply", columns))
 
 
@@ -201,7 +201,7 @@ def test_what_is_no_ply_is_refused(tmp_path: Path, content: bytes) -> None:
 def test_missing_file_and_folder(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is missing"):
         read_ply(tmp_path / "none.ply")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="is a folder"):
         read_ply(tmp_path)
 
 
@@ -211,3 +211,34 @@ def test_bad_gaussians_are_not_written(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"means: row 1"):
         write_ply(tmp_path / "a.ply", gaussians)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "problem"),
+    [
+        ("rot", 1e-30, "rot_0..3: row 2 has a norm out of"),
+        ("rot", 1e20, "rot_0..3: row 2 has a norm out of"),
+        ("scale_1", 14.5, "scale_0..2: row 2 is out of -60..14"),
+        ("scale_1", -61.0, "scale_0..2: row 2 is out of -60..14"),
+        ("opacity", 1e20, "opacity: row 2 is out of"),
+        ("f_dc_1", -1e30, r"f_dc_\* f_rest_\*: row 2 is out of"),
+        ("z", 1e16, "x y z: row 2 is out of"),
+    ],
+)
+def test_value_out_of_range_is_named(tmp_path: Path, name: str, value: float, problem: str) -> None:
+    columns = columns_of(random_gaussians("normal", count=5, degree=1))
+    for column in [f"rot_{i}" for i in range(4)] if name == "rot" else [name]:
+        columns[column] = columns[column].copy()
+        columns[column][2] = value
+    with pytest.raises(InputError, match=problem):
+        read_ply(foreign_file(tmp_path / "a.ply", columns))
+
+
+@pytest.mark.parametrize("form", ["binary_little_endian", "ascii"])
+def test_more_rows_than_bytes_take_no_memory(tmp_path: Path, form: str) -> None:
+    """A header that promises vertices without properties, or more than the file holds."""
+    for properties in ("", "property uchar x\n"):
+        header = f"ply\nformat {form} 1.0\nelement vertex {10**17}\n{properties}end_header\n"
+        (tmp_path / "a.ply").write_bytes(header.encode())
+        with pytest.raises(InputError, match="is missing"):
+            read_ply(tmp_path / "a.ply")

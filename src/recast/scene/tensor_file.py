@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
 from recast.errors import InputError
-from recast.storage import write_bytes
+from recast.storage import parse_json, write_bytes
+from recast.torch_file import read_safetensors
 
 HEADER = "recast"
 
@@ -21,7 +21,7 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str
     """Write tensors and header atomically.
 
     Raises:
-        InputError: the disk is full.
+        InputError: the disk refuses.
     """
     plain = {name: t.detach().to("cpu", copy=True).contiguous() for name, t in tensors.items()}
     write_bytes(path, save(plain, metadata={HEADER: json.dumps(header)}))
@@ -33,11 +33,8 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     Raises:
         InputError: missing, cut short, or not ours.
     """
-    try:
-        with safe_open(path, framework="pt") as file:
-            header = json.loads((file.metadata() or {})[HEADER])
-            return {name: file.get_tensor(name) for name in file.keys()}, header  # noqa: SIM118
-    except FileNotFoundError:
-        raise InputError(path, "file", "is missing", "write the folder anew") from None
-    except (SafetensorError, KeyError, json.JSONDecodeError, OSError) as error:
-        raise InputError(path, "tensors", f"cannot be read ({error})", "write it anew") from None
+    tensors, texts = read_safetensors(path, "tensors", "write it anew")
+    header = parse_json(path, texts.get(HEADER, ""))
+    if not isinstance(header, dict):
+        raise InputError(path, "header", "is no object", "write it anew")
+    return tensors, header

@@ -175,12 +175,7 @@ def _meta(radii: Tensor, means2d: Tensor, absgrad: bool) -> RasterMeta:
 
 def _check_values(gaussians: Gaussians) -> None:
     """Refuse what `Gaussians.validate` refuses, waiting for the device once."""
-    with torch.no_grad():
-        # A sum is finite only if all terms are; the rare sum that overflows is looked at below.
-        parts = [value.sum() for value in vars(gaussians).values()]
-        parts.append(gaussians.quats.square().sum(dim=1).amin().reciprocal())
-        fine = bool(torch.stack(parts).isfinite().all())
-    if not fine:
+    if not bool(gaussians.in_range()):
         gaussians.validate()
 
 

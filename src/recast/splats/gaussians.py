@@ -11,6 +11,20 @@ from torch import Tensor
 from recast.splats import sh as harmonics
 from recast.splats.rotations import matrix_to_quat, quat_multiply
 
+LOG_SCALES = (-60.0, 14.0)
+"""Log scales lie between these: beyond, areas in the image leave the range of float32."""
+QUAT_NORMS = (1e-15, 1e15)
+"""Norms of quaternions lie between these, so that their squares stay in the range of float32."""
+LARGEST = 1e15
+"""No centre, logit or coefficient is larger: sums of products stay in the range of float32."""
+_RANGES = {
+    "means": (-LARGEST, LARGEST),
+    "quats": QUAT_NORMS,
+    "log_scales": LOG_SCALES,
+    "logit_opacities": (-LARGEST, LARGEST),
+    "sh": (-LARGEST, LARGEST),
+}
+
 
 @dataclass(frozen=True)
 class Gaussians:
@@ -39,27 +53,55 @@ class Gaussians:
         """Degree of the harmonics: 0 for a colour that does not depend on the view."""
         return round(self.sh.shape[1] ** 0.5) - 1
 
-    def validate(self) -> None:
-        """Raise ValueError naming the field at fault: shape, dtype, a value that is not finite."""
-        n = self.means.shape[0]
+    def fault(self) -> tuple[str, str] | None:
+        """The field at fault and what is wrong with it; None if the rasterizer takes them all.
+
+        Shapes and types come first, then values that are not finite or out of range (`LOG_SCALES`,
+        `QUAT_NORMS`, `LARGEST`), of which the first row is named.
+        """
+        n = self.means.shape[0] if self.means.ndim else 0
         expected = {
             "means": (n, 3),
             "quats": (n, 4),
             "log_scales": (n, 3),
             "logit_opacities": (n,),
-            "sh": (n, (self.sh_degree + 1) ** 2, 3),
+            "sh": (n, (self.sh_degree + 1) ** 2 if self.sh.ndim == 3 else 1, 3),
         }
         for name, shape in expected.items():
             value: Tensor = getattr(self, name)
             if tuple(value.shape) != shape:
-                raise ValueError(f"Gaussians.{name}: shape {tuple(value.shape)}, expected {shape}")
+                return name, f"shape {tuple(value.shape)}, expected {shape}"
             if not value.is_floating_point():
-                raise ValueError(f"Gaussians.{name}: dtype {value.dtype}, expected floating point")
-            if not bool(torch.isfinite(value).all()):
-                bad = int((~torch.isfinite(value)).reshape(n, -1).any(dim=1).nonzero()[0, 0])
-                raise ValueError(f"Gaussians.{name}: row {bad} is not finite")
-        if n and bool((self.quats.norm(dim=1) == 0).any()):
-            raise ValueError("Gaussians.quats: a quaternion has norm zero")
+                return name, f"dtype {value.dtype}, expected floating point"
+        if self.sh_degree > harmonics.MAX_DEGREE:
+            return "sh", f"degree {self.sh_degree}, expected {harmonics.MAX_DEGREE} at most"
+        for name, (low, high) in _RANGES.items():
+            bad = (~self._within(name)).nonzero()
+            if len(bad):
+                row = int(bad[0, 0])
+                if not bool(getattr(self, name)[row].isfinite().all()):
+                    return name, f"row {row} is not finite"
+                what = "has a norm" if name == "quats" else "is"
+                return name, f"row {row} {what} out of {low:g}..{high:g}"
+        return None
+
+    def in_range(self) -> Tensor:
+        """Whether all values are in range: () bool, where the Gaussians lie, so without waiting."""
+        return torch.stack([self._within(name).all() for name in _RANGES]).all()
+
+    def _within(self, name: str) -> Tensor:
+        """(N,) bool: rows of a field that are finite and in range."""
+        value: Tensor = getattr(self, name).detach()
+        low, high = _RANGES[name]
+        size = value.norm(dim=1) if name == "quats" else value
+        good = (size > low) & (size < high)  # of NaN neither is true
+        return good.flatten(1).all(dim=1) if good.ndim > 1 else good
+
+    def validate(self) -> None:
+        """Raise ValueError naming the field at fault, see `fault`."""
+        fault = self.fault()
+        if fault is not None:
+            raise ValueError(f"Gaussians.{fault[0]}: {fault[1]}")
 
     def select(self, index: Tensor) -> Gaussians:
         """The Gaussians at `index`: (M,) int64 or a (N,) bool mask."""

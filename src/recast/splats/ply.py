@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from recast.errors import InputError
 from recast.splats.gaussians import Gaussians
-from recast.storage import write_bytes
+from recast.storage import disk_errors, write_bytes
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -30,6 +30,13 @@ _TYPES = {
 }
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 _REST_COUNTS = (0, 9, 24, 45)
+_PROPERTIES = {
+    "means": "x y z",
+    "quats": "rot_0..3",
+    "log_scales": "scale_0..2",
+    "logit_opacities": "opacity",
+    "sh": "f_dc_* f_rest_*",
+}
 _EXPORT_AGAIN = "export it again as a 3D Gaussian splatting PLY"
 
 
@@ -48,8 +55,8 @@ def write_ply(path: str | Path, gaussians: Gaussians) -> None:
     """Write `gaussians` as binary little-endian PLY, whole or not at all.
 
     Raises:
-        ValueError: a field is not finite or of the wrong shape.
-        InputError: the disk is full.
+        ValueError: a field is not finite, out of range or of the wrong shape.
+        InputError: the disk refuses.
     """
     gaussians = gaussians.detach()
     gaussians.validate()
@@ -75,23 +82,24 @@ def read_ply(path: str | Path) -> Gaussians:
 
     Raises:
         InputError: the file is missing, no PLY, truncated, lacks a property, or holds a value that
-            is not finite.
+            is not finite or out of range (`Gaussians.fault`).
     """
     path = Path(path)
-    try:
+    with disk_errors(path):
         data = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(path, "file", "is missing", "check the path") from None
-    except OSError as error:
-        raise InputError(path, "file", f"cannot be read ({error})", "check the path") from None
     header = _parse_header(path, data)
-    vertices = _read_vertices(path, data, header)
-    rest = sum(name.startswith("f_rest_") for name in header.dtype.names or ())
+    found = header.dtype.names or ()
+    rest = sum(name.startswith("f_rest_") for name in found)
     if rest not in _REST_COUNTS:
         raise InputError(
             path, "f_rest_*", f"{rest} properties, expected 0, 9, 24 or 45", _EXPORT_AGAIN
         )
-    columns = {name: _column(path, vertices, name) for name in _names(rest) if name[0] != "n"}
+    names = [name for name in _names(rest) if name[0] != "n"]
+    for name in names:
+        if name not in found:
+            raise InputError(path, f"property {name}", "is missing", _EXPORT_AGAIN)
+    vertices = _read_vertices(path, data, header)
+    columns = {name: _column(path, vertices, name) for name in names}
 
     def stack(*names: str) -> torch.Tensor:
         return torch.from_numpy(np.stack([columns[name] for name in names], axis=-1))
@@ -100,22 +108,17 @@ def read_ply(path: str | Path) -> Gaussians:
     if rest:
         flat = stack(*(f"f_rest_{i}" for i in range(rest)))
         sh.append(flat.reshape(len(flat), 3, rest // 3).transpose(1, 2))
-    quats = stack(*(f"rot_{i}" for i in range(4)))
-    degenerate = (quats == 0).all(dim=1).nonzero()
-    if len(degenerate):
-        raise InputError(
-            path,
-            "rot_0..3",
-            f"row {int(degenerate[0])} is a quaternion of norm zero",
-            _EXPORT_AGAIN,
-        )
-    return Gaussians(
+    gaussians = Gaussians(
         means=stack("x", "y", "z"),
-        quats=quats,
+        quats=stack(*(f"rot_{i}" for i in range(4))),
         log_scales=stack(*(f"scale_{i}" for i in range(3))),
         logit_opacities=torch.from_numpy(columns["opacity"]),
         sh=torch.cat(sh, dim=1).contiguous(),
     )
+    fault = gaussians.fault()
+    if fault is not None:
+        raise InputError(path, f"property {_PROPERTIES[fault[0]]}", fault[1], _EXPORT_AGAIN)
+    return gaussians
 
 
 @dataclass(frozen=True)
@@ -193,9 +196,8 @@ def _read_vertices(path: Path, data: bytes, header: _Header) -> NDArray[np.void]
 
 
 def _column(path: Path, vertices: NDArray[np.void], name: str) -> NDArray[np.float32]:
-    if name not in (vertices.dtype.names or ()):
-        raise InputError(path, f"property {name}", "is missing", _EXPORT_AGAIN)
-    column = vertices[name].astype(np.float32)
+    with np.errstate(over="ignore"):  # becomes infinite, which is refused
+        column = vertices[name].astype(np.float32)
     bad = np.flatnonzero(~np.isfinite(column))
     if len(bad):
         raise InputError(

@@ -18,10 +18,10 @@ from recast.splats.rasterization import Rasterization, RasterMeta, RasterSetting
 _FAULTS = {
     1: ("means", "is not finite"),
     2: ("quats", "is not finite"),
-    3: ("log_scales", "is not finite, or outside -60..14"),
+    3: ("log_scales", "is not finite, or out of -60..14"),
     4: ("logit_opacities", "is not finite"),
     5: ("sh", "is not finite"),
-    6: ("quats", "has norm zero, or beyond 1e15"),
+    6: ("quats", "has a norm out of 1e-15..1e15"),
 }
 
 
