@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 
 from recast.errors import InputError
 from recast.tables.columns import ROW_LIMIT, Table, arrow_errors, require_plain
-from recast.tables.pages import Chunk, read_chunk
+from recast.tables.parquet_pages import Chunk, read_chunk, read_footer
 
 PARQUET_LIMIT = 1 << 28
 """Bytes in memory of a parquet table that is read as a whole, at most."""
@@ -19,8 +19,6 @@ STREAM_LIMIT = 1 << 31
 """Bytes in memory while a parquet file is read piece by piece, at most: in the worst case all
 values of a column in a row group lie in one row, and Waymo's have a hundred million."""
 
-_FOOTER_LIMIT = 1 << 20
-_MAGIC = b"PAR1"
 _ROWS_AT_ONCE = 1024
 
 
@@ -75,18 +73,14 @@ class ParquetRows:
         if not self._path.is_file():
             raise InputError(path, "file", "is missing", mend)
         with arrow_errors(self._path, "parquet file", mend):
-            self._check_footer()
+            with self._path.open("rb") as stream:
+                self._leaves, self._groups = read_footer(stream, self._path.stat().st_size)
             # Column chunks are read bit by bit: whole, those of a row group may be 100 MB.
             self._file = pq.ParquetFile(self._path, buffer_size=1 << 20)
             schema = self._file.schema_arrow
             require_plain(self._path, schema, columns, mend)
             self.schema = pa.schema([schema.field(name) for name in columns])
-            metadata = self._file.metadata
-            rows = [metadata.row_group(i).num_rows for i in range(metadata.num_row_groups)]
-            if min(rows, default=0) < 0:
-                raise ValueError("a row group has fewer than no rows")
-        self.first_rows = np.cumsum([0, *rows], dtype=np.int64)
-        self._leaves = self._leaf_columns()
+        self.first_rows = np.cumsum([0, *(group.rows for group in self._groups)], dtype=np.int64)
         self._chunks: dict[int, list[Chunk]] = {}
 
     def size_of(self, group: int, rows: int | None = None) -> int:
@@ -95,18 +89,18 @@ class ParquetRows:
         Raises:
             InputError: the file is damaged.
         """
+        count = self._groups[group].rows
+        rows = count if rows is None else min(rows, count)
         if group not in self._chunks:
             with (
                 arrow_errors(self._path, f"row group {group}", self._mend),
                 self._path.open("rb") as stream,
             ):
-                metadata = self._file.metadata.row_group(group)
                 self._chunks[group] = [
-                    read_chunk(stream, metadata.column(leaf), metadata.num_rows, width, nested)
-                    for leaf, width, nested in self._leaves
+                    read_chunk(stream, leaf, self._groups[group].columns[i], count)
+                    for i, leaf in enumerate(self._leaves)
+                    if self._is_read(leaf.path)
                 ]
-        count = int(np.diff(self.first_rows)[group])
-        rows = count if rows is None else min(rows, count)
         return sum(chunk.size_of(rows) for chunk in self._chunks[group])
 
     def batches(self, group: int, rows_at_once: int = _ROWS_AT_ONCE) -> Iterator[pa.RecordBatch]:
@@ -123,7 +117,7 @@ class ParquetRows:
         if size > self._limit:
             problem = f"takes {size} bytes in memory, {self._limit} at most"
             raise InputError(self._path, field, problem, self._mend)
-        left = int(np.diff(self.first_rows)[group])
+        left = self._groups[group].rows
         with arrow_errors(self._path, field, self._mend):
             found = self._file.iter_batches(
                 rows_at_once, row_groups=[group], columns=self._columns, use_threads=False
@@ -135,25 +129,6 @@ class ParquetRows:
                 left -= batch.num_rows
             yield batch
 
-    def _check_footer(self) -> None:
-        with self._path.open("rb") as stream:
-            size = self._path.stat().st_size
-            if size < 12:
-                raise ValueError("is too short")
-            stream.seek(size - 8)
-            length = int.from_bytes(stream.read(4), "little")
-            if stream.read(4) != _MAGIC:
-                raise ValueError("no parquet file, or cut short")
-        if length > min(size, _FOOTER_LIMIT):
-            raise ValueError(f"the footer has {length} bytes, {_FOOTER_LIMIT} are read at most")
-
-    def _leaf_columns(self) -> list[tuple[int, int, bool]]:
-        """Number, bytes of a value and whether it is in lists, of each stored column needed."""
-        schema = self._file.metadata.schema
-        leaves = [schema.column(i) for i in range(len(schema.names))]
-        return [
-            (i, max(8, leaf.length or 0), leaf.max_repetition_level > 0)
-            for i, leaf in enumerate(leaves)
-            # As Arrow chooses them: a.b is column b of a, or has that name.
-            if any(leaf.path == name or leaf.path.startswith(f"{name}.") for name in self._columns)
-        ]
+    def _is_read(self, path: str) -> bool:
+        # As Arrow chooses leaves: a.b is column b of a, or a column of that name.
+        return any(path == name or path.startswith(f"{name}.") for name in self._columns)
