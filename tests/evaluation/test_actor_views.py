@@ -17,6 +17,7 @@ from recast.evaluation.actor_pictures import ComparedView, comparison_sheet
 from recast.evaluation.actor_scores import (
     ACTOR_COLUMNS,
     Cutout,
+    Window,
     drawn,
     framed,
     mean_scores,
@@ -168,11 +169,35 @@ def test_measures_see_the_whole_or_the_vehicle() -> None:
     assert score_view(truth, truth, [Width(True)])["lpips"] == pytest.approx(1.2 * width, abs=2)
 
 
-@given(st.integers(0, 30), st.integers(0, 40), st.integers(1, 9), st.integers(1, 9))
-def test_frames_hold_their_mask(top: int, left: int, height: int, width: int) -> None:
+@given(st.integers(0, 39), st.integers(0, 49), st.integers(1, 40), st.integers(1, 50))
+def test_a_frame_is_a_square_that_holds_all_of_its_mask(
+    top: int, left: int, height: int, width: int
+) -> None:
+    """At the image's edge too: what lies beyond is padded, nothing is cut."""
     mask = np.zeros((40, 50), bool)
     mask[top : top + height, left : left + width] = True
-    assert mask[framed(mask)].sum() == mask.sum()
+    window = framed(mask)
+    seen = window.of(mask)
+    assert seen.shape == (window.height, window.width) and window.height == window.width
+    assert seen.sum() == mask.sum()
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    side = max(rows[-1] - rows[0], columns[-1] - columns[0]) + 1
+    # a tenth of the longer side is left free on every side; whole pixels cost up to one
+    free = [*np.flatnonzero(seen.any(axis=1))[[0, -1]], *np.flatnonzero(seen.any(axis=0))[[0, -1]]]
+    last = window.height - 1
+    assert min(free[0], last - free[1], free[2], last - free[3]) > 0.1 * side - 1
+
+
+def test_windows_far_from_the_image_are_empty() -> None:
+    image = np.ones((4, 6, 3))
+    for window in (
+        Window(-9, 0, 5, 6),
+        Window(0, -8, 4, 8),
+        Window(4, 0, 2, 2),
+        Window(0, 6, 2, 2),
+    ):
+        assert window.of(image).shape == (window.height, window.width, 3)
+        assert window.of(image).sum() == 0
 
 
 def test_means() -> None:

@@ -31,9 +31,10 @@ def test_windows_hold_their_mask_in_the_shape_of_a_tile(
     mask = np.zeros((40, 50), bool)
     mask[top : top + height, left : left + width] = True
     rows, columns = np.nonzero(mask)
-    x, y, wide, high = tile_window(mask)
-    assert x <= columns.min() and x + wide >= columns.max() + 1
-    assert y <= rows.min() and y + high >= rows.max() + 1
+    window = tile_window(mask)
+    high, wide = window.height, window.width
+    assert window.left <= columns.min() and window.left + wide >= columns.max() + 1
+    assert window.top <= rows.min() and window.top + high >= rows.max() + 1
     assert abs(wide / high - TILE[0] / TILE[1]) < 1.0 / high + 0.05 * wide / high
 
 

@@ -10,6 +10,7 @@ import torch
 import torch.nn.functional as functional
 from safetensors.torch import save_file
 from transformers import (
+    BitImageProcessor,
     CLIPConfig,
     CLIPImageProcessor,
     CLIPModel,
@@ -21,7 +22,9 @@ from transformers import (
 )
 
 from recast.errors import InputError
+from recast.evaluation.actor_scores import photographed, score_view
 from recast.evaluation.perceptual import load_distances
+from recast.evaluation.perceptual_features import FeatureDistance
 from recast.evaluation.perceptual_lpips import BACKBONES, Lpips, load_lpips
 
 RNG = np.random.default_rng(0)
@@ -190,6 +193,50 @@ def test_clip_similarity(tmp_path: Path) -> None:
     processor(tmp_path / "vision", 32)
     (alone,) = load_distances(clip=tmp_path / "vision")
     assert alone(FAR, IMAGE) == pytest.approx(similarity(FAR, IMAGE), rel=1e-6)
+
+
+PUBLISHED = {
+    "clip": CLIPImageProcessor(
+        size={"shortest_edge": 224}, crop_size={"height": 224, "width": 224}
+    ),
+    "dino": BitImageProcessor(
+        size={"shortest_edge": 256}, crop_size={"height": 224, "width": 224},
+        do_convert_rgb=True, image_mean=[0.485, 0.456, 0.406], image_std=[0.229, 0.224, 0.225],
+    ),
+    "siglip-like": CLIPImageProcessor(size={"height": 224, "width": 224}, do_center_crop=False),
+}  # fmt: skip
+"""Processors of openai/clip-vit-large-patch14 and facebook/dinov2-large, and one without a crop."""
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+@pytest.mark.parametrize(("height", "width"), [(64, 96), (40, 96), (96, 96)])
+def test_networks_see_a_car_from_bumper_to_bumper(name: str, height: int, width: int) -> None:
+    """A side view that fills its picture: a green car, its bumpers red and blue."""
+    processor, given = PUBLISHED[name], []
+    mark, body = width // 16, slice(height // 3, 2 * height // 3)
+    rgba = np.zeros((height, width, 4), np.uint8)
+    rgba[body, :, 3], rgba[body, :, 1] = 255, 255
+    rgba[body, :mark], rgba[body, -mark:] = (255, 0, 0, 255), (0, 0, 255, 255)
+    car = photographed(rgba)
+
+    def remember(pixels: torch.Tensor) -> torch.Tensor:
+        given.append(pixels)
+        return pixels.flatten(1)
+
+    distance = FeatureDistance("clip", remember, processor, lambda cosine: 100 * cosine)
+    assert score_view(car, car, [distance])["clip"] == pytest.approx(100.0)
+    mean, deviation = (
+        torch.tensor(values)[:, None, None]
+        for values in (processor.image_mean, processor.image_std)
+    )
+    seen = (given[0][0] * deviation + mean).numpy()
+    assert seen.shape == (3, 224, 224)
+    row = seen[:, 112]  # through the middle of the car
+    red, green, blue = (np.flatnonzero((row[c] > 0.5) & (row.sum(0) < 1.5)) for c in range(3))
+    pixel = 224 / np.ceil(1.2 * width)
+    for found, expected in ((red, mark), (green, width - 2 * mark), (blue, mark)):
+        assert abs(len(found) - expected * pixel) < 2  # less than a pixel at either edge
+    assert red.max() < green.min() and green.max() < blue.min()
 
 
 @pytest.mark.parametrize("registers", [False, True])

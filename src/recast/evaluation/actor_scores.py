@@ -52,6 +52,30 @@ ACTOR_COLUMNS: Mapping[str, ActorColumn] = {
 
 
 @dataclass(frozen=True)
+class Window:
+    """A rectangle of pixels; it may reach beyond the image.
+
+    Attributes:
+        top, left: of its first pixel, from that of the image.
+        height, width: pixels.
+    """
+
+    top: int
+    left: int
+    height: int
+    width: int
+
+    def of(self, image: Array) -> Array:
+        """What an image (H, W, ...) shows in the window (height, width, ...); zeros beyond it."""
+        seen = np.zeros((self.height, self.width, *image.shape[2:]), image.dtype)
+        bottom, right = self.top + self.height, self.left + self.width
+        part = image[max(self.top, 0) : max(bottom, 0), max(self.left, 0) : max(right, 0)]
+        top, left = max(-self.top, 0), max(-self.left, 0)
+        seen[top : top + part.shape[0], left : left + part.shape[1]] = part
+        return seen
+
+
+@dataclass(frozen=True)
 class Cutout:
     """A vehicle before black.
 
@@ -73,6 +97,10 @@ class Cutout:
         """(H, W, 3) with that grey behind it."""
         composed: Array = np.clip(self.rgb + (1 - self.alpha[..., None]) * grey, 0.0, 1.0)
         return composed
+
+    def within(self, window: Window) -> Cutout:
+        """The part in a window; beyond the image there is nothing, as around the vehicle."""
+        return Cutout(window.of(self.rgb), window.of(self.alpha))
 
 
 def photographed(rgba: NDArray[np.uint8]) -> Cutout:
@@ -117,13 +145,13 @@ def score_view(
         "mask_iou": mask_iou(shown.mask, truth.mask),
     }
     for distance in distances:
-        window = framed(truth.mask) if distance.framed else (slice(None), slice(None))
-        scores[distance.key] = distance(shown.rgb[window], truth.rgb[window])
+        window = framed(truth.mask) if distance.framed else Window(0, 0, *truth.mask.shape)
+        scores[distance.key] = distance(window.of(shown.rgb), window.of(truth.rgb))
     return scores
 
 
-def framed(mask: Mask, margin: float = 0.1) -> tuple[slice, slice]:
-    """Rows and columns of a square around a mask (H, W), clipped to the image.
+def framed(mask: Mask, margin: float = 0.1) -> Window:
+    """A square around a mask (H, W), whole even where the mask reaches the image's edge.
 
     Args:
         mask: with at least one pixel.
@@ -132,10 +160,9 @@ def framed(mask: Mask, margin: float = 0.1) -> tuple[slice, slice]:
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     low = np.array([rows[0], columns[0]])
     high = np.array([rows[-1], columns[-1]]) + 1
-    half = float(np.max(high - low)) * (0.5 + margin)
-    first = np.maximum(np.floor((low + high) / 2 - half), 0).astype(int)
-    last = np.minimum(np.ceil((low + high) / 2 + half), mask.shape).astype(int)
-    return slice(int(first[0]), int(last[0])), slice(int(first[1]), int(last[1]))
+    side = int(np.ceil(np.max(high - low) * (1 + 2 * margin)))
+    top, left = np.floor((low + high - side) / 2).astype(int)
+    return Window(int(top), int(left), side, side)
 
 
 def mean_scores(scores: Sequence[Mapping[str, float]]) -> dict[str, float]:

@@ -16,8 +16,6 @@ from recast.evaluation.generation_inception import load_inception
 from recast.evaluation.perceptual_features import cosine, load_clip, load_dino
 
 Array = NDArray[np.float64]
-Window = tuple[slice, slice]
-"""Rows and columns of an image, the square around a vehicle."""
 
 TOY_DIMENSIONS = 128
 _SIDE, _CELLS, _ORIENTATIONS = 64, 4, 4
@@ -62,27 +60,28 @@ class Embedder(Protocol):
 
     key: str
 
-    def features(self, cutout: Cutout, window: Window) -> Array:
-        """(D,) of the vehicle in a window."""
+    def features(self, cutout: Cutout) -> Array:
+        """(D,) of a square cutout, the vehicle whole in it."""
 
 
 class ToyFeatures:
     """A handcrafted stand-in for features of networks, where no weights are given.
 
-    The window, filled up to a square and brought to 64 x 64 pixels, is cut into 4 x 4 cells. Of
-    each cell: the means of red, green, blue (multiplied by alpha) and alpha, and a histogram of
-    the gradients of luma before mid grey over four unsigned orientations, magnitudes shared
-    linearly between neighbours, mean over the cell, times four (after Dalal and Triggs 2005,
-    without block normalisation). 128 numbers. The distance of two pictures is the root of the mean
-    squared difference. It tells colour and layout, not realism: no figure in it compares with one
-    by Inception or DINOv2.
+    The square is brought to 64 x 64 pixels and divided into 4 x 4 cells. Of each cell: the means of
+    red, green, blue (multiplied by alpha) and alpha, and a histogram of the gradients of luma
+    before mid grey over four unsigned orientations, magnitudes shared linearly between neighbours,
+    mean over the cell, times four (after Dalal and Triggs 2005, without block normalisation). 128
+    numbers. The distance of two pictures is the root of the mean squared difference. It tells
+    colour and layout, not realism: no figure in it compares with one by Inception or DINOv2.
     """
 
     key = "toy"
 
-    def features(self, cutout: Cutout, window: Window) -> Array:
-        """(128,) of the vehicle in a window."""
-        small = _square(np.dstack([cutout.rgb, cutout.alpha])[window])
+    def features(self, cutout: Cutout) -> Array:
+        """(128,) of a square cutout."""
+        image = np.dstack([cutout.rgb, cutout.alpha])
+        way = cv2.INTER_AREA if len(image) > _SIDE else cv2.INTER_LINEAR
+        small = np.asarray(cv2.resize(image, (_SIDE, _SIDE), interpolation=way), np.float64)
         luma = (small[..., :3] + (1 - small[..., 3:]) * _GREY) @ [0.2126, 0.7152, 0.0722]
         vertical, horizontal = np.gradient(luma)
         where = np.arctan2(vertical, horizontal) / np.pi * _ORIENTATIONS
@@ -97,7 +96,7 @@ class ToyFeatures:
 
 
 class NetworkFeatures:
-    """Features of a network that looks at the window before black.
+    """Features of a network that looks at the vehicle before black.
 
     Args:
         key: of `FEATURE_KINDS`.
@@ -108,9 +107,9 @@ class NetworkFeatures:
         self.key = key
         self._embed = embed
 
-    def features(self, cutout: Cutout, window: Window) -> Array:
-        """(D,) of the vehicle in a window."""
-        return self._embed(cutout.rgb[window])
+    def features(self, cutout: Cutout) -> Array:
+        """(D,) of a square cutout."""
+        return self._embed(cutout.rgb)
 
 
 def load_embedders(
@@ -134,14 +133,3 @@ def load_embedders(
     if inception is not None:
         found.append(NetworkFeatures("inception", load_inception(inception).features))
     return tuple(found)
-
-
-def _square(image: Array) -> Array:
-    """The image (H, W, 4) in the middle of an empty square, as (64, 64, 4)."""
-    height, width = image.shape[:2]
-    side = max(height, width)
-    top, left = (side - height) // 2, (side - width) // 2
-    filled = np.zeros((side, side, image.shape[2]))
-    filled[top : top + height, left : left + width] = image
-    way = cv2.INTER_AREA if side > _SIDE else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(filled, (_SIDE, _SIDE), interpolation=way), np.float64)

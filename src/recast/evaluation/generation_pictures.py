@@ -9,11 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.evaluation.actor_scores import Cutout, Mask
+from recast.evaluation.actor_scores import Cutout, Mask, Window
 
 Image = NDArray[np.uint8]
-Rectangle = tuple[int, int, int, int]
-"""Left, top, width, height in pixels; may reach beyond the image."""
 
 TILE = (136, 92)
 """Width and height of a tile, pixels."""
@@ -39,36 +37,27 @@ class SheetRow:
     truth: Image
 
 
-def tile_window(mask: Mask) -> Rectangle:
+def tile_window(mask: Mask) -> Window:
     """The rectangle of a tile's shape around a mask (H, W) and a margin."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if len(rows) == 0:
-        return 0, 0, mask.shape[1], mask.shape[0]
+        return Window(0, 0, *mask.shape)
     width = (1 + 2 * _MARGIN) * (columns[-1] + 1 - columns[0])
     height = (1 + 2 * _MARGIN) * (rows[-1] + 1 - rows[0])
     width, height = max(width, height * TILE[0] / TILE[1]), max(height, width * TILE[1] / TILE[0])
     left = (columns[0] + columns[-1] + 1 - width) / 2
     top = (rows[0] + rows[-1] + 1 - height) / 2
-    return round(left), round(top), max(1, round(width)), max(1, round(height))
+    return Window(round(top), round(left), max(1, round(height)), max(1, round(width)))
 
 
-def tile(cutout: Cutout, window: Rectangle) -> Image:
+def tile(cutout: Cutout, window: Window) -> Image:
     """A vehicle before grey, a window of it brought to the size of a tile."""
-    left, top, width, height = window
-    canvas = np.full((height, width, 3), _GREY)
-    rows, columns = cutout.alpha.shape
-    inside = (
-        slice(max(top, 0), min(top + height, rows)), slice(max(left, 0), min(left + width, columns))
-    )  # fmt: skip
-    shown = cutout.before(_GREY)[inside]
-    first = (inside[0].start - top, inside[1].start - left)
-    canvas[first[0] : first[0] + shown.shape[0], first[1] : first[1] + shown.shape[1]] = shown
-    way = cv2.INTER_AREA if width > TILE[0] else cv2.INTER_LINEAR
-    pixels = (canvas * 255).round().astype(np.uint8)
+    pixels = (cutout.within(window).before(_GREY) * 255).round().astype(np.uint8)
+    way = cv2.INTER_AREA if window.width > TILE[0] else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(pixels, TILE, interpolation=way), np.uint8)
 
 
-def strip(cutouts: Sequence[Cutout], windows: Sequence[Rectangle]) -> Image:
+def strip(cutouts: Sequence[Cutout], windows: Sequence[Window]) -> Image:
     """Tiles of several views side by side, a thin white line after each."""
     tiles = []
     for cutout, window in zip(cutouts, windows, strict=True):

@@ -163,11 +163,9 @@ class CellMaker:
 
     def _features(self, shown: Sequence[Cutout], truths: Sequence[Cutout]) -> dict[str, Features]:
         """Of every view, seen in the square around the photographed vehicle."""
-        windows = [framed(truth.mask) for truth in truths]
+        squares = [one.within(framed(truth.mask)) for one, truth in zip(shown, truths, strict=True)]
         return {
-            embedder.key: np.stack(
-                [embedder.features(one, at) for one, at in zip(shown, windows, strict=True)]
-            ).astype(np.float32)
+            embedder.key: np.stack([embedder.features(one) for one in squares]).astype(np.float32)
             for embedder in self._embedders
         }
 

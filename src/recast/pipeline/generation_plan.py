@@ -13,13 +13,16 @@ from recast.errors import InputError
 from recast.evaluation.actor_cases import ActorCase, ActorView
 from recast.evaluation.bootstrap import SAMPLES
 from recast.evaluation.generation_placement import Placement
-from recast.pipeline.actor import generator_source
+from recast.pipeline.sources import generator_source
 from recast.pipeline.fingerprint import file_hash, folder_hash, value_hash
 from recast.pipeline.generation_maker import CellJob, Measures
 from recast.recar.perturb import PerturbationConfig
 from recast.trellis import verify_checkpoint
 
 CLEAN, PERTURBED = "clean", "perturbed"
+
+RECIPE = 2
+"""Changes when the same model and vehicle give other scores, so that older cells are made anew."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,39}")
 
@@ -114,7 +117,9 @@ def plan_jobs(
     settings: StudySettings, cases: Sequence[ActorCase], sources: Mapping[str, str], out: Path
 ) -> list[CellJob]:
     """All cells, those of one model in a row."""
-    shared = {"seed": settings.seed, "measures": measure_hashes(settings.measures)}
+    shared = {
+        "recipe": RECIPE, "seed": settings.seed, "measures": measure_hashes(settings.measures)
+    }  # fmt: skip
     perturbed = settings.perturbed
     befalls = None if perturbed is None else perturbed.model_dump(mode="json")
     keys = {case.id: _case_key(case) for case in cases}
