@@ -8,10 +8,22 @@ from typing import Any
 
 import torch
 from safetensors.torch import load_file
-from torch import Tensor
+from torch import Tensor, nn
 
 FOLDER = Path(__file__).parents[1] / "golden" / "trellis"
+
+FLOAT32, FLOAT16 = 2.0**-24, 2.0**-11
+"""Relative error of one rounding."""
+
 RELATIVE = 1e-5
+"""168 roundings of float32: what sums of some hundred terms in another order may differ by."""
+
+AFTER_TIME = 1000 * 5 * FLOAT32
+"""What may differ behind the embedding of a diffusion time of up to 1000. The published code
+computes its angles in float32, of which five roundings (constant, product, division, exponential,
+product) move cosines by up to 3e-4, otherwise on every processor; ours are of float64. The weights
+of the golden networks are drawn from N(0, 1 / fan_in), so that layers carry errors on as they are.
+"""
 
 
 def golden_tensors(name: str) -> dict[str, Tensor]:
@@ -38,3 +50,17 @@ def assert_same(found: Tensor, expected: Tensor, relative: float = RELATIVE) -> 
     error = float((found.double() - expected.double()).abs().max())
     scale = float(expected.double().abs().max())
     assert error <= relative * scale, f"relative error {error / scale:.2e}"
+
+
+def half_bound(model: nn.Module) -> float:
+    """How far a network with layers in half precision may lie from itself in float32.
+
+    Relative to its largest output: every layer in half precision rounds its weights and what it
+    returns, and the layers behind it carry that on as it is (see `AFTER_TIME`).
+    """
+    layers = sum(
+        any(parameter.dtype == torch.float16 for parameter in module.parameters(recurse=False))
+        for module in model.modules()
+    )
+    assert layers > 0
+    return 2 * layers * FLOAT16

@@ -22,10 +22,10 @@ def timestep_embedding(t: Tensor, channels: int = 256) -> Tensor:
         (B, channels) float32, cosines in the first half (Peebles and Xie 2023, DiT).
     """
     half = channels // 2
-    steps = torch.arange(half, dtype=torch.float32, device=t.device)
-    frequencies = torch.exp(-math.log(MAX_PERIOD) * steps / half)
-    angles = t.float().unsqueeze(1) * frequencies
-    return torch.cat([angles.cos(), angles.sin()], dim=1)
+    # In float32 an angle of 1000 is only good to 6e-5, and its cosine differs between processors.
+    steps = torch.arange(half, dtype=torch.float64, device=t.device)
+    angles = t.double().unsqueeze(1) * torch.exp(-math.log(MAX_PERIOD) * steps / half)
+    return torch.cat([angles.cos(), angles.sin()], dim=1).float()
 
 
 def absolute_positions(coords: Tensor, channels: int) -> Tensor:
@@ -42,10 +42,9 @@ def absolute_positions(coords: Tensor, channels: int) -> Tensor:
         (T, channels) float32.
     """
     count = channels // 3 // 2
-    steps = torch.arange(count, dtype=torch.float32, device=coords.device) / count
-    frequencies = 1.0 / MAX_PERIOD**steps
-    angles = coords.float().unsqueeze(-1) * frequencies
-    waves = torch.cat([angles.sin(), angles.cos()], dim=-1).flatten(1)
+    steps = torch.arange(count, dtype=torch.float64, device=coords.device) / count
+    angles = coords.double().unsqueeze(-1) * MAX_PERIOD**-steps
+    waves = torch.cat([angles.sin(), angles.cos()], dim=-1).flatten(1).float()
     return functional.pad(waves, (0, channels - waves.shape[1]))
 
 
