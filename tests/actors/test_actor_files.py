@@ -1,10 +1,13 @@
 from __future__ import annotations
 
 import json
+import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from safetensors.torch import load_file, save_file
 
 from recast.actors import Actor, PlyGenerator, load_actor, make_generator, save_actor
 from recast.actors.observation import Observation
@@ -54,6 +57,64 @@ def test_another_version(actor: Actor, tmp_path: Path) -> None:
     record["version"] = 99
     file.write_text(json.dumps(record))
     with pytest.raises(InputError, match="version"):
+        load_actor(tmp_path / "actor")
+
+
+@pytest.mark.parametrize("size", [[4.5, -1.8, 1.5], [4.5, 0.0, 1.5], [4.5, 1e200, 1.5]])
+def test_a_size_that_no_vehicle_has(actor: Actor, tmp_path: Path, size: list[float]) -> None:
+    save_actor(actor, tmp_path / "actor")
+    file = tmp_path / "actor" / "actor.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"size": size}))
+    with pytest.raises(InputError, match=r"Actor\.size: three metres of") as caught:
+        load_actor(tmp_path / "actor")
+    assert str(tmp_path / "actor") in str(caught.value)
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
+@pytest.mark.parametrize("member", ["size", "azimuth"])
+def test_numbers_that_are_not_finite(
+    actor: Actor, tmp_path: Path, member: str, number: str
+) -> None:
+    save_actor(actor, tmp_path / "actor")
+    file = tmp_path / "actor" / "actor.json"
+    record = json.loads(file.read_text())
+    if member == "size":
+        record["size"][1] = "HERE"
+    else:
+        record["provenance"]["azimuth"] = "HERE"
+    file.write_text(json.dumps(record).replace('"HERE"', number))
+    with pytest.raises(InputError, match=r"actor\.json"):
+        load_actor(tmp_path / "actor")
+
+
+def test_infinite_sizes_are_not_saved(actor: Actor, tmp_path: Path) -> None:
+    wrong = replace(actor, size=np.array([4.5, np.inf, 1.5]))
+    with pytest.raises(ValueError, match=r"Actor\.size"):
+        save_actor(wrong, tmp_path / "actor")
+    assert not (tmp_path / "actor").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("quats", 1e-30), ("log_scales", 20.0), ("sh", np.nan), ("means", 1e20)]
+)
+def test_a_shadow_out_of_range(actor: Actor, tmp_path: Path, name: str, value: float) -> None:
+    save_actor(actor, tmp_path / "actor")
+    path = tmp_path / "actor" / "shadow.safetensors"
+    tensors = {key: tensor.clone() for key, tensor in load_file(path).items()}
+    tensors[name][3] = value
+    save_file(tensors, path)
+    with pytest.raises(InputError, match=rf"shadow\.safetensors: {name}: row 3"):
+        load_actor(tmp_path / "actor")
+
+
+def test_the_source_image_is_measured_before_it_is_decoded(actor: Actor, tmp_path: Path) -> None:
+    save_actor(actor, tmp_path / "actor")
+    path = tmp_path / "actor" / "source.png"
+    data = bytearray(path.read_bytes())
+    data[16:24] = (9000).to_bytes(4, "big") * 2  # width and height; 324 MB of pixels
+    data[29:33] = zlib.crc32(data[12:29]).to_bytes(4, "big")
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"source\.png: image: is RGBA of 9000x9000"):
         load_actor(tmp_path / "actor")
 
 

@@ -146,6 +146,20 @@ def no_json(folder: Path) -> None:
     (folder / "sam/config.json").write_text("{")
 
 
+def member(file: str, *path: str, value: int) -> Callable[[Path], None]:
+    """Set a member of a JSON file, which may lie in objects of others."""
+
+    def in_folder(folder: Path) -> None:
+        record = json.loads((folder / file).read_text())
+        inner = record
+        for name in path[:-1]:
+            inner = inner.setdefault(name, {})
+        inner[path[-1]] = value
+        (folder / file).write_text(json.dumps(record))
+
+    return in_folder
+
+
 def without_a_tensor(folder: Path) -> None:
     path = folder / "sam/model.safetensors"
     tensors = load_file(path)
@@ -191,6 +205,10 @@ def says_nothing(folder: Path) -> None:
         (pointer, ("model.safetensors", "no whole safetensors file")),
         (other_network, ("config.json", "'sam2'", "not 'sam'")),
         (no_json, ("config.json", "JSON")),
+        (member("sam/config.json", "vision_config", "num_hidden_layers", value=10**9),
+         ("config.json", "vision_config.num_hidden_layers is 1000000000")),
+        (member("sam/preprocessor_config.json", "size", "longest_edge", value=10**6),
+         ("preprocessor_config.json", "size.longest_edge is 1000000")),
     ],
 )  # fmt: skip
 def test_refused_before_any_work(
@@ -218,6 +236,10 @@ def test_refused_before_any_work(
         ),
         (not_finite, ("model.level_embed", "not finite")),
         (says_nothing, ("mask: is empty", "box-lidar")),
+        (
+            member("sam/config.json", "vision_config", "mlp_dim", value=10**9),
+            ("sam", "config.json asks for", "are stored"),
+        ),
     ],
 )
 def test_refused_when_read(

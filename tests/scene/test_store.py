@@ -2,15 +2,18 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from recast.errors import InputError
 from recast.scene import SceneActor, StreetScene, TrainResult, load_scene, save_scene
+from recast.scene.tensor_file import read_tensors, write_tensors
 from recast.scene.trainable import rows
 from recast.splats import Gaussians
 
@@ -93,4 +96,101 @@ def test_a_field_of_the_wrong_kind(folder: Path) -> None:
     record["actors"][0]["size"] = "big"
     (folder / "scene.json").write_text(json.dumps(record))
     with pytest.raises(InputError, match="size"):
+        load_scene(folder)
+
+
+def edit(folder: Path, **members: object) -> None:
+    record = json.loads((folder / "scene.json").read_text())
+    actor = members.pop("actor", {})
+    record.update(members)
+    record["actors"][0].update(actor)
+    (folder / "scene.json").write_text(json.dumps(record))
+
+
+@pytest.mark.parametrize("name", ["../elsewhere.ply", "/etc/passwd", "a\0b", "", "..\\x", "C:x"])
+@pytest.mark.parametrize("field", ["background", "tensors", "gaussians", "shadow"])
+def test_a_record_names_nothing_outside_of_its_folder(folder: Path, field: str, name: str) -> None:
+    shutil.copy(folder / "background.ply", folder.parent / "elsewhere.ply")
+    edit(
+        folder,
+        **({field: name} if field in ("background", "tensors") else {"actor": {field: name}}),
+    )
+    with pytest.raises(InputError, match=f"{field}: names .*no file inside of copy/"):
+        load_scene(folder)
+
+
+def tensors_with(folder: Path, name: str, change: Callable[[torch.Tensor], torch.Tensor]) -> None:
+    tensors, header = read_tensors(folder / "scene.safetensors")
+    tensors = {key: tensor.clone() for key, tensor in tensors.items()}
+    tensors[name] = change(tensors[name])
+    write_tensors(folder / "scene.safetensors", tensors, header)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "problem"),
+    [
+        ("sky", lambda t: t * torch.nan, "sky: holds a colour outside"),
+        ("sky", lambda t: t + torch.inf, "sky: holds a colour outside"),
+        ("sky", lambda t: t - 1.5, "sky: holds a colour outside"),
+        ("sky", lambda t: t[..., :2], r"sky: expected \(H, W, 3\)"),
+        ("sky", lambda t: t.half(), "sky: is of torch.float16"),
+        ("sky", lambda t: t[:0], r"sky: expected \(H, W, 3\)"),
+        ("actor/0/poses", lambda t: t * 2, "not a rotation|last row"),
+        ("actor/0/poses", lambda t: t * torch.nan, "nan is not within"),
+        ("actor/0/poses", lambda t: t[:-1], "poses: expected"),
+        ("actor/0/poses", lambda t: t.bfloat16(), "is of torch.bfloat16"),
+        ("actor/0/timestamps_us", lambda t: t.flip(0), "increase strictly"),
+        ("camera/image_02/twists", lambda t: t * torch.nan, "not finite"),
+        ("camera/image_02/twists", lambda t: t[:, :5], "twists"),
+        ("camera/image_02/timestamps_us", lambda t: t.flip(0), "increase strictly"),
+    ],
+)
+def test_values_that_no_scene_has(
+    folder: Path, name: str, change: Callable[[torch.Tensor], torch.Tensor], problem: str
+) -> None:
+    camera = json.loads((folder / "scene.json").read_text())["cameras"][0]
+    tensors_with(folder, name.replace("image_02", camera), change)
+    with pytest.raises(InputError, match=problem) as caught:
+        load_scene(folder)
+    assert str(folder) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("members", "problem"),
+    [
+        ({"actor": {"size": [4, -2, 1]}}, "size: three metres"),
+        ({"actor": {"size": [4, 0, 1]}}, "size: three metres"),
+        ({"actor": {"size": [4, 1e300, 1]}}, "size: three metres"),
+        ({"world_offset": [1e308, "x", 0]}, "world_offset"),
+    ],
+)
+def test_numbers_that_no_scene_has(folder: Path, members: dict[str, object], problem: str) -> None:
+    edit(folder, **members)
+    with pytest.raises(InputError, match=problem):
+        load_scene(folder)
+
+
+def test_a_track_stands_once(folder: Path) -> None:
+    record = json.loads((folder / "scene.json").read_text())
+    edit(folder, actors=record["actors"] * 2)
+    with pytest.raises(InputError, match="name a track twice"):
+        load_scene(folder)
+
+
+def test_an_invalid_scene_is_not_written(trained: TrainResult, tmp_path: Path) -> None:
+    actor = trained.scene.actors["0"]
+    wrong = trained.scene.with_actor(replace(actor, size=np.array([4.0, np.nan, 1.5])))
+    with pytest.raises(ValueError, match=r"actors\['0'\]\.size"):
+        save_scene(wrong, tmp_path / "scene")
+    assert not (tmp_path / "scene").exists()
+
+
+def test_a_header_of_many_brackets(folder: Path) -> None:
+    tensors, _ = read_tensors(folder / "scene.safetensors")
+    path = folder / "scene.safetensors"
+    save_file({k: t.clone() for k, t in tensors.items()}, path, {"recast": "[" * 10_000})
+    with pytest.raises(InputError, match="nested too deeply"):
+        load_scene(folder)
+    save_file({k: t.clone() for k, t in tensors.items()}, path, {"recast": "9" * 10_000})
+    with pytest.raises(InputError, match=r"cannot be read|no object"):
         load_scene(folder)

@@ -65,7 +65,7 @@ def test_centres_stay_within_three_quarters_of_a_voxel(
     centre = ((coords.double() + 0.5) / resolution - 0.5).repeat_interleave(count, dim=0)
     assert float((found.means - centre).abs().max()) <= 0.75 / resolution + 1e-7
     assert float(found.log_scales.min()) >= math.log(9e-4) - 1e-5
-    if exponent < 15:  # beyond, the squares in a quaternion's norm leave float32
+    if exponent < 5:  # beyond, standard deviations leave what the rasterizer takes
         found.validate()
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 import pytest
@@ -54,6 +55,11 @@ def test_other_networks_can_join() -> None:
         ("SLatFlowModel", {"num_heads": 5}, "do not divide into 5 heads"),
         ("SLatFlowModel", {"pe_mode": "rope"}, "model.json: pe_mode: Input should be 'ape'"),
         ("SLatFlowModel", {"num_blocks": None}, "model.json: num_blocks: "),
+        ("SLatFlowModel", {"num_blocks": 10**9}, "num_blocks: Input should be less than"),
+        ("SLatFlowModel", {"mlp_ratio": math.inf}, "mlp_ratio: Input should be "),
+        ("SLatFlowModel", {"mlp_ratio": 1e300}, "mlp_ratio: Input should be "),
+        ("SLatFlowModel", {"model_channels": 10**30}, "model_channels: "),
+        ("SLatFlowModel", {"io_block_channels": [1] * 10**6}, "io_block_channels: Tuple should"),
     ],
 )
 def test_wrong_configurations_are_refused_in_a_line(
@@ -68,3 +74,17 @@ def test_wrong_configurations_are_refused_in_a_line(
 def test_arguments_that_are_no_table_are_refused() -> None:
     with pytest.raises(InputError, match=r"model\.json: "):
         build("SLatFlowModel", [1, 2], "model.json")
+
+
+def test_sizes_that_no_memory_holds() -> None:
+    """On the meta device, where files are checked: what overflows is refused, nothing is taken."""
+    args = {**golden_config("ss_flow")["args"], "resolution": 65536, "patch_size": 1}
+    args |= {"model_channels": 65536, "num_heads": 64}
+    with (
+        torch.device("meta"),
+        pytest.raises(InputError, match=r"model\.json: args: make no network"),
+    ):
+        build("SparseStructureFlowModel", args, "model.json")
+    with torch.device("meta"):
+        large = build("SparseStructureFlowModel", args | {"resolution": 4096}, "model.json")
+    assert large.published_state()["pos_emb"].numel() == 4096**3 * 65536

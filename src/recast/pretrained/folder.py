@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 
 from recast.errors import InputError
 from recast.storage import read_json
@@ -17,6 +18,10 @@ from recast.storage import read_json
 CONFIG_FILE = "config.json"
 WEIGHTS_FILE = "model.safetensors"
 _PROCESSOR_FILES = ("preprocessor_config.json", "processor_config.json")
+
+MOST_PIXELS = 8192
+"""Edge of an image that a processor may make."""
+_SPARE = 1 << 20  # numbers of buffers that are computed, not stored
 
 
 @dataclass(frozen=True)
@@ -59,37 +64,72 @@ class PretrainedFolder:
         """Refuse what cannot work, without reading the weights or importing transformers.
 
         Raises:
-            InputError: a file is missing, is of another network, or is no whole safetensors file.
+            InputError: a file is missing, is of another network, or is no whole safetensors file; a
+                configuration has more layers than the weights have tensors, or makes images too
+                large.
         """
         self.files()
         config = read_json(self.path / CONFIG_FILE)
         found = config.get("model_type") if isinstance(config, dict) else None
         if found != self.model_type:
             raise self._refusal(CONFIG_FILE, f"is of model_type {found!r}, not {self.model_type!r}")
+        # Layers are made one by one before their weights are looked for.
+        most = len(self._shapes())
+        self._bound(CONFIG_FILE, config, ("layer", "depth", "block"), most, "(stored tensors)")
+        for name in _PROCESSOR_FILES:
+            if (self.path / name).is_file():
+                told = read_json(self.path / name)
+                self._bound(name, told, ("size", "edge", "height", "width"), MOST_PIXELS, "pixels")
+
+    def _shapes(self) -> dict[str, list[int]]:
+        """Shapes of the stored tensors, of which nothing but the header is read."""
         try:
-            with safe_open(self.path / WEIGHTS_FILE, "pt") as weights:
-                weights.keys()
-        except (SafetensorError, OSError) as error:
+            with safe_open(self.path / WEIGHTS_FILE, "pt") as file:
+                return {name: file.get_slice(name).get_shape() for name in file.keys()}  # noqa: SIM118
+        except Exception as error:  # of the parser, of torch, of the file system
             raise self._refusal(
                 WEIGHTS_FILE, f"is no whole safetensors file ({_first_line(error)})"
             ) from None
+
+    def _bound(self, file: str, config: Any, names: tuple[str, ...], most: int, unit: str) -> None:
+        """Refuse numbers above `most` of members with one of `names` in their path."""
+        waiting = [("", config)]
+        while waiting:
+            path, value = waiting.pop()
+            if isinstance(value, dict):
+                waiting += [(f"{path}.{name}".lstrip("."), one) for name, one in value.items()]
+            elif isinstance(value, list):
+                waiting += [(path, one) for one in value]
+            elif not isinstance(value, int | float) or value <= most:
+                continue
+            elif any(name in path for name in names):
+                raise self._refusal(file, f"{path} is {value}, {most} {unit} is the most")
 
     def read(self, device: str) -> tuple[Any, Any]:
         """Processor and network, in float32, ready to infer.
 
         Raises:
-            InputError: see `check`; or tensors are missing, of another shape or not finite.
+            InputError: see `check`; or tensors are missing, of another shape or not finite, or the
+                configuration asks for more numbers than are stored.
         """
         self.check()
         import transformers
 
         options = {"local_files_only": True}
+        stored = sum(math.prod(shape) for shape in self._shapes().values())
         with _quiet():
             try:
+                # Without memory first: what is asked for must be there before it is taken.
+                network = getattr(transformers, self.model_class)
+                with torch.device("meta"):
+                    empty = network(network.config_class.from_pretrained(self.path, **options))
+                asked = sum(one.numel() for one in (*empty.parameters(), *empty.buffers()))
+                if asked > 2 * stored + _SPARE:  # smaller differences are told by name below
+                    raise ValueError(f"{CONFIG_FILE} asks for {asked} numbers, {stored} are stored")
                 processor = getattr(transformers, self.processor_class).from_pretrained(
                     self.path, **options
                 )
-                model, loaded = getattr(transformers, self.model_class).from_pretrained(
+                model, loaded = network.from_pretrained(
                     self.path, use_safetensors=True, output_loading_info=True,
                     ignore_mismatched_sizes=True, dtype=torch.float32, **options,
                 )  # fmt: skip

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from recast.logs import Trajectory
 from recast.splats import Gaussians
+from recast.splats.gaussians import LARGEST
 
 
 def fourier_basis(share: float, terms: int) -> Tensor:
@@ -53,6 +54,16 @@ class Appearance:
 
     waves: Tensor
     frozen_share: float
+
+    def validate(self, where: str, count: int) -> None:
+        """Raise ValueError naming the member at fault of an actor `where` of `count` Gaussians."""
+        shape = tuple(self.waves.shape)
+        if len(shape) != 3 or shape[0] != count or shape[2] != 3:
+            raise ValueError(f"{where}.waves: expected ({count}, F - 1, 3), got {shape}")
+        if not bool((self.waves.abs() < LARGEST).all()):  # also NaN
+            raise ValueError(f"{where}.waves: a value is not finite, or out of range")
+        if not 0 <= self.frozen_share <= 1:
+            raise ValueError(f"{where}.frozen_share: {self.frozen_share} is not within [0, 1]")
 
     def at(self, frozen: Gaussians, share: float) -> Gaussians:
         """The Gaussians with the colours of another share of the time."""

@@ -32,6 +32,14 @@ class SkyMap:
 
     colours: Tensor
 
+    def validate(self) -> None:
+        """Raise ValueError: no map of colours, or one that is not within [0, 1]."""
+        shape = tuple(self.colours.shape)
+        if len(shape) != 3 or shape[2] != 3 or 0 in shape or self.colours.dtype != torch.float32:
+            raise ValueError(f"sky: expected (H, W, 3) float32, got {shape} {self.colours.dtype}")
+        if not bool(((self.colours >= 0) & (self.colours <= 1)).all()):  # also NaN
+            raise ValueError("sky: holds a colour outside of [0, 1]")
+
     @classmethod
     def constant(cls, colour: Tensor, height: int = HEIGHT, width: int = WIDTH) -> SkyMap:
         """One colour (3,) everywhere."""

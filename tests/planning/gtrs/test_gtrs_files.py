@@ -161,7 +161,22 @@ def test_a_checkpoint_with_other_objects_is_not_executed(tmp_path: Path) -> None
     assert "is never unpickled" in line and "getcwd" in line
     torch.save({"state_dict": {"x": [1.0]}}, tmp_path / "x.ckpt")
     assert "x: is list, not a tensor" in _refusal(lambda: load_checkpoint(tmp_path / "x.ckpt"))
-    assert "no such file" in _refusal(lambda: load_checkpoint(tmp_path / "none.ckpt"))
+    assert "is missing" in _refusal(lambda: load_checkpoint(tmp_path / "none.ckpt"))
+
+
+def test_an_expanded_tensor_takes_no_memory(state: State, tmp_path: Path) -> None:
+    """A kilobyte that claims 48 GB, in place of the vocabulary and of a weight."""
+    bomb = torch.zeros(1).expand(10**8, 40, 3)
+    for name in (VOCABULARY, "downscale_layer.bias"):
+        torch.save(state | {name: bomb}, tmp_path / "bomb.pth")
+        line = _refusal(lambda: load_checkpoint(tmp_path / "bomb.pth", config=TINY))
+        assert "has a tensor of 100000000x40x3 values, of which 4 bytes are stored" in line
+
+
+@pytest.mark.parametrize("dtype", [torch.int64, torch.bool, torch.complex64])
+def test_a_vocabulary_of_other_numbers(state: State, tmp_path: Path, dtype: torch.dtype) -> None:
+    torch.save(state | {VOCABULARY: state[VOCABULARY].to(dtype)}, tmp_path / "x.pth")
+    assert "not numbers" in _refusal(lambda: load_checkpoint(tmp_path / "x.pth", config=TINY))
 
 
 def test_names_with_and_without_prefix_do_not_merge(state: State, tmp_path: Path) -> None:

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from typing import Annotated, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from recast.records import Record
 
 Count = Annotated[int, Field(gt=0, le=65536, strict=True)]
 """A positive whole number; the upper bound keeps a typing error from asking for all memory."""
 
 
-class GtrsRecord(BaseModel):
-    """Base of what is stored in `config.json`: immutable, and every member is known."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+Depth = Annotated[int, Field(gt=0, le=64, strict=True)]
+"""Layers in a row, seven times those of the released model: each is made in Python."""
 
 
-class StageConfig(GtrsRecord):
+class StageConfig(Record):
     """One stage of the backbone.
 
     Attributes:
@@ -25,7 +25,7 @@ class StageConfig(GtrsRecord):
         out_channels: of each block's output.
     """
 
-    blocks: Count
+    blocks: Depth
     conv_channels: Count
     out_channels: Count
 
@@ -35,7 +35,7 @@ def _v2_99() -> tuple[StageConfig, ...]:
     return tuple(StageConfig(blocks=b, conv_channels=c, out_channels=o) for b, c, o in sizes)
 
 
-class BackboneConfig(GtrsRecord):
+class BackboneConfig(Record):
     """A VoVNetV2 (Lee and Park 2020) with eSE in every block; the defaults are V2-99.
 
     Attributes:
@@ -48,7 +48,7 @@ class BackboneConfig(GtrsRecord):
 
     stem: tuple[Count, Count, Count] = (64, 64, 128)
     stages: tuple[StageConfig, ...] = Field(default_factory=_v2_99, min_length=1, max_length=6)
-    layers: Count = 5
+    layers: Depth = 5
     frozen_norm: bool = True
 
     @property
@@ -62,7 +62,7 @@ class BackboneConfig(GtrsRecord):
         return 4 * 2 ** (len(self.stages) - 1)
 
 
-class GtrsConfig(GtrsRecord):
+class GtrsConfig(Record):
     """A GTRS-Dense model (Li et al. 2025); the defaults are the released one.
 
     Attributes:
@@ -78,7 +78,7 @@ class GtrsConfig(GtrsRecord):
     channels: Count = 256
     feedforward: Count = 1024
     heads: Count = 8
-    decoder_layers: Count = 3
+    decoder_layers: Depth = 3
     token_rows: Count = 16
     token_columns: Count = 64
 

@@ -10,14 +10,14 @@ from pydantic import Field
 from safetensors.torch import save
 
 from recast.errors import InputError
-from recast.planning.gtrs.config import GtrsConfig, GtrsRecord
+from recast.planning.gtrs.config import GtrsConfig
 from recast.planning.gtrs.model import empty_model
 from recast.planning.gtrs.planner import GtrsPlanner
 from recast.planning.gtrs.scores import VOCABULARY_ONLY, ScoreWeights
 from recast.planning.gtrs.views import WAYMO_NATIVE, ViewLayout
 from recast.planning.gtrs.vocabulary import check_vocabulary, read_vocabulary, write_vocabulary
 from recast.planning.gtrs.weights import VOCABULARY, load_weights, read_weights
-from recast.records import read_record
+from recast.records import Record, read_record
 from recast.storage import atomic_folder, write_bytes, write_json
 
 CONFIG_FILE = "config.json"
@@ -27,7 +27,7 @@ VOCABULARY_FILE = "vocabulary.npy"
 _MEND = "write the folder anew with save_gtrs"
 
 
-class _Config(GtrsRecord):
+class _Config(Record):
     """`config.json`."""
 
     format: Literal["recast-gtrs"]
@@ -112,7 +112,7 @@ def load_checkpoint(
     if vocabulary is not None:
         trajectories = read_vocabulary(vocabulary)
     elif VOCABULARY in tensors:
-        trajectories = check_vocabulary(path, tensors[VOCABULARY].float().numpy())
+        trajectories = check_vocabulary(path, tensors[VOCABULARY])
     else:
         raise InputError(path, VOCABULARY, "is missing", "give a vocabulary file")
     model = empty_model(config or GtrsConfig())

@@ -10,11 +10,11 @@ from pydantic import NonNegativeFloat, PositiveFloat
 from torch import Tensor
 from torch.nn import functional
 
-from recast.planning.gtrs.config import GtrsRecord
 from recast.planning.gtrs.head import IMITATION
+from recast.records import Record
 
 
-class ScoreWeights(GtrsRecord):
+class ScoreWeights(Record):
     """Weights of the final score; see `final_score`.
 
     Attributes:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from recast.errors import InputError
 from recast.planning.types import WAYPOINTS
@@ -27,20 +28,19 @@ def read_vocabulary(path: str | Path) -> Trajectories:
         InputError: the file is missing, is no array of numbers, or `check_vocabulary` refuses it.
     """
     path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "vocabulary", "is missing or no file", "check the path")
     try:
         # Mapped first: what the header claims is checked before memory is asked for.
         array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except FileNotFoundError:
-        raise InputError(path, "vocabulary", "is missing", "check the path") from None
-    except (ValueError, OSError, EOFError, BadZipFile) as error:
-        said = " ".join(str(error).split())
-        raise InputError(path, "vocabulary", f"cannot be read ({said})", _MEND) from None
+    except Exception as error:  # NumPy reads headers as Python literals, and raises as that does
+        raise InputError(path, "vocabulary", f"cannot be read ({error})", _MEND) from None
     if not isinstance(array, np.ndarray):
         raise InputError(path, "vocabulary", "holds several arrays", _MEND)
     return check_vocabulary(path, array)
 
 
-def check_vocabulary(where: str | Path, array: NDArray[np.generic]) -> Trajectories:
+def check_vocabulary(where: str | Path, array: NDArray[np.generic] | Tensor) -> Trajectories:
     """A copy of `array` as a vocabulary, float32.
 
     Args:
@@ -50,8 +50,13 @@ def check_vocabulary(where: str | Path, array: NDArray[np.generic]) -> Trajector
         InputError: it is not (L, 40, 3) with L at least 1, holds no floating-point numbers, or NaN
             or infinite ones.
     """
-    if array.ndim != 3 or array.shape[1:] != (WAYPOINTS, 3) or len(array) == 0:
-        raise InputError(where, "vocabulary", f"has shape {array.shape}", _MEND)
+    shape = tuple(array.shape)
+    if len(shape) != 3 or shape[1:] != (WAYPOINTS, 3) or shape[0] == 0:
+        raise InputError(where, "vocabulary", f"has shape {shape}", _MEND)
+    if isinstance(array, Tensor):
+        if not array.is_floating_point():
+            raise InputError(where, "vocabulary", f"holds {array.dtype}, not numbers", _MEND)
+        array = array.detach().to(torch.float64).numpy()
     if not np.issubdtype(array.dtype, np.floating):
         raise InputError(where, "vocabulary", f"holds {array.dtype}, not numbers", _MEND)
     with np.errstate(over="ignore"):  # becomes infinite, which is refused

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from recast.errors import InputError
 from recast.planning.gtrs.model import GtrsModel
-from recast.torch_file import read_torch_file
+from recast.storage import disk_errors
+from recast.torch_file import read_safetensors, read_torch_file
 
 PREFIX = "agent.model."
 """Before every name in a released Lightning checkpoint."""
@@ -36,13 +36,9 @@ def read_weights(path: str | Path) -> dict[str, Tensor]:
         InputError: the file is missing, cannot be read, or holds other objects.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            pickled = file.read(4).startswith(_PICKLES)
-    except OSError as error:
-        problem = (error.strerror or "cannot be read").lower()
-        raise InputError(path, "file", problem, "check the path") from None
-    tensors = _read_pytorch(path) if pickled else _read_safetensors(path)
+    with disk_errors(path), path.open("rb") as file:
+        pickled = file.read(4).startswith(_PICKLES)
+    tensors = _read_pytorch(path) if pickled else read_safetensors(path, "file", _MEND)[0]
     bare = {name.removeprefix(PREFIX): tensor for name, tensor in tensors.items()}
     if len(bare) < len(tensors):
         raise InputError(
@@ -98,14 +94,6 @@ def load_weights(
         model.to_empty(device=device)
     model.to(device).load_state_dict(given)
     model.eval()
-
-
-def _read_safetensors(path: Path) -> dict[str, Tensor]:
-    try:
-        with safe_open(path, framework="pt") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError, ValueError) as error:
-        raise InputError(path, "file", f"cannot be read ({error})", _MEND) from None
 
 
 def _read_pytorch(path: Path) -> dict[str, Tensor]:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from recast.errors import InputError
+from recast.torch_file import read_safetensors
 from recast.trellis.checkpoints.agreement import check_agreement
 from recast.trellis.checkpoints.backbone import load_image_encoder
 from recast.trellis.checkpoints.model_files import ModelFiles, model_files
@@ -118,11 +118,7 @@ def read_tensors(path: Path) -> dict[str, Tensor]:
     Raises:
         InputError: the file cannot be read.
     """
-    try:
-        with safe_open(path, framework="pt") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError, ValueError) as error:
-        raise InputError(path, "file", f"cannot be read ({error})", "fetch it anew") from None
+    return read_safetensors(path, "file", "fetch it anew")[0]
 
 
 def _fill(

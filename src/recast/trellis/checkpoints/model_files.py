@@ -23,7 +23,7 @@ from recast.trellis.models import TrellisModel, build
 class ModelRecord(BaseModel):
     """`<stem>.json`: class and constructor arguments of a model."""
 
-    model_config = ConfigDict(frozen=True, strict=True, extra="allow")
+    model_config = ConfigDict(frozen=True, strict=True, extra="allow", allow_inf_nan=False)
 
     name: str = Field(min_length=1)
     args: dict[str, Any]

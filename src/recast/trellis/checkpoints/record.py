@@ -20,7 +20,7 @@ from pydantic_core import PydanticCustomError
 
 from recast.errors import InputError
 from recast.records import validation_error
-from recast.storage import write_json
+from recast.storage import JSON_LIMIT, read_bytes, write_json
 from recast.trellis.checkpoints.roles import PUBLISHED_BACKBONE
 from recast.trellis.flow import SamplerSettings
 
@@ -160,15 +160,14 @@ def read_pipeline(folder: Path) -> PipelineRecord:
             or a model's path leaves the folder.
     """
     path = folder / PIPELINE_FILE
-    try:
-        # From the text, not from parsed JSON: only so are lists of JSON tuples in strict mode.
-        return PipelineRecord.model_validate_json(path.read_bytes())
-    except (FileNotFoundError, NotADirectoryError):
+    if not path.is_file():
         raise InputError(
             folder, PIPELINE_FILE, "is missing", "name a folder in the published layout"
-        ) from None
-    except OSError as error:
-        raise InputError(path, "file", str(error.strerror).lower(), "check the folder") from None
+        )
+    data = read_bytes(path, JSON_LIMIT)
+    try:
+        # From the text, not from parsed JSON: only so are lists of JSON tuples in strict mode.
+        return PipelineRecord.model_validate_json(data)
     except ValidationError as error:
         raise validation_error(path, error, _MEND) from None
 

@@ -6,15 +6,14 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
-import torch
 from rich.markup import escape
 from rich.table import Table
-from safetensors import SafetensorError, safe_open
 
 from recast.errors import InputError
 from recast.trellis.checkpoints.agreement import check_agreement
 from recast.trellis.checkpoints.backbone import BACKBONE_FOLDER
 from recast.trellis.checkpoints.check import ModelCheck
+from recast.trellis.checkpoints.load import read_tensors
 from recast.trellis.checkpoints.model_files import model_files
 from recast.trellis.checkpoints.record import PIPELINE_FILE, PipelineRecord, read_pipeline
 from recast.trellis.checkpoints.roles import GENERATION_ROLES, OPTIONAL_ROLES, PUBLISHED_BACKBONE
@@ -148,9 +147,5 @@ def _check(
 
 
 def _not_finite(path: Path) -> tuple[str, ...]:
-    try:
-        with safe_open(path, framework="pt") as file:
-            names = sorted(file.keys())
-            return tuple(n for n in names if not bool(torch.isfinite(file.get_tensor(n)).all()))
-    except (SafetensorError, OSError, ValueError) as error:
-        raise InputError(path, "file", f"cannot be read ({error})", "fetch it anew") from None
+    tensors = read_tensors(path)
+    return tuple(name for name in sorted(tensors) if not bool(tensors[name].isfinite().all()))

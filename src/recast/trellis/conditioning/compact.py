@@ -6,12 +6,12 @@ import math
 from typing import ClassVar, Self
 
 import torch
-from pydantic import NonNegativeInt, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, model_validator
 from torch import Tensor, nn
 
 from recast.trellis.conditioning.encoder import normalise
 from recast.trellis.layers import DenseTokens, TransformerBlock, final_norm
-from recast.trellis.models.base import ModelConfig, TrellisModel
+from recast.trellis.models.base import DEEPEST, ModelConfig, Ratio, Size, TrellisModel
 
 
 class CompactImageEncoderConfig(ModelConfig):
@@ -27,12 +27,12 @@ class CompactImageEncoderConfig(ModelConfig):
         mlp_ratio: hidden channels of the MLPs over `channels`.
     """
 
-    image_size: PositiveInt = 128
-    stem_channels: tuple[PositiveInt, ...] = (32, 64)
-    channels: PositiveInt = 128
-    num_blocks: NonNegativeInt = 4
-    num_heads: PositiveInt = 4
-    mlp_ratio: PositiveFloat = 4.0
+    image_size: int = Field(default=128, ge=1, le=4096)
+    stem_channels: tuple[Size, ...] = Field(default=(32, 64), max_length=11)
+    channels: Size = 128
+    num_blocks: int = Field(default=4, ge=0, le=DEEPEST)
+    num_heads: Size = 4
+    mlp_ratio: Ratio = 4.0
 
     @property
     def patch_size(self) -> int:

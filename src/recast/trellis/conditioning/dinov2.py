@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any, ClassVar, Literal, Self, cast
 
 import torch
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, model_validator
 from torch import Tensor, nn
 
 from recast.trellis.conditioning.dinov2_names import from_hub, to_hub
 from recast.trellis.conditioning.encoder import normalise
 from recast.trellis.layers import final_norm
-from recast.trellis.models.base import ModelConfig, TrellisModel
+from recast.trellis.models.base import Depth, ModelConfig, Size, TrellisModel
 
 
 class Dinov2Config(ModelConfig):
@@ -30,13 +30,13 @@ class Dinov2Config(ModelConfig):
             with registers were published with.
     """
 
-    img_size: PositiveInt = 518
-    patch_size: PositiveInt = 14
-    embed_dim: PositiveInt = 1024
-    depth: PositiveInt = 24
-    num_heads: PositiveInt = 16
-    mlp_ratio: PositiveInt = 4
-    num_register_tokens: PositiveInt = 4
+    img_size: int = Field(default=518, ge=1, le=4096)
+    patch_size: Size = 14
+    embed_dim: Size = 1024
+    depth: Depth = 24
+    num_heads: Size = 16
+    mlp_ratio: int = Field(default=4, ge=1, le=64)
+    num_register_tokens: Size = 4
     init_values: PositiveFloat = 1.0
     ffn_layer: Literal["mlp"] = "mlp"
     block_chunks: Literal[0] = 0

@@ -8,10 +8,10 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator
 
 from recast.errors import InputError
-from recast.records import validation_error
+from recast.records import Record, validation_error
 
 PUBLISHED_SAMPLER = "FlowEulerGuidanceIntervalSampler"
 PUBLISHED_PARAMS = ("steps", "cfg_strength", "cfg_interval", "rescale_t")
@@ -20,7 +20,7 @@ PUBLISHED_ARGS = ("sigma_min",)
 Time = Annotated[float, Field(ge=0, le=1, strict=True)]
 
 
-class SamplerSettings(BaseModel):
+class SamplerSettings(Record):
     """Settings of `sample`; the defaults are those of the published TRELLIS checkpoints.
 
     Attributes:
@@ -31,8 +31,6 @@ class SamplerSettings(BaseModel):
         rescale_t: r in t' = r t / (1 + (r - 1) t); above 1 more of the steps go to noisy times.
         sigma_min: noise left at t = 0.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     steps: int = Field(default=25, ge=1, le=1000, strict=True)
     cfg_strength: float = Field(default=5.0, ge=0, le=1000, strict=True)

@@ -3,31 +3,33 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import torch
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    NonNegativeInt,
-    PositiveFloat,
-    PositiveInt,
-    model_validator,
-)
+from pydantic import ConfigDict, Field, model_validator
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
+from recast.records import Record
 from recast.trellis.layers import ModulatedCrossBlock, MultiHeadRmsNorm, TimestepEmbedder
 
+Size = Annotated[int, Field(ge=1, le=65536)]
+"""Channels, heads, cells along an axis: the bound keeps products of a few within 64 bits."""
+DEEPEST = 256
+"""Blocks in a row, ten times those of the largest published network: each is made in Python."""
+Depth = Annotated[int, Field(ge=1, le=DEEPEST)]
+Ratio = Annotated[float, Field(gt=0, le=64)]
+"""Hidden channels of an MLP over its channels."""
 
-class ModelConfig(BaseModel):
+
+class ModelConfig(Record):
     """Constructor arguments of a network, under the names of the published configurations.
 
     Args:
         use_fp16: build with a half-precision torso; `set_torso_dtype` overrides it.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
+    model_config = ConfigDict(protected_namespaces=())
 
     use_fp16: bool = False
 
@@ -46,11 +48,11 @@ class TransformerConfig(ModelConfig):
         use_checkpoint: recompute activations of the blocks in the backward pass.
     """
 
-    model_channels: PositiveInt
-    num_blocks: NonNegativeInt
-    num_heads: PositiveInt | None = None
-    num_head_channels: PositiveInt = 64
-    mlp_ratio: PositiveFloat = 4.0
+    model_channels: Size
+    num_blocks: int = Field(ge=0, le=DEEPEST)
+    num_heads: Size | None = None
+    num_head_channels: Size = 64
+    mlp_ratio: Ratio = 4.0
     pe_mode: Literal["ape"] = "ape"
     qk_rms_norm: bool = False
     use_checkpoint: bool = False

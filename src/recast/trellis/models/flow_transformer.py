@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import torch
-from pydantic import PositiveInt
 from torch import Tensor, nn
 
 from recast.trellis.layers import ModulatedCrossBlock, TimestepEmbedder, modulation_layer
-from recast.trellis.models.base import TransformerConfig, TrellisModel, start_at_zero
+from recast.trellis.models.base import Size, TransformerConfig, TrellisModel, start_at_zero
 
 
 class FlowConfig(TransformerConfig):
@@ -25,10 +24,10 @@ class FlowConfig(TransformerConfig):
             cross-attention alone learn to ignore it.
     """
 
-    resolution: PositiveInt
-    in_channels: PositiveInt
-    out_channels: PositiveInt
-    cond_channels: PositiveInt
+    resolution: Size
+    in_channels: Size
+    out_channels: Size
+    cond_channels: Size
     share_mod: bool = False
     qk_rms_norm_cross: bool = False
     pool_cond: bool = False

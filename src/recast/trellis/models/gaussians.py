@@ -6,16 +6,17 @@ import math
 from typing import Literal
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from torch import Tensor
 
+from recast.records import Record
 from recast.splats import Gaussians
 
 
-class RateFactors(BaseModel):
+class RateFactors(Record):
     """Factors on the raw channels, named "lr" in the published files: relative learning rates."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+    model_config = ConfigDict(populate_by_name=True)
 
     position: float = Field(default=1.0, alias="_xyz")
     colour: float = Field(default=1.0, alias="_features_dc")
@@ -24,7 +25,7 @@ class RateFactors(BaseModel):
     rotation: float = Field(default=0.1, alias="_rotation")
 
 
-class RepresentationConfig(BaseModel):
+class RepresentationConfig(Record):
     """How a voxel's channels become Gaussians; defaults are the published decoder's.
 
     Read and written under the published names (`model_dump(by_alias=True)`).
@@ -45,12 +46,12 @@ class RepresentationConfig(BaseModel):
             In no published model: small ones learn hue last without it.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+    model_config = ConfigDict(populate_by_name=True)
 
     rates: RateFactors = Field(default_factory=RateFactors, alias="lr")
     perturb_offset: bool = True
     voxel_size: float = Field(default=1.5, gt=1.0)
-    num_gaussians: int = Field(default=32, ge=1)
+    num_gaussians: int = Field(default=32, ge=1, le=4096)
     filter_2d: float = Field(default=0.1, ge=0.0, alias="2d_filter_kernel_size")
     filter_3d: float = Field(default=9e-4, gt=0.0, alias="3d_filter_kernel_size")
     scaling_bias: float = Field(default=4e-3, gt=0.0)

@@ -73,12 +73,15 @@ def build(
         classes: networks to choose from.
 
     Raises:
-        InputError: no such network, or an argument that is unknown, missing or wrong.
+        InputError: no such network, or an argument that is unknown, missing, wrong or makes layers
+            too large to exist.
     """
     chosen = model_class(name, where, classes)
+    mend = f"give the arguments of {chosen.published_name}"
     try:
-        config = chosen.config_class.model_validate(args)
+        return chosen(chosen.config_class.model_validate(args))
     except ValidationError as error:
-        mend = f"give the arguments of {chosen.published_name}"
         raise validation_error(where, error, mend) from None
-    return chosen(config)
+    except (RuntimeError, ValueError, TypeError, OverflowError) as error:  # of torch's layers
+        reason = str(error).partition(chr(10))[0]
+        raise InputError(where, "args", f"make no network ({reason})", mend) from None

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-from pydantic import PositiveInt
 from torch import nn
 
-from recast.trellis.models.base import ModelConfig
+from recast.trellis.models.base import ModelConfig, Size
 from recast.trellis.models.posterior import Posterior
 from recast.trellis.models.slat_vae import SLatTransformer, SLatVaeConfig
 from recast.trellis.sparse import SparseTensor
@@ -47,7 +46,7 @@ class SLatEncoderConfig(SLatVaeConfig):
             voxel, its colour above all, need not pass the normalisations. In no published model.
     """
 
-    in_channels: PositiveInt
+    in_channels: Size
     skip_latent: bool = False
 
 

@@ -7,14 +7,14 @@ from itertools import pairwise
 from typing import ClassVar, Self
 
 import torch
-from pydantic import PositiveInt, model_validator
+from pydantic import Field, model_validator
 from torch import Tensor, nn
 
 from recast.trellis.layers import (
     absolute_positions,
     final_norm,
 )
-from recast.trellis.models.base import ModelConfig, start_at_zero
+from recast.trellis.models.base import Depth, ModelConfig, Size, start_at_zero
 from recast.trellis.models.flow_transformer import FlowConfig, FlowTransformer
 from recast.trellis.models.sparse_res_block import SparseResBlock3d
 from recast.trellis.sparse import PackedTokens, SparseTensor, SubMConv3d, pool
@@ -31,9 +31,9 @@ class SLatFlowConfig(FlowConfig):
         use_skip_connection: hand the outputs of the input blocks to the output blocks.
     """
 
-    patch_size: PositiveInt = 2
-    num_io_res_blocks: PositiveInt = 2
-    io_block_channels: tuple[PositiveInt, ...] | None = None
+    patch_size: Size = 2
+    num_io_res_blocks: Depth = 2
+    io_block_channels: tuple[Size, ...] | None = Field(default=None, max_length=16)
     use_skip_connection: bool = True
 
     @model_validator(mode="after")

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 import torch
-from pydantic import PositiveInt
 from torch import Tensor, nn
 
 from recast.trellis.layers import TransformerBlock, absolute_positions, final_norm
-from recast.trellis.models.base import TransformerConfig, TrellisModel, start_at_zero
+from recast.trellis.models.base import Size, TransformerConfig, TrellisModel, start_at_zero
 from recast.trellis.sparse import SparseTensor, WindowedTokens
 
 
@@ -23,10 +22,10 @@ class SLatVaeConfig(TransformerConfig):
         window_size: edge of a window in voxels; every other block is shifted by half of it.
     """
 
-    resolution: PositiveInt
-    latent_channels: PositiveInt
+    resolution: Size
+    latent_channels: Size
     attn_mode: Literal["swin"] = "swin"
-    window_size: PositiveInt = 8
+    window_size: Size = 8
 
 
 class SLatTransformer(TrellisModel):

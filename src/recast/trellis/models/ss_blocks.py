@@ -6,12 +6,12 @@ from collections.abc import Iterable
 from typing import Literal
 
 import torch
-from pydantic import Field, PositiveInt
+from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
 from recast.trellis.layers import ChannelLayerNorm32
-from recast.trellis.models.base import ModelConfig, start_at_zero
+from recast.trellis.models.base import Depth, ModelConfig, Size, start_at_zero
 
 
 class SparseStructureVaeConfig(ModelConfig):
@@ -25,10 +25,10 @@ class SparseStructureVaeConfig(ModelConfig):
         norm_type: has no other published value.
     """
 
-    latent_channels: PositiveInt
-    num_res_blocks: PositiveInt
-    channels: tuple[PositiveInt, ...] = Field(min_length=1)
-    num_res_blocks_middle: PositiveInt = 2
+    latent_channels: Size
+    num_res_blocks: Depth
+    channels: tuple[Size, ...] = Field(min_length=1, max_length=16)
+    num_res_blocks_middle: Depth = 2
     norm_type: Literal["layer"] = "layer"
 
 

@@ -6,11 +6,10 @@ from itertools import pairwise
 from typing import ClassVar
 
 import torch
-from pydantic import PositiveInt
 from torch import Tensor, nn
 
 from recast.trellis.layers import ChannelLayerNorm32
-from recast.trellis.models.base import ModelConfig, TrellisModel
+from recast.trellis.models.base import ModelConfig, Size, TrellisModel
 from recast.trellis.models.ss_blocks import (
     SparseStructureVaeConfig,
     Upsample3d,
@@ -27,7 +26,7 @@ class SparseStructureDecoderConfig(SparseStructureVaeConfig):
         out_channels: channels of the grid; 1 for occupancy.
     """
 
-    out_channels: PositiveInt
+    out_channels: Size
 
 
 class SparseStructureDecoder(TrellisModel):

@@ -6,11 +6,10 @@ from itertools import pairwise
 from typing import ClassVar
 
 import torch
-from pydantic import PositiveInt
 from torch import Tensor, nn
 
 from recast.trellis.layers import ChannelLayerNorm32
-from recast.trellis.models.base import ModelConfig, TrellisModel
+from recast.trellis.models.base import ModelConfig, Size, TrellisModel
 from recast.trellis.models.posterior import Posterior
 from recast.trellis.models.ss_blocks import (
     Downsample3d,
@@ -28,7 +27,7 @@ class SparseStructureEncoderConfig(SparseStructureVaeConfig):
         in_channels: channels of the grid; 1 for occupancy.
     """
 
-    in_channels: PositiveInt
+    in_channels: Size
 
 
 class SparseStructureEncoder(TrellisModel):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar, Self
 
 import torch
-from pydantic import PositiveInt, model_validator
+from pydantic import model_validator
 from torch import Tensor, nn
 
 from recast.trellis.layers import (
@@ -13,7 +13,7 @@ from recast.trellis.layers import (
     absolute_positions,
     final_norm,
 )
-from recast.trellis.models.base import ModelConfig, start_at_zero
+from recast.trellis.models.base import ModelConfig, Size, start_at_zero
 from recast.trellis.models.flow_transformer import FlowConfig, FlowTransformer
 
 
@@ -24,7 +24,7 @@ class SparseStructureFlowConfig(FlowConfig):
         patch_size: cells of a token along an axis; must divide the resolution.
     """
 
-    patch_size: PositiveInt = 2
+    patch_size: Size = 2
 
     @model_validator(mode="after")
     def _patches_tile_the_grid(self) -> Self:
@@ -52,12 +52,8 @@ class SparseStructureFlowModel(FlowTransformer):
         super().__init__(config)
         channels = config.model_channels
         cells = config.patch_size**3
-        # Not on the meta device: torch would import its compiler for these few lines, seconds.
-        with torch.device("cpu"):
-            cells_along = torch.arange(config.resolution // config.patch_size)
-            coords = torch.cartesian_prod(cells_along, cells_along, cells_along)
-            positions = absolute_positions(coords, channels)
-        self.register_buffer("pos_emb", positions)
+        tokens = (config.resolution // config.patch_size) ** 3
+        self.register_buffer("pos_emb", torch.empty(tokens, channels))
         self.input_layer = nn.Linear(config.in_channels * cells, channels)
         self.blocks = self.cross_blocks()
         self.out_layer = nn.Linear(channels, config.out_channels * cells)
@@ -66,6 +62,9 @@ class SparseStructureFlowModel(FlowTransformer):
     def initialise(self, generator: torch.Generator | None = None) -> None:
         """As the base, and zero output: a new model predicts no velocity."""
         super().initialise(generator)
+        along = torch.arange(self.config.resolution // self.config.patch_size)
+        coords = torch.cartesian_prod(along, along, along)
+        self.pos_emb.copy_(absolute_positions(coords, self.config.model_channels))
         start_at_zero(self.out_layer)
 
     def forward(self, x: Tensor, t: Tensor, cond: Tensor) -> Tensor:
