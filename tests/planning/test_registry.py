@@ -14,6 +14,7 @@ from recast.planning import (
     IdmLaneFollower,
     gtrs_mini,
     make_planner,
+    planner_device,
     planner_folder,
     planner_source_files,
 )
@@ -29,6 +30,10 @@ def itself(): return Mine
 def needy(size): return Mine()
 def failing(): raise RuntimeError("out of\\nmemory")
 def leaving(): raise SystemExit(3)
+def placed(*, device):
+    planner = Mine()
+    planner.device = device
+    return planner
 value = 3
 """
 
@@ -145,3 +150,52 @@ def test_the_files_behind_a_name(plugin: str, tmp_path: Path) -> None:
     assert planner_source_files(str(tmp_path)) == ()
     with pytest.raises(InputError, match="gtsr: is not known"):
         planner_source_files("gtsr")
+
+
+@pytest.mark.parametrize(("gpus", "expected"), [(0, "cpu"), (2, "cuda")])
+def test_the_device_that_is_there(
+    gpus: int, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: gpus > 0)
+    monkeypatch.setattr("torch.cuda.device_count", lambda: gpus)
+    assert planner_device() == planner_device("auto") == expected
+    assert planner_device("cpu") == "cpu"
+    for name, index in (("cuda", 0), ("cuda:1", 1), ("cuda:2", 2)):
+        if index < gpus:
+            assert planner_device(name) == name
+        else:
+            with pytest.raises(
+                InputError, match=f"device: {name}: is not there: torch sees {gpus}"
+            ):
+                planner_device(name)
+    for name in ("gpu", "", "cuda:", "cuda:-1", "meta", "cuda:0001", "CPU\n"):
+        with pytest.raises(InputError, match="is unknown; choose auto, cpu, cuda"):
+            planner_device(name)
+
+
+@pytest.mark.filterwarnings("ignore:for .* copying from a non-meta parameter")
+def test_planners_compute_where_they_are_told(
+    plugin: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Torch's device without memory stands for a GPU."""
+    asked = []
+
+    def meta(name: str) -> str:
+        asked.append(name)
+        return "meta"
+
+    monkeypatch.setattr("recast.planning.registry.planner_device", meta)
+    assert make_planner("gtrs-mini").device == "meta"
+    assert make_planner(str(gtrs_mini()), "cuda:1").device == "meta"
+    assert make_planner(f"{plugin}:placed", "cuda").device == "meta"
+    assert asked == ["auto", "cuda:1", "cuda"]
+    make_planner(f"{plugin}:Mine", "cuda")  # has no say
+    make_planner("idm-follower", "cuda")
+    assert len(asked) == 3
+
+
+def test_without_a_gpu_planners_compute_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    assert make_planner("gtrs-mini").device == make_planner(str(gtrs_mini())).device == "cpu"
+    with pytest.raises(InputError, match="planner device: cuda: is not there: torch sees 0 GPUs"):
+        make_planner("gtrs-mini", "cuda")

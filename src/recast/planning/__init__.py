@@ -1,7 +1,8 @@
 """The planner seam, the reference route, and simple planners."""
 
-from recast.planning.cameras import named_cameras, planner_cameras
+from recast.planning.cameras import camera_choice, named_cameras, planner_cameras
 from recast.planning.constant_velocity import ConstantVelocity
+from recast.planning.device import planner_device
 from recast.planning.idm_follower import IdmFollowerConfig, IdmLaneFollower
 from recast.planning.log_replay import LogReplay
 from recast.planning.registry import (
@@ -24,6 +25,14 @@ from recast.planning.types import (
     PlannerInput,
     PlanningContext,
 )
+from recast.planning.views import View
+from recast.planning.virtual import (
+    ShownView,
+    seen_lines,
+    seen_record,
+    shown_views,
+    virtual_mounts,
+)
 
 __all__ = [
     "GTRS_MINI",
@@ -43,12 +52,20 @@ __all__ = [
     "PlannerInput",
     "PlanningContext",
     "ReferenceRoute",
+    "ShownView",
+    "View",
+    "camera_choice",
     "ego_status",
     "gtrs_mini",
     "make_planner",
     "named_cameras",
     "planner_cameras",
+    "planner_device",
     "planner_folder",
     "planner_source_files",
     "route_lanes",
+    "seen_lines",
+    "seen_record",
+    "shown_views",
+    "virtual_mounts",
 ]

@@ -17,10 +17,18 @@ def named_cameras(planner: Planner) -> tuple[str, ...] | None:
 def planner_cameras(
     planner: Planner, mounts: Mapping[str, CameraMount], otherwise: Iterable[str] | None = None
 ) -> tuple[str, ...]:
-    """Names of the cameras to render for a planner.
+    """Names of the cameras to render for a planner: the values of `camera_choice`."""
+    return tuple(camera_choice(planner, mounts, otherwise).values())
 
-    In this order: none where it needs no images; what its method `choose_cameras(mounts)` returns;
-    its attribute `camera_names`; `otherwise`. The planner may lack the method and the attribute.
+
+def camera_choice(
+    planner: Planner, mounts: Mapping[str, CameraMount], otherwise: Iterable[str] | None = None
+) -> dict[str, str]:
+    """What the planner calls its cameras, and which ones are rendered for that.
+
+    In this order: none where it needs no images; what its method `choose_cameras(mounts)` returns,
+    names or a mapping to names; its attribute `camera_names`; `otherwise`. The planner may lack the
+    method and the attribute.
 
     Args:
         mounts: the cameras that can be rendered.
@@ -30,13 +38,14 @@ def planner_cameras(
         InputError: a camera is not there; or what `choose_cameras` raises.
     """
     if not planner.needs_images:
-        return ()
+        return {}
     choose = getattr(planner, "choose_cameras", None)
-    names = named_cameras(planner) if choose is None else tuple(choose(mounts))
+    names = named_cameras(planner) if choose is None else choose(mounts)
     if names is None:
         names = tuple(mounts if otherwise is None else otherwise)
-    require_cameras(names, mounts, f"planner {planner.name}")
-    return names
+    choice = dict(names) if isinstance(names, Mapping) else {name: name for name in names}
+    require_cameras(choice.values(), mounts, f"planner {planner.name}")
+    return choice
 
 
 def require_cameras(names: Iterable[str], there: Mapping[str, object], where: str) -> None:

@@ -16,8 +16,11 @@ def gtrs_mini() -> Path:
     return Path(__file__).parent / GTRS_MINI
 
 
-def gtrs_mini_planner() -> Planner:
+def gtrs_mini_planner(device: str = "cpu") -> Planner:
     """The planner.
+
+    Args:
+        device: where it computes, as torch calls it.
 
     Raises:
         InputError: this installation lacks the folder, or it is damaged.
@@ -29,4 +32,4 @@ def gtrs_mini_planner() -> Planner:
         )  # fmt: skip
     from recast.planning.gtrs import load_gtrs  # here, as it needs torch and others do not
 
-    return load_gtrs(gtrs_mini())
+    return load_gtrs(gtrs_mini(), device)

@@ -27,12 +27,17 @@ class CameraMount:
     """A camera as the planner sees it: intrinsics of the images it gets, and where it sits.
 
     Attributes:
-        camera: rectified, at the size of the rendered images.
+        camera: at the size of the rendered images; rectified, unless virtual.
         rig_from_camera: (4, 4) OpenCV camera frame to rig.
+        seen: of a virtual camera, (height, width) which pixels look where a camera of the log does;
+            the others are black. None for a camera of the log.
+        source: of a virtual camera, the log's camera at whose place it is, if any.
     """
 
     camera: PinholeCamera
     rig_from_camera: Array
+    seen: NDArray[np.bool_] | None = None
+    source: str | None = None
 
 
 @dataclass(frozen=True)
@@ -147,9 +152,11 @@ class Plan:
 class Planner(Protocol):
     """Drives the ego. One instance may drive many rollouts, one after the other.
 
-    It may also have `camera_names`, the only cameras to be rendered for it, or
-    `choose_cameras(mounts)`, which returns their names once it is known which there are; see
-    `recast.planning.planner_cameras`.
+    It may also have `camera_names`, the only cameras to be rendered for it; or
+    `choose_cameras(mounts)`, which returns their names once it is known which there are, or a
+    mapping from its own names to them; see `recast.planning.camera_choice`. With `wanted_views`, a
+    tuple of `recast.planning.View`, it gets virtual cameras where no camera of the log will do; see
+    `recast.planning.virtual_mounts`. `device` says where it computes, for records.
 
     Attributes:
         name: for tables and file names.

@@ -1,8 +1,9 @@
-"""Cameras with distortion through any renderer of pinhole cameras."""
+"""Cameras with distortion, and virtual ones, through any renderer of pinhole cameras."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -18,7 +19,10 @@ Image = NDArray[np.uint8]
 
 
 class LensRenderer:
-    """Renders each distorted camera a little wider and without distortion, then bends the image.
+    """Renders what another renderer cannot.
+
+    Each distorted camera is rendered a little wider and without distortion, then the image is bent.
+    Where no camera of the log looks (see `CameraMount.seen`), virtual ones are black.
 
     Args:
         renderer: of pinhole cameras; has a mount for each of `mounts`, with `Lens.source` in place
@@ -38,9 +42,11 @@ class LensRenderer:
         """Images of the named cameras; raises what the inner renderer raises."""
         images = self._renderer.render(state, camera_names)
         for name in camera_names:
-            camera = self._mounts[name].camera
-            if not camera.is_rectified:
-                images[name] = _lens(camera).bend(images[name])
+            mount = self._mounts[name]
+            if not mount.camera.is_rectified:
+                images[name] = _lens(mount.camera).bend(images[name])
+            if mount.seen is not None:
+                images[name] = images[name] * mount.seen[..., None]
         return images
 
 
@@ -48,19 +54,21 @@ def through_lenses(
     mounts: Mapping[str, CameraMount],
     make: Callable[[Mapping[str, CameraMount]], SensorRenderer],
 ) -> SensorRenderer:
-    """A renderer of cameras of which some may have distortion, such as `nuplan_rig`.
+    """A renderer of cameras of which some may have distortion, such as `nuplan_rig`, or be virtual.
 
     Args:
         mounts: cameras to render.
-        make: gives a renderer of pinhole cameras for mounts. Where no camera has distortion, its
-            renderer is returned as it is.
+        make: gives a renderer of pinhole cameras for mounts. Where no camera has distortion and
+            none is virtual, its renderer is returned as it is.
     """
-    if all(mount.camera.is_rectified for mount in mounts.values()):
+    if all(mount.camera.is_rectified and mount.seen is None for mount in mounts.values()):
         return make(mounts)
     sources = {
-        name: mount
-        if mount.camera.is_rectified
-        else CameraMount(_lens(mount.camera).source, mount.rig_from_camera)
+        name: replace(
+            mount,
+            camera=mount.camera if mount.camera.is_rectified else _lens(mount.camera).source,
+            seen=None,
+        )
         for name, mount in mounts.items()
     }
     return LensRenderer(make(sources), mounts)

@@ -25,6 +25,7 @@ _STREAM = 701
 
 class _Job(NamedTuple):
     name: str
+    exposed_as: str
     camera: PinholeCamera
     world_from_camera: Array
     poses: dict[str, Array]
@@ -32,7 +33,8 @@ class _Job(NamedTuple):
 
 
 class OracleRenderer:
-    """Renders a synthetic world, each camera with the exposure it has in the log.
+    """Renders a synthetic world, each camera with the exposure it has in the log, virtual ones with
+    that of the camera at whose place they are.
 
     Close it, or use it as a context manager: it may hold processes.
 
@@ -65,7 +67,10 @@ class OracleRenderer:
         for name in camera_names:
             mount = self._mounts[name]
             world_from_camera = state.world_from_rig @ mount.rig_from_camera
-            jobs.append(_Job(name, mount.camera, world_from_camera, state.poses, state.step))
+            exposed_as = name if mount.source is None else mount.source
+            jobs.append(
+                _Job(name, exposed_as, mount.camera, world_from_camera, state.poses, state.step)
+            )
         return dict(zip(camera_names, self._pool.map(_render, jobs), strict=True))
 
     def close(self) -> None:
@@ -92,7 +97,7 @@ def _render(oracle: Oracle, job: _Job) -> Image:
         job.camera,
         job.world_from_camera,
         job.poses,
-        exposure=exposure(seed, job.name),
+        exposure=exposure(seed, job.exposed_as),
         rng=np.random.default_rng([seed, _STREAM, sensor_number(job.name), job.step]),
     )
     return frame.rgb

@@ -10,6 +10,8 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from recast.geometry import PinholeCamera
+from recast.planning import CameraMount
 from recast.planning.gtrs import (
     BackboneConfig,
     GtrsConfig,
@@ -19,6 +21,7 @@ from recast.planning.gtrs import (
     ViewLayout,
     new_model,
 )
+from recast.planning.gtrs.rig import camera_pose
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "planners"
 
@@ -41,8 +44,19 @@ TINY = GtrsConfig(
 """The sizes of the golden tiny model, whose backbone is a stand-in."""
 
 VIEWS = ViewLayout(
-    width=48, height=32, crop_rows=4, crop_columns=8, input_width=112, input_height=24
-)
+    width=48, height=32, crop_rows=4, crop_columns=8, input_width=112, input_height=24,
+    field_of_view=61.93,
+)  # fmt: skip
+CAMERA = PinholeCamera(48, 32, 40.0, 40.0, 24.0, 16.0)
+
+
+def rig(*names: str, scale: int = 1) -> dict[str, CameraMount]:
+    """A left, front, right and rear camera with the field of view of `VIEWS`, so called."""
+    camera = CAMERA.resized(48 * scale, 32 * scale)
+    return {
+        name: CameraMount(camera, camera_pose((1.5, 0.2, 2.1), yaw, 0.0))
+        for name, yaw in zip(names, (45.0, 0.0, -45.0, 180.0), strict=False)
+    }
 
 
 def fan(count: int) -> np.ndarray:

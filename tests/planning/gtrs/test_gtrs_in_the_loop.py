@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from recast.errors import InputError
-from recast.geometry import PinholeCamera, se2
+from recast.geometry import se2
 from recast.logs import DrivingLog, Track, Trajectory
-from recast.planning import CameraMount
-from recast.planning.gtrs import GtrsPlanner, nuplan_rig
+from recast.planning.gtrs import GtrsPlanner
 from recast.simulation import MOTIONS, NullRenderer, RolloutSetup, run_rollout
 
-from .conftest import VIEWS
+from .conftest import rig
 
 
 @pytest.fixture
@@ -26,21 +25,10 @@ def log() -> DrivingLog:
     return DrivingLog("straight", {}, {}, drive, {"7": car})
 
 
-def _renderer(names: tuple[str, ...], scale: int = 1) -> NullRenderer:
-    camera = PinholeCamera(VIEWS.width, VIEWS.height, 40.0, 40.0, 24.0, 16.0)
-    camera = camera.resized(scale * VIEWS.width, scale * VIEWS.height)
-    mounts = nuplan_rig().values()
-    return NullRenderer(
-        {n: CameraMount(camera, m.rig_from_camera) for n, m in zip(names, mounts, strict=False)}
-    )
-
-
 def test_a_rollout_drives_entries_of_the_vocabulary(planner: GtrsPlanner, log: DrivingLog) -> None:
-    setup = RolloutSetup(
-        log, "7", MOTIONS["advancing-a"], steps=10, camera_names=planner.camera_names
-    )
-    rollout = run_rollout(setup, planner, _renderer(planner.camera_names))
-    again = run_rollout(setup, planner, _renderer(planner.camera_names, scale=2))
+    setup = RolloutSetup(log, "7", MOTIONS["advancing-a"], steps=10)
+    rollout = run_rollout(setup, planner, NullRenderer(rig("a", "b", "c")))
+    again = run_rollout(setup, planner, NullRenderer(rig("a", "b", "c", scale=2)))
     np.testing.assert_array_equal(again.predictions, rollout.predictions)  # black either way
     assert rollout.planner == "tiny" and len(rollout.predictions) == 2
     for prediction in rollout.predictions:
@@ -48,6 +36,6 @@ def test_a_rollout_drives_entries_of_the_vocabulary(planner: GtrsPlanner, log: D
 
 
 def test_a_rig_without_its_cameras_is_refused(planner: GtrsPlanner, log: DrivingLog) -> None:
-    setup = RolloutSetup(log, "7", MOTIONS["advancing-a"], steps=10, camera_names=("front",))
-    with pytest.raises(InputError, match="planner tiny: camera front_left: is needed"):
-        run_rollout(setup, planner, _renderer(("front",)))
+    setup = RolloutSetup(log, "7", MOTIONS["advancing-a"], steps=10)
+    with pytest.raises(InputError, match=r"planner tiny: view front: is ahead, .* no camera"):
+        run_rollout(setup, planner, NullRenderer(rig("front_left")))

@@ -11,7 +11,6 @@ import torch
 
 from recast.dynamics import make_state
 from recast.errors import InputError
-from recast.geometry import PinholeCamera
 from recast.logs import Trajectory
 from recast.planning import (
     CameraMount,
@@ -22,9 +21,15 @@ from recast.planning import (
     ReferenceRoute,
     make_planner,
 )
-from recast.planning.gtrs import GtrsModel, GtrsPlanner, save_gtrs
+from recast.planning.gtrs import (
+    NUPLAN_VIRTUAL,
+    GtrsModel,
+    GtrsPlanner,
+    empty_model,
+    save_gtrs,
+)
 
-from .conftest import VIEWS, fan
+from .conftest import VIEWS, fan, rig
 
 
 @pytest.fixture
@@ -32,10 +37,9 @@ def context() -> PlanningContext:
     poses = np.tile(np.eye(4), (31, 1, 1))
     poses[:, 0, 3] = 2.0 * np.arange(31)
     log = Trajectory(np.arange(31, dtype=np.int64) * 200_000, poses)
-    camera = PinholeCamera(48, 32, 40.0, 40.0, 24.0, 16.0)
-    names = ("rear", *VIEWS.cameras)
-    mounts = {name: CameraMount(camera, np.eye(4)) for name in names}
-    return PlanningContext(ReferenceRoute.from_trajectory(log), log, cameras=mounts)
+    return PlanningContext(
+        ReferenceRoute.from_trajectory(log), log, cameras=rig(*VIEWS.cameras, "rear")
+    )
 
 
 @pytest.fixture
@@ -46,10 +50,38 @@ def observation() -> PlannerInput:
     return PlannerInput(0, 0, state, state[None], (), DrivingCommand.STRAIGHT, images)
 
 
-def test_it_is_a_planner_that_names_its_cameras(planner: GtrsPlanner) -> None:
+def test_it_is_a_planner_that_says_what_it_wants_to_see(planner: GtrsPlanner) -> None:
     assert isinstance(planner, Planner)
-    assert planner.needs_images
-    assert planner.camera_names == ("front_left", "front", "front_right")
+    assert planner.needs_images and planner.camera_names is None
+    assert [(view.name, view.yaw) for view in planner.wanted_views] == [
+        ("front_left", 45.0), ("front", 0.0), ("front_right", -45.0)
+    ]  # fmt: skip
+    for view in planner.wanted_views:
+        assert (view.camera.width, view.camera.height) == (48, 32)
+        assert view.camera.fx == view.camera.fy == pytest.approx(40.0, abs=0.01)
+    nuplan = GtrsPlanner(planner.model, planner.vocabulary, NUPLAN_VIRTUAL)
+    assert nuplan.camera_names == ("nuplan_l0", "nuplan_f0", "nuplan_r0")
+    assert nuplan.wanted_views == ()
+
+
+@pytest.mark.parametrize("device", ["cpu", "meta"])
+def test_it_says_where_it_computes(device: str, planner: GtrsPlanner) -> None:
+    model = empty_model(planner.model.config).to(device) if device == "meta" else planner.model
+    assert GtrsPlanner(model, planner.vocabulary, VIEWS).device == device
+
+
+def test_the_cameras_names_do_not_matter(
+    planner: GtrsPlanner, context: PlanningContext, observation: PlannerInput
+) -> None:
+    planner.reset(context)
+    expected = planner.plan(observation)
+    theirs = ("FRONT_LEFT", "front_right", "front_left", "front")  # three of them mislead
+    mounts = rig(*theirs)
+    assert planner.choose_cameras(mounts) == dict(zip(VIEWS.cameras, theirs, strict=False))
+    planner.reset(replace(context, cameras=mounts))
+    images = dict(zip(theirs, observation.images.values(), strict=False))
+    plan = planner.plan(replace(observation, images=images))
+    assert plan.waypoints.tobytes() == expected.waypoints.tobytes() and plan.info == expected.info
 
 
 def test_a_plan_is_the_best_entry_unchanged(
@@ -122,7 +154,11 @@ def test_a_missing_camera_is_named_before_anything_is_rendered(
     planner: GtrsPlanner, context: PlanningContext, observation: PlannerInput
 ) -> None:
     mounts = {name: mount for name, mount in context.cameras.items() if name != "front_right"}
-    with pytest.raises(InputError, match=r"^planner tiny: camera front_right: .*rear, front_left"):
+    message = (
+        r"^planner tiny: view front_right: is 45 degrees right, 62 wide at 48:32, and no camera "
+        r"shows it; there are front_left \(45 degrees left, 62 wide\), front \(ahead, 62 wide\)"
+    )
+    with pytest.raises(InputError, match=message):
         planner.reset(replace(context, cameras=mounts))
     with pytest.raises(InputError, match=r"camera front_left: .*there are none"):
         planner.plan(replace(observation, images={}))
@@ -131,7 +167,7 @@ def test_a_missing_camera_is_named_before_anything_is_rendered(
 def test_other_sizes_and_steps_are_refused(planner: GtrsPlanner, context: PlanningContext) -> None:
     mount = context.cameras["front"]
     large = CameraMount(mount.camera.resized(96, 64), mount.rig_from_camera)  # one of three
-    with pytest.raises(InputError, match="front: renders 96x64, the planner needs three"):
+    with pytest.raises(InputError, match="view front: is ahead, 62 wide at 48:32, and no camera"):
         planner.reset(replace(context, cameras={**context.cameras, "front": large}))
     with pytest.raises(InputError, match=r"dt: is 0.2 s"):
         planner.reset(replace(context, dt=0.2))

@@ -16,7 +16,13 @@ from recast.dynamics import state as ego
 from recast.errors import InputError
 from recast.geometry import PinholeCamera, se2
 from recast.logs import DrivingLog, Track, Trajectory
-from recast.planning import CameraMount, Planner, make_planner, planner_cameras
+from recast.planning import (
+    CameraMount,
+    Planner,
+    camera_choice,
+    make_planner,
+    planner_cameras,
+)
 from recast.planning.gtrs.rig import camera_pose
 from recast.planning.navsim import (
     NAVSIM_CAMERAS,
@@ -128,8 +134,10 @@ def test_cameras_by_yaw_and_by_frame() -> None:
     agent = Recorder(SensorConfig(cam_f0=[2, 3], cam_l0=True, cam_r0=[3], cam_l1=[3]))
     planner = NavsimPlanner(agent)
     assert planner.needs_images and planner.camera_names is None
-    chosen = planner_cameras(planner, WAYMO)
-    assert chosen == ("front", "front_left", "side_left", "front_right")
+    chosen = {"cam_f0": "front", "cam_l0": "front_left", "cam_l1": "side_left"}
+    chosen["cam_r0"] = "front_right"
+    assert camera_choice(planner, WAYMO) == chosen
+    assert planner_cameras(planner, WAYMO) == tuple(chosen.values())
     _run(planner)
     first, last = agent.seen[0].cameras, agent.seen[-1].cameras
     assert [c.cam_f0.image is None for c in last] == [True, True, False, False]
@@ -147,7 +155,9 @@ def test_cameras_by_yaw_and_by_frame() -> None:
 
 def test_a_camera_that_nothing_looks_like_is_named() -> None:
     planner = NavsimPlanner(Recorder(SensorConfig(cam_b0=[3])))
-    message = r"^planner my-agent: camera cam_b0: is wanted, .* of 180 .*there are front \(0\), fro"
+    message = (
+        r"^planner my-agent: camera cam_b0: is wanted, .* of 180 .*there are front \(ahead, 6"
+    )
     with pytest.raises(InputError, match=message):
         _run(planner)
 

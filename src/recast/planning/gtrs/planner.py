@@ -11,14 +11,17 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from recast.errors import InputError
+from recast.planning.cameras import require_cameras
 from recast.planning.gtrs.decision import GtrsDecision
 from recast.planning.gtrs.head import IMITATION
 from recast.planning.gtrs.model import GtrsModel
 from recast.planning.gtrs.scores import COMBINED, VOCABULARY_ONLY, ScoreWeights, final_score
 from recast.planning.gtrs.views import ViewLayout, network_input
 from recast.planning.gtrs.vocabulary import Trajectories, check_vocabulary
+from recast.planning.matching import directions
 from recast.planning.status import ego_status
 from recast.planning.types import CameraMount, Plan, PlannerInput, PlanningContext
+from recast.planning.views import View, choose_views
 
 _DT = 0.1
 
@@ -32,7 +35,7 @@ class GtrsPlanner:
     Args:
         model: in evaluation mode, on the device it shall run on.
         vocabulary: (L, 40, 3), see `read_vocabulary`.
-        views: which cameras, and how they are stitched; of another size in the same proportion,
+        views: which pictures, and how they are stitched; of another size in the same proportion,
             they are stitched alike.
         name: for tables and messages.
         weights: of the final score, where only the vocabulary is scored.
@@ -63,22 +66,31 @@ class GtrsPlanner:
         self.top_k = top_k
 
     @property
-    def camera_names(self) -> tuple[str, ...]:
-        """The cameras it looks at: left, front, right. Others need not be rendered."""
-        return self.views.cameras
+    def camera_names(self) -> tuple[str, ...] | None:
+        """nuPlan's left, front and right camera, if it wants these; None if any rig's will do."""
+        return None if self.wanted_views else self.views.cameras
+
+    @property
+    def wanted_views(self) -> tuple[View, ...]:
+        """The left, front and right picture it wants of any rig; () with nuPlan's."""
+        return self.views.views
+
+    @property
+    def device(self) -> str:
+        """Where it computes."""
+        return str(self.model.device)
 
     @property
     def _who(self) -> str:
         return f"planner {self.name}"
 
-    def choose_cameras(self, mounts: Mapping[str, CameraMount]) -> tuple[str, ...]:
-        """Its cameras, if they are there at a size it can use.
+    def choose_cameras(self, mounts: Mapping[str, CameraMount]) -> dict[str, str]:
+        """The cameras, real or virtual, that show the left, the front and the right picture.
 
         Raises:
-            InputError: a camera is not there, or see `ViewLayout.fitted`.
+            InputError: no camera shows one of them, or see `ViewLayout.fitted`.
         """
-        self._fit(mounts)
-        return self.camera_names
+        return dict(zip(self.views.cameras, self._fit(mounts).cameras, strict=True))
 
     def reset(self, context: PlanningContext) -> None:
         """Check that the rollout gives what the planner needs, and leave training mode.
@@ -148,8 +160,23 @@ class GtrsPlanner:
         return replace(decision, first=len(self.vocabulary)) if proposals_only else decision
 
     def _fit(self, mounts: Mapping[str, CameraMount]) -> ViewLayout:
-        sizes = {name: (m.camera.width, m.camera.height) for name, m in mounts.items()}
-        return self.views.fitted(sizes, self._who)
+        """The layout with the rig's names and sizes."""
+        chosen = choose_views(self.wanted_views, mounts)
+        for view in self.wanted_views:
+            if view.name not in chosen:
+                raise InputError(
+                    self._who, f"view {view.name}",
+                    f"is {view.look} at {view.camera.width}:{view.camera.height}, and no camera "
+                    "shows it",
+                    f"there are {directions(mounts)}; add recast.planning.virtual_mounts",
+                )  # fmt: skip
+        names = tuple(chosen.get(name, name) for name in self.views.cameras)
+        require_cameras(names, mounts, self._who)
+        cameras = {
+            view: mounts[name].camera for view, name in zip(self.views.cameras, names, strict=True)
+        }
+        sizes = {view: (camera.width, camera.height) for view, camera in cameras.items()}
+        return self.views.fitted(sizes, self._who).model_copy(update={"cameras": names})
 
     @torch.no_grad()
     def _score(

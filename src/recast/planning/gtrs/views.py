@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Self
+from typing import Annotated, Self
 
 import cv2
 import numpy as np
@@ -13,25 +13,33 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from recast.errors import InputError
+from recast.geometry import PinholeCamera
 from recast.planning.cameras import require_cameras
-from recast.planning.gtrs.config import Count, GtrsRecord
+from recast.planning.gtrs.config import Count
 from recast.planning.gtrs.rig import NUPLAN_CAMERAS
+from recast.planning.views import View
+from recast.records import Record
 
 Image = NDArray[np.uint8]
+Yaw = Annotated[float, Field(ge=-180.0, le=180.0)]
 
 
-class ViewLayout(GtrsRecord):
-    """Which cameras are stitched, and how.
+class ViewLayout(Record):
+    """Which pictures are stitched, and how.
 
     Rows are cropped from top and bottom of all three images, columns from both sides of the left
     and the right one; side by side they are resampled to the network's input, unless they have its
     size already. `fitted` gives the same layout for images of another size.
 
     Attributes:
-        cameras: names of the left, front and right camera.
-        width, height: of each camera image, pixels.
+        cameras: what the left, front and right picture are called here; `nuplan_rig`'s names stand
+            for its cameras, others say nothing about the names in a log.
+        width, height: of each picture, pixels.
         crop_rows, crop_columns: pixels cropped at each edge.
         input_width, input_height: of the network's input, pixels.
+        yaws: where the three look, degrees to the left of ahead. Like `field_of_view`, not used
+            with nuPlan's rig.
+        field_of_view: of each, horizontally, degrees; Waymo's by default.
     """
 
     cameras: tuple[str, str, str] = ("front_left", "front", "front_right")
@@ -41,6 +49,8 @@ class ViewLayout(GtrsRecord):
     crop_columns: int = Field(ge=0, strict=True)
     input_width: Count
     input_height: Count
+    yaws: tuple[Yaw, Yaw, Yaw] = (45.0, 0.0, -45.0)
+    field_of_view: float = Field(default=50.4, ge=5.0, le=150.0)
 
     @model_validator(mode="after")
     def _something_is_left(self) -> Self:
@@ -49,6 +59,21 @@ class ViewLayout(GtrsRecord):
         if len(set(self.cameras)) != 3:
             raise ValueError(f"three different cameras are needed, got {', '.join(self.cameras)}")
         return self
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The three pictures, to be had from any rig; () for nuPlan's, which goes by its names."""
+        if set(self.cameras) <= set(NUPLAN_CAMERAS):
+            return ()
+        focal = self.width / (2 * np.tan(np.deg2rad(self.field_of_view) / 2))
+        camera = PinholeCamera(
+            self.width, self.height, focal, focal, self.width / 2, self.height / 2
+        )
+        sides = (self.crop_columns, 0, self.crop_columns)
+        return tuple(
+            View(name, camera, yaw, self.crop_rows, columns)
+            for name, yaw, columns in zip(self.cameras, self.yaws, sides, strict=True)
+        )
 
     def stitch(self, images: Mapping[str, Image], where: str = "planner") -> Image:
         """The network's input (input_height, input_width, 3) uint8 RGB.
@@ -108,15 +133,13 @@ class ViewLayout(GtrsRecord):
         if first == (self.width, self.height):
             return self
         width, height = first
-        return ViewLayout(
-            cameras=self.cameras,
-            width=width,
-            height=height,
-            crop_rows=round(self.crop_rows * height / self.height),
-            crop_columns=round(self.crop_columns * scale),
-            input_width=self.input_width,
-            input_height=self.input_height,
-        )
+        changed = {
+            "width": width,
+            "height": height,
+            "crop_rows": round(self.crop_rows * height / self.height),
+            "crop_columns": round(self.crop_columns * scale),
+        }
+        return self.model_validate(self.model_dump() | changed)
 
 
 WAYMO_NATIVE = ViewLayout(

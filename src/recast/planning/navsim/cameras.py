@@ -1,13 +1,11 @@
-"""NAVSIM's camera names on the cameras of any rig, by the direction they look in."""
+"""NAVSIM's cameras: where they look, and which of any rig stand for them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from recast.errors import InputError
-from recast.geometry import se2
+from recast.planning.matching import WITHIN_DEGREES, Look, directions, match_cameras
 from recast.planning.types import CameraMount
 
 NAVSIM_CAMERAS: Mapping[str, float] = {
@@ -29,14 +27,14 @@ NUPLAN_RIG: Mapping[str, str] = {
 }
 """For `NavsimPlanner(cameras=...)`: nuPlan's own cameras, rendered for agents that need them."""
 
-WITHIN_DEGREES = 30.0
-"""A camera that looks further off than this does not stand for a NAVSIM camera."""
+_FIELD = 63.7
+"""Horizontal field of view of nuPlan's cameras, degrees, between the edges of a pinhole image."""
 
 
-def match_cameras(
+def rig_cameras(
     wanted: Sequence[str], mounts: Mapping[str, CameraMount], where: str
 ) -> dict[str, str]:
-    """NAVSIM name to the rig's camera; the closest pairs are made first, each camera used once.
+    """NAVSIM name to the rig's camera, see `match_cameras`.
 
     Args:
         wanted: NAVSIM names.
@@ -46,32 +44,16 @@ def match_cameras(
     Raises:
         InputError: no camera looks where a wanted one should.
     """
-    looks = {name: _yaw_degrees(mount) for name, mount in mounts.items()}
-    pairs = sorted(
-        (_angle(NAVSIM_CAMERAS[navsim], yaw), i, j, navsim, name)
-        for i, navsim in enumerate(wanted)
-        for j, (name, yaw) in enumerate(looks.items())
+    found = match_cameras(
+        {name: Look.level(NAVSIM_CAMERAS[name], _FIELD) for name in wanted}, mounts
     )
-    found: dict[str, str] = {}
-    for angle, _, _, navsim, name in pairs:
-        if angle <= WITHIN_DEGREES and navsim not in found and name not in found.values():
-            found[navsim] = name
-    for navsim in wanted:
-        if navsim not in found:
-            there = ", ".join(f"{name} ({yaw:.0f})" for name, yaw in looks.items())
+    for name in wanted:
+        if name not in found:
             raise InputError(
-                where, f"camera {navsim}",
+                where, f"camera {name}",
                 f"is wanted, and no free camera looks within {WITHIN_DEGREES:g} degrees of "
-                f"{NAVSIM_CAMERAS[navsim]:.0f} (to the left of ahead)",
-                f"there are {there or 'none'}; use a log that has it, or name the cameras yourself",
+                f"{NAVSIM_CAMERAS[name]:.0f} (to the left of ahead)",
+                f"there are {directions(mounts)}; use a log that has it, or name the cameras "
+                "yourself",
             )  # fmt: skip
-    return {navsim: found[navsim] for navsim in wanted}
-
-
-def _yaw_degrees(mount: CameraMount) -> float:
-    x, y = mount.rig_from_camera[:2, 2]
-    return float(np.rad2deg(np.arctan2(y, x)))
-
-
-def _angle(a: float, b: float) -> float:
-    return abs(float(np.rad2deg(se2.wrap_angle(np.deg2rad(a - b)))))
+    return found

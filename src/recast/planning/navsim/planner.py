@@ -11,7 +11,7 @@ import numpy as np
 from recast.errors import InputError
 from recast.planning.cameras import require_cameras
 from recast.planning.navsim.agent_input import InputBuilder
-from recast.planning.navsim.cameras import NAVSIM_CAMERAS, match_cameras
+from recast.planning.navsim.cameras import NAVSIM_CAMERAS, rig_cameras
 from recast.planning.navsim.classes import navsim_classes
 from recast.planning.navsim.resample import resample
 from recast.planning.navsim.types import HISTORY_FRAMES
@@ -92,13 +92,13 @@ class NavsimPlanner:
     def _who(self) -> str:
         return f"planner {self.name}"
 
-    def choose_cameras(self, mounts: Mapping[str, CameraMount]) -> tuple[str, ...]:
-        """The rig's cameras that stand for those that the agent wants.
+    def choose_cameras(self, mounts: Mapping[str, CameraMount]) -> dict[str, str]:
+        """NAVSIM name to the rig's camera that stands for it.
 
         Raises:
-            InputError: see `match_cameras`.
+            InputError: see `rig_cameras`.
         """
-        return tuple(self._match(mounts).values())
+        return self._match(mounts)
 
     def reset(self, context: PlanningContext) -> None:
         """Forget the past.
@@ -139,7 +139,7 @@ class NavsimPlanner:
     def _match(self, mounts: Mapping[str, CameraMount]) -> dict[str, str]:
         if self._given is not None:
             return {name: self._given[name] for name in self._frames}
-        return match_cameras(tuple(self._frames), mounts, self._who)
+        return rig_cameras(tuple(self._frames), mounts, self._who)
 
 
 def _agent_name(agent: Any) -> str:
