@@ -1,18 +1,20 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
 from actors import made_up
-from recast.actors import BoxLidarSegmenter, Observation, observe
+from recast.actors import BoxLidarSegmenter, Observation, TemplateGenerator, observe
 from recast.actors.observe import rank_views
 from recast.actors.view_score import NearestSweeps, check_lidar, score_frame
 from recast.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, Track
+from recast.pipeline.actor import ActorMakers, make_actor
 
 
 def test_takes_the_largest_view_that_is_whole(observation: Observation, street: DrivingLog) -> None:
@@ -86,7 +88,7 @@ def test_unknown_track_lists_the_known_ones(street: DrivingLog) -> None:
 
 def test_unknown_camera(street: DrivingLog) -> None:
     with pytest.raises(InputError, match="front"):
-        observe(street, "7", segmenter=BoxLidarSegmenter(), camera="rear")
+        observe(street, "7", segmenter=BoxLidarSegmenter(), cameras=("front", "rear"))
 
 
 def test_too_few_lidar_points(street: DrivingLog) -> None:
@@ -117,3 +119,39 @@ def test_a_track_without_a_label_at_the_frames_is_not_scored(street: DrivingLog)
         track.trajectory, timestamps_us=track.trajectory.timestamps_us + 10_000_000
     )
     assert rank_views(street, Track("7", "car", track.size, late)) == []
+
+
+def with_more_cameras(street: DrivingLog) -> DrivingLog:
+    """The log with two further cameras in the same place, in which the car is smaller."""
+    front = street.cameras["front"]
+    cameras = dict(street.cameras)
+    for name, scale in (("half", 0.5), ("most", 0.75)):
+        size = (round(made_up.CAMERA.width * scale), round(made_up.CAMERA.height * scale))
+        images = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in front.images]
+        cameras[name] = dataclasses.replace(
+            front, name=name, camera=made_up.CAMERA.resized(*size), images=made_up.Frames(images)
+        )
+    return dataclasses.replace(street, cameras=cameras)
+
+
+@pytest.mark.parametrize(
+    ("named", "chosen"),
+    [((), "front"), (("half",), "half"), (("half", "most"), "most"), (("most", "front"), "front")],
+)
+def test_the_best_view_of_the_named_cameras_is_taken(
+    street: DrivingLog, named: tuple[str, ...], chosen: str
+) -> None:
+    log = with_more_cameras(street)
+    seen = observe(log, "7", segmenter=BoxLidarSegmenter(), cameras=named)
+    assert seen.view.camera == chosen
+    assert {view.camera for view in seen.candidates} <= set(named or log.cameras)
+
+
+def test_making_an_actor_counts_all_named_cameras(
+    street: DrivingLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("recast.pipeline.actor.film_turntable", lambda actor, path: None)
+    makers = ActorMakers(TemplateGenerator(spacing=0.1), BoxLidarSegmenter())
+    log = with_more_cameras(street)
+    actor = make_actor(log, "7", makers, 0, tmp_path, cameras=("half", "most"))
+    assert actor.provenance.camera == "most"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +25,7 @@ _BOX_GROWTH = 0.12  # metres around the label within which a return belongs to t
 
 
 def observe(
-    log: DrivingLog, track_id: str, *, segmenter: Segmenter, camera: str | None = None
+    log: DrivingLog, track_id: str, *, segmenter: Segmenter, cameras: Sequence[str] = ()
 ) -> Observation:
     """The best view of a track: largest, least truncated and occluded.
 
@@ -31,7 +33,7 @@ def observe(
         log: the drive.
         track_id: which track.
         segmenter: separates the vehicle from its background.
-        camera: consider only this camera stream.
+        cameras: consider only these camera streams; all where none is named.
 
     Raises:
         InputError: no such track or camera, a track that is never visible, or one with fewer than
@@ -40,10 +42,11 @@ def observe(
     track = _track(log, track_id)
     points = track_points(log, track).points
     require_points(points, log, track_id)
-    candidates = rank_views(log, track, camera)
+    candidates = rank_views(log, track, cameras)
     if not candidates:
         raise InputError(
-            log.name, f"track {track_id}", "is never visible in " + (camera or "any camera"),
+            log.name, f"track {track_id}",
+            "is never visible in " + (" or ".join(cameras) or "any camera"),
             "choose another track or camera: recast log info lists them",
         )  # fmt: skip
     best = candidates[0]
@@ -78,19 +81,25 @@ def require_points(points: NDArray[np.float32], log: DrivingLog, track_id: str) 
         )  # fmt: skip
 
 
-def rank_views(log: DrivingLog, track: Track, camera: str | None = None) -> list[ViewScore]:
+def rank_views(log: DrivingLog, track: Track, cameras: Sequence[str] = ()) -> list[ViewScore]:
     """The best frames in which the track is in view, best first; ties go to the earlier frame.
 
     LiDAR occlusion can only lower a score, so it is checked from the top of the list down until no
     frame left could win, and for at least four frames; the rest is left out.
 
+    Args:
+        cameras: consider only these camera streams; all where none is named.
+
     Raises:
         InputError: the log has no such camera.
     """
-    if camera is not None and camera not in log.cameras:
-        names = ", ".join(log.cameras)
-        raise InputError(log.name, f"camera {camera}", "is not in the log", f"choose from {names}")
-    streams = [log.cameras[camera]] if camera is not None else list(log.cameras.values())
+    for camera in cameras:
+        if camera not in log.cameras:
+            names = ", ".join(log.cameras)
+            raise InputError(
+                log.name, f"camera {camera}", "is not in the log", f"choose from {names}"
+            )
+    streams = [stream for name, stream in log.cameras.items() if not cameras or name in cameras]
     bounds = [
         score
         for stream in streams

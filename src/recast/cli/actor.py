@@ -26,7 +26,7 @@ class Make:
     """What cuts the vehicle out: box-lidar, an installed segmenter's name, or a folder that holds
     grounding-dino and sam (see docs/actors.md)."""
     cameras: tuple[str, ...] = ()
-    """Take the view from this camera; from any where none is named."""
+    """Cameras that the view may be taken from. Default: all of the log."""
     seed: int = 0
     """Seed of everything random."""
 

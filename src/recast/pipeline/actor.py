@@ -102,13 +102,12 @@ def make_actor(
     """Observe, generate, register; write `observation/`, `actor/` and `turntable.mp4` below `out`.
 
     Args:
-        cameras: observe from these only; none named: from all.
+        cameras: observe from these only; from all where none is named.
 
     Raises:
         InputError: see `observe` and `register`.
     """
-    camera = cameras[0] if len(cameras) == 1 else None
-    observation = observe(log, track_id, segmenter=makers.segmenter, camera=camera)
+    observation = observe(log, track_id, segmenter=makers.segmenter, cameras=cameras)
     with storage.atomic_folder(out / OBSERVATION_FOLDER) as folder:
         save_observation(observation, log, folder)
     asset = makers.generator.generate(observation, seed)
