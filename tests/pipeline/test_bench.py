@@ -15,6 +15,7 @@ import pytest
 from recast.cli.main import main
 from recast.errors import InputError
 from recast.pipeline.bench import parse_scenes
+from recast.pipeline.sources import Sources
 
 TESTS = Path(__file__).parents[1]
 FILES = ("rollouts.parquet", "results.json", "bench.json")
@@ -147,10 +148,10 @@ def test_a_scene_that_fails_is_rows_and_the_others_go_on(
 
     opened = worker.SceneRun
 
-    def only_the_first(path: Path) -> object:
+    def only_the_first(path: Path, sources: Sources) -> object:
         if path.parent.name.endswith("-1"):
             raise RuntimeError("the disk forgot it")
-        return opened(path)
+        return opened(path, sources)
 
     monkeypatch.setattr(worker, "SceneRun", only_the_first)
     out = tmp_path / "grid"
@@ -158,6 +159,11 @@ def test_a_scene_that_fails_is_rows_and_the_others_go_on(
     found = rows(out)
     assert [r["failure_reason"] for r in found[4:]] == ["the disk forgot it"] * 4
     assert found[0]["failure"] is None
+    [note] = out.glob("scenes/*/failure.json")
+    assert "in only_the_first" in json.loads(note.read_text())["traceback"]
+    monkeypatch.undo()
+    assert main(command(logs, out)) == 0
+    assert not note.exists()
 
 
 BAD = [

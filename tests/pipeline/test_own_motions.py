@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -72,3 +73,38 @@ def test_runs_without_own_scenarios_are_as_before() -> None:
 def test_a_faulty_record_is_refused() -> None:
     with pytest.raises(ValueError, match="own_motions"):
         RunConfig(track="0", motions=("x-a",), own_motions={"x-a": {"version": 1}})
+
+
+HOSTILE = ["../../../victim", "/victim", "a\0b", "a\nb", "x" * 300, "\u202eni-tuc", "<script>", ""]
+
+
+@pytest.mark.parametrize("name", [*HOSTILE, "near-b"])
+def test_the_name_of_an_own_scenario_is_the_one_it_describes(
+    own: Path, tmp_path: Path, name: str
+) -> None:
+    """Names become folders, so a configuration file must not choose others."""
+    config = resolve([str(own)]).model_dump(mode="json")
+    config |= {"motions": [name], "own_motions": {name: config["own_motions"]["near-a"]}}
+    file = tmp_path / "config.json"
+    file.write_text(json.dumps(config))
+    with pytest.raises(InputError) as caught:
+        resolve([], file)
+    assert caught.value.field == "own_motions"
+    assert "describes the scenario 'near-a'" in caught.value.problem
+
+
+@pytest.mark.parametrize("motions", [["moonwalk-a"], ["../../victim"]])
+def test_a_motion_that_nothing_describes_is_refused(tmp_path: Path, motions: list[str]) -> None:
+    file = tmp_path / "config.json"
+    file.write_text(json.dumps({"version": 1, "track": "0", "motions": motions}))
+    with pytest.raises(InputError, match="neither built in"):
+        resolve([], file)
+
+
+@pytest.mark.parametrize("member", ["motions", "methods"])
+def test_what_is_named_twice_is_refused(tmp_path: Path, member: str) -> None:
+    values = {"version": 1, "track": "0", "motions": ["cut-in-a"], "methods": ["native"]}
+    file = tmp_path / "config.json"
+    file.write_text(json.dumps({**values, member: values[member] * 2}))  # type: ignore[operator]
+    with pytest.raises(InputError, match="twice"):
+        resolve([], file)

@@ -42,11 +42,11 @@ def test_a_folder_with_foreign_files_is_refused_and_left_alone(tmp_path: Path) -
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
 
 
-def test_another_schema_version_is_refused(tmp_path: Path) -> None:
+def test_another_version_is_refused(tmp_path: Path) -> None:
     run = start(tmp_path / "run")
-    record = {**run.record, "schema": 99}
+    record = {**run.record.model_dump(), "version": 99}
     (run.path / "run.json").write_text(json.dumps(record))
-    with pytest.raises(InputError, match="version 99"):
+    with pytest.raises(InputError, match="version: is 99"):
         RunFolder.open(run.path)
 
 
@@ -137,7 +137,7 @@ def test_a_run_goes_on_with_its_preset_alone(
 ) -> None:
     path = tmp_path / "run"
     record = begin(path, resolve(first)).record
-    assert record["config"]["preset"] == first
+    assert record.config["preset"] == first
     assert begin(path, resolve(first)).record == record
     with pytest.raises(InputError, match="another configuration") as caught:
         begin(path, resolve(second))
@@ -174,3 +174,70 @@ def test_runs_begun_before_there_were_these_choices_go_on(tmp_path: Path) -> Non
     assert not {"densify_by", "densify_pause"} & config.resolved()["scene"].keys()
     folder = begin(tmp_path / "run", config)
     assert resolve(file=folder.path / "run.json").resolved() == config.resolved()
+
+
+@pytest.mark.parametrize("output", ["../victim", "/victim", "a/../../victim", "", "a\\b"])
+def test_a_step_never_leaves_the_folder(tmp_path: Path, output: str) -> None:
+    victim = tmp_path / "victim"
+    victim.mkdir()
+    (victim / "years").write_text("of work")
+    run = start(tmp_path / "run")
+    with pytest.raises(InputError, match="no file inside of run/"):
+        run.step("a", {}, lambda: None, (output,))
+    assert (victim / "years").read_text() == "of work"
+
+
+def test_a_link_among_the_outputs_is_removed_and_not_what_it_leads_to(tmp_path: Path) -> None:
+    run = start(tmp_path / "run")
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "years").write_text("of work")
+    (run.path / "scene").symlink_to(elsewhere)
+    run.step("scene", {}, lambda: (run.path / "scene").mkdir(), ("scene",))
+    assert (elsewhere / "years").read_text() == "of work"
+    assert not (run.path / "scene").is_symlink()
+
+
+DAMAGED = ["", "[]", "{}", "null", "[" * 5000, "1" * 5000, '{"version": 1}', "\x00", "NaN"]
+
+
+@pytest.mark.parametrize("text", DAMAGED)
+@pytest.mark.parametrize("name", ["run.json", "steps/a.json", "timings.json"])
+def test_a_damaged_record_is_one_line_that_names_it(tmp_path: Path, name: str, text: str) -> None:
+    run = start(tmp_path / "run")
+    run.step("a", {}, lambda: None)
+    assert run.timings().keys() == {"a"}
+    (run.path / name).write_text(text)
+    if (name, text) == ("timings.json", '{"version": 1}'):
+        assert run.timings() == {}  # which is what it says
+        return
+    with pytest.raises(InputError) as caught:
+        again = start(run.path)
+        again.step("a", {}, lambda: None)
+        again.timings()
+    assert caught.value.where == str(run.path / name)
+
+
+@pytest.mark.parametrize("member", ["log", "config", "versions"])
+def test_a_record_that_lacks_a_member_says_which(tmp_path: Path, member: str) -> None:
+    run = start(tmp_path / "run")
+    record = run.record.model_dump()
+    for faulty in ({**record, member: 5}, {k: v for k, v in record.items() if k != member}):
+        (run.path / "run.json").write_text(json.dumps(faulty))
+        with pytest.raises(InputError) as caught:
+            start(run.path)
+        assert caught.value.field == member
+
+
+def test_an_old_time_does_not_stand_in_the_way(tmp_path: Path) -> None:
+    run = start(tmp_path / "run")
+    run.step("a", {}, lambda: None)
+    run.step("b", {}, lambda: None)
+    run.step("a", {"x": 1}, lambda: None)
+    assert sorted(run.timings()) == ["a", "b"]
+
+
+def test_a_start_that_was_killed_at_once_is_begun_again(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / ".run.json.partial").write_text("{")
+    assert start(tmp_path / "run").record.config["seed"] == 0

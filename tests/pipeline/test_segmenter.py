@@ -12,9 +12,10 @@ from pydantic import TypeAdapter
 
 from recast.actors import MaskQuality, observe, segmenter_of
 from recast.logs import DrivingLog
-from recast.pipeline.actor import save_observation, segmenter_source
+from recast.pipeline.actor import save_observation
 from recast.pipeline.config import RunConfig
 from recast.pipeline.options import resolve_config
+from recast.pipeline.sources import segmenter_source
 from support.tiny_networks import write_tiny_networks
 
 

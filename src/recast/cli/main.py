@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import argparse
+import logging
+import os
+import re
 import sys
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr, suppress
+from io import StringIO
+from pathlib import Path
+from typing import Annotated, NoReturn
 
 import tyro
 
+from recast import __version__, diagnostics, storage
 from recast.cli.actor import Actor
 from recast.cli.bench import Bench
 from recast.cli.demo import Demo
@@ -21,6 +29,7 @@ from recast.cli.run import Run
 from recast.cli.scenario import Scenario
 from recast.cli.scene import Scene
 from recast.cli.trellis import Trellis
+from recast.diagnostics import Diagnostics
 from recast.errors import InputError
 
 Command = (
@@ -39,26 +48,96 @@ Command = (
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
 )
 
+_DESCRIPTION = """Closed-loop driving simulation from recorded logs.
+
+Every command also takes --verbose (show debug records and the tracebacks of errors) and --log-file
+FILE (append the same records to FILE)."""
+
+_LOG = logging.getLogger(__name__)
+
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run one command; bad input ends in one line on stderr and exit code 2."""
-    command = tyro.cli(
-        Command,
-        prog="recast",
-        description="Closed-loop driving simulation from recorded logs.",
-        config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
-        args=args,
-    )
+    words = list(sys.argv[1:] if args is None else args)
     try:
-        command()
+        where, words = _diagnostics(words)
+        diagnostics.begin(where)
+        _LOG.debug("recast %s: %s", __version__, words)
+        command = _command(words)
+        with storage.disk_errors("disk"):
+            command()
     except InputError as error:
-        print(f"recast: {' '.join(str(error).split())}", file=sys.stderr)
+        _LOG.debug("refused", exc_info=True)
+        print(f"recast: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # whoever reads the output has enough
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except KeyboardInterrupt:
+        _LOG.debug("interrupted", exc_info=True)
         print("recast: interrupted; the same command resumes", file=sys.stderr)
         return 130
+    except Exception:
+        _LOG.critical("a fault of recast or of a plug-in", exc_info=True)
+        raise
+    _LOG.debug("done")
     return 0
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+class _Options(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise InputError("command line", "options", message, "see recast --help")
+
+
+def _diagnostics(words: Sequence[str]) -> tuple[Diagnostics, list[str]]:
+    """What --verbose and --log-file say, wherever they stand, and the other words."""
+    options = _Options(add_help=False, allow_abbrev=False)
+    options.add_argument("--verbose", action="store_true")
+    options.add_argument("--log-file", type=Path)
+    found, others = options.parse_known_args(words)
+    return Diagnostics(found.verbose, found.log_file), others
+
+
+def _command(words: Sequence[str]) -> Callable[[], None]:
+    """What the words ask for.
+
+    Raises:
+        InputError: an unknown command or option, or a value that is none.
+        SystemExit: help was asked for, and given.
+    """
+    shown = StringIO()
+    try:
+        with redirect_stderr(shown):
+            command: Callable[[], None] = tyro.cli(
+                Command,
+                prog="recast",
+                description=_DESCRIPTION,
+                config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
+                args=words,
+            )
+    except SystemExit as ended:
+        if not ended.code:
+            raise
+        raise _refusal(shown.getvalue()) from None
+    return command
+
+
+def _refusal(boxed: str) -> InputError:
+    """One line of the box that tyro draws: title, problem, rule, perhaps options alike, rule, help.
+
+    Explanations of options are indented by eight blanks and left out.
+    """
+    title, *rows = [row.strip("│╭╮╰╯").removeprefix(" ") for row in boxed.splitlines()]
+    rule = next((i for i, row in enumerate(rows) if not row.strip(" ─")), len(rows))
+    said = " ".join(row.strip() for row in rows[:rule] if not row.startswith(" " * 8))
+    alike = ""
+    if any(row.startswith("Perhaps you meant") for row in rows):
+        option = next(row.split()[0] for row in rows[rule:] if row.startswith("    --"))
+        alike = f"did you mean {option}? "
+    asked = (re.search(r"recast[a-z0-9 -]* --help", row) for row in rows)
+    shown = next((found[0] for found in asked if found), "recast --help")
+    title = title.strip(" ─").lower()
+    said = re.sub(f"(?i)^{re.escape(title)}:? *", "", said).rstrip(".")
+    mend = f"{alike}see {shown}"
+    return InputError("command line", title, said, mend)

@@ -8,7 +8,9 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from typing import Any
 
+from recast import diagnostics
 from recast.crews.crew import Crew, Job, Outcome, Start
+from recast.diagnostics import Diagnostics
 from recast.synthetic.child_process import end_with_parent, worker_faults
 
 _WAITING = 2
@@ -33,7 +35,7 @@ def in_processes(workers: int) -> Crew:
         numbers: Any = context.SimpleQueue()
         for number in range(workers):
             numbers.put(number)
-        initial = (start, arguments, numbers)
+        initial = (start, arguments, numbers, diagnostics.current())
         with ProcessPoolExecutor(workers, context, _set_up, initial) as pool:
             pending: dict[Future[Outcome], Job] = {}
             with worker_faults(pool, finished):
@@ -49,7 +51,9 @@ def in_processes(workers: int) -> Crew:
     return crew
 
 
-def _set_up(start: Start[Any, Any], arguments: tuple[Any, ...], numbers: Any) -> None:
+def _set_up(
+    start: Start[Any, Any], arguments: tuple[Any, ...], numbers: Any, records: Diagnostics
+) -> None:
     global _start
     import torch
 
@@ -57,6 +61,7 @@ def _set_up(start: Start[Any, Any], arguments: tuple[Any, ...], numbers: Any) ->
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers itself
     end_with_parent()
+    diagnostics.begin(records)
     torch.set_num_threads(1)
     set_threads(1)
     number = numbers.get()

@@ -6,7 +6,9 @@ from collections.abc import Callable, Iterator
 from importlib import import_module
 from typing import Any
 
+from recast import diagnostics
 from recast.crews.crew import Crew, Job, Outcome, Start
+from recast.diagnostics import Diagnostics
 from recast.errors import InputError
 
 
@@ -30,7 +32,7 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> Crew:
     except ImportError:
         raise InputError(
             "--ray", address, "needs Ray, which is not installed",
-            "pip install 'recast[distributed]'",
+            "pip install 'recast-sim[distributed]'",
         ) from None  # fmt: skip
 
     def crew(
@@ -52,7 +54,8 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> Crew:
             # workers of the cluster import recast by themselves
             gpus = 1 if gpu and ray.cluster_resources().get("GPU", 0) else 0
             remote: Any = ray.remote(num_cpus=1, num_gpus=gpus)(_RemoteWorker)
-            actors = [remote.remote(start, number, arguments) for number in range(workers)]
+            records = diagnostics.current()
+            actors = [remote.remote(start, number, arguments, records) for number in range(workers)]
             yield from _outcomes(ray, actors, take)
         except ray.exceptions.RayTaskError as error:
             if isinstance(error.cause, InputError):
@@ -73,11 +76,18 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> Crew:
 class _RemoteWorker:
     """Lives on a worker of the cluster."""
 
-    def __init__(self, start: Start[Any, Any], number: int, arguments: tuple[Any, ...]) -> None:
+    def __init__(
+        self,
+        start: Start[Any, Any],
+        number: int,
+        arguments: tuple[Any, ...],
+        records: Diagnostics,
+    ) -> None:
         import torch
 
         from recast.splats import set_threads
 
+        self._records = records
         torch.set_num_threads(1)
         set_threads(1)
         self._start = lambda: start(number, *arguments)
@@ -85,6 +95,7 @@ class _RemoteWorker:
 
     def do(self, job: Any) -> Any:
         if self._work is None:  # not when made, whose errors come back as a lost actor
+            diagnostics.begin(self._records)
             self._work = self._start()
         return self._work(job)
 

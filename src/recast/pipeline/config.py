@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from recast.actors import DEFAULT_GENERATOR, DEFAULT_SEGMENTER
 from recast.pipeline.layout import Method
+from recast.pipeline.run_folder import RUN_FILE, RunFolder
 from recast.records import parse_record
 from recast.scene import Preset, SceneConfig
-from recast.simulation import MOTIONS, ScriptedMotion, motion_of_record
+from recast.simulation import MOTIONS, ScriptedMotion, motion_of_record, scenario_name
 from recast.storage import read_json
 
 CONFIG_VERSION: Literal[1] = 1
@@ -60,9 +61,29 @@ class RunConfig(BaseModel):
     @field_validator("own_motions")
     @classmethod
     def _own_motions_are_motions(cls, value: dict[str, dict[str, Any]]) -> dict[str, Any]:
-        for record in value.values():
-            motion_of_record(record)
+        for name, record in value.items():
+            described = scenario_name(motion_of_record(record))
+            if name != described:  # names become folders; those of scenario files are plain words
+                raise ValueError(f"{name!r} describes the scenario {described!r}")
         return value
+
+    @field_validator("motions", "methods")
+    @classmethod
+    def _each_once(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for name in value:
+            if value.count(name) > 1:
+                raise ValueError(f"names {name!r} twice")
+        return value
+
+    @model_validator(mode="after")
+    def _motions_are_known(self) -> Self:
+        for name in self.motions:
+            if name not in MOTIONS and name not in self.own_motions:
+                raise ValueError(
+                    f"motions: {name!r} is neither built in ({', '.join(MOTIONS)}) "
+                    "nor in own_motions"
+                )
+        return self
 
     def motion(self, name: str) -> ScriptedMotion:
         """The motion of one of `motions`."""
@@ -82,6 +103,18 @@ class RunConfig(BaseModel):
         if self.films:
             del values["films"]
         return values
+
+
+def config_of(folder: RunFolder) -> RunConfig:
+    """The configuration of a run folder.
+
+    Raises:
+        InputError: its record was damaged.
+    """
+    mend = "run again into a new folder"
+    return parse_record(
+        folder.path / RUN_FILE, folder.record.config, RunConfig, CONFIG_VERSION, mend
+    )
 
 
 def read_run_config(path: str | Path) -> RunConfig:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from recast import storage
 from recast.actors import DEFAULT_GENERATOR
 from recast.errors import InputError
 from recast.pipeline.actor import generator_of
@@ -17,6 +18,7 @@ from recast.pipeline.run import run
 from recast.planning import GTRS_MINI, make_planner
 from recast.scene import SceneConfig
 from recast.synthetic import make_world
+from recast.synthetic.rendering import require_embree
 
 LOG_FOLDER = "log"
 RUN_FOLDER = "run"
@@ -73,9 +75,10 @@ def demo(
         the report's `index.html`.
 
     Raises:
-        InputError: unknown scene, generator or planner, before anything is written; or `out` holds
-            something else.
+        InputError: no ray tracer, unknown scene, generator or planner, before anything is written;
+            or `out` holds something else, or another process is at work there.
     """
+    require_embree()  # the truth is ray-traced, and so is the log
     if threads < 0:
         raise InputError("threads", str(threads), "is negative", "choose 0 for all cores")
     world = make_world(scene, seed, size.seconds)
@@ -98,7 +101,11 @@ def demo(
     )
     make_planner(config.planner)
     generator_of(config.generator)
-    log = drive_log(
-        world, Path(out) / LOG_FOLDER, (size.width, size.height), size.cameras, threads, console
-    )
-    return run(log, Path(out) / RUN_FOLDER, config, console)
+    out = Path(out)
+    with storage.disk_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+    with storage.alone_in(out):
+        log = drive_log(
+            world, out / LOG_FOLDER, (size.width, size.height), size.cameras, threads, console
+        )
+        return run(log, out / RUN_FOLDER, config, console)

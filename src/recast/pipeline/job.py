@@ -11,12 +11,7 @@ from rich.console import Console
 from recast import storage
 from recast.errors import InputError
 from recast.logs import DrivingLog, HdMap, map_of
-from recast.pipeline.actor import (
-    ActorMakers,
-    generator_source,
-    make_actor,
-    segmenter_source,
-)
+from recast.pipeline.actor import ActorMakers, make_actor
 from recast.pipeline.config import RunConfig
 from recast.pipeline.display import FrameProgress, results_table
 from recast.pipeline.layout import (
@@ -25,20 +20,21 @@ from recast.pipeline.layout import (
     METRICS_FILE,
     OBSERVATION_FOLDER,
     REPORT_FOLDER,
-    ROLLOUTS_FOLDER,
     SCENE_FOLDER,
     TRUTH_FOLDER,
     TURNTABLE_FILE,
     Method,
+    rollout_folder,
 )
 from recast.pipeline.methods import Renderers
-from recast.pipeline.planner import planner_source
+from recast.pipeline.metrics_file import read_metrics
 from recast.pipeline.report import report_run
 from recast.pipeline.rollouts import make_rollout
 from recast.pipeline.run_folder import RunFolder
 from recast.pipeline.scene import train_with_display
 from recast.pipeline.scene_tables import evaluation_table
 from recast.pipeline.scores import write_metrics
+from recast.pipeline.sources import RECIPES, Sources
 from recast.pipeline.truth import compare_with_truth
 from recast.planning import Planner
 from recast.scene import evaluate_scene, load_scene
@@ -50,6 +46,7 @@ class Job:
     """The steps of one run, each after those it needs.
 
     Args:
+        sources: see `Sources.of`; taken before the planner was loaded.
         planner: of all rollouts, as loading one may take long.
         makers: of the actor, where they are loaded already; let go of when it is made.
     """
@@ -60,12 +57,13 @@ class Job:
         world: World | None,
         folder: RunFolder,
         config: RunConfig,
+        sources: Sources,
         planner: Planner,
         renderers: Renderers,
         console: Console,
         makers: ActorMakers | None = None,
     ) -> None:
-        self._makers, self.planner = makers, planner
+        self._makers, self._sources, self.planner = makers, sources, planner
         self.log, self.world, self.folder = log, world, folder
         self.config, self.renderers, self.console = config, renderers, console
         self.path = folder.path
@@ -129,7 +127,7 @@ class Job:
 
     @property
     def _log_hash(self) -> str:
-        return str(self.folder.record["log"]["hash"])
+        return self.folder.record.log.hash
 
     def _step(
         self,
@@ -138,10 +136,12 @@ class Job:
         make: Callable[[], None],
         outputs: tuple[str, ...],
         keep_partial: bool = False,
+        recipe: str | None = None,
     ) -> str:
         self.done += 1
         self.console.print(f"[bold]\\[{self.done}/{self.total}] {name}[/bold]")
-        fingerprint, made = self.folder.step(name, dict(inputs), make, outputs, keep_partial)
+        inputs = {**inputs, "recipe": RECIPES[recipe or name]}
+        fingerprint, made = self.folder.step(name, inputs, make, outputs, keep_partial)
         if not made:
             self.console.print("  finished before")
         return fingerprint
@@ -150,8 +150,8 @@ class Job:
         return {
             "log": self._log_hash,
             "track": self.config.track,
-            "generator": generator_source(self.config.generator),
-            "segmenter": segmenter_source(self.config.segmenter),
+            "generator": self._sources.generator,
+            "segmenter": self._sources.segmenter,
             "seed": self.config.seed,
             "cameras": list(self.config.scene.cameras),
         }
@@ -209,7 +209,7 @@ class Job:
             "track": config.track,
             "motion": motion,
             "method": method,
-            "planner": planner_source(config.planner),
+            "planner": self._sources.planner,
             "steps": config.steps,
             "plan_every": config.plan_every,
             "keep_other_actors": config.keep_other_actors,
@@ -226,10 +226,11 @@ class Job:
             inputs["scene"] = scene
         if method == "replaced":
             inputs["actor"] = actor
-        target = f"{ROLLOUTS_FOLDER}/{motion}/{method}"
+        target = rollout_folder(self.path, motion, method)
         return self._step(
             f"rollout-{motion}-{method}", inputs,
-            lambda: self._make_rollout(motion, method, self.path / target, timings), (target,),
+            lambda: self._make_rollout(motion, method, target, timings),
+            (target.relative_to(self.path).as_posix(),), recipe="rollout",
         )  # fmt: skip
 
     def _setup(self, motion: str, method: str) -> RolloutSetup:
@@ -291,7 +292,7 @@ class Job:
             raise refusals[0]
 
     def _conclude(self) -> Path:
-        metrics = storage.read_json(self.path / METRICS_FILE)
+        metrics = read_metrics(self.path / METRICS_FILE)
         self.console.print(results_table(metrics["table"]))
         for failed in metrics["failures"]:
             self.console.print(f"{failed['name']}: {failed['reason']}", markup=False, style="red")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
+
+from recast.names import folder_name
 
 OBSERVATION_FOLDER = "observation"
 ACTOR_FOLDER = "actor"
@@ -22,3 +25,8 @@ METHODS: dict[Method, str] = {
     "oracle": "truth (oracle)",
 }
 """Rendering methods in the order of the report, with their names for people."""
+
+
+def rollout_folder(run: Path, motion: str, method: Method) -> Path:
+    """Where a rollout of a run lies."""
+    return run / ROLLOUTS_FOLDER / folder_name(motion) / method

@@ -14,20 +14,21 @@ from recast.actors.icp import INLIER_DISTANCE
 from recast.errors import InputError
 from recast.evaluation import rollout_metrics
 from recast.logs import DrivingLog, HdMap, map_of, read_log
-from recast.pipeline.config import RunConfig
+from recast.pipeline.config import RunConfig, config_of
 from recast.pipeline.layout import (
     ACTOR_FOLDER,
     EVALUATION_FOLDER,
     METHODS,
     OBSERVATION_FOLDER,
     REPORT_FOLDER,
-    ROLLOUTS_FOLDER,
     SCENE_FOLDER,
     TRUTH_FOLDER,
     TURNTABLE_FILE,
+    Method,
+    rollout_folder,
 )
 from recast.pipeline.rollouts import films, read_rollout
-from recast.pipeline.run_folder import RunFolder
+from recast.pipeline.run_folder import RUN_FILE, RunFolder
 from recast.reporting import (
     NOT_MADE,
     ActorPart,
@@ -65,10 +66,10 @@ def report_run(run: str | Path, out: str | Path | None = None) -> Path:
         InputError: `run` is no run folder, its log is gone, or `out` holds something else.
     """
     folder = RunFolder.open(run)
-    log_path = Path(folder.record["log"]["path"])
+    log_path = Path(folder.record.log.path)
     if not log_path.is_dir():
         raise InputError(
-            folder.path / "run.json", "log.path", f"names {log_path}, which is not there",
+            folder.path / RUN_FILE, "log.path", f"names {log_path}, which is not there",
             "put the log back, or run from the folder that `recast run` was called in",
         )  # fmt: skip
     inputs = gather(folder, read_log(log_path))
@@ -77,9 +78,8 @@ def report_run(run: str | Path, out: str | Path | None = None) -> Path:
 
 def gather(folder: RunFolder, log: DrivingLog) -> ReportInputs:
     """Everything the page shows; what the run did not make yet says so."""
-    config = RunConfig.model_validate(folder.record["config"])
+    config = config_of(folder)
     hd_map = map_of(log)
-    timings = folder.path / "timings.json"
     methods: dict[str, str] = {method: METHODS[method] for method in config.methods}
     showcase, truth = _truth(folder.path, methods)
     category = log.tracks[config.track].category
@@ -97,13 +97,13 @@ def gather(folder: RunFolder, log: DrivingLog) -> ReportInputs:
         ),
         scene=_scene(folder.path),
         hd_map=hd_map,
-        config=folder.record["config"],
+        config=folder.record.config,
         provenance=ProvenancePart(
-            versions=folder.record["versions"],
+            versions=folder.record.versions,
             seeds={"run": config.seed, "scene": config.scene.seed},
-            hashes={"log": folder.record["log"]["hash"]},
+            hashes={"log": folder.record.log.hash},
         ),
-        timings=storage.read_json(timings) if timings.exists() else NOT_MADE,
+        timings=folder.timings() or NOT_MADE,
         warnings=_warnings(hd_map),
     )
 
@@ -196,13 +196,12 @@ def _scenario(run: Path, name: str, config: RunConfig, hd_map: HdMap) -> Scenari
         title=f"{motion.name}, setting {motion.setting}".capitalize(),
         description=motion.description,
         rollouts=tuple(
-            _rollout(run / ROLLOUTS_FOLDER / name / method, method, hd_map)
-            for method in config.methods
+            _rollout(rollout_folder(run, name, method), method, hd_map) for method in config.methods
         ),
     )
 
 
-def _rollout(folder: Path, method: str, hd_map: HdMap) -> RolloutPart:
+def _rollout(folder: Path, method: Method, hd_map: HdMap) -> RolloutPart:
     if not folder.is_dir():
         return RolloutPart(method, NOT_MADE)
     rollout = read_rollout(folder)

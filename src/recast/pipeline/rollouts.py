@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
 
 from recast import storage
 from recast.errors import InputError
+from recast.names import folder_name, member
 from recast.planning import Planner
+from recast.records import read_record
 from recast.reporting.video import VideoWriter
 from recast.simulation import (
     Rollout,
@@ -27,7 +32,29 @@ from recast.simulation import (
 )
 
 _FAILURE = "failure.json"
+_FILMS = "films.json"
 _STATES = "states"
+_VERSION: Literal[1] = 1
+_MEND = "remove the folder of this rollout and run again"
+
+_LOG = logging.getLogger(__name__)
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    version: Literal[1] = _VERSION
+
+
+class FilmsRecord(_Record):
+    """films.json: the film of each camera, whose name need not be that of a file."""
+
+    films: dict[str, str]
+
+
+class FailureRecord(_Record):
+    """failure.json: a `RolloutFailure`."""
+
+    failure: RolloutFailure
 
 
 def make_rollout(
@@ -46,31 +73,50 @@ def make_rollout(
 
     Args:
         renderer: None where nothing looks: no film, and a planner that needs no images.
-        folder: gets `states/` (see `save_rollout`) and `CAMERA.mp4`, or `failure.json`.
+        folder: gets `states/` (see `save_rollout`), the films and `films.json`, or `failure.json`.
         on_step: called after each filmed step.
         filmed: render every step, not only those that the planner sees.
         timings: is added to.
+
+    Raises:
+        InputError: the folder exists already, or the disk refuses.
     """
-    with storage.atomic_folder(folder) as partial, ExitStack() as films:
+    with storage.atomic_folder(folder) as partial, ExitStack() as opened:
+        files: dict[str, str] = {}
         writers: dict[str, VideoWriter] = {}
+        disk_refuses = False
 
         def film(state: SimState, images: Mapping[str, NDArray[np.uint8]]) -> None:
+            nonlocal disk_refuses
             for name, image in images.items():
-                if name not in writers:
-                    path = partial / f"{name}.mp4"
-                    writers[name] = films.enter_context(VideoWriter(path, fps=1 / setup.dt))
-                writers[name].add(image)
+                try:
+                    if name not in writers:
+                        files[name] = f"{folder_name(name)}.mp4"
+                        writer = VideoWriter(partial / files[name], fps=1 / setup.dt)
+                        writers[name] = opened.enter_context(writer)
+                    writers[name].add(image)
+                except (OSError, InputError):
+                    disk_refuses = True
+                    raise
             on_step()
 
         try:
             on_frame = film if filmed else None
             rollout = run_rollout(setup, planner, renderer, on_frame, timings)
-            save_rollout(rollout, partial / _STATES)
         except Exception as error:
-            films.close()
-            for name in writers:
-                (partial / f"{name}.mp4").unlink(missing_ok=True)
-            storage.write_json(partial / _FAILURE, vars(failure(setup, planner.name, error)))
+            if disk_refuses:  # which is no fault of the planner: the run ends, and is gone on with
+                raise
+            _LOG.warning("rollout %s failed", setup.name, exc_info=True)
+            opened.close()
+            for name in files.values():
+                (partial / name).unlink(missing_ok=True)
+            _write_failure(failure(setup, planner.name, error), partial)
+            return
+        opened.close()
+        save_rollout(rollout, partial / _STATES)
+        if files:
+            record = FilmsRecord(films=files)
+            storage.write_json(partial / _FILMS, record.model_dump(mode="json"))
 
 
 def read_rollout(folder: Path) -> Rollout | RolloutFailure:
@@ -82,24 +128,33 @@ def read_rollout(folder: Path) -> Rollout | RolloutFailure:
     path = folder / _FAILURE
     if not path.exists():
         return load_rollout(folder / _STATES)
-    record = storage.read_json(path)
-    try:
-        return RolloutFailure(**record)
-    except TypeError as error:
-        raise InputError(path, "failure", str(error), "run `recast run` again") from None
+    return read_record(path, FailureRecord, _VERSION, _MEND).failure
 
 
 def films(folder: Path) -> dict[str, Path]:
-    """Camera name to film."""
-    return {path.stem: path for path in sorted(folder.glob("*.mp4"))}
+    """Camera name to film.
+
+    Raises:
+        InputError: the record of the films is damaged, or names a file elsewhere.
+    """
+    path = folder / _FILMS
+    if not path.exists():
+        return {}
+    record = read_record(path, FilmsRecord, _VERSION, _MEND)
+    return {camera: member(folder, file, path, camera) for camera, file in record.films.items()}
 
 
 def write_failure(row: RolloutFailure, folder: Path) -> None:
     """Write why there is no rollout, as a new folder."""
     with storage.atomic_folder(folder) as partial:
-        storage.write_json(partial / _FAILURE, vars(row))
+        _write_failure(row, partial)
 
 
 def is_failure(folder: Path) -> bool:
     """Whether the folder says why there is no rollout."""
     return (folder / _FAILURE).exists()
+
+
+def _write_failure(row: RolloutFailure, folder: Path) -> None:
+    record = FailureRecord(failure=row)
+    storage.write_json(folder / _FAILURE, record.model_dump(mode="json"))

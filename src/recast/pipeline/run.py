@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import torch
 from rich.console import Console
 
+from recast import storage
+from recast.cores import usable_cores
 from recast.errors import InputError
 from recast.logs import read_log
 from recast.pipeline.actor import ActorMakers
@@ -17,6 +18,7 @@ from recast.pipeline.job import Job
 from recast.pipeline.methods import Renderers
 from recast.pipeline.planner import run_mounts
 from recast.pipeline.run_folder import RunFolder
+from recast.pipeline.sources import Sources
 from recast.planning import make_planner
 from recast.splats import set_threads
 from recast.synthetic import world_of
@@ -33,7 +35,7 @@ def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Conso
 
     Raises:
         InputError: bad log, track, planner, generator or segmenter, a camera that the planner wants
-            and the log lacks, or a folder that holds another run.
+            and the log lacks, a folder that holds another run, or another process at work there.
     """
     log_path, out = Path(log_path), Path(out)
     log = read_log(log_path)
@@ -47,16 +49,17 @@ def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Conso
     if "oracle" in config.methods:
         require_embree()
         world = world_of(log)
+    sources = Sources.of(config)
     planner = make_planner(config.planner)
     mounts = run_mounts(log, planner, config)
     makers = ActorMakers.named(config.generator, config.segmenter)
-    threads = config.threads or os.cpu_count() or 1
+    threads = config.threads or usable_cores()
     torch.set_num_threads(threads)
     set_threads(threads)
     folder = RunFolder.create_or_resume(
         out, config.resolved(), str(log_path), folder_hash(log_path)
     )
-    with Renderers(folder.path, world, mounts) as renderers:
-        job = Job(log, world, folder, config, planner, renderers, console, makers)
+    with storage.alone_in(folder.path), Renderers(folder.path, world, mounts) as renderers:
+        job = Job(log, world, folder, config, sources, planner, renderers, console, makers)
         del makers  # the job lets go of the networks when the actor is made
         return job.finish()

@@ -7,24 +7,67 @@ it while that hash stays the same, and makes it and all later steps anew where i
 
 from __future__ import annotations
 
-import fcntl
 import json
-import os
+import logging
 import platform
 import shutil
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, NonNegativeFloat
 
 from recast import __version__, storage
 from recast.errors import InputError
+from recast.names import member
 from recast.pipeline.fingerprint import value_hash
+from recast.records import read_record
 
-RUN_SCHEMA = 1
+RUN_FILE, TIMINGS_FILE = "run.json", "timings.json"
+RUN_FORMAT: Literal["recast-run"] = "recast-run"
+RUN_VERSION: Literal[2] = 2
+STEP_VERSION: Literal[1] = 1
+
+_LOG = logging.getLogger(__name__)
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class LogSource(_Record):
+    """The log of a run: where it was read from, for people, and its content hash."""
+
+    path: str
+    hash: str
+
+
+class RunRecord(_Record):
+    """run.json."""
+
+    format: Literal["recast-run"] = RUN_FORMAT
+    version: Literal[2] = RUN_VERSION
+    config: dict[str, Any]
+    log: LogSource
+    versions: dict[str, str]
+
+
+class StepRecord(_Record):
+    """steps/NAME.json: the hash of a finished step's inputs, and the inputs."""
+
+    version: Literal[1] = STEP_VERSION
+    fingerprint: str
+    inputs: dict[str, Any]
+
+
+class TimingsRecord(_Record):
+    """timings.json: seconds by step."""
+
+    version: Literal[1] = STEP_VERSION
+    seconds: dict[str, NonNegativeFloat] = {}
 
 
 @dataclass(frozen=True)
@@ -37,7 +80,7 @@ class RunFolder:
     """
 
     path: Path
-    record: dict[str, Any]
+    record: RunRecord
 
     @classmethod
     def create_or_resume(
@@ -53,35 +96,26 @@ class RunFolder:
 
         Raises:
             InputError: the folder holds something else: another log, another configuration,
-                another schema version, or files that are no run.
+                another version, or files that are no run.
         """
         path = Path(path)
-        record = {
-            "schema": RUN_SCHEMA,
-            "config": config,
-            "log": {"path": log_path, "hash": log_hash},
-            "versions": _versions(),
-        }
-        if not (path / "run.json").exists():
-            if path.exists() and (not path.is_dir() or any(path.iterdir())):
-                raise InputError(
-                    path, "run.json", "is missing in a folder that is not empty",
-                    "name a new or empty folder for --out",
-                )  # fmt: skip
-            path.mkdir(parents=True, exist_ok=True)
-            storage.write_json(path / "run.json", record)
+        if not (path / RUN_FILE).exists():
+            claim_empty(path, RUN_FILE)
+            source = LogSource(path=log_path, hash=log_hash)
+            record = RunRecord(config=config, log=source, versions=_versions())
+            storage.write_json(path / RUN_FILE, record.model_dump(mode="json"))
             return cls(path, record)
         existing = cls.open(path).record
         mend = "name another --out, or repeat the options of the run that lies there"
-        if existing["log"]["hash"] != log_hash:
+        if existing.log.hash != log_hash:
             raise InputError(
-                path / "run.json", "log.hash",
-                f"this folder holds a run on another log ({existing['log']['path']})", mend,
+                path / RUN_FILE, "log.hash",
+                f"this folder holds a run on another log ({existing.log.path})", mend,
             )  # fmt: skip
-        differing = _first_difference(existing["config"], config)
+        differing = _first_difference(existing.config, config)
         if differing is not None:
             raise InputError(
-                path / "run.json", f"config.{differing}",
+                path / RUN_FILE, f"config.{differing}",
                 "this folder holds a run with another configuration", mend,
             )  # fmt: skip
         return cls(path, existing)
@@ -91,22 +125,11 @@ class RunFolder:
         """Open an existing run.
 
         Raises:
-            InputError: not a run folder, or of another schema version.
+            InputError: not a run folder, or of another version.
         """
         path = Path(path)
-        record = storage.read_json(path / "run.json")
-        if not isinstance(record, dict) or not {"schema", "config", "log"} <= record.keys():
-            raise InputError(
-                path / "run.json", "schema", "this is no run record",
-                "name a folder that `recast run` made",
-            )  # fmt: skip
-        if record["schema"] != RUN_SCHEMA:
-            raise InputError(
-                path / "run.json", "schema",
-                f"version {record['schema']} where this recast reads {RUN_SCHEMA}",
-                "run again into a new folder",
-            )  # fmt: skip
-        return cls(path, record)
+        mend = "name a folder that this version of `recast run` made"
+        return cls(path, read_record(path / RUN_FILE, RunRecord, RUN_VERSION, mend, RUN_FORMAT))
 
     def step(
         self,
@@ -129,46 +152,79 @@ class RunFolder:
         Returns:
             the hash of the step's inputs, to be named in the inputs of later steps, and whether the
             step was made now (False: it was found finished).
+
+        Raises:
+            InputError: an output lies outside of the run folder; or the step's record is damaged.
         """
         fingerprint = value_hash({"step": name, "inputs": inputs})
-        marker = self.path / "steps" / f"{name}.json"
+        marker = member(self.path, f"steps/{name}.json", self.path, f"step {name}")
+        made = [member(self.path, output, self.path, f"step {name}") for output in outputs]
         finished = None
         if marker.exists():
-            finished = storage.read_json(marker).get("fingerprint")
-            if finished == fingerprint and all((self.path / o).exists() for o in outputs):
+            mend = f"remove {marker.name}, and the step is made again"
+            finished = read_record(marker, StepRecord, STEP_VERSION, mend).fingerprint
+            if finished == fingerprint and all(output.exists() for output in made):
+                _LOG.debug("%s: finished before, %s", name, fingerprint)
                 return fingerprint, False
-            marker.unlink()
-        if not keep_partial or (finished is not None and finished != fingerprint):
-            for output in outputs:
-                _remove(self.path / output)
+        with storage.disk_errors(self.path):
+            marker.unlink(missing_ok=True)
+            if not keep_partial or (finished is not None and finished != fingerprint):
+                for output in made:
+                    _remove(output)
+        _LOG.debug("%s: begins, was %s, becomes %s", name, finished, fingerprint)
         start = time.monotonic()
         make()
-        self._note_time(name, time.monotonic() - start)
-        storage.write_json(marker, {"fingerprint": fingerprint, "inputs": inputs})
+        seconds = time.monotonic() - start
+        self._note_time(name, seconds)
+        record = StepRecord(fingerprint=fingerprint, inputs=inputs)
+        storage.write_json(marker, record.model_dump(mode="json"))
+        _LOG.debug("%s: finished in %.1f s", name, seconds)
         return fingerprint, True
+
+    def timings(self) -> dict[str, float]:
+        """Seconds by step; {} where none was made.
+
+        Raises:
+            InputError: the file is damaged.
+        """
+        path = self.path / TIMINGS_FILE
+        if not path.exists():
+            return {}
+        return read_record(path, TimingsRecord, STEP_VERSION, "remove it").seconds
 
     def _note_time(self, name: str, seconds: float) -> None:
         # Kept apart from every result: two runs with the same seed must give the same bytes there.
-        path = self.path / "timings.json"
-        with _alone_in(self.path):
-            timings = storage.read_json(path) if path.exists() else {}
-            timings[name] = round(seconds, 2)
-            storage.write_json(path, timings)
+        # Rollouts of a run may be made by several workers at once, hence the lock; not on the run
+        # folder itself, which the whole run holds.
+        steps = self.path / "steps"
+        with storage.disk_errors(steps):
+            steps.mkdir(exist_ok=True)
+        with storage.alone_in(steps, wait=True):
+            record = TimingsRecord(seconds={**self.timings(), name: round(seconds, 2)})
+            storage.write_json(self.path / TIMINGS_FILE, record.model_dump(mode="json"))
 
 
-@contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
-    """Other processes that ask for the same folder wait: rollouts of a run may be made at once."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)  # unlocks
+def claim_empty(folder: Path, first: str) -> None:
+    """Make a folder, or take an empty one.
+
+    Args:
+        first: the file that will be written first; what a kill left of it does not count.
+
+    Raises:
+        InputError: something else lies there.
+    """
+    with storage.disk_errors(folder):
+        inside = {entry.name for entry in folder.iterdir()} if folder.is_dir() else set()
+        if (folder.exists() and not folder.is_dir()) or inside - {f".{first}.partial"}:
+            raise InputError(
+                folder, first, "is missing in a folder that is not empty",
+                "name a new or empty folder for --out",
+            )  # fmt: skip
+        folder.mkdir(parents=True, exist_ok=True)
 
 
 def _remove(path: Path) -> None:
-    if path.is_dir():
+    if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)

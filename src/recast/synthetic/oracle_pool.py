@@ -17,6 +17,7 @@ from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Self, TypeVar
 
+from recast.cores import usable_cores
 from recast.errors import InputError
 from recast.synthetic.child_process import end_with_parent
 from recast.synthetic.oracle import Oracle
@@ -51,7 +52,7 @@ class OraclePool:
         require_embree()
         if workers < 0:
             raise InputError("workers", str(workers), "is negative", "choose 0 for all cores")
-        wanted = workers or len(os.sched_getaffinity(0))
+        wanted = workers or usable_cores()
         self.workers = wanted if most is None else max(1, min(wanted, most))
         self._world = world
         self._own: Oracle | None = None

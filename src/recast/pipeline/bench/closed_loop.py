@@ -13,13 +13,13 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from recast import storage
 from recast.actors import segmenter_of
-from recast.crews import crew_of
-from recast.errors import InputError
+from recast.crews import Crew, crew_of
 from recast.evaluation.grid_file import write_rows
 from recast.logs import read_log
 from recast.pipeline.actor import generator_of
@@ -63,8 +63,8 @@ def run_closed_loop(
         retry_failures: run rollouts again that failed in an earlier try.
 
     Raises:
-        InputError: bad settings or another grid in `out`, before anything is written; or a worker
-            was killed.
+        InputError: bad settings, another grid in `out`, or another process at work there, before
+            anything is written; or a worker was killed.
     """
     crew = crew_of(workers, ray)
     planner = _check(settings)
@@ -76,7 +76,25 @@ def run_closed_loop(
             for scene, log in zip(settings.scenes, logs, strict=True)
         )
         settings, out = replace(settings, scenes=scenes), out.absolute()
-    schedule, times = Schedule(settings, planner.name), Times(out, workers)
+    with storage.alone_in(out):  # for its workers, too, which ask for nothing
+        results, spent = _make(settings, out, console, crew, planner.name, workers, retry_failures)
+    _print(results, settings, console)
+    console.print(f"time: {times_line(spent)}", markup=False, highlight=False)
+    console.print(f"wrote {out}", markup=False)
+    return results
+
+
+def _make(
+    settings: BenchSettings,
+    out: Path,
+    console: Console,
+    crew: Crew,
+    planner: str,
+    workers: int,
+    retry_failures: bool,
+) -> tuple[GridResults, dict[str, Any]]:
+    """Make and write everything; return the results and the contents of times.json."""
+    schedule, times = Schedule(settings, planner), Times(out, workers)
     began = time.perf_counter()
     arguments = (out, settings, retry_failures)
     with FrameProgress(console, schedule.total, "scenes and rollouts") as bar:
@@ -89,10 +107,7 @@ def run_closed_loop(
     results = summarise(schedule.rows(), settings)
     write_rows(results.rows, out / ROLLOUTS_FILE)
     storage.write_json(out / RESULTS_FILE, results_json(results, settings))
-    _print(results, settings, console)
-    console.print(f"time: {times_line(spent)}", markup=False, highlight=False)
-    console.print(f"wrote {out}", markup=False)
-    return results
+    return results, spent
 
 
 def _check(settings: BenchSettings) -> Planner:
@@ -104,10 +119,6 @@ def _check(settings: BenchSettings) -> Planner:
     synthetic = [scene for scene in settings.scenes if scene.log is None]
     if synthetic or "oracle" in config.methods:
         require_embree()
-    if len(set(config.methods)) < len(config.methods):
-        raise InputError(
-            "--methods", " ".join(config.methods), "names one twice", "name each method once"
-        )
     for scene in settings.scenes:
         if scene.log is not None and "oracle" in config.methods:
             world_of(read_log(scene.log))

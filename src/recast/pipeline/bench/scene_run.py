@@ -7,12 +7,13 @@ from pathlib import Path
 from rich.console import Console
 
 from recast.logs import read_log
-from recast.pipeline.config import RunConfig
+from recast.pipeline.config import config_of
 from recast.pipeline.job import Job
-from recast.pipeline.layout import ROLLOUTS_FOLDER, Method
+from recast.pipeline.layout import Method, rollout_folder
 from recast.pipeline.methods import Renderers
 from recast.pipeline.planner import run_mounts
 from recast.pipeline.run_folder import RunFolder
+from recast.pipeline.sources import Sources
 from recast.planning import make_planner
 from recast.simulation import Timings
 from recast.synthetic import world_of
@@ -26,15 +27,16 @@ class SceneRun:
 
     Args:
         path: run folder, begun with `RunFolder.create_or_resume`.
+        sources: of its configuration, taken before any of them was loaded.
 
     Raises:
         InputError: a faulty log or folder, or a camera that the planner wants and the log lacks.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, sources: Sources) -> None:
         folder = RunFolder.open(path)
-        config = RunConfig.model_validate(folder.record["config"])
-        log = read_log(folder.record["log"]["path"])
+        config = config_of(folder)
+        log = read_log(folder.record.log.path)
         planner = make_planner(config.planner)
         looks = config.films or planner.needs_images
         methods = set(config.methods) if looks else set()
@@ -42,14 +44,14 @@ class SceneRun:
         mounts = run_mounts(log, planner, config)
         self._renderers = Renderers(path, world, mounts, oracle_workers=1)
         console = Console(quiet=True)
-        self.job = Job(log, world, folder, config, planner, self._renderers, console)
+        self.job = Job(log, world, folder, config, sources, planner, self._renderers, console)
         self._actor = self.job.make_actor() if "replaced" in methods else None
         self._scene = self.job.make_scene() if methods - {"oracle"} else None
         self._evaluation = None if self._scene is None else self.job.evaluate(self._scene)
 
     def rollout_folder(self, motion: str, method: Method) -> Path:
         """Where a rollout lies."""
-        return self.job.path / ROLLOUTS_FOLDER / motion / method
+        return rollout_folder(self.job.path, motion, method)
 
     def make_rollout(self, motion: str, method: Method, timings: Timings) -> str:
         """One rollout, see `Job.make_rollout`."""

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from recast.errors import InputError
 from recast.logs import read_log
+from recast.names import folder_name
 from recast.synthetic import SCENES
 
 ALL_SYNTHETIC = "synthetic"
@@ -93,5 +94,4 @@ def _recorded(path: Path, track: str) -> BenchScene:
         raise InputError(
             path, f"track {track}", "is not in the log", f"choose one of {', '.join(log.tracks)}"
         )
-    safe = re.sub(r"[^A-Za-z0-9._-]+", "_", f"{log.name}-{track}").lstrip(".")
-    return BenchScene(safe, log=path, track=track)
+    return BenchScene(folder_name(f"{log.name}-{track}"), log=path, track=track)

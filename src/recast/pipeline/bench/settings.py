@@ -14,7 +14,7 @@ from recast.evaluation.bootstrap import SAMPLES
 from recast.pipeline.bench.scenes import BenchScene
 from recast.pipeline.config import RunConfig
 from recast.pipeline.fingerprint import folder_hash
-from recast.pipeline.planner import planner_source
+from recast.pipeline.run_folder import claim_empty
 
 RECORD_FILE, ROLLOUTS_FILE, RESULTS_FILE = "bench.json", "rollouts.parquet", "results.json"
 TIMES_FILE, SCENES_FOLDER = "times.json", "scenes"
@@ -67,7 +67,6 @@ class BenchSettings:
             "format": BENCH_FORMAT,
             "version": BENCH_VERSION,
             "config": self.run.resolved(),
-            "planner": planner_source(self.run.planner),
             "drive": asdict(self.drive),
             "samples": self.samples,
             "scenes": [_scene_record(scene) for scene in self.scenes],
@@ -92,12 +91,7 @@ def begin(out: Path, settings: BenchSettings) -> None:
                     "name another --out, or repeat the options of the grid that lies there",
                 )  # fmt: skip
         return
-    # a kill at the very start leaves no more than the beginning of the record
-    inside = {entry.name for entry in out.iterdir()} if out.is_dir() else set()
-    if (out.exists() and not out.is_dir()) or inside - {f".{RECORD_FILE}.partial"}:
-        raise InputError(
-            out, "output folder", "exists and holds no grid", "name a new or empty folder"
-        )
+    claim_empty(out, RECORD_FILE)
     storage.write_json(path, record)
 
 

@@ -67,7 +67,7 @@ class Outcome:
     """What came of a task.
 
     Attributes:
-        error, reason: class and message of what it raised; None where it is done.
+        error, reason: class and message of what it raised; None if it is done.
         hash: of a rollout.
         times: of a rollout that was made now.
         rows: of a score.

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from rich.console import Console
 
+from recast import storage
+from recast.errors import InputError
 from recast.pipeline.bench.scene_run import SceneRun
 from recast.pipeline.bench.score import score_scene
 from recast.pipeline.bench.settings import SCENES_FOLDER, BenchSettings
@@ -24,10 +28,15 @@ from recast.pipeline.drive import drive_log
 from recast.pipeline.fingerprint import folder_hash
 from recast.pipeline.rollouts import is_failure, write_failure
 from recast.pipeline.run_folder import RunFolder
-from recast.simulation import RolloutFailure, Timings
+from recast.pipeline.sources import Sources
+from recast.simulation import RolloutFailure, Timings, error_fields
 from recast.synthetic import make_world
 
+_LOG = logging.getLogger(__name__)
+
 LOG_FOLDER, RUN_FOLDER = "log", "run"
+FAILURE_FILE = "failure.json"
+"""What ended a scene's last try, with its traceback; gone when the scene is made."""
 _UNSAVED = "unsaved"
 """Instead of the hash of a rollout that never began; a further try begins it again."""
 
@@ -56,6 +65,7 @@ class BenchWorker:
 
     def __init__(self, out: Path, settings: BenchSettings, retry_failures: bool) -> None:
         self._out, self._settings, self._retry = out, settings, retry_failures
+        self._sources = Sources.of(settings.run)  # before anything of them is loaded
         self._open: tuple[str, SceneRun] | None = None
 
     def __call__(self, task: Task) -> Outcome:
@@ -69,7 +79,11 @@ class BenchWorker:
             assert isinstance(task, ScoreTask)
             return Outcome(rows=score_scene(run, task))
         except Exception as error:
-            return Outcome(type(error).__name__, str(error))
+            _LOG.warning("%s of %s failed", type(task).__name__, task.scene.id, exc_info=True)
+            fault = error_fields(error)
+            with suppress(InputError):  # the disk may be what failed
+                storage.write_json(self._path(task.scene.id) / FAILURE_FILE, fault)
+            return Outcome(fault["error"], fault["reason"])
 
     def _path(self, scene_id: str) -> Path:
         return self._out / SCENES_FOLDER / scene_id
@@ -88,6 +102,8 @@ class BenchWorker:
         config = settings.run_of(track).resolved()
         RunFolder.create_or_resume(path / RUN_FOLDER, config, str(log), folder_hash(log))
         self._scene_run(scene.id)
+        with storage.disk_errors(path):
+            (path / FAILURE_FILE).unlink(missing_ok=True)
         return Outcome()
 
     def _scene_run(self, scene_id: str) -> SceneRun:
@@ -95,7 +111,7 @@ class BenchWorker:
             if self._open is not None:
                 self._open[1].close()
                 self._open = None
-            self._open = scene_id, SceneRun(self._path(scene_id) / RUN_FOLDER)
+            self._open = scene_id, SceneRun(self._path(scene_id) / RUN_FOLDER, self._sources)
         return self._open[1]
 
     def _make_rollout(self, task: RolloutTask, run: SceneRun) -> Outcome:
@@ -107,6 +123,7 @@ class BenchWorker:
             made = run.make_rollout(task.motion, task.method, timings)
         except Exception as error:
             # before it began: its renderer or planner cannot be loaded
+            _LOG.warning("rollout %s cannot begin", task.key, exc_info=True)
             shutil.rmtree(folder, ignore_errors=True)
             write_failure(_failure(task, run, error), folder)
             return Outcome(hash=_UNSAVED)
@@ -126,6 +143,5 @@ def _failure(task: RolloutTask, run: SceneRun, error: Exception) -> RolloutFailu
         motion=motion.name,
         setting=motion.setting,
         planner=run.job.planner.name,
-        error=type(error).__name__,
-        reason=str(error),
+        **error_fields(error),
     )
