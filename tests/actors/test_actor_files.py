@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 import zlib
 from dataclasses import replace
 from pathlib import Path
@@ -12,12 +13,14 @@ from safetensors.torch import load_file, save_file
 from recast.actors import Actor, PlyGenerator, load_actor, make_generator, save_actor
 from recast.actors.observation import Observation
 from recast.errors import InputError
-from recast.splats import write_ply
+from recast.splats import CLASSIC, MIP, LowPass, write_ply
 
 
-def test_round_trip(actor: Actor, tmp_path: Path) -> None:
-    save_actor(actor, tmp_path / "actor")
+@pytest.mark.parametrize("low_pass", [CLASSIC, MIP])
+def test_round_trip(actor: Actor, tmp_path: Path, low_pass: LowPass) -> None:
+    save_actor(replace(actor, low_pass=low_pass), tmp_path / "actor")
     back = load_actor(tmp_path / "actor")
+    assert back.low_pass == low_pass
     assert back.track_id == actor.track_id
     assert back.provenance == actor.provenance
     np.testing.assert_array_equal(back.size, actor.size)

@@ -12,6 +12,7 @@ from recast.actors import Observation
 from recast.actors.image_to_3d_generator import ImageTo3DGenerator
 from recast.errors import InputError
 from recast.pipeline.actor import generator_of
+from recast.splats import MIP
 from recast.trellis import GenerationLimits
 from support.trellis_folder import write_golden_model
 
@@ -30,6 +31,7 @@ def test_a_model_folder_is_a_generator(folder: Path, observation: Observation) -
     assert torch.equal(asset.gaussians.means, again.gaussians.means)
     assert asset.generator == "image-to-3d"
     assert not asset.axes.declares_front
+    assert asset.low_pass == MIP  # as the decoder's configuration says
     assert asset.details == {
         "model": "tiny-model",
         "voxels": len(asset.gaussians) // 8,

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +13,15 @@ from recast.actors.shadow import contact_shadow
 from recast.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog
-from recast.scene import SceneActor, SkyMap, StreetScene
-from recast.splats import Gaussians
+from recast.scene import (
+    SceneActor,
+    SkyMap,
+    StreetScene,
+    load_scene,
+    render_scene,
+    save_scene,
+)
+from recast.splats import CLASSIC, MIP, Gaussians, rasterize
 
 
 @pytest.fixture
@@ -43,6 +51,42 @@ def test_an_actor_the_scene_does_not_have(scene: StreetScene, actor: Actor) -> N
     stranger = dataclasses.replace(actor, track_id="42")
     with pytest.raises(InputError, match="force_dynamic"):
         insert(scene, stranger)
+
+
+@pytest.mark.parametrize("distance", [8.0, 20.0, 45.0])
+def test_a_scene_draws_an_actor_as_through_its_own_filter(
+    scene: StreetScene, actor: Actor, distance: float
+) -> None:
+    """Made for Mip-Splatting's filter, drawn in the scene's pass, by the filter of 3DGS."""
+    shadow = actor.shadow.select(torch.zeros(0, dtype=torch.int64))
+    vehicle = dataclasses.replace(actor, low_pass=MIP, shadow=shadow)
+    nothing = actor.gaussians.select(torch.zeros(0, dtype=torch.int64))
+    empty = dataclasses.replace(scene, background=nothing)
+    pose = se3.from_rotation_translation(se3.rotation_z(0.6), [distance, 0.0, 0.0])
+    camera_from_world = se3.inverse(made_up.RIG_FROM_CAMERA)
+
+    def image(inserted: Actor) -> np.ndarray:
+        placed = insert(empty, inserted)
+        return render_scene(placed, made_up.CAMERA, camera_from_world, {"7": pose}).rgb
+
+    camera = made_up.CAMERA
+    with torch.no_grad():
+        own = rasterize(
+            vehicle.gaussians.transformed(torch.from_numpy(pose)),
+            torch.from_numpy(camera_from_world).float(), torch.from_numpy(camera.matrix).float(),
+            camera.width, camera.height, eps2d=0.1, antialiased=True,
+        )  # fmt: skip
+    wanted, covered = own.rgb.clamp(0, 1).numpy(), own.alpha.numpy() > 0.5
+    kept = np.abs(image(vehicle) - wanted)[covered].mean()
+    ignored = np.abs(image(dataclasses.replace(vehicle, low_pass=CLASSIC)) - wanted)[covered].mean()
+    assert kept < 0.5 * ignored
+
+
+def test_a_saved_scene_keeps_the_filter_of_its_actors(
+    scene: StreetScene, actor: Actor, tmp_path: Path
+) -> None:
+    save_scene(insert(scene, dataclasses.replace(actor, low_pass=MIP)), tmp_path / "scene")
+    assert load_scene(tmp_path / "scene").actors["7"].low_pass == MIP
 
 
 def test_shadow_is_black_flat_soft_and_larger_than_the_footprint() -> None:

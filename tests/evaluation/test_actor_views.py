@@ -26,6 +26,7 @@ from recast.evaluation.actor_scores import (
 )
 from recast.recar import begin_set, finish_set, read_set, regular_azimuths, write_identity
 from recast.recar.shards import pack_set
+from recast.splats import CLASSIC
 from support.crops import RESERVED, SIZE, photograph, two_coloured_box, write_crops
 
 
@@ -118,12 +119,12 @@ def test_the_render_of_the_photographed_vehicle_scores_best(tmp_path: Path) -> N
     for view, where in zip(case.targets, RESERVED, strict=True):
         assert view.azimuth_deg == pytest.approx(where[0])
         truth = photographed(view.load())
-        scores = score_view(drawn(vehicle, view), truth)
+        scores = score_view(drawn(vehicle, CLASSIC, view), truth)
         assert set(scores) == set(list(ACTOR_COLUMNS)[:4])
         assert scores["mask_iou"] == 1.0
         assert scores["psnr"] > 25  # rims of the hard mask against a soft alpha
         assert scores["ssim"] > 0.95
-        other = score_view(drawn(replace(vehicle, means=vehicle.means * 0.8), view), truth)
+        other = score_view(drawn(replace(vehicle, means=vehicle.means * 0.8), CLASSIC, view), truth)
         assert all(other[key] < scores[key] for key in scores)
 
 

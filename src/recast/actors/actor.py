@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict
 from recast.actors.generate import Asset
 from recast.actors.icp import Fit
 from recast.actors.observation import MaskQuality, Observation
-from recast.splats import Gaussians
+from recast.splats import Gaussians, LowPass
 
 Array = NDArray[np.float64]
 
@@ -145,6 +145,7 @@ class Actor:
         shadow: contact shadow in the same frame.
         provenance: see `Provenance`.
         source: (H, W, 4) uint8 crop it was made from.
+        low_pass: the filter that the vehicle's Gaussians were made for.
     """
 
     track_id: str
@@ -154,6 +155,7 @@ class Actor:
     shadow: Gaussians
     provenance: Provenance
     source: NDArray[np.uint8]
+    low_pass: LowPass
 
     def validate(self) -> None:
         """Raise ValueError naming the field at fault."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from recast.actors.icp import Fit
 from recast.actors.observation import Observation
 from recast.logs import Track
-from recast.splats import Gaussians, rasterize
+from recast.splats import Gaussians, LowPass, rasterize
 
 Array = NDArray[np.float64]
 
@@ -44,11 +44,14 @@ _AXES_WEIGHT = 1.5
 _LIMIT = 4.0
 
 
-def compare_views(gaussians: Gaussians, observation: Observation) -> tuple[float, float]:
+def compare_views(
+    gaussians: Gaussians, low_pass: LowPass, observation: Observation
+) -> tuple[float, float]:
     """Silhouette overlap and colour difference of an asset placed in the actor frame.
 
     Args:
         gaussians: actor frame, metres.
+        low_pass: the filter that they were made for.
         observation: crop, mask and camera.
     """
     height, width = observation.rgba.shape[:2]
@@ -61,6 +64,8 @@ def compare_views(gaussians: Gaussians, observation: Observation) -> tuple[float
             torch.from_numpy(camera.matrix).float(),
             camera.width,
             camera.height,
+            eps2d=low_pass.variance,
+            antialiased=low_pass.antialiased,
         )
     rendered = picture.rgb.numpy().astype(np.float64)
     alpha = picture.alpha.numpy() > 0.5

@@ -9,7 +9,7 @@ from typing import Protocol
 from recast.actors.axes import AxisConvention
 from recast.actors.observation import Observation
 from recast.plugins import Registry
-from recast.splats.gaussians import Gaussians
+from recast.splats import CLASSIC, Gaussians, LowPass
 
 DEFAULT_GENERATOR = "recast-mini"
 
@@ -34,6 +34,7 @@ class Asset:
         generator: name, for the record.
         seed: that made it.
         details: facts about how it was made, plain values.
+        low_pass: filter of the pass that it looks right through.
     """
 
     gaussians: Gaussians
@@ -41,6 +42,7 @@ class Asset:
     generator: str
     seed: int
     details: Mapping[str, str | float | int] = field(default_factory=dict)
+    low_pass: LowPass = CLASSIC
 
 
 class ActorGenerator(Protocol):

@@ -52,6 +52,7 @@ class ImageTo3DGenerator:
         return Asset(
             vehicle.gaussians, self.axes, self.name, vehicle.seed,
             {"model": self.folder.resolve().name, "voxels": len(vehicle.coords)},
+            self.model.low_pass,
         )  # fmt: skip
 
 

@@ -32,5 +32,6 @@ def insert(scene: StreetScene, actor: Actor) -> StreetScene:
             size=actor.size,
             shadow=actor.shadow,
             appearance=None,
+            low_pass=actor.low_pass,
         )
     )

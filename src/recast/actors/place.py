@@ -22,7 +22,7 @@ from recast.actors.observation import Observation
 from recast.actors.start import Start, stand_on_box
 from recast.errors import InputError
 from recast.geometry import se3
-from recast.splats import Gaussians
+from recast.splats import Gaussians, LowPass
 
 Array = NDArray[np.float64]
 
@@ -101,7 +101,7 @@ def place_asset(asset: Asset, size: ArrayLike, observations: Sequence[Observatio
             f"asset of {asset.generator}", "opacity", str(error),
             "generate again with another seed, or export the asset again",
         ) from None  # fmt: skip
-    search = _Search(gaussians, points, size, observations)
+    search = _Search(gaussians, asset.low_pass, points, size, observations)
     declared = asset.axes.declares_front
     first = 0.0 if declared else search.best_yaw()
     starts = [search.start(first), search.start(first + np.pi)]
@@ -140,12 +140,14 @@ class _Search:
 
     Attributes:
         gaussians: upright, in the asset's units.
+        low_pass: the filter that they were made for.
         points: (N, 3) of its outer surface.
         size: (3,) metres.
         observations: what it is compared with.
     """
 
     gaussians: Gaussians
+    low_pass: LowPass
     points: Array
     size: Array
     observations: Sequence[Observation]
@@ -164,7 +166,7 @@ class _Search:
 
     def compare(self, placed: Gaussians) -> tuple[float, float]:
         """Overlap of silhouettes and difference of colours, means over the views."""
-        both = [compare_views(placed, one) for one in self.observations]
+        both = [compare_views(placed, self.low_pass, one) for one in self.observations]
         overlap, colour = np.mean(both, axis=0)
         return float(overlap), float(colour)
 

@@ -23,7 +23,7 @@ from recast.actors.start import Start, stand_on_box
 from recast.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog, Track, track_points
-from recast.splats import Gaussians
+from recast.splats import Gaussians, LowPass
 
 Array = NDArray[np.float64]
 
@@ -99,6 +99,7 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
         shadow=contact_shadow(low, high, floor=-size[2] / 2),
         provenance=Provenance.of(asset, observation, report),
         source=observation.rgba,
+        low_pass=asset.low_pass,
     )
 
 
@@ -145,7 +146,10 @@ def _orientation(
         stand_on_box(surface.points, best, size),
         stand_on_box(surface.points, best + np.pi, size),
     ]
-    agreements = [_agreement(gaussians, surface, lidar, start, observation) for start in starts]
+    agreements = [
+        _agreement(gaussians, asset.low_pass, surface, lidar, start, observation)
+        for start in starts
+    ]
     declared = asset.axes.declares_front
     heading = heading_agreement(track)
     votes = front_votes(agreements[0], agreements[1], declared, heading)
@@ -167,8 +171,9 @@ def _search_cost(points: Array, lidar: Array, start: Start, size: Array) -> floa
 
 
 def _agreement(
-    gaussians: Gaussians, surface: Surface, lidar: Array, start: Start, observation: Observation
-) -> Agreement:
+    gaussians: Gaussians, low_pass: LowPass, surface: Surface, lidar: Array, start: Start,
+    observation: Observation,
+) -> Agreement:  # fmt: skip
     """What speaks for one orientation after a short alignment."""
     placed = start.apply(surface)
     floor = -observation.size[2] / 2
@@ -177,6 +182,6 @@ def _agreement(
         start.matrix[:3, :3], start.matrix[:3, 3] * result.scale
     )
     moved = gaussians.transformed(torch.from_numpy(matrix), start.scale * result.scale)
-    silhouette, colour = compare_views(moved, observation)
+    silhouette, colour = compare_views(moved, low_pass, observation)
     points = result.apply(placed.points)
     return Agreement(fit_of(points, lidar), silhouette, colour)

@@ -14,9 +14,9 @@ from recast import storage
 from recast.actors.actor import Actor, Provenance
 from recast.errors import InputError
 from recast.records import read_record
-from recast.splats import Gaussians, read_ply, write_ply
+from recast.splats import Gaussians, LowPass, read_ply, write_ply
 
-ACTOR_VERSION = 1
+ACTOR_VERSION = 2
 ACTOR_FILE = "actor.json"
 VEHICLE_FILE = "vehicle.ply"
 SHADOW_FILE = "shadow.safetensors"
@@ -35,6 +35,7 @@ class ActorRecord(BaseModel):
     category: str
     size: tuple[float, float, float]
     provenance: Provenance
+    low_pass: LowPass
 
 
 def save_actor(actor: Actor, folder: str | Path) -> None:
@@ -52,9 +53,10 @@ def save_actor(actor: Actor, folder: str | Path) -> None:
         category=actor.category,
         size=(length, width, height),
         provenance=actor.provenance,
+        low_pass=actor.low_pass,
     )
     with storage.atomic_folder(folder) as partial:
-        write_ply(partial / VEHICLE_FILE, actor.gaussians)
+        write_ply(partial / VEHICLE_FILE, actor.gaussians, actor.low_pass)
         shadow = {name: getattr(actor.shadow, name).contiguous() for name in _FIELDS}
         save_file(shadow, str(partial / SHADOW_FILE))
         bgra = cv2.cvtColor(actor.source, cv2.COLOR_RGBA2BGRA)
@@ -79,6 +81,7 @@ def load_actor(folder: str | Path) -> Actor:
         shadow=_read_shadow(folder / SHADOW_FILE),
         provenance=record.provenance,
         source=_read_source(folder / SOURCE_FILE),
+        low_pass=record.low_pass,
     )
 
 

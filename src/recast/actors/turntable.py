@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from recast.actors.actor import Actor
 from recast.geometry import PinholeCamera, se3
-from recast.splats import Gaussians, concatenate, rasterize
+from recast.splats import CLASSIC, Gaussians, LowPass, concatenate, rasterize
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ def turntable(
     parts = [actor.gaussians, actor.shadow] if with_shadow else [actor.gaussians]
     return orbit(
         concatenate(parts), actor.size, views=views, width=width, height=height,
-        elevation=elevation, background=background,
+        elevation=elevation, background=background, low_pass=actor.low_pass,
     )  # fmt: skip
 
 
@@ -44,7 +44,7 @@ def orbit(
     gaussians: Gaussians, size: Array, *, views: int, width: int, height: int,
     elevation: float = float(np.radians(10.0)),
     background: tuple[float, float, float] = (0.55, 0.56, 0.58),
-    eps2d: float = 0.3, antialiased: bool = False,
+    low_pass: LowPass = CLASSIC,
 ) -> list[NDArray[np.uint8]]:  # fmt: skip
     """Render Gaussians about the origin from azimuths evenly around the z axis, the first from +x.
 
@@ -55,7 +55,7 @@ def orbit(
         width, height: pixels.
         elevation: of the camera, radians.
         background: display colour behind it.
-        eps2d, antialiased: low-pass filter, see `rasterize`.
+        low_pass: the filter that they were made for.
 
     Returns:
         `views` images (height, width, 3) uint8.
@@ -73,8 +73,8 @@ def orbit(
         with torch.no_grad():
             picture = rasterize(
                 gaussians, torch.from_numpy(pose).float(), torch.from_numpy(camera.matrix).float(),
-                width, height, background=torch.tensor(background), eps2d=eps2d,
-                antialiased=antialiased,
+                width, height, background=torch.tensor(background),
+                eps2d=low_pass.variance, antialiased=low_pass.antialiased,
             )  # fmt: skip
         images.append((picture.rgb.clamp(0, 1) * 255).round().to(torch.uint8).numpy())
     return images

@@ -13,7 +13,7 @@ from recast.evaluation.actor_cases import ActorView
 from recast.evaluation.oracle_scores import PSNR_CAP, mask_iou
 from recast.evaluation.perceptual import ImageDistance
 from recast.scene import psnr, ssim
-from recast.splats import Gaussians, rasterize
+from recast.splats import Gaussians, LowPass, rasterize
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -109,8 +109,8 @@ def photographed(rgba: NDArray[np.uint8]) -> Cutout:
     return Cutout(rgba[..., :3] / 255 * alpha[..., None], alpha)
 
 
-def drawn(gaussians: Gaussians, view: ActorView) -> Cutout:
-    """Gaussians in the actor frame as the camera of a view sees them."""
+def drawn(gaussians: Gaussians, low_pass: LowPass, view: ActorView) -> Cutout:
+    """Gaussians in the actor frame as the camera of a view sees them, by their own filter."""
     with torch.no_grad():
         picture = rasterize(
             gaussians,
@@ -118,6 +118,8 @@ def drawn(gaussians: Gaussians, view: ActorView) -> Cutout:
             torch.from_numpy(view.camera.matrix).float(),
             view.camera.width,
             view.camera.height,
+            eps2d=low_pass.variance,
+            antialiased=low_pass.antialiased,
         )
     return Cutout(
         picture.rgb.clamp(0, 1).numpy().astype(np.float64),

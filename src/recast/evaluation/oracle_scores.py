@@ -112,6 +112,8 @@ def actor_mask(
             torch.from_numpy(camera.matrix).float(),
             camera.width,
             camera.height,
+            eps2d=actor.low_pass.variance,
+            antialiased=actor.low_pass.antialiased,
         )
     covered: Mask = alone.alpha.numpy() > 0.5
     return covered

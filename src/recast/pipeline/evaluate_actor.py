@@ -134,7 +134,10 @@ def evaluate_actors(
             seconds[case.id] = {"generate": made - start, "place": time.perf_counter() - made}
             views, compared = [], []
             for view in case.targets:
-                truth, shown = photographed(view.load()), drawn(placed.gaussians, view)
+                truth, shown = (
+                    photographed(view.load()),
+                    drawn(placed.gaussians, asset.low_pass, view),
+                )
                 scores = score_view(shown, truth, distances)
                 views.append(ViewResult(view.name, view.azimuth_deg, scores))
                 compared.append(ComparedView(_caption(view, scores), truth, shown))

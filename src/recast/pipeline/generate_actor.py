@@ -16,7 +16,7 @@ from recast.actors import orbit
 from recast.errors import InputError
 from recast.pipeline.display import SamplingProgress
 from recast.reporting.video import write_video
-from recast.splats import Gaussians, write_ply
+from recast.splats import Gaussians, LowPass, write_ply
 from recast.trellis import (
     GeneratedVehicle,
     Generation,
@@ -145,7 +145,7 @@ def generate_actors(
             target.mkdir(exist_ok=True)
             seen = [crop_to_object(view, model.encoder.image_size) for view in views]
             Image.fromarray(np.hstack(seen)).save(target / "condition.png")
-            _write_vehicle(target, vehicle)
+            _write_vehicle(target, vehicle, model.low_pass)
             storage.write_json(target / "generation.json", _record(request, model, crop, vehicle))
         storage.write_json(
             folder / "cost.json", {"seconds": dict(made.seconds), "peak_bytes": made.peak_bytes}
@@ -153,14 +153,13 @@ def generate_actors(
     return made
 
 
-def _write_vehicle(folder: Path, vehicle: GeneratedVehicle) -> None:
-    write_ply(folder / "vehicle.ply", vehicle.gaussians)
-    write_ply(folder / "viewer.ply", viewer_frame(vehicle.gaussians))
+def _write_vehicle(folder: Path, vehicle: GeneratedVehicle, low_pass: LowPass) -> None:
+    write_ply(folder / "vehicle.ply", vehicle.gaussians, low_pass)
+    write_ply(folder / "viewer.ply", viewer_frame(vehicle.gaussians), low_pass)
     width, height = _FILM_SIZE
-    # the low-pass filter through which the published decoder was trained to be looked at
     frames = orbit(
         vehicle.gaussians, _extents(vehicle.gaussians), views=_FILM_VIEWS, width=width,
-        height=height, eps2d=0.1, antialiased=True,
+        height=height, low_pass=low_pass,
     )  # fmt: skip
     write_video(folder / "turntable.mp4", frames, fps=_FILM_VIEWS / 6)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -145,12 +145,15 @@ class CellMaker:
             return {"generate": time.perf_counter() - start}
         placed = time.perf_counter()
         truths = [photographed(view.load()) for view in case.targets]
-        shown = [drawn(gaussians, view) for view in case.targets]
+        shown = [drawn(gaussians, asset.low_pass, view) for view in case.targets]
         scores = [
             score_view(one, truth, self._distances)
             for one, truth in zip(shown, truths, strict=True)
         ]
-        facts = {"details": dict(asset.details), "seed": asset.seed, "placement": placement}
+        facts = {
+            "details": dict(asset.details), "seed": asset.seed, "placement": placement,
+            "low_pass": asdict(asset.low_pass),
+        }  # fmt: skip
         views = tuple(view.name for view in case.targets)
         features = self._features(shown, truths)
         cell = Cell(job.key, case.id, facts, views, tuple(scores), features)

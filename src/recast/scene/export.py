@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,8 @@ CONVENTIONS = {
     "gaussians": "PLY of 3D Gaussian splatting: x y z, f_dc and f_rest (real harmonics, channel by "
     "channel; colour = max(0.5 + sum, 0)), opacity (logit), scale (natural log of standard "
     "deviations), rot (quaternion w x y z, not normalised)",
+    "low_pass": "filter that an actor's Gaussians were made for: px^2 added to projected "
+    "covariances, and whether opacity is lowered by as much; everything else: 0.3, not lowered",
     "sky": "equirectangular, infinitely far, behind the Gaussians (rgb + (1 - alpha) sky): top row "
     "zenith, bottom row nadir, columns from azimuth -pi to pi, counter-clockwise from x seen from "
     "above; 16 bits a channel, 65535 = 1",
@@ -48,7 +51,7 @@ def export_scene(scene: StreetScene, folder: str | Path) -> None:
         actors = []
         for track_id, actor in scene.actors.items():
             files = {"gaussians": f"actors/{names[track_id]}.ply"}
-            write_ply(partial / files["gaussians"], actor.gaussians)
+            write_ply(partial / files["gaussians"], actor.gaussians, actor.low_pass)
             if actor.shadow is not None:
                 files["shadow"] = f"shadows/{names[track_id]}.ply"
                 write_ply(partial / files["shadow"], actor.shadow)
@@ -111,6 +114,7 @@ def _actor_record(actor: SceneActor) -> dict[str, Any]:
     return {
         "track_id": actor.track_id,
         "size": np.asarray(actor.size).tolist(),
+        "low_pass": asdict(actor.low_pass),
         "timestamps_us": actor.trajectory.timestamps_us.tolist(),
         "world_from_actor": actor.trajectory.poses.tolist(),
     }

@@ -11,8 +11,16 @@ from numpy.typing import NDArray
 
 from recast.geometry import PinholeCamera
 from recast.scene.sky import composite, pixel_coordinates
-from recast.scene.street_scene import StreetScene
-from recast.splats import Gaussians, Rasterization, pick_device, rasterize
+from recast.scene.street_scene import SceneActor, StreetScene
+from recast.splats import (
+    CLASSIC,
+    Gaussians,
+    LowPass,
+    Rasterization,
+    pick_device,
+    rasterize,
+    refiltered,
+)
 
 Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -51,12 +59,11 @@ class SceneRasterizer:
         place = pick_device(device)
         self._actors, self._device = scene.actors, place
         self._sky = scene.sky.colours.to(place)
-        self._local = {
-            track_id: actor.drawn.detach().to(place) for track_id, actor in scene.actors.items()
-        }
+        self._parts = {track_id: _parts(actor, place) for track_id, actor in scene.actors.items()}
+        local = [part for parts in self._parts.values() for part, _ in parts]
         first = len(scene.background)
-        room = first + sum(len(local) for local in self._local.values())
-        bases = max(g.sh.shape[1] for g in (scene.background, *self._local.values()))
+        room = first + sum(len(part) for part in local)
+        bases = max(g.sh.shape[1] for g in (scene.background, *local))
         self._first = first
         self._buffer = Gaussians(
             means=torch.zeros(room, 3, device=place),
@@ -107,19 +114,25 @@ class SceneRasterizer:
                 for those that they are stored with.
         """
         last = self._first
+        view = torch.from_numpy(np.asarray(camera_from_world)).float()
+        K = torch.from_numpy(camera.matrix).float()
         for track_id, pose in poses.items():
-            local = self._local[track_id]
+            parts = self._parts[track_id]
             if colours_us is not None and self._actors[track_id].appearance is not None:
-                local = self._actors[track_id].coloured_at(colours_us).drawn.to(self._device)
-            last = self._write(local.transformed(torch.from_numpy(pose)), last)
+                parts = _parts(self._actors[track_id].coloured_at(colours_us), self._device)
+            for local, low_pass in parts:
+                posed = local.transformed(torch.from_numpy(pose))
+                last = self._write(refiltered(posed, low_pass, CLASSIC, view, K), last)
         drawn = Gaussians(*(getattr(self._buffer, name)[:last] for name in FIELDS))
         with torch.no_grad():
             result = rasterize(
                 drawn,
-                torch.from_numpy(np.asarray(camera_from_world)).float(),
-                torch.from_numpy(camera.matrix).float(),
+                view,
+                K,
                 camera.width,
                 camera.height,
+                eps2d=CLASSIC.variance,
+                antialiased=CLASSIC.antialiased,
             )
             rgb = composite(
                 result.rgb,
@@ -128,6 +141,14 @@ class SceneRasterizer:
                 pixel_coordinates(camera, camera_from_world),
             )
         return replace(result, rgb=rgb.clamp(0, 1))
+
+
+def _parts(actor: SceneActor, place: torch.device) -> list[tuple[Gaussians, LowPass]]:
+    """What is drawn of an actor, actor-local, each with the filter that it was made for."""
+    parts = [(actor.gaussians.detach().to(place), actor.low_pass)]
+    if actor.shadow is not None:
+        parts.append((actor.shadow.detach().to(place), CLASSIC))
+    return parts
 
 
 def render_scene(

@@ -18,7 +18,7 @@ from recast.scene.appearance import Appearance
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.scene.tensor_file import read_tensors, write_tensors
-from recast.splats import Gaussians, read_ply, write_ply
+from recast.splats import CLASSIC, Gaussians, LowPass, read_ply, write_ply
 from recast.storage import write_json
 
 SCENE_VERSION = 1
@@ -35,6 +35,7 @@ class ActorRecord(BaseModel):
     size: tuple[float, float, float]
     gaussians: str
     shadow: str | None = None
+    low_pass: LowPass = CLASSIC
 
 
 class SceneRecord(BaseModel):
@@ -82,6 +83,7 @@ def save_scene(scene: StreetScene, folder: str | Path) -> None:
                 size=_triple(actor.size),
                 gaussians=f"{stem}.ply",
                 shadow=None if actor.shadow is None else f"{stem}_shadow.ply",
+                low_pass=actor.low_pass,
             )
         )
     for name, (times, twists) in scene.camera_corrections.items():
@@ -130,6 +132,7 @@ def load_scene(folder: str | Path) -> StreetScene:
             )
             if f"{prefix}/waves" in tensors
             else None,
+            low_pass=entry.low_pass,
         )
     return StreetScene(
         background=_read_part(folder / record.background),

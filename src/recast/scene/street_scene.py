@@ -14,7 +14,7 @@ from recast.scene.appearance import Appearance, share_of
 from recast.scene.dynamic import pose_at
 from recast.scene.poses import corrected
 from recast.scene.sky import SkyMap
-from recast.splats import Gaussians, concatenate
+from recast.splats import CLASSIC, Gaussians, LowPass, concatenate
 
 Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -31,6 +31,7 @@ class SceneActor:
         trajectory: refined `world_from_actor` as logged.
         shadow: actor-local Gaussians on the ground, drawn with the actor, or None.
         appearance: how the Gaussians' colours change over the trajectory's time, or None.
+        low_pass: the filter that the Gaussians were made for, see `recast.splats.refiltered`.
     """
 
     track_id: str
@@ -39,6 +40,7 @@ class SceneActor:
     trajectory: Trajectory
     shadow: Gaussians | None = None
     appearance: Appearance | None = None
+    low_pass: LowPass = CLASSIC
 
     def coloured_at(self, timestamp_us: int) -> SceneActor:
         """The actor with the colours that it had at a time of the recording."""

@@ -3,6 +3,7 @@
 from recast.splats.adam import RowAdam
 from recast.splats.cuda import pick_device
 from recast.splats.gaussians import Gaussians, concatenate
+from recast.splats.low_pass import CLASSIC, MIP, LowPass, refiltered
 from recast.splats.native import set_threads
 from recast.splats.order import morton_order
 from recast.splats.ply import read_ply, write_ply
@@ -10,7 +11,10 @@ from recast.splats.rasterization import Rasterization, RasterMeta
 from recast.splats.rasterize import rasterize
 
 __all__ = [
+    "CLASSIC",
+    "MIP",
     "Gaussians",
+    "LowPass",
     "RasterMeta",
     "Rasterization",
     "RowAdam",
@@ -19,6 +23,7 @@ __all__ = [
     "pick_device",
     "rasterize",
     "read_ply",
+    "refiltered",
     "set_threads",
     "write_ply",
 ]

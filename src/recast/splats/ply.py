@@ -2,7 +2,8 @@
 
 One element `vertex` with the float properties x y z, nx ny nz (zeros), f_dc_0..2, f_rest_* (one
 channel after the other: index c (K - 1) + k - 1 for channel c and harmonic k), opacity (logit),
-scale_0..2 (log), rot_0..3 (wxyz).
+scale_0..2 (log), rot_0..3 (wxyz). A header line such as "comment low_pass 0.1 antialiased" may say
+which filter they were made for.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from recast.errors import InputError
 from recast.splats.gaussians import Gaussians
+from recast.splats.low_pass import LowPass
 from recast.storage import disk_errors, write_bytes
 
 _TYPES = {
@@ -37,6 +39,8 @@ _PROPERTIES = {
     "logit_opacities": "opacity",
     "sh": "f_dc_* f_rest_*",
 }
+_LOW_PASS = "comment low_pass"
+_LONGEST_HEADER = 1 << 16  # bytes that are searched for the declaration
 _EXPORT_AGAIN = "export it again as a 3D Gaussian splatting PLY"
 
 
@@ -51,8 +55,11 @@ def _names(rest: int) -> list[str]:
     ]
 
 
-def write_ply(path: str | Path, gaussians: Gaussians) -> None:
+def write_ply(path: str | Path, gaussians: Gaussians, low_pass: LowPass | None = None) -> None:
     """Write `gaussians` as binary little-endian PLY, whole or not at all.
+
+    Args:
+        low_pass: the filter that they were made for, to be declared in the header.
 
     Raises:
         ValueError: a field is not finite, out of range or of the wrong shape.
@@ -73,8 +80,40 @@ def write_ply(path: str | Path, gaussians: Gaussians) -> None:
     ]
     table = torch.cat([column.float().cpu() for column in columns], dim=1)
     properties = "".join(f"property float {name}\n" for name in _names(rest.shape[1]))
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {n}\n{properties}end_header\n"
+    filter_line = "" if low_pass is None else _declaration(low_pass)
+    header = (
+        f"ply\nformat binary_little_endian 1.0\n{filter_line}"
+        f"element vertex {n}\n{properties}end_header\n"
+    )
     write_bytes(path, header.encode() + table.numpy().astype("<f4").tobytes())
+
+
+def _declaration(low_pass: LowPass) -> str:
+    kind = " antialiased" if low_pass.antialiased else ""
+    return f"{_LOW_PASS} {low_pass.variance:g}{kind}\n"
+
+
+def read_low_pass(path: str | Path) -> LowPass | None:
+    """The filter that a file's header declares, as `write_ply` does; None if it declares none.
+
+    Raises:
+        InputError: the file is missing, or the declaration cannot be understood.
+    """
+    with disk_errors(path), Path(path).open("rb") as file:
+        head, end, _ = file.read(_LONGEST_HEADER).partition(b"end_header")
+    for line in head.decode("ascii", "replace").splitlines() if end else []:
+        if line.startswith(_LOW_PASS):
+            match line.removeprefix(_LOW_PASS).split():
+                case [variance, *kind] if kind in ([], ["antialiased"]):
+                    try:
+                        return LowPass(float(variance), antialiased=bool(kind))
+                    except ValueError:
+                        pass
+            raise InputError(
+                path, "header", f"{line!r} cannot be understood",
+                f"write a variance in px^2, such as '{_LOW_PASS} 0.1 antialiased'",
+            )  # fmt: skip
+    return None
 
 
 def read_ply(path: str | Path) -> Gaussians:

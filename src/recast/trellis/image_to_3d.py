@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from recast.splats import Gaussians
+from recast.splats import Gaussians, LowPass
 from recast.trellis.checkpoints import Checkpoint, load_checkpoint
 from recast.trellis.conditioning import crop_to_object, images_from_crops
 from recast.trellis.flow import (
@@ -93,6 +93,11 @@ class ImageTo3D:
     def latent_channels(self) -> int:
         """Of a structured latent."""
         return int(self.latent_flow.config.in_channels)
+
+    @property
+    def low_pass(self) -> LowPass:
+        """The filter through which the decoder was trained to be looked at (Mip-Splatting's)."""
+        return LowPass(self.decoder.config.representation_config.filter_2d, antialiased=True)
 
     @property
     def trained_voxels(self) -> int:
