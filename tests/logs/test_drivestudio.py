@@ -48,7 +48,7 @@ def test_boxes_hold_the_points_of_each_scanner(log: DrivingLog) -> None:
     car = log.tracks["0"]
     assert car.category == "car"
     np.testing.assert_array_equal(car.trajectory.timestamps_us[[0, -1]], [200_000, 1_100_000])
-    assert list(log.lidars) == ["TOP", "REAR"]
+    assert list(log.lidars) == ["lidar_top", "lidar_rear"]
     for lidar, place in zip(log.lidars.values(), tiny.LASERS.values(), strict=True):
         np.testing.assert_allclose(lidar.rig_from_lidar[:3, 3], place, atol=1e-6)
         sweep = lidar.sweeps[5]

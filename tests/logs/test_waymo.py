@@ -15,6 +15,7 @@ from recast.logs import DrivingLog, read_log
 from recast.logs.importers import IMPORTERS
 from recast.logs.importers.waymo import load_waymo
 from recast.logs.importers.waymo_range_image import beams, range_image_points
+from recast.logs.importers.waymo_schema import lidar_name
 from recast.logs.importers.waymo_segment import LaserCalibration
 from support import tiny_waymo as tiny
 
@@ -72,7 +73,7 @@ def test_images_keep_their_bytes_and_cameras_their_calibration(log: DrivingLog) 
 
 @pytest.mark.parametrize("name", ["TOP", "REAR"])
 def test_points_lie_on_what_the_rays_hit(log: DrivingLog, name: str) -> None:
-    stream = log.lidars[name]
+    stream = log.lidars[lidar_name(name)]
     for k, time in enumerate(stream.timestamps_us):
         assert abs(_seconds(time) - tiny.image_seconds("FRONT", k)) < 2e-6
         image, _ = tiny.range_images(k, name)
@@ -220,5 +221,5 @@ def test_a_turn_in_which_nothing_returned_has_no_points(tmp_path: Path) -> None:
     tiny.write_segment(tmp_path, tiny.Parts(frames=1, range_image=nothing, second=False))
     IMPORTERS.load("waymo")(tmp_path, tiny.NAME, tmp_path / "log")
     log = read_log(tmp_path / "log")
-    assert len(log.lidars["REAR"].sweeps[0].points) == 0
-    assert len(log.lidars["TOP"].sweeps[0].points) > 50
+    assert len(log.lidars["lidar_rear"].sweeps[0].points) == 0
+    assert len(log.lidars["lidar_top"].sweeps[0].points) > 50

@@ -34,7 +34,7 @@ def test_a_drive_is_the_same_out_of_both_versions(logs: tuple[DrivingLog, Drivin
     np.testing.assert_array_equal(v2.world_offset, v1.world_offset)
     np.testing.assert_array_equal(v2.world_from_rig.timestamps_us, v1.world_from_rig.timestamps_us)
     np.testing.assert_allclose(v2.world_from_rig.poses, v1.world_from_rig.poses, atol=1e-12)
-    assert set(v2.cameras) == set(tiny.CAMERAS) and set(v2.lidars) == {"TOP", "REAR"}
+    assert set(v2.cameras) == set(tiny.CAMERAS) and set(v2.lidars) == {"lidar_top", "lidar_rear"}
     for name, stream in v1.cameras.items():
         other = v2.cameras[name]
         assert other.camera == stream.camera
@@ -116,7 +116,7 @@ def test_a_second_return_that_is_none_has_no_points(tmp_path: Path) -> None:
         return {key: value for key, value in row.items() if "return2" not in key}
 
     tiny2.write_segment(tmp_path, {"lidar": first_only})
-    sweep = load_waymo2(tmp_path, tiny.NAME).lidars["REAR"].sweeps[1]
+    sweep = load_waymo2(tmp_path, tiny.NAME).lidars["lidar_rear"].sweeps[1]
     image, _ = tiny.range_images(1, "REAR")
     assert len(sweep.points) == (image[..., 0] > 0).sum()
 
@@ -135,16 +135,16 @@ def test_rows_in_order_cost_one_pass(tmp_path: Path, monkeypatch: pytest.MonkeyP
         content = sorted(tiny2.ROWS[tag](), key=lambda row: row["frame_timestamp_micros"])
         tiny2.write_component(tmp_path, tag, content, rows_per_group=100)
     log = load_waymo2(tmp_path, tiny.NAME)
-    reader = log.lidars["TOP"].sweeps.frames[0].lasers["TOP"].returns[0].reader  # type: ignore[attr-defined]
+    reader = log.lidars["lidar_top"].sweeps.frames[0].lasers["TOP"].returns[0].reader  # type: ignore[attr-defined]
     opened = []
     kind = type(reader._file)
-    original = kind.iter_batches
+    original = kind.batches
 
-    def counted(file: object, *args: object, **options: object) -> object:
-        opened.append(options["row_groups"])
-        return original(file, *args, **options)
+    def counted(file: object, group: int, **options: object) -> object:
+        opened.append(group)
+        return original(file, group, **options)
 
-    monkeypatch.setattr(kind, "iter_batches", counted)
+    monkeypatch.setattr(kind, "batches", counted)
     for k in range(3):
-        assert len(log.lidars["TOP"].sweeps[k].points) > 50
-    assert opened == [[0], [0]]  # the range images, and the poses of their pixels
+        assert len(log.lidars["lidar_top"].sweeps[k].points) > 50
+    assert opened == [0, 0]  # the range images, and the poses of their pixels

@@ -174,8 +174,9 @@ def test_a_faulty_segment_is_one_clear_line(tmp_path: Path, parts: Parts, messag
 def _refused(tmp_path: Path, drive: str, message: str) -> None:
     with pytest.raises(InputError) as raised:
         import_waymo(tmp_path / "root", drive, tmp_path / "out" / "log")
-    assert message in str(raised.value)
-    assert "\n" not in str(raised.value)
+    error = raised.value
+    assert message in f"{error.where}: {error.field}: {error.problem}; {error.mend}"
+    assert "\n" not in str(error)
     assert not (tmp_path / "out").exists() or list((tmp_path / "out").iterdir()) == []
 
 

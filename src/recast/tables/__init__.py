@@ -11,15 +11,19 @@
 `read_npy` and `read_npz` do the same for arrays of numpy.
 """
 
-from recast.tables.columns import Table
+from recast.tables.columns import ROW_LIMIT, Table
 from recast.tables.feather import read_feather
-from recast.tables.npy import npy_header, read_npy, read_npz
+from recast.tables.npy import npy_header, npz_array, npz_names, open_npz, read_npy, read_npz
 from recast.tables.parquet import ParquetRows, read_parquet
 
 __all__ = [
+    "ROW_LIMIT",
     "ParquetRows",
     "Table",
     "npy_header",
+    "npz_array",
+    "npz_names",
+    "open_npz",
     "read_feather",
     "read_npy",
     "read_npz",

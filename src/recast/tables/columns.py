@@ -122,8 +122,7 @@ def require_plain(path: Path, schema: pa.Schema, columns: Iterable[str], mend: s
     for name in columns:
         indices = schema.get_all_field_indices(name)
         if len(indices) != 1:
-            found = ", ".join(schema.names) or "no columns"
-            problem = "is there twice" if indices else f"is missing (found {found})"
+            problem = "is there twice" if indices else "is missing"
             raise InputError(path, f"column {name}", problem, mend)
         kind = schema.field(indices[0]).type
         plain = _is_number(kind) or _is_text(kind) or _is_bytes(kind) or _is_list(kind)

@@ -15,9 +15,9 @@ from recast.tables.parquet_pages import Chunk, read_chunk, read_footer
 
 PARQUET_LIMIT = 1 << 28
 """Bytes in memory of a parquet table that is read as a whole, at most."""
-STREAM_LIMIT = 1 << 31
+STREAM_LIMIT = 1 << 32
 """Bytes in memory while a parquet file is read piece by piece, at most: in the worst case all
-values of a column in a row group lie in one row, and Waymo's have a hundred million."""
+values of a column in a row group lie in one row, and range images of a Waymo segment have 5e8."""
 
 _ROWS_AT_ONCE = 1024
 

@@ -25,6 +25,7 @@ _COUNTS = {_DATA: 5, _DATA_V2: 8}
 _ENCODING = {_DATA: 2, _DATA_V2: 4}
 _DELTA_BYTE_ARRAY = 7
 _BYTE_ARRAY = 6
+_WIDTHS = {0: 1, 1: 4, 4: 4}  # bool, int32, float; 8 or less any other
 _REPEATED = 2
 _LEVELS = 4
 """Bytes of a value's definition and repetition level."""
@@ -167,7 +168,7 @@ def _leaves(elements: Sequence[dict[int, Any]]) -> list[Leaf]:
         if children:
             open_groups.append((children, f"{path}." if number else "", nested))
         else:
-            width = max(8, _count(element, 2) if 2 in element else 0)
+            width = _WIDTHS.get(element.get(1), 8) + (_count(element, 2) if 2 in element else 0)
             leaves.append(Leaf(path, width, element.get(1) == _BYTE_ARRAY, nested))
     return leaves
 

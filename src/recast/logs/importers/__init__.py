@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -27,7 +28,14 @@ IMPORTERS = Registry(
 class LogImporter(Protocol):
     """Turns one recorded drive of a dataset into a log folder."""
 
-    def __call__(self, root: Path, drive: str, out: Path, labels: Path | None = None) -> None:
+    def __call__(
+        self,
+        root: Path,
+        drive: str,
+        out: Path,
+        labels: Path | None = None,
+        cameras: Sequence[str] = (),
+    ) -> None:
         """Import `drive` of the dataset under `root` into the new folder `out`.
 
         Args:
@@ -35,6 +43,7 @@ class LogImporter(Protocol):
             drive: the drive's name in the dataset.
             out: log folder to write; it appears whole or not at all.
             labels: box labels where they lie apart from the drive.
+            cameras: names of the cameras to import; all if empty.
 
         Raises:
             InputError: the dataset's files are missing, broken or do not belong together.

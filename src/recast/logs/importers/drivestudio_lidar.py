@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 
 from recast.errors import InputError
 from recast.geometry import se3
-from recast.logs.importers.waymo_schema import LASER_NAME
+from recast.logs.importers.point_files import read_points
+from recast.logs.importers.processed_folder import NUMBER
+from recast.logs.importers.waymo_schema import LASER_NAME, lidar_name
 from recast.logs.types import Int64Array, LidarStream, LidarSweep
 
-LASERS = tuple(LASER_NAME.names.values())
+LASERS = tuple(lidar_name(name) for name in LASER_NAME.names.values())
 """By number in the files, which is Waymo's LaserName less one."""
 FLOATS = 14
 """Origin (3) and point (3) in the vehicle frame, flow (3), flow class, ground, intensity,
@@ -37,7 +39,7 @@ def read_lidars(folder: Path, frame_times: dict[int, int]) -> dict[str, LidarStr
     """
     listed = {}
     for path in sorted(folder.glob("*.bin")):
-        if not path.stem.isdigit() or int(path.stem) not in frame_times:
+        if not NUMBER.fullmatch(path.stem) or int(path.stem) not in frame_times:
             raise InputError(path, "file name", "is no frame that has an ego pose", _MEND)
         listed[int(path.stem)] = path
     if not listed:
@@ -62,15 +64,7 @@ def read_rows(path: Path) -> NDArray[np.float32]:
     Raises:
         InputError: cut off, of another layout, not finite, or of an unknown scanner.
     """
-    size = path.stat().st_size
-    if size == 0 or size % (4 * FLOATS):
-        problem = f"{size} bytes are not a whole number of {4 * FLOATS}-byte points"
-        raise InputError(path, "points", problem, _MEND)
-    rows = np.fromfile(path, "<f4").reshape(-1, FLOATS)
-    used = rows[:, [*range(0, 6), _INTENSITY, _LASER]]
-    if not np.all(np.isfinite(used)):
-        point = int(np.argmin(np.isfinite(used).all(axis=1)))
-        raise InputError(path, f"point {point}", "is NaN or infinite", _MEND)
+    rows = read_points(path, FLOATS, [*range(0, 6), _INTENSITY, _LASER], _MEND)
     known = np.isin(rows[:, _LASER], range(len(LASERS)))
     if not known.all():
         point = int(np.argmin(known))

@@ -6,11 +6,33 @@ import io
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from PIL import Image as PillowImage
-
 from recast.errors import InputError
+from recast.logs.image_bytes import READERS, decode
 from recast.logs.types import Image
+from recast.storage import read_bytes
+
+_LARGEST = 1 << 28
+"""Bytes of an image file."""
+_PNG = b"\x89PNG"
+
+
+def kind_of(data: bytes) -> str:
+    """ "png" or "jpeg", by how the file begins: names of files may say otherwise."""
+    return "png" if data.startswith(_PNG) else "jpeg"
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height of a PNG or JPEG file; its pixels are not decoded.
+
+    Raises:
+        InputError: it is no such file.
+    """
+    data = read_bytes(path, _LARGEST)
+    try:
+        with READERS[kind_of(data)](io.BytesIO(data)) as image:
+            return image.size
+    except Exception as error:  # Pillow raises of many kinds for damaged files
+        raise InputError(path, "image", f"cannot be read ({error})", "take a whole one") from None
 
 
 @dataclass(frozen=True)
@@ -33,8 +55,13 @@ class ImageFiles:
         return len(self.paths)
 
     def __getitem__(self, index: int) -> Image:
-        """Decode frame `index` to (height, width, 3) uint8 RGB."""
-        return self._decode(self.paths[index].read_bytes(), self.paths[index])
+        """Decode frame `index` to (height, width, 3) uint8 RGB.
+
+        Raises:
+            InputError: see `encoded`.
+        """
+        path = self.paths[index]
+        return self._decode(path, read_bytes(path, _LARGEST))
 
     def encoded(self, index: int) -> tuple[bytes, str]:
         """The file's own bytes, decoded once to be sure of them.
@@ -43,9 +70,9 @@ class ImageFiles:
             InputError: it is cut off, is no image, or has another size.
         """
         path = self.paths[index]
-        data = path.read_bytes()
-        self._decode(data, path)
-        return data, "jpeg" if path.suffix in (".jpg", ".jpeg") else "png"
+        data = read_bytes(path, _LARGEST)
+        self._decode(path, data)
+        return data, kind_of(data)
 
     def check(self) -> None:
         """Decode every file once.
@@ -56,20 +83,5 @@ class ImageFiles:
         for index in range(len(self)):
             self[index]
 
-    def _decode(self, data: bytes, path: Path) -> Image:
-        try:
-            with PillowImage.open(io.BytesIO(data)) as image:
-                pixels = np.array(image.convert("RGB"))
-        except (OSError, SyntaxError, ValueError) as error:
-            raise InputError(
-                path, "image", f"cannot be decoded ({error})", "download it again"
-            ) from None
-        if pixels.shape[:2] != (self.height, self.width):
-            raise InputError(
-                path,
-                "image size",
-                f"is {pixels.shape[1]}x{pixels.shape[0]}, {self.calibration} says "
-                f"{self.width}x{self.height}",
-                "take images and calibration of the same recording",
-            )
-        return pixels
+    def _decode(self, path: Path, data: bytes) -> Image:
+        return decode(data, kind_of(data), (self.width, self.height), path, self.calibration)

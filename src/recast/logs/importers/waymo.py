@@ -7,9 +7,11 @@ needed. Scenarios of the motion dataset are read too: tracks and map, no sensors
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from recast.errors import InputError
+from recast.logs.importers.cameras import chosen_cameras
 from recast.logs.importers.waymo_drive import driving_log
 from recast.logs.importers.waymo_files import find_drive, is_motion
 from recast.logs.importers.waymo_frames import read_segment
@@ -17,9 +19,16 @@ from recast.logs.importers.waymo_motion import load_scenario
 from recast.logs.importers.waymo_schema import LICENCE
 from recast.logs.store import write_log
 from recast.logs.types import DrivingLog
+from recast.storage import disk_errors
 
 
-def import_waymo(root: Path, drive: str, out: Path, labels: Path | None = None) -> None:
+def import_waymo(
+    root: Path,
+    drive: str,
+    out: Path,
+    labels: Path | None = None,
+    cameras: Sequence[str] = (),
+) -> None:
     """Import one segment, with its map where it has one, into the new log folder `out`.
 
     Args:
@@ -28,6 +37,7 @@ def import_waymo(root: Path, drive: str, out: Path, labels: Path | None = None) 
             holds one scenario.
         out: log folder to write; it appears whole or not at all.
         labels: not known for this dataset.
+        cameras: names of the cameras to import, such as FRONT; all if empty.
 
     Raises:
         InputError: the file is missing or damaged, or fields are missing or unknown; nothing is
@@ -37,10 +47,11 @@ def import_waymo(root: Path, drive: str, out: Path, labels: Path | None = None) 
         raise InputError(labels, "labels", "a segment holds its own", "leave the option out")
     if Path(out).exists():
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
-    write_log(load_waymo(root, drive), out)
+    with disk_errors(root):
+        write_log(load_waymo(root, drive, cameras), out)
 
 
-def load_waymo(root: Path, drive: str) -> DrivingLog:
+def load_waymo(root: Path, drive: str, cameras: Sequence[str] = ()) -> DrivingLog:
     """Read a segment or scenario; images and sweeps stay in its file until asked for.
 
     Raises:
@@ -48,5 +59,6 @@ def load_waymo(root: Path, drive: str) -> DrivingLog:
     """
     path, scenario = find_drive(Path(root), drive)
     if scenario is not None or is_motion(path):
+        chosen_cameras(path, (), cameras)
         return load_scenario(path, scenario, LICENCE)
-    return driving_log(read_segment(path), "Waymo Open Dataset v1")
+    return driving_log(read_segment(path), "Waymo Open Dataset v1", cameras)

@@ -6,6 +6,7 @@ Source: Sun et al., "Scalability in Perception for Autonomous Driving: Waymo Ope
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from recast.errors import InputError
@@ -14,9 +15,16 @@ from recast.logs.importers.waymo2_segment import read_segment
 from recast.logs.importers.waymo_drive import driving_log
 from recast.logs.store import write_log
 from recast.logs.types import DrivingLog
+from recast.storage import disk_errors
 
 
-def import_waymo2(root: Path, drive: str, out: Path, labels: Path | None = None) -> None:
+def import_waymo2(
+    root: Path,
+    drive: str,
+    out: Path,
+    labels: Path | None = None,
+    cameras: Sequence[str] = (),
+) -> None:
     """Import one segment into the new log folder `out`; v2 has no map.
 
     Args:
@@ -24,6 +32,7 @@ def import_waymo2(root: Path, drive: str, out: Path, labels: Path | None = None)
         drive: the segment's name.
         out: log folder to write; it appears whole or not at all.
         labels: not known for this dataset.
+        cameras: names of the cameras to import, such as FRONT; all if empty.
 
     Raises:
         InputError: files are missing, damaged or do not belong together; nothing is written then.
@@ -32,14 +41,15 @@ def import_waymo2(root: Path, drive: str, out: Path, labels: Path | None = None)
         raise InputError(labels, "labels", "a segment holds its own", "leave the option out")
     if Path(out).exists():
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
-    write_log(load_waymo2(root, drive), out)
+    with disk_errors(root):
+        write_log(load_waymo2(root, drive, cameras), out)
 
 
-def load_waymo2(root: Path, drive: str) -> DrivingLog:
+def load_waymo2(root: Path, drive: str, cameras: Sequence[str] = ()) -> DrivingLog:
     """Read a segment; images and sweeps stay in its files until asked for.
 
     Raises:
         InputError: see `import_waymo2`.
     """
     segment = read_segment(find_segment(Path(root), drive))
-    return driving_log(segment, "Waymo Open Dataset v2")
+    return driving_log(segment, "Waymo Open Dataset v2", cameras)

@@ -17,10 +17,10 @@ import numpy as np
 import pyarrow as pa
 
 from recast.errors import InputError
-from recast.logs.importers.waymo2_tables import open_parquet, unreadable
 from recast.logs.importers.waymo_segment import MEND, Place
 from recast.logs.importers.waymo_values import shaped
 from recast.logs.types import Float32Array
+from recast.tables import ParquetRows
 
 
 class RowReader:
@@ -31,10 +31,7 @@ class RowReader:
     """
 
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
-        self._path, self._columns = path, list(columns)
-        self._file = open_parquet(path, columns)
-        groups = [self._file.metadata.row_group(i) for i in range(self._file.num_row_groups)]
-        self._first = np.cumsum([0, *(group.num_rows for group in groups)])
+        self._file = ParquetRows(path, columns, MEND)
         self._batches: Iterator[pa.RecordBatch] = iter(())
         self._group, self._at = -1, -1
         self._row: pa.RecordBatch | None = None
@@ -45,33 +42,31 @@ class RowReader:
         Raises:
             InputError: the file is damaged.
         """
-        group = int(np.searchsorted(self._first, row, side="right")) - 1
+        first_rows = self._file.first_rows
+        group = int(np.searchsorted(first_rows, row, side="right")) - 1
+        if group != self._group or row < self._at:
+            self._batches = self._file.batches(group, rows_at_once=1)
+            self._group, self._at = group, int(first_rows[group]) - 1
         try:
-            if group != self._group or row < self._at:
-                self._batches = self._file.iter_batches(
-                    1, row_groups=[group], columns=self._columns, use_threads=False
-                )
-                self._group, self._at = group, int(self._first[group]) - 1
             while self._at < row:
                 self._row = None  # frees it before the next is decoded
                 self._row = next(self._batches)
                 self._at += 1
-        except (OSError, pa.ArrowException, StopIteration) as error:
+        except InputError:
             self._group = -1
-            raise unreadable(Place(self._path, f"row {row}"), error) from None
+            raise
         assert self._row is not None
         return self._row[column][0]
 
 
 @dataclass(frozen=True)
 class BytesCell:
-    """Bytes in a cell; `StoredBytes`. The tables come without checksums."""
+    """Bytes in a cell; `StoredBytes`."""
 
     reader: RowReader
     place: Place
     row: int
     column: str
-    sealed: bool = False
 
     def error(self, problem: str, mend: str = MEND) -> InputError:
         """An error that names file, row and column."""

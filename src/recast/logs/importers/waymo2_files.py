@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from recast.errors import InputError
+from recast.logs.importers.drive_names import check_drive
 from recast.logs.importers.waymo2_tables import Table
 
 COMPONENTS = {
@@ -59,6 +60,7 @@ def find_segment(root: Path, drive: str) -> Components:
         raise InputError(root, "Waymo v2 folder", "does not exist", "check the path")
     splits = [root, *sorted(path for path in root.iterdir() if path.is_dir())]
     name = drive.removesuffix(".parquet")
+    check_drive(root, name)
     found = [split for split in splits if (split / "vehicle_pose" / f"{name}.parquet").is_file()]
     if len(found) > 1:
         listed = ", ".join(split.name for split in found)

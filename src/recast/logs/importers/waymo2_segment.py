@@ -24,7 +24,7 @@ from recast.logs.importers.waymo_segment import (
     Place,
     Segment,
 )
-from recast.logs.importers.waymo_values import image_entry, label_entry
+from recast.logs.importers.waymo_values import frame_time, image_entry, label_entry
 from recast.logs.importers.waymo_wire import Choice, FieldError
 from recast.logs.types import Array
 
@@ -70,7 +70,7 @@ def _poses(table: Table) -> dict[int, tuple[Place, Array]]:
     poses: dict[int, tuple[Place, Array]] = {}
     for row in table.rows([TIME, "world_from_vehicle.transform"]):
         with row.place.errors():
-            time = row.integer(TIME)
+            time = frame_time(row.integer(TIME), TIME)
             if time in poses:
                 raise FieldError(TIME, f"{time} is there twice")
             poses[time] = row.place, row.pose("world_from_vehicle")

@@ -12,17 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
-from recast.errors import InputError
 from recast.logs.importers.waymo_segment import MEND, Place
 from recast.logs.importers.waymo_values import rigid
 from recast.logs.importers.waymo_wire import Choice, FieldError
 from recast.logs.types import Array
+from recast.tables import ROW_LIMIT, ParquetRows
 
 SEGMENT, TIME = "key.segment_context_name", "key.frame_timestamp_micros"
-_ROWS_AT_ONCE = 1024
 
 
 @dataclass(frozen=True)
@@ -79,11 +76,12 @@ class Row:
         return choice.of(value, self.column(field))
 
     def numbers(self, field: str) -> Array:
-        """A list of numbers (N,); empty where there is none."""
-        try:
-            return np.array(self.values[self.column(field)] or [], np.float64)
-        except (TypeError, ValueError):
-            raise FieldError(self.column(field), "is no list of numbers") from None
+        """A list of numbers (N,); empty if the cell is."""
+        value = self.values[self.column(field)]
+        value = [] if value is None else value
+        if not isinstance(value, list) or not all(isinstance(one, (int, float)) for one in value):
+            raise FieldError(self.column(field), "is no list of numbers")
+        return np.array(value, np.float64)
 
     def pose(self, field: str) -> Array:
         """A (4, 4) pose in the field `field`.transform."""
@@ -120,47 +118,21 @@ class Table:
             InputError: the file is none, lacks a column, or has rows of another segment.
         """
         columns = [SEGMENT, *(self.column(field) for field in fields)]
-        file = open_parquet(self.path, columns)
-        batches = file.iter_batches(_ROWS_AT_ONCE, columns=columns, use_threads=False)
+        file = ParquetRows(self.path, columns, MEND)
+        if file.first_rows[-1] > ROW_LIMIT:
+            problem = f"there are {file.first_rows[-1]}, {ROW_LIMIT} are read at most"
+            raise Place(self.path, "rows").error(problem)
         index = 0
-        while True:
-            try:
-                batch = next(batches, None)
-            except (OSError, pa.ArrowException) as error:
-                raise unreadable(Place(self.path, f"row {index}"), error) from None
-            if batch is None:
-                return
-            for values in batch.to_pylist():
-                row = Row(self, index, values)
-                self._check_segment(row)
-                yield row
-                index += 1
+        for group in range(len(file.first_rows) - 1):
+            for batch in file.batches(group):
+                for values in batch.to_pylist():
+                    row = Row(self, index, values)
+                    self._check_segment(row)
+                    yield row
+                    index += 1
 
     def _check_segment(self, row: Row) -> None:
         with row.place.errors():
             name = row.text(SEGMENT)
             if name != self.path.stem:
                 raise FieldError(SEGMENT, f"is {name!r}, the file is of {self.path.stem!r}")
-
-
-def open_parquet(path: Path, columns: Sequence[str]) -> pq.ParquetFile:
-    """A parquet file that has these columns.
-
-    Raises:
-        InputError: it is none, or lacks one.
-    """
-    try:
-        # Column chunks are read piece by piece: whole, those of one row group can be 100 MB.
-        file = pq.ParquetFile(path, buffer_size=1 << 20)
-        names = set(file.schema_arrow.names)
-    except (OSError, pa.ArrowException) as error:
-        raise unreadable(Place(path, "parquet file"), error) from None
-    for column in columns:
-        if column not in names:
-            raise InputError(path, f"column {column}", "is missing", MEND)
-    return file
-
-
-def unreadable(place: Place, error: Exception) -> InputError:
-    """Arrow's own message, on one line."""
-    return place.error(f"cannot be read ({' '.join(str(error).split())})")

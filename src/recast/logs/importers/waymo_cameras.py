@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from PIL import Image as PillowImage
 
 from recast.errors import InputError
 from recast.geometry import PinholeCamera
+from recast.logs.image_bytes import decode
 from recast.logs.importers.waymo_segment import ImageEntry, Segment
 from recast.logs.types import CameraStream, Image
 
@@ -37,40 +36,21 @@ class WaymoImages:
         return self._decode(index, self.entries[index].jpeg.read())
 
     def encoded(self, index: int) -> tuple[bytes, str]:
-        """The JPEG file as it is in the dataset, decoded once where no checksum vouches for it.
+        """The JPEG file as it is in the dataset, decoded once to be sure of it.
 
         Raises:
             InputError: it is no JPEG, or of another size than the calibration says.
         """
-        jpeg = self.entries[index].jpeg
-        data = jpeg.read()
-        if jpeg.sealed:
-            self._open(index, data).close()
-        else:
-            self._decode(index, data)
+        data = self.entries[index].jpeg.read()
+        self._decode(index, data)
         return data, "jpeg"
 
     def _decode(self, index: int, data: bytes) -> Image:
-        with self._open(index, data) as image:
-            try:
-                return np.array(image.convert("RGB"))
-            except (OSError, SyntaxError, ValueError) as error:
-                raise self._undecodable(index, error) from None
-
-    def _open(self, index: int, data: bytes) -> PillowImage.Image:
+        size = self.camera.width, self.camera.height
         try:
-            image = PillowImage.open(io.BytesIO(data), formats=["JPEG"])
-        except (OSError, SyntaxError, ValueError) as error:
-            raise self._undecodable(index, error) from None
-        if image.size != (self.camera.width, self.camera.height):
-            raise self.entries[index].jpeg.error(
-                f"is {image.width}x{image.height}, the camera's calibration says "
-                f"{self.camera.width}x{self.camera.height}"
-            )
-        return image
-
-    def _undecodable(self, index: int, error: Exception) -> InputError:
-        return self.entries[index].jpeg.error(f"cannot be decoded ({error})")
+            return decode(data, "jpeg", size, "", "the camera's calibration")
+        except InputError as error:
+            raise self.entries[index].jpeg.error(error.problem) from None
 
 
 def read_cameras(segment: Segment) -> dict[str, CameraStream]:

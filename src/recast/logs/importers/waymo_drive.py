@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 
 from recast.geometry import se3
 from recast.logs import motion
+from recast.logs.importers.cameras import chosen_cameras
 from recast.logs.importers.waymo_cameras import read_cameras, shutter_notes
 from recast.logs.importers.waymo_labels import read_tracks
 from recast.logs.importers.waymo_lidar import read_lidars
@@ -20,23 +24,26 @@ _SAME_POSE = 1e-3
 """Metres (and radians) within which a camera's pose is the frame's own."""
 
 
-def driving_log(segment: Segment, dataset: str) -> DrivingLog:
+def driving_log(segment: Segment, dataset: str, cameras: Sequence[str] = ()) -> DrivingLog:
     """The log of a segment; images and sweeps stay in its files until asked for.
 
     Args:
         segment: what was read.
         dataset: its name, for the metadata.
+        cameras: names of those to keep; all if empty.
 
     Raises:
         InputError: a calibration is missing, a sensor's frames do not belong together, there is a
             gap in the drive, or the map is faulty.
     """
+    streams = read_cameras(segment)
+    chosen = chosen_cameras(Path(segment.name), streams, cameras)
     times = _frame_times(segment)
     trajectory, offset = _ego(segment, times)
     world_from_global = se3.from_rotation_translation(np.eye(3), -offset)
     return DrivingLog(
         name=segment.name,
-        cameras=read_cameras(segment),
+        cameras={name: streams[name] for name in chosen},
         lidars=read_lidars(segment, times, world_from_global, trajectory),
         world_from_rig=trajectory,
         tracks=read_tracks(segment, world_from_global),

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import glob
 from pathlib import Path
 
 from recast.errors import InputError
+from recast.logs.importers.drive_names import check_drive
 from recast.logs.importers.waymo_segment import record_errors
 from recast.logs.importers.waymo_tfrecord import read_records
 from recast.logs.importers.waymo_wire import BYTES, fields
@@ -22,7 +24,9 @@ def find_drive(root: Path, drive: str) -> tuple[Path, str | None]:
     if not root.is_dir():
         raise InputError(root, "Waymo folder", "does not exist", "check the path")
     name, colon, scenario = drive.partition(":")
-    patterns = [name, f"{name}.tfrecord", f"segment-{name}*.tfrecord", f"{name}_*.tfrecord"]
+    check_drive(root, name)
+    known = glob.escape(name)
+    patterns = [known, f"{known}.tfrecord", f"segment-{known}*.tfrecord", f"{known}_*.tfrecord"]
     for pattern in patterns:
         found = sorted(
             path for path in (*root.glob(pattern), *root.glob(f"*/{pattern}")) if path.is_file()

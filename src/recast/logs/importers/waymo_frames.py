@@ -23,6 +23,7 @@ from recast.logs.importers.waymo_segment import (
 from recast.logs.importers.waymo_tfrecord import Record, read_records
 from recast.logs.importers.waymo_values import (
     camera_calibration,
+    frame_time,
     image_entry,
     label_entry,
     laser_calibration,
@@ -112,7 +113,7 @@ def _frame(place: Place, record: Record, message: Message) -> FrameEntry:
 
     images: dict[str, ImageEntry] = {}
     lasers: dict[str, LaserEntry] = {}
-    start_us = message["timestamp_micros"]
+    start_us = frame_time(message["timestamp_micros"], message.path("timestamp_micros"))
     for image in message["images"]:
         entry = _image(image, _part_of(image, "image", part), start_us)
         images[_new_name(image, images)] = entry

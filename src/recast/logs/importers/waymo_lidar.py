@@ -11,7 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from recast.geometry import se3
+from recast.logs import checks
 from recast.logs.importers.waymo_range_image import azimuths, range_image_points, scan_times
+from recast.logs.importers.waymo_schema import lidar_name
 from recast.logs.importers.waymo_segment import (
     FrameEntry,
     LaserCalibration,
@@ -92,7 +94,7 @@ class WaymoSweeps:
 def read_lidars(
     segment: Segment, frame_times_us: Int64Array, world_from_global: Array, trajectory: Trajectory
 ) -> dict[str, LidarStream]:
-    """The LiDARs of a segment by name; none where its range images have been taken out.
+    """The LiDARs of a segment by `lidar_name`; none where its range images have been taken out.
 
     Args:
         segment: frames and calibration.
@@ -118,7 +120,8 @@ def read_lidars(
     for name in names:
         calibration = segment.lasers[name]
         sweeps = WaymoSweeps(name, segment.frames, frame_times_us, calibration, rig_from_vehicle)
-        streams[name] = LidarStream(name, calibration.rig_from_lidar, frame_times_us, sweeps)
+        stream = lidar_name(name)
+        streams[stream] = LidarStream(stream, calibration.rig_from_lidar, frame_times_us, sweeps)
     return streams
 
 
@@ -126,6 +129,8 @@ def _pixel_poses(laser: LaserEntry, shape: tuple[int, ...]) -> Float32Array | No
     if laser.pixel_poses is None:
         return None
     poses = laser.pixel_poses.read(_POSE_CHANNELS)
+    if not np.all(np.abs(poses) <= checks.WORLD_REACH):
+        raise laser.pixel_poses.error(f"holds a pose not within {checks.WORLD_REACH:g} m")
     if poses.shape[:2] != shape:
         raise laser.pixel_poses.error(f"is {poses.shape[:2]}, the range image {shape}")
     return poses

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import shapely
 
+from recast.logs import checks
 from recast.logs.hdmap import HdMap, Lane
 from recast.logs.importers.map_place import NEAR, metres_beside
 from recast.logs.importers.waymo_area import drivable_area
@@ -81,9 +82,13 @@ def hd_map(features: Sequence[Message], shift: Array, ego: Array) -> HdMap:
         for feature in features
         if "driveway" in feature.values
     ]
+    try:
+        area = drivable_area(list(ribbons.values()), edges, driveways)
+    except (shapely.errors.ShapelyError, RecursionError) as error:
+        raise FieldError("map_features", f"cannot be joined to an area ({error})") from None
     return HdMap(
         lanes=lanes,
-        drivable_area=drivable_area(list(ribbons.values()), edges, driveways),
+        drivable_area=area,
         notes={"source": "Waymo"},
     )
 
@@ -101,8 +106,9 @@ def _lines(features: Sequence[Message], shift: Array) -> dict[int, Array]:
 def _points(message: Message, name: str, shift: Array) -> Array:
     rows = [[point["x"], point["y"], point.get("z", 0.0)] for point in message[name]]
     points: Array = np.array(rows, np.float64).reshape(-1, 3) + shift
-    if not np.isfinite(points).all():
-        raise FieldError(message.path(name), "holds a point that is not finite")
+    if not np.all(np.abs(points) <= checks.WORLD_REACH):  # also NaN
+        problem = f"holds a point that is not finite, or not within {checks.WORLD_REACH:g} m"
+        raise FieldError(message.path(name), problem)
     return points
 
 

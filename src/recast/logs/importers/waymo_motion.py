@@ -8,6 +8,7 @@ import numpy as np
 
 from recast.errors import InputError
 from recast.geometry import se3
+from recast.logs import checks
 from recast.logs.importers.waymo_map import hd_map
 from recast.logs.importers.waymo_schema import MAP_FEATURE, SCENARIO
 from recast.logs.importers.waymo_segment import record_errors
@@ -43,7 +44,10 @@ def load_scenario(path: Path, scenario: str | None, licence: str) -> DrivingLog:
             decode(MAP_FEATURE, record.data, span, f"map_features[{i}]")
             for i, span in enumerate(message["map_features"])
         ]
-        times = np.rint(message["timestamps_seconds"] * 1e6).astype(np.int64)
+        seconds = message["timestamps_seconds"]
+        if not np.all((seconds >= 0) & (seconds < checks.LATEST_US / 1e6)):  # also NaN
+            raise FieldError("timestamps_seconds", "are not all times")
+        times = np.rint(seconds * 1e6).astype(np.int64)
         if len(times) < 2 or np.any(np.diff(times) <= 0):
             raise FieldError("timestamps_seconds", "are not two or more, one after the other")
         ego, offset = _ego(message, times)
@@ -128,7 +132,7 @@ def _states(track: Message, count: int) -> tuple[Array, Array, Array]:
     rows = np.array(
         [[state[name] for name in names] for state in states if state.get("valid", 0)], np.float64
     ).reshape(-1, len(names))
-    if not np.isfinite(rows).all() or np.any(rows[:, 4:] <= 0):
+    if not np.all(np.abs(rows) <= checks.WORLD_REACH) or np.any(rows[:, 4:] <= 0):
         raise FieldError(track.path("states"), "hold a box without a place or without a size")
     poses = se3.from_rotation_translation(se3.rotation_z(rows[:, 3]), rows[:, :3])
     return seen, poses, rows[:, 4:]

@@ -11,9 +11,10 @@ from recast.logs.importers.waymo_segment import MEND, Place
 from recast.logs.importers.waymo_values import shaped
 from recast.logs.importers.waymo_wire import FieldError, decode
 from recast.logs.types import Float32Array
+from recast.storage import disk_errors
 
-_LARGEST = 1 << 27
-"""Bytes of an unpacked matrix: a stream that is longer is no range image."""
+_LARGEST = 1 << 24
+"""Bytes of an unpacked matrix; the largest of the dataset has four million."""
 
 
 @dataclass(frozen=True)
@@ -23,17 +24,15 @@ class FilePart:
     Attributes:
         place: for messages.
         offset, size: in bytes.
-        sealed: the record's checksum has been compared.
     """
 
     place: Place
     offset: int
     size: int
-    sealed: bool = True
 
     def read(self) -> bytes:
         """The bytes."""
-        with self.place.path.open("rb") as file:
+        with disk_errors(self.place.path), self.place.path.open("rb") as file:
             file.seek(self.offset)
             return file.read(self.size)
 

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recast.geometry import se3
+from recast.logs import checks
 from recast.logs.importers.waymo_segment import LaserCalibration
 from recast.logs.types import Array, Float32Array, Int64Array
 
@@ -67,9 +68,11 @@ def range_image_points(
         frame; rows (N,) and columns (N,) of their pixels, row by row.
 
     Raises:
-        ValueError: beams do not fit the rows.
+        ValueError: beams do not fit the rows, or a range is no LiDAR's.
     """
     height, width = image.shape[:2]
+    if (farthest := float(image[..., 0].max())) > checks.SENSOR_REACH:
+        raise ValueError(f"holds a range of {farthest:g} m")
     rows, columns = np.nonzero(image[..., 0] > 0)
     mount = calibration.rig_from_lidar
     azimuth = azimuths(width)[columns] - np.arctan2(mount[1, 0], mount[0, 0])

@@ -16,6 +16,13 @@ CAMERA_NAME = Choice(
     {1: "FRONT", 2: "FRONT_LEFT", 3: "FRONT_RIGHT", 4: "SIDE_LEFT", 5: "SIDE_RIGHT"},
 )
 LASER_NAME = Choice("LaserName", {1: "TOP", 2: "FRONT", 3: "SIDE_LEFT", 4: "SIDE_RIGHT", 5: "REAR"})
+
+
+def lidar_name(laser: str) -> str:
+    """Name of a LiDAR in the log: three of the dataset's own are also names of cameras."""
+    return f"lidar_{laser.lower()}"
+
+
 ROLLING_SHUTTER = Choice(
     "RollingShutterReadOutDirection",
     {

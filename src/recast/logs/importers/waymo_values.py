@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from recast.geometry import PinholeCamera, se3
+from recast.logs import checks
 from recast.logs.importers.waymo_segment import (
     CameraCalibration,
     ImageEntry,
@@ -22,6 +24,7 @@ from recast.logs.importers.waymo_segment import (
 from recast.logs.importers.waymo_wire import FieldError
 from recast.logs.types import Array, Float32Array
 
+_LATEST = checks.LATEST_US / 1e6
 WAYMO_FROM_OPENCV = se3.from_rotation_translation(
     np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3)
 )
@@ -40,10 +43,22 @@ def rigid(values: Array, where: str) -> Array:
     if len(values) != 16:
         raise FieldError(where, f"has {len(values)} numbers, not 16")
     pose: Array = values.reshape(4, 4).astype(np.float64)
-    rotation = pose[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5):  # also where one is not finite
-        raise FieldError(where, "is no rotation and translation")
+    try:
+        checks.check_poses(where, pose, checks.WORLD_REACH)
+    except ValueError:
+        raise FieldError(where, "is no rotation and translation") from None
     return pose
+
+
+def frame_time(time_us: int, where: str) -> int:
+    """The time of a frame in microseconds.
+
+    Raises:
+        FieldError: no log can hold it.
+    """
+    if not 0 <= time_us < checks.LATEST_US:
+        raise FieldError(where, f"{time_us} is no time in microseconds since 1970")
+    return time_us
 
 
 def camera_calibration(
@@ -77,16 +92,19 @@ def laser_calibration(
         extrinsic: (4, 4).
 
     Raises:
-        FieldError: inclinations do not ascend.
+        FieldError: inclinations do not ascend, or one is no angle.
     """
     field, values = inclinations
     if len(values):
         if not np.all(np.diff(values) > 0):
             raise FieldError(field, "do not ascend")
+        if not np.all(np.abs(values) <= np.pi):
+            raise FieldError(field, "are not all within pi radians")
         return LaserCalibration(values, float(values[0]), float(values[-1]), extrinsic)
     (_, lowest), (field, highest) = ends.items()
-    if not lowest < highest:
-        raise FieldError(field, f"{highest:g} is not above the minimum {lowest:g}")
+    if not -np.pi <= lowest < highest <= np.pi:
+        problem = f"{highest:g} is not above the minimum {lowest:g}, or no angle"
+        raise FieldError(field, problem)
     return LaserCalibration(values, lowest, highest, extrinsic)
 
 
@@ -106,7 +124,7 @@ def image_entry(
         FieldError: a time is none, or far from the frame's.
     """
     for field, value in seconds.items():
-        if not np.isfinite(value):
+        if not abs(value) <= _LATEST:  # also NaN
             raise FieldError(field, f"is {value}")
     stamp, exposure, trigger, done = seconds.values()
     time_us = round(stamp * 1e6)
@@ -121,10 +139,14 @@ def label_entry(place: Place, label_id: str, category: str, box: Mapping[str, fl
     """A label whose `box` has, by field, centre x, y, z, length, width, height and heading.
 
     Raises:
-        FieldError: a number is none, or a size is not positive.
+        FieldError: a number is none, a place is too far away, or a size is not positive or too
+            large.
     """
+    shortest, longest = checks.BOX_SIDE
     for i, (field, value) in enumerate(box.items()):
-        if not np.isfinite(value) or (3 <= i < 6 and value <= 0):
+        is_size = 3 <= i < 6
+        fits = shortest <= value <= longest if is_size else abs(value) <= checks.SENSOR_REACH
+        if not fits:  # also NaN
             raise FieldError(field, f"is {value:g}")
     values = np.array(list(box.values()), np.float64)
     return LabelEntry(place, label_id, category, placed_box(values[:3], values[6]), values[3:6])
@@ -141,8 +163,9 @@ def shaped(values: ArrayLike, dims: Sequence[int], channels: int) -> Float32Arra
     Raises:
         ValueError: there are not as many, the shape is another, or one is not finite.
     """
-    numbers = np.asarray(values, np.float32)
-    if len(dims) != 3 or dims[2] != channels or min(dims) < 1 or np.prod(dims) != len(numbers):
+    with np.errstate(over="ignore"):  # what becomes infinite is refused below
+        numbers = np.asarray(values, np.float32)
+    if len(dims) != 3 or dims[2] != channels or min(dims) < 1 or math.prod(dims) != len(numbers):
         raise ValueError(
             f"has dimensions {list(dims)} for {len(numbers)} values, "
             f"not (rows, columns, {channels})"

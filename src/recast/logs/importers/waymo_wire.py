@@ -136,8 +136,11 @@ def decode(schema: Schema, data: bytes, span: slice | None = None, where: str = 
         FieldError: the bytes are no such message, or an enumeration has an unknown value.
     """
     begin, end = (0, len(data)) if span is None else (span.start, span.stop)
-    message = Message(where, {f.name: [] for f in schema.fields.values() if f.repeated})
+    message = Message(where, {})
     values = message.values
+    for row in schema.fields.values():
+        if row.repeated:  # doubles and floats are gathered as they are stored
+            values[row.name] = bytearray() if row.number else []
     for number, wire, value in fields(data, begin, end, where or schema.name):
         row = schema.fields.get(number)
         if row is None:
@@ -147,6 +150,9 @@ def decode(schema: Schema, data: bytes, span: slice | None = None, where: str = 
             continue
         if wire != row.wire:
             raise FieldError(message.path(row.name), f"has wire type {wire}, not {row.wire}")
+        if row.repeated and row.number:
+            values[row.name] += data[value]
+            continue
         item = row.number.unpack_from(data, value.start)[0] if row.number else value
         if row.kind is not Kind.SPAN and not row.number:
             item = _value(row, value, data, message)
@@ -156,7 +162,7 @@ def decode(schema: Schema, data: bytes, span: slice | None = None, where: str = 
             values[row.name] = item
     for row in schema.fields.values():
         if row.repeated and row.number:
-            values[row.name] = _joined(values[row.name], np.dtype(row.number.format))
+            values[row.name] = np.frombuffer(values[row.name], row.number.format)
     return message
 
 
@@ -217,21 +223,14 @@ def _signed(value: int) -> int:
     return value - (1 << 64) if value >= 1 << 63 else value
 
 
-def _packed(row: Field, span: slice, data: bytes, message: Message) -> list[Any]:
+def _packed(row: Field, span: slice, data: bytes, message: Message) -> bytes | list[Any]:
     where = message.path(row.name)
     if row.number:
         if (span.stop - span.start) % row.number.size:
             raise FieldError(where, "is cut off")
-        return [np.frombuffer(data[span], row.number.format)]
+        return data[span]
     numbers, at = [], span.start
     while at < span.stop:
         value, at = _varint(data, at, span.stop, where)
         numbers.append(_signed(value))
     return numbers
-
-
-def _joined(parts: list[Any], dtype: np.dtype[Any]) -> Any:
-    """One array of numbers and arrays of numbers."""
-    if len(parts) == 1 and isinstance(parts[0], np.ndarray):
-        return parts[0]
-    return np.concatenate([np.zeros(0, dtype), *(np.atleast_1d(part) for part in parts)])
