@@ -173,7 +173,7 @@ TRACKS = "track/track_info.txt"
         ),
         (
             lambda s: (s / "pointcloud.npz").write_bytes(b"cos\nsystem\n(S'false'\ntR."),
-            "pointcloud.npz: file: is a pickle, which is never loaded",
+            "pointcloud.npz: file: is no .npz archive; a pickle is never loaded",
         ),
         (_points(a=np.zeros((3, 3))), "pointcloud.npz: array a: is no frame"),
         (_points(**{"000099": np.zeros((3, 3))}), "array 000099: is no frame"),

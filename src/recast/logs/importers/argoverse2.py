@@ -6,6 +6,7 @@ Forecasting" (NeurIPS 2021), and the layout of the sensor dataset.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +26,12 @@ from recast.logs.importers.argoverse2_sensors import (
     check_sensors,
     read_calibration,
 )
-from recast.logs.importers.argoverse2_tables import POSE, poses, read_columns
+from recast.logs.importers.argoverse2_tables import POSE, TIME, poses, read_columns, times_of
+from recast.logs.importers.cameras import chosen_cameras
 from recast.logs.importers.image_files import ImageFiles
 from recast.logs.store import write_log
 from recast.logs.types import Array, CameraStream, DrivingLog, LidarStream, Trajectory
+from recast.storage import disk_errors
 
 LICENCE = "CC BY-NC-SA 4.0"
 
@@ -39,7 +42,13 @@ RIG_FROM_EGO = se3.from_rotation_translation(np.eye(3), [0.0, 0.0, AXLE_HEIGHT])
 LONGEST_GAP_US = 1_000_000
 
 
-def import_argoverse2(root: Path, drive: str, out: Path, labels: Path | None = None) -> None:
+def import_argoverse2(
+    root: Path,
+    drive: str,
+    out: Path,
+    labels: Path | None = None,
+    cameras: Sequence[str] = (),
+) -> None:
     """Import one Argoverse 2 sensor log, with its map, into the new log folder `out`.
 
     Args:
@@ -47,16 +56,20 @@ def import_argoverse2(root: Path, drive: str, out: Path, labels: Path | None = N
         drive: the log's id.
         out: log folder to write; it appears whole or not at all.
         labels: annotations in the dataset's own format where they lie apart from the log.
+        cameras: names of the cameras to import, such as ring_front_center; all if empty.
 
     Raises:
         InputError: files are missing, broken or do not belong together; nothing is written then.
     """
     if Path(out).exists():
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
-    write_log(load_argoverse2(root, drive, labels), out)
+    with disk_errors(root):
+        write_log(load_argoverse2(root, drive, labels, cameras), out)
 
 
-def load_argoverse2(root: Path, drive: str, labels: Path | None = None) -> DrivingLog:
+def load_argoverse2(
+    root: Path, drive: str, labels: Path | None = None, cameras: Sequence[str] = ()
+) -> DrivingLog:
     """Read an Argoverse 2 sensor log; images and sweeps stay in its files until asked for.
 
     Raises:
@@ -69,14 +82,13 @@ def load_argoverse2(root: Path, drive: str, labels: Path | None = None) -> Drivi
         name: list_frames(folder / "sensors" / "cameras" / name, ".jpg")
         for name in calibration.cameras
     }
+    chosen = chosen_cameras(folder, images, cameras)
     trajectory, offset = _ego(folder, sweeps, images)
     annotations = _annotations(folder) if labels is None else Path(labels)
     tracks = {} if annotations is None else read_tracks(annotations, trajectory, RIG_FROM_EGO)
     return DrivingLog(
         name=folder.name,
-        cameras={
-            name: _camera(name, calibration, listed, trajectory) for name, listed in images.items()
-        },
+        cameras={name: _camera(name, calibration, images[name], trajectory) for name in chosen},
         lidars=_lidars(calibration, sweeps, trajectory),
         world_from_rig=trajectory,
         tracks=tracks,
@@ -110,20 +122,20 @@ def _ego(
 ) -> tuple[Trajectory, Array]:
     """The ego trajectory (of the rig frame, near the origin) and the offset taken off it."""
     path = folder / POSES
-    rows = read_columns(path, ("timestamp_ns", *POSE))
-    times = rows["timestamp_ns"].astype(np.int64)
+    rows = read_columns(path, (TIME, *POSE))
+    times = times_of(path, rows)
     city_from_ego = poses(path, rows)
     if len(times) < 2:
         raise InputError(path, "rows", f"{len(times)}, at least 2 are needed", "download it again")
     steps = np.diff(times)
     if np.any(steps <= 0):
         row = int(np.argmax(steps <= 0)) + 1
-        field = f"timestamp_ns in row {row}"
+        field = f"{TIME} in row {row}"
         raise InputError(path, field, "is not later than the row before", "download it again")
     if np.any(steps > 1000 * LONGEST_GAP_US):
         row = int(np.argmax(steps))
         problem = f"the next pose comes {steps[row] / 1e9:.1f} s later"
-        raise InputError(path, f"timestamp_ns in row {row}", problem, "use a log without the gap")
+        raise InputError(path, f"{TIME} in row {row}", problem, "use a log without the gap")
     # Poses of two clocks are merged in the files: some are a nanosecond apart.
     times_us, first = np.unique(times // 1000, return_index=True)
     world_from_rig = (city_from_ego @ se3.inverse(RIG_FROM_EGO))[first]

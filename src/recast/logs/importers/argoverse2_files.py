@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import glob
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from recast.errors import InputError
+from recast.logs import checks
+from recast.logs.importers.drive_names import check_drive
 from recast.logs.types import Int64Array
 
 POSES = "city_SE3_egovehicle.feather"
+_NANOSECONDS = re.compile(r"[0-9]{1,19}")
 _LISTED = 5
 """Names of other logs in a message; a split has hundreds."""
 
@@ -23,7 +28,8 @@ def find_log(root: Path, drive: str) -> Path:
     """
     if not root.is_dir():
         raise InputError(root, "Argoverse 2 folder", "does not exist", "check the path")
-    for folder in (root / drive, *sorted(root.glob(f"*/{drive}")), root):
+    check_drive(root, drive)
+    for folder in (root / drive, *sorted(root.glob(f"*/{glob.escape(drive)}")), root):
         if folder.name == drive and folder.is_dir():
             return folder
     found = sorted(
@@ -61,9 +67,9 @@ def list_frames(folder: Path, suffix: str) -> TimedFiles:
         InputError: a name is no time, or two frames have the same microsecond.
     """
     paths = list(folder.glob(f"*{suffix}"))
-    odd = next((path for path in sorted(paths) if not path.stem.isdigit()), None)
-    if odd is not None:
-        raise InputError(odd, "file name", "is not a time in nanoseconds", "remove the file")
+    for path in sorted(paths):
+        if not _NANOSECONDS.fullmatch(path.stem) or int(path.stem) >= 1000 * checks.LATEST_US:
+            raise InputError(path, "file name", "is not a time in nanoseconds", "remove the file")
     paths.sort(key=lambda path: int(path.stem))
     times = np.array([int(path.stem) for path in paths], np.int64) // 1000
     same = np.flatnonzero(np.diff(times) <= 0)

@@ -9,7 +9,14 @@ import numpy as np
 from recast.errors import InputError
 from recast.logs import motion
 from recast.logs.importers.argoverse2_sensors import TURN_US
-from recast.logs.importers.argoverse2_tables import POSE, Columns, poses, read_columns
+from recast.logs.importers.argoverse2_tables import (
+    POSE,
+    TIME,
+    Columns,
+    poses,
+    read_columns,
+    times_of,
+)
 from recast.logs.types import Array, Int64Array, Track, Trajectory
 
 SIZE = ("length_m", "width_m", "height_m")
@@ -71,9 +78,9 @@ def read_tracks(path: Path, world_from_rig: Trajectory, rig_from_ego: Array) -> 
         InputError: the file, a column or a value is wrong, a category is unknown, a box has a time
             without ego pose or comes twice, or boxes are not in the ego's frame.
     """
-    rows = read_columns(path, ("timestamp_ns", *SIZE, *POSE), ("track_uuid", "category"))
+    rows = read_columns(path, (TIME, *SIZE, *POSE), ("track_uuid", "category"))
     ego_from_box = poses(path, rows)
-    times = rows["timestamp_ns"].astype(np.int64) // 1000
+    times = times_of(path, rows) // 1000
     size = np.stack([rows[name].astype(np.float64) for name in SIZE], axis=-1)
     _check(path, rows, times, size, ego_from_box, world_from_rig)
     placed = world_from_rig.at(times) @ rig_from_ego @ ego_from_box

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -16,9 +16,12 @@ from recast.logs.hdmap import GroundHeight, HdMap, Lane
 from recast.logs.importers.map_place import NEAR, metres_beside
 from recast.logs.types import Array
 from recast.records import validation_error
+from recast.tables import read_npy
 
 _STEP = 1.0
 """Metres between points of an averaged centreline, measured on the longer boundary."""
+_LARGEST_RASTER = 1 << 26
+"""Bytes; those of the dataset have one or two million."""
 _MEND = "download the log's map again"
 
 
@@ -212,10 +215,7 @@ def _read_ground(folder: Path, offset: Array) -> GroundHeight | None:
     if raster is None or placing is None:
         missing = "*_ground_height_surface____*.npy" if raster is None else "*___img_Sim2_city.json"
         raise InputError(folder, missing, "is missing", _MEND)
-    try:
-        height: Any = np.load(raster, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(raster, "array", f"cannot be read ({error})", _MEND) from None
+    height = read_npy(raster, _MEND, _LARGEST_RASTER)
     if height.ndim != 2 or not np.issubdtype(height.dtype, np.floating) or not height.size:
         problem = f"is {height.dtype} of shape {height.shape}, not two-dimensional numbers"
         raise InputError(raster, "array", problem, _MEND)

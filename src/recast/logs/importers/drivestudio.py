@@ -6,11 +6,13 @@ framework's preprocessing writes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from recast.errors import InputError
+from recast.logs.importers.cameras import chosen_cameras
 from recast.logs.importers.drivestudio_instances import read_tracks
 from recast.logs.importers.drivestudio_lidar import read_lidars
 from recast.logs.importers.image_files import ImageFiles
@@ -26,13 +28,20 @@ from recast.logs.importers.waymo_schema import LICENCE
 from recast.logs.importers.waymo_values import WAYMO_FROM_OPENCV
 from recast.logs.store import write_log
 from recast.logs.types import CameraStream, DrivingLog, Trajectory
+from recast.storage import disk_errors
 
 FRAME_US = 100_000
 """The folder has no times; Waymo's frames are ten a second."""
 _MEND = "process the scene again"
 
 
-def import_drivestudio(root: Path, drive: str, out: Path, labels: Path | None = None) -> None:
+def import_drivestudio(
+    root: Path,
+    drive: str,
+    out: Path,
+    labels: Path | None = None,
+    cameras: Sequence[str] = (),
+) -> None:
     """Import one processed Waymo scene into the new log folder `out`; it has no map.
 
     Args:
@@ -40,6 +49,7 @@ def import_drivestudio(root: Path, drive: str, out: Path, labels: Path | None = 
         drive: the scene's folder, such as 023.
         out: log folder to write; it appears whole or not at all.
         labels: another file in the format of instances/instances_info.json.
+        cameras: names of the cameras to import, Waymo's, such as FRONT; all if empty.
 
     Raises:
         InputError: files are missing, broken or do not belong together, or the scene is not
@@ -47,10 +57,13 @@ def import_drivestudio(root: Path, drive: str, out: Path, labels: Path | None = 
     """
     if Path(out).exists():
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
-    write_log(load_drivestudio(root, drive, labels), out)
+    with disk_errors(root):
+        write_log(load_drivestudio(root, drive, labels, cameras), out)
 
 
-def load_drivestudio(root: Path, drive: str, labels: Path | None = None) -> DrivingLog:
+def load_drivestudio(
+    root: Path, drive: str, labels: Path | None = None, cameras: Sequence[str] = ()
+) -> DrivingLog:
     """Read a processed scene; images and sweeps stay in its files until asked for.
 
     Raises:
@@ -69,11 +82,12 @@ def load_drivestudio(root: Path, drive: str, labels: Path | None = None) -> Driv
     offset = poses[0, :3, 3].copy()
     poses[:, :3, 3] -= offset
     trajectory = Trajectory(times, poses)
-    cameras = read_cameras(scene)
+    mounted = {camera.name: camera for camera in read_cameras(scene)}
+    chosen = chosen_cameras(scene, mounted, cameras)
     instances = scene / "instances" / "instances_info.json" if labels is None else Path(labels)
     return DrivingLog(
         name=f"drivestudio {drive}",
-        cameras={camera.name: _camera(camera, frame_times) for camera in cameras},
+        cameras={name: _camera(mounted[name], frame_times) for name in chosen},
         lidars=read_lidars(scene / "lidar", frame_times),
         world_from_rig=trajectory,
         tracks=read_tracks(instances, frame_times, trajectory, offset),

@@ -73,13 +73,13 @@ def _track(
     offset: Array,
 ) -> Track:
     boxes, field = instance.frame_annotations, f"{name}.frame_annotations"
-    frames = np.array(boxes.frame_idx, np.int64)
-    if not len(frames) == len(boxes.obj_to_world) == len(boxes.box_size):
+    if not len(boxes.frame_idx) == len(boxes.obj_to_world) == len(boxes.box_size):
         raise InputError(path, field, "frame_idx, obj_to_world, box_size differ in length", _MEND)
     unknown = next((frame for frame in boxes.frame_idx if frame not in frame_times), None)
     if unknown is not None:
         problem = f"{unknown} has no file in ego_pose"
         raise InputError(path, f"{field}.frame_idx", problem, "take the boxes of this scene")
+    frames = np.array(boxes.frame_idx, np.int64)
     times = np.array([frame_times[frame] for frame in boxes.frame_idx], np.int64)
     twice = np.flatnonzero(np.diff(frames) <= 0)
     if len(twice):

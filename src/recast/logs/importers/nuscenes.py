@@ -6,11 +6,13 @@ dataset's published schema.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from recast.errors import InputError
+from recast.logs.importers.cameras import chosen_cameras
 from recast.logs.importers.image_files import ImageFiles
 from recast.logs.importers.nuscenes_ego import read_ego
 from recast.logs.importers.nuscenes_frames import Sensor, read_sensors
@@ -19,13 +21,20 @@ from recast.logs.importers.nuscenes_sensors import NuScenesSweeps, camera_of, po
 from recast.logs.importers.nuscenes_tables import LogRow, SampleRow, SceneRow, linked, select
 from recast.logs.store import write_log
 from recast.logs.types import CameraStream, DrivingLog, LidarStream
+from recast.storage import disk_errors
 
 LICENCE = "CC BY-NC-SA 4.0"
 _LISTED = 5
 """Names of other scenes in a message; a split has hundreds."""
 
 
-def import_nuscenes(root: Path, drive: str, out: Path, labels: Path | None = None) -> None:
+def import_nuscenes(
+    root: Path,
+    drive: str,
+    out: Path,
+    labels: Path | None = None,
+    cameras: Sequence[str] = (),
+) -> None:
     """Import one nuScenes scene into the new log folder `out`; it has no map.
 
     Args:
@@ -34,6 +43,8 @@ def import_nuscenes(root: Path, drive: str, out: Path, labels: Path | None = Non
         drive: the scene's name, such as scene-0061.
         out: log folder to write; it appears whole or not at all.
         labels: must be None: the tables hold the boxes.
+        cameras: names of the cameras to import, such as CAM_FRONT; all if empty. The files of
+            others need not be there.
 
     Raises:
         InputError: tables or files are missing, broken or do not belong together; nothing is
@@ -43,10 +54,11 @@ def import_nuscenes(root: Path, drive: str, out: Path, labels: Path | None = Non
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
     if labels is not None:
         raise InputError(labels, "labels", "nuScenes tables hold the boxes", "leave the option out")
-    write_log(load_nuscenes(root, drive), out)
+    with disk_errors(root):
+        write_log(load_nuscenes(root, drive, cameras), out)
 
 
-def load_nuscenes(root: Path, drive: str) -> DrivingLog:
+def load_nuscenes(root: Path, drive: str, cameras: Sequence[str] = ()) -> DrivingLog:
     """Read a nuScenes scene; images and sweeps stay in its files until asked for.
 
     Raises:
@@ -56,11 +68,13 @@ def load_nuscenes(root: Path, drive: str) -> DrivingLog:
     tables, scene = _find_scene(root, drive)
     recording = linked(tables, "log", LogRow, [scene], "scene", "log_token")[scene.log_token]
     samples = select(tables / "sample.json", SampleRow, "scene_token", {scene.token})
-    sensors = read_sensors(root, tables, samples)
+    sensors = read_sensors(root, tables, samples, cameras)
+    mounted = [sensor.name for sensor in sensors if sensor.kind == "camera"]
+    chosen = chosen_cameras(root / drive, mounted, cameras)
     trajectory, offset = read_ego(tables, samples, sensors)
     return DrivingLog(
         name=scene.name,
-        cameras={s.name: _camera(root, tables, s) for s in sensors if s.kind == "camera"},
+        cameras={s.name: _camera(root, tables, s) for s in sensors if s.name in chosen},
         lidars={s.name: _lidar(root, tables, s) for s in sensors if s.kind == "lidar"},
         world_from_rig=trajectory,
         tracks=read_tracks(tables, samples, trajectory, offset),

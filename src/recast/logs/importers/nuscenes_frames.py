@@ -15,6 +15,7 @@ from recast.logs.importers.nuscenes_tables import (
     linked,
     select,
 )
+from recast.names import member
 
 
 @dataclass(frozen=True)
@@ -32,10 +33,13 @@ class Sensor:
     frames: list[SampleDataRow]
 
 
-def read_sensors(root: Path, tables: Path, samples: Sequence[SampleRow]) -> list[Sensor]:
+def read_sensors(
+    root: Path, tables: Path, samples: Sequence[SampleRow], cameras: Sequence[str] = ()
+) -> list[Sensor]:
     """Cameras and LiDARs of the scene whose key frames are `samples`, by name; no radars.
 
     Where the dataset's folder `root` has no folder sweeps, frames between key frames are left out.
+    Only the files of LiDARs and of the `cameras` wanted (all if empty) must be there.
 
     Raises:
         InputError: a table, column or file is missing, a token leads nowhere, a sensor has two
@@ -63,12 +67,14 @@ def read_sensors(root: Path, tables: Path, samples: Sequence[SampleRow]) -> list
         if kind.modality not in ("camera", "lidar"):  # radar
             continue
         sensor = sensors.setdefault(kind.channel, Sensor(kind.channel, kind.modality, mount, []))
-        _check_frame(root, path, frame, sensor)
+        _check_frame(path, frame, sensor)
+        if sensor.kind == "lidar" or not cameras or sensor.name in cameras:
+            _check_file(root, path, frame)
         sensor.frames.append(frame)
     return [sensors[name] for name in sorted(sensors)]
 
 
-def _check_frame(root: Path, path: Path, frame: SampleDataRow, sensor: Sensor) -> None:
+def _check_frame(path: Path, frame: SampleDataRow, sensor: Sensor) -> None:
     def refuse(column: str, problem: str, mend: str) -> InputError:
         return InputError(path, f"token {frame.token}: {column}", problem, mend)
 
@@ -82,6 +88,10 @@ def _check_frame(root: Path, path: Path, frame: SampleDataRow, sensor: Sensor) -
     if frame.fileformat not in formats:
         problem = f"is {frame.fileformat!r}, not {' or '.join(formats)}"
         raise refuse("fileformat", problem, "use files as published")
-    if not (root / frame.filename).is_file():
+
+
+def _check_file(root: Path, path: Path, frame: SampleDataRow) -> None:
+    field = f"token {frame.token}: filename"
+    if not member(root, frame.filename, path, field).is_file():
         problem = f"{frame.filename} is missing under {root}"
-        raise refuse("filename", problem, "unpack the file archives of this scene")
+        raise InputError(path, field, problem, "unpack the file archives of this scene")

@@ -15,6 +15,7 @@ from recast.logs.importers.nuscenes_tables import (
     EgoPoseRow,
     SampleDataRow,
 )
+from recast.logs.importers.point_files import read_points
 from recast.logs.types import Array, Int64Array, LidarSweep
 
 POINT_FLOATS = 5  # x, y, z, intensity, ring
@@ -97,14 +98,7 @@ class NuScenesSweeps:
             InputError: the file is empty, cut off or not finite.
         """
         path = self.paths[index]
-        size = path.stat().st_size
-        if size == 0 or size % (4 * POINT_FLOATS):
-            problem = f"{size} bytes are not a whole number of {4 * POINT_FLOATS}-byte points"
-            raise InputError(path, "points", problem, "download the file again")
-        rows = np.fromfile(path, "<f4").reshape(-1, POINT_FLOATS)
-        if not np.all(np.isfinite(rows)):
-            row = int(np.argmin(np.isfinite(rows).all(axis=1)))
-            raise InputError(path, f"point {row}", "is NaN or infinite", "download the file again")
+        rows = read_points(path, POINT_FLOATS, range(POINT_FLOATS), "download the file again")
         rows = rows[np.abs(rows[:, :2]).max(axis=1) > OWN_ROOF]
         points = se3.apply(self.rig_from_lidar, rows[:, :3]).astype(np.float32)
         intensity = np.clip(rows[:, 3] / np.float32(255), 0.0, 1.0)

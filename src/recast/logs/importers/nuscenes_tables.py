@@ -10,12 +10,14 @@ import json
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from recast.errors import InputError
+from recast.logs import checks
 from recast.records import validation_error
+from recast.storage import disk_errors
 
 _CHUNK = 1 << 20
 _LONGEST_ROW = 1 << 22
@@ -23,8 +25,14 @@ _LONGEST_ROW = 1 << 22
 _BETWEEN_ROWS = re.compile(r"[\s,]*")
 _MEND = "unpack the split's metadata archive again"
 
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
+Metres = Annotated[float, Field(ge=-checks.WORLD_REACH, le=checks.WORLD_REACH)]
+Vector = tuple[Metres, Metres, Metres]
+Part = Annotated[float, Field(ge=-2.0, le=2.0)]
+Quaternion = tuple[Part, Part, Part, Part]
+Time = Annotated[int, Field(ge=0, lt=checks.LATEST_US)]
+"""Microseconds since 1970."""
+Pixels = Annotated[int, Field(ge=0, lt=1 << 16)]
+"""0 for sweeps."""
 
 
 class Row(BaseModel):
@@ -53,7 +61,7 @@ class LogRow(Row):
 class SampleRow(Row):
     """sample.json: a key frame, two a second; the time of its boxes."""
 
-    timestamp: int
+    timestamp: Time
     scene_token: str
 
 
@@ -65,16 +73,16 @@ class SampleDataRow(Row):
     calibrated_sensor_token: str
     filename: str
     fileformat: str
-    timestamp: int
+    timestamp: Time
     is_key_frame: bool
-    width: int
-    height: int
+    width: Pixels
+    height: Pixels
 
 
 class EgoPoseRow(Row):
     """ego_pose.json: ego to global, one for each image or sweep."""
 
-    timestamp: int
+    timestamp: Time
     rotation: Quaternion
     translation: Vector
 
@@ -129,7 +137,7 @@ def stream_rows(path: Path) -> Iterator[dict[str, Any]]:
     if not path.is_file():
         raise InputError(path, "table", "is missing", _MEND)
     decoder = json.JSONDecoder()
-    with path.open(encoding="utf-8", errors="replace") as file:
+    with disk_errors(path), path.open(encoding="utf-8", errors="replace") as file:
         text, at, row = file.read(_CHUNK).lstrip(), 1, 0
         if not text.startswith("["):
             raise InputError(path, "JSON", "does not begin a list of rows", _MEND)
@@ -146,6 +154,10 @@ def stream_rows(path: Path) -> Iterator[dict[str, Any]]:
                     raise InputError(path, f"row {row}", problem, _MEND) from None
                 text, at = text[at:] + more, 0
                 continue
+            except (RecursionError, ValueError) as error:  # nested too deeply, or too many digits
+                reason = str(error).split(";")[0]
+                problem = f"cannot be read ({reason})"
+                raise InputError(path, f"row {row}", problem, _MEND) from None
             if not isinstance(value, dict):
                 raise InputError(path, f"row {row}", "is no object", _MEND)
             yield value

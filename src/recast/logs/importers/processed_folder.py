@@ -13,12 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image as PillowImage
 
 from recast.errors import InputError
 from recast.geometry import PinholeCamera, se3
+from recast.logs import checks
+from recast.logs.importers.drive_names import check_drive
+from recast.logs.importers.image_files import image_size
 from recast.logs.importers.waymo_schema import CAMERA_NAME
 from recast.logs.types import Array
+from recast.storage import read_text
 
 CAMERAS = tuple(CAMERA_NAME.names.values())
 """Waymo's cameras by their number in file names, which is Waymo's CameraName less one."""
@@ -28,7 +31,11 @@ FARTHEST = 500.0
 _LISTED = 5
 _ORTHOGONAL = 1e-3
 _MEND = "process the scene again"
-_IMAGE = re.compile(r"(\d+)_(\d+)\.(?:png|jpg|jpeg)")
+NUMBER = re.compile(r"[0-9]{1,9}")
+"""A frame, in names of files."""
+_IMAGE = re.compile(r"([0-9]{1,9})_([0-9])\.(?:png|jpg|jpeg)")
+_TEXT_LIMIT = 1 << 16
+"""Bytes of a file of numbers, at most."""
 
 
 def find_scene(root: Path, drive: str, kind: str) -> Path:
@@ -39,6 +46,7 @@ def find_scene(root: Path, drive: str, kind: str) -> Path:
     """
     if not root.is_dir():
         raise InputError(root, f"{kind} folder", "does not exist", "check the path")
+    check_drive(root, drive)
     for folder in (root / drive, root):
         if folder.name == drive and folder.is_dir():
             return folder
@@ -56,8 +64,10 @@ def read_numbers(path: Path, count: int) -> Array:
     if not path.is_file():
         raise InputError(path, "file", "is missing", _MEND)
     try:
-        numbers = np.array([float(word) for word in path.read_text().split()])
-    except ValueError:  # also bytes that are no text
+        numbers = np.array([float(word) for word in read_text(path, _TEXT_LIMIT).split()])
+    except InputError:
+        raise
+    except ValueError:
         raise InputError(path, "numbers", "cannot be read: not plain numbers", _MEND) from None
     if numbers.shape != (count,) or not np.all(np.isfinite(numbers)):
         problem = f"{count} finite numbers are needed, found {len(numbers)}"
@@ -81,6 +91,11 @@ def rigid(values: Array, path: Path, field: str) -> Array:
         InputError: they are no rotation and translation.
     """
     matrix = np.asarray(values, np.float64).reshape(4, 4)
+    # The comparisons are false for NaN; nothing that is not finite gets to the decomposition.
+    if not np.all(np.abs(matrix[:3, :3]) <= 2.0) or not np.all(
+        np.abs(matrix[:3, 3]) <= checks.WORLD_REACH
+    ):
+        raise InputError(path, field, "is no rotation and translation", _MEND)
     u, _, vt = np.linalg.svd(matrix[:3, :3])
     rotation = u @ vt
     off = float(np.abs(rotation - matrix[:3, :3]).max())
@@ -95,7 +110,7 @@ def frame_numbers(folder: Path) -> dict[int, Path]:
     Raises:
         InputError: there are fewer than two.
     """
-    paths = {int(path.stem): path for path in folder.glob("*.txt") if path.stem.isdigit()}
+    paths = {int(path.stem): path for path in folder.glob("*.txt") if NUMBER.fullmatch(path.stem)}
     if len(paths) < 2:
         raise InputError(folder, "FRAME.txt", f"{len(paths)} files, 2 are needed", _MEND)
     return dict(sorted(paths.items()))
@@ -142,7 +157,7 @@ def read_cameras(scene: Path) -> list[CameraFolder]:
 def _camera(scene: Path, number: int, images: dict[int, Path]) -> CameraFolder:
     path = scene / "intrinsics" / f"{number}.txt"
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = read_numbers(path, 9).tolist()
-    width, height = _size(next(iter(images.values())))
+    width, height = image_size(next(iter(images.values())))
     # Waymo counts pixels from the edge of the image, as we do: nothing is added to cx and cy.
     camera = PinholeCamera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
     try:
@@ -151,11 +166,3 @@ def _camera(scene: Path, number: int, images: dict[int, Path]) -> CameraFolder:
         raise InputError(path, "numbers", str(error), _MEND) from None
     extrinsic = read_pose(scene / "extrinsics" / f"{number}.txt")
     return CameraFolder(number, dict(sorted(images.items())), camera, extrinsic)
-
-
-def _size(path: Path) -> tuple[int, int]:
-    try:
-        with PillowImage.open(path) as image:
-            return image.size
-    except (OSError, SyntaxError, ValueError) as error:
-        raise InputError(path, "image", f"cannot be read ({error})", _MEND) from None

@@ -7,8 +7,7 @@ optional package and imported here only.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +16,25 @@ import numpy as np
 from recast.errors import InputError
 from recast.geometry import se3
 from recast.logs import motion
+from recast.logs.importers.cameras import chosen_cameras
 from recast.logs.importers.py123d_map import read_map
-from recast.logs.importers.py123d_sensors import matrix, read_cameras, read_lidars
+from recast.logs.importers.py123d_sensors import matrix, read_cameras, read_lidars, reading
 from recast.logs.importers.py123d_tracks import read_tracks
 from recast.logs.store import write_log
 from recast.logs.types import Array, DrivingLog, Trajectory
+from recast.storage import disk_errors
 
 SYNC = "sync.arrow"
 _LISTED = 5
 
 
-def import_py123d(root: Path, drive: str, out: Path, labels: Path | None = None) -> None:
+def import_py123d(
+    root: Path,
+    drive: str,
+    out: Path,
+    labels: Path | None = None,
+    cameras: Sequence[str] = (),
+) -> None:
     """Import one log, with its map where it has one, into the new log folder `out`.
 
     Args:
@@ -35,6 +42,7 @@ def import_py123d(root: Path, drive: str, out: Path, labels: Path | None = None)
         drive: the log's name.
         out: log folder to write; it appears whole or not at all.
         labels: not known for this format.
+        cameras: names of the cameras to import, as py123d has them; all if empty.
 
     Raises:
         InputError: py123d is not installed or cannot read the log, or the log lacks what is
@@ -44,12 +52,11 @@ def import_py123d(root: Path, drive: str, out: Path, labels: Path | None = None)
         raise InputError(labels, "labels", "a log holds its own", "leave the option out")
     if Path(out).exists():
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
-    folder = find_log(Path(root), drive)
-    with reading(folder):  # images and sweeps are read while they are written
-        write_log(load_py123d(root, drive), out)
+    with disk_errors(root):
+        write_log(load_py123d(root, drive, cameras), out)
 
 
-def load_py123d(root: Path, drive: str) -> DrivingLog:
+def load_py123d(root: Path, drive: str, cameras: Sequence[str] = ()) -> DrivingLog:
     """Read a log; images and sweeps stay in its files until asked for.
 
     Raises:
@@ -59,15 +66,16 @@ def load_py123d(root: Path, drive: str) -> DrivingLog:
     scene_type = _scene_type()
     with reading(folder):
         scene = scene_type(folder, maps_root=Path(root) / "maps")
-        return log_of(scene, folder)
+        return log_of(scene, folder, cameras)
 
 
-def log_of(scene: Any, folder: Path) -> DrivingLog:
+def log_of(scene: Any, folder: Path, cameras: Sequence[str] = ()) -> DrivingLog:
     """The log of a py123d scene.
 
     Args:
         scene: a `py123d.api.SceneAPI`.
         folder: for messages.
+        cameras: names of those to keep; all if empty.
 
     Raises:
         InputError: there are fewer than two ego poses, or a sensor or box is not as it must be.
@@ -86,7 +94,8 @@ def log_of(scene: Any, folder: Path) -> DrivingLog:
     trajectory = motion.extended(
         trajectory, times[0] - motion.MAX_EXTENSION_US, times[-1] + motion.MAX_EXTENSION_US
     )
-    cameras, left_out = read_cameras(scene, folder, rig_from_imu, trajectory)
+    streams, left_out = read_cameras(scene, folder, rig_from_imu, trajectory)
+    chosen = chosen_cameras(folder, streams, cameras)
     known = scene.get_log_metadata()
     metadata = {
         "dataset": f"{known.dataset}, through py123d",
@@ -98,7 +107,7 @@ def log_of(scene: Any, folder: Path) -> DrivingLog:
     }
     return DrivingLog(
         name=known.log_name,
-        cameras=cameras,
+        cameras={name: streams[name] for name in chosen},
         lidars=read_lidars(scene, folder, rig_from_imu, trajectory),
         world_from_rig=trajectory,
         tracks=read_tracks(scene, folder, trajectory, offset),
@@ -144,17 +153,3 @@ def _scene_type() -> Any:
     except ImportError as error:
         problem = f"cannot be imported ({error})"
         raise InputError("py123d", "package", problem, "pip install 'py123d>=0.7'") from None
-
-
-@contextmanager
-def reading(folder: Path) -> Iterator[None]:
-    """Errors of py123d, which asserts and raises what comes, in one line that names the log."""
-    try:
-        yield
-    except InputError:
-        raise
-    except (AssertionError, AttributeError, LookupError, OSError, TypeError, ValueError) as error:
-        said = " ".join(f"{type(error).__name__}: {error}".split())
-        raise InputError(
-            folder, "log", f"py123d cannot read it ({said})", "convert it again"
-        ) from error

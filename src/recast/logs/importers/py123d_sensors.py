@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,20 @@ from recast.logs.types import (
 )
 
 _MEND = "convert the log again"
+
+
+@contextmanager
+def reading(folder: Path) -> Iterator[None]:
+    """Whatever py123d raises is one line that names the log."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # it asserts, and lets through what Arrow and others raise
+        said = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(
+            folder, "log", f"py123d cannot read it ({said})", "convert it again"
+        ) from error
 
 
 def matrix(pose: Any) -> Array:
@@ -50,11 +66,12 @@ class Py123dImages:
             InputError: it is missing, or of another size than the calibration says.
         """
         time = int(self.timestamps_us[index])
-        found = self.scene.get_camera_at_timestamp(time, self.camera_id)
         where = f"camera {self.name} at {time} us"
-        if found is None:
-            raise InputError(self.folder, where, "has no image", _MEND)
-        image = np.asarray(found.rgb_image, np.uint8)
+        with reading(self.folder):
+            found = self.scene.get_camera_at_timestamp(time, self.camera_id)
+            if found is None:
+                raise InputError(self.folder, where, "has no image", _MEND)
+            image = np.asarray(found.rgb_image, np.uint8)
         expected = (self.camera.height, self.camera.width, 3)
         if image.shape != expected:
             problem = f"has an image of {image.shape}, its calibration says {expected}"
@@ -132,7 +149,10 @@ class Py123dSweeps:
             InputError: it is missing, or points of several scanners cannot be told apart.
         """
         time = int(self.timestamps_us[index])
-        found = self.scene.get_lidar_at_timestamp(time, self.lidar_id)
+        with reading(self.folder):
+            return self._sweep(time, self.scene.get_lidar_at_timestamp(time, self.lidar_id))
+
+    def _sweep(self, time: int, found: Any) -> LidarSweep:
         where = f"LiDAR {self.name} at {time} us"
         if found is None:
             raise InputError(self.folder, where, "has no points", _MEND)

@@ -6,11 +6,13 @@ Source: Yan et al., "Street Gaussians: Modeling Dynamic Urban Scenes with Gaussi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from recast.errors import InputError
+from recast.logs.importers.cameras import chosen_cameras
 from recast.logs.importers.image_files import ImageFiles
 from recast.logs.importers.processed_folder import CameraFolder, find_scene, read_cameras
 from recast.logs.importers.street_gaussians_ego import Drive, read_drive
@@ -19,9 +21,16 @@ from recast.logs.importers.street_gaussians_tracks import read_tracks
 from recast.logs.importers.waymo_schema import LICENCE
 from recast.logs.store import write_log
 from recast.logs.types import CameraStream, DrivingLog
+from recast.storage import disk_errors
 
 
-def import_street_gaussians(root: Path, drive: str, out: Path, labels: Path | None = None) -> None:
+def import_street_gaussians(
+    root: Path,
+    drive: str,
+    out: Path,
+    labels: Path | None = None,
+    cameras: Sequence[str] = (),
+) -> None:
     """Import one processed scene into the new log folder `out`; it has no map.
 
     Args:
@@ -29,6 +38,7 @@ def import_street_gaussians(root: Path, drive: str, out: Path, labels: Path | No
         drive: the scene's folder, such as 002.
         out: log folder to write; it appears whole or not at all.
         labels: another file in the format of track/track_info.txt, such as a tracker's.
+        cameras: names of the cameras to import, Waymo's, such as FRONT; all if empty.
 
     Raises:
         InputError: files are missing, broken, hold pickled objects or do not belong together;
@@ -36,22 +46,26 @@ def import_street_gaussians(root: Path, drive: str, out: Path, labels: Path | No
     """
     if Path(out).exists():
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
-    write_log(load_street_gaussians(root, drive, labels), out)
+    with disk_errors(root):
+        write_log(load_street_gaussians(root, drive, labels, cameras), out)
 
 
-def load_street_gaussians(root: Path, drive: str, labels: Path | None = None) -> DrivingLog:
+def load_street_gaussians(
+    root: Path, drive: str, labels: Path | None = None, cameras: Sequence[str] = ()
+) -> DrivingLog:
     """Read a processed scene; images and sweeps stay in its files until asked for.
 
     Raises:
         InputError: see `import_street_gaussians`.
     """
     scene = find_scene(Path(root), drive, "Street Gaussians")
-    cameras = read_cameras(scene)
-    timed = read_drive(scene, cameras)
+    mounted = {camera.name: camera for camera in read_cameras(scene)}
+    chosen = chosen_cameras(scene, mounted, cameras)
+    timed = read_drive(scene, list(mounted.values()))
     tracks = scene / "track" / "track_info.txt" if labels is None else Path(labels)
     return DrivingLog(
         name=f"street-gaussians {drive}",
-        cameras={camera.name: _camera(scene, camera, timed) for camera in cameras},
+        cameras={name: _camera(scene, mounted[name], timed) for name in chosen},
         lidars=read_lidar(scene / "pointcloud.npz", timed),
         world_from_rig=timed.world_from_rig,
         tracks=read_tracks(tracks, timed),

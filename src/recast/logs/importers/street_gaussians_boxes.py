@@ -10,6 +10,7 @@ import numpy as np
 
 from recast.errors import InputError
 from recast.logs.types import Array
+from recast.storage import read_text
 
 CATEGORIES = {"vehicle": "car", "pedestrian": "pedestrian", "cyclist": "cyclist"}
 """Ours by the classes of the file that are reconstructed; it may hold others."""
@@ -51,7 +52,7 @@ def read_box_rows(path: Path, mend: str) -> Iterator[BoxRow]:
     """
     if not path.is_file():
         raise InputError(path, "file", "is missing", mend)
-    lines = path.read_text(errors="replace").splitlines()
+    lines = read_text(path).splitlines()
     for number, line in enumerate(lines[1:], start=2):  # the first names the columns
         words = line.split()
         if words:

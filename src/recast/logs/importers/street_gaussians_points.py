@@ -7,19 +7,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from zipfile import BadZipFile
+from zipfile import ZipFile, is_zipfile
 
 import numpy as np
 
 from recast.errors import InputError
 from recast.geometry import se3
+from recast.logs import checks
+from recast.logs.importers.processed_folder import NUMBER
 from recast.logs.importers.street_gaussians_ego import Drive
 from recast.logs.types import Array, LidarStream, LidarSweep
+from recast.tables import npz_array, npz_names, open_npz
 
 NAME = "lidar"
 RIG_FROM_LIDAR = se3.from_rotation_translation(np.eye(3), [1.43, 0.0, 2.18])
 """About where Waymo's top LiDAR stands: the file does not say which of five saw a point."""
+_LARGEST = 1 << 28
+"""Bytes of a sweep."""
 _CONVERT = "convert it as docs/data.md says, or remove it to do without LiDAR"
 
 
@@ -31,12 +35,14 @@ def read_lidar(path: Path, drive: Drive) -> dict[str, LidarStream]:
     """
     if not path.is_file():
         return {}
-    with _opened(path) as arrays:
-        names = list(arrays.files)
+    if not is_zipfile(path):
+        raise InputError(path, "file", "is no .npz archive; a pickle is never loaded", _CONVERT)
+    with open_npz(path, _CONVERT) as arrays:
+        names = npz_names(arrays)
         if names:
             _array(path, arrays, names[0])
     for name in names:
-        if not name.isdigit() or int(name) not in drive.frame_times:
+        if not NUMBER.fullmatch(name) or int(name) not in drive.frame_times:
             problem = "is no frame that has an ego pose"
             raise InputError(path, f"array {name}", problem, "take the points of this scene")
     names.sort(key=int)
@@ -70,7 +76,7 @@ class StreetGaussiansSweeps:
             InputError: the file is broken, or the array is not (N, 3) finite numbers.
         """
         name = self.names[index]
-        with _opened(self.path) as arrays:
+        with open_npz(self.path, _CONVERT) as arrays:
             in_vehicle = _array(self.path, arrays, name)
         time = self.drive.frame_times[int(name)]
         rig_from_world = se3.inverse(self.drive.world_from_rig.at(time))
@@ -79,29 +85,12 @@ class StreetGaussiansSweeps:
         return LidarSweep(time, points, np.zeros(len(points), np.float32))
 
 
-def _opened(path: Path) -> Any:
-    try:
-        arrays = np.load(path, allow_pickle=False)
-    except ValueError:  # numpy's word for a pickle
-        raise InputError(path, "file", "is a pickle, which is never loaded", _CONVERT) from None
-    except (OSError, EOFError, BadZipFile) as error:
-        raise InputError(path, "file", f"cannot be read ({error})", _CONVERT) from None
-    if not isinstance(arrays, np.lib.npyio.NpzFile):
-        raise InputError(path, "file", "is no .npz archive", _CONVERT)
-    return arrays
-
-
-def _array(path: Path, arrays: Any, name: str) -> Array:
-    try:
-        points = arrays[name]
-    except ValueError:
-        problem = "holds pickled Python objects, which are never loaded"
-        raise InputError(path, f"array {name}", problem, _CONVERT) from None
-    except (OSError, EOFError, BadZipFile) as error:
-        raise InputError(path, f"array {name}", f"cannot be read ({error})", _CONVERT) from None
+def _array(path: Path, arrays: ZipFile, name: str) -> Array:
+    points = npz_array(path, arrays, name, _CONVERT, _LARGEST)
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind != "f":
         problem = f"is {points.dtype} of shape {points.shape}, not points (N, 3)"
         raise InputError(path, f"array {name}", problem, _CONVERT)
-    if not np.all(np.isfinite(points)):
-        raise InputError(path, f"array {name}", "holds NaN or infinity", _CONVERT)
+    if not np.all(np.abs(points) <= checks.SENSOR_REACH):  # also NaN
+        problem = f"holds NaN or infinity, or a point not within {checks.SENSOR_REACH:g} m"
+        raise InputError(path, f"array {name}", problem, _CONVERT)
     return points.astype(np.float64)
