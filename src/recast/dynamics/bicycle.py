@@ -16,21 +16,25 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BicycleModel:
-    """Vehicle and actuators.
+    """Actuators; which vehicle they move is told at each step.
 
     Attributes:
-        vehicle: gives the wheelbase.
         accel_time_constant: lag of the acceleration behind its command, seconds; 0 for none.
         steering_time_constant: lag of the steering angle, seconds; 0 for none.
         max_steering_angle: radians.
     """
 
-    vehicle: VehicleParameters = PACIFICA
     accel_time_constant: float = 0.2
     steering_time_constant: float = 0.05
     max_steering_angle: float = np.pi / 3
 
-    def step(self, state: ArrayLike, command: ArrayLike, dt: float = 0.1) -> Array:
+    def step(
+        self,
+        state: ArrayLike,
+        command: ArrayLike,
+        vehicle: VehicleParameters = PACIFICA,
+        dt: float = 0.1,
+    ) -> Array:
         """Advance states (..., 11) by `dt` seconds under commands (..., 2).
 
         The pose moves with the old speed and steering angle (forward Euler); speed may go negative.
@@ -39,6 +43,7 @@ class BicycleModel:
         Args:
             state: (..., 11), columns of `recast.dynamics.state`.
             command: (..., 2) acceleration in m/s^2 and steering rate in rad/s.
+            vehicle: gives the wheelbase.
         """
         old, command = np.asarray(state, np.float64), np.asarray(command, np.float64)
         speed, heading = old[..., ego.VX], old[..., ego.HEADING]
@@ -55,14 +60,14 @@ class BicycleModel:
         new = np.zeros((*batch, ego.SIZE))
         new[..., ego.X] = old[..., ego.X] + speed * np.cos(heading) * dt
         new[..., ego.Y] = old[..., ego.Y] + speed * np.sin(heading) * dt
-        turn = speed * np.tan(steering) / self.vehicle.wheelbase * dt
+        turn = speed * np.tan(steering) / vehicle.wheelbase * dt
         new[..., ego.HEADING] = se2.wrap_angle(heading + turn)
         new[..., ego.VX] = speed + acceleration * dt
         new[..., ego.AX] = acceleration
         new[..., ego.STEERING_ANGLE] = np.clip(steering + rate * dt, -limit, limit)
         new[..., ego.STEERING_RATE] = rate
         new[..., ego.ANGULAR_VELOCITY] = (
-            new[..., ego.VX] * np.tan(new[..., ego.STEERING_ANGLE]) / self.vehicle.wheelbase
+            new[..., ego.VX] * np.tan(new[..., ego.STEERING_ANGLE]) / vehicle.wheelbase
         )
         new[..., ego.ANGULAR_ACCELERATION] = (
             new[..., ego.ANGULAR_VELOCITY] - old[..., ego.ANGULAR_VELOCITY]

@@ -23,7 +23,7 @@ class LqrWeights:
         q_longitudinal, r_longitudinal: cost of speed error and of acceleration.
         q_lateral: cost of lateral error (m), heading error and steering angle (rad).
         r_lateral: cost of the steering rate.
-        horizon: steps looked ahead.
+        horizon: seconds looked ahead, at least one step.
         stopping_gain: proportional gain of the speed error while stopping, 1/s.
         stopping_velocity: m/s; at or below it, both in the reference and in the state, the vehicle
             stops without steering.
@@ -34,7 +34,7 @@ class LqrWeights:
     r_longitudinal: float = 1.0
     q_lateral: tuple[float, float, float] = (1.0, 10.0, 0.0)
     r_lateral: float = 1.0
-    horizon: int = 10
+    horizon: float = 1.0
     stopping_gain: float = 0.5
     stopping_velocity: float = 0.2
     max_acceleration: float | None = None
@@ -66,16 +66,17 @@ def lqr_command(
     state, poses = np.asarray(state, np.float64), np.asarray(poses, np.float64)
     speed = state[..., ego.VX]
     count = profile.velocity.shape[-1]
-    ahead = min(index + weights.horizon, count - 1)
+    steps = max(1, round(weights.horizon / dt))
+    ahead = min(index + steps, count - 1)
     reference_speed = profile.velocity[..., ahead]
 
-    span = weights.horizon * dt
+    span = steps * dt
     gain = (
         weights.q_longitudinal * span / (weights.q_longitudinal * span**2 + weights.r_longitudinal)
     )
     acceleration = -gain * (speed - reference_speed)
     rate = _steering_rate(
-        state, poses[..., index, :], acceleration, profile, index, weights, vehicle, dt
+        state, poses[..., index, :], acceleration, profile, index, steps, weights, vehicle, dt
     )
 
     stopping = (reference_speed <= weights.stopping_velocity) & (speed <= weights.stopping_velocity)
@@ -92,6 +93,7 @@ def _steering_rate(
     acceleration: Array,
     profile: Profile,
     index: int,
+    steps: int,
     weights: LqrWeights,
     vehicle: VehicleParameters,
     dt: float,
@@ -105,7 +107,7 @@ def _steering_rate(
     # to the (constant) steering rate.
     d_lateral = d_heading = d_steering = np.zeros_like(lateral)
     last = profile.curvature.shape[-1] - 1
-    for k in range(weights.horizon):
+    for k in range(steps):
         speed = state[..., ego.VX] + k * dt * acceleration
         step = speed * dt
         curvature = profile.curvature[..., min(index + k, last)]

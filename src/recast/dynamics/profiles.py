@@ -13,6 +13,9 @@ from recast.geometry import se2
 Array = NDArray[np.float64]
 JerkMatrix = Literal["correct", "reference"]
 
+_WEIGHTS_DT = 0.1
+"""Seconds between poses for which nuPlan's weights are meant."""
+
 
 @dataclass(frozen=True)
 class Profile:
@@ -33,11 +36,13 @@ class Profile:
 
 @dataclass(frozen=True)
 class ProfileWeights:
-    """Regularisation of the fit.
+    """Regularisation of the fit, as it weighs on poses 0.1 s apart.
 
     Attributes:
         jerk: weight of squared acceleration differences.
-        curvature_rate: weight of squared curvature rates.
+        curvature_rate: weight of squared curvature rates. Other steps scale it with their square,
+            so that the same motion is smoothed alike whatever the step; the other two need no such
+            scaling.
         initial_curvature: weight of the squared first curvature.
         jerk_matrix: "correct" differences the accelerations, as nuPlan does; "reference" is the
             matrix of NAVSIM and tuplan_garage, which by a slip penalises the accelerations
@@ -83,7 +88,7 @@ def fit_profile(
 
     turn = se2.wrap_angle(np.diff(poses[..., 2], axis=-1))
     design = velocity[..., :, None] * integrate
-    penalty = np.full(count, weights.curvature_rate)
+    penalty = np.full(count, weights.curvature_rate * (dt / _WEIGHTS_DT) ** 2)
     penalty[0] = weights.initial_curvature
     normal = np.swapaxes(design, -1, -2) @ design + np.diag(penalty)
     right = np.einsum("...nk,...n->...k", design, turn)

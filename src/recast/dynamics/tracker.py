@@ -11,6 +11,7 @@ from recast.dynamics import state as ego
 from recast.dynamics.bicycle import BicycleModel
 from recast.dynamics.lqr import LqrWeights, lqr_command
 from recast.dynamics.profiles import ProfileWeights, fit_profile
+from recast.dynamics.vehicle import PACIFICA, VehicleParameters
 from recast.geometry import se2
 
 Array = NDArray[np.float64]
@@ -18,16 +19,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TrackerConfig:
-    """Everything between a plan and the motion that follows it."""
+    """How a plan is followed; vehicle and time step are the rollout's and told to `track`."""
 
     model: BicycleModel = field(default_factory=BicycleModel)
     lqr: LqrWeights = field(default_factory=LqrWeights)
     profile: ProfileWeights = field(default_factory=ProfileWeights)
-    dt: float = 0.1
 
 
 DEFAULT = TrackerConfig()
-"""nuPlan's tracker, as the paper uses it."""
+"""nuPlan's tracker."""
 
 PDM_REFERENCE = TrackerConfig(profile=ProfileWeights(jerk_matrix="reference"))
 """The tracker inside PDM-Closed and NAVSIM, with their jerk matrix."""
@@ -54,14 +54,22 @@ def plan_to_poses(ego_pose: ArrayLike, waypoints: ArrayLike) -> Array:
     return np.concatenate([start, se2.compose(start, waypoints)], axis=-2)
 
 
-def track(state: ArrayLike, poses: ArrayLike, steps: int, config: TrackerConfig = DEFAULT) -> Array:
+def track(
+    state: ArrayLike,
+    poses: ArrayLike,
+    steps: int,
+    config: TrackerConfig = DEFAULT,
+    vehicle: VehicleParameters = PACIFICA,
+    dt: float = 0.1,
+) -> Array:
     """Follow reference poses for some steps.
 
     Args:
         state: (..., 11) at the time of `poses[..., 0, :]`; acceleration, steering angle and yaw
             rate carry over into the motion.
-        poses: (..., M + 1, 3) world poses of the rear axle, `config.dt` seconds apart.
-        steps: 1 to M.
+        poses: (..., M + 1, 3) world poses of the rear axle, `dt` seconds apart.
+        steps: 1 to M, of `dt` seconds.
+        vehicle: gives the wheelbase.
 
     Returns:
         (..., steps + 1, 11), the given state first.
@@ -71,18 +79,20 @@ def track(state: ArrayLike, poses: ArrayLike, steps: int, config: TrackerConfig 
     """
     poses = np.asarray(poses, np.float64)
     _check_steps(poses, steps)
-    profile = fit_profile(poses, config.dt, config.profile)
+    profile = fit_profile(poses, dt, config.profile)
     states = [np.asarray(state, np.float64)]
     for index in range(steps):
-        command = lqr_command(
-            states[-1], poses, profile, index, config.lqr, config.model.vehicle, config.dt
-        )
-        states.append(config.model.step(states[-1], command, config.dt))
+        command = lqr_command(states[-1], poses, profile, index, config.lqr, vehicle, dt)
+        states.append(config.model.step(states[-1], command, vehicle, dt))
     return np.stack(states, axis=-2)
 
 
 def follow_perfectly(
-    state: ArrayLike, poses: ArrayLike, steps: int, config: TrackerConfig = DEFAULT
+    state: ArrayLike,
+    poses: ArrayLike,
+    steps: int,
+    vehicle: VehicleParameters = PACIFICA,
+    dt: float = 0.1,
 ) -> Array:
     """Like `track`, but the vehicle is put onto the reference poses: a debugging aid."""
     poses, state = np.asarray(poses, np.float64), np.asarray(state, np.float64)
@@ -90,12 +100,10 @@ def follow_perfectly(
     chosen = poses[..., : steps + 1, :]
     moved = np.diff(chosen[..., :2], axis=-2)
     heading = chosen[..., :-1, 2]
-    speed = (moved[..., 0] * np.cos(heading) + moved[..., 1] * np.sin(heading)) / config.dt
+    speed = (moved[..., 0] * np.cos(heading) + moved[..., 1] * np.sin(heading)) / dt
     before = np.concatenate([state[..., None, ego.VX], speed[..., :-1]], axis=-1)
-    turn_rate = se2.wrap_angle(np.diff(chosen[..., 2], axis=-1)) / config.dt
-    followed = ego.make_state(
-        chosen[..., 1:, :], speed, (speed - before) / config.dt, turn_rate, config.model.vehicle
-    )
+    turn_rate = se2.wrap_angle(np.diff(chosen[..., 2], axis=-1)) / dt
+    followed = ego.make_state(chosen[..., 1:, :], speed, (speed - before) / dt, turn_rate, vehicle)
     return np.concatenate([state[..., None, :], followed], axis=-2)
 
 

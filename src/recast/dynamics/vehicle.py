@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -25,7 +26,7 @@ class VehicleParameters:
 
     def __post_init__(self) -> None:
         for name in ("width", "front_length", "rear_length", "wheelbase"):
-            if not getattr(self, name) > 0:
+            if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"VehicleParameters.{name}: must be positive metres")
 
     @property

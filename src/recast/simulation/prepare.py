@@ -74,7 +74,7 @@ def prepare(setup: RolloutSetup) -> PreparedRollout:
     hdmap = setup.hdmap
     surface = RoadSurface.from_log(log, route, None if hdmap is None else hdmap.ground)
     start_us = _start(setup)
-    state = initial_state(log.timestamps_us, log.poses, start_us, setup.vehicle, setup.dt)
+    state = initial_state(log.timestamps_us, log.poses, start_us, setup.vehicle)
 
     recorded = int((log.timestamps_us[-1] - start_us) // round(setup.dt * 1e6))
     steps, reason = setup.steps, None
@@ -107,10 +107,7 @@ def prepare(setup: RolloutSetup) -> PreparedRollout:
 
     times = start_us + round(setup.dt * 1e6) * np.arange(steps + 1)
     logged = np.stack(
-        [
-            initial_state(log.timestamps_us, log.poses, int(t), setup.vehicle, setup.dt)
-            for t in times
-        ]
+        [initial_state(log.timestamps_us, log.poses, int(t), setup.vehicle) for t in times]
     )
     return PreparedRollout(
         route=route,
@@ -177,7 +174,7 @@ def _start(setup: RolloutSetup) -> int:
         return setup.start_timestamp_us
     latest = last - round(setup.steps * setup.dt * 1e6)
     for timestamp in log.timestamps_us[log.timestamps_us <= latest]:
-        state = initial_state(log.timestamps_us, log.poses, int(timestamp), setup.vehicle, setup.dt)
+        state = initial_state(log.timestamps_us, log.poses, int(timestamp), setup.vehicle)
         if state[ego.VX] >= _MIN_START_SPEED:
             return int(timestamp)
     return first

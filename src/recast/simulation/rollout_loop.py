@@ -38,8 +38,8 @@ Image = NDArray[np.uint8]
 OnFrame = Callable[[SimState, Mapping[str, Image]], None]
 """Called with each state k = 0 .. S-1 in order and its images."""
 
-_HISTORY = 20
-"""Past steps that a planner is shown."""
+_HISTORY = 2.0
+"""Seconds of past states that a planner is shown."""
 
 
 @dataclass
@@ -136,7 +136,9 @@ class _Loop:
 
         steps = min(self.setup.plan_every, self.prepared.steps - first)
         began = perf_counter()
-        executed = self.setup.controller.execute(self.states[-1], plan.waypoints, steps)[1:]
+        executed = self.setup.controller.execute(
+            self.states[-1], plan.waypoints, steps, self.setup.vehicle, self.setup.dt
+        )[1:]
         self.timings.control += perf_counter() - began
         outside = off_road(self.prepared.route, executed[:, :2], self.setup.road_margin)
         kept = int(np.argmax(outside)) if outside.any() else steps
@@ -156,7 +158,7 @@ class _Loop:
 
     def _plan(self, images: dict[str, Image]) -> Plan:
         now = self.states[-1]
-        history = np.array([*self.past, *self.states][-_HISTORY - 1 :])
+        history = np.array([*self.past, *self.states][-_history(self.setup) - 1 :])
         observation = PlannerInput(
             step=self.step,
             timestamp_us=self._timestamp(self.step),
@@ -259,8 +261,10 @@ class _Loop:
 def _logged_past(setup: RolloutSetup, prepared: PreparedRollout) -> list[Array]:
     """Logged ego states before the start, as many as recorded, oldest first."""
     log, step = setup.log.world_from_rig, round(setup.dt * 1e6)
-    count = min(_HISTORY, int((prepared.start_timestamp_us - log.timestamps_us[0]) // step))
+    count = min(_history(setup), int((prepared.start_timestamp_us - log.timestamps_us[0]) // step))
     times = [prepared.start_timestamp_us - step * i for i in range(count, 0, -1)]
-    return [
-        initial_state(log.timestamps_us, log.poses, time, setup.vehicle, setup.dt) for time in times
-    ]
+    return [initial_state(log.timestamps_us, log.poses, time, setup.vehicle) for time in times]
+
+
+def _history(setup: RolloutSetup) -> int:
+    return round(_HISTORY / setup.dt)

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from recast.dynamics import PACIFICA, VehicleParameters
 from recast.errors import InputError
 from recast.logs.hdmap import HdMap
 from recast.logs.types import DrivingLog, Track
+from recast.planning import WAYPOINTS
 from recast.simulation.ego_controller import EgoController, LqrController
 from recast.simulation.motions import ActorMotion
 from recast.simulation.scenario import scenario_name
+
+_DT = (0.05, 0.2)
+"""Seconds per step, within which 40 waypoints reach 2 to 8 s: the tracker looks 1 s ahead, and no
+planner plans further than 8 s."""
+_MOST_STEPS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -25,10 +32,11 @@ class RolloutSetup:
         map: lanes, drivable area and ground, or None for the log's.
         start_timestamp_us: log time of state 0; None for the first ego pose with 3 m/s or more that
             leaves enough log for all steps, or else the first pose.
-        steps: of `dt` seconds, 160 in the paper.
-        plan_every: steps between plans, K.
-        vehicle: the ego's outline and wheelbase.
-        controller: executes the plans.
+        steps: how many, of `dt` seconds; 160 in the paper.
+        plan_every: steps between plans, K; 40 at most, since a plan has 40 waypoints.
+        dt: seconds per step and between waypoints: of controller, planner, actor and metrics.
+        vehicle: the ego's outline and wheelbase: of controller, planner and metrics.
+        controller: executes the plans; it is told `dt` and `vehicle`.
         keep_other_actors: leave the other logged actors in, on their logged motion.
         road_margin: metres before the end of the logged road at which a rollout is cut.
         camera_names: cameras for `on_frame`, and for planners that do not say which they look at
@@ -52,6 +60,19 @@ class RolloutSetup:
     road_margin: float = 2.0
     camera_names: tuple[str, ...] | None = None
     plan_limit_s: float | None = None
+
+    def __post_init__(self) -> None:
+        for field_name, low, high in (("steps", 1, _MOST_STEPS), ("plan_every", 1, WAYPOINTS)):
+            value = getattr(self, field_name)
+            if not low <= value <= high:
+                raise _refused(field_name, f"is {value}", f"give {low} to {high}")
+        microseconds = self.dt * 1e6
+        whole = math.isfinite(microseconds) and abs(microseconds - round(microseconds)) < 1e-3
+        if not (whole and _DT[0] <= self.dt <= _DT[1]):
+            mend = f"give whole microseconds, {_DT[0]:g} to {_DT[1]:g} s"
+            raise _refused("dt", f"is {self.dt} s", mend)
+        if not 0.0 <= self.road_margin < math.inf:
+            raise _refused("road_margin", f"is {self.road_margin} m", "give 0 or more")
 
     @property
     def name(self) -> str:
@@ -78,3 +99,7 @@ class RolloutSetup:
                 f"choose one of {', '.join(self.log.tracks)}",
             )
         return self.log.tracks[self.track_id]
+
+
+def _refused(field_name: str, problem: str, mend: str) -> InputError:
+    return InputError("RolloutSetup", field_name, problem, mend)

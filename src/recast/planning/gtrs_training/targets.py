@@ -100,7 +100,7 @@ def score_vocabulary(
     """
     start = np.broadcast_to(state, (len(vocabulary), ego.SIZE))
     poses = plan_to_poses(start[:, ego.POSE], vocabulary.astype(np.float64))
-    states = track(start, poses, WAYPOINTS)
+    states = track(start, poses, WAYPOINTS, vehicle=vehicle)
     seen = states[:, ::STRIDE]
     corners = box_corners(seen[..., ego.POSE], vehicle)
     centres = box_centres(seen[..., ego.POSE], vehicle)

@@ -20,7 +20,7 @@ from recast.planning.pdm.forecast import Forecast, Obstacle, forecast
 from recast.planning.pdm.lane_path import LanePath
 from recast.planning.pdm.route_repair import repair_route
 from recast.planning.pdm.scorer import Scores, score_proposals
-from recast.planning.pdm.settings import PdmConfig
+from recast.planning.pdm.settings import DT, PdmConfig
 from recast.planning.pdm.unroll import Unroll
 
 Array = NDArray[np.float64]
@@ -124,6 +124,8 @@ class PdmClosed:
             proposals,
             config.proposal_steps,
             config.tracker,
+            self._vehicle,
+            DT,
         )
         scores = score_proposals(
             simulated,
@@ -132,15 +134,15 @@ class PdmClosed:
             self._around(state),
             self._route_lanes,
             self._vehicle,
-            config.dt,
+            DT,
             reference_quirks=config.reference_quirks,
         )
         best = self._best(scores.total, state)
         speed = float(np.hypot(state[ego.VX], state[ego.VY]))
-        braked = brakes(speed, float(scores.collision_step[best]) * config.dt)
+        braked = brakes(speed, float(scores.collision_step[best]) * DT)
         if braked:
             trajectory = brake_plan(
-                state, config.plan_steps, config.dt, reference_quirks=config.reference_quirks
+                state, config.plan_steps, DT, reference_quirks=config.reference_quirks
             )
         else:
             unroll.extend(best)
@@ -184,7 +186,7 @@ class PdmClosed:
             outline(pose, self._vehicle),
             self._collided,
             steps=max(config.proposal_steps + _LOOK_AHEAD, config.plan_steps),
-            dt=config.dt,
+            dt=DT,
             radius=config.radius,
         )
 

@@ -8,6 +8,9 @@ from recast.dynamics import IdmParameters, TrackerConfig
 from recast.dynamics.idm import PDM_BATCH
 from recast.dynamics.tracker import DEFAULT, PDM_REFERENCE
 
+DT = 0.1
+"""Seconds per step. Its windows and look-aheads are counted in steps of this length."""
+
 
 @dataclass(frozen=True)
 class PdmConfig:
@@ -37,7 +40,6 @@ class PdmConfig:
         idm: the driver model of the proposals.
         proposal_steps: steps of a proposal, which is simulated and scored.
         plan_steps: steps of the plan, to which the best proposal is extended.
-        dt: seconds per step.
         radius: metres around the ego in which road users (and, with the quirks, the map) count.
     """
 
@@ -48,7 +50,6 @@ class PdmConfig:
     idm: IdmParameters = PDM_BATCH
     proposal_steps: int = 40
     plan_steps: int = 80
-    dt: float = 0.1
     radius: float = 50.0
 
     @property

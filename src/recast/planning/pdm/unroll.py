@@ -13,7 +13,7 @@ from recast.dynamics import state as ego
 from recast.planning.pdm.footprint import box_corners
 from recast.planning.pdm.forecast import STRIDE, Forecast, Kind
 from recast.planning.pdm.lane_path import LanePath
-from recast.planning.pdm.settings import PdmConfig
+from recast.planning.pdm.settings import DT, PdmConfig
 
 Array = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ class Unroll:
         start = np.array([float(path.project(state[ego.POSE])) for path in paths])
         self.states[:, 0, 0] = np.repeat(start, self._per_path)
         self.states[:, 0, 1] = state[ego.VX]
-        reach = speeds.max() * config.plan_steps * config.dt
+        reach = speeds.max() * config.plan_steps * DT
         self._corridors = [
             shapely.buffer(
                 path.stretch(s, s + reach, vertices_only=quirks),
@@ -92,7 +92,7 @@ class Unroll:
             self.leads[rows, step],
             self._targets[rows],
             config.idm,
-            config.dt,
+            DT,
         )
         if not config.reference_quirks:
             moved[:, 1] = np.maximum(moved[:, 1], 0.0)
