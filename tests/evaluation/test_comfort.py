@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from recast.dynamics import make_state, track
 from recast.evaluation import comfort
 
 T = 0.1 * np.arange(41)
@@ -99,3 +100,71 @@ def test_share_and_reason():
 def test_without_plans_there_is_no_value():
     for reading in (comfort.com_hugsim, comfort.com_nuplan_savgol):
         assert not reading(np.zeros((0, 40, 3))).com.valid
+
+
+def driven(speed, yaw_rate=0.0, acceleration=0.0, count=41, dt=0.1):
+    """States of a drive with these signals over time."""
+    times = dt * np.arange(count)
+    yaw_rate, acceleration = yaw_rate + 0 * times, acceleration + 0 * times
+    poses = np.zeros((count, 3))
+    poses[:, 2] = np.cumsum(yaw_rate) * dt
+    return make_state(poses, speed + 0 * times, acceleration, yaw_rate)
+
+
+@pytest.mark.parametrize(
+    ("states", "wanted"),
+    [
+        (driven(8.0), set()),
+        (driven(8.0, acceleration=2.39), set()),
+        (driven(8.0, acceleration=2.41), {"lon_accel"}),
+        (driven(8.0, acceleration=-4.04), set()),
+        (driven(8.0, acceleration=-4.06), {"lon_accel"}),
+        (driven(8.0, acceleration=-2.0 + T[:14], count=14), None),
+        (driven(8.0, acceleration=-4.0 + 3.5 * T[:15], count=15), set()),
+        # its magnitude falls and rises again, which a parabola over all of it makes twice as steep
+        (driven(8.0, acceleration=-4.0 + 4.5 * T[:15], count=15), {"lon_jerk", "jerk"}),
+        (driven(4.0, yaw_rate=0.94), set()),
+        (driven(4.0, yaw_rate=0.96), {"yaw_rate"}),
+        (driven(10.0, yaw_rate=0.48), set()),
+        (driven(10.0, yaw_rate=-0.50), {"lat_accel"}),
+    ],
+)
+def test_what_was_driven_is_held_to_nuplans_limits(states, wanted):
+    found = comfort.com_driven(states)
+    if wanted is None:
+        assert not found.com.valid and "1.4 s" in found.com.reason
+        return
+    assert {name for one in found.failed_checks() for name in one} == wanted
+    assert found.com.value == (0.0 if wanted else 1.0)
+
+
+def test_what_was_driven_names_the_worst_moment():
+    states = driven(8.0, acceleration=np.where(np.abs(T - 2.0) < 0.65, -5.0, 0.0))
+    reason = comfort.com_driven(states).com.reason
+    assert reason.startswith("lon_accel is -5.")
+    assert "m/s^2 at " in reason and "(-4.05 to 2.4); lon_jerk is" in reason
+
+
+def test_finer_steps_are_thinned_to_nuplans():
+    fine, coarse = driven(8.0, acceleration=2.45, count=81, dt=0.05), driven(8.0, acceleration=2.45)
+    found, wanted = comfort.com_driven(fine, 0.05), comfort.com_driven(coarse, 0.1)
+    assert found.failed_checks() == wanted.failed_checks() == [["lon_accel"]]
+    assert "steps of 0.2 s" in comfort.com_driven(coarse, 0.2).com.reason
+
+
+def test_a_plan_beside_the_ego_is_uncomfortable_and_its_drive_is_not():
+    """As PDM-Closed's: plans lie on the centreline, wherever the ego is."""
+    states = make_state(np.zeros(3), 11.0)[None]
+    plans = []
+    for _ in range(8):
+        x, y = states[-1, :2]
+        line = np.zeros((41, 3))
+        line[:, 0] = x + 1.1 * np.arange(41)
+        line[:, 1] = 1.0  # the centreline
+        line[0] = states[-1, :3]
+        plans.append(line[1:] - [x, y, 0.0])  # the heading is small
+        states = np.concatenate([states, track(states[-1], line, 5)[1:]])
+    planned = comfort.com_hugsim(np.array(plans))
+    assert {"lon_accel", "lon_jerk"} <= set(planned.failed_checks()[0])
+    found = comfort.com_driven(states)
+    assert found.com.value == 1.0, found.com.reason

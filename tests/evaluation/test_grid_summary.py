@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,16 @@ from .rollouts import make_rollout
 
 def row(scene: str, method: str, setting: str, nc: float, ttc: float) -> GridRow:
     scores = {**dict.fromkeys(COLUMNS, 1.0), "nc": nc, "ttc": ttc}
-    return GridRow(scene, None, None, "cut-in", setting, method, "p", scores=scores)
+    return GridRow(
+        scene, None, None, "cut-in", setting, method, "p", steps_run=160,
+        plan_steps=tuple(range(0, 160, 5)), scores=scores,
+    )  # fmt: skip
+
+
+def cut(whole: GridRow, steps: int) -> GridRow:
+    """The same row, cut."""
+    plans = tuple(step for step in whole.plan_steps if step < steps)
+    return replace(whole, steps_run=steps, plan_steps=plans, cut_reason="the log ends")
 
 
 def failed(scene: str, method: str, setting: str) -> GridRow:
@@ -53,6 +63,7 @@ def test_differences_are_of_pairs_and_have_an_exact_reading() -> None:
     found = {(d.candidate, d.metric): d for d in paired_summaries(ROWS, "native", 500, 0)}
     nc = found["replaced", "nc"]
     assert (nc.pairs, nc.scenes) == (2, 2)  # the pair with the failed rollout is left out
+    assert (nc.asked, nc.plans, nc.cut) == (3, 64, 0)
     assert nc.sampled.point == 0.0 and nc.exact is not None
     assert (nc.exact.low, nc.exact.high) == (-100.0, 100.0)
     assert found["oracle", "ttc"].sampled.point == pytest.approx((4.0 - 0.5 + 0.0) / 3)
@@ -73,6 +84,24 @@ def test_verdicts_against_the_oracle() -> None:
     assert (native.false_collisions, native.missed_collisions) == (1, 0)
     assert native.ttc_error is not None and native.ttc_error.point == pytest.approx(1.5)
     assert (replaced.agreeing, replaced.pairs) == (1, 2)
+    assert (replaced.asked, replaced.plans, replaced.cut) == (3, 64, 0)
+
+
+def test_what_was_cut_is_compared_up_to_there() -> None:
+    """Without that, the replaced car would miss a collision for which it had no time."""
+    early = {**dict.fromkeys(COLUMNS, 1.0), "nc": 1.0, "ttc": 3.0}
+    oracle = replace(row("one", "oracle", "a", 0.0, 0.5), shorter={60: early})
+    native = replace(row("one", "native", "a", 0.0, 0.5), shorter={60: early})
+    replaced = cut(row("one", "replaced", "a", 1.0, 3.5), 60)
+    rows = [native, replaced, oracle]
+    first, second = agreements(rows, 50, 0)
+    assert (first.method, first.agreeing, first.cut, first.plans) == ("native", 1, 0, 32)
+    assert (second.method, second.agreeing, second.cut, second.plans) == ("replaced", 1, 1, 12)
+    assert second.missed_collisions == 0
+    assert second.ttc_error is not None and second.ttc_error.point == 0.5
+    found = {(d.candidate, d.metric): d for d in paired_summaries(rows, "native", 50, 0)}
+    nc = found["replaced", "nc"]
+    assert (nc.sampled.point, nc.cut, nc.plans) == (0.0, 1, 12)
 
 
 def test_nothing_is_compared_where_the_oracle_failed() -> None:
@@ -88,8 +117,10 @@ def test_the_file_holds_every_column_and_is_the_same_twice(tmp_path: Path) -> No
     assert table.schema.names == SCHEMA.names
     record = table.to_pylist()[4]
     assert record["failure_reason"] == "NaN at waypoint 3"
-    assert record["nc"] is None and record["verdict"] is None
-    assert table.to_pylist()[0]["oracle_verdict"] == "no collision"
+    assert record["nc"] is None and record["verdict"] is None and record["plans"] is None
+    first = table.to_pylist()[0]
+    assert first["oracle_verdict"] == "no collision"
+    assert (first["plans"], first["plans_compared"]) == (32, 32)
 
 
 def test_a_shorter_rollout_has_the_same_script_and_a_moved_actor_has_not() -> None:

@@ -98,9 +98,18 @@ def test_json_is_plain_and_repeatable():
     assert len(data["per_cycle"]["com_failed"]) == len(data["per_cycle"]["plan_steps"]) == 20
 
 
-def test_other_step_lengths_are_refused():
-    with pytest.raises(ValueError, match=r"Rollout\.dt"):
-        rollout_metrics(make_rollout(dt=0.05), None)
+def test_the_first_steps_are_scored_as_a_rollout_that_ended_there():
+    rollout = eventful_rollout()
+    metrics, short = rollout_metrics(rollout, street()), rollout.first(12)
+    assert (short.steps_run, short.plan_steps.tolist()) == (12, [0, 5, 10])
+    assert len(short.predictions) == 3 and len(short.world_from_actor) == 13
+    found = metrics.over(12)
+    assert found.to_json() == rollout_metrics(short, street()).to_json()
+    assert found.plans == 3 and found.steps_run == 12
+    assert metrics.over(metrics.steps_run) is metrics
+    for steps in (0, metrics.steps_run + 1):
+        with pytest.raises(ValueError, match=r"Rollout\.first"):
+            metrics.over(steps)
 
 
 def test_the_ego_box_sits_ahead_of_the_rear_axle():

@@ -12,6 +12,7 @@ from recast.reporting.drives_compared import driving_note, truth_gaps
 from recast.reporting.inputs import ReportInputs
 from recast.reporting.series import series
 from recast.reporting.summary import headline, outcomes, rollout_events
+from recast.simulation import RolloutFailure
 from reporting.made_up_rollouts import cut_in, straight_map
 
 METHODS = {"native": "Native", "recast": "Replaced"}
@@ -59,7 +60,33 @@ def test_aggregate_counts_and_differences() -> None:
     assert cell(recast, "nc").text == "2 of 2"
     assert cell(difference, "nc").text == "+100.0\u00a0points"
     assert "2 cut short" in (native.sub or "") and "cut" not in (recast.sub or "")
-    assert difference.sub == "mean over 2 pairs"
+    assert native.sub == "idm-lane-follower; 2 of 2 rollouts scored, 16 plans, 2 cut short"
+    assert difference.sub == "mean over 2 of 2 pairs, 16 plans each"
+
+
+def test_failed_and_cut_rollouts_are_told_and_pairs_end_together() -> None:
+    # In b native is cut before the contact at step 23 that it would have had, in c it failed.
+    planner = "idm-lane-follower"
+    failure = RolloutFailure("x", "native", "0", "cut-in", "c", planner, "ValueError", "no plan")
+    scenarios = [
+        scenario("a"),
+        ScenarioPart("b", "", (part("native", "b", 20), part("recast", "b", 40))),
+        ScenarioPart("c", "", (RolloutPart("native", failure), part("recast", "c", 40))),
+    ]
+    native, recast, difference = tables.aggregate_lines(scenarios, METHODS)
+    assert native.sub == "idm-lane-follower; 2 of 3 rollouts scored, 12 plans, 2 cut short, 1 failed"
+    assert recast.sub == "idm-lane-follower; 3 of 3 rollouts scored, 24 plans, 2 cut short"
+    assert cell(native, "nc").text == "1 of 2"  # as far as it went
+    # a: +1; b: neither has a contact in the first 20 steps
+    assert cell(difference, "nc").text == "+50.0\u00a0points"
+    assert difference.sub == "mean over 2 of 3 pairs, 12 plans each, 1 up to where one was cut"
+    told = " ".join(headline(ReportInputs("t", "drive 13", METHODS, scenarios=tuple(scenarios))))
+    assert "Native: 1 of 2 (2 cut short, 1 failed)" in told
+
+
+def part(method: str, setting: str, steps: int) -> RolloutPart:
+    rollout = dataclasses.replace(cut_in(method, steps=steps), setting=setting)
+    return RolloutPart(method, rollout, rollout_metrics(rollout, straight_map()))
 
 
 def test_events_name_time_and_cause() -> None:

@@ -9,8 +9,9 @@ from recast.evaluation.oracle_record import OracleView, OracleViews, read_oracle
 from recast.evaluation.oracle_scores import Agreement
 from recast.evaluation.oracle_summary import AngleBin
 from recast.evaluation.oracle_views import evaluate_oracle_views
+from recast.evaluation.pairs import PairedMetric, Pairs, matched_pairs
 from recast.evaluation.rollout_metrics import RolloutMetrics, rollout_metrics
-from recast.evaluation.table import COLUMNS, Column, TableRow, paired_differences, table
+from recast.evaluation.table import COLUMNS, Column, TableRow, table
 
 __all__ = [
     "COLUMNS",
@@ -21,6 +22,8 @@ __all__ = [
     "Metric",
     "OracleView",
     "OracleViews",
+    "PairedMetric",
+    "Pairs",
     "RolloutMetrics",
     "TableRow",
     "TrueWorld",
@@ -29,7 +32,7 @@ __all__ = [
     "evaluate_oracle_views",
     "exact_bootstrap",
     "logged_views",
-    "paired_differences",
+    "matched_pairs",
     "read_oracle_views",
     "rollout_metrics",
     "table",

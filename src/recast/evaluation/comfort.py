@@ -1,4 +1,5 @@
-"""COM: share of the plans whose raw waypoints are comfortable, in three readings."""
+"""COM: share of the plans that are comfortable, in three readings; and nuPlan's comfort of what was
+driven."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from recast.dynamics import state as ego
 from recast.dynamics.comfort import NUPLAN_LIMITS, check, savgol_signals
 from recast.evaluation.metric import Metric, invalid
 from recast.geometry import se2
@@ -23,6 +25,13 @@ LIMITS_4_13: Mapping[str, tuple[float, float]] = {
 LIMITS: Mapping[str, tuple[float, float]] = {**LIMITS_4_13, "lon_jerk": (-8.37, 8.37)}
 """HUGSIM's five checks: m/s^2, m/s^3, rad/s, rad/s^2, m/s^2. The headline."""
 
+_NUPLAN_DT = 0.1
+_WINDOW = 15
+"""nuPlan's smoothing counts in samples 0.1 s apart, and its longest window has 15 of them."""
+_UNITS = {
+    "lon_accel": "m/s^2", "lon_jerk": "m/s^3", "yaw_rate": "rad/s", "yaw_accel": "rad/s^2",
+    "lat_accel": "m/s^2", "jerk": "m/s^3",
+}  # fmt: skip
 _STANDING = 1.0
 """Metres: a plan that ends nearer than this to its start has no meaningful heading."""
 
@@ -34,7 +43,7 @@ class Comfort:
     Attributes:
         com: share of plans that pass every check.
         checks: names of the checks.
-        passed: (C, number of checks) bool.
+        passed: (C, number of checks) bool; one row for what was driven; none without a value.
     """
 
     com: Metric
@@ -99,8 +108,64 @@ def com_4_13(predictions: ArrayLike, dt: float = 0.1) -> Comfort:
 
 
 def com_nuplan_savgol(predictions: ArrayLike, dt: float = 0.1) -> Comfort:
-    """COM with nuPlan's six checks and smoothing."""
+    """COM with nuPlan's six checks and smoothing; no value for other steps than nuPlan's 0.1 s."""
+    if abs(dt - _NUPLAN_DT) > 1e-9:
+        return _none(_other_steps(dt))
     return _comfort(predictions, plan_savgol_signals, NUPLAN_LIMITS, dt, strict=True)
+
+
+def driven_signals(states: ArrayLike, dt: float = 0.1) -> dict[str, Array]:
+    """nuPlan's smoothed comfort signals (T,) of driven states (T, 11), T >= 15.
+
+    Longitudinal acceleration, yaw rate and heading are those of the rear axle. nuPlan's simulated
+    ego has no lateral acceleration, which would make that check idle: here it is v times the yaw
+    rate, what a rear axle that does not slip has.
+    """
+    states = np.asarray(states, np.float64)
+    lon = states[..., ego.AX]
+    lat = states[..., ego.VX] * states[..., ego.ANGULAR_VELOCITY]
+    return savgol_signals(lon, lat, np.hypot(lon, lat), states[..., ego.HEADING], dt)
+
+
+def com_driven(states: ArrayLike, dt: float = 0.1) -> Comfort:
+    """nuPlan's comfort of the motion that was driven: 1 iff its six checks hold throughout, else 0.
+
+    Finer steps are thinned to nuPlan's 0.1 s; there is no value where that cannot be, or for less
+    than 15 states.
+
+    Args:
+        states: (S+1, 11) of the ego.
+        dt: seconds between them.
+    """
+    every = max(1, round(_NUPLAN_DT / dt))
+    if abs(every * dt - _NUPLAN_DT) > 1e-9:
+        return _none(_other_steps(dt))
+    states = np.asarray(states, np.float64)[::every]
+    if len(states) < _WINDOW:
+        seconds = _NUPLAN_DT * (_WINDOW - 1)
+        return _none(f"less than {seconds:.1f} s were driven, nuPlan's smoothing needs as much")
+    signals = driven_signals(states, _NUPLAN_DT)
+    passed = check(signals, NUPLAN_LIMITS, strict=True)
+    failed = [name for name, ok in zip(NUPLAN_LIMITS, passed, strict=True) if not ok]
+    reason = "; ".join(_worst(name, signals[name]) for name in failed) or None
+    return Comfort(Metric(float(not failed), reason), tuple(NUPLAN_LIMITS), passed[None])
+
+
+def _worst(name: str, values: Array) -> str:
+    """Where a signal leaves its limits furthest, in words."""
+    low, high = NUPLAN_LIMITS[name]
+    step = int(np.argmax(np.maximum(low - values, values - high)))
+    at = step * _NUPLAN_DT
+    return f"{name} is {values[step]:.2f} {_UNITS[name]} at {at:.1f} s ({low:g} to {high:g})"
+
+
+def _other_steps(dt: float) -> str:
+    return f"nuPlan's smoothing is for steps of {_NUPLAN_DT} s, these are steps of {dt:g} s"
+
+
+def _none(reason: str) -> Comfort:
+    names = tuple(NUPLAN_LIMITS)
+    return Comfort(invalid(reason), names, np.zeros((0, len(names)), np.bool_))
 
 
 def _comfort(

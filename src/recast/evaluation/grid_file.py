@@ -21,7 +21,10 @@ SCHEMA = pa.schema(
             (name, pa.string())
             for name in ("log", "track_id", "method", "motion", "setting", "planner")
         ),
-        *((name, pa.int64()) for name in ("start_timestamp_us", "steps_requested", "steps_run")),
+        *(
+            (name, pa.int64())
+            for name in ("start_timestamp_us", "steps_requested", "steps_run", "plans")
+        ),
         ("cut_reason", pa.string()),
         *((name, pa.float64()) for name in COLUMNS),
         ("verdict", pa.string()),
@@ -30,6 +33,7 @@ SCHEMA = pa.schema(
         ("oracle_verdict", pa.string()),
         ("verdict_agrees", pa.bool_()),
         ("ttc_error", pa.float64()),
+        ("plans_compared", pa.int64()),
         ("failure", pa.string()),
         ("failure_reason", pa.string()),
     ]
@@ -38,8 +42,8 @@ SCHEMA = pa.schema(
 
 _OF_ROW = (
     "scene", "world", "seed", "log", "track_id", "method", "motion", "setting", "planner",
-    "start_timestamp_us", "steps_requested", "steps_run", "cut_reason", "first_collision_step",
-    "map_derived", "failure", "failure_reason",
+    "start_timestamp_us", "steps_requested", "steps_run", "cut_reason",
+    "first_collision_step", "map_derived", "failure", "failure_reason",
 )  # fmt: skip
 
 
@@ -53,11 +57,13 @@ def write_rows(rows: Sequence[GridRow], path: Path) -> None:
 def _record(row: GridRow, verdict: Verdict | None) -> dict[str, object]:
     return {
         **{name: getattr(row, name) for name in _OF_ROW},
+        "plans": row.plans if row.failure is None else None,
         **{name: row.scores.get(name) for name in COLUMNS},
         "verdict": _word(row.collided),
         "oracle_verdict": None if verdict is None else _word(verdict.oracle_collided),
         "verdict_agrees": None if verdict is None else verdict.agrees,
         "ttc_error": None if verdict is None else verdict.ttc_error,
+        "plans_compared": None if verdict is None else verdict.plans,
     }
 
 

@@ -22,10 +22,13 @@ class GridRow:
         motion, setting, method, planner: as in `Rollout`.
         start_timestamp_us, steps_requested, steps_run, cut_reason: as in `RolloutMetrics`; None
             where the rollout failed.
+        plan_steps: steps at which plans were made; empty where the rollout failed.
         first_collision_step: None where there was no collision.
         map_derived: as in `RolloutMetrics`.
         scores: by metric, keys of `COLUMNS`, plain values (shares between 0 and 1, seconds); None
             where a metric is not valid. Empty where the rollout failed.
+        shorter: the same scores of the first steps alone, by how many steps: for each length at
+            which the rollout of another method in the scenario was cut.
         failure: class of the error; None where the rollout was scored.
         failure_reason: its message.
     """
@@ -43,9 +46,11 @@ class GridRow:
     steps_requested: int | None = None
     steps_run: int | None = None
     cut_reason: str | None = None
+    plan_steps: tuple[int, ...] = ()
     first_collision_step: int | None = None
     map_derived: bool | None = None
     scores: Mapping[str, float | None] = field(default_factory=dict)
+    shorter: Mapping[int, Mapping[str, float | None]] = field(default_factory=dict)
     failure: str | None = None
     failure_reason: str | None = None
 
@@ -54,7 +59,7 @@ class GridRow:
         return replace(self, log=log, track_id=track_id)
 
     def scored(self, metrics: Mapping[str, Any]) -> GridRow:
-        """This row with what `RolloutMetrics.to_json` says."""
+        """This row with an entry of metrics.json, see `recast.pipeline.scores`."""
         per_step = metrics["per_step"]
         return replace(
             self,
@@ -62,18 +67,37 @@ class GridRow:
             steps_requested=metrics["steps_requested"],
             steps_run=metrics["steps_run"],
             cut_reason=metrics["cut_reason"],
+            plan_steps=tuple(metrics["per_cycle"]["plan_steps"]),
             first_collision_step=per_step["first_collision_step"],
             map_derived=per_step["map_derived"],
             scores={name: metrics["metrics"][name]["value"] for name in COLUMNS},
+            shorter={
+                int(steps): {name: scores[name] for name in COLUMNS}
+                for steps, scores in metrics["shorter"].items()
+            },
         )
+
+    def over(self, steps: int) -> GridRow:
+        """This row, had the rollout ended after `steps`: its own length, or one of `shorter`."""
+        if steps == self.steps_run:
+            return self
+        return replace(
+            self, steps_run=steps, scores=self.shorter[steps], shorter={},
+            plan_steps=tuple(step for step in self.plan_steps if step < steps),
+        )  # fmt: skip
 
     def failed(self, error: str, reason: str) -> GridRow:
         """This row without scores, and why."""
         return replace(
-            self, start_timestamp_us=None, steps_run=None, cut_reason=None,
-            first_collision_step=None, map_derived=None, scores={}, failure=error,
+            self, start_timestamp_us=None, steps_run=None, cut_reason=None, plan_steps=(),
+            first_collision_step=None, map_derived=None, scores={}, shorter={}, failure=error,
             failure_reason=reason,
         )  # fmt: skip
+
+    @property
+    def plans(self) -> int:
+        """How many plans were made."""
+        return len(self.plan_steps)
 
     @property
     def values(self) -> Mapping[str, Metric]:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from recast.evaluation.bootstrap import MOST_EXACT, Bootstrap, cluster_bootstrap, exact_bootstrap
 from recast.evaluation.grid_row import GridRow
-from recast.evaluation.table import COLUMNS, TableRow, paired_differences, table
+from recast.evaluation.pairs import matched_pairs
+from recast.evaluation.table import COLUMNS, TableRow, table
 
 Array = NDArray[np.float64]
 
@@ -37,6 +38,7 @@ class PairedDifference:
         candidate, baseline: methods.
         metric: key of `COLUMNS`.
         scenes, pairs: how many both have a value for.
+        plans, cut, asked: see `recast.evaluation.pairs.PairedMetric`.
         sampled: the bootstrap over scenes.
         exact: the same by enumeration; None where there are too many scenes.
     """
@@ -46,6 +48,9 @@ class PairedDifference:
     metric: str
     scenes: int
     pairs: int
+    plans: int
+    cut: int
+    asked: int
     sampled: Bootstrap
     exact: Bootstrap | None
 
@@ -78,23 +83,27 @@ def paired_summaries(
 ) -> list[PairedDifference]:
     """Every other method against `baseline`, for every metric; nothing for one without a pair.
 
+    Each pair is compared over the steps that both its rollouts have.
+
     Args:
         samples, seed: of the bootstrap; every interval sees the same draws.
     """
-    scored = [row for row in rows if row.failure is None]
-    scenes: dict[str, list[GridRow]] = {}
-    for row in scored:
-        scenes.setdefault(row.scene, []).append(row)
+    scored: dict[str, list[GridRow]] = {}
+    failed: dict[str, list[GridRow]] = {}
+    for row in rows:
+        (scored if row.failure is None else failed).setdefault(row.scene, []).append(row)
     found = []
     for candidate in dict.fromkeys(row.method for row in rows if row.method != baseline):
+        pairs = matched_pairs(scored, candidate, baseline, failed)
         for name, column in COLUMNS.items():
-            pairs = paired_differences(scenes, name, candidate, baseline)
-            if not pairs:
+            one = pairs.of(name)
+            if one.pairs == 0:
                 continue
-            values = [column.scale * one for one in pairs.values()]
+            values = [column.scale * scene for scene in one.differences.values()]
             found.append(
                 PairedDifference(
-                    candidate, baseline, name, len(values), sum(map(len, values)),
+                    candidate, baseline, name, len(values), one.pairs, one.plans, one.cut,
+                    one.asked,
                     cluster_bootstrap(values, np.random.default_rng(seed), samples),
                     exact_bootstrap(values) if len(values) <= MOST_EXACT else None,
                 )

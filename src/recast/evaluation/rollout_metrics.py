@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 
 from recast.evaluation.collision import TOUCHING, Collision, no_collision
-from recast.evaluation.comfort import Comfort, com_4_13, com_hugsim, com_nuplan_savgol
+from recast.evaluation.comfort import (
+    Comfort,
+    com_4_13,
+    com_driven,
+    com_hugsim,
+    com_nuplan_savgol,
+)
 from recast.evaluation.drivable import (
     TOLERANCE,
     DrivableArea,
@@ -26,9 +32,6 @@ from recast.logs.drivable_region import drivable_region
 from recast.logs.hdmap import HdMap
 from recast.simulation.rollout import Rollout
 
-WAYPOINT_DT = 0.1
-"""Seconds between a plan's waypoints, and so between the states that plans are compared with."""
-
 
 @dataclass(frozen=True)
 class RolloutMetrics:
@@ -43,6 +46,8 @@ class RolloutMetrics:
         collision, drivable, ttc, ttc_constant_velocity, progress: values with their arrays.
         comfort, comfort_4_13, comfort_nuplan_savgol: three readings of COM; the first is the
             headline.
+        driven: nuPlan's comfort of what was driven.
+        rollout, hd_map: what was scored.
     """
 
     name: str
@@ -65,6 +70,20 @@ class RolloutMetrics:
     comfort: Comfort
     comfort_4_13: Comfort
     comfort_nuplan_savgol: Comfort
+    driven: Comfort
+    rollout: Rollout
+    hd_map: HdMap | None
+
+    @property
+    def plans(self) -> int:
+        """How many plans C were made."""
+        return len(self.plan_steps)
+
+    def over(self, steps: int) -> RolloutMetrics:
+        """The metrics that the rollout would have, had it ended after `steps` of its steps."""
+        if steps == self.steps_run:
+            return self
+        return rollout_metrics(self.rollout.first(steps), self.hd_map)
 
     @property
     def values(self) -> dict[str, Metric]:
@@ -75,6 +94,7 @@ class RolloutMetrics:
             "ttc": self.ttc.ttc,
             "r_c": self.progress.r_c,
             "com": self.comfort.com,
+            "com_driven": self.driven.com,
             "ttc_constant_velocity": self.ttc_constant_velocity.ttc,
             "r_c_projection": self.progress.r_c_projection,
             "com_4_13": self.comfort_4_13.com,
@@ -107,6 +127,7 @@ class RolloutMetrics:
                 "largest_off_road_m": None if distance is None else float(distance.max()),
                 "map_derived": self.map_derived,
                 "route_length_m": self.progress.route_length,
+                "com_driven_failed": [name for one in self.driven.failed_checks() for name in one],
             },
             "per_cycle": {
                 "plan_steps": list(self.plan_steps),
@@ -127,12 +148,7 @@ def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
     Args:
         rollout: validated.
         hd_map: of its log; without one DAC has no value.
-
-    Raises:
-        ValueError: the rollout's steps are not as long as the plans' (0.1 s).
     """
-    if abs(rollout.dt - WAYPOINT_DT) > 1e-9:
-        raise ValueError(f"Rollout.dt: metrics need {WAYPOINT_DT} s, got {rollout.dt}")
     ego_boxes, actor, dt = rollout.ego_boxes, rollout.actor, rollout.dt
     steps = np.asarray(rollout.plan_steps, np.int64)
     collision = no_collision(ego_boxes, rollout.ego_size, actor, rollout.actor_size, dt)
@@ -170,4 +186,7 @@ def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
         comfort=com_hugsim(rollout.predictions, dt),
         comfort_4_13=com_4_13(rollout.predictions, dt),
         comfort_nuplan_savgol=com_nuplan_savgol(rollout.predictions, dt),
+        driven=com_driven(rollout.ego, dt),
+        rollout=rollout,
+        hd_map=hd_map,
     )

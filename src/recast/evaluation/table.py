@@ -1,17 +1,14 @@
-"""The paper's table: means over rollouts by planner and method, and paired differences."""
+"""The paper's table: means over rollouts by planner and method."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recast.evaluation.metric import Metric
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -21,21 +18,25 @@ class Column:
     Attributes:
         label, unit: for people.
         scale: shown value = scale * value.
-        headline: whether it stands in the paper's table.
+        headline: whether it stands in the short tables: the paper's five metrics, and what was
+            driven beside what was planned.
+        passes: whether a rollout passes or fails: tables show how many of how many.
     """
 
     label: str
     unit: str
     scale: float
     headline: bool
+    passes: bool = False
 
 
 COLUMNS: Mapping[str, Column] = {
-    "nc": Column("NC", "%", 100.0, True),
-    "dac": Column("DAC", "%", 100.0, True),
+    "nc": Column("NC", "%", 100.0, True, passes=True),
+    "dac": Column("DAC", "%", 100.0, True, passes=True),
     "ttc": Column("TTC", "s", 1.0, True),
     "r_c": Column("R_c", "%", 100.0, True),
     "com": Column("COM", "%", 100.0, True),
+    "com_driven": Column("COM driven", "%", 100.0, True, passes=True),
     "ttc_constant_velocity": Column("TTC (constant velocity)", "s", 1.0, False),
     "r_c_projection": Column("R_c (projection)", "%", 100.0, False),
     "com_4_13": Column("COM (jerk 4.13)", "%", 100.0, False),
@@ -55,10 +56,6 @@ class Attempt(Protocol):
     def method(self) -> str:
         """What rendered it."""
 
-
-class Scored(Attempt, Protocol):
-    """What a rollout scored: `RolloutMetrics`, or a row of a grid; see there."""
-
     @property
     def track_id(self) -> str | None:
         """The controlled actor."""
@@ -71,6 +68,18 @@ class Scored(Attempt, Protocol):
     def setting(self) -> str:
         """How."""
 
+
+class Scored(Attempt, Protocol):
+    """What a rollout scored: `RolloutMetrics`, or a row of a grid; see there."""
+
+    @property
+    def steps_run(self) -> int | None:
+        """Executed steps; None where the rollout failed."""
+
+    @property
+    def plans(self) -> int:
+        """How many plans were made."""
+
     @property
     def cut_reason(self) -> str | None:
         """Why it is shorter than asked."""
@@ -78,6 +87,9 @@ class Scored(Attempt, Protocol):
     @property
     def values(self) -> Mapping[str, Metric]:
         """Metrics, keys of `COLUMNS`."""
+
+    def over(self, steps: int) -> Self:
+        """The same rollout, ended after `steps` of its steps."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +99,9 @@ class TableRow:
     Attributes:
         rollouts: how many were scored; `failed` more ended in an error, `cut` of the scored ones
             are shorter than asked.
+        plans: how many plans the scored ones made.
         means: by metric, in the column's unit, over the rollouts where it is valid; None if none.
-        counts: by metric, over how many.
+        counts: by metric, over how many rollouts.
     """
 
     planner: str
@@ -96,17 +109,25 @@ class TableRow:
     rollouts: int
     failed: int
     cut: int
+    plans: int
     means: Mapping[str, float | None]
     counts: Mapping[str, int]
+
+    @property
+    def asked(self) -> int:
+        """Rollouts that were asked for: those that were scored, and those that failed."""
+        return self.rollouts + self.failed
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
         return {
             "planner": self.planner,
             "method": self.method,
+            "asked": self.asked,
             "rollouts": self.rollouts,
             "failed": self.failed,
             "cut": self.cut,
+            "plans": self.plans,
             "means": dict(self.means),
             "counts": dict(self.counts),
         }
@@ -115,8 +136,10 @@ class TableRow:
 def table(metrics: Sequence[Scored], failures: Sequence[Attempt] = ()) -> list[TableRow]:
     """Rows in the order in which each planner and method first occurs.
 
-    COM is the mean over rollouts of the share of plans that pass; with equally many plans in each
-    (the paper's 32) that is the share over all plans.
+    A failed rollout has no metric, so it is in no mean: `TableRow` says how many there are. A cut
+    one counts as it is; only pairs (see `recast.evaluation.pairs`) put that right. COM is the mean
+    over rollouts of the share of plans that pass; with equally many plans in each (the paper's 32)
+    that is the share over all plans.
     """
     keys = dict.fromkeys(
         [(m.planner, m.method) for m in metrics] + [(f.planner, f.method) for f in failures]
@@ -143,36 +166,7 @@ def _row(
         rollouts=len(mine),
         failed=sum((f.planner, f.method) == (planner, method) for f in failures),
         cut=sum(m.cut_reason is not None for m in mine),
+        plans=sum(m.plans for m in mine),
         means=means,
         counts=counts,
     )
-
-
-def paired_differences(
-    scenes: Mapping[str, Sequence[Scored]], metric: str, candidate: str, baseline: str
-) -> dict[str, Array]:
-    """Candidate minus baseline of a metric, by scene, for `bootstrap.cluster_bootstrap`.
-
-    Rollouts are pairs where planner, track, motion and setting agree. Pairs of which one is missing
-    or without a value are left out, and so are scenes without a pair.
-
-    Args:
-        scenes: by name of the scene, its rollouts under both methods.
-        metric: a key of `COLUMNS`.
-        candidate, baseline: methods.
-    """
-    differences: dict[str, Array] = {}
-    for scene, rollouts in scenes.items():
-        values: dict[str, dict[tuple[str, str | None, str, str], float]] = {
-            candidate: {},
-            baseline: {},
-        }
-        for m in rollouts:
-            value = m.values[metric].value
-            if m.method in values and value is not None:
-                values[m.method][m.planner, m.track_id, m.motion, m.setting] = value
-        shared = [key for key in values[candidate] if key in values[baseline]]
-        if shared:
-            pairs = [values[candidate][key] - values[baseline][key] for key in shared]
-            differences[scene] = np.array(pairs)
-    return differences

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +17,8 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 CAP = 4.0
-"""Seconds given to a plan that meets nothing: the length of a plan."""
-_INSTANTS = 40
+"""Seconds that are looked ahead, and given to a plan that meets nothing: the length of a plan of
+40 waypoints 0.1 s apart."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,8 @@ class TimeToCollision:
 
     Attributes:
         ttc: seconds, the least over all cycles.
-        per_cycle: (C,) seconds, a multiple of dt, 4.0 where the plan meets nothing.
+        per_cycle: (C,) seconds, a multiple of dt, 4.0 where the plan meets nothing. Empty where
+            `ttc` has no value.
     """
 
     ttc: Metric
@@ -34,7 +36,7 @@ class TimeToCollision:
 
 
 def realised_future(actor: ArrayLike, steps: ArrayLike, dt: float = 0.1) -> Array:
-    """Actor poses (C, 40, 3) at 0, dt, ..., 39 dt after each step, as the rollout went on.
+    """Actor poses (C, N, 3) at 0, dt, ... below 4 s after each step, as the rollout went on.
 
     The actor is scripted and ignores the ego, so its states are its future whatever the ego plans.
     Past the last state it moves on at constant velocity. This is HUGSIM's reading.
@@ -44,20 +46,20 @@ def realised_future(actor: ArrayLike, steps: ArrayLike, dt: float = 0.1) -> Arra
         steps: (C,) at which the plans were made.
     """
     actor = np.asarray(actor, np.float64)
-    index = np.asarray(steps, np.int64)[:, None] + np.arange(_INSTANTS)
+    index = np.asarray(steps, np.int64)[:, None] + np.arange(_instants(dt))
     last = len(actor) - 1
     known = np.minimum(index, last)
     return _advance(actor[known], _velocity(actor)[known], (index - known) * dt)
 
 
 def constant_velocity_future(actor: ArrayLike, steps: ArrayLike, dt: float = 0.1) -> Array:
-    """Actor poses (C, 40, 3) at 0, dt, ..., 39 dt after each step, at that step's velocity.
+    """Actor poses (C, N, 3) at 0, dt, ... below 4 s after each step, at that step's velocity.
 
     Args: as for `realised_future`.
     """
     actor = np.asarray(actor, np.float64)
     now = np.asarray(steps, np.int64)[:, None]
-    return _advance(actor[now], _velocity(actor)[now], np.arange(_INSTANTS) * dt)
+    return _advance(actor[now], _velocity(actor)[now], np.arange(_instants(dt)) * dt)
 
 
 def time_to_collision(
@@ -72,25 +74,31 @@ def time_to_collision(
 ) -> TimeToCollision:
     """TTC: first time at which a plan's ego box overlaps the actor's, least over the cycles.
 
-    The ego is taken at its current pose and at waypoints 1 to 39, that is at 0, 0.1, ..., 3.9 s.
+    The ego is taken at its current pose and at waypoints 1 to N - 1: with dt 0.1, at 0, 0.1, ...,
+    3.9 s. There is no value where plans do not reach that far.
 
     Args:
         ego_poses: (C, 3) rear axle at each plan step.
         predictions: (C, 40, 3) waypoints in the ego frame.
         ego_size, actor_size: (>=2,) length and width in metres.
         ego_centre_offset: metres from the rear axle to the ego's box centre.
-        actor_future: (C, 40, 3) box centre at the same times.
+        actor_future: (C, N, 3) box centre at the same times.
         steps: (C,) of the plans, for the reason only.
         dt: seconds between waypoints.
     """
     predictions = np.asarray(predictions, np.float64)
     if len(predictions) == 0:
         return TimeToCollision(invalid("no plan was made"), np.zeros(0))
-    poses = plan_to_poses(ego_poses, predictions[:, : _INSTANTS - 1])
+    instants, waypoints = _instants(dt), predictions.shape[1]
+    if instants - 1 > waypoints:
+        reason = f"plans reach {waypoints * dt:g} s ahead, {CAP:g} s are needed"
+        return TimeToCollision(invalid(reason), np.zeros(0))
+    poses = plan_to_poses(ego_poses, predictions[:, : instants - 1])
     centres = se2.compose(poses, [ego_centre_offset, 0.0, 0.0])
     hit = overlap_areas(centres, ego_size, actor_future, actor_size) > TOUCHING
-    # divided by 10 rather than multiplied by 0.1: 0.3 and not 0.30000000000000004
-    per_cycle = np.where(hit.any(axis=1), np.argmax(hit, axis=1) / round(1 / dt), CAP)
+    # in whole microseconds: 0.3 s and not 0.30000000000000004 s
+    times = np.argmax(hit, axis=1) * round(dt * 1e6) / 1e6
+    per_cycle = np.where(hit.any(axis=1), times, CAP)
     worst = int(np.argmin(per_cycle))
     value = float(per_cycle[worst])
     if value == CAP:
@@ -98,6 +106,11 @@ def time_to_collision(
     step = int(np.asarray(steps)[worst])
     reason = f"the plan made at step {step} ({step * dt:.1f} s) meets the actor after {value:.1f} s"
     return TimeToCollision(Metric(value, reason), per_cycle)
+
+
+def _instants(dt: float) -> int:
+    """How many of 0, dt, 2 dt, ... lie before 4 s."""
+    return math.ceil(CAP / dt - 1e-9)
 
 
 def _velocity(actor: Array) -> Array:

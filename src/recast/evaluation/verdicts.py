@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from recast.evaluation.bootstrap import Bootstrap, cluster_bootstrap
 from recast.evaluation.grid_row import GridRow
+from recast.evaluation.pairs import over_common_steps
 
 ORACLE = "oracle"
 """The method that renders the truth."""
@@ -16,17 +18,21 @@ ORACLE = "oracle"
 
 @dataclass(frozen=True)
 class Verdict:
-    """A rollout beside that of the oracle in the same scenario.
+    """A rollout beside that of the oracle in the same scenario, over the steps that both have.
 
     Attributes:
-        oracle_collided: what truly happens.
+        oracle_collided: what truly happens in these steps.
         agrees: whether the rollout says the same.
         ttc_error: its TTC minus the oracle's, seconds; None where one has none.
+        plans: how many plans each made in these steps.
+        cut: whether one of them went on for longer.
     """
 
     oracle_collided: bool
     agrees: bool
     ttc_error: float | None
+    plans: int
+    cut: bool
 
 
 @dataclass(frozen=True)
@@ -35,7 +41,11 @@ class Agreement:
 
     Attributes:
         method: of the rollouts.
+        asked: how many rollouts there should be; where it or the oracle's failed nothing is
+            compared.
         pairs, scenes: how many were compared, and in how many scenes.
+        plans: how many plans each side made in what was compared.
+        cut: how many of the pairs end where one of the two rollouts was cut.
         agreeing: how many collide, or do not, as the oracle's.
         false_collisions: collide where the oracle's do not.
         missed_collisions: do not where the oracle's collide.
@@ -44,8 +54,11 @@ class Agreement:
     """
 
     method: str
+    asked: int
     pairs: int
     scenes: int
+    plans: int
+    cut: int
     agreeing: int
     false_collisions: int
     missed_collisions: int
@@ -68,8 +81,11 @@ def agreements(rows: Sequence[GridRow], samples: int, seed: int) -> list[Agreeme
         seed: of the bootstrap.
     """
     compared = [(r, v) for r, v in zip(rows, verdicts(rows), strict=True) if v is not None]
+    asked = Counter(row.method for row in rows)
     return [
-        _agreement(method, [(r, v) for r, v in compared if r.method == method], samples, seed)
+        _agreement(
+            [(r, v) for r, v in compared if r.method == method], asked[method], samples, seed
+        )
         for method in dict.fromkeys(row.method for row, _ in compared)
     ]
 
@@ -77,13 +93,16 @@ def agreements(rows: Sequence[GridRow], samples: int, seed: int) -> list[Agreeme
 def _verdict(row: GridRow, truth: GridRow | None) -> Verdict | None:
     if truth is None or row.method == ORACLE or row.collided is None or truth.collided is None:
         return None
+    cut = row.steps_run != truth.steps_run
+    row, truth = over_common_steps(row, truth)
     mine, true = row.scores.get("ttc"), truth.scores.get("ttc")
     error = None if mine is None or true is None else mine - true
-    return Verdict(truth.collided, row.collided == truth.collided, error)
+    agrees = row.collided == truth.collided
+    return Verdict(bool(truth.collided), agrees, error, min(row.plans, truth.plans), cut)
 
 
 def _agreement(
-    method: str, compared: Sequence[tuple[GridRow, Verdict]], samples: int, seed: int
+    compared: Sequence[tuple[GridRow, Verdict]], asked: int, samples: int, seed: int
 ) -> Agreement:
     same: dict[str, list[float]] = {}
     errors: dict[str, list[float]] = {}
@@ -95,14 +114,17 @@ def _agreement(
     def interval(scenes: dict[str, list[float]]) -> Bootstrap:
         return cluster_bootstrap(list(scenes.values()), np.random.default_rng(seed), samples)
 
-    wrong = [(row.collided, verdict) for row, verdict in compared if not verdict.agrees]
+    wrong = [verdict for _, verdict in compared if not verdict.agrees]
     return Agreement(
-        method=method,
+        method=compared[0][0].method,
+        asked=asked,
         pairs=len(compared),
         scenes=len(same),
+        plans=sum(verdict.plans for _, verdict in compared),
+        cut=sum(verdict.cut for _, verdict in compared),
         agreeing=len(compared) - len(wrong),
-        false_collisions=sum(collided is True for collided, _ in wrong),
-        missed_collisions=sum(collided is False for collided, _ in wrong),
+        false_collisions=sum(not verdict.oracle_collided for verdict in wrong),
+        missed_collisions=sum(verdict.oracle_collided for verdict in wrong),
         share=interval(same),
         ttc_error=interval(errors) if errors else None,
     )

@@ -73,18 +73,26 @@ def results_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """The headline metrics by method, from the `table` member of metrics.json."""
     headline = {name: column for name, column in COLUMNS.items() if column.headline}
     table = Table(title="closed loop", title_justify="left", box=SIMPLE_HEAD)
-    for heading in ("method", "run", "failed", "cut"):
+    for heading in ("method", "scored", "failed", "cut", "plans"):
         table.add_column(heading, no_wrap=True)
     for column in headline.values():
         table.add_column(f"{column.label} {column.unit}", no_wrap=True)
     for row in rows:
-        values = [row["means"][name] for name in headline]
         table.add_row(
             row["method"],
-            *(str(row[key]) for key in ("rollouts", "failed", "cut")),
-            *("n/a" if value is None else f"{value:.2f}" for value in values),
+            f"{row['rollouts']} of {row['asked']}",
+            *(str(row[key]) for key in ("failed", "cut", "plans")),
+            *(_mean(row, name) for name in headline),
         )
     return table
+
+
+def _mean(row: Mapping[str, Any], name: str) -> str:
+    """The mean; over how many rollouts, where not all that were scored have a value."""
+    value, count = row["means"][name], row["counts"][name]
+    if value is None:
+        return "n/a"
+    return f"{value:.2f}" if count == row["rollouts"] else f"{value:.2f} (of {count})"
 
 
 def truth_table(views: OracleViews) -> Table:

@@ -24,6 +24,7 @@ _FILM_SPAN = 90.0  # metres across the film: an oncoming car 55 m ahead must be 
 _EGO_AT = 0.28  # share of the film's width behind the ego
 _DASH = 1.5  # metres
 _STAMP = 1.0  # seconds between the ghost boxes of the still
+_DOT = 0.5  # seconds between the dots of a plan
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def draw_frames(
         references.draw(canvas)
         current = np.searchsorted(rollout.plan_steps, step, side="right") - 1
         if current >= 0:
-            _draw_plan(canvas, plans[current])
+            _draw_plan(canvas, plans[current], rollout.dt)
         canvas.line(rollout.ego_boxes[: step + 1, :2], palette.dimmed(palette.EGO, 0.7), 2)
         canvas.line(rollout.actor[: step + 1, :2], palette.dimmed(palette.ACTOR, 0.7), 2)
         _draw_cars(canvas, rollout, step, touching=bool(curves.contact[step]))
@@ -165,9 +166,10 @@ class _References:
         canvas.lines(self.ego, palette.LOGGED, 1)
 
 
-def _draw_plan(canvas: Canvas, plan: Array) -> None:
+def _draw_plan(canvas: Canvas, plan: Array, dt: float) -> None:
     canvas.line(plan, palette.PLAN, 2)
-    canvas.dots(plan[5::5], palette.PLAN, 2.5)
+    every = max(1, round(_DOT / dt))
+    canvas.dots(plan[every::every], palette.PLAN, 2.5)
 
 
 def _draw_cars(canvas: Canvas, rollout: Rollout, step: int, touching: bool) -> None:

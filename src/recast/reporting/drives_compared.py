@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from recast.evaluation import RolloutMetrics
+from recast.evaluation.pairs import over_common_steps
 from recast.reporting.inputs import NotMade, ReportInputs, RolloutPart, ScenarioPart
 from recast.simulation.rollout import Rollout
 
@@ -56,24 +58,28 @@ def truth_gaps(run: ReportInputs, scenario: ScenarioPart) -> str | None:
 def same_endings(
     run: ReportInputs, scenarios: Sequence[ScenarioPart], truth: str
 ) -> tuple[str, ...]:
-    """In how many scenarios each method ended as the truth did, contact or none."""
+    """In how many scenarios each method ended as the truth did, contact or none.
+
+    Where one of the two rollouts was cut, both are looked at up to there.
+    """
     told = []
     for method, title in run.methods.items():
         pairs = [
-            (scored[method], scored[truth])
+            over_common_steps(scored[method], scored[truth])
             for scenario in scenarios
-            if {method, truth} <= (scored := _contact_by_method(scenario)).keys()
+            if {method, truth} <= (scored := _scored(scenario)).keys()
         ]
         if method != truth and pairs:
-            told.append(f"{title}: {sum(a == b for a, b in pairs)} of {len(pairs)}")
+            same = sum(a.collision.nc.value == b.collision.nc.value for a, b in pairs)
+            told.append(f"{title}: {same} of {len(pairs)}")
     return (f"Ended as with the truth, in contact or without: {'; '.join(told)}.",) if told else ()
 
 
-def _contact_by_method(scenario: ScenarioPart) -> dict[str, float]:
+def _scored(scenario: ScenarioPart) -> dict[str, RolloutMetrics]:
     return {
-        part.method: part.metrics.collision.nc.value
+        part.method: part.metrics
         for part in scenario.rollouts
-        if not isinstance(part.metrics, NotMade) and part.metrics.collision.nc.value is not None
+        if not isinstance(part.metrics, NotMade)
     }
 
 

@@ -156,15 +156,16 @@ def _outcome(part: RolloutPart) -> Outcome:
 
 
 def _contacts(scenarios: Sequence[ScenarioPart], method: str) -> str:
-    scored = [
-        part.metrics.collision.nc.value
-        for scenario in scenarios
-        for part in scenario.rollouts
-        if part.method == method and not isinstance(part.metrics, NotMade)
-    ]
+    parts = [part for one in scenarios for part in one.rollouts if part.method == method]
+    scored = [part.metrics for part in parts if not isinstance(part.metrics, NotMade)]
     if not scored:
         return "not scored"
-    return f"{sum(value == 1.0 for value in scored)} of {len(scored)}"
+    told = f"{sum(one.collision.nc.value == 1.0 for one in scored)} of {len(scored)}"
+    cut = sum(one.cut_reason is not None for one in scored)
+    failed = sum(isinstance(part.rollout, RolloutFailure) for part in parts)
+    counts = {"cut short": cut, "failed": failed}
+    notes = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
+    return f"{told} ({notes})" if notes else told
 
 
 def _closing_speed(rollout: Rollout, step: int) -> float:

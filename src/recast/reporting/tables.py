@@ -11,7 +11,7 @@ from recast.evaluation import (
     Metric,
     RolloutMetrics,
     TableRow,
-    paired_differences,
+    matched_pairs,
     table,
 )
 from recast.reporting.inputs import NotMade, ScenarioPart
@@ -28,9 +28,11 @@ DEFINITIONS: Mapping[str, str] = {
     "on; the worst of all plans, capped at 4 s.",
     "r_c": "Route completion: distance driven before the first contact over the length of the "
     "logged route that was left at the start.",
-    "com": "Comfort: share of plans whose acceleration (-4.05 to 2.40 m/s²), jerk (8.37 m/s³), yaw "
-    "rate (0.95 rad/s), yaw acceleration (1.93 rad/s²) and lateral acceleration (4.89 m/s²) stay "
-    "within limits.",
+    "com": "Comfort of the plans: share of plans whose acceleration (-4.05 to 2.40 m/s²), jerk "
+    "(8.37 m/s³), yaw rate (0.95 rad/s), yaw acceleration (1.93 rad/s²) and lateral acceleration "
+    "(4.89 m/s²) stay within limits.",
+    "com_driven": "Comfort of what was driven: nuPlan's six checks hold throughout the smoothed "
+    "motion of the ego. A plan may begin with a jump that the controller never drives.",
     "ttc_constant_velocity": "TTC against the actor moving on at constant velocity.",
     "r_c_projection": "Route completion by the ego's projection onto the route.",
     "com_4_13": "Comfort with nuPlan's limit on jerk, 4.13 m/s³.",
@@ -56,7 +58,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Heading:
-    """One column: label, definition, and whether it stands in the paper's table."""
+    """One column: label, definition, and whether it stands in the short table."""
 
     label: str
     definition: str
@@ -104,7 +106,7 @@ def aggregate_lines(
     """Means by planner and method, then differences over pairs of rollouts.
 
     Each method minus the first; and, where one of them is the truth, each minus the truth: the gap
-    to it, marked where it is the smallest.
+    to it, marked where it is the smallest. Pairs are compared over the steps that both have.
     """
     scored = [
         part.metrics
@@ -122,10 +124,10 @@ def aggregate_lines(
     rows = sorted(table(scored, failures), key=lambda row: order.get(row.method, len(order)))
     lines = [_aggregate_line(row, methods, order) for row in rows]
     judged = [method for method in methods if method != truth]
-    found = [_difference_line(scored, methods, other, judged[0]) for other in judged[1:]]
+    found = [_difference_line(scored, failures, methods, m, judged[0]) for m in judged[1:]]
     lines += [line for line in found if line is not None]
     if truth is not None:
-        gaps = [_difference_line(scored, methods, method, truth) for method in judged]
+        gaps = [_difference_line(scored, failures, methods, method, truth) for method in judged]
         lines += _nearest_marked([line for line in gaps if line is not None])
     return tuple(lines)
 
@@ -149,7 +151,7 @@ def _rollout_cell(key: str, metric: Metric) -> Cell:
     if metric.value is None:
         return Cell("-", "plain", metric.reason)
     tone: Tone = "plain"
-    if key in ("nc", "dac"):
+    if COLUMNS[key].passes:
         passed = metric.value == 1.0
         return Cell("pass" if passed else "fail", "good" if passed else "bad", metric.reason)
     if key.startswith("ttc"):
@@ -163,34 +165,46 @@ def _aggregate_line(row: TableRow, methods: Mapping[str, str], order: Mapping[st
         mean, count = row.means[key], row.counts[key]
         if mean is None:
             cells.append(Cell("-"))
-        elif key in ("nc", "dac"):
+        elif COLUMNS[key].passes:
             cells.append(Cell(f"{round(mean * count / 100)} of {count}", "plain", f"{mean:.0f} %"))
+        elif count < row.rollouts:
+            cells.append(Cell(_number(key, mean), note=f"over {count} of {row.rollouts}"))
         else:
             cells.append(Cell(_number(key, mean)))
-    sub = f"{row.planner}; {_counted(row.rollouts, 'rollout')}"
+    sub = f"{row.planner}; {row.rollouts} of {_counted(row.asked, 'rollout')} scored"
+    sub += f", {_counted(row.plans, 'plan')}"
     sub += f", {row.cut} cut short" if row.cut else ""
     sub += f", {row.failed} failed" if row.failed else ""
     return Line(methods.get(row.method, row.method), order.get(row.method), tuple(cells), sub)
 
 
 def _difference_line(
-    scored: Sequence[RolloutMetrics], methods: Mapping[str, str], candidate: str, baseline: str
+    scored: Sequence[RolloutMetrics],
+    failures: Sequence[RolloutFailure],
+    methods: Mapping[str, str],
+    candidate: str,
+    baseline: str,
 ) -> Line | None:
-    cells, pairs = [], 0
+    pairs = matched_pairs({"": scored}, candidate, baseline, {"": failures})
+    if not pairs.by_scene:
+        return None
+    most, cells = len(pairs.by_scene[""]), []
     for key, column in COLUMNS.items():
-        found = paired_differences({"": scored}, key, candidate, baseline)
-        if not found:
+        found = pairs.of(key)
+        if found.pairs == 0:
             cells.append(Cell("-"))
             continue
-        pairs = max(pairs, len(found[""]))
         unit = "points" if column.unit == "%" else column.unit
-        difference = column.scale * float(found[""].mean())
+        difference = column.scale * float(found.differences[""].mean())
         text = f"{difference:+.{_digits(key)}f}\u00a0{unit}"
-        cells.append(Cell(text, size=abs(round(difference, _digits(key)))))
-    if pairs == 0:
-        return None
-    label = f"{methods[candidate]} minus {methods[baseline]}"
-    return Line(label, None, tuple(cells), f"mean over {_counted(pairs, 'pair')}")
+        note = f"over {found.pairs} of {_counted(most, 'pair')}" if found.pairs < most else None
+        cells.append(Cell(text, note=note, size=abs(round(difference, _digits(key)))))
+    compared = pairs.by_scene[""]
+    sub = f"mean over {len(compared)} of {_counted(pairs.asked, 'pair')}"
+    sub += f", {_counted(sum(pair.plans for pair in compared), 'plan')} each"
+    cut = sum(pair.cut for pair in compared)
+    sub += f", {cut} up to where one was cut" if cut else ""
+    return Line(f"{methods[candidate]} minus {methods[baseline]}", None, tuple(cells), sub)
 
 
 def _number(key: str, value: float) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +88,22 @@ class Rollout:
     def timestamp_us(self, step: int) -> int:
         """Log time of state `step`."""
         return self.start_timestamp_us + round(step * self.dt * 1e6)
+
+    def first(self, steps: int) -> Rollout:
+        """The same rollout, ended after `steps`, 1 to S."""
+        if not 1 <= steps <= self.steps_run:
+            raise ValueError(f"Rollout.first: {steps} of {self.steps_run} steps")
+        plans = int(np.searchsorted(self.plan_steps, steps))
+        states = {
+            name: getattr(self, name)[: steps + 1]
+            for name in ("ego", "log_ego", "actor", "world_from_rig", "world_from_actor")
+        }
+        return replace(
+            self,
+            **states,
+            predictions=self.predictions[:plans],
+            plan_steps=self.plan_steps[:plans],
+        )
 
     def validate(self) -> None:
         """Raise ValueError naming the field and the shape at fault."""

@@ -16,12 +16,13 @@ from recast.evaluation.verdicts import Agreement
 
 _HEADLINE = {name: column for name, column in COLUMNS.items() if column.headline}
 _DIGITS = {"s": 2, "%": 1}
-_COUNTED = ("nc", "dac")
-"""Metrics that are 0 or 1 for a rollout: shown as how many of how many, too."""
 
 
 def grid_table(lines: Sequence[MethodSummary], title: str) -> Table:
-    """A line for each method: means with their intervals over scenes."""
+    """A line for each method: means with their intervals over scenes.
+
+    A metric that not every scored rollout has says over how many it is.
+    """
     table = _table(title)
     for heading in ("method", "rollouts"):
         table.add_column(heading, no_wrap=True)
@@ -29,7 +30,7 @@ def grid_table(lines: Sequence[MethodSummary], title: str) -> Table:
         table.add_column(f"{column.label} {column.unit}", no_wrap=True, justify="right")
     for line in lines:
         row = line.row
-        counts = [str(row.rollouts)]
+        counts = [f"{row.rollouts} of {row.asked}", f"{row.plans} plans"]
         counts += [f"{n} {what}" for n, what in ((row.failed, "failed"), (row.cut, "cut")) if n]
         table.add_row(row.method, "\n".join(counts), *(_mean(line, name) for name in _HEADLINE))
     return table
@@ -40,7 +41,7 @@ def differences_table(differences: Sequence[PairedDifference]) -> Table:
     level = 100 * differences[0].sampled.level
     scenes = max(one.scenes for one in differences)
     table = _table(f"paired differences, {scenes} scenes drawn whole")
-    for heading in ("difference", "metric", "mean", f"{level:g} % sampled", "exact", "pairs"):
+    for heading in ("difference", "metric", "mean", f"{level:g} % sampled", "exact", "compared"):
         left = heading in ("difference", "metric")
         table.add_column(heading, no_wrap=True, justify="left" if left else "right")
     for one in differences:
@@ -52,7 +53,7 @@ def differences_table(differences: Sequence[PairedDifference]) -> Table:
             f"{one.candidate} - {one.baseline}", f"{column.label} {column.unit}",
             f"{one.sampled.point:+.{digits}f}", _signed(one.sampled, digits),
             "n/a" if one.exact is None else _signed(one.exact, digits),
-            str(one.pairs),
+            _compared(one),
         )  # fmt: skip
     return table
 
@@ -63,7 +64,7 @@ def truth_table(lines: Sequence[Agreement]) -> Table:
     False are collisions that the oracle's rollouts do not have, missed are those that they have.
     """
     table = _table("against the truth (oracle)")
-    headings = ("method", "same verdict", "%", "false", "missed", "TTC error s")
+    headings = ("method", "same verdict", "%", "false", "missed", "TTC error s", "compared")
     for heading in headings:
         table.add_column(heading, no_wrap=True, justify="left" if heading == "method" else "right")
     for one in lines:
@@ -77,6 +78,7 @@ def truth_table(lines: Sequence[Agreement]) -> Table:
             str(one.false_collisions), str(one.missed_collisions),
             "n/a" if one.ttc_error is None
             else f"{one.ttc_error.point:.3f}\n{_range(one.ttc_error, 3)}",
+            _compared(one),
         )  # fmt: skip
     return table
 
@@ -107,10 +109,18 @@ def _mean(line: MethodSummary, name: str) -> str:
     if mean is None:
         return "n/a"
     shown = [f"{mean:.{digits}f}", _range(line.intervals[name], digits)]
-    if name in _COUNTED:
-        count = line.row.counts[name]
+    count = line.row.counts[name]
+    if COLUMNS[name].passes:
         shown.insert(1, f"{round(mean * count / 100)}/{count}")
+    elif count < line.row.rollouts:
+        shown.insert(1, f"of {count}")
     return "\n".join(shown)
+
+
+def _compared(one: PairedDifference | Agreement) -> str:
+    """Over what: pairs of all that were asked for, and the plans that both made in them."""
+    lines = [f"{one.pairs} of {one.asked}", f"{one.plans} plans"]
+    return "\n".join(lines + ([f"{one.cut} cut"] if one.cut else []))
 
 
 def _range(one: Bootstrap, digits: int) -> str:

@@ -90,6 +90,9 @@ def _difference(one: PairedDifference) -> dict[str, Any]:
         "metric": one.metric,
         "scenes": one.scenes,
         "pairs": one.pairs,
+        "asked": one.asked,
+        "plans": one.plans,
+        "cut": one.cut,
         "sampled": asdict(one.sampled),
         "exact": None if one.exact is None else asdict(one.exact),
     }
