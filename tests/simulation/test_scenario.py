@@ -9,7 +9,7 @@ from recast.simulation import MOTIONS, parse_motions, scenario_name
 
 
 def test_every_name_reads_back() -> None:
-    assert len(MOTIONS) == 10
+    assert len(MOTIONS) == 12
     for name, motion in MOTIONS.items():
         assert scenario_name(motion) == name
         assert parse_motions(name) == (motion,)
@@ -17,13 +17,15 @@ def test_every_name_reads_back() -> None:
 
 def test_without_a_letter_it_is_all_settings() -> None:
     assert parse_motions("cut-in") == (MOTIONS["cut-in-a"], MOTIONS["cut-in-b"])
+    stop = parse_motions("cut-in-stop")
+    assert stop == (MOTIONS["cut-in-stop-a"], MOTIONS["cut-in-stop-b"])
     assert [m.name for m in parse_motions("Oncoming")] == ["oncoming", "oncoming"]
     assert parse_motions(" oncoming-Through ")[1] is MOTIONS["oncoming-through-b"]
 
 
 @pytest.mark.parametrize("name", ["cutin", "cut-in-c", "", "stationary-"])
 def test_unknown_names_list_the_known(name: str) -> None:
-    with pytest.raises(InputError, match=r"cut-in-a, cut-in-b, oncoming-a.*advancing-b"):
+    with pytest.raises(InputError, match=r"cut-in-a, cut-in-b, cut-in-stop-a.*advancing-b"):
         parse_motions(name)
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from recast.simulation import (
     Oncoming,
     Stationary,
     motion_of_record,
+    parse_motions,
     read_scenario,
     scenario_record,
 )
@@ -61,7 +63,7 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
          "my.yaml:12: target_speed: is negative; give 0 to 5 of v_r"),
         ("duration: 1.5", "duration: 0.0", "my.yaml:14: duration: is 0; give more than 0, at"),
         ("delay: 0.0", "delay: .nan", "my.yaml:13: delay: is '.nan'; give 0 to 60 s"),
-        ("delay: 0.0", "delay: nan", "my.yaml:13: delay: is nan; give 0 to 60 s"),
+        ("delay: 0.0", "delay: nan", "my.yaml:13: delay: is 'nan'; give 0 to 60 s"),
         ("delay: 0.0", "delay: 1:30", "my.yaml:13: delay: is '1:30'; give 0 to 60 s"),
         ("delay: 0.0", 'delay: "0.5"', "my.yaml:13: delay: is '0.5'; give 0 to 60 s"),
         ("delay: 0.0", "delay: true", "my.yaml:13: delay: is true; give 0 to 60 s"),
@@ -108,7 +110,7 @@ def test_errors_name_file_line_and_key(tmp_path: Path, old: str, new: str, messa
         ("version: 1\nsettings: &a\n  x: *a\n", "my.yaml:3: YAML: holds an alias of itself"),
         (b"version: 1\nname: \xff\n", "my.yaml:2: file: is not UTF-8 text"),
         ("version: 1\n\nname: \x00\n", "my.yaml:3: YAML: holds a character"),
-        ("[" * 5000, "my.yaml: YAML: is nested too deeply"),
+        ("[" * 5000, "my.yaml:1: YAML: is nested too deeply"),
         ("version: 1\nname: x\nmotion: advancing\nsettings:\n", "my.yaml:4: settings: is empty"),
         ("version: 1\nname: x\nmotion: advancing\nsettings:\n  a: 3\n",
          "my.yaml:5: setting a: is the number 3; give gap, speed below it"),
@@ -121,7 +123,7 @@ def test_what_is_no_scenario(tmp_path: Path, text: str | bytes, message: str) ->
 
 
 def test_a_folder_is_no_scenario(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="is a folder"):
         read_scenario(tmp_path)
 
 
@@ -147,6 +149,8 @@ def test_the_built_in_numbers() -> None:
     assert found == {
         "cut-in-a": (6.0, 0.8, 0.5, 0.5, 2.5),
         "cut-in-b": (12.0, 0.7, 0.35, 1.0, 3.0),
+        "cut-in-stop-a": (10.0, 0.9, 0.9, 0.5, 2.5, 0.5),
+        "cut-in-stop-b": (16.0, 0.9, 0.9, 1.0, 3.0, 1.0),
         "oncoming-a": (35.0, 3.0, 15.0, 0.0),
         "oncoming-b": (55.0, 6.0, 25.0, 0.3),
         "oncoming-through-a": (35.0, 3.0, 0.0),
@@ -165,3 +169,97 @@ def test_the_example_of_the_documentation(tmp_path: Path) -> None:
     assert motion.name == "hard-cut-in"
     with pytest.raises(InputError, match=r"my\.yaml:7: gap: is 'near'; give -50 to 500 m"):
         read(tmp_path, text.replace("gap: 4.0", "gap: near"))
+
+
+def bomb(levels: int) -> str:
+    """A few hundred bytes that stand for 9 ** levels values."""
+    lines = ["version: 1", "l0: &l0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    for level in range(1, levels):
+        aliases = ", ".join([f"*l{level - 1}"] * 9)
+        lines.append(f"l{level}: &l{level} [{aliases}]")
+    return "\n".join(lines)
+
+
+def chain(length: int) -> str:
+    lines = ["version: 1", "l0: &l0 [1]"]
+    lines += [f"l{i}: &l{i} [*l{i - 1}]" for i in range(1, length)]
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (bomb(9), r"my\.yaml:\d+: YAML: has more than 10000 values"),
+        (bomb(60), r"my\.yaml:\d+: YAML: has more than 10000 values"),
+        (chain(1200), r"my\.yaml:\d+: YAML: is nested too deeply"),
+        ("a: " * 30 + "1", r"my\.yaml:\d+: YAML: cannot be read"),
+        ("\n".join(" " * i + "- " for i in range(200)), r"my\.yaml:\d+: YAML: is nested"),
+        ("{a: " * 400, r"my\.yaml:\d+: YAML: is nested too deeply"),
+        ("- 1\n" * 20_000, r"my\.yaml:10000: YAML: has more than 10000 values"),
+        ("? " * 3000, r"my\.yaml:\d+: YAML: "),
+        ("a" * 100_001, r"my\.yaml: size: has 100001 bytes, 100000 are read at most"),
+        ("a: &x\n  b: 1\n  <<: *x\n", r"my\.yaml:3: YAML: holds an alias of itself"),
+    ],
+)
+def test_what_would_take_all_memory_or_never_end(tmp_path: Path, text: str, message: str) -> None:
+    began = time.process_time()
+    with pytest.raises(InputError, match=message):
+        read(tmp_path, text)
+    assert time.process_time() - began < 10.0  # seconds; the limits keep it far below
+
+
+@pytest.mark.parametrize(
+    "number",
+    [".inf", "inf", "-inf", "nan", "1e999", "-1e999", "9" * 5000, "0x10", "1_0", "\uff11", "1e"],
+)
+@pytest.mark.parametrize("key", ["gap", "duration", "stop_after"])
+def test_numbers_that_are_none(tmp_path: Path, key: str, number: str) -> None:
+    text = GOOD.replace("    delay: 0.0", "    stop_after: 1.0\n    delay: 0.0", 1)
+    lines = [f"    {key}: {number}" if f" {key}:" in line else line for line in text.split("\n")]
+    with pytest.raises(InputError, match=f"{key}: is "):
+        read(tmp_path, "\n".join(lines))
+
+
+HOSTILE = [
+    "../x", "../../../../victim", "/etc/passwd", "a/b", "a\0b", "a\nb", "x" * 300, "\u202egnp.x",
+    "a\u200bb", "<script>alert(1)</script>", "[/bold]", ".", "..", "~", "-a", "a-", "a--b", "CON ",
+    "\u00e4", "\u212a", "",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_names_are_refused_where_they_are_read(name: str) -> None:
+    record = scenario_record(MOTIONS["cut-in-a"])
+    cases = [
+        ("name", {**record, "name": name}),
+        ("setting", {**record, "settings": {name: record["settings"]["a"]}}),
+        ("motion", {**record, "motion": name}),
+    ]
+    for field, changed in cases:
+        with pytest.raises(InputError, match=field) as error:
+            motion_of_record(changed)
+        line = str(error.value)
+        assert line.isprintable() and len(line) <= 300
+
+
+@pytest.mark.parametrize("name", ["../x.yaml", "a\0b.yaml", "a\nb.yaml", "x" * 300 + ".yaml", "/"])
+def test_a_hostile_path_of_a_scenario_is_one_line(name: str) -> None:
+    with pytest.raises(InputError) as error:
+        parse_motions(name)
+    assert str(error.value).isprintable() and len(str(error.value)) <= 300
+
+
+def deep(levels: int) -> object:
+    value: object = 1
+    for _ in range(levels):
+        value = [value]
+    return value
+
+
+@pytest.mark.parametrize("value", [10**400, -(10**400), deep(900), {"a": deep(30)}])
+def test_records_with_huge_or_deep_values_are_refused(value: object) -> None:
+    record = scenario_record(MOTIONS["cut-in-a"])
+    settings = {"a": {**record["settings"]["a"], "gap": value}}
+    for changed in ({**record, "settings": settings}, {**record, "version": value}):
+        with pytest.raises(InputError):
+            motion_of_record(changed)

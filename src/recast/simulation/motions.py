@@ -1,9 +1,9 @@
-"""What the controlled actor does: the paper's four motions.
+"""What the controlled actor does: the paper's motions.
 
 A motion is scripted ahead of time from the situation at the start: the actor does not react to the
 ego, so its states are the same for every planner and every renderer. Frenet coordinates are those
 of the ego's reference route; gaps are from bumper to bumper. Their settings are in
-`scenarios/*.yaml`. All four have, besides what `ActorMotion` asks for, a `description` for people:
+`scenarios/*.yaml`. All have, besides what `ActorMotion` asks for, a `description` for people:
 one sentence.
 """
 
@@ -89,6 +89,8 @@ class CutIn:
         gap: metres at the start.
         initial_speed, target_speed: as shares of the reference speed v_r.
         delay, duration: seconds until the lane change begins, and it takes.
+        stop_after: seconds from the end of the lane change until it brakes to a standstill. None:
+            it drives on. The name should say which, as results show it.
     """
 
     setting: str
@@ -97,17 +99,22 @@ class CutIn:
     target_speed: float
     delay: float
     duration: float
+    stop_after: float | None = None
     name: str = "cut-in"
     description: str = ""
 
     def script(self, start: StartSituation, steps: int, dt: float) -> Array:
         """Lateral offset l0 (1 - q(u)), q the quintic from 0 to 1, u = (t - delay) / duration."""
+        halt = np.inf
+        if self.stop_after is not None:
+            halt = self.delay + self.duration + self.stop_after
         s, along = _drive(
             start.ahead(self.gap),
             self.initial_speed * start.reference_speed,
             self.target_speed * start.reference_speed,
             steps,
             dt,
+            halt=halt,
         )
         u = np.clip((dt * np.arange(steps + 1) - self.delay) / self.duration, 0.0, 1.0)
         lateral = start.beside * (1 - u**3 * (10 - 15 * u + 6 * u**2))
@@ -204,13 +211,25 @@ ScriptedMotion = CutIn | Oncoming | Stationary | Advancing
 
 
 def _drive(
-    s: float, speed: float, target: float, steps: int, dt: float, stop: float = np.inf
+    s: float,
+    speed: float,
+    target: float,
+    steps: int,
+    dt: float,
+    stop: float = np.inf,
+    halt: float = np.inf,
 ) -> tuple[Array, Array]:
-    """Route coordinate and speed (steps + 1,) of free-road driving."""
+    """Route coordinate and speed (steps + 1,) of free-road driving.
+
+    Args:
+        stop: route coordinate at which it stands.
+        halt: seconds after which it brakes to a standstill.
+    """
     states = np.empty((steps + 1, 2))
     states[0] = s, speed
     for k in range(steps):
-        states[k + 1] = free_road_step(states[k], target, stop, dt=dt)
+        wanted = target if k * dt < halt - 1e-9 else 0.0
+        states[k + 1] = free_road_step(states[k], wanted, stop, dt=dt)
     return states[:, 0], states[:, 1]
 
 

@@ -9,7 +9,9 @@ from recast.errors import InputError
 from recast.simulation.motions import ActorMotion, ScriptedMotion
 from recast.simulation.scenario_file import read_scenario
 
-_BUILT_IN = ("cut-in", "oncoming", "oncoming-through", "stationary", "advancing")
+_BUILT_IN = (
+    "cut-in", "cut-in-stop", "oncoming", "oncoming-through", "stationary", "advancing",
+)  # fmt: skip
 _SUFFIXES = (".yaml", ".yml")
 
 

@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from recast import storage
 from recast.errors import InputError
 from recast.simulation.motions import ScriptedMotion
 from recast.simulation.scenario_schema import MOTION_SCHEMAS, VERSION, MotionSchema
@@ -16,7 +17,7 @@ from recast.simulation.yaml_lines import Node, located, place, read_yaml
 _MEMBERS = ("version", "name", "motion", "description", "settings")
 _WORD = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _LONGEST_WORD = 40  # names become folder names
-_LARGEST_FILE = 1_000_000
+_LARGEST_FILE = 100_000  # bytes
 
 
 def read_scenario(path: str | Path) -> tuple[ScriptedMotion, ...]:
@@ -49,19 +50,12 @@ def motion_of_record(record: Mapping[str, Any], where: str = "scenario") -> Scri
     Raises:
         InputError: it says something wrong.
     """
-    return _motions(located(record), where)[0]
+    return _motions(located(record, where), where)[0]
 
 
 def _text(path: Path) -> str:
     mend = "name a scenario file, see docs/scenarios.md"
-    try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InputError(path, "file", "is larger than 1 MB", mend)
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(path, "file", "is missing", "check the path") from None
-    except OSError as error:
-        raise InputError(path, "file", f"cannot be read ({error.strerror})", mend) from None
+    data = storage.read_bytes(path, _LARGEST_FILE)
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -66,6 +66,7 @@ MOTION_SCHEMAS: Mapping[str, MotionSchema] = {
             "target_speed": _SHARE,
             "delay": Quantity("s", 0.0, 60.0),
             "duration": Quantity("s", 0.0, 60.0, positive=True),
+            "stop_after": Quantity("s", 0.0, 60.0, optional=True),
         },
     ),
     "oncoming": MotionSchema(

@@ -1,11 +1,15 @@
 """YAML as data that knows its lines, so that an error can point at one.
 
 Nothing is constructed: only the tree of a document is read, and its scalars are text, numbers,
-truth values or nothing. Tags, which could ask for more, are refused.
+truth values or nothing. Tags, which could ask for more, are refused. The tree has at most
+`MOST_NODES` nodes and `MOST_LEVELS` levels, every alias counted as the nodes that it stands for: a
+few hundred bytes of aliases of aliases can stand for more than any memory holds.
 """
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -14,8 +18,13 @@ import yaml
 
 from recast.errors import InputError
 
+MOST_NODES = 10_000
+MOST_LEVELS = 20
+
 _MEND = "write it as the examples in docs/scenarios.md"
 _PLAIN_TAGS = ("str", "int", "float", "bool", "null", "map", "seq", "timestamp", "merge", "value")
+_NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
+"""As people write numbers; Python's would be 1_0, nan and infinity, too."""
 _TRUTH = {"true": True, "false": False}
 
 
@@ -37,14 +46,24 @@ def place(where: str, line: int | None) -> str:
     return where if line is None else f"{where}:{line}"
 
 
-def located(value: Any) -> Node:
-    """Nodes without lines from plain data."""
+def located(value: Any, where: str, levels: int = MOST_LEVELS) -> Node:
+    """Nodes without lines from plain data, as JSON has it.
+
+    Args:
+        where: it came from, for errors.
+        levels: that it may have at most.
+
+    Raises:
+        InputError: it has more.
+    """
+    if isinstance(value, Mapping | list | tuple) and levels == 0:
+        raise InputError(where, "scenario", "is nested too deeply", _MEND)
     if isinstance(value, Mapping):
-        return Node({str(key): located(one) for key, one in value.items()})
+        return Node({str(key): located(one, where, levels - 1) for key, one in value.items()})
     if isinstance(value, list | tuple):
-        return Node([located(one) for one in value])
+        return Node([located(one, where, levels - 1) for one in value])
     if isinstance(value, int) and not isinstance(value, bool):
-        return Node(float(value))
+        return Node(_number(value))
     return Node(value)
 
 
@@ -55,10 +74,13 @@ def read_yaml(text: str, where: str) -> Node:
         where: its file, for errors.
 
     Raises:
-        InputError: not YAML, more than one document, a key given twice, or a tag.
+        InputError: not YAML, more than one document, a key given twice, a tag, too many nodes or
+            levels.
     """
     try:
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
+        loader = _Loader(text)
+        loader.where = where
+        root = loader.get_single_node()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = None if mark is None else mark.line + 1
@@ -68,40 +90,72 @@ def read_yaml(text: str, where: str) -> Node:
         line = text.count("\n", 0, error.position) + 1
         problem = f"holds a character that YAML does not allow ({error.reason})"
         raise InputError(place(where, line), "YAML", problem, "remove it") from None
-    except RecursionError:
-        raise InputError(where, "YAML", "is nested too deeply", _MEND) from None
     if root is None:
         raise InputError(where, "YAML", "is empty", _MEND)
-    return _node(root, root.start_mark.line + 1, where, ())
+    return _Tree(where).node(root, root.start_mark.line + 1, ())
 
 
-def _node(node: yaml.Node, line: int, where: str, above: tuple[yaml.Node, ...]) -> Node:
-    tag = str(node.tag).removeprefix("tag:yaml.org,2002:")
-    if tag not in _PLAIN_TAGS:
-        raise InputError(place(where, line), "YAML", f"has the tag {node.tag}", "remove the tag")
-    if any(node is outer for outer in above):
-        raise InputError(place(where, line), "YAML", "holds an alias of itself", "write it out")
-    inner = (*above, node)
-    if isinstance(node, yaml.MappingNode):
-        return Node(_mapping(node, where, inner), line)
-    if isinstance(node, yaml.SequenceNode):
-        items = [_node(one, one.start_mark.line + 1, where, inner) for one in node.value]
-        return Node(items, line)
-    return Node(node.value if node.style else _plain(node.value), line)
+class _Loader(yaml.SafeLoader):
+    """Composes nodes while there are few enough of them."""
+
+    where = ""
+    nodes = 0
+    level = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """One node with all below it; called by itself for these."""
+        self.nodes += 1
+        self.level += 1
+        line = self.peek_event().start_mark.line + 1
+        _refuse_if_large(self.nodes, self.level, place(self.where, line))
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self.level -= 1
+        return node
 
 
-def _mapping(node: yaml.MappingNode, where: str, above: tuple[yaml.Node, ...]) -> dict[str, Node]:
-    members: dict[str, Node] = {}
-    for key_node, value_node in node.value:
-        line = key_node.start_mark.line + 1
-        if not isinstance(key_node, yaml.ScalarNode):
-            raise InputError(place(where, line), "YAML", "has a key that is no word", _MEND)
-        key = key_node.value
-        if key in members:
-            problem = f"is given twice, first in line {members[key].line}"
-            raise InputError(place(where, line), key, problem, "remove one of them")
-        members[key] = _node(value_node, line, where, above)
-    return members
+def _refuse_if_large(nodes: int, levels: int, where: str) -> None:
+    if levels > MOST_LEVELS:
+        raise InputError(where, "YAML", "is nested too deeply", _MEND)
+    if nodes > MOST_NODES:
+        raise InputError(where, "YAML", f"has more than {MOST_NODES} values", _MEND)
+
+
+class _Tree:
+    """From composed nodes to ours; where an alias stands, there its nodes stand again."""
+
+    def __init__(self, where: str) -> None:
+        self._where, self._nodes = where, 0
+
+    def node(self, node: yaml.Node, line: int, above: tuple[yaml.Node, ...]) -> Node:
+        """One node; `above` are those that it lies in."""
+        where = place(self._where, line)
+        if any(node is outer for outer in above):
+            raise InputError(where, "YAML", "holds an alias of itself", "write it out")
+        self._nodes += 1
+        inner = (*above, node)
+        _refuse_if_large(self._nodes, len(inner), where)
+        tag = str(node.tag).removeprefix("tag:yaml.org,2002:")
+        if tag not in _PLAIN_TAGS:
+            raise InputError(where, "YAML", f"has the tag {node.tag}", "remove the tag")
+        if isinstance(node, yaml.MappingNode):
+            return Node(self._members(node, inner), line)
+        if isinstance(node, yaml.SequenceNode):
+            return Node([self.node(o, o.start_mark.line + 1, inner) for o in node.value], line)
+        return Node(node.value if node.style else _plain(node.value), line)
+
+    def _members(self, node: yaml.MappingNode, above: tuple[yaml.Node, ...]) -> dict[str, Node]:
+        members: dict[str, Node] = {}
+        for key_node, value_node in node.value:
+            line = key_node.start_mark.line + 1
+            where = place(self._where, line)
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise InputError(where, "YAML", "has a key that is no word", _MEND)
+            key = key_node.value
+            if key in members:
+                problem = f"is given twice, first in line {members[key].line}"
+                raise InputError(where, key, problem, "remove one of them")
+            members[key] = self.node(value_node, line, above)
+        return members
 
 
 def _plain(text: str) -> str | float | bool | None:
@@ -110,7 +164,11 @@ def _plain(text: str) -> str | float | bool | None:
         return None
     if text.lower() in _TRUTH:
         return _TRUTH[text.lower()]
+    return float(text) if _NUMBER.fullmatch(text) else text
+
+
+def _number(value: int) -> float:
     try:
-        return float(text)
-    except ValueError:
-        return text
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
