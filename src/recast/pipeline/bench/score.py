@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from recast import storage
 from recast.evaluation.grid_row import GridRow
 from recast.evaluation.same_script import script_difference
 from recast.pipeline.bench.scene_run import SceneRun
@@ -12,6 +11,7 @@ from recast.pipeline.bench.scenes import BenchScene
 from recast.pipeline.bench.tasks import ScoreTask
 from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import METRICS_FILE, Method
+from recast.pipeline.metrics_file import read_metrics
 from recast.pipeline.rollouts import read_rollout
 from recast.simulation import Rollout
 
@@ -42,7 +42,7 @@ def score_scene(run: SceneRun, task: ScoreTask) -> tuple[GridRow, ...]:
     row that was not is a failure.
     """
     run.score(dict(task.rollouts))
-    metrics = storage.read_json(run.job.path / METRICS_FILE)
+    metrics = read_metrics(run.job.path / METRICS_FILE)
     scored = {_key(one): one for one in metrics["rollouts"]}
     failures = {_key(one): one for one in metrics["failures"]}
     rows = []
