@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -83,7 +84,22 @@ def test_a_map_without_ground(tmp_path: Path) -> None:
         ({"drivable_area": [[[0, 1], [2, "far"]]]}, "drivable_area.0.1.1: "),
         ({"drivable_area": [[[0, 1], [2, 3]]]}, "HdMap.drivable_area[0]: expected (N >= 3, 2)"),
         ({"lanes": [{"lane_id": "a"}]}, "lanes.0.speed_limit: Field required"),
-        ({"ground": {"origin": [0, 0], "cell": 1, "height": [[1], [1, 2]]}}, "map: "),
+        (
+            {"ground": {"origin": [0, 0], "cell": 1, "height": [[1], [1, 2]]}},
+            "ground.height: rows have",
+        ),
+        ({"ground": {"origin": [0, 0], "cell": 0, "height": [[1]]}}, "cell: 0.0 is not 0.001 to"),
+        ({"ground": {"origin": [0, 0], "cell": 1, "height": []}}, "GroundHeight.height: expected"),
+        (
+            {"ground": {"origin": [0, 1e9], "cell": 1, "height": [[1]]}},
+            "GroundHeight.origin: 1e+09",
+        ),
+        (
+            {"drivable_area": [[[0, 1], [2, 3], [1e300, 0]]]},
+            "drivable_area[0]: 1e+300 is not within",
+        ),
+        ({"drivable_area": [[[0, 1], [2, 3], [10**400, 0]]]}, "drivable_area.0.2.0: "),
+        ({"notes": {"a": "\ud800"}}, "notes['a']: "),
         ({"surprise": 1}, "surprise: Extra inputs"),
     ],
 )
@@ -94,3 +110,53 @@ def test_broken_maps_say_what_is_wrong(tmp_path: Path, change: dict, message: st
         read_map(tmp_path / "map.json")
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_two_lanes_of_one_name_are_refused(tmp_path: Path) -> None:
+    data = json.loads(GOLDEN.read_text())
+    (tmp_path / "map.json").write_text(json.dumps({**data, "lanes": data["lanes"] * 2}))
+    with pytest.raises(InputError, match="two have the same lane_id"):
+        read_map(tmp_path / "map.json")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"speed_limit": float("nan")}, "speed_limit: nan"),
+        ({"speed_limit": 0.0}, "speed_limit: 0"),
+        ({"speed_limit": -3.0}, "speed_limit: -3"),
+        ({"centreline": np.full((3, 3), np.nan)}, "centreline: nan is not within"),
+        ({"left_boundary": np.zeros((1, 3))}, "left_boundary: expected (N >= 2, 3)"),
+        ({"polygon": np.full((3, 2), -np.inf)}, "polygon: -inf is not within"),
+        ({"successors": ("c",)}, "names lane 'c'"),
+        ({"lane_id": "b"}, "lane_id: is 'b'"),
+    ],
+)
+def test_maps_with_impossible_lanes_are_not_written(
+    tmp_path: Path, change: dict, message: str
+) -> None:
+    whole = two_lanes()
+    lanes = {**whole.lanes, "a": replace(whole.lanes["a"], **change)}
+    with pytest.raises(ValueError) as error:
+        write_map(replace(whole, lanes=lanes), tmp_path / "map.json")
+    assert message in str(error.value)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"cell": 0.0}, "cell: 0.0"),
+        ({"cell": float("nan")}, "cell: nan"),
+        ({"origin": np.zeros(3)}, "origin: expected (2,)"),
+        ({"origin": np.array([0, np.inf])}, "origin: inf"),
+        ({"height": np.zeros(4)}, "height: expected (rows, columns)"),
+        ({"height": np.array([[np.inf]])}, "height: inf is not within"),
+    ],
+)
+def test_impossible_ground_is_refused(change: dict, message: str) -> None:
+    ground = two_lanes().ground
+    assert ground is not None
+    with pytest.raises(ValueError) as error:
+        HdMap({}, (), replace(ground, **change)).validate()
+    assert message in str(error.value)

@@ -12,6 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+MOST_PIXELS = 1 << 26
+"""Pixels of an image, at most: 8192 x 8192."""
+LONGEST = 1e7
+"""Pixels: longest focal length, and farthest principal point."""
+
 
 @dataclass(frozen=True)
 class PinholeCamera:
@@ -33,10 +38,15 @@ class PinholeCamera:
 
     def validate(self) -> None:
         """Raise ValueError, naming the field, where a value cannot be a camera's."""
-        if self.width <= 0 or self.height <= 0:
+        if self.width <= 0 or self.height <= 0 or self.width * self.height > MOST_PIXELS:
             raise ValueError(f"PinholeCamera.width, height: {self.width} x {self.height}")
-        if not (self.fx > 0 and self.fy > 0):
-            raise ValueError(f"PinholeCamera.fx, fy: must be positive, got {self.fx}, {self.fy}")
+        if not (0 < self.fx <= LONGEST and 0 < self.fy <= LONGEST):
+            raise ValueError(
+                f"PinholeCamera.fx, fy: must be above 0 and at most {LONGEST:g}, got "
+                f"{self.fx}, {self.fy}"
+            )
+        if not (abs(self.cx) <= LONGEST and abs(self.cy) <= LONGEST):
+            raise ValueError(f"PinholeCamera.cx, cy: no point near an image, {self.cx}, {self.cy}")
         if len(self.distortion) != 5 or not np.all(np.isfinite(self.distortion)):
             raise ValueError(f"PinholeCamera.distortion: five numbers, got {self.distortion}")
 

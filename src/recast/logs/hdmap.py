@@ -8,6 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.logs import checks
+
+FASTEST = 200.0
+"""Metres a second: highest speed limit."""
+
 Array = NDArray[np.float64]
 
 
@@ -62,6 +67,20 @@ class GroundHeight:
         )
         return heights
 
+    def validate(self) -> None:
+        """Raise ValueError naming the field at fault."""
+        where = "GroundHeight"
+        if self.origin.shape != (2,):
+            raise ValueError(f"{where}.origin: expected (2,), got {self.origin.shape}")
+        checks.check_reach(f"{where}.origin", self.origin, checks.WORLD_REACH)
+        least, most = checks.BOX_SIDE
+        if not least <= self.cell <= most:
+            raise ValueError(f"{where}.cell: {self.cell} is not {least} to {most} m")
+        if self.height.ndim != 2 or self.height.size == 0:
+            raise ValueError(f"{where}.height: expected (rows, columns), got {self.height.shape}")
+        known = self.height[~np.isnan(self.height)]
+        checks.check_reach(f"{where}.height", known, checks.WORLD_REACH)
+
 
 @dataclass(frozen=True)
 class HdMap:
@@ -84,20 +103,23 @@ class HdMap:
         """Raise ValueError naming the lane and field at fault."""
         for key, lane in self.lanes.items():
             where = f"HdMap.lanes[{key!r}]"
+            checks.check_name(where, key)
             if lane.lane_id != key:
                 raise ValueError(f"{where}.lane_id: is {lane.lane_id!r}")
             for name in ("centreline", "left_boundary", "right_boundary"):
-                line = getattr(lane, name)
-                if line.ndim != 2 or line.shape[1] != 3 or len(line) < 2:
-                    raise ValueError(f"{where}.{name}: expected (N >= 2, 3), got {line.shape}")
-            if lane.polygon.ndim != 2 or lane.polygon.shape[1] != 2 or len(lane.polygon) < 3:
-                raise ValueError(f"{where}.polygon: expected (N >= 3, 2), got {lane.polygon.shape}")
+                checks.check_lines(f"{where}.{name}", getattr(lane, name), columns=3, least=2)
+            checks.check_lines(f"{where}.polygon", lane.polygon, columns=2, least=3)
+            limit = lane.speed_limit
+            if limit is not None and not 0 < limit <= FASTEST:
+                raise ValueError(f"{where}.speed_limit: {limit} m/s is not within 0 to {FASTEST}")
             linked = (*lane.successors, lane.left_neighbour, lane.right_neighbour)
             for other in linked:
                 if other is not None and other not in self.lanes:
                     raise ValueError(f"{where}: names lane {other!r}, which the map lacks")
         for i, outline in enumerate(self.drivable_area):
-            if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3:
-                raise ValueError(
-                    f"HdMap.drivable_area[{i}]: expected (N >= 3, 2), got {outline.shape}"
-                )
+            checks.check_lines(f"HdMap.drivable_area[{i}]", outline, columns=2, least=3)
+        for key, text in self.notes.items():
+            checks.check_name("HdMap.notes", key)
+            checks.check_text(f"HdMap.notes[{key!r}]", text)
+        if self.ground is not None:
+            self.ground.validate()

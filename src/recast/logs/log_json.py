@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, field_validator
 
 from recast import records, storage
 from recast.geometry import PinholeCamera
@@ -60,6 +60,13 @@ class LogRecord(BaseModel):
     cameras: dict[str, CameraRecord]
     lidars: list[str]
     has_map: bool
+
+    @field_validator("lidars")
+    @classmethod
+    def _different(cls, names: list[str]) -> list[str]:
+        if len(set(names)) != len(names):
+            raise ValueError("a name stands there twice")
+        return names
 
 
 def write_record(record: LogRecord, path: Path) -> None:

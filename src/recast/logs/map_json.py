@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from recast import storage
-from recast.errors import InputError
+from recast.logs.checks import refused
 from recast.logs.hdmap import Array, GroundHeight, HdMap, Lane
 from recast.records import read_record
 
@@ -71,11 +71,9 @@ def read_map(path: str | Path) -> HdMap:
     """
     mend = "import the drive again with this recast"
     model = read_record(path, _MapModel, VERSION, mend, "recast-map")
-    try:
+    with refused(path, mend):
         hd_map = _from_model(model)
         hd_map.validate()
-    except ValueError as error:
-        raise InputError(path, "map", str(error), mend) from None
     return hd_map
 
 
@@ -131,6 +129,10 @@ def _compact(value: Any) -> str:
 
 
 def _from_model(model: _MapModel) -> HdMap:
+    if len({lane.lane_id for lane in model.lanes}) != len(model.lanes):
+        raise ValueError("lanes: two have the same lane_id")
+    if model.ground is not None and len({len(row) for row in model.ground.height}) > 1:
+        raise ValueError("ground.height: rows have different lengths")
     lanes = {
         lane.lane_id: Lane(
             lane_id=lane.lane_id,

@@ -1,11 +1,15 @@
-"""Reading an NCore V4 store back, images and sweeps on demand."""
+"""Reading an NCore V4 store back, images and sweeps on demand.
+
+The files are foreign: `ncore_check` says which may be opened, and what NCore and the libraries
+below it raise for the rest becomes one line here.
+"""
 
 from __future__ import annotations
 
 import functools
-import io
 import os
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -19,17 +23,42 @@ from ncore.data.v4 import (
     PosesComponent,
     SequenceComponentGroupsReader,
 )
-from PIL import Image as PillowImage
 from scipy.spatial.transform import Rotation
 
-from recast import storage
+from recast import names, storage
 from recast.errors import InputError
-from recast.geometry import se3
-from recast.logs import motion
+from recast.geometry import PinholeCamera, se3
+from recast.logs import image_bytes, motion
+from recast.logs.ncore_check import check_store
 from recast.logs.ncore_write import COMPONENT, MASK, REFERENCE, SEQUENCE_FILE
-from recast.logs.types import Array, Image, Int64Array, LidarSweep, Mask, Track, Trajectory
+from recast.logs.types import (
+    Array,
+    CameraStream,
+    Image,
+    Int64Array,
+    LidarStream,
+    LidarSweep,
+    Mask,
+    Track,
+    Trajectory,
+)
 
 Reader = TypeVar("Reader")
+MEND = "import the drive again"
+
+
+@contextmanager
+def _readable(path: Path, field: str) -> Iterator[None]:
+    """Whatever goes wrong with a store's contents inside of the block is one clear line."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (
+        Exception
+    ) as error:  # zarr, cbor, lzma, Blosc, numpy and NCore each raise their own kinds
+        reason = str(error) or type(error).__name__
+        raise InputError(path, field, f"cannot be read ({reason})", MEND) from error
 
 
 @dataclass(frozen=True)
@@ -41,6 +70,11 @@ class NcoreFolder:
     """
 
     folder: Path
+
+    @property
+    def listing(self) -> Path:
+        """The file that names the stores."""
+        return self.folder / SEQUENCE_FILE
 
     def check(self) -> None:
         """Open every store.
@@ -60,48 +94,36 @@ class NcoreFolder:
         Raises:
             InputError: there is none.
         """
-        try:
-            reader: Reader = _open_components(self._open(), cast(Hashable, kind))[name]
-        except KeyError:
-            raise InputError(
-                self.folder / SEQUENCE_FILE,
-                f"{kind.__qualname__.split('.')[0]} {name!r}",
-                "is missing from the stores",
-                "import the drive again",
-            ) from None
-        return reader
+        field = f"{kind.__qualname__.split('.')[0]} {name!r}"
+        with _readable(self.listing, field):
+            components = _open_components(self._open(), cast(Hashable, kind))
+        if name not in components:
+            raise InputError(self.listing, field, "is missing from the stores", MEND)
+        return cast(Reader, components[name])
 
     def _open(self) -> SequenceComponentGroupsReader:
-        path = self.folder / SEQUENCE_FILE
-        if not path.is_file():
-            raise InputError(path, "file", "is missing", "import the drive again")
-        status = path.stat()
+        with storage.disk_errors(self.listing):
+            status = self.listing.stat()
         # Open files cannot be shared with a forked process, nor with a folder written anew.
         return _open(self.folder, os.getpid(), status.st_ino, status.st_mtime_ns)
 
 
 @functools.lru_cache(maxsize=4)
 def _open(folder: Path, pid: int, inode: int, changed: int) -> SequenceComponentGroupsReader:
-    listing = storage.read_json(folder / SEQUENCE_FILE)
-    try:
-        names = [store["path"] for store in listing["component_stores"]]
-    except (KeyError, TypeError):
-        raise InputError(
-            folder / SEQUENCE_FILE, "component_stores", "is missing", "import the drive again"
-        ) from None
-    for name in names:
-        if not (folder / name).is_file():
-            raise InputError(folder / name, "file", "is missing", "import the drive again")
-        try:
-            SequenceComponentGroupsReader([folder / name], max_threads=1)
-        except Exception as error:  # zarr, cbor and lzma each raise their own kinds
-            raise InputError(
-                folder / name,
-                "NCore store",
-                f"cannot be opened ({error})",
-                "import the drive again",
-            ) from error
-    return SequenceComponentGroupsReader([folder / name for name in names], max_threads=1)
+    listing = folder / SEQUENCE_FILE
+    field = "component_stores"
+    with _readable(listing, field):
+        listed = [store["path"] for store in storage.read_json(listing)[field]]
+    if not listed or not all(isinstance(name, str) for name in listed):
+        raise InputError(listing, field, "names no files", MEND)
+    if len(set(listed)) != len(listed):
+        raise InputError(listing, field, "names a store twice", MEND)
+    paths = [names.member(folder, name, listing, field) for name in listed]
+    for path in paths:
+        with _readable(path, "NCore store"):
+            check_store(path)
+    with _readable(listing, "NCore stores"):
+        return SequenceComponentGroupsReader(paths, max_threads=1)
 
 
 @functools.lru_cache(maxsize=64)
@@ -111,10 +133,16 @@ def _open_components(reader: SequenceComponentGroupsReader, kind: Hashable) -> d
 
 @dataclass(frozen=True)
 class StoredImages:
-    """Encoded frames of one camera in a store; implements `EncodedImageSource`."""
+    """Encoded frames of one camera in a store; implements `EncodedImageSource`.
+
+    Attributes:
+        camera: the sensor's name.
+        size: width and height of every frame.
+    """
 
     store: NcoreFolder
     camera: str
+    size: tuple[int, int]
     frame_ids: tuple[int, ...]
 
     def __len__(self) -> int:
@@ -122,16 +150,25 @@ class StoredImages:
         return len(self.frame_ids)
 
     def __getitem__(self, index: int) -> Image:
-        """Decode frame `index` to (height, width, 3) uint8 RGB."""
+        """Decode frame `index` to (height, width, 3) uint8 RGB.
+
+        Raises:
+            InputError: it is damaged, or has another size.
+        """
         data, kind = self.encoded(index)
-        with PillowImage.open(io.BytesIO(data), formats=[kind]) as image:
-            return np.array(image.convert("RGB"))
+        where = f"{self.store.folder}: camera {self.camera}, frame {index}"
+        return image_bytes.decode(data, kind, self.size, where, "log.json")
 
     def encoded(self, index: int) -> tuple[bytes, str]:
-        """The bytes of frame `index` and their format."""
-        reader = self.store.component(CameraSensorComponent.Reader, self.camera)
-        frame = reader.get_frame_data(self.frame_ids[index])
-        return bytes(frame.get_encoded_image_data()), frame.get_encoded_image_format()
+        """The bytes of frame `index` and their format.
+
+        Raises:
+            InputError: they cannot be read.
+        """
+        reader = self.store.component(CameraSensorComponent.Reader, names.folder_name(self.camera))
+        with _readable(self.store.folder, f"camera {self.camera}, frame {index}"):
+            frame = reader.get_frame_data(self.frame_ids[index])
+            return bytes(frame.get_encoded_image_data()), frame.get_encoded_image_format()
 
 
 @dataclass(frozen=True)
@@ -149,9 +186,18 @@ class StoredSweeps:
         return len(self.frame_ids)
 
     def __getitem__(self, index: int) -> LidarSweep:
-        """Decode sweep `index`."""
-        reader = self.store.component(LidarSensorComponent.Reader, self.lidar)
-        frame = self.frame_ids[index]
+        """Decode sweep `index`.
+
+        Raises:
+            InputError: it is damaged.
+        """
+        reader = self.store.component(LidarSensorComponent.Reader, names.folder_name(self.lidar))
+        with _readable(self.store.folder, f"LiDAR {self.lidar}, sweep {index}"):
+            sweep = self._decode(reader, self.frame_ids[index])
+            sweep.validate("sweep")
+        return sweep
+
+    def _decode(self, reader: LidarSensorComponent.Reader, frame: int) -> LidarSweep:
         reference = _reference_time(reader, frame)
         directions = reader.get_frame_ray_bundle_data(frame, "direction").astype(np.float64)
         distances = reader.get_frame_ray_bundle_return_data(frame, "distance_m", 0)
@@ -166,56 +212,74 @@ class StoredSweeps:
 
 
 def read_trajectory(store: NcoreFolder) -> Trajectory:
-    """The ego trajectory."""
-    poses, times = store.component(PosesComponent.Reader, COMPONENT).get_dynamic_pose(
-        "rig", "world"
-    )
-    return Trajectory(times.astype(np.int64), poses.astype(np.float64))
-
-
-def read_mount(store: NcoreFolder, sensor: str) -> Array:
-    """`rig_from_sensor` (4, 4).
+    """The ego trajectory, not validated.
 
     Raises:
-        InputError: the store has no such sensor.
+        InputError: there is none.
     """
+    reader = store.component(PosesComponent.Reader, COMPONENT)
+    with _readable(store.folder, "ego trajectory"):
+        poses, times = reader.get_dynamic_pose("rig", "world")
+        return Trajectory(times.astype(np.int64), poses.astype(np.float64))
+
+
+def read_camera(store: NcoreFolder, name: str, camera: PinholeCamera) -> CameraStream:
+    """One camera with lazy frames; without any where the store has only its calibration.
+
+    Args:
+        camera: its intrinsics, validated.
+
+    Raises:
+        InputError: a part of it is missing or damaged.
+    """
+    times, frames = np.zeros(0, np.int64), ()
+    stored = names.folder_name(name)
+    with _readable(store.folder, f"camera {name!r}"):
+        if store.has(CameraSensorComponent.Reader, stored):
+            reader = store.component(CameraSensorComponent.Reader, stored)
+            times = reader.frames_timestamps_us.reshape(-1, 2)[:, 1].astype(np.int64)
+            frames = tuple(times.tolist())
+        size = (camera.width, camera.height)
+        return CameraStream(
+            name=name,
+            camera=camera,
+            rig_from_camera=_mount(store, stored),
+            timestamps_us=times,
+            images=StoredImages(store, name, size, frames),
+            mask=_mask(store, stored, size),
+        )
+
+
+def _mount(store: NcoreFolder, stored: str) -> Array:
+    """`rig_from_sensor` (4, 4) of the sensor that is stored under this name."""
     poses = store.component(PosesComponent.Reader, COMPONENT)
-    try:
-        return poses.get_static_pose(sensor, "rig").astype(np.float64)
-    except KeyError:
-        raise InputError(
-            store.folder / SEQUENCE_FILE, f"pose of {sensor!r}", "is missing", "import it again"
-        ) from None
+    return poses.get_static_pose(stored, "rig").astype(np.float64)
 
 
-def read_mask(store: NcoreFolder, camera: str) -> Mask | None:
+def _mask(store: NcoreFolder, stored: str, size: tuple[int, int]) -> Mask | None:
     """The mask of usable pixels (height, width), or None."""
     masks = store.component(MasksComponent.Reader, COMPONENT)
-    if MASK not in masks.get_camera_mask_names(camera):
+    if MASK not in masks.get_camera_mask_names(stored):
         return None
-    return np.asarray(masks.get_camera_mask_image(camera, MASK)) == 0
+    data = bytes(masks._group["cameras"][stored][MASK][()])
+    where = f"{store.folder}: mask of camera {stored}"
+    return image_bytes.decode(data, "png", size, where, "log.json", mode="L") == 0
 
 
-def read_images(store: NcoreFolder, camera: str) -> tuple[Int64Array, StoredImages]:
-    """Frame timestamps (F,) and lazy frames of one camera; none where it has only calibration."""
-    if not store.has(CameraSensorComponent.Reader, camera):
-        return np.zeros(0, np.int64), StoredImages(store, camera, ())
-    times = store.component(CameraSensorComponent.Reader, camera).frames_timestamps_us
-    ends = times.reshape(-1, 2)[:, 1].astype(np.int64)
-    return ends, StoredImages(store, camera, tuple(ends.tolist()))
+def read_lidar(store: NcoreFolder, name: str, world_from_rig: Trajectory) -> LidarStream:
+    """One LiDAR with lazy sweeps.
 
-
-def read_sweeps(
-    store: NcoreFolder, lidar: str, rig_from_lidar: Array, world_from_rig: Trajectory
-) -> tuple[Int64Array, StoredSweeps]:
-    """Reference timestamps (S,) and lazy sweeps of one LiDAR."""
-    reader = store.component(LidarSensorComponent.Reader, lidar)
-    frames = tuple(reader.frames_timestamps_us.reshape(-1, 2)[:, 1].astype(np.int64).tolist())
-    times = [_reference_time(reader, frame) for frame in frames]
-    return (
-        np.array(times, np.int64),
-        StoredSweeps(store, lidar, frames, rig_from_lidar, world_from_rig),
-    )
+    Raises:
+        InputError: a part of it is missing or damaged.
+    """
+    stored = names.folder_name(name)
+    reader = store.component(LidarSensorComponent.Reader, stored)
+    with _readable(store.folder, f"LiDAR {name!r}"):
+        frames = tuple(reader.frames_timestamps_us.reshape(-1, 2)[:, 1].astype(np.int64).tolist())
+        times = np.array([_reference_time(reader, frame) for frame in frames], np.int64)
+        mount = _mount(store, stored)
+        sweeps = StoredSweeps(store, name, frames, mount, world_from_rig)
+        return LidarStream(name, mount, times, sweeps)
 
 
 def _reference_time(reader: LidarSensorComponent.Reader, frame: int) -> int:
@@ -223,19 +287,25 @@ def _reference_time(reader: LidarSensorComponent.Reader, frame: int) -> int:
 
 
 def read_tracks(store: NcoreFolder) -> dict[str, Track]:
-    """All tracks, in the order in which they were written."""
+    """All tracks, in the order in which they were written; not validated.
+
+    Raises:
+        InputError: a box is damaged.
+    """
     cuboids = store.component(CuboidsComponent.Reader, COMPONENT)
     # NCore's own get_observations checks types box by box: a millisecond each, and a city log has
     # 12,000. The stored records are the same.
     rows: dict[str, list[Any]] = {}
-    for box in cuboids._group["cuboids"].attrs["cuboid_track_observations"]:
-        rows.setdefault(box["track_id"], []).append(box)
-    tracks = {}
-    for track_id, boxes in rows.items():
-        rotation = Rotation.from_euler("XYZ", [box["bbox3"]["rot"] for box in boxes]).as_matrix()
-        centres = [box["bbox3"]["centroid"] for box in boxes]
-        poses = se3.from_rotation_translation(rotation, centres)
-        times = np.array([box["timestamp_us"] for box in boxes], np.int64)
-        size = np.array(boxes[0]["bbox3"]["dim"], np.float64)
-        tracks[track_id] = Track(track_id, boxes[0]["class_id"], size, Trajectory(times, poses))
-    return tracks
+    with _readable(store.folder, "tracks"):
+        for box in cuboids._group["cuboids"].attrs["cuboid_track_observations"]:
+            rows.setdefault(box["track_id"], []).append(box)
+        return {track_id: _track(track_id, boxes) for track_id, boxes in rows.items()}
+
+
+def _track(track_id: str, boxes: list[Any]) -> Track:
+    rotation = Rotation.from_euler("XYZ", [box["bbox3"]["rot"] for box in boxes]).as_matrix()
+    centres = [box["bbox3"]["centroid"] for box in boxes]
+    poses = se3.from_rotation_translation(rotation, centres)
+    times = np.array([box["timestamp_us"] for box in boxes], np.int64)
+    size = np.array(boxes[0]["bbox3"]["dim"], np.float64)
+    return Track(track_id, boxes[0]["class_id"], size, Trajectory(times, poses))

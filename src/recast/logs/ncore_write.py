@@ -1,7 +1,9 @@
 """Writing a log's sensors, poses and boxes as an NCore V4 store (nvidia-ncore).
 
 Frame names: "world", "rig" and the sensors' own. NCore calls a pose by (source, target); it maps
-source to target, so our `world_from_rig` is its ("rig", "world").
+source to target, so our `world_from_rig` is its ("rig", "world"). Sensors' names become names of
+files and of nodes there, so any that are not plain are stored as `names.folder_name` makes them;
+log.json has the names themselves.
 """
 
 from __future__ import annotations
@@ -9,7 +11,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -37,8 +39,10 @@ from scipy.spatial.transform import Rotation
 from upath import UPath
 
 from recast import storage
+from recast.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.logs import motion
+from recast.logs.checks import refused
 from recast.logs.types import (
     Array,
     CameraStream,
@@ -50,6 +54,7 @@ from recast.logs.types import (
     Mask,
     Trajectory,
 )
+from recast.names import folder_name
 
 COMPONENT = "default"  # instance name NCore's own loader looks for
 MASK = "unusable"  # nonzero where the image is never usable
@@ -61,17 +66,39 @@ def write_ncore(log: DrivingLog, folder: Path, progress: Callable[[int, int], No
     """Write the NCore V4 stores of `log` into `folder`, and ncore.json that lists them.
 
     Args:
+        log: valid, but for its sweeps and images, which are checked as they are written.
         progress: called with the images and sweeps written so far, from 0, and with all there are.
 
     Raises:
-        ValueError: the ego trajectory has fewer than two poses, or an intensity is outside [0, 1].
+        InputError: a sweep or image is not valid, or NCore cannot hold it.
     """
-    first, last = (int(t) for t in log.world_from_rig.timestamps_us[[0, -1]])
-    if first == last:
-        raise ValueError("world_from_rig: at least two poses are needed")
-    with _repeatable_compression():
-        stores = _write_stores(log, folder, HalfClosedInterval(first, last + 1), progress)
+    with _repeatable_compression(), _open_writer(log, folder) as writer:
+        try:
+            stores = _write_stores(writer, log, progress)
+        except AssertionError as error:  # NCore's own checks
+            mend = "take a recording whose sensors agree about its times"
+            raise InputError(f"log {log.name}", "NCore store", str(error), mend) from error
     _write_sequence_file(folder, stores)
+
+
+@contextmanager
+def _open_writer(log: DrivingLog, folder: Path) -> Iterator[SequenceComponentGroupsWriter]:
+    """A writer whose files are closed at the end, whatever happens: NCore closes them only when
+    all is well."""
+    first, last = (int(t) for t in log.world_from_rig.timestamps_us[[0, -1]])
+    writer = SequenceComponentGroupsWriter(
+        output_dir_path=UPath(folder),
+        store_base_name="log",
+        sequence_id=log.name,
+        sequence_timestamp_interval_us=HalfClosedInterval(first, last + 1),
+        generic_meta_data={},
+    )
+    try:
+        yield writer
+    finally:
+        for group, _ in writer._stores_rootgroups.values():
+            with suppress(OSError):  # of a full disk, which was told already
+                group.store.tar_file_object.close()
 
 
 @contextmanager
@@ -86,18 +113,8 @@ def _repeatable_compression() -> Iterator[None]:
 
 
 def _write_stores(
-    log: DrivingLog,
-    folder: Path,
-    interval: HalfClosedInterval,
-    progress: Callable[[int, int], None],
+    writer: SequenceComponentGroupsWriter, log: DrivingLog, progress: Callable[[int, int], None]
 ) -> list[str]:
-    writer = SequenceComponentGroupsWriter(
-        output_dir_path=UPath(folder),
-        store_base_name="log",
-        sequence_id=log.name,
-        sequence_timestamp_interval_us=interval,
-        generic_meta_data={},
-    )
     _write_poses(writer, log)
     _write_calibration(writer, log)
     _write_tracks(writer, log)
@@ -127,18 +144,18 @@ def _write_poses(writer: SequenceComponentGroupsWriter, log: DrivingLog) -> None
     offset = se3.from_rotation_translation(np.eye(3), log.world_offset)
     poses.store_static_pose("world", "world_global", offset)
     for name, camera in log.cameras.items():
-        poses.store_static_pose(name, "rig", camera.rig_from_camera)
+        poses.store_static_pose(folder_name(name), "rig", camera.rig_from_camera)
     for name, lidar in log.lidars.items():
-        poses.store_static_pose(name, "rig", lidar.rig_from_lidar)
+        poses.store_static_pose(folder_name(name), "rig", lidar.rig_from_lidar)
 
 
 def _write_calibration(writer: SequenceComponentGroupsWriter, log: DrivingLog) -> None:
     intrinsics = writer.register_component_writer(IntrinsicsComponent.Writer, COMPONENT)
     masks = writer.register_component_writer(MasksComponent.Writer, COMPONENT)
     for name, stream in log.cameras.items():
-        intrinsics.store_camera_intrinsics(name, _ncore_camera(stream.camera))
+        intrinsics.store_camera_intrinsics(folder_name(name), _ncore_camera(stream.camera))
         images = {} if stream.mask is None else {MASK: _mask_image(stream.mask)}
-        masks.store_camera_masks(name, images)
+        masks.store_camera_masks(folder_name(name), images)
 
 
 def _ncore_camera(camera: PinholeCamera) -> OpenCVPinholeCameraModelParameters:
@@ -187,9 +204,8 @@ def _triple(values: Array) -> tuple[float, float, float]:
 
 
 def _write_images(writer: SequenceComponentGroupsWriter, stream: CameraStream) -> Iterator[None]:
-    frames = writer.register_component_writer(
-        CameraSensorComponent.Writer, stream.name, group_name=stream.name
-    )
+    name = folder_name(stream.name)
+    frames = writer.register_component_writer(CameraSensorComponent.Writer, name, group_name=name)
     for index, time in enumerate(stream.timestamps_us):
         data, kind = _encoded(stream, index)
         frames.store_frame(data, kind, np.array([time, time], np.uint64), {}, {})
@@ -200,27 +216,33 @@ def _encoded(stream: CameraStream, index: int) -> tuple[bytes, str]:
     """The frame's own bytes where it has some, else a PNG: never a second lossy encoding."""
     if isinstance(stream.images, EncodedImageSource):
         return stream.images.encoded(index)
+    image, camera = stream.images[index], stream.camera
+    if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8:
+        raise InputError(
+            f"cameras[{stream.name!r}]", f"images[{index}]",
+            f"is {image.shape} {image.dtype}, the intrinsics are of {camera.width}x{camera.height}",
+            "give images and intrinsics of the same size",
+        )  # fmt: skip
     buffer = io.BytesIO()
-    PillowImage.fromarray(stream.images[index]).save(buffer, format="png")
+    PillowImage.fromarray(image).save(buffer, format="png")
     return buffer.getvalue(), "png"
 
 
 def _write_sweeps(
     writer: SequenceComponentGroupsWriter, lidar: LidarStream, world_from_rig: Trajectory
 ) -> Iterator[None]:
-    frames = writer.register_component_writer(
-        LidarSensorComponent.Writer, lidar.name, group_name=lidar.name
-    )
+    name = folder_name(lidar.name)
+    frames = writer.register_component_writer(LidarSensorComponent.Writer, name, group_name=name)
     lidar_from_rig = se3.inverse(lidar.rig_from_lidar)
     for index in range(len(lidar.timestamps_us)):
         sweep = lidar.sweeps[index]
-        directions, distances = _rays(sweep, lidar_from_rig, world_from_rig)
+        with refused("log", "import the drive from files that are whole"):
+            sweep.validate(f"lidars[{lidar.name!r}].sweeps[{index}]")
+            directions, distances = _rays(sweep, lidar_from_rig, world_from_rig)
         times = sweep.point_timestamps_us
         if times is None:
             times = np.full(len(distances), sweep.timestamp_us, np.int64)
         span = np.append(times, sweep.timestamp_us)
-        if np.any((sweep.intensity < 0) | (sweep.intensity > 1)):
-            raise ValueError(f"lidars[{lidar.name!r}].sweeps[{index}].intensity: outside [0, 1]")
         frames.store_frame(
             direction=directions,
             timestamp_us=times.astype(np.uint64),

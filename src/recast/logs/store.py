@@ -12,10 +12,11 @@ import numpy as np
 from recast import storage
 from recast.errors import InputError
 from recast.logs import ncore_read
+from recast.logs.checks import refused
 from recast.logs.log_json import CameraRecord, LogRecord, read_record, write_record
 from recast.logs.map_json import read_map, write_map
 from recast.logs.ncore_write import write_ncore
-from recast.logs.types import CameraStream, DrivingLog, LidarStream
+from recast.logs.types import DrivingLog
 
 LOG_FILE = "log.json"
 MAP_FILE = "map.json"
@@ -52,10 +53,10 @@ def write_log(log: DrivingLog, path: str | Path) -> None:
     as measured.
 
     Raises:
-        ValueError: the log is not valid.
-        InputError: `path` exists, or the disk is full.
+        InputError: the log is not valid, `path` exists, or the disk refuses.
     """
-    log.validate()
+    with refused(f"log {log.name}", "correct the data that the log was made of"):
+        log.validate()
     with storage.atomic_folder(path) as folder:
         write_ncore(log, folder, _watcher.get())
         if log.map is not None:
@@ -89,32 +90,19 @@ def read_log(path: str | Path) -> DrivingLog:
     world_from_rig = ncore_read.read_trajectory(store)
     cameras = {}
     for name, camera in record.cameras.items():
-        times, images = ncore_read.read_images(store, name)
-        cameras[name] = CameraStream(
-            name=name,
-            camera=camera.camera(),
-            rig_from_camera=ncore_read.read_mount(store, name),
-            timestamps_us=times,
-            images=images,
-            mask=ncore_read.read_mask(store, name),
-        )
-    lidars = {}
-    for name in record.lidars:
-        mount = ncore_read.read_mount(store, name)
-        times, sweeps = ncore_read.read_sweeps(store, name, mount, world_from_rig)
-        lidars[name] = LidarStream(name, mount, times, sweeps)
+        with refused(folder / LOG_FILE, "import the drive again"):
+            camera.camera().validate()  # before images and masks are as large as it says
+        cameras[name] = ncore_read.read_camera(store, name, camera.camera())
     log = DrivingLog(
         name=record.name,
         cameras=cameras,
-        lidars=lidars,
+        lidars={n: ncore_read.read_lidar(store, n, world_from_rig) for n in record.lidars},
         world_from_rig=world_from_rig,
         tracks=ncore_read.read_tracks(store),
         map=read_map(folder / MAP_FILE) if record.has_map else None,
         world_offset=np.array(record.world_offset, np.float64),
         metadata=record.metadata,
     )
-    try:
+    with refused(path, "import the drive again"):
         log.validate()
-    except ValueError as error:
-        raise InputError(path, "log", str(error), "import the drive again") from None
     return log

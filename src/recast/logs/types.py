@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from recast.geometry import PinholeCamera, se3
+from recast.logs import checks
 from recast.logs.hdmap import HdMap
 
 Array = NDArray[np.float64]
@@ -21,6 +22,9 @@ Int64Array = NDArray[np.int64]
 Float32Array = NDArray[np.float32]
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
+
+FRAMES = ("world", "rig")
+"""Names of coordinate frames, which sensors cannot have."""
 
 
 class ImageSource(Protocol):
@@ -89,6 +93,23 @@ class LidarSweep:
     intensity: Float32Array
     point_timestamps_us: Int64Array | None = None
 
+    def validate(self, where: str) -> None:
+        """Raise ValueError naming the field of `where` at fault: its shape or range."""
+        count = len(self.points)
+        if self.points.shape != (count, 3):
+            raise ValueError(f"{where}.points: expected (N, 3), got {self.points.shape}")
+        checks.check_reach(f"{where}.points", self.points, checks.SENSOR_REACH)
+        if self.intensity.shape != (count,) or not np.all(
+            (self.intensity >= 0) & (self.intensity <= 1)
+        ):
+            raise ValueError(f"{where}.intensity: {count} values are needed, none outside [0, 1]")
+        times = np.asarray(self.timestamp_us)[None]
+        if self.point_timestamps_us is not None:
+            if self.point_timestamps_us.shape != (count,):
+                raise ValueError(f"{where}.point_timestamps_us: not {count} times")
+            times = np.append(self.point_timestamps_us, times)
+        checks.check_time_range(f"{where}.timestamp_us", times)
+
 
 @dataclass(frozen=True)
 class LidarStream:
@@ -126,6 +147,15 @@ class Trajectory:
         """Whether `timestamp_us` lies within the recorded interval."""
         return bool(self.timestamps_us[0] <= timestamp_us <= self.timestamps_us[-1])
 
+    def validate(self, where: str) -> None:
+        """Raise ValueError naming the field of `where` at fault."""
+        checks.check_times(f"{where}.timestamps_us", self.timestamps_us)
+        count = len(self.timestamps_us)
+        if count == 0 or self.poses.shape != (count, 4, 4):
+            needed = f"expected ({max(count, 1)}, 4, 4)"
+            raise ValueError(f"{where}.poses: {needed}, got {self.poses.shape}")
+        checks.check_poses(f"{where}.poses", self.poses, checks.WORLD_REACH)
+
 
 @dataclass(frozen=True)
 class Track:
@@ -143,6 +173,15 @@ class Track:
     category: str
     size: Array
     trajectory: Trajectory
+
+    def validate(self, where: str) -> None:
+        """Raise ValueError naming the field of `where` at fault."""
+        checks.check_name(f"{where}.track_id", self.track_id)
+        checks.check_name(f"{where}.category", self.category)
+        least, most = checks.BOX_SIDE
+        if self.size.shape != (3,) or not np.all((self.size >= least) & (self.size <= most)):
+            raise ValueError(f"{where}.size: three metres of {least} to {most}, got {self.size}")
+        self.trajectory.validate(where)
 
 
 @dataclass(frozen=True)
@@ -168,68 +207,60 @@ class DrivingLog:
     metadata: Mapping[str, str] = field(default_factory=dict)
 
     def validate(self) -> None:
-        """Raise ValueError naming the field and the shape at fault."""
-        _check_trajectory("world_from_rig", self.world_from_rig)
+        """Raise ValueError naming the field at fault: shape, order, range, rotation, name.
+
+        Images and sweeps are not read; see `LidarSweep.validate`.
+        """
+        checks.check_text("name", self.name)
+        for key, text in self.metadata.items():
+            checks.check_name("metadata", key)
+            checks.check_text(f"metadata[{key!r}]", text)
+        if self.world_offset.shape != (3,) or not np.all(np.isfinite(self.world_offset)):
+            raise ValueError(f"world_offset: three finite metres, got {self.world_offset}")
+        self.world_from_rig.validate("world_from_rig")
+        if len(self.world_from_rig.timestamps_us) < 2:
+            raise ValueError("world_from_rig: at least two poses are needed")
         for name, stream in self.cameras.items():
             where = f"cameras[{name!r}]"
+            self._check_sensor(where, name, stream, stream.rig_from_camera, len(stream.images))
             stream.camera.validate()
-            _check_pose(f"{where}.rig_from_camera", stream.rig_from_camera)
-            _check_times(f"{where}.timestamps_us", stream.timestamps_us)
-            if len(stream.images) != len(stream.timestamps_us):
-                raise ValueError(
-                    f"{where}.images: {len(stream.images)} frames for "
-                    f"{len(stream.timestamps_us)} timestamps"
-                )
             shape = (stream.camera.height, stream.camera.width)
-            if stream.mask is not None and stream.mask.shape != shape:
-                raise ValueError(f"{where}.mask: shape {stream.mask.shape}, expected {shape}")
-            self._check_covered(f"{where}.timestamps_us", stream.timestamps_us)
+            if stream.mask is not None and (
+                stream.mask.shape != shape or stream.mask.dtype != np.bool_
+            ):
+                found = f"{stream.mask.shape} {stream.mask.dtype}"
+                raise ValueError(f"{where}.mask: {found}, expected {shape} bool")
         for name, lidar in self.lidars.items():
             where = f"lidars[{name!r}]"
-            _check_pose(f"{where}.rig_from_lidar", lidar.rig_from_lidar)
-            _check_times(f"{where}.timestamps_us", lidar.timestamps_us)
-            if len(lidar.sweeps) != len(lidar.timestamps_us):
-                raise ValueError(
-                    f"{where}.sweeps: {len(lidar.sweeps)} for {len(lidar.timestamps_us)} timestamps"
-                )
-            self._check_covered(f"{where}.timestamps_us", lidar.timestamps_us)
+            self._check_sensor(where, name, lidar, lidar.rig_from_lidar, len(lidar.sweeps))
+            if name in self.cameras:
+                raise ValueError(f"{where}: a camera has the same name")
         for key, track in self.tracks.items():
-            where = f"tracks[{key!r}]"
+            track.validate(f"tracks[{key!r}]")
             if track.track_id != key:
-                raise ValueError(f"{where}.track_id: is {track.track_id!r}, its key {key!r}")
-            if track.size.shape != (3,) or not np.all(track.size > 0):
-                raise ValueError(f"{where}.size: three positive metres, got {track.size}")
-            _check_trajectory(where, track.trajectory)
-            self._check_covered(f"{where}.timestamps_us", track.trajectory.timestamps_us)
+                raise ValueError(f"tracks[{key!r}].track_id: is {track.track_id!r}")
+            self._check_covered(f"tracks[{key!r}]", track.trajectory.timestamps_us)
+        if self.map is not None:
+            self.map.validate()
+
+    def _check_sensor(
+        self, where: str, key: str, stream: CameraStream | LidarStream, mount: Array, frames: int
+    ) -> None:
+        checks.check_name(where, key)
+        if stream.name != key:
+            raise ValueError(f"{where}.name: is {stream.name!r}")
+        if key in FRAMES:
+            raise ValueError(f"{where}: no sensor can be called {' or '.join(FRAMES)}")
+        checks.check_poses(f"{where}: its mounting", mount, checks.SENSOR_REACH)
+        if mount.shape != (4, 4):
+            raise ValueError(f"{where}: its mounting: expected (4, 4), got {mount.shape}")
+        times = stream.timestamps_us
+        checks.check_times(f"{where}.timestamps_us", times)
+        if frames != len(times):
+            raise ValueError(f"{where}: {frames} frames for {len(times)} timestamps")
+        self._check_covered(f"{where}.timestamps_us", times)
 
     def _check_covered(self, where: str, timestamps_us: Int64Array) -> None:
         first, last = self.world_from_rig.timestamps_us[[0, -1]]
         if len(timestamps_us) and not (first <= timestamps_us[0] and timestamps_us[-1] <= last):
             raise ValueError(f"{where}: outside the ego trajectory [{first}, {last}] us")
-
-
-def _check_times(where: str, timestamps_us: Int64Array) -> None:
-    if timestamps_us.ndim != 1 or timestamps_us.dtype != np.int64:
-        raise ValueError(
-            f"{where}: expected (T,) int64, got {timestamps_us.shape} {timestamps_us.dtype}"
-        )
-    if np.any(np.diff(timestamps_us) <= 0):
-        raise ValueError(f"{where}: must increase strictly")
-
-
-def _check_pose(where: str, pose: Array) -> None:
-    if pose.shape[-2:] != (4, 4):
-        raise ValueError(f"{where}: expected (..., 4, 4), got {pose.shape}")
-    rotation = pose[..., :3, :3]
-    if not np.allclose(rotation @ np.swapaxes(rotation, -1, -2), np.eye(3), atol=1e-5):
-        raise ValueError(f"{where}: the upper left 3x3 block is not a rotation")
-
-
-def _check_trajectory(where: str, trajectory: Trajectory) -> None:
-    _check_times(f"{where}.timestamps_us", trajectory.timestamps_us)
-    if trajectory.poses.shape != (len(trajectory.timestamps_us), 4, 4):
-        raise ValueError(
-            f"{where}.poses: expected ({len(trajectory.timestamps_us)}, 4, 4), "
-            f"got {trajectory.poses.shape}"
-        )
-    _check_pose(f"{where}.poses", trajectory.poses)
