@@ -104,7 +104,7 @@ CASES: dict[str, tuple[Damage, str]] = {
     ),
     "labels that do not exist": (
         lambda d: d.labels.unlink(),
-        "labels.txt: label file: is missing",
+        "labels.txt: file: is missing",
     ),
     "timestamps out of order": (
         lambda d: _swap_lines(d.folder / "image_02/timestamps.txt", 4, 5),
@@ -136,7 +136,7 @@ CASES: dict[str, tuple[Damage, str]] = {
     ),
     "no images": (
         lambda d: shutil.rmtree(d.folder / "image_02"),
-        "image_02: no such camera",
+        "cameras: image_00 to image_03 are missing",
     ),
     "no such drive": (
         lambda d: d.folder.rename(d.folder.with_name("2011_09_26_drive_0002_sync")),

@@ -18,6 +18,7 @@ from recast.geometry import PinholeCamera, se3
 from recast.logs import motion
 from recast.logs.derive_map import derive_map, ego_path
 from recast.logs.importers import kitti_files
+from recast.logs.importers.cameras import chosen_cameras
 from recast.logs.importers.image_files import ImageFiles
 from recast.logs.importers.kitti_calibration import KittiCalibration, read_calibration
 from recast.logs.importers.kitti_check import check_labels_fit
@@ -30,6 +31,7 @@ from recast.logs.importers.kitti_velodyne import (
     list_turns,
     turn_times,
 )
+from recast.logs.importers.pose_jumps import first_jump
 from recast.logs.refine_trajectory import heading_offset, refine_trajectory
 from recast.logs.store import write_log
 from recast.logs.types import (
@@ -41,6 +43,8 @@ from recast.logs.types import (
 )
 
 VELODYNE = "velodyne"
+GREY = ("image_00", "image_01")
+COLOUR = ("image_02", "image_03")
 LICENCE = "CC BY-NC-SA 3.0"
 
 
@@ -49,7 +53,7 @@ def import_kitti(
     drive: str,
     out: Path,
     labels: Path | None = None,
-    cameras: Sequence[str] = ("image_02",),
+    cameras: Sequence[str] = (),
     refine: bool = True,
 ) -> None:
     """Import one KITTI raw drive, with a map derived from it, into the new log folder `out`.
@@ -60,7 +64,8 @@ def import_kitti(
         out: log folder to write; it appears whole or not at all.
         labels: a KITTI tracking label file (.txt) or tracklet_labels.xml; without one, the drive's
             own tracklet_labels.xml is taken where it exists.
-        cameras: image folders to take.
+        cameras: image folders to take; none named means image_02 and image_03, as far as there
+            are, for a scene cannot learn colours from the grey images of image_00 and image_01.
         refine: correct the GPS/IMU poses by matching sweeps; without it static things are smeared
             by decimetres.
 
@@ -79,7 +84,7 @@ def load_kitti(
     root: Path,
     drive: str,
     labels: Path | None = None,
-    cameras: Sequence[str] = ("image_02",),
+    cameras: Sequence[str] = (),
     refine: bool = True,
 ) -> DrivingLog:
     """Read a KITTI raw drive as a log; images and sweeps stay in its files until asked for.
@@ -91,9 +96,10 @@ def load_kitti(
         InputError: see `import_kitti`.
     """
     files = kitti_files.find_drive(Path(root), drive)
-    calibration = read_calibration(files.calibration, tuple(cameras))
+    chosen_cameras = _cameras(files, cameras)
+    calibration = read_calibration(files.calibration, chosen_cameras)
     turns = list_turns(files.folder / "velodyne_points")
-    images = {name: _image_files(files, name) for name in cameras}
+    images = {name: _image_files(files, name) for name in chosen_cameras}
     # What can be found wrong in the files is found before the long work.
     for name, listed in images.items():
         _image_source(calibration.cameras[name], listed.paths).check()
@@ -136,12 +142,18 @@ def load_kitti(
     return replace(log, tracks=tracks)
 
 
+def _cameras(files: KittiDrive, named: Sequence[str]) -> tuple[str, ...]:
+    """The cameras to take: those named, or else all with colours, or else all."""
+    found = [name for name in GREY + COLOUR if (files.folder / name).is_dir()]
+    if not found:
+        mend = "unpack the drive's images beside its velodyne_points"
+        raise InputError(files.folder, "cameras", "image_00 to image_03 are missing", mend)
+    coloured = [name for name in found if name in COLOUR]
+    return tuple(chosen_cameras(files.folder, found, named or coloured))
+
+
 def _image_files(files: KittiDrive, name: str) -> SensorFiles:
-    folder = files.folder / name
-    if not folder.is_dir():
-        found = ", ".join(sorted(path.name for path in files.folder.glob("image_0?")))
-        raise InputError(files.folder, name, "no such camera", f"choose from: {found or 'none'}")
-    listed = kitti_files.list_frames(folder, ".png")
+    listed = kitti_files.list_frames(files.folder / name, ".png")
     trigger, _, _ = turn_times(files.folder / "velodyne_points")
     if listed.indices[-1] >= len(trigger):
         return listed
@@ -157,6 +169,10 @@ def _ego(
     """The ego trajectory (of the rig frame, near the origin) and the offset taken off it."""
     listed = kitti_files.list_frames(files.folder / "oxts", ".txt")
     world_from_imu = poses_from_oxts(read_oxts(listed))
+    jump = first_jump(listed.timestamps_us, world_from_imu)
+    if jump is not None:
+        problem = f"is {jump[1]:.0f} m from the packet before it"
+        raise InputError(listed.paths[jump[0]], "position", problem, "download it again")
     poses = world_from_imu @ se3.inverse(calibration.rig_from_imu)
     offset = poses[0, :3, 3].copy()
     poses[:, :3, 3] -= offset
@@ -168,6 +184,7 @@ def _camera(
 ) -> CameraStream:
     camera = calibration.cameras[name]
     kept = [i for i, time in enumerate(listed.timestamps_us) if trajectory.covers(int(time))]
+    _require(kept, listed.paths)
     return CameraStream(
         name=name,
         camera=camera,
@@ -175,6 +192,13 @@ def _camera(
         timestamps_us=listed.timestamps_us[kept],
         images=_image_source(camera, tuple(listed.paths[i] for i in kept)),
     )
+
+
+def _require(kept: Sequence[int], paths: Sequence[Path]) -> None:
+    if not kept:
+        problem = "no frame was taken while there were OXTS poses"
+        mend = "take sensors and poses of the same drive"
+        raise InputError(paths[0].parents[1], "timestamps.txt", problem, mend)
 
 
 def _image_source(camera: PinholeCamera, paths: tuple[Path, ...]) -> ImageFiles:
@@ -189,6 +213,7 @@ def _lidar(
         for i in range(len(turns.paths))
         if trajectory.covers(int(turns.start_us[i])) and trajectory.covers(int(turns.end_us[i]))
     ]
+    _require(kept, turns.paths)
     kept_turns = turns.select(kept)
     mount = calibration.rig_from_velodyne
     return LidarStream(

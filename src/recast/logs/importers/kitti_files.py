@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from recast import storage
 from recast.errors import InputError
 from recast.logs.types import Array, Int64Array
+
+TEXT_LIMIT = 1 << 26
+"""Bytes of a text file; labels of a long drive have 1 MB."""
+_FRAME = re.compile(r"[0-9]{1,10}")
+_TIME = re.compile(
+    r"(19[7-9][0-9]|2[01][0-9]{2})-[0-9]{2}-[0-9]{2}[ T]"  # nanoseconds end in the year 2262
+    r"[0-9]{2}:[0-9]{2}:[0-9]{2}(\.[0-9]{1,9})?"
+)
 
 
 @dataclass(frozen=True)
@@ -68,11 +78,15 @@ def list_frames(sensor: Path, suffix: str) -> SensorFiles:
     paths = sorted((sensor / "data").glob(f"*{suffix}"))
     if not paths:
         raise InputError(sensor / "data", f"*{suffix}", "no such files", "check the download")
-    try:
-        indices = np.array([int(path.stem) for path in paths], np.int64)
-    except ValueError:
-        odd = next(path for path in paths if not path.stem.isdigit())
-        raise InputError(odd, "file name", "is not a frame number", "remove the file") from None
+    for path in paths:
+        if not _FRAME.fullmatch(path.stem):
+            raise InputError(path, "file name", "is not a frame number", "remove the file")
+    paths.sort(key=lambda path: int(path.stem))
+    indices = np.array([int(path.stem) for path in paths], np.int64)
+    twice = np.flatnonzero(np.diff(indices) == 0)
+    if len(twice):
+        problem = f"is frame {indices[twice[0]]}, like {paths[twice[0] + 1].name}"
+        raise InputError(paths[twice[0]], "file name", problem, "remove one of the two")
     times = read_timestamps(sensor / "timestamps.txt")
     if indices[-1] >= len(times):
         raise InputError(
@@ -100,18 +114,18 @@ def read_timestamps(path: Path) -> Int64Array:
     Raises:
         InputError: the file is missing or a line is not a time.
     """
-    if not path.is_file():
-        raise InputError(path, "file", "is missing", "download the drive again")
     times = []
-    for number, line in enumerate(path.read_text().splitlines(), start=1):
-        if not line.strip():
-            continue
+    for number, line in enumerate(
+        storage.read_text(path, TEXT_LIMIT).rstrip().split("\n"), start=1
+    ):
+        time = line.strip()
         try:
-            nanoseconds = np.datetime64(line.strip().replace(" ", "T"), "ns").astype(np.int64)
+            if not _TIME.fullmatch(time):
+                raise ValueError
+            nanoseconds = np.datetime64(time.replace(" ", "T"), "ns").astype(np.int64)
         except ValueError:
-            raise InputError(
-                path, f"line {number}", f"{line.strip()!r} is not a time", "download it again"
-            ) from None
+            problem = f"{time!r} is not a time"
+            raise InputError(path, f"line {number}", problem, "download it again") from None
         times.append(int(nanoseconds) // 1000)
     return np.array(times, np.int64)
 
@@ -122,11 +136,9 @@ def read_numbers(path: Path) -> Array:
     Raises:
         InputError: missing, or something in it is not a number.
     """
-    if not path.is_file():
-        raise InputError(path, "file", "is missing", "download the drive again")
+    text = storage.read_text(path, TEXT_LIMIT)
     try:
-        return np.array([float(word) for word in path.read_text().split()])
-    except (ValueError, UnicodeDecodeError) as error:
-        raise InputError(
-            path, "numbers", f"cannot be read ({error})", "download it again"
-        ) from None
+        return np.array([float(word) for word in text.split()])
+    except ValueError as error:
+        problem = f"cannot be read ({error})"
+        raise InputError(path, "numbers", problem, "download it again") from None

@@ -8,9 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
+from recast import storage
 from recast.errors import InputError
 from recast.geometry import se3
+from recast.logs.checks import BOX_SIDE, SENSOR_REACH, check_reach, refused
+from recast.logs.importers.kitti_files import TEXT_LIMIT
 from recast.logs.types import Array, Int64Array
+
+MOST_FRAMES = 10_000_000
+"""Frames of a drive: eleven days of them."""
 
 CATEGORIES = {
     "car": "car",
@@ -55,7 +61,7 @@ def read_tracking_labels(path: Path) -> list[LabelledTrack]:
         InputError: missing, or a row is malformed.
     """
     rows: dict[int, list[tuple[str, Array]]] = {}
-    for number, line in enumerate(_text(path).splitlines(), start=1):
+    for number, line in enumerate(storage.read_text(path, TEXT_LIMIT).split("\n"), start=1):
         words = line.split()
         if not words or words[2:3] == ["DontCare"]:
             continue
@@ -67,11 +73,22 @@ def read_tracking_labels(path: Path) -> list[LabelledTrack]:
             values = np.array([float(word) for word in words[10:17]])
         except ValueError as error:
             raise InputError(path, f"line {number}", str(error), mend) from None
-        if frame < 0 or not np.all(np.isfinite(values)) or np.any(values[:3] <= 0):
-            raise InputError(path, f"line {number}", "is not a box in front of a camera", mend)
+        if not 0 <= frame < MOST_FRAMES:
+            raise InputError(path, f"line {number}", f"frame {frame} is none", mend)
+        with refused(path, mend):
+            _check_box(f"line {number}", values[:3], values[3:])
         category = _category(words[2], path, f"line {number}")
         rows.setdefault(track, []).append((category, np.array([frame, *values])))
     return [_tracking_track(path, track, rows[track]) for track in sorted(rows)]
+
+
+def _check_box(where: str, size: Array, places: Array) -> None:
+    """Check sides (3,), and places (..., 4) in metres with a heading in radians."""
+    least, most = BOX_SIDE
+    if not np.all((size >= least) & (size <= most)):
+        raise ValueError(f"{where}: a box has three sides of {least} to {most} m")
+    check_reach(f"{where}: place", places[..., :3], SENSOR_REACH)
+    check_reach(f"{where}: heading", places[..., 3], SENSOR_REACH)
 
 
 def _tracking_track(path: Path, track: int, rows: list[tuple[str, Array]]) -> LabelledTrack:
@@ -107,10 +124,14 @@ def read_tracklets(path: Path) -> list[LabelledTrack]:
     Raises:
         InputError: missing, not XML, or a tracklet lacks a field.
     """
+    mend = "download it again"
+    text = storage.read_text(path, TEXT_LIMIT)
+    if "<!ENTITY" in text:  # which can multiply; KITTI has none
+        raise InputError(path, "XML", "defines entities", mend)
     try:
-        root = ElementTree.fromstring(_text(path))
-    except ElementTree.ParseError as error:
-        raise InputError(path, "XML", f"cannot be read ({error})", "download it again") from None
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError, RecursionError) as error:
+        raise InputError(path, "XML", f"cannot be read ({error})", mend) from None
     tracks = []
     for number, item in enumerate(root.findall("tracklets/item")):
         where = f"tracklet {number}"
@@ -119,16 +140,18 @@ def read_tracklets(path: Path) -> list[LabelledTrack]:
             [_number(pose, key, path, where) for key in ("tx", "ty", "tz", "rz")]
             for pose in item.findall("poses/item")
         ]
-        if not poses or np.any(size <= 0):
-            raise InputError(path, where, "has no poses or no size", "download it again")
+        first = _number(item, "first_frame", path, where)
+        if not poses or not (first.is_integer() and 0 <= first < MOST_FRAMES):
+            raise InputError(path, where, f"{len(poses)} poses from frame {first:g} on", mend)
         values = np.array(poses)
+        with refused(path, mend):
+            _check_box(where, size, values)
         centre = values[:, :3] + [0.0, 0.0, size[2] / 2]
-        first = int(_number(item, "first_frame", path, where))
         tracks.append(
             LabelledTrack(
                 track_id=str(number),
                 category=_category(item.findtext("objectType", ""), path, where),
-                frames=np.arange(first, first + len(values), dtype=np.int64),
+                frames=int(first) + np.arange(len(values), dtype=np.int64),
                 sensor_from_box=se3.from_rotation_translation(se3.rotation_z(values[:, 3]), centre),
                 size=size,
             )
@@ -136,23 +159,15 @@ def read_tracklets(path: Path) -> list[LabelledTrack]:
     return tracks
 
 
-def _text(path: Path) -> str:
-    try:
-        return path.read_text()
-    except FileNotFoundError:
-        raise InputError(path, "label file", "is missing", "check the path") from None
-    except (UnicodeDecodeError, IsADirectoryError) as error:
-        raise InputError(
-            path, "label file", f"cannot be read ({error})", "check the path"
-        ) from None
-
-
 def _number(element: ElementTree.Element, key: str, path: Path, where: str) -> float:
     text = element.findtext(key)
     try:
-        return float(text if text is not None else "")
+        value = float(text if text is not None else "")
     except ValueError:
-        raise InputError(path, f"{where}.{key}", f"is {text!r}", "download it again") from None
+        value = float("nan")
+    if not np.isfinite(value):
+        raise InputError(path, f"{where}.{key}", f"is {text!r}", "download it again")
+    return value
 
 
 def _category(name: str, path: Path, where: str) -> str:

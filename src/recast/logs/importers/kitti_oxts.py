@@ -18,6 +18,7 @@ from recast.logs.types import Array
 EARTH_RADIUS = 6378137.0
 FIELDS = 30
 MAX_GAP_US = 1_000_000
+HIGHEST = 10_000.0  # metres above the sea
 
 
 def read_oxts(files: SensorFiles) -> Array:
@@ -33,8 +34,12 @@ def read_oxts(files: SensorFiles) -> Array:
             raise InputError(
                 path, "fields", f"{len(values)} of {FIELDS} numbers", "download the file again"
             )
-        if not np.all(np.isfinite(values)) or abs(values[0]) > 89:
-            raise InputError(path, "latitude", f"{values[0]} is no place", "download it again")
+        if not np.all(np.isfinite(values)):
+            raise InputError(path, "fields", "hold NaN or infinity", "download it again")
+        latitude, longitude, altitude = values[:3]
+        if abs(latitude) > 89 or abs(longitude) > 180 or abs(altitude) > HIGHEST:
+            problem = f"{latitude} {longitude} {altitude} is no place on a road"
+            raise InputError(path, "latitude, longitude, altitude", problem, "download it again")
         packets.append(values[:FIELDS])
     gaps = np.diff(files.timestamps_us)
     if len(gaps) == 0:

@@ -13,15 +13,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from recast import storage
 from recast.errors import InputError
 from recast.geometry import se3
 from recast.logs import motion
+from recast.logs.checks import SENSOR_REACH
 from recast.logs.importers.kitti_files import list_frames, read_timestamps
 from recast.logs.types import Array, Int64Array, LidarSweep, Trajectory
 
 Times = int | Int64Array
 
 POINT_BYTES = 16  # float32 x, y, z, reflectance
+SWEEP_LIMIT = 1 << 26  # bytes; a turn of the scanner has 2 MB
 HALF_TURN_US = 51_750  # measured on drive 2011_09_26_0013, for drives without start and end times
 FIRING_US = 50  # the scanner turns 0.18 degrees in this time: about one column of points
 
@@ -102,6 +105,9 @@ def check_sweep_sizes(paths: Sequence[Path]) -> None:
     """
     for path in paths:
         size = path.stat().st_size
+        if size > SWEEP_LIMIT:
+            problem = f"{size} bytes, {SWEEP_LIMIT} at most are one turn of the scanner"
+            raise InputError(path, "points", problem, "download the file again")
         if size == 0 or size % POINT_BYTES:
             raise InputError(
                 path,
@@ -118,9 +124,13 @@ def read_points(path: Path) -> NDArray[np.float32]:
         InputError: cut off, or not finite.
     """
     check_sweep_sizes((path,))
-    points = np.fromfile(path, np.float32).reshape(-1, 4)
-    if not np.all(np.isfinite(points)):
-        raise InputError(path, "points", "hold NaN or infinity", "download the file again")
+    data = storage.read_bytes(path, SWEEP_LIMIT)
+    points = np.frombuffer(data, np.float32).reshape(-1, 4)
+    if not np.all(np.abs(points[:, :3]) < SENSOR_REACH):  # also NaN
+        problem = f"hold NaN, or lie farther than {SENSOR_REACH:g} m"
+        raise InputError(path, "points", problem, "download the file again")
+    if not np.all((points[:, 3] >= 0) & (points[:, 3] <= 1)):
+        raise InputError(path, "reflectance", "is not within [0, 1]", "download the file again")
     return points
 
 
@@ -163,4 +173,4 @@ class VelodyneSweeps:
         points = motion.compensate(
             se3.apply(self.rig_from_velodyne, raw[:, :3]), times, self.world_from_rig, trigger
         )
-        return LidarSweep(trigger, points.astype(np.float32), np.clip(raw[:, 3], 0.0, 1.0), times)
+        return LidarSweep(trigger, points.astype(np.float32), raw[:, 3].copy(), times)
