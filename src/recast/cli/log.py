@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import inspect
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
+
+from recast.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,11 @@ class Import:
     """Box labels that lie apart from the drive; for kitti a tracking label file, for argoverse2 an
     annotations file, for processed scenes another track_info.txt or instances_info.json. Without
     it, the drive's own labels are read."""
+    cameras: tuple[str, ...] = ()
+    """Names of the cameras to import, such as image_02 or CAM_FRONT. Default: all of them; of kitti
+    those with colours."""
+    refine: bool = True
+    """Only for kitti: correct the GPS/IMU poses by matching LiDAR sweeps."""
 
     def __call__(self) -> None:
         """Run the command."""
@@ -45,27 +54,53 @@ class Import:
         from recast.pipeline.display import FrameProgress
 
         importer: LogImporter = IMPORTERS.load(self.importer)
+        settings = self._settings(importer)
         console = Console()
         with FrameProgress(console, None, "images and sweeps") as bar, watch_writing(bar.reach):
-            importer(self.root, self.drive, self.out, self.labels)
+            importer(self.root, self.drive, self.out, self.labels, **settings)
         console.print(f"wrote {self.out}; next: recast log info {self.out}", markup=False)
+
+    def _settings(self, importer: Callable[..., None]) -> dict[str, Any]:
+        """The options that were given, if the importer knows them: installed ones may not."""
+        given: dict[str, Any] = {}
+        if self.cameras:
+            given["cameras"] = self.cameras
+        if not self.refine:
+            given["refine"] = False
+        known = inspect.signature(importer).parameters
+        for name in given:
+            if name not in known:
+                option = "--no-refine" if name == "refine" else f"--{name}"
+                raise InputError(
+                    option, self.importer, "has no such option", "leave the option out"
+                )
+        return given
 
 
 @dataclass(frozen=True)
 class Info:
-    """Print sensors, duration and tracks: how far each moves and from which sides it was seen."""
+    """Print sensors, duration, and tracks with the best candidates for replacing first."""
 
     log: tyro.conf.Positional[Path]
     """Log folder."""
+    json: bool = False
+    """Print everything as one JSON object instead, for programs."""
 
     def __call__(self) -> None:
         """Run the command."""
+        import json
+
         from rich.console import Console
 
         from recast.logs import log_info, read_log
         from recast.reporting.log_tables import log_info_tables
 
-        Console().print(*log_info_tables(log_info(read_log(self.log))), sep="\n")
+        info = log_info(read_log(self.log))
+        if self.json:
+            print(json.dumps(asdict(info), indent=2, allow_nan=False))
+            return
+        console = Console()
+        console.print(*log_info_tables(info, console.width), sep="\n")
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,12 @@
-"""What a log holds: sensors, duration, and of every track how long, how far and from where seen."""
+"""What a log holds: sensors, duration, and of every track how long, how far and from where seen.
+
+Tracks come in the order in which they are worth replacing, with the evidence for it.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +19,9 @@ GRAZING = np.radians(15.0)  # a face seen under a smaller angle shows nothing
 NEAR = 1.0  # metres: nearer parts of a box beside the camera would cover half the world
 SMALLEST = 64.0  # square pixels of a box inside the image
 SMALLEST_PART = 0.2  # of the box's rectangle inside the image
+VEHICLES = ("car", "van", "truck", "bus")
+FEWEST_POINTS = 20  # LiDAR points without which no vehicle is placed
+MOVING = 2.0  # metres: labels of parked cars wander by less
 
 
 @dataclass(frozen=True)
@@ -26,6 +33,7 @@ class TrackVisibility:
     Attributes:
         frames: frames with the box in the image, over all cameras.
         front, left, rear, right: frames in which that face is seen under more than 15 degrees.
+        crop: width and height in pixels of the largest part of an image that the box covers.
     """
 
     frames: int
@@ -33,6 +41,7 @@ class TrackVisibility:
     left: int
     rear: int
     right: int
+    crop: tuple[int, int]
 
     def sides(self) -> tuple[str, ...]:
         """Names of the faces seen at all."""
@@ -47,6 +56,8 @@ class TrackInfo:
         seconds: from the first to the last label.
         displacement: diagonal of the axis-aligned box around all its places.
         lidar_points: LiDAR points in the box over all sweeps.
+        usable: whether it is a vehicle that a camera and the LiDAR saw well enough to replace it.
+        why: the evidence in words, or what is missing.
     """
 
     track_id: str
@@ -56,6 +67,13 @@ class TrackInfo:
     displacement: float
     lidar_points: int
     visibility: TrackVisibility
+    usable: bool = False
+    why: str = ""
+
+    @property
+    def evidence(self) -> int:
+        """What tracks are ranked by: frames times the crop's longer side times LiDAR points."""
+        return self.visibility.frames * max(self.visibility.crop) * self.lidar_points
 
 
 @dataclass(frozen=True)
@@ -77,6 +95,7 @@ class LogInfo:
     Attributes:
         seconds: duration of the ego trajectory.
         ego_distance: metres driven.
+        tracks: the best candidates for replacing first.
         map_kind: "none", "derived" or "surveyed".
     """
 
@@ -126,11 +145,41 @@ def log_info(log: DrivingLog) -> LogInfo:
         seconds=float(np.ptp(log.world_from_rig.timestamps_us)) / 1e6,
         ego_distance=float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum()),
         sensors=tuple(sensors),
-        tracks=tuple(tracks),
+        tracks=ranked(tracks),
         map_kind="none" if log.map is None else "derived" if log.map.derived else "surveyed",
         lanes=0 if log.map is None else len(log.map.lanes),
         metadata=dict(log.metadata),
     )
+
+
+def ranked(tracks: Sequence[TrackInfo]) -> tuple[TrackInfo, ...]:
+    """The tracks with `usable` and `why`, the best candidates for replacing first.
+
+    Those that can be replaced come first, then other vehicles, then the rest; within each by
+    `TrackInfo.evidence`, and by LiDAR points where there is none.
+    """
+    judged = [_judged(track) for track in tracks]
+    judged.sort(
+        key=lambda t: (t.usable, t.category in VEHICLES, t.evidence, t.lidar_points), reverse=True
+    )
+    return tuple(judged)
+
+
+def _judged(track: TrackInfo) -> TrackInfo:
+    seen, points = track.visibility, track.lidar_points
+    if track.category not in VEHICLES:
+        return replace(track, why="is no car, van, truck or bus")
+    if seen.frames == 0:
+        return replace(track, why="is in no image")
+    if points < FEWEST_POINTS:
+        return replace(track, why=f"has {points} LiDAR points, {FEWEST_POINTS} are needed")
+    moves = "moves" if track.displacement > MOVING else "stands"
+    unseen = [side for side in SIDES if side not in seen.sides()]
+    why = (
+        f"{moves}; {seen.frames} frames, up to {seen.crop[0]} x {seen.crop[1]} px; "
+        f"{points:,} LiDAR points; {', '.join(unseen) or 'no side'} never seen"
+    )
+    return replace(track, usable=True, why=why)
 
 
 def _rate(timestamps_us: np.ndarray) -> float:
@@ -143,30 +192,40 @@ def track_visibility(log: DrivingLog, track: Track) -> TrackVisibility:
     """Count the camera frames that show a track, and its faces in them."""
     counts = dict.fromkeys(SIDES, 0)
     frames = 0
+    largest = (0, 0)
     for camera in log.cameras.values():
         for time in camera.timestamps_us.tolist():
             if not track.trajectory.covers(time):
                 continue
             world_from_camera = log.world_from_rig.at(time) @ camera.rig_from_camera
             camera_from_box = se3.inverse(world_from_camera) @ track.trajectory.at(time)
-            if not in_image(camera, track, camera_from_box):
+            crop = crop_in_image(camera, track, camera_from_box)
+            if crop is None:
                 continue
             frames += 1
+            largest = max(largest, crop, key=max)
             eye = se3.inverse(camera_from_box)[:3, 3]
             for side, (axis, sign) in SIDES.items():
                 towards = eye.copy()
                 towards[axis] -= sign * track.size[axis] / 2
                 sine = sign * towards[axis] / max(float(np.linalg.norm(towards)), 1e-9)
                 counts[side] += bool(sine > np.sin(GRAZING))
-    return TrackVisibility(frames=frames, **counts)
+    return TrackVisibility(frames=frames, **counts, crop=largest)
 
 
-def in_image(camera: CameraStream, track: Track, camera_from_box: np.ndarray) -> bool:
-    """Whether a fair part of a box at (4, 4) `camera_from_box` lies inside the image."""
+def crop_in_image(
+    camera: CameraStream, track: Track, camera_from_box: np.ndarray
+) -> tuple[int, int] | None:
+    """Width and height in pixels of what a box at (4, 4) `camera_from_box` covers of the image.
+
+    None unless a fair part of it lies inside.
+    """
     rectangle = boxes.project(track.size, camera_from_box, camera.camera, near=NEAR)
     if rectangle is None:
-        return False
+        return None
     limits = np.array([camera.camera.width, camera.camera.height], np.float64)
-    inside = np.prod(np.clip(rectangle[2:], 0, limits) - np.clip(rectangle[:2], 0, limits))
+    inside = np.clip(rectangle[2:], 0, limits) - np.clip(rectangle[:2], 0, limits)
     whole = np.prod(rectangle[2:] - rectangle[:2])
-    return bool(inside >= SMALLEST and inside >= SMALLEST_PART * whole)
+    if np.prod(inside) < max(SMALLEST, SMALLEST_PART * whole):
+        return None
+    return round(float(inside[0])), round(float(inside[1]))

@@ -1,44 +1,123 @@
-"""A log's summary as tables for the console."""
+"""A log's summary for the console, as wide as the console is."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 from rich.box import SIMPLE_HEAD
+from rich.cells import cell_len
+from rich.console import RenderableType
 from rich.table import Table
+from rich.text import Text
 
-from recast.logs.info import LogInfo
+from recast.errors import printable
+from recast.logs.info import LogInfo, TrackInfo
+
+BEST = 3
+"""Candidates that are told with why."""
+GAP = 2
+"""Blanks between columns."""
+
+Cell = Callable[[TrackInfo], str]
+
+COLUMNS: dict[str, Cell] = {
+    "track": lambda t: printable(t.track_id),
+    "class": lambda t: printable(t.category),
+    "l w h m": lambda t: " ".join(f"{metres:.1f}" for metres in t.size),
+    "s": lambda t: f"{t.seconds:.1f}",
+    "moves": lambda t: f"{t.displacement:.1f} m",
+    "LiDAR": lambda t: f"{t.lidar_points:,}",
+    "seen": lambda t: _count(t.visibility.frames),
+    "px": lambda t: f"{max(t.visibility.crop) or '-'}",
+    "front": lambda t: _count(t.visibility.front),
+    "left": lambda t: _count(t.visibility.left),
+    "rear": lambda t: _count(t.visibility.rear),
+    "right": lambda t: _count(t.visibility.right),
+}
+"""Columns of the table of tracks by heading, in the order in which they stand."""
+FIRST = ("track", "seen", "px", "LiDAR", "moves", "class", "front", "left", "rear", "right", "s")
+"""Columns that are given room first."""
 
 
-def log_info_tables(info: LogInfo) -> tuple[Table, Table]:
-    """Sensors, and tracks with how far each moves and from which sides the cameras saw it."""
-    title = f"{info.name}: {info.seconds:.1f} s, {info.ego_distance:.0f} m driven, map: "
-    title += info.map_kind + (f" ({info.lanes} lanes)" if info.lanes else "")
-    sensors = Table(title=title, title_justify="left")
+def log_info_tables(info: LogInfo, width: int) -> list[RenderableType]:
+    """Sensors, the best candidates for replacing, and all tracks, in lines of `width` characters.
+
+    Names are whole, with control characters escaped; columns that have no room are left out, and
+    named.
+    """
+    title = f"{printable(info.name)}: {info.seconds:.1f} s, {info.ego_distance:.0f} m driven, "
+    title += f"map: {info.map_kind}" + (f" ({info.lanes} lanes)" if info.lanes else "")
+    parts: list[RenderableType] = [Text(title, style="bold"), _sensors(info)]
+    best = [track for track in info.tracks if track.usable][:BEST]
+    parts.append(Text("best candidates for replacing:" if best else "no track can be replaced:"))
+    parts.append(_reasons(best or info.tracks[:BEST], width))
+    names, left_out = _fitting(info.tracks, width)
+    note = "tracks: camera frames that show each and its sides, its largest crop (px), LiDAR points"
+    if left_out:
+        note += f"; no room for {', '.join(left_out)}: see --json"
+    parts += [Text("\n" + note), _tracks(info.tracks, names)]
+    return parts
+
+
+def _sensors(info: LogInfo) -> Table:
+    table = Table()
     for heading in ("sensor", "kind", "frames", "per second", "size"):
-        sensors.add_column(heading)
+        table.add_column(heading, overflow="fold")
     for sensor in info.sensors:
         size = "" if sensor.width is None else f"{sensor.width} x {sensor.height}"
-        sensors.add_row(sensor.name, sensor.kind, str(sensor.frames), f"{sensor.rate:.1f}", size)
-    tracks = Table(
-        box=SIMPLE_HEAD,
-        padding=(0, 1),
-        collapse_padding=True,
-        pad_edge=False,
-        title="tracks: LiDAR points, and camera frames that show the track and each of its sides",
-        title_justify="left",
-    )
-    headings = ("track", "class", "l w h m", "s", "moves", "LiDAR", "seen")
-    for heading in (*headings, "front", "left", "rear", "right"):
-        tracks.add_column(heading, no_wrap=True)
-    for track in info.tracks:
-        seen = track.visibility
-        counts = (seen.frames, seen.front, seen.left, seen.rear, seen.right)
-        tracks.add_row(
-            track.track_id,
-            track.category,
-            " ".join(f"{metres:.1f}" for metres in track.size),
-            f"{track.seconds:.1f}",
-            f"{track.displacement:.1f} m",
-            f"{track.lidar_points:,}",
-            *(str(count) if count else "-" for count in counts),
+        cells = (
+            printable(sensor.name),
+            sensor.kind,
+            str(sensor.frames),
+            f"{sensor.rate:.1f}",
+            size,
         )
-    return sensors, tracks
+        table.add_row(*map(Text, cells))
+    return table
+
+
+def _reasons(tracks: Sequence[TrackInfo], width: int) -> Table:
+    table = Table.grid(padding=(0, GAP))
+    widest = min(_widest(tracks, COLUMNS["track"]) + 1, width)
+    table.add_column(overflow="fold", min_width=widest, max_width=widest)
+    table.add_column(overflow="fold")
+    for track in tracks:
+        table.add_row(Text(" " + COLUMNS["track"](track)), Text(track.why))
+    return table
+
+
+def _fitting(tracks: Sequence[TrackInfo], width: int) -> tuple[list[str], list[str]]:
+    """Headings of the columns that fit into `width`, and of those that do not."""
+    order = (*FIRST, *(name for name in COLUMNS if name not in FIRST))
+    chosen: list[str] = []
+    room = width
+    for name in order:
+        room -= max(cell_len(name), _widest(tracks, COLUMNS[name])) + GAP
+        if room < 0 and chosen:
+            break
+        chosen.append(name)
+    return (
+        [name for name in COLUMNS if name in chosen],
+        [name for name in COLUMNS if name not in chosen],
+    )
+
+
+def _tracks(tracks: Sequence[TrackInfo], names: Sequence[str]) -> Table:
+    # The box puts another blank between columns.
+    table = Table(box=SIMPLE_HEAD, padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False)
+    for name in names:
+        words = name in ("track", "class")
+        table.add_column(
+            name, justify="left" if words else "right", overflow="fold", no_wrap=name != "track"
+        )
+    for track in tracks:
+        table.add_row(*(Text(COLUMNS[name](track)) for name in names))
+    return table
+
+
+def _widest(tracks: Sequence[TrackInfo], cell: Cell) -> int:
+    return max((cell_len(cell(track)) for track in tracks), default=0)
+
+
+def _count(frames: int) -> str:
+    return str(frames) if frames else "-"
