@@ -104,7 +104,7 @@ def test_any_number_of_workers_and_any_restart_give_the_same_bytes(
 def test_a_file_cut_short_is_one_line(made: Path, tmp_path: Path) -> None:
     path = tmp_path / "asset-00000.npz"
     path.write_bytes((made / "asset-00000.npz").read_bytes()[:3000])
-    with pytest.raises(InputError, match=r"asset-00000\.npz: arrays: cannot be read"):
+    with pytest.raises(InputError, match=r"asset-00000\.npz: archive: cannot be read"):
         read_asset(path)
     with pytest.raises(InputError, match="is missing"):
         read_asset(tmp_path / "none.npz")

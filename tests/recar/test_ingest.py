@@ -294,8 +294,14 @@ def test_none_is_good(tmp_path: Path) -> None:
         ("id,kind,paint\ncar-0,van,red\n", "heading: 'paint' is no column"),
         ("id\ncar-0\n", "heading: id and kind are needed"),
         ("id,kind\ncar-0,van\ncar-0,van\n", "car-0 .*has 2 rows"),
-        ("id,kind\n../car,van\n", "id: Value error, an identity is named by letters"),
+        ("id,kind\n../car,van\n", "id: Value error, an identity"),
         ("id,kind\ncar-0,van,red\n", "more cells than columns"),
+        ("id,kind,kind\ncar-0,van,van\n", "heading: names a column twice"),
+        (f"id,kind\ncar-0,{'v' * 140_000}\n", "line 2: field larger than field limit"),
+        (f"id,{'k' * 140_000}\n", "line 1: field larger than field limit"),
+        ("id,kind,folder\ncar-0,van,../car-0\n", r"folder: names '\.\./car-0'"),
+        ("id,kind,folder\ncar-0,van,/etc\n", "folder: names '/etc'"),
+        (f"id,kind,folder\ncar-0,van,{'f' * 300}\n", "has too long a name"),
     ],
 )
 def test_a_bad_table(tmp_path: Path, text: str | None, message: str) -> None:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import io
+import struct
+import tracemalloc
+import zlib
 from pathlib import Path
 
 import cv2
@@ -11,14 +15,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from recast import storage
 from recast.actors.cutout import GrabCutRemover, mask_doubts
 from recast.actors.detect import Detection
 from recast.actors.grounded_cutout import central_detection
+from recast.errors import InputError
+from recast.recar import read_set
 from recast.recar.ingest import DUPLICATE_BITS, ingest_photographs, perceptual_hash
 from recast.recar.ingest.perceptual_hash import SeenPictures, distances, ones, ones_by_table
 from recast.recar.ingest.photograph import fit, natural_order, photograph_size, read_photograph
 
 from .photographs import SETTINGS, car_before_a_wall, over_wall, photograph, write_photos
+from .sets import write_set
 
 
 def test_exif_turns_a_photograph_upright(tmp_path: Path) -> None:
@@ -31,6 +39,81 @@ def test_exif_turns_a_photograph_upright(tmp_path: Path) -> None:
     assert rgb.shape == (60, 40, 3) and alpha is None
     turned = np.rot90(photograph(1)[..., :3], -1)
     assert np.abs(rgb.astype(int) - turned).mean() < 15
+
+
+@pytest.mark.parametrize("told", ["exif", "text", "xmp"])
+@pytest.mark.parametrize("late", [False, True])
+def test_the_size_is_that_of_the_pixels_wherever_a_png_tells_the_orientation(
+    tmp_path: Path, told: str, late: bool
+) -> None:
+    """exiftool writes it behind the pixels."""
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    if told == "exif":
+        kind, body = b"eXIf", exif.tobytes()[6:]
+    elif told == "text":
+        data = exif.tobytes()
+        kind, body = b"tEXt", b"Raw profile type exif\0\nexif\n      %d\n" % len(data)
+        body += data.hex().encode() + b"\n"
+    else:
+        kind, body = b"iTXt", b'XML:com.adobe.xmp\0\0\0\0\0<x tiff:Orientation="6"/>'
+    buffer = io.BytesIO()
+    Image.fromarray(photograph(1)[..., :3]).save(buffer, "PNG")
+    data = buffer.getvalue()
+    place = len(data) - 12 if late else 33  # before IEND, or behind IHDR
+    path = tmp_path / "a.png"
+    path.write_bytes(data[:place] + chunk(kind, body) + data[place:])
+    assert photograph_size(path) == (40, 60)
+    rgb, _ = read_photograph(path)
+    assert rgb.shape == (60, 40, 3)
+    np.testing.assert_array_equal(rgb, np.rot90(photograph(1)[..., :3], -1))
+
+
+def chunk(kind: bytes, body: bytes) -> bytes:
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+
+def png_of(width: int, height: int) -> bytes:
+    """A header that says so, and one row of pixels that packs to nothing."""
+    header = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
+    pixels = zlib.compress(bytes(1 + 4 * width))
+    parts = [chunk(b"IHDR", header), chunk(b"IDAT", pixels), chunk(b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+
+@pytest.mark.parametrize(("width", "height"), [(8193, 8192), (12_000, 12_000), (40_000, 20_000)])
+def test_a_photograph_of_too_many_pixels_is_refused_by_its_header(
+    tmp_path: Path, width: int, height: int
+) -> None:
+    path = tmp_path / "a.png"
+    path.write_bytes(png_of(width, height))
+    for read in (photograph_size, read_photograph):
+        tracemalloc.start()
+        with pytest.raises(InputError) as caught:
+            read(path)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert str(width) in caught.value.problem or "exceeds limit" in caught.value.problem
+        assert peak < 4 << 20  # the file is read, no pixel is decoded
+
+
+def test_a_set_names_no_size_that_takes_gigabytes(tmp_path: Path) -> None:
+    folder = write_set(tmp_path / "set").folder
+    record = storage.read_json(folder / "set.json")
+    storage.write_json(folder / "set.json", record | {"width": 32768, "height": 32768})
+    for identity in ("car-0", "car-1", "car-2"):
+        for view in (folder / identity).glob("*.png"):
+            view.write_bytes(png_of(32768, 32768))
+    with pytest.raises(InputError, match="width: Input should be less than or equal to 8192"):
+        read_set(folder)
+
+
+def test_other_formats_are_refused_whatever_their_name(tmp_path: Path) -> None:
+    """Readers of some run programs, such as Ghostscript."""
+    path = tmp_path / "a.jpg"
+    Image.fromarray(photograph(1)[..., :3]).save(path, "EPS")
+    with pytest.raises(InputError, match="is none of BMP, JPEG, PNG, TIFF, WEBP"):
+        photograph_size(path)
 
 
 def test_numbers_in_names_count() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import shutil
@@ -288,7 +289,35 @@ def test_a_list_of_members_missing_or_changed(shards: Path) -> None:
     with pytest.raises(InputError, match="sha256: is not the one"):
         read_shards(shards).identities[name].view(0)
     path.unlink()
-    with pytest.raises(InputError, match=r"members\.json: list of members: is missing"):
+    with pytest.raises(InputError, match=r"members\.json: file: is missing"):
+        read_shards(shards).identities[name].view(0)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("offset", -512, "offset: Input should be greater than or equal to 0"),
+        ("offset", 512, "begins at 512, not"),
+        ("offset", 10**18, "begins at 1000000000000000000, not"),
+        ("offset", 10**400, "offset: "),
+        ("size", 10**12, "has 1000000000000 bytes"),
+        ("size", 7, "is damaged"),
+        ("name", "../../etc/passwd", "has not a record and"),
+    ],
+)
+def test_places_of_members_that_the_layout_does_not_give(
+    shards: Path, field: str, value: object, message: str
+) -> None:
+    """Whoever writes the list writes its hash into the index, too."""
+    index = json.loads((shards / "index.json").read_text())
+    first = index["shards"][0]
+    path, name = shards / "shard-000000.members.json", first["identities"][0]
+    members = json.loads(path.read_text())
+    members["members"][name][1][field] = value
+    path.write_text(json.dumps(members))
+    first["members_sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
+    (shards / "index.json").write_text(json.dumps(index))
+    with pytest.raises(InputError, match=message):
         read_shards(shards).identities[name].view(0)
 
 
@@ -348,7 +377,7 @@ def test_sizes_as_people_write_them(text: str, size: int) -> None:
     assert parse_byte_size(text, "--shard-bytes") == size
 
 
-@pytest.mark.parametrize("text", ["", "MB", "0", "-1MB", "12XB", "0.1", "1e9"])
+@pytest.mark.parametrize("text", ["", "MB", "0", "-1MB", "12XB", "0.1", "1e9", "9" * 400])
 def test_no_size(text: str) -> None:
     with pytest.raises(InputError, match="--shard-bytes: value: is"):
         parse_byte_size(text, "--shard-bytes")

@@ -53,7 +53,7 @@ class Ingest:
         from rich.console import Console
 
         from recast.actors.grounded_cutout import remover_of
-        from recast.errors import InputError
+        from recast.errors import InputError, printable
         from recast.recar.ingest import IngestSettings, ingest_photographs
         from recast.recar.progress import PictureProgress
 
@@ -65,7 +65,7 @@ class Ingest:
         console = Console()
 
         def show(name: str, error: InputError) -> None:
-            console.print(f"{name}: {error}", markup=False, soft_wrap=True)
+            console.print(f"{printable(name)}: {error}", markup=False, soft_wrap=True)
 
         with PictureProgress("pictures", console) as progress:
             report = ingest_photographs(

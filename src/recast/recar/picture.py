@@ -10,10 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.errors import InputError
+from recast.recar.record import LARGEST_SIDE
+from recast.storage import disk_errors, read_bytes
 
 Image = NDArray[np.uint8]
 
 HEADER_BYTES = 26
+MOST_BYTES = 5 * LARGEST_SIDE**2
+"""Of an encoded view: the largest one, of noise that does not pack, and as much again of text."""
+
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _RGBA = 6  # PNG colour type of truecolour with alpha
 _MEND = "replace the picture, or remove its identity from the set"
@@ -33,11 +38,8 @@ def check_header(path: Path, width: int, height: int) -> None:
     Raises:
         InputError: missing, no PNG, of another size, or without alpha.
     """
-    try:
-        with path.open("rb") as file:
-            head = file.read(HEADER_BYTES)
-    except FileNotFoundError:
-        raise InputError(path, "view", "is missing", _MEND) from None
+    with disk_errors(path), path.open("rb") as file:
+        head = file.read(HEADER_BYTES)
     check_encoded_header(head, path, width, height)
 
 
@@ -68,14 +70,17 @@ def read_picture(path: Path, width: int, height: int) -> Image:
         InputError: as `check_header`, or cut short, or transparent everywhere.
     """
     check_header(path, width, height)
-    return decode_picture(path.read_bytes(), path, width, height)
+    return decode_picture(read_bytes(path, MOST_BYTES), path, width, height)
 
 
 def decode_picture(data: bytes, where: str | Path, width: int, height: int) -> Image:
     """`read_picture` of the bytes of a view; `where` is named by the errors."""
     check_encoded_header(data, where, width, height)
-    bgra = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if bgra is None:
+    try:
+        bgra = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        bgra = None
+    if bgra is None or bgra.shape != (height, width, 4) or bgra.dtype != np.uint8:
         raise InputError(where, "view", "cannot be decoded", _MEND)
     if not np.any(bgra[..., 3]):
         raise InputError(where, "alpha", "is zero everywhere", _MEND)

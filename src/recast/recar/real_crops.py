@@ -24,10 +24,13 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from recast.errors import InputError
 from recast.geometry import PinholeCamera
+from recast.names import member
 from recast.recar.camera import camera_pose, pinhole
+from recast.recar.ingest.photograph import photograph_size
+from recast.recar.picture import MOST_BYTES
 from recast.recar.record import Metres, Text
 from recast.records import validation_error
-from recast.storage import read_json
+from recast.storage import read_bytes, read_json
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -173,8 +176,9 @@ def _read_view(path: Path, record: _CameraRecord, index: int) -> RealView:
             path, f"normalized_cam_positions.{index}", f"has length {length:.4g}",
             "divide it by its length and put that into cam_dists",
         )  # fmt: skip
-    image = path.parent / record.frame_filenames[index]
-    mask = path.parent / record.mask_filenames[index]
+    names = record.frame_filenames[index], record.mask_filenames[index]
+    image = member(path.parent, names[0], path, f"frame_filenames.{index}")
+    mask = member(path.parent, names[1], path, f"mask_filenames.{index}")
     height, width = _decode(image, cv2.IMREAD_COLOR).shape[:2]
     mask_height, mask_width = _decode(mask, cv2.IMREAD_GRAYSCALE).shape
     if (mask_width, mask_height) != (width, height):
@@ -193,12 +197,12 @@ def _read_view(path: Path, record: _CameraRecord, index: int) -> RealView:
 
 
 def _decode(path: Path, mode: int) -> Image:
-    """(H, W, 3) BGR or (H, W) grey uint8."""
+    """(H, W, 3) BGR or (H, W) grey uint8, upright."""
+    photograph_size(path)  # which bounds what is decoded
     try:
-        data = np.frombuffer(path.read_bytes(), np.uint8)
-    except (FileNotFoundError, IsADirectoryError):
-        raise InputError(path, "picture", "is missing", _MEND) from None
-    image = cv2.imdecode(data, mode) if len(data) else None
+        image = cv2.imdecode(np.frombuffer(read_bytes(path, MOST_BYTES), np.uint8), mode)
+    except cv2.error:
+        image = None
     if image is None:
         raise InputError(path, "picture", "cannot be decoded", "save it again as JPEG or PNG")
     return np.asarray(image, np.uint8)

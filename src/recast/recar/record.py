@@ -12,6 +12,10 @@ SET_VERSION = 1
 SET_FILE = "set.json"
 IDENTITY_FILE = "identity.json"
 REGULAR_WITHIN_DEG = 1e-3
+LARGEST_SIDE = 8192
+"""Pixels of a picture of a set: one then takes 268 MB at most."""
+MOST_VIEWS = 1000
+"""Of an identity."""
 
 Split = Literal["train", "held-out"]
 SPLITS: tuple[Split, ...] = ("train", "held-out")
@@ -36,8 +40,13 @@ def _check_regular(azimuths: tuple[float, ...]) -> tuple[float, ...]:
     return azimuths
 
 
+def is_identity_name(name: str) -> bool:
+    """Whether an identity may have this name, of which a file name can be made as it stands."""
+    return _IDENTITY_NAME.fullmatch(name) is not None
+
+
 def _check_identity_name(name: str) -> str:
-    if not _IDENTITY_NAME.fullmatch(name):
+    if not is_identity_name(name):
         raise ValueError(
             "an identity is named by letters, digits, '.', '_' and '-', at most 100, the first "
             "one a letter or digit"
@@ -45,7 +54,11 @@ def _check_identity_name(name: str) -> str:
     return name
 
 
-Azimuths = Annotated[tuple[FiniteFloat, ...], Field(min_length=1), AfterValidator(_check_regular)]
+Azimuths = Annotated[
+    tuple[FiniteFloat, ...],
+    Field(min_length=1, max_length=MOST_VIEWS),
+    AfterValidator(_check_regular),
+]
 IdentityName = Annotated[str, AfterValidator(_check_identity_name)]
 Text = Annotated[str, Field(min_length=1)]
 Metres = Annotated[FiniteFloat, Field(gt=0)]
@@ -81,8 +94,8 @@ class SetRecord(BaseModel):
     azimuths_deg: Azimuths
     elevation_deg: Annotated[FiniteFloat, Field(gt=-90, lt=90)] | None
     fov_deg: Annotated[FiniteFloat, Field(gt=0, lt=180)] | None
-    width: int = Field(ge=1)
-    height: int = Field(ge=1)
+    width: int = Field(ge=1, le=LARGEST_SIDE)
+    height: int = Field(ge=1, le=LARGEST_SIDE)
     split_seed: int = Field(ge=0)
     held_out_share: float = Field(ge=0, le=1)
     generator: dict[str, Any] | None

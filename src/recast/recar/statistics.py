@@ -10,7 +10,9 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Group
 from rich.table import Table
+from rich.text import Text
 
+from recast.errors import printable
 from recast.recar.record import SPLITS
 from recast.recar.source import VehicleSource
 
@@ -61,7 +63,8 @@ def set_statistics(vehicle_set: VehicleSource) -> SetStatistics:
 def statistics_table(vehicle_set: VehicleSource, statistics: SetStatistics) -> Group:
     """The figures for a terminal: the set, and its kinds and colours with their shares."""
     record, total = vehicle_set.record, statistics.identities
-    summary = Table(title=record.name, title_justify="left", box=SIMPLE_HEAD, show_header=False)
+    title = Text(printable(record.name))
+    summary = Table(title=title, title_justify="left", box=SIMPLE_HEAD, show_header=False)
     held_out = statistics.splits["held-out"]
     rows = [
         ("source", record.source),
@@ -82,7 +85,7 @@ def statistics_table(vehicle_set: VehicleSource, statistics: SetStatistics) -> G
             for i, name in enumerate(("length", "width", "height"))
         ]
     for row in rows:
-        summary.add_row(*row)
+        summary.add_row(row[0], Text(printable(row[1])))
     return Group(
         summary,
         _count_table("kind", statistics.kinds, total),
@@ -101,7 +104,7 @@ def _count_table(heading: str, counts: dict[str, int], total: int) -> Table:
     table.add_column("identities", justify="right")
     table.add_column("share", justify="right")
     for name, count in counts.items():
-        table.add_row(name, f"{count:,}", f"{100 * count / total:.1f} %")
+        table.add_row(Text(printable(name)), f"{count:,}", f"{100 * count / total:.1f} %")
     return table
 
 

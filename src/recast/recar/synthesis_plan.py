@@ -11,14 +11,11 @@ from typing import Literal
 
 from recast.errors import InputError
 from recast.recar.camera import ELEVATION_DEG, FOV_DEG
-from recast.recar.record import SetRecord, Split, regular_azimuths
+from recast.recar.record import LARGEST_SIDE, MOST_VIEWS, SetRecord, Split, regular_azimuths
 from recast.recar.split import HELD_OUT_SHARE, split_of
 
 SYNTHESIS_VERSION = 1
 """Changes when the same settings give other pictures; a killed run never mixes two."""
-
-LARGEST_SIDE = 8192
-MOST_VIEWS = 720
 
 _AXES = {".glb": "z,y", ".gltf": "z,y"}  # forward and up by the format's own rule
 

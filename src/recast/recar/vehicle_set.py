@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from recast.errors import InputError
 from recast.geometry import PinholeCamera
 from recast.recar.camera import view_camera
-from recast.recar.picture import Image, check_header, read_picture
+from recast.recar.picture import MOST_BYTES, Image, check_header, read_picture
 from recast.recar.record import (
     IDENTITY_FILE,
     SET_FILE,
@@ -30,6 +30,7 @@ from recast.recar.record import (
     view_file,
 )
 from recast.records import read_record
+from recast.storage import read_bytes
 
 Array = NDArray[np.float64]
 
@@ -65,7 +66,7 @@ class Identity:
         Raises:
             InputError: the file is missing.
         """
-        return _read_bytes(self.folder / view_file(index))
+        return read_bytes(self.folder / view_file(index), MOST_BYTES)
 
     def picture_bytes(self) -> int:
         """Bytes of all its pictures."""
@@ -163,13 +164,6 @@ def read_identities(folder: Path, record: SetRecord) -> dict[str, Identity]:
     for identity in identities.values():
         _check_folder(identity)
     return dict(sorted(identities.items()))
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(path, "view", "is missing", "restore it") from None
 
 
 def _refuse_twice(first: Identity, second: Identity) -> None:

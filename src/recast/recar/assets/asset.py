@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.recar.arrays import read_arrays, write_arrays
+from recast.errors import InputError
+from recast.recar.arrays import write_arrays
+from recast.tables import read_npz
 
 FEATURES = 17
 """Colour, normal, centroid in the voxel (three each) and eight sub-voxels' occupancy."""
@@ -44,7 +46,33 @@ class TrainingAsset:
     focal: NDArray[np.float32]
     crops: int
 
+    def validate(self) -> None:
+        """Check types, shapes and ranges.
 
+        Raises:
+            ValueError: the first that is wrong.
+        """
+        voxels, views = self.coords.shape[:1], self.pictures.shape[:1]
+        pixels = self.pictures.shape[1:2]
+        for name, dtype, shape in (
+            ("size", np.float32, (3,)), ("coords", np.uint8, (*voxels, 3)),
+            ("features", np.float16, (*voxels, FEATURES)),
+            ("pictures", np.uint8, (*views, *pixels, *pixels, 4)),
+            ("poses", np.float32, (*views, 4, 4)), ("focal", np.float32, views),
+        ):  # fmt: skip
+            found = getattr(self, name)
+            if found.dtype != dtype or found.shape != shape:
+                raise ValueError(f"{name}: is {found.dtype} {found.shape}, not {dtype} {shape}")
+            if not np.isfinite(found).all():
+                raise ValueError(f"{name}: holds values that are not finite")
+        if not voxels or not pixels or 0 in (*voxels, *views, *pixels):
+            raise ValueError("holds no voxel or no picture")
+        if not 0 < self.crops <= len(self.pictures) or not (self.focal > 0).all():
+            raise ValueError(f"crops: {self.crops} of {len(self.pictures)}, or a focal length <= 0")
+
+
+_MEND = "make the assets again"
+_MOST_BYTES = 1 << 29
 _ARRAYS = tuple(field.name for field in fields(TrainingAsset))
 
 
@@ -63,6 +91,11 @@ def read_asset(path: Path) -> TrainingAsset:
     Raises:
         InputError: missing, cut short, or of another layout.
     """
-    found = read_arrays(path, _ARRAYS, "make the assets again")
-    values: dict[str, Any] = {**found, "kind": str(found["kind"]), "crops": int(found["crops"])}
-    return TrainingAsset(**values)
+    found = read_npz(path, _MEND, _ARRAYS, _MOST_BYTES)
+    try:
+        values: dict[str, Any] = {**found, "kind": str(found["kind"]), "crops": int(found["crops"])}
+        asset = TrainingAsset(**values)
+        asset.validate()
+    except (TypeError, ValueError) as error:
+        raise InputError(path, "arrays", str(error), _MEND) from None
+    return asset

@@ -40,7 +40,17 @@ class AssetStore:
 
 
 def occupancy(assets: list[TrainingAsset], resolution: int) -> Tensor:
-    """(B, 1, R, R, R) float32, 1 in occupied voxels."""
+    """(B, 1, R, R, R) float32, 1 in occupied voxels.
+
+    Raises:
+        InputError: an asset was made for more voxels a side.
+    """
+    largest = max(int(asset.coords.max()) for asset in assets)
+    if largest >= resolution:
+        raise InputError(
+            "assets", "coords", f"reach {largest}, the networks take {resolution} a side",
+            "make the assets again",
+        )  # fmt: skip
     grid = torch.zeros(len(assets), 1, resolution, resolution, resolution)
     for index, asset in enumerate(assets):
         x, y, z = torch.from_numpy(asset.coords).long().unbind(1)

@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from recast.errors import InputError
+from recast.names import member
 from recast.recar.ingest.photograph import SUFFIXES, natural_order, photograph_size
 from recast.recar.ingest.settings import IngestSettings
 from recast.recar.ingest.table import VehicleRow
+from recast.storage import disk_errors
 
 AZIMUTH_WITHIN = 0.1
 """Share of the step between two views by which a measured azimuth may be off."""
@@ -21,10 +23,12 @@ def photographs_of(photos: Path, row: VehicleRow, settings: IngestSettings) -> t
         InputError: the folder is missing, photographs are missing, too many or of several sizes,
             or their azimuths are not regular.
     """
-    folder = photos / (row.folder or row.id)
-    if not folder.is_dir():
-        raise InputError(folder, "folder", "is missing", f"add it, or take {row.id} off the table")
-    files = [path for path in folder.iterdir() if path.is_file() and path.name[0] != "."]
+    folder = member(photos, row.folder or row.id, row.id, "folder")
+    with disk_errors(folder):
+        if not folder.is_dir():
+            mend = f"add it, or take {row.id} off the table"
+            raise InputError(folder, "folder", "is missing", mend)
+        files = [path for path in folder.iterdir() if path.is_file() and path.name[0] != "."]
     found = sorted((f for f in files if f.suffix.lower() in SUFFIXES), key=natural_order)
     if len(found) != settings.views:
         others = len(files) - len(found)

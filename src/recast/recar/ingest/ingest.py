@@ -198,8 +198,8 @@ class _Ingest:
         report = f"all are listed in {self.out / REPORT_FILE}" if others else "all are listed above"
         return InputError(
             self.photos, "vehicles",
-            f"{len(self.skipped)} of {total} cannot be taken, such as {name} ({first.where}: "
-            f"{first.field}: {first.problem}); {report}{others}",
+            f"{len(self.skipped)} of {total} cannot be taken, such as {name} "
+            f"({first.field}: {first.problem}, in {Path(first.where).name}); {report}{others}",
             "mend them and run again, or leave them out with --skip-bad",
         )  # fmt: skip
 

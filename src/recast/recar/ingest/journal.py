@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from pydantic import BaseModel
 
 from recast import storage
 from recast.errors import InputError
@@ -14,6 +15,11 @@ from recast.recar.vehicle_set import Identity
 
 REPORT_FILE = "ingest.json"
 _FOLDER = ".ingest"  # a reader of the set takes no folder whose name begins with a dot
+
+
+class _Entry(BaseModel):
+    hashes: tuple[str, ...]
+    doubts: tuple[str, ...]
 
 
 def write_entry(out: Path, identity: str, hashes: Hashes, doubts: tuple[str, ...]) -> None:
@@ -26,11 +32,10 @@ def read_entry(out: Path, identity: Identity) -> tuple[Hashes, tuple[str, ...]]:
     """Hashes (V, 4) and doubts of a finished identity, the hashes anew where they are lost."""
     path, views = out / _FOLDER / f"{identity.record.id}.json", identity.set_record.views
     try:
-        value = storage.read_json(path)
-        data = bytes.fromhex("".join(value["hashes"]))
-        hashes = np.frombuffer(data, np.uint64).reshape(views, WORDS)
-        return hashes, tuple(value["doubts"])
-    except (InputError, KeyError, TypeError, ValueError):
+        entry = _Entry.model_validate(storage.read_json(path))
+        data = bytes.fromhex("".join(entry.hashes))
+        return np.frombuffer(data, np.uint64).reshape(views, WORDS), entry.doubts
+    except ValueError:  # as are those of pydantic, and an InputError
         return np.stack([perceptual_hash(identity.view(index)) for index in range(views)]), ()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import struct
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,10 +17,17 @@ from PIL import ImageOps
 
 from recast.errors import InputError
 from recast.recar.picture import Image
+from recast.recar.record import LARGEST_SIDE
+from recast.storage import disk_errors
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
+MOST_PIXELS = LARGEST_SIDE**2
+"""Of a photograph. Some 30 bytes a pixel are in memory while it is brought to size: 2 GB."""
+
+_FORMATS = ("BMP", "JPEG", "PNG", "TIFF", "WEBP")  # others may run programs of their own
 _MODES = ("1", "CMYK", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "YCbCr")
 _ORIENTATION = 0x0112  # EXIF tag; from 5 on the picture lies on its side
+_TOLD_LATE = (b"eXIf", b"iTXt", b"tEXt", b"zTXt")  # chunks of a PNG that may hold it
 _MEND = "replace the photograph"
 
 
@@ -33,15 +41,15 @@ def photograph_size(path: Path) -> tuple[int, int]:
     """Width and height, upright, from the header.
 
     Raises:
-        InputError: it is no picture, or not one of 8 bits.
+        InputError: it is no picture, not one of 8 bits, or has more than `MOST_PIXELS`.
     """
-    with _reading(path), Pillow.open(path) as picture:
-        _check_mode(path, picture)
+    with _opened(path) as picture:
         width, height = picture.size
-        # Pillow decodes all of a PNG to look for EXIF data at its end.
-        told = picture.format != "PNG" or "exif" in picture.info
-        turned = told and picture.getexif().get(_ORIENTATION, 1) >= 5
-        return (height, width) if turned else (width, height)
+        if picture.format == "PNG" and _told_late(path):
+            picture.load()
+        # Not `picture.getexif`, which decodes every PNG to look for what may follow its pixels.
+        exif = Pillow.Image.getexif(picture)
+        return (height, width) if exif.get(_ORIENTATION, 1) in range(5, 9) else (width, height)
 
 
 def read_photograph(path: Path) -> tuple[Image, NDArray[np.uint8] | None]:
@@ -50,8 +58,7 @@ def read_photograph(path: Path) -> tuple[Image, NDArray[np.uint8] | None]:
     Raises:
         InputError: as `photograph_size`, or cut short, or transparent everywhere.
     """
-    with _reading(path), Pillow.open(path) as picture:
-        _check_mode(path, picture)
+    with _opened(path) as picture:
         transparent = "A" in picture.mode or "transparency" in picture.info
         upright = ImageOps.exif_transpose(picture).convert("RGBA" if transparent else "RGB")
         pixels = np.asarray(upright)
@@ -85,21 +92,47 @@ def fit(rgb: Image, alpha: NDArray[np.uint8], width: int, height: int) -> Image:
     return fitted
 
 
-def _check_mode(path: Path, picture: Pillow.Image) -> None:
-    if picture.mode not in _MODES:
-        raise InputError(path, "pixels", f"are of the kind {picture.mode}", "save it with 8 bits")
+def _told_late(path: Path) -> bool:
+    """Whether a PNG says something behind its pixels, as exiftool writes the orientation there."""
+    pixels = False
+    with path.open("rb") as file:
+        file.seek(8)
+        while len(head := file.read(8)) == 8:
+            size, kind = struct.unpack(">I4s", head)
+            if pixels and kind in _TOLD_LATE:
+                return True
+            pixels |= kind == b"IDAT"
+            file.seek(size + 4, 1)  # with its checksum
+    return False
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[None]:
+def _opened(path: Path) -> Iterator[Pillow.Image]:
+    """The picture, its header read and found to be sane, its pixels not yet."""
     try:
-        with warnings.catch_warnings():
+        with disk_errors(path), warnings.catch_warnings():
+            # Of its bound Pillow only warns; ours comes first.
             warnings.simplefilter("ignore", Pillow.DecompressionBombWarning)
-            yield
+            with Pillow.open(path, formats=_FORMATS) as picture:
+                _check_header(path, picture)
+                yield picture
     except InputError:
         raise
-    except FileNotFoundError:
-        raise InputError(path, "photograph", "is missing", "restore it") from None
-    except (OSError, ValueError, SyntaxError, Pillow.DecompressionBombError) as error:
+    except Pillow.UnidentifiedImageError:
+        problem = f"is none of {', '.join(_FORMATS)}, or broken"
+        raise InputError(path, "photograph", problem, _MEND) from None
+    # Of damaged files its readers raise whatever their code runs into.
+    except Exception as error:
         problem = f"cannot be read ({str(error).splitlines()[0] if str(error) else 'broken'})"
         raise InputError(path, "photograph", problem, _MEND) from None
+
+
+def _check_header(path: Path, picture: Pillow.Image) -> None:
+    if picture.mode not in _MODES:
+        raise InputError(path, "pixels", f"are of the kind {picture.mode}", "save it with 8 bits")
+    width, height = picture.size
+    if width * height > MOST_PIXELS:
+        raise InputError(
+            path, "size", f"is {width}x{height}, more than {MOST_PIXELS / 1e6:.0f} megapixels",
+            "scale it down",
+        )  # fmt: skip

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 from recast.errors import InputError
 from recast.recar.ingest.perceptual_hash import BITS, DUPLICATE_BITS
-from recast.recar.record import SetRecord, regular_azimuths
+from recast.recar.record import LARGEST_SIDE, MOST_VIEWS, SetRecord, regular_azimuths
 from recast.recar.split import HELD_OUT_SHARE
-
-LARGEST_SIDE = 8192
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ class IngestSettings:
             InputError: the first one, named as the option of the command line.
         """
         for option, value, low, high in (
-            ("--views", self.views, 1, 1000),
+            ("--views", self.views, 1, MOST_VIEWS),
             ("--width", self.width, 16, LARGEST_SIDE),
             ("--height", self.height, 16, LARGEST_SIDE),
             ("--elevation", self.elevation_deg, -89, 89),

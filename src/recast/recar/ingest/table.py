@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,6 +16,7 @@ from recast.errors import InputError
 from recast.recar.record import IdentityName, Metres, Split, Text
 from recast.records import validation_error
 
+MOST_BYTES = 1 << 26
 TABLES = ("vehicles.csv", "vehicles.json")
 _MEND = "correct the row; docs/data.md lists the columns"
 
@@ -75,15 +78,17 @@ def read_table(path: Path) -> tuple[list[VehicleRow], dict[str, InputError]]:
     """
     rows, bad = [], {}
     raw = _raw_rows(path)
-    names = [str(value.get("id", "")) for _, value in raw]
+    ids = [value.get("id", "") for _, value in raw]
+    names = [one if isinstance(one, str) else "" for one in ids]
     for (where, value), name in zip(raw, names, strict=True):
         try:
             rows.append(VehicleRow.model_validate(value))
         except ValidationError as error:
             bad[name or where] = validation_error(where, error, _MEND)
-    for name in {name for name in names if names.count(name) > 1}:
-        rows = [row for row in rows if row.id != name]
-        bad[name] = InputError(path, name, f"has {names.count(name)} rows", "keep one of them")
+    twice = {name: count for name, count in Counter(names).items() if name and count > 1}
+    rows = [row for row in rows if row.id not in twice]
+    for name, count in twice.items():
+        bad[name] = InputError(path, name, f"has {count} rows", "keep one of them")
     if not rows and not bad:
         raise InputError(path, "vehicles", "are none", "write a row for each folder")
     return rows, bad
@@ -110,19 +115,23 @@ def _raw_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
         if not isinstance(found, list) or not all(isinstance(row, dict) for row in found):
             raise InputError(path, "JSON", "is no list of objects", _MEND)
         return [(f"{path}: entry {place}", row) for place, row in enumerate(found, 1)]
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(path, "table", "is missing", "check the path") from None
-    except UnicodeDecodeError as error:
-        raise InputError(path, "text", f"is no UTF-8 ({error})", "save it as UTF-8") from None
+    text = storage.read_text(path, MOST_BYTES).removeprefix("\ufeff")
     first = text.partition("\n")[0]
-    reader = csv.DictReader(io.StringIO(text), delimiter=";" if ";" in first else ",")
-    unknown = set(reader.fieldnames or ()) - VehicleRow.model_fields.keys()
-    if unknown or not {"id", "kind"} <= set(reader.fieldnames or ()):
-        problem = f"{sorted(unknown)[0]!r} is no column" if unknown else "id and kind are needed"
-        raise InputError(path, "heading", problem, _MEND)
-    return [(f"{path}: line {reader.line_num}", _cells(row)) for row in reader]
+    reader = csv.DictReader(io.StringIO(text, newline=""), delimiter=";" if ";" in first else ",")
+    try:
+        if problem := _heading_fault(reader.fieldnames or ()):
+            raise InputError(path, "heading", problem, _MEND)
+        return [(f"{path}: line {reader.line_num}", _cells(row)) for row in reader]
+    except csv.Error as error:  # such as a cell of more than 131,072 characters
+        raise InputError(path, f"line {reader.line_num + 1}", str(error), _MEND) from None
+
+
+def _heading_fault(names: Sequence[str]) -> str | None:
+    if unknown := set(names) - VehicleRow.model_fields.keys():
+        return f"{min(unknown)!r} is no column"
+    if not {"id", "kind"} <= set(names):
+        return "id and kind are needed"
+    return "names a column twice" if len(set(names)) < len(names) else None
 
 
 def _cells(row: dict[str | None, Any]) -> dict[str, Any]:

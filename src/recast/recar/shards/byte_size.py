@@ -20,10 +20,10 @@ def parse_byte_size(text: str, option: str) -> int:
         option: that the user gave it as, for the message.
 
     Raises:
-        InputError: no such unit, or less than one byte.
+        InputError: no such unit, less than one byte, or 2^63 and more.
     """
     found = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]+)?)\s*([A-Za-z]*)\s*", text)
     size = float(found[1]) * _UNITS.get(found[2].lower(), 0) if found else 0
-    if size < 1:
+    if not 1 <= size < 2**63:
         raise InputError(option, "value", f"is {text!r}", "give a size such as 256MB or 1GiB")
     return round(size)

@@ -15,7 +15,7 @@ INDEX_FILE = "index.json"
 MEND = "copy the shards again, or pack the set again"
 
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
-Count = Annotated[int, Field(ge=0)]
+Count = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class ShardRecord(BaseModel):
@@ -55,7 +55,7 @@ class IndexRecord(BaseModel):
     format: Literal["recast-vehicle-shards"] = "recast-vehicle-shards"
     version: int = SHARDS_VERSION
     complete: bool
-    shard_bytes: int = Field(ge=1)
+    shard_bytes: int = Field(ge=1, lt=2**63)
     set: SetRecord
     identities: Count
     pictures: Count

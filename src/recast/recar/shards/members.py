@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 
 from recast.errors import InputError
+from recast.recar.picture import MOST_BYTES
 from recast.recar.record import SET_VERSION, IdentityRecord, SetRecord
 from recast.recar.shards.layout import (
     MEND,
@@ -19,7 +19,9 @@ from recast.recar.shards.layout import (
     member_names,
     members_file,
 )
+from recast.recar.shards.tar import END, member_header, padding
 from recast.records import parse_record
+from recast.storage import JSON_LIMIT, disk_errors, parse_json, read_bytes
 
 _LISTS_KEPT = 128  # of members, about 100 KB each
 
@@ -37,19 +39,32 @@ def shard_members(
 
 @lru_cache(maxsize=_LISTS_KEPT)
 def _members(path: Path, shard: ShardRecord, views: int) -> Mapping[str, tuple[Member, ...]]:
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(path, "list of members", "is missing", MEND) from None
+    data = read_bytes(path, JSON_LIMIT)
     if hashlib.sha256(data).hexdigest() != shard.members_sha256:
         raise InputError(path, "sha256", "is not the one in index.json", MEND)
-    members = parse_record(path, json.loads(data), MembersRecord, SHARDS_VERSION, MEND).members
+    value = parse_json(path, data)
+    members = parse_record(path, value, MembersRecord, SHARDS_VERSION, MEND).members
     if tuple(members) != shard.identities:
         raise InputError(path, "identities", "are not those of the shard in index.json", MEND)
     for identity, found in members.items():
         if tuple(member.name for member in found) != member_names(identity, views):
             raise InputError(path, identity, f"has not a record and {views} views", MEND)
+    _check_places(path, shard, [member for found in members.values() for member in found])
     return members
+
+
+def _check_places(path: Path, shard: ShardRecord, members: Sequence[Member]) -> None:
+    """Refuse places other than those of one member behind the other, header and padding between."""
+    end = 0
+    for member in members:
+        if member.size > MOST_BYTES:
+            raise InputError(path, member.name, f"has {member.size} bytes", MEND)
+        start = end + len(member_header(member.name, member.size))
+        if member.offset != start:
+            raise InputError(path, member.name, f"begins at {member.offset}, not {start}", MEND)
+        end = start + member.size + len(padding(member.size))
+    if end + len(END) != shard.bytes:
+        raise InputError(path, "members", f"take {end + len(END)} of {shard.bytes} bytes", MEND)
 
 
 def read_member(path: Path, member: Member) -> bytes:
@@ -64,12 +79,9 @@ def read_member(path: Path, member: Member) -> bytes:
 def read_members(path: Path, members: tuple[Member, ...]) -> list[bytes]:
     """The bytes of members that lie one behind the other, in one read; see `read_member`."""
     start = members[0].offset
-    try:
-        with path.open("rb") as file:
-            file.seek(start)
-            block = file.read(members[-1].offset + members[-1].size - start)
-    except FileNotFoundError:
-        raise InputError(path, "shard", "is missing", MEND) from None
+    with disk_errors(path), path.open("rb") as file:
+        file.seek(start)
+        block = file.read(members[-1].offset + members[-1].size - start)
     found: list[bytes] = []
     for member in members:
         data = block[member.offset - start : member.offset - start + member.size]
@@ -93,11 +105,7 @@ def parse_identity(path: Path, shard: ShardRecord, member: Member, data: bytes) 
         InputError: it is no such record, or is not of the split of its shard.
     """
     where = f"{path}: {member.name}"
-    try:
-        value = json.loads(data)
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(where, "JSON", f"cannot be read ({error})", MEND) from None
-    record = parse_record(where, value, IdentityRecord, SET_VERSION, MEND)
+    record = parse_record(where, parse_json(where, data), IdentityRecord, SET_VERSION, MEND)
     if record.split != shard.split:
         raise InputError(
             where, "split", f"is {record.split!r} in a shard of {shard.split!r}: {record.id} would "

@@ -88,7 +88,7 @@ def _readable(
     path = folder / shard.file
     try:
         size = path.stat().st_size
-    except FileNotFoundError:
+    except OSError:
         error = InputError(path, "shard", f"is missing: {_named(shard.identities)}", MEND)
         return _left_out(error, on_bad)
     if size == shard.bytes:

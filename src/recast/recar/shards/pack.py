@@ -9,7 +9,7 @@ from pathlib import Path
 
 from recast import storage
 from recast.errors import InputError
-from recast.recar.picture import check_encoded_header
+from recast.recar.picture import MOST_BYTES, check_encoded_header
 from recast.recar.record import IDENTITY_FILE, SetRecord
 from recast.recar.shards.layout import (
     INDEX_FILE,
@@ -178,10 +178,7 @@ class _Shard:
 
 
 def _read(member: PlannedMember, record: SetRecord) -> bytes:
-    try:
-        data = member.path.read_bytes()
-    except FileNotFoundError:
-        data = b""
+    data = storage.read_bytes(member.path, MOST_BYTES)
     if len(data) != member.size:
         raise InputError(
             member.path, "file", "has changed while the set is being packed", "run again"

@@ -6,11 +6,11 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from recast.errors import InputError
 from recast.recar.record import IDENTITY_FILE, SPLITS, Split, view_file
 from recast.recar.shards.layout import member_names, shard_file
 from recast.recar.shards.tar import END, stored_bytes
 from recast.recar.vehicle_set import Identity, VehicleSet
+from recast.storage import disk_errors
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,5 @@ def _members(identity: Identity, views: int) -> tuple[PlannedMember, ...]:
 
 
 def _size(path: Path) -> int:
-    try:
+    with disk_errors(path):
         return path.stat().st_size
-    except FileNotFoundError:
-        raise InputError(path, "file", "is missing", "restore it") from None

@@ -9,6 +9,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from recast.errors import InputError
 from recast.recar.targets import Target
 from recast.trellis.flow import Velocity
 from recast.trellis.models.slat_flow import SLatFlowModel
@@ -63,7 +64,19 @@ class StructureFlow:
         return 1
 
     def data(self, targets: Sequence[Target]) -> FlowData:
-        """Dense (B, C, r, r, r)."""
+        """Dense (B, C, r, r, r).
+
+        Raises:
+            InputError: a target's structure is of another shape.
+        """
+        config = self.model.config
+        shape = (config.in_channels, *[config.resolution] * 3)
+        for one in targets:
+            if one.structure.shape != shape:
+                raise InputError(
+                    "targets", "structure", f"is {one.structure.shape}, the network takes {shape}",
+                    "make the targets with a model of the same size",
+                )  # fmt: skip
         stacked = torch.stack([torch.from_numpy(one.structure) for one in targets])
         return FlowData(stacked.to(self.model.device), None, self.model)
 

@@ -9,9 +9,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from recast.storage import write_text
+from pydantic import TypeAdapter, ValidationError
+
+from recast.errors import InputError
+from recast.records import validation_error
+from recast.storage import disk_errors, parse_json, read_text, write_text
 
 LOG_FILE = "log.jsonl"
+_LINE: TypeAdapter[dict[str, int | float]] = TypeAdapter(dict[str, int | float])
 
 
 @dataclass
@@ -67,7 +72,7 @@ class TrainingLog:
         values = {**self.pending.means(), **extra}
         values = {name: value for name, value in values.items() if math.isfinite(value)}
         seconds = round(time.perf_counter() - self._since, 3)
-        with self.path.open("a") as stream:
+        with disk_errors(self.path), self.path.open("a") as stream:
             stream.write(json.dumps({"step": step, "seconds": seconds, **values}) + "\n")
         self.pending.sums.clear()
         self.pending.counts.clear()
@@ -76,11 +81,21 @@ class TrainingLog:
 
 
 def read_log_lines(path: Path) -> list[dict[str, float]]:
-    """The lines of a log, but for one that a kill cut short; none where there is no log."""
-    lines: list[dict[str, float]] = []
-    for text in path.read_text().splitlines() if path.exists() else []:
-        try:
-            lines.append(json.loads(text))
-        except json.JSONDecodeError:
-            continue
-    return lines
+    """The lines of a log, but for a last one that a kill cut short; none where there is no log.
+
+    Raises:
+        InputError: another line cannot be read, or is none of a log.
+    """
+    whole = read_text(path).split("\n")[:-1] if path.exists() else []
+    return [_line(f"{path}: line {number}", text) for number, text in enumerate(whole, 1)]
+
+
+def _line(where: str, text: str) -> dict[str, float]:
+    mend = "remove the line"
+    try:
+        values = _LINE.validate_python(parse_json(where, text))
+    except ValidationError as error:
+        raise validation_error(where, error, mend) from None
+    if not {"step", "seconds"} <= values.keys():
+        raise InputError(where, "line", "lacks step or seconds", mend)
+    return values

@@ -8,10 +8,9 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import torch
-from pydantic import ValidationError
+from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
@@ -20,13 +19,32 @@ from recast.errors import InputError
 from recast.recar.training.log import Means
 from recast.recar.training.settings import TrainerSettings
 from recast.records import validation_error
-from recast.storage import atomic_file
+from recast.storage import atomic_file, parse_json
+from recast.torch_file import read_safetensors
 from recast.trellis.flow import AdaptiveGradClipper, ExponentialMovingAverage
 
 STATE_FILE = "state.safetensors"
 _HEADER = "recast-training"
 _MEND = "remove the folder and train again"
-_BROKEN = (SafetensorError, KeyError, json.JSONDecodeError, OSError)
+_MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # of AdamW
+
+
+class _Norms(BaseModel):
+    norms: tuple[FiniteFloat, ...]
+
+
+class _Sums(BaseModel):
+    sums: dict[str, FiniteFloat] = {}
+    counts: dict[str, FiniteFloat] = {}
+
+
+class _Header(BaseModel):
+    """What a checkpoint says beside its tensors; the first version had no log."""
+
+    step: int = Field(ge=0)
+    settings: TrainerSettings
+    clipper: _Norms | None
+    log: _Sums = _Sums()
 
 
 @dataclass
@@ -108,13 +126,12 @@ class TrainingState:
         path = folder / STATE_FILE
         if not path.exists():
             return
-        try:
-            with safe_open(path, framework="pt") as file:
-                header: dict[str, Any] = json.loads((file.metadata() or {})[_HEADER])
-                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        except _BROKEN as error:
-            raise InputError(path, "state", f"cannot be read ({error})", _MEND) from None
+        tensors, texts = read_safetensors(path, "state", _MEND)
+        header = _header(path, texts)
         _check_settings(path, header, settings)
+        for name, value in tensors.items():
+            if value.is_floating_point() and not bool(torch.isfinite(value).all()):
+                raise InputError(path, name, "holds NaN or infinite values", _MEND)
         try:
             for name, module in self.modules.items():
                 module.load_state_dict(_below(tensors, f"model/{name}/"))
@@ -125,14 +142,19 @@ class TrainingState:
             average.load_state_dict(_below(tensors, f"average/{name}/"), path)
         for index, parameter in enumerate(self.parameters()):
             moments = _below(tensors, f"optimiser/{index}/")
+            expected = {k: () if k == "step" else tuple(parameter.shape) for k in _MOMENTS}
+            if moments and {k: tuple(v.shape) for k, v in moments.items()} != expected:
+                raise InputError(path, f"optimiser/{index}", "is of another optimiser", _MEND)
             if moments:
                 self.optimiser.state[parameter] = {
                     k: v if k == "step" else v.to(parameter.device) for k, v in moments.items()
                 }
         if self.clipper is not None:
-            self.clipper.load_state_dict(header["clipper"])
-        self.step = int(header["step"])
-        self.pending = Means(**header.get("log", {}))
+            if header.clipper is None:
+                raise InputError(path, "clipper", "is missing", _MEND)
+            self.clipper.load_state_dict({"norms": header.clipper.norms})
+        self.step = header.step
+        self.pending = Means(dict(header.log.sums), dict(header.log.counts))
 
 
 def steps_done(folder: Path) -> int:
@@ -146,24 +168,29 @@ def steps_done(folder: Path) -> int:
         return 0
     try:
         with safe_open(path, framework="pt") as file:
-            return int(json.loads((file.metadata() or {})[_HEADER])["step"])
-    except _BROKEN as error:
+            texts = file.metadata() or {}
+    except (SafetensorError, OSError) as error:
         raise InputError(path, "state", f"cannot be read ({error})", _MEND) from None
+    return _header(path, texts).step
 
 
-def _check_settings(path: Path, header: Mapping[str, Any], settings: TrainerSettings) -> None:
+def _header(path: Path, texts: Mapping[str, str]) -> _Header:
     try:
-        found = TrainerSettings.model_validate(header["settings"])
+        return _Header.model_validate(parse_json(path, texts.get(_HEADER, "null")))
     except ValidationError as error:
         raise validation_error(path, error, _MEND) from None
+
+
+def _check_settings(path: Path, header: _Header, settings: TrainerSettings) -> None:
+    found = header.settings
     if not found.same_course(settings):
         names = [n for n, v in found if v != getattr(settings, n)]
         raise InputError(
             path, "settings", f"differ from those asked for ({', '.join(names)})", _MEND
         )
-    if header["step"] > settings.steps:
+    if header.step > settings.steps:
         raise InputError(
-            path, "steps", f"{header['step']} are done, {settings.steps} were asked for", _MEND
+            path, "steps", f"{header.step} are done, {settings.steps} were asked for", _MEND
         )
 
 
