@@ -42,22 +42,22 @@ def test_nothing_is_decided_without_a_file(folder: Path) -> None:
     assert dict(screening.decisions) == {}
     assert screening.decision("a") is None
     assert screening.undo() is None
-    assert screening.counts() == {"accept": 0, "reject": 0, "flip": 0}
+    assert screening.counts() == {"accept": 0, "reject": 0}
     assert not (folder / "screening.json").exists()
     assert get_args(Decision) == DECISIONS
 
 
 def test_each_decision_is_in_the_file_with_its_time(folder: Path) -> None:
     screening, start = Screening(folder), datetime.now(UTC).replace(microsecond=0)
-    screening.decide("a", "flip")
-    assert stored(folder) == {"a": "flip"}
+    screening.decide("a", "reject")
+    assert stored(folder) == {"a": "reject"}
     screening.decide("b", "reject")
     screening.decide("a", "accept")
     assert stored(folder) == {"a": "accept", "b": "reject"}
-    assert screening.counts() == {"accept": 1, "reject": 1, "flip": 0}
+    assert screening.counts() == {"accept": 1, "reject": 1}
     changes = screening.changes(0)
     assert [(c.id, c.before, c.after) for c in changes] == [
-        ("a", None, "flip"), ("b", None, "reject"), ("a", "flip", "accept"),
+        ("a", None, "reject"), ("b", None, "reject"), ("a", "reject", "accept"),
     ]  # fmt: skip
     assert all(start <= change.time <= datetime.now(UTC) for change in changes)
 
@@ -76,7 +76,7 @@ def test_undo_goes_back_through_earlier_sessions(folder: Path) -> None:
     first.decide("a", "accept")
     first.decide("b", "reject")
     second = Screening(folder)
-    second.decide("a", "flip")
+    second.decide("a", "reject")
     undone = [second.undo(), Screening(folder).undo(), Screening(folder).undo()]
     assert [change and change.id for change in undone] == ["a", "b", "a"]
     assert stored(folder) == {}
@@ -121,10 +121,10 @@ def test_what_another_process_wrote_is_kept(folder: Path) -> None:
     one, other = Screening(folder), Screening(folder)
     one.decide("a", "accept")
     other.decide("b", "reject")
-    one.decide("c", "flip")
-    assert stored(folder) == {"a": "accept", "b": "reject", "c": "flip"}
+    one.decide("c", "accept")
+    assert stored(folder) == {"a": "accept", "b": "reject", "c": "accept"}
     other.refresh()
-    assert other.decision("c") == "flip"
+    assert other.decision("c") == "accept"
 
 
 def test_a_decision_that_was_not_seen_is_not_overruled(folder: Path) -> None:
@@ -161,14 +161,14 @@ def test_threads_lose_nothing(tmp_path: Path) -> None:
 
 
 def test_a_file_written_by_hand_needs_no_history(folder: Path) -> None:
-    record = {"format": "recast-screening", "version": 1, "decisions": {"b": "flip"}}
+    record = {"format": "recast-screening", "version": 1, "decisions": {"b": "accept"}}
     (folder / "screening.json").write_text(json.dumps(record))
     screening = Screening(folder)
-    assert screening.decision("b") == "flip"
+    assert screening.decision("b") == "accept"
     assert screening.undo() is None
     screening.decide("b", "reject")
     screening.undo()
-    assert stored(folder) == {"b": "flip"}
+    assert stored(folder) == {"b": "accept"}
 
 
 @pytest.mark.parametrize(
@@ -209,8 +209,8 @@ def test_a_disk_that_is_full_changes_nothing(folder: Path, monkeypatch: pytest.M
             screening.undo()
     assert screening.decision("b") is None
     assert stored(folder) == {"a": "accept"}
-    screening.decide("b", "flip")
-    assert stored(folder) == {"a": "accept", "b": "flip"}
+    screening.decide("b", "reject")
+    assert stored(folder) == {"a": "accept", "b": "reject"}
 
 
 def test_lines_of_the_file_are_json(folder: Path) -> None:

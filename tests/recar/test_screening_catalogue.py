@@ -29,20 +29,19 @@ def test_a_stretch_after_and_before_one() -> None:
 
 
 def test_filters() -> None:
-    decisions: dict[str, Decision] = {"a": "reject", "b": "flip"}
+    decisions: dict[str, Decision] = {"a": "reject", "b": "accept"}
     found = {show: ids(CATALOGUE.after(None, "id", Filter(show), decisions, 9)) for show in SHOWS}
     assert found == {
         "undecided": ["c", "car-2"],
         "decided": ["a", "b"],
-        "accept": [],
+        "accept": ["b"],
         "reject": ["a"],
-        "flip": ["b"],
         "all": ["a", "b", "c", "car-2"],
     }
     low = Filter("all", 4.0, 4.5)
     assert ids(CATALOGUE.after(None, "id", low, {}, 9)) == ["a", "car-2"]
     assert CATALOGUE.counts(low, decisions) == {
-        "accept": 0, "reject": 1, "flip": 0, "undecided": 1, "all": 2,
+        "accept": 0, "reject": 1, "undecided": 1, "all": 2,
     }  # fmt: skip
 
 

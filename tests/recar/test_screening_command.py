@@ -25,7 +25,7 @@ def test_the_command_serves_until_it_is_interrupted(
     request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     folder = write_cache(tmp_path / "cache").folder
     write_set(tmp_path / "set")
-    Screening(folder).decide("car-0", "flip")
+    Screening(folder).decide("car-0", "reject")
     seen: list[bytes] = []
 
     def look_and_interrupt() -> None:
@@ -42,9 +42,7 @@ def test_the_command_serves_until_it_is_interrupted(
     Screen(folder, set=tmp_path / "set", port=0)()
     thread.join()
     assert seen[0].startswith(b"\x89PNG")
-    assert "1 of 4 decided, 0 accepted, 1 flipped, 0 rejected" in " ".join(
-        capsys.readouterr().out.split()
-    )
+    assert "1 of 4 decided, 0 accepted, 1 rejected" in " ".join(capsys.readouterr().out.split())
 
 
 def test_no_cache_is_one_clear_line(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import http.client
 import json
 import multiprocessing
@@ -24,7 +25,7 @@ from recast.errors import InputError
 from recast.recar.screening import Screening
 from recast.recar.screening.server import ScreeningServer
 from recast.recar.screening.service import ScreeningService
-from recast.recar.targets import TargetCache
+from recast.recar.targets import Candidate, Target, TargetCache
 from recast.recar.targets.preview import contact_sheet
 from recast.recar.targets.views import Viewpoint
 from recast.splats import Gaussians
@@ -106,11 +107,11 @@ def test_state_of_the_cache(page: Page) -> None:
     assert state["sides"] == ["front", "rear", "left", "right"]
 
 
-def test_targets_are_sorted_and_filtered_by_their_better_score(page: Page) -> None:
-    assert page.ids(order="lowest") == ["car-10", "car-2", "car-0", "car-1"]
-    assert page.ids(order="highest", limit=2) == ["car-1", "car-0"]
+def test_targets_are_sorted_and_filtered_by_their_score(page: Page) -> None:
+    assert page.ids(order="lowest") == ["car-10", "car-1", "car-2", "car-0"]
+    assert page.ids(order="highest", limit=2) == ["car-0", "car-2"]
     assert page.ids(order="id") == ["car-0", "car-1", "car-10", "car-2"]
-    assert page.ids(order="lowest", lowest=4.5, after="car-2") == ["car-0", "car-1"]
+    assert page.ids(order="lowest", lowest=4.5, after="car-2") == ["car-0"]
     assert page.ids(order="lowest", before="car-0", limit=1) == ["car-2"]
     assert page.ids(at="car-10", lowest=4.5) == ["car-10"]
     item = page.get("/api/items", at="car-1")["items"][0]
@@ -125,10 +126,10 @@ def test_a_decision_is_in_the_file_when_it_is_answered(page: Page, cache: Target
         {"car-0": "accept"},
         {"car-0": "accept"},
     )
-    assert answer["counts"] == {"accept": 1, "reject": 0, "flip": 0, "undecided": 2, "all": 3}
-    page.post("/api/decide", id="car-1", decision="flip")
+    assert answer["counts"] == {"accept": 1, "reject": 0, "undecided": 1, "all": 2}
+    page.post("/api/decide", id="car-1", decision="reject")
     assert page.ids(show="undecided") == ["car-10", "car-2"]
-    assert page.ids(show="flip") == ["car-1"]
+    assert page.ids(show="reject") == ["car-1"]
     status, answer = page.post("/api/undo")
     assert (answer["undone"], stored(cache)) == ("car-1", {"car-0": "accept"})
     page.post("/api/undo")
@@ -138,10 +139,10 @@ def test_a_decision_is_in_the_file_when_it_is_answered(page: Page, cache: Target
 
 def test_the_cache_uses_what_was_decided(page: Page, cache: TargetCache) -> None:
     page.post("/api/decide", id="car-0", decision="reject")
-    page.post("/api/decide", id="car-1", decision="flip")
+    page.post("/api/decide", id="car-1", decision="accept")
     opened = TargetCache.open(cache.folder)
-    assert opened.decisions == {"car-0": "reject", "car-1": "flip"}
-    assert opened.ids() == ("car-1", "car-2")  # turned, car-1 is above the threshold
+    assert opened.decisions == {"car-0": "reject", "car-1": "accept"}
+    assert opened.ids() == ("car-2",)  # car-1 stays below the threshold
 
 
 def test_two_pages_lose_nothing(page: Page, cache: TargetCache) -> None:
@@ -170,6 +171,7 @@ def test_two_pages_lose_nothing(page: Page, cache: TargetCache) -> None:
         ({"id": ["car-0"], "decision": "accept"}, 404),
         ({"decision": "accept"}, 404),
         ({"id": "car-0", "decision": "maybe"}, 400),
+        ({"id": "car-0", "decision": "flip"}, 400),
         ({"id": "car-0", "decision": ["accept"]}, 400),
         ({"id": "car-0", "decision": "accept", "since": "x"}, 400),
         ({"id": "car-0", "decision": "accept", "since": float("inf")}, 400),
@@ -249,6 +251,69 @@ def test_bodies_that_are_none_are_refused(page: Page) -> None:
     assert page.send("POST", "/api/else", b"{}", JSON)[0] == 404
 
 
+def test_another_port_of_this_machine_may_not_decide(page: Page, cache: TargetCache) -> None:
+    body = json.dumps({"id": "car-0", "decision": "reject"}).encode()
+    name, port = page.address.split(":")
+    for origin in (
+        f"http://{name}:{int(port) + 1}", f"http://{name}", f"https://{page.address}",
+        f"http://localhost:{port}", "null", "", f"http://{page.address}.example.org",
+    ):  # fmt: skip
+        status = page.send("POST", "/api/decide", body, JSON | {"Origin": origin})[0]
+        assert status == 403, origin
+    assert not (cache.folder / "screening.json").exists()
+    own = JSON | {"Origin": f"http://{page.address}"}
+    assert page.send("POST", "/api/decide", body, own)[0] == 200
+
+
+def answer_to(page: Page, request: bytes) -> bytes:
+    """What the server says to bytes that no client library would send."""
+    host, port = page.address.split(":")
+    with socket.create_connection((host, int(port)), timeout=10) as stream:
+        stream.sendall(request)
+        stream.shutdown(socket.SHUT_WR)
+        return b"".join(iter(lambda: stream.recv(1 << 16), b""))
+
+
+@pytest.mark.parametrize(
+    ("start", "headers", "body"),
+    [
+        ("GET http://[::1/ HTTP/1.1", "", ""),
+        ("POST /api/decide HTTP/1.1", "Content-Length: " + "9" * 5000, "{}"),
+        ("POST /api/decide HTTP/1.1", "Content-Length: -1", "{}"),
+        ("POST /api/decide HTTP/1.1", "Content-Length: ²", "{}"),
+        ("POST /api/decide HTTP/1.1", "Content-Length: 2\r\nTransfer-Encoding: chunked", "{}"),
+        ("POST /api/decide HTTP/1.1", "Content-Length: 4000", "[" * 4000),
+        ("POST /api/undo HTTP/1.1", "Content-Length: 412", '{"since": %s}' % ("9" * 400)),
+        ("POST /api/undo HTTP/1.1", "Content-Length: 15", '{"since":1e999}'),
+        ("POST /api/undo HTTP/1.1", "Content-Length: 13", '{"since":NaN}'),
+        ("GET /api/items?limit=" + "9" * 400 + " HTTP/1.1", "", ""),
+        ("GET /api/news?since=-" + "9" * 4400 + " HTTP/1.1", "", ""),
+    ],
+)
+def test_what_no_page_sends_is_refused_in_words(
+    page: Page, capfd: pytest.CaptureFixture[str], start: str, headers: str, body: str
+) -> None:
+    lines = [start, "Host: localhost", "Content-Type: application/json", headers]
+    head = "\r\n".join(line for line in lines if line) + "\r\n\r\n"
+    answer = answer_to(page, (head + body).encode("latin-1"))
+    assert answer.startswith(b"HTTP/1.1 400 "), answer[:200]
+    assert b'{"error": ' in answer
+    assert capfd.readouterr().err == ""
+    assert page.get("/api/state")["total"] == 4
+
+
+def test_decisions_on_a_read_only_disk_are_refused_in_words(
+    page: Page, cache: TargetCache, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path, *args: object) -> None:
+        raise OSError(errno.EROFS, "read-only", str(path))
+
+    monkeypatch.setattr(Path, "touch", refuse)
+    status, answer = page.post("/api/decide", id="car-0", decision="accept")
+    assert status == 500 and "it is read-only" in answer["error"]
+    assert not (cache.folder / "screening.json").exists()
+
+
 def test_a_file_broken_meanwhile_is_told_and_kept(page: Page, cache: TargetCache) -> None:
     (cache.folder / "screening.json").write_text("{")
     status, answer = page.post("/api/decide", id="car-0", decision="accept")
@@ -285,7 +350,9 @@ def test_contact_sheets_have_the_tiles_that_the_page_cuts() -> None:
         logit_opacities=torch.ones(1), sh=torch.zeros(1, 1, 3),
     )  # fmt: skip
     views = [Viewpoint(azimuth) for azimuth in (0.0, 180.0, 90.0, 270.0)]
-    png = contact_sheet(gaussians, pictures(0), views)
+    target = Target(np.zeros((1, 1, 1, 1), np.float32), np.zeros((1, 3), np.int32),
+                    np.zeros((1, 1), np.float32))  # fmt: skip
+    png = contact_sheet(Candidate(target, gaussians, pictures(0), views))
     height, width = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR).shape[:2]
     assert (width % 4, height % 3) == (0, 0)
     assert width // 4 == height // 3
@@ -313,7 +380,7 @@ def test_kills_between_and_within_decisions_lose_none(tmp_path: Path) -> None:
             answered[name] = "reject"
         # One more is on its way when the process dies: it is there, or it is not.
         late = next(waiting)
-        body = json.dumps({"id": late, "decision": "flip"}).encode()
+        body = json.dumps({"id": late, "decision": "accept"}).encode()
         head = f"POST /api/decide HTTP/1.1\r\nHost: localhost\r\nContent-Length: {len(body)}\r\n"
         host, port = page.address.split(":")
         with socket.create_connection((host, int(port))) as stream:
@@ -322,7 +389,7 @@ def test_kills_between_and_within_decisions_lose_none(tmp_path: Path) -> None:
             process.kill()
             process.join()
         found = dict(Screening(folder).decisions)
-        assert found in (answered, answered | {late: "flip"})
+        assert found in (answered, answered | {late: "accept"})
         answered = {**found}
     screening = Screening(folder)
     assert screening.revision == len(answered)

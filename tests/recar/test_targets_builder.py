@@ -177,7 +177,7 @@ def test_ray_is_asked_for_by_name_where_it_is_missing(
     places: Places, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(InputError, match=r"recast\[distributed\]"):
+    with pytest.raises(InputError, match=r"recast-sim\[distributed\]"):
         build_targets(*places, tmp_path / "cache", SETTINGS, ray="local")
     assert not (tmp_path / "cache").exists()
 

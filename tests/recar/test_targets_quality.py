@@ -6,6 +6,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -16,6 +17,8 @@ from recast.recar import regular_azimuths
 from recast.recar.targets import Candidate, FilterSettings, Target
 from recast.recar.targets.aesthetic import WIDTHS, AestheticScore, load_predictor
 from recast.recar.targets.agreement import AgreementScore, largest_part, mirror_symmetry
+from recast.recar.targets.heading import find_heading
+from recast.recar.targets.preview import contact_sheet
 from recast.recar.targets.quality import filter_record, open_score
 from recast.recar.targets.render import Cutout, framed, of_picture, render, resized
 from recast.recar.targets.views import Viewpoint, nearest_views
@@ -92,6 +95,58 @@ def test_a_target_that_shows_its_pictures_scores_high_and_rear_to_front_less() -
     assert turned.score == pytest.approx(quality.flipped, abs=0.01)
 
 
+def looking(one: Candidate, heading_deg: float) -> Candidate:
+    """The same vehicle as a model of any heading may make it."""
+    angle = np.radians(heading_deg)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    middle = (RESOLUTION - 1) / 2
+    coords = one.target.coords.copy()
+    coords[:, :2] = np.rint((coords[:, :2] - middle) @ turn.T + middle)
+    coords = np.unique(coords, axis=0)
+    pose = torch.eye(4)
+    pose[:2, :2] = torch.from_numpy(turn).float()
+    return replace(
+        one,
+        gaussians=one.gaussians.transformed(pose),
+        target=Target(one.target.structure, coords, np.zeros((len(coords), 8), np.float32)),
+    )
+
+
+@pytest.mark.parametrize("heading", [0.0, 23.0, 90.0, 137.0, 180.0, 271.0, 348.0])
+def test_a_target_of_any_heading_is_judged_as_it_looks(heading: float) -> None:
+    """Believed to look along +x it would be kept or rejected by chance."""
+    good = AgreementScore()(car()).score
+    one = looking(car(), heading)
+    found = find_heading(one.gaussians, one.pictures, one.viewpoints)
+    # A pixel of the cut-outs is some two degrees wide at a bumper.
+    assert abs((found - heading + 180) % 360 - 180) < 3.0
+    aligned = AgreementScore()(replace(one, heading_deg=found))
+    # Voxels of a turned grid lie up to half a voxel off, and touch by corners.
+    assert aligned.score > 0.9 * good
+    assert aligned.flipped is not None and aligned.flipped < aligned.score - 0.1
+    away = min(heading, 360 - heading)
+    if away > 20:
+        assert AgreementScore()(one).score < aligned.score - 0.1
+
+
+def test_the_contact_sheet_shows_each_side_under_its_picture() -> None:
+    straight = decoded(contact_sheet(car()))
+    aligned = decoded(contact_sheet(replace(looking(car(), 137.0), heading_deg=137.0)))
+    lost = decoded(contact_sheet(looking(car(), 137.0)))
+    error = [float(np.abs(straight - other).mean()) for other in (aligned, lost)]
+    assert error[0] < 0.25 * error[1]
+
+
+def decoded(png: bytes) -> np.ndarray:
+    return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR).astype(np.float32)
+
+
+def test_nothing_to_see_has_a_heading_all_the_same() -> None:
+    one = car()
+    hidden = replace(one.gaussians, logit_opacities=torch.full((len(one.gaussians),), -20.0))
+    assert 0 <= find_heading(hidden, one.pictures, one.viewpoints) < 360
+
+
 @pytest.mark.parametrize("fault", ["half", "grey", "floaters", "lopsided", "nothing"])
 def test_faults_cost_score(fault: str) -> None:
     one = car()
@@ -130,6 +185,7 @@ def test_symmetry_and_parts_of_voxels() -> None:
     assert mirror_symmetry(both) == pytest.approx(30 / 31)
     slope = np.array([[i, i, 0] for i in range(10)], np.int32)
     assert mirror_symmetry(slope) < 0.5
+    assert mirror_symmetry(slope, 45.0) == mirror_symmetry(slope, 225.0) == 1.0
     diagonal = np.array([[i, i, i] for i in range(5)], np.int32)
     assert largest_part(diagonal) == 1.0
 

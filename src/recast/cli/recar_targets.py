@@ -44,8 +44,10 @@ class Targets:
     max_voxels: int | None = None
     """Most active voxels; 8 R^2 where not given, 32,768 of the published model."""
     filter: Literal["agreement", "aesthetic", "none"] = "agreement"
-    """Quality filter: agreement with the pictures, for small models whose vehicles look along +x;
-    or the Improved Aesthetic Predictor."""
+    """Quality filter: agreement with the pictures, or the Improved Aesthetic Predictor."""
+    heading: Literal["any", "+x"] = "any"
+    """Where vehicles of the model look: any way, as those of the published models, found by the
+    pictures; or along +x, as those of small models that were trained so."""
     threshold: float | None = None
     """Least score of a target that is used, 4.5 of the aesthetic predictor and 0.6 of the
     agreement where not given; may be changed later without making targets anew."""
@@ -90,6 +92,7 @@ class Targets:
             latent=pipeline.slat_settings.merged(steps=self.steps),
             retries=self.retries,
             max_voxels=self.max_voxels,
+            heading=self.heading,
             filter=FilterSettings(
                 kind=self.filter, threshold=self.threshold, predictor=self.predictor, clip=self.clip
             ),

@@ -14,8 +14,8 @@ from recast.recar.screening.record import DECISIONS, Decision
 
 Order = Literal["id", "lowest", "highest"]
 ORDERS: tuple[Order, ...] = ("lowest", "highest", "id")
-Show = Literal["undecided", "decided", "accept", "reject", "flip", "all"]
-SHOWS: tuple[Show, ...] = ("undecided", "decided", "accept", "reject", "flip", "all")
+Show = Literal["undecided", "decided", "accept", "reject", "all"]
+SHOWS: tuple[Show, ...] = ("undecided", "decided", "accept", "reject", "all")
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import threading
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -14,6 +13,7 @@ from typing import Any
 
 from recast import storage
 from recast.errors import InputError
+from recast.recar.record import is_identity_name
 from recast.recar.screening.record import (
     DECISIONS,
     SCREENING_FILE,
@@ -27,6 +27,7 @@ from recast.recar.screening.record import (
     standing_changes,
 )
 from recast.records import read_record
+from recast.storage import disk_errors
 
 _LOCK_FILE = ".screening.lock"
 _MEND = "restore it from a copy, or remove it to begin the screening again"
@@ -113,7 +114,7 @@ class Screening:
 
         Args:
             name: its id.
-            decision: "accept", "reject", or "flip": accept it turned by 180 degrees about z.
+            decision: "accept" or "reject".
             revision: that the decider last saw; None decides whatever others did.
 
         Raises:
@@ -157,9 +158,9 @@ class Screening:
             return last
 
     def _check_known(self, name: str) -> None:
-        # Compared to the names in the folder, so that no path can be made of it.
-        records = self.folder / "records"
-        if Path(name).name != name or not (records / f"{name}.json").is_file():
+        # Of such a name no path leads out of the folder.
+        known = is_identity_name(name) and (self.folder / "records" / f"{name}.json").is_file()
+        if not known:
             raise InputError(
                 self.folder, "target", f"{name[:100]!r} is not in the cache", "check the id"
             )
@@ -183,10 +184,12 @@ class Screening:
 
     @contextmanager
     def _exclusive(self) -> Iterator[None]:
-        with self._thread, (self.folder / _LOCK_FILE).open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            self.refresh()
-            yield
+        lock = self.folder / _LOCK_FILE
+        with disk_errors(lock), self._thread:
+            lock.touch()
+            with storage.alone_in(lock, wait=True):
+                self.refresh()
+                yield
 
 
 def _read(path: Path) -> ScreeningRecord:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict, model_validator
+from pydantic import AwareDatetime, BaseModel, BeforeValidator, ConfigDict, model_validator
 
 from recast.recar.record import IdentityName
 
@@ -14,8 +14,17 @@ SCREENING_FILE = "screening.json"
 SCREENING_FORMAT = "recast-screening"
 SCREENING_VERSION = 1
 
-Decision = Literal["accept", "reject", "flip"]
-DECISIONS: tuple[Decision, ...] = ("accept", "reject", "flip")
+Decision = Literal["accept", "reject"]
+DECISIONS: tuple[Decision, ...] = ("accept", "reject")
+
+
+def _as_it_stands(decision: object) -> object:
+    # Earlier versions turned latents by 180 degrees, which their autoencoders do not turn with: of
+    # the decoded voxels a third agreed. What came out rear to front is of no use as it stands.
+    return "reject" if decision == "flip" else decision
+
+
+_Stored = Annotated[Decision, BeforeValidator(_as_it_stands)]
 
 
 class Change(BaseModel):
@@ -31,8 +40,8 @@ class Change(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     id: IdentityName
-    before: Decision | None
-    after: Decision | None
+    before: _Stored | None
+    after: _Stored | None
     time: AwareDatetime
     undo: bool = False
 
@@ -50,7 +59,7 @@ class ScreeningRecord(BaseModel):
 
     format: Literal["recast-screening"] = "recast-screening"
     version: int = SCREENING_VERSION
-    decisions: dict[IdentityName, Decision]
+    decisions: dict[IdentityName, _Stored]
     history: tuple[Change, ...] = ()
 
     @model_validator(mode="after")

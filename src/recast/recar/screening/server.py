@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 import sys
 from collections.abc import Callable, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -13,10 +14,11 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 from recast.errors import InputError
 from recast.recar.screening.page import CONTENT_POLICY, page
 from recast.recar.screening.service import RefusedError, ScreeningService
+from recast.storage import parse_json
 
 HOST = "127.0.0.1"
 _NAMES = (HOST, "localhost")
-_LONGEST_BODY = 4096
+_LENGTH = re.compile("[0-9]{1,4}")  # of a body
 
 
 class ScreeningServer(ThreadingHTTPServer):
@@ -60,6 +62,7 @@ class _Handler(BaseHTTPRequestHandler):
     server: ScreeningServer
 
     def do_GET(self) -> None:
+        self.close_connection |= self._has_body()  # which is not read
         self._answer(self._get)
 
     def do_POST(self) -> None:
@@ -75,7 +78,11 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_json({"error": str(error)}, 500)
 
     def _get(self) -> None:
-        service, parts = self.server.service, urlsplit(self.path)
+        service = self.server.service
+        try:
+            parts = urlsplit(self.path)
+        except ValueError:
+            raise RefusedError(400, "address: is none") from None
         if parts.path == "/":
             self._send(page(), "text/html; charset=utf-8")
             return
@@ -104,27 +111,31 @@ class _Handler(BaseHTTPRequestHandler):
         self._send_json(answers[self.path](body))
 
     def _check_origin(self) -> None:
-        # Other sites in the same browser can send requests here, under their own names or, with a
-        # name of theirs that leads to 127.0.0.1, as if from here.
-        asked = [f"//{self.headers.get('Host', '')}"]
-        if "Origin" in self.headers:
-            asked.append(self.headers["Origin"])
-        if any(_host(url) not in _NAMES for url in asked):
+        # Other sites in the same browser can send requests here, under their own names (Origin) or,
+        # with a name of theirs that leads to 127.0.0.1, as if from here (Host). Programs at other
+        # ports of this machine are other sites. The port is not compared with our own: behind a
+        # tunnel the browser knows another one.
+        host = self.headers.get("Host", "")
+        foreign = [one for one in self.headers.get_all("Origin", []) if one != f"http://{host}"]
+        if foreign or _host(host) not in _NAMES:
             self.close_connection = True
             raise RefusedError(403, "only pages of this server may ask it")
 
+    def _has_body(self) -> bool:
+        return "Content-Length" in self.headers or "Transfer-Encoding" in self.headers
+
     def _body(self) -> dict[str, Any]:
         length = self.headers.get("Content-Length", "")
-        if not length.isdecimal() or int(length) > _LONGEST_BODY:
+        if not _LENGTH.fullmatch(length) or "Transfer-Encoding" in self.headers:
             self.close_connection = True  # what follows was not read
             raise RefusedError(400, "body: its length is missing or too large")
         data = self.rfile.read(int(length))
         if self.headers.get_content_type() != "application/json":
             raise RefusedError(415, "body: is no application/json")
         try:
-            body = json.loads(data)
-        except ValueError:
-            body = None
+            body = parse_json("body", data)
+        except InputError as error:
+            raise RefusedError(400, f"body: {error.problem}") from None
         if not isinstance(body, dict):
             raise RefusedError(400, "body: is no JSON object")
         return body
@@ -146,8 +157,8 @@ class _Handler(BaseHTTPRequestHandler):
         """Keep the terminal free."""
 
 
-def _host(url: str) -> str | None:
+def _host(address: str) -> str | None:
     try:
-        return urlsplit(url).hostname
+        return urlsplit(f"//{address}").hostname
     except ValueError:
         return None

@@ -11,7 +11,7 @@ from recast.recar.screening.catalogue import ORDERS, SHOWS, Catalogue, Entry, Fi
 from recast.recar.screening.decisions import Conflict, Screening
 from recast.recar.screening.record import DECISIONS
 from recast.recar.source import VehicleSource
-from recast.recar.targets import TargetCache, TargetRecord
+from recast.recar.targets import TargetCache
 from recast.recar.targets.views import nearest_views
 
 MOST_ITEMS = 200
@@ -50,7 +50,7 @@ class ScreeningService:
         self.cache = cache
         self.screening = Screening(cache.folder)
         self.catalogue = Catalogue(
-            Entry(name, best_score(cache.records[name])) for name in cache.ids(accepted_only=False)
+            Entry(name, cache.records[name].score) for name in cache.ids(accepted_only=False)
         )
         if not self.catalogue:
             raise InputError(cache.folder, "targets", "none to screen", "make them first")
@@ -82,7 +82,7 @@ class ScreeningService:
         found = self.catalogue.counts(Filter(), self.screening.decisions)
         return (
             f"{found['all'] - found['undecided']} of {found['all']} decided, {found['accept']} "
-            f"accepted, {found['flip']} flipped, {found['reject']} rejected"
+            f"accepted, {found['reject']} rejected"
         )
 
     def items(self, query: Mapping[str, str]) -> dict[str, Any]:
@@ -178,16 +178,6 @@ class ScreeningService:
         }
 
 
-def best_score(record: TargetRecord) -> float | None:
-    """The score of a target the way round that scores better; None where it has no score.
-
-    The quality filter judges a target as a person turned it, so one that came out rear to front
-    must not be hidden for the score that it has before.
-    """
-    scores = [s for s in (record.score, record.score_flipped) if s is not None]
-    return max(scores, default=None)
-
-
 def _order(query: Mapping[str, Any]) -> Order:
     for order in ORDERS:
         if query.get("order", "id") == order:
@@ -208,7 +198,7 @@ def _number(query: Mapping[str, Any], name: str) -> float | None:
         return None
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
         raise RefusedError(400, f"{name}: is no number")

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from recast.recar.targets.heading import turned
 from recast.recar.targets.quality import Candidate, Quality
-from recast.recar.targets.render import Cutout, framed, of_picture, render
+from recast.recar.targets.render import Cutout, closeness, framed, iou, of_picture, render
 
 Mask = NDArray[np.bool_]
 
@@ -23,7 +23,6 @@ WEIGHTS = {
 }  # fmt: skip
 """Exponents of the parts; they add up to one."""
 
-_PSNR_RANGE = (5.0, 25.0)  # dB on the vehicle that count as 0 and 1
 _LEAST_IOU = 0.5
 _LEAST = 1e-3
 _NEIGHBOURS = np.ones((3, 3, 3), bool)
@@ -44,9 +43,10 @@ class AgreementScore:
     - solid: area of the silhouettes over that with their holes filled;
     - sharpness: mean gradient of the renders over that of the pictures, at most 1.
 
-    The target must look along +x, as those of models trained on such assets do. `flipped` is the
-    same for the target turned rear to front. This is no measure of beauty and not comparable to
-    the published predictor; the threshold is relative, a cut through the scores of one model.
+    The target is judged as it looks along `Candidate.heading_deg`. `flipped` is the same with front
+    and rear exchanged: one that is higher tells of a vehicle that came out so. This is no measure
+    of beauty and not comparable to the published predictor; the threshold is relative, a cut
+    through the scores of one model.
     """
 
     name = "view-agreement"
@@ -56,20 +56,20 @@ class AgreementScore:
         """See the class."""
         pictures = [framed(of_picture(picture), PIXELS) for picture in candidate.pictures]
         parts = {
-            "symmetry": mirror_symmetry(candidate.target.coords),
+            "symmetry": mirror_symmetry(candidate.target.coords, candidate.heading_deg),
             "connected": largest_part(candidate.target.coords),
         }
         own = parts | _agreement(pictures, _renders(candidate, 0.0))
-        turned = parts | _agreement(pictures, _renders(candidate, 180.0))
+        exchanged = parts | _agreement(pictures, _renders(candidate, 180.0))
         shown = {name: round(value, 6) for name, value in own.items()}
-        return Quality(_mean(own), _mean(turned), shown)
+        return Quality(_mean(own), _mean(exchanged), shown)
 
 
 def _renders(candidate: Candidate, turn_deg: float) -> list[Cutout]:
     made = []
     for view in candidate.viewpoints:
-        azimuth = (view.azimuth_deg + turn_deg) % 360.0
-        whole = render(candidate.gaussians, replace(view, azimuth_deg=azimuth), 2 * PIXELS)
+        seen_from = turned(view, candidate.heading_deg + turn_deg)
+        whole = render(candidate.gaussians, seen_from, 2 * PIXELS)
         made.append(framed(whole, PIXELS))
     return made
 
@@ -82,28 +82,13 @@ def _mean(parts: dict[str, float]) -> float:
 
 def _agreement(pictures: Sequence[Cutout], renders: Sequence[Cutout]) -> dict[str, float]:
     pairs = list(zip(pictures, renders, strict=True))
-    low, high = _PSNR_RANGE
-    psnr = np.mean([_psnr(first, second) for first, second in pairs])
-    iou = float(np.mean([_iou(first.mask, second.mask) for first, second in pairs]))
+    overlap = float(np.mean([iou(first.mask, second.mask) for first, second in pairs]))
     return {
-        "iou": max(0.0, (iou - _LEAST_IOU) / (1 - _LEAST_IOU)),
-        "psnr": float(np.clip((psnr - low) / (high - low), 0, 1)),
+        "iou": max(0.0, (overlap - _LEAST_IOU) / (1 - _LEAST_IOU)),
+        "psnr": float(np.mean([closeness(first, second) for first, second in pairs])),
         "solid": float(np.mean([_solidity(shown.mask) for shown in renders])),
         "sharpness": float(np.mean([_sharpness(first, second) for first, second in pairs])),
     }
-
-
-def _iou(first: Mask, second: Mask) -> float:
-    union = np.count_nonzero(first | second)
-    return float(np.count_nonzero(first & second) / union) if union else 0.0
-
-
-def _psnr(first: Cutout, second: Cutout) -> float:
-    seen = first.mask | second.mask
-    if not seen.any():
-        return 0.0
-    error = float(np.mean(np.square(first.rgb[seen] - second.rgb[seen])))
-    return float(-10.0 * np.log10(max(error, 1e-6)))
 
 
 def _solidity(mask: Mask) -> float:
@@ -126,11 +111,16 @@ def _gradient(cutout: Cutout) -> float:
     return float(np.hypot(across, down)[inside].mean())
 
 
-def mirror_symmetry(coords: NDArray[np.int32]) -> float:
-    """Share of voxels (T, 3) with a voxel within one of their mirror image about mean y."""
+def mirror_symmetry(coords: NDArray[np.int32], heading_deg: float = 0.0) -> float:
+    """Share of voxels (T, 3) with a voxel within one of their image in the middle plane.
+
+    The plane is upright, along the heading, through the voxels' mean.
+    """
     # The mean, not the middle of the bounding box, which one floating voxel would move.
-    mirrored = coords.copy()
-    mirrored[:, 1] = round(2 * float(coords[:, 1].mean())) - coords[:, 1]
+    angle = np.radians(heading_deg)
+    left = np.array([-np.sin(angle), np.cos(angle), 0.0])
+    aside = (coords - coords.mean(axis=0)) @ left
+    mirrored = np.floor(coords - 2 * aside[:, None] * left + 0.5).astype(np.int32)
     low = np.minimum(coords.min(axis=0), mirrored.min(axis=0))
     shape = np.maximum(coords.max(axis=0), mirrored.max(axis=0)) - low + 1
     grid = np.zeros(shape, bool)

@@ -118,6 +118,7 @@ def _cache_record(
         seed=settings.seed,
         retries=settings.retries,
         max_voxels=settings.max_voxels or TRAINED_VOXEL_SHARE * made_by.resolution**2,
+        heading=settings.heading,
         filter=filter_record(settings.filter),
     )
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from recast import storage
 from recast.errors import InputError
-from recast.recar.arrays import read_arrays, write_arrays
+from recast.recar.arrays import write_arrays
 from recast.recar.record import Split
 from recast.recar.screening import Decision, Screening
 from recast.recar.targets.channels import ChannelMoments, ChannelStatistics
@@ -33,7 +33,9 @@ from recast.recar.targets.record import (
 )
 from recast.recar.targets.target import Target
 from recast.records import read_record
+from recast.tables import read_npz
 
+_MOST_BYTES = 1 << 28  # of the arrays of a target; published ones have 2 MB
 STRUCTURES = "ss_latents"
 LATENTS = "latents"
 _REMAKE = "make the target again: remove its record and run the command that made it"
@@ -105,17 +107,15 @@ class TargetCache:
         )
 
     def accepted(self, identity: str) -> bool:
-        """Whether a target is used: not rejected, and as it is used not below the threshold."""
-        record, decision = self.records[identity], self.decisions.get(identity)
-        if record.failure is not None or decision == "reject":
+        """Whether a target is used: neither rejected nor below the threshold."""
+        record = self.records[identity]
+        if record.failure is not None or self.decisions.get(identity) == "reject":
             return False
         threshold, score = self.record.filter.threshold, record.score
-        if decision == "flip" and record.score_flipped is not None:
-            score = record.score_flipped
         return threshold is None or (score is not None and score >= threshold)
 
     def target(self, identity: str) -> Target:
-        """The target of a vehicle; turned by 180 degrees where a person decided "flip".
+        """The target of a vehicle.
 
         Raises:
             KeyError: the cache has no target of it.
@@ -124,23 +124,26 @@ class TargetCache:
         if identity not in self.records or self.records[identity].failure is not None:
             raise KeyError(identity)
         structure_path, latent_path = self._paths(identity)
-        structure = read_arrays(structure_path, ("mean",), _REMAKE)["mean"]
-        latent = read_arrays(latent_path, ("feats", "coords"), _REMAKE)
-        resolution = self.record.model.resolution
+        structure = read_npz(structure_path, _REMAKE, ("mean",), _MOST_BYTES)["mean"]
+        latent = read_npz(latent_path, _REMAKE, ("feats", "coords"), _MOST_BYTES)
+        model = self.record.model
         try:
             target = Target(
-                structure.astype(np.float32, copy=False),
-                latent["coords"].astype(np.int32),
-                latent["feats"].astype(np.float32, copy=False),
+                structure.astype(np.float32, casting="same_kind", copy=False),
+                latent["coords"].astype(np.int32, casting="same_kind"),
+                latent["feats"].astype(np.float32, casting="same_kind", copy=False),
             )
-        except ValueError as error:
+            if target.latent.shape[1] != len(model.latent_mean):
+                raise ValueError(f"latent of {target.latent.shape[1]} channels")
+        except (TypeError, ValueError) as error:
             raise InputError(latent_path, "arrays", str(error), MEND) from None
-        if len(target.latent) != self.records[identity].voxels or target.coords.max() >= resolution:
+        voxels, largest = self.records[identity].voxels, target.coords.max()
+        if len(target.latent) != voxels or largest >= model.resolution:
             raise InputError(
-                latent_path, "coords", f"{len(target.coords)} voxels up to {target.coords.max()}, "
-                f"not the {self.records[identity].voxels} below {resolution} of the record", MEND,
+                latent_path, "coords", f"{len(target.coords)} voxels up to {largest}, not the "
+                f"{voxels} below {model.resolution} of the record", MEND,
             )  # fmt: skip
-        return target.flipped(resolution) if self.decisions.get(identity) == "flip" else target
+        return target
 
     def write_target(
         self, record: TargetRecord, target: Target | None, preview: bytes | None = None

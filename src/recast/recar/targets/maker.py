@@ -11,6 +11,7 @@ import torch
 from recast.errors import InputError
 from recast.recar.picture import Image
 from recast.recar.record import Split
+from recast.recar.targets.heading import find_heading
 from recast.recar.targets.model_source import ModelSource
 from recast.recar.targets.preview import contact_sheet
 from recast.recar.targets.quality import Candidate, Quality, QualityScore, open_score
@@ -93,11 +94,13 @@ class TargetMaker:
             made.latent.float().numpy(),
         )  # fmt: skip
         viewpoints = [view.viewpoint for view in job.views]
-        quality = None
-        if self._score is not None:
-            quality = self._score(Candidate(target, made.gaussians, pictures, viewpoints))
-        sheet = contact_sheet(made.gaussians, pictures, viewpoints)
-        return Outcome(_record(blank, made, quality), target, sheet)
+        heading = None
+        if self._settings.heading == "any":
+            heading = find_heading(made.gaussians, pictures, viewpoints)
+        one = Candidate(target, made.gaussians, pictures, viewpoints, heading or 0.0)
+        quality = None if self._score is None else self._score(one)
+        record = _record(blank.model_copy(update={"heading_deg": heading}), made, quality)
+        return Outcome(record, target, contact_sheet(one))
 
     def _generate(self, pictures: Sequence[Image], seed: int, name: str) -> GeneratedVehicle:
         settings = self._settings

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-
 import cv2
 import numpy as np
 
 from recast.recar.picture import Image
+from recast.recar.targets.heading import turned
+from recast.recar.targets.quality import Candidate
 from recast.recar.targets.render import of_picture, render, resized
 from recast.recar.targets.views import Viewpoint
 from recast.splats import Gaussians
@@ -21,27 +20,19 @@ _COLUMNS = (0, 2, 1, 3)  # front, left, rear, right: the way around the vehicle
 _CAPTIONS = ("front", "left", "rear", "right")
 
 
-def contact_sheet(
-    gaussians: Gaussians, pictures: Sequence[Image], viewpoints: Sequence[Viewpoint]
-) -> bytes:
+def contact_sheet(candidate: Candidate) -> bytes:
     """PNG of 4 x 3 tiles: the four pictures, the target from there, and 45 degrees further on.
 
-    The columns go around the vehicle: front, left, rear, right. A target that came out rear to
-    front shows its tail under the picture of the front.
-
-    Args:
-        gaussians: of the target, in the unit cube.
-        pictures: front, rear, left, right; RGBA with straight alpha.
-        viewpoints: where they were taken from.
+    The columns go around the vehicle: front, left, rear, right. A target whose heading is not
+    `candidate.heading_deg` shows another side under each picture, such as its tail under the front.
     """
     rows: list[list[Image]] = [[], [], []]
     for column, index in enumerate(_COLUMNS):
-        view = viewpoints[index]
-        between = replace(view, azimuth_deg=(view.azimuth_deg + 45.0) % 360.0)
-        shown = resized(of_picture(pictures[index]), TILE).before(_GREY)
+        view = turned(candidate.viewpoints[index], candidate.heading_deg)
+        shown = resized(of_picture(candidate.pictures[index]), TILE).before(_GREY)
         rows[0].append(_captioned(shown, f"picture: {_CAPTIONS[column]}"))
-        rows[1].append(_captioned(_tile(gaussians, view), "target"))
-        rows[2].append(_tile(gaussians, between))
+        rows[1].append(_captioned(_tile(candidate.gaussians, view), "target"))
+        rows[2].append(_tile(candidate.gaussians, turned(view, 45.0)))
     sheet = np.vstack([np.hstack(row) for row in rows])
     written, data = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))
     assert written

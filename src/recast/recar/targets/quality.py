@@ -24,13 +24,15 @@ class Candidate:
         target: its latents and voxels.
         gaussians: decoded, in the unit cube.
         pictures: front, rear, left, right that it was made from; RGBA with straight alpha.
-        viewpoints: where they were taken from.
+        viewpoints: where they were taken from, azimuth 0 ahead of the vehicle.
+        heading_deg: to which the vehicle's front points in the frame of the target, 0 along +x.
     """
 
     target: Target
     gaussians: Gaussians
     pictures: Sequence[Image]
     viewpoints: Sequence[Viewpoint]
+    heading_deg: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class Quality:
 
     Attributes:
         score: of the target.
-        flipped: of the target turned by 180 degrees about z; None where the score cannot tell.
+        flipped: of the target with front and rear exchanged; None where the score cannot tell.
         parts: what the score is made of, by name.
     """
 

@@ -71,6 +71,8 @@ class CacheRecord(BaseModel):
         seed: from which each vehicle's seed is derived.
         retries: further seeds for a structure that is empty or too large.
         max_voxels: more of them are too many.
+        heading: where vehicles of the model look, see `TargetSettings`; +x of caches that do not
+            say, which assumed it.
         filter: the quality filter.
         identities, failures: vehicles with a record, and those of them without a target; None
             while targets are being made.
@@ -90,6 +92,7 @@ class CacheRecord(BaseModel):
     seed: int = Field(ge=0)
     retries: int = Field(ge=0)
     max_voxels: int = Field(ge=1)
+    heading: Literal["any", "+x"] = "+x"
     filter: FilterRecord = FilterRecord()
     identities: int | None = None
     failures: int | None = None
@@ -106,8 +109,9 @@ class TargetRecord(BaseModel):
         voxels: active ones; 0 where it failed.
         gaussians: decoded; 0 where it failed.
         score: of the quality filter; None where there is none, or it failed.
-        score_flipped: of the target turned by 180 degrees about z, where the score can tell.
+        score_flipped: of the target with front and rear exchanged, where the score can tell.
         parts: what the score is made of, by name.
+        heading_deg: about z from +x, to which its front points, where that was found.
         failure: why there is no target; None where there is one.
     """
 
@@ -124,4 +128,5 @@ class TargetRecord(BaseModel):
     score: FiniteFloat | None = None
     score_flipped: FiniteFloat | None = None
     parts: dict[str, FiniteFloat] = {}
+    heading_deg: Azimuth | None = None
     failure: Text | None = None

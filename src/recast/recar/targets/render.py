@@ -22,6 +22,7 @@ MARGIN = 1.2
 """Side of a cut-out over the longer side of the vehicle's box, as in the crops of the model."""
 
 _OPAQUE = 0.5
+_PSNR_RANGE = (5.0, 25.0)
 
 
 @dataclass(frozen=True)
@@ -47,12 +48,28 @@ class Cutout:
         return np.rint(np.clip(shown, 0, 1) * 255).astype(np.uint8)
 
 
+def iou(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
+    """Intersection over union of two masks; 0 where both are empty."""
+    union = np.count_nonzero(first | second)
+    return float(np.count_nonzero(first & second) / union) if union else 0.0
+
+
+def closeness(first: Cutout, second: Cutout) -> float:
+    """PSNR in dB of the colours where either shows the vehicle, from 5 to 25 dB as 0 to 1."""
+    seen = first.mask | second.mask
+    if not seen.any():
+        return 0.0
+    error = float(np.mean(np.square(first.rgb[seen] - second.rgb[seen])))
+    low, high = _PSNR_RANGE
+    return float(np.clip((-10.0 * np.log10(max(error, 1e-6)) - low) / (high - low), 0, 1))
+
+
 def render(gaussians: Gaussians, viewpoint: Viewpoint, pixels: int) -> Cutout:
     """A square render of an asset in the unit cube, with the filter of the published renderer.
 
     Args:
-        gaussians: z up, front along +x, about the origin.
-        viewpoint: of the camera.
+        gaussians: z up, about the origin.
+        viewpoint: of the camera, its azimuth from +x.
         pixels: side of the picture.
     """
     camera = pinhole(pixels, pixels, viewpoint.fov_deg)

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from recast.trellis import MultiImageMode, SamplerSettings
 
 FilterKind = Literal["agreement", "aesthetic", "none"]
+Heading = Literal["any", "+x"]
 
 
 class FilterSettings(BaseModel):
@@ -41,6 +42,9 @@ class TargetSettings(BaseModel):
         structure, latent: samplers; None takes those of the checkpoint.
         retries: further seeds for a structure that is empty or too large.
         max_voxels: more of them are too many; None takes 8 R^2, the published limit.
+        heading: where vehicles of the model look: along +x, as those of models that were trained so
+            do, and a target that does not is one that failed; or any way, as those of the published
+            ones, which is then found by the pictures.
         filter: quality filter.
     """
 
@@ -52,6 +56,7 @@ class TargetSettings(BaseModel):
     latent: SamplerSettings | None = None
     retries: int = Field(default=3, ge=0, le=1000)
     max_voxels: int | None = Field(default=None, ge=1)
+    heading: Heading = "any"
     filter: FilterSettings = FilterSettings()
 
 

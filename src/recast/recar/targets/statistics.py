@@ -11,6 +11,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from recast.errors import printable
 from recast.recar.record import SPLITS
 from recast.recar.targets.cache import TargetCache
 
@@ -25,8 +26,7 @@ class TargetStatistics:
         rejected: by a person.
         below: not rejected, below the threshold.
         accepted: by split.
-        flipped: accepted ones that are turned when read.
-        doubtful: those nobody decided about whose score is higher turned by 180 degrees.
+        doubtful: those nobody decided about whose score is higher with front and rear exchanged.
         voxels: least, median and most of accepted targets; zeros where there is none.
         scores: of all targets that have one, sorted.
     """
@@ -36,7 +36,6 @@ class TargetStatistics:
     rejected: int
     below: int
     accepted: dict[str, int]
-    flipped: int
     doubtful: int
     voxels: tuple[int, int, int]
     scores: tuple[float, ...]
@@ -55,14 +54,13 @@ def target_statistics(cache: TargetCache) -> TargetStatistics:
         rejected=rejected,
         below=len(made) - rejected - len(accepted),
         accepted={split: splits[split] for split in SPLITS},
-        flipped=sum(cache.decisions.get(one) == "flip" for one in accepted),
-        doubtful=sum(_better_turned(cache, one) for one in made),
+        doubtful=sum(_rear_to_front(cache, one) for one in made),
         voxels=(min(voxels), int(np.median(voxels)), max(voxels)) if voxels else (0, 0, 0),
         scores=tuple(sorted(r.score for r in cache.records.values() if r.score is not None)),
     )
 
 
-def _better_turned(cache: TargetCache, identity: str) -> bool:
+def _rear_to_front(cache: TargetCache, identity: str) -> bool:
     record = cache.records[identity]
     if identity in cache.decisions or record.score is None or record.score_flipped is None:
         return False
@@ -72,12 +70,12 @@ def _better_turned(cache: TargetCache, identity: str) -> bool:
 def target_table(cache: TargetCache, statistics: TargetStatistics) -> Group:
     """The figures for a terminal."""
     record, score = cache.record, statistics.scores
-    summary = Table(title=record.vehicle_set, title_justify="left", box=SIMPLE_HEAD,
-                    show_header=False)  # fmt: skip
+    title = Text(printable(record.vehicle_set))
+    summary = Table(title=title, title_justify="left", box=SIMPLE_HEAD, show_header=False)
     failed = sum(statistics.failures.values())
     accepted = sum(statistics.accepted.values())
     rows = [
-        ("model", f"{record.model.name} ({record.model.sha256[:12]})"),
+        ("model", f"{printable(record.model.name)} ({record.model.sha256[:12]})"),
         ("vehicles", f"{statistics.done:,} done, {failed:,} without a target"),
         (
             "accepted",
@@ -85,7 +83,7 @@ def target_table(cache: TargetCache, statistics: TargetStatistics) -> Group:
             f"{statistics.accepted['held-out']:,} held out",
         ),
         ("left out", f"{statistics.below:,} below the threshold, {statistics.rejected:,} rejected"),
-        ("turned", f"{statistics.flipped:,} decided, {statistics.doubtful:,} agree better turned"),
+        ("rear to front", f"{statistics.doubtful:,} agree better so: look at them"),
         ("voxels", "{:,} to {:,}, median {:,}".format(*(statistics.voxels[i] for i in (0, 2, 1)))),
     ]
     if score:
@@ -97,14 +95,14 @@ def target_table(cache: TargetCache, statistics: TargetStatistics) -> Group:
                 f"threshold {record.filter.threshold:g}",
             )
         )
-    for row in rows:
-        summary.add_row(*row)
+    for name, text in rows:
+        summary.add_row(name, Text(text))
     parts: list[Table] = [summary]
     if statistics.failures:
         reasons = Table(box=SIMPLE_HEAD)
         reasons.add_column("why there is no target")
         reasons.add_column("vehicles", justify="right")
         for reason, count in statistics.failures.items():
-            reasons.add_row(Text(reason), f"{count:,}")
+            reasons.add_row(Text(printable(reason)), f"{count:,}")
         parts.append(reasons)
     return Group(*parts)

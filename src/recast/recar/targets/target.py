@@ -18,7 +18,8 @@ class Target:
         latent: (T, C) float32 structured latent on them, raw: not normalised.
 
     Raises:
-        ValueError: other shapes, no voxel, or values that are not finite.
+        ValueError: other shapes, no voxel, voxels in another order or twice, or values that are
+            not finite.
     """
 
     structure: NDArray[np.float32]
@@ -36,21 +37,13 @@ class Target:
             )
         if count == 0:
             raise ValueError("no active voxel")
+        if self.coords.min() < 0 or not _rising(self.coords):
+            raise ValueError("coords are below zero, not in order, or there twice")
         if not (np.isfinite(self.structure).all() and np.isfinite(self.latent).all()):
             raise ValueError("values that are not finite")
 
-    def flipped(self, resolution: int) -> Target:
-        """The target turned by 180 degrees about z, for a vehicle that came out rear to front.
 
-        Indices along x and y run backwards: exact for the voxels. What the channels of the latents
-        say of directions inside a voxel is not turned with them, so that decoded surfaces are only
-        about right; the networks' autoencoders know no symmetry that could be used instead.
-
-        Args:
-            resolution: R voxels a side.
-        """
-        coords = self.coords * np.array([-1, -1, 1], np.int32)
-        coords += np.array([resolution - 1, resolution - 1, 0], np.int32)
-        order = np.lexsort(coords.T[::-1])
-        structure = np.ascontiguousarray(self.structure[:, ::-1, ::-1])
-        return Target(structure, coords[order], self.latent[order])
+def _rising(coords: NDArray[np.int32]) -> bool:
+    """Whether rows (T, 3) ascend strictly, the first column first."""
+    x, y, z = np.diff(coords.astype(np.int64), axis=0).T
+    return bool(np.all((x > 0) | ((x == 0) & ((y > 0) | ((y == 0) & (z > 0))))))

@@ -8,11 +8,10 @@ const COLUMNS = ["front", "left", "rear", "right"]; // of a contact sheet, aroun
 const ROWS = 3; // pictures, with captions; the target; the target 45 degrees further on
 const GAP = 5; // pixels between tiles
 const CHOICES = ["show", "order", "lowest", "highest"];
-const DONE = { accept: "accepted", reject: "rejected", flip: "accepted, turned by 180°" };
+const DONE = { accept: "accepted", reject: "rejected" };
 const KEYS = {
-  a: "accept", arrowright: "accept", r: "reject", arrowleft: "reject", f: "flip", u: "undo",
-  backspace: "undo", s: "skip", " ": "skip", arrowdown: "skip", p: "back", arrowup: "back",
-  n: "next", g: "search",
+  a: "accept", arrowright: "accept", r: "reject", arrowleft: "reject", u: "undo", backspace: "undo",
+  s: "skip", " ": "skip", arrowdown: "skip", p: "back", arrowup: "back", n: "next", g: "search",
 };
 
 const $ = (id) => document.getElementById(id);
@@ -145,15 +144,13 @@ async function decide(decision) {
 
 const acts = {
   async accept() {
-    // A target that was turned is accepted as it is shown.
-    await decide(items[at]?.decision === "flip" ? "flip" : "accept");
+    await decide("accept");
     await forward();
   },
   async reject() {
     await decide("reject");
     await forward();
   },
-  flip: () => decide(items[at]?.decision === "flip" ? "accept" : "flip"),
   async undo() {
     const { undone } = await post("/api/undo", {});
     if (undone === null) return say("nothing left to undo");
@@ -266,12 +263,12 @@ function draw() {
   $("badge").textContent = item.decision ? DONE[item.decision] : "undecided";
   // The pictures first, since they take their room from the sheet.
   $("inputs").replaceChildren(...sides.map((image) => figure(image, `picture: ${image.alt}`)));
-  drawSheet(sheet, item.decision === "flip");
+  drawSheet(sheet);
   const number = (value) => (value === null ? "none" : value.toFixed(2));
   const facts = [`${about.score ?? "score"} ${number(item.score)}`];
   if (item.turned !== null) {
-    const better = item.decision === null && item.turned > item.score;
-    facts.push(`turned ${number(item.turned)}${better ? ": better, F?" : ""}`);
+    const exchanged = item.turned > item.score;
+    facts.push(`rear to front ${number(item.turned)}${exchanged ? ": better, exchanged?" : ""}`);
   }
   facts.push([item.colour, item.kind].filter(Boolean).join(" "), `${item.voxels} voxels`, item.split);
   const name = document.createElement("b");
@@ -291,9 +288,7 @@ function figure(content, caption) {
   return made;
 }
 
-// The columns go around the vehicle, so that a target that was turned by 180 degrees shows under
-// each picture what it showed two columns on.
-function drawSheet(sheet, turned) {
+function drawSheet(sheet) {
   const box = $("sheet");
   const width = sheet.naturalWidth / COLUMNS.length;
   const height = sheet.naturalHeight / ROWS;
@@ -314,13 +309,12 @@ function drawSheet(sheet, turned) {
   box.style.gridTemplateColumns = `repeat(${COLUMNS.length}, max-content)`;
   for (let row = 0; row < ROWS; row += 1) {
     for (let column = 0; column < COLUMNS.length; column += 1) {
-      const from = row && turned ? (column + COLUMNS.length / 2) % COLUMNS.length : column;
       const tile = document.createElement("canvas");
       tile.width = width;
       tile.height = height;
       tile.style.width = `${Math.floor(width * scale)}px`;
       tile.getContext("2d").drawImage(
-        sheet, from * width, row * height, width, height, 0, 0, width, height,
+        sheet, column * width, row * height, width, height, 0, 0, width, height,
       );
       box.append(figure(tile, row === 1 ? `target: ${COLUMNS[column]}` : ""));
     }
@@ -335,7 +329,7 @@ function showCounts(counts) {
   for (const part of bar.children) {
     part.style.width = `${(100 * counts[part.className]) / Math.max(counts.all, 1)}%`;
   }
-  const words = { accept: "accepted", flip: "flipped", reject: "rejected" };
+  const words = { accept: "accepted", reject: "rejected" };
   const parts = [`${decided} of ${counts.all} decided`];
   for (const [name, word] of Object.entries(words)) {
     const part = document.createElement("b");
