@@ -91,6 +91,12 @@ class _Stage:
 
     def run(self) -> tuple[FlowName, ...]:
         """Train, and where no flow is left write the model and say so in the record."""
+        if self.parts.unscreened:
+            self.console.print(
+                f"{self.request.targets}: nobody screened {self.parts.unscreened} of the "
+                f"{len(self.parts.train)} targets to train on; recast recar screen shows them",
+                markup=False, soft_wrap=True,
+            )  # fmt: skip
         for model in self.model.checkpoint.models.values():
             model.requires_grad_(False)
         for parameter in _parameters(self.model.encoder):
@@ -213,6 +219,7 @@ class _Stage:
             complete=complete,
             inputs=self.parts.inputs,
             weights=self.config.weights,
+            unscreened=self.parts.unscreened,
             flows=self.flows,
             processes=self.processes.count,
             device=str(self.model.device),

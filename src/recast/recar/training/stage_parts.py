@@ -65,6 +65,8 @@ class StageParts:
         targets: cache of targets.
         pictures: of conditions.
         train, held_out: vehicles with a target that is used.
+        unscreened: how many of `train` no person decided about; None where they are no
+            pseudo-targets, since the pictures are those of training assets.
         inputs: for the record.
     """
 
@@ -73,6 +75,7 @@ class StageParts:
     pictures: ConditionSource
     train: tuple[str, ...]
     held_out: tuple[str, ...]
+    unscreened: int | None
     inputs: StageInputs
 
 
@@ -123,7 +126,10 @@ def open_stage(request: StageRequest, processes: Processes) -> StageParts:
         train=len(train),
         held_out=len(held_out),
     )
-    return StageParts(model, targets, pictures, train, held_out, inputs)
+    unscreened = None
+    if isinstance(pictures, SetConditions):
+        unscreened = sum(one not in targets.decisions for one in train)
+    return StageParts(model, targets, pictures, train, held_out, unscreened, inputs)
 
 
 def _check_pictures(

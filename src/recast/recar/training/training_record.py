@@ -71,6 +71,8 @@ class TrainingRecord(BaseModel):
         complete: False while the stage is in training.
         inputs: what it was trained from.
         weights: which weights the new model holds.
+        unscreened: targets that were trained on though no person had decided about them; None
+            where there was nothing to screen, such as for training assets, and in older records.
         flows: what each cost.
         processes: that trained together, last time.
         device: that trained.
@@ -85,6 +87,7 @@ class TrainingRecord(BaseModel):
     complete: bool
     inputs: StageInputs
     weights: Literal["average", "raw"]
+    unscreened: int | None = None
     flows: dict[FlowName, FlowRecord] = Field(default_factory=dict)
     processes: int = 1
     device: str
