@@ -9,8 +9,8 @@ import pytest
 import torch
 from tests.splats.scenes import HEIGHT, WIDTH, K, camera, random_gaussians
 
+from recast.kernel import library
 from recast.splats import Gaussians, native, rasterize
-from recast.splats.native import library
 
 
 @pytest.mark.parametrize("backend", ["native", "reference"])

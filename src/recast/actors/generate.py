@@ -8,20 +8,10 @@ from typing import Protocol
 
 from recast.actors.axes import AxisConvention
 from recast.actors.observation import Observation
-from recast.plugins import Registry
+from recast.parts import GENERATORS
 from recast.splats import CLASSIC, Gaussians, LowPass
 
 DEFAULT_GENERATOR = "recast-mini"
-
-GENERATORS = Registry(
-    "generator",
-    "recast.generators",
-    {
-        DEFAULT_GENERATOR: "recast.actors.image_to_3d_generator:recast_mini_generator",
-        "template": "recast.actors.template:TemplateGenerator",
-    },
-)
-"""Generators by name; each is a class or function that makes an `ActorGenerator`."""
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,9 @@ from pathlib import Path
 from recast.actors.grounded_segmenter import GroundedSamSegmenter
 from recast.actors.segment import Segmenter
 from recast.errors import InputError
-from recast.plugins import Registry
+from recast.parts import SEGMENTERS
 
 DEFAULT_SEGMENTER = "box-lidar"
-SEGMENTERS = Registry(
-    "segmenter", "recast.segmenters",
-    {DEFAULT_SEGMENTER: "recast.actors.box_lidar_segmenter:BoxLidarSegmenter"},
-)  # fmt: skip
-"""Segmenters by name; each is a class or function that makes a `Segmenter`."""
 
 
 def segmenter_of(name_or_folder: str) -> Segmenter:

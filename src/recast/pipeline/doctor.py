@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import platform
 import shutil
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 
-import torch
 from rich.markup import escape
 from rich.table import Table
 
-from recast import __version__
-from recast.actors import GENERATORS
-from recast.logs.importers import IMPORTERS
-from recast.planning import PLANNERS
-from recast.splats import native
+from recast import __version__, kernel
+from recast.cores import usable_cores
+from recast.parts import GENERATORS, IMPORTERS, PLANNERS, SEGMENTERS
 
 _OPTIONAL = {
     "embreex": ("synthetic worlds, the demo", "pip install 'recast-sim[synthetic]'"),
@@ -25,7 +23,8 @@ _OPTIONAL = {
     "ray": ("batches on several machines", "pip install 'recast-sim[distributed]'"),
     "accelerate": ("training on several GPUs", "pip install 'recast-sim[distributed]'"),
 }
-_SEAMS = (IMPORTERS, PLANNERS, GENERATORS)
+_SEAMS = (IMPORTERS, PLANNERS, GENERATORS, SEGMENTERS)
+_DRIVERS = ("libcuda.so.1", "nvcuda.dll")
 
 
 @dataclass(frozen=True)
@@ -68,12 +67,12 @@ def _platform() -> list[Finding]:
     return [
         Finding("python", None, f"{platform.python_version()} on {platform.platform()}"),
         Finding("packages", None, packages),
-        Finding("cpu", None, f"{platform.machine()}, {os.cpu_count()} cores"),
+        Finding("cpu", None, _cores()),
     ]
 
 
 def _kernel() -> Finding:
-    info = native.info()
+    info = kernel.info()
     if info.available:
         detail = (
             f"{info.isa} (this machine offers {', '.join(info.isas)}), {info.threads} threads, "
@@ -89,11 +88,33 @@ def _kernel() -> Finding:
     return Finding("CPU kernel", False, f"{info.reason}; the slow reference is used", mend)
 
 
+def _cores() -> str:
+    machine, usable = os.cpu_count(), usable_cores()
+    share = "" if usable == machine else f", {usable} of them for this process"
+    return f"{platform.machine()}, {machine} cores{share}"
+
+
 def _cuda() -> list[Finding]:
+    mend = "not needed: everything runs on a CPU"
+    if not any(_loads(driver) for driver in _DRIVERS):
+        return [Finding("CUDA", False, "no NVIDIA driver", mend)]
+    import torch  # takes seconds, so not without a driver
+
+    if torch.version.cuda is None:
+        found, mend = f"torch {torch.__version__} has no CUDA", "see pytorch.org/get-started"
+        return [Finding("CUDA", False, f"a driver, but {found}", mend)]
     if not torch.cuda.is_available():
-        return [Finding("CUDA", False, "torch sees no GPU", "not needed: everything runs on a CPU")]
+        return [Finding("CUDA", False, "a driver, but torch sees no GPU", mend)]
     name = torch.cuda.get_device_name(0)
     return [Finding("CUDA", True, f"{name}, CUDA {torch.version.cuda}")]
+
+
+def _loads(library: str) -> bool:
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
 
 
 def _optional() -> list[Finding]:

@@ -8,23 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from recast.errors import InputError
+from recast.parts import PLANNERS
 from recast.planning.device import planner_device
 from recast.planning.shipped import GTRS_MINI, gtrs_mini
 from recast.planning.types import Planner
-from recast.plugins import Registry
-
-PLANNERS = Registry(
-    "planner",
-    "recast.planners",
-    {
-        "constant-velocity": "recast.planning.constant_velocity:ConstantVelocity",
-        GTRS_MINI: "recast.planning.shipped:gtrs_mini_planner",
-        "idm-follower": "recast.planning.idm_follower:IdmLaneFollower",
-        "log-replay": "recast.planning.log_replay:LogReplay",
-        "pdm-closed": "recast.planning.pdm:PdmClosedPlanner",
-    },
-)
-"""Planners by name; each is a class or function that makes a `Planner`."""
 
 NAVSIM_PREFIX = "navsim:"
 """Before the "module:attribute" of a NAVSIM agent."""

@@ -10,8 +10,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from recast.splats.native.library import info, library
-from recast.splats.native.structures import AdamRows, AdamSettings
+from recast.kernel.library import info, library
+from recast.kernel.structures import AdamRows, AdamSettings
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
 _LANES = 16  # kAdamLanes of frame.hpp

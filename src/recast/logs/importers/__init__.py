@@ -6,23 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
-from recast.plugins import Registry
-
-IMPORTERS = Registry(
-    "importer",
-    "recast.importers",
-    {
-        "argoverse2": "recast.logs.importers.argoverse2:import_argoverse2",
-        "drivestudio": "recast.logs.importers.drivestudio:import_drivestudio",
-        "kitti": "recast.logs.importers.kitti:import_kitti",
-        "nuscenes": "recast.logs.importers.nuscenes:import_nuscenes",
-        "py123d": "recast.logs.importers.py123d:import_py123d",
-        "street-gaussians": "recast.logs.importers.street_gaussians:import_street_gaussians",
-        "waymo": "recast.logs.importers.waymo:import_waymo",
-        "waymo-v2": "recast.logs.importers.waymo2:import_waymo2",
-    },
-)
-"""Importers by name; each is a `LogImporter`."""
+from recast.parts import IMPORTERS
 
 
 class LogImporter(Protocol):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import ctypes
 import weakref
 
+from recast.kernel.library import library
 from recast.splats.native import memory
-from recast.splats.native.library import library
 
 STAGES = ("project", "sort", "bin", "raster", "raster_backward", "project_backward")
 _idle: list[int] = []

@@ -10,7 +10,7 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
-from recast.splats.native.structures import AdamRows, AdamSettings, Gradients, View
+from recast.kernel.structures import AdamRows, AdamSettings, Gradients, View
 
 _ABI = 2
 _SUFFIXES = (".so", ".dylib", ".dll")
@@ -38,15 +38,19 @@ class NativeInfo:
 
 
 def _candidates() -> list[Path]:
-    """Where the library may lie: beside this file, or in the installed distribution.
+    """Where the library may lie: in this package, or in the installed distribution.
 
     An editable install, or a source tree on PYTHONPATH, has the Python files in one place and the
     library in the other.
     """
-    folders = [Path(__file__).parent]
+    packages = [Path(__file__).parents[1]]
     with contextlib.suppress(PackageNotFoundError):
-        folders.append(Path(str(distribution("recast-sim").locate_file("recast/splats/native"))))
-    return [folder / f"recast_native{suffix}" for folder in folders for suffix in _SUFFIXES]
+        packages.append(Path(str(distribution("recast-sim").locate_file("recast"))))
+    return [
+        package / "splats" / "native" / f"recast_native{suffix}"
+        for package in packages
+        for suffix in _SUFFIXES
+    ]
 
 
 def _declare(library: ctypes.CDLL) -> None:

@@ -1,0 +1,60 @@
+"""`recast doctor` looks around; it neither loads torch nor breaks where something is missing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from recast import cores
+from recast.actors import DEFAULT_GENERATOR, DEFAULT_SEGMENTER
+from recast.cli.main import main
+from recast.parts import GENERATORS, PLANNERS, SEGMENTERS
+from recast.pipeline import doctor
+from recast.planning import GTRS_MINI
+
+_LISTED = """
+import sys
+from recast.pipeline import doctor
+doctor._loads = lambda library: False  # as without a driver
+doctor.examine()
+print(*sys.modules)
+"""
+
+
+def test_nothing_heavy_is_imported_without_a_driver() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _LISTED], capture_output=True, text=True, check=True
+    )
+    imported = set(done.stdout.split())
+    assert "recast.kernel.library" in imported
+    assert not imported & {"torch", "numpy", "scipy", "ncore", "pyarrow", "recast.planning"}
+
+
+def test_it_lists_the_parts_and_the_kernel(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor"]) == 0
+    shown = capsys.readouterr().out
+    for word in ("gtrs-mini", "recast-mini", "box-lidar", "waymo-v2", "CPU kernel", "cores"):
+        assert word in shown
+
+
+def test_the_names_of_built_in_parts_are_those_that_the_rest_uses() -> None:
+    assert GTRS_MINI in PLANNERS.built_in
+    assert DEFAULT_GENERATOR in GENERATORS.built_in
+    assert DEFAULT_SEGMENTER in SEGMENTERS.built_in
+
+
+def test_a_missing_package_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "_OPTIONAL", {"no-such-package": ("a purpose", "pip install it")})
+    [found] = [finding for finding in doctor.examine() if finding.part == "no-such-package"]
+    assert (found.present, found.mend) == (False, "pip install it")
+
+
+def test_cores_where_no_system_call_tells_the_share(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)  # as on macOS and Windows
+    monkeypatch.setattr(os, "cpu_count", lambda: 6)
+    assert cores.usable_cores() == 6
+    monkeypatch.setattr(os, "cpu_count", lambda: None)
+    assert cores.usable_cores() == 1
