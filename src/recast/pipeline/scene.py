@@ -34,9 +34,15 @@ def train_with_display(
     console: Console | None = None,
     device: str = "auto",
 ) -> TrainResult:
-    """Train a scene, or go on with one, while showing progress and time left."""
+    """Train a scene, or go on with one, while showing progress and time left.
+
+    Says at the end how many Gaussians there might be, and whether that limit was met.
+    """
+    console = console or Console()
     with TrainingDisplay(console) as display:
-        return train_scene(log, out, config, progress=display, device=device)
+        result = train_scene(log, out, config, progress=display, device=device)
+    console.print(result.budget.explain(), markup=False)
+    return result
 
 
 def evaluate_and_print(

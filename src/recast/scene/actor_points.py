@@ -26,13 +26,10 @@ FEW_POINTS = 200
 GRID_SPACING_M = 0.15
 
 
-def actor_gaussians(
-    track: Track,
-    sweeps: Sequence[OwnedSweep],
-    views: Sequence[View],
-    config: SceneConfig,
-) -> Gaussians:
-    """Gaussians in the box frame: the track's LiDAR points, or a grid where they are too few."""
+def actor_cloud(
+    track: Track, sweeps: Sequence[OwnedSweep], views: Sequence[View], config: SceneConfig
+) -> PointCloud:
+    """Points in the box frame: the track's LiDAR points, or a grid where they are too few."""
     clouds = []
     for sweep in sweeps:
         local = sweep.actors.get(track.track_id)
@@ -48,11 +45,19 @@ def actor_gaussians(
             clouds.append(PointCloud(local[seen[keep]], pixel_colours(view, uv[keep]), depth[keep]))
     cloud = voxel_downsample(concatenate(clouds), config.actor_voxel_m)
     if len(cloud) < FEW_POINTS:
-        cloud = concatenate([cloud, _box_grid(track, cloud)])
+        return concatenate([cloud, _box_grid(track, cloud)])
+    return cloud
+
+
+def actor_gaussians(track: Track, cloud: PointCloud, config: SceneConfig) -> Gaussians:
+    """First Gaussians of an actor's points; with its other side, where steps see it mirrored."""
     gaussians = gaussians_from_points(cloud, config.sh_degree, sigma_range=(0.01, 0.3))
-    if config.flip_probability > 0 and track.category not in DEFORMABLE:
-        return with_other_side(gaussians)
-    return gaussians
+    return with_other_side(gaussians) if has_other_side(track, config) else gaussians
+
+
+def has_other_side(track: Track, config: SceneConfig) -> bool:
+    """Whether an actor begins with twice as many Gaussians as points."""
+    return config.flip_probability > 0 and track.category not in DEFORMABLE
 
 
 def _box_grid(track: Track, cloud: PointCloud) -> PointCloud:

@@ -39,7 +39,13 @@ def save_checkpoint(trainer: Trainer, notes: Mapping[str, Any], path: Path) -> N
         tensors |= _prefixed(name, table.state_dict())
     for name in ("background_statistics", "local_statistics"):
         tensors |= _prefixed(name, getattr(model, name).state_dict())
-    write_tensors(path, tensors, {"iteration": trainer.iteration, "notes": notes})
+    header = {
+        "iteration": trainer.iteration,
+        "limited_from": trainer.limited_from,
+        "limited_changes": trainer.limited_changes,
+        "notes": notes,
+    }
+    write_tensors(path, tensors, header)
 
 
 def load_checkpoint(trainer: Trainer, path: Path) -> dict[str, Any]:
@@ -66,6 +72,8 @@ def load_checkpoint(trainer: Trainer, path: Path) -> dict[str, Any]:
     for name, table in trainer.tables().items():
         table.load_state_dict(_group(tensors, name))
     trainer.iteration = int(header["iteration"])
+    trainer.limited_from = header["limited_from"]
+    trainer.limited_changes = int(header["limited_changes"])
     return dict(header["notes"])
 
 
@@ -78,7 +86,11 @@ def save_initialisation(start: Initialisation, path: Path) -> None:
         tensors[f"view/{index}/sky"] = torch.from_numpy(sky)
         tensors[f"view/{index}/depths"] = torch.from_numpy(depths.depths)
         tensors[f"view/{index}/uv"] = torch.from_numpy(depths.uv)
-    header: dict[str, Any] = {"actors": list(start.actors), "views": len(start.depths)}
+    header: dict[str, Any] = {
+        "actors": list(start.actors),
+        "views": len(start.depths),
+        "found": start.found,
+    }
     if start.ground is not None:
         tensors["ground:origin"] = torch.from_numpy(start.ground.origin)
         tensors["ground:height"] = torch.from_numpy(start.ground.height)
@@ -110,6 +122,7 @@ def load_initialisation(path: Path) -> Initialisation:
             for i in views
         ],
         ground=ground,
+        found=header["found"],
     )
 
 

@@ -51,7 +51,9 @@ class SceneConfig(MethodConfig):
         default=50_000, ge=0, description="most points from the plane sweep, 0: none"
     )
     sh_degree: int = Field(default=1, ge=0, le=3, description="of view-dependent colour")
-    max_gaussians: int = Field(default=240_000, ge=1, description="densification stops there")
+    max_gaussians: int | None = Field(
+        default=None, ge=1, description="most Gaussians; none: by the street's area and the images"
+    )
 
     means_lr: float = Field(default=1.2e-2, description="of centres, metres a step")
     quats_lr: float = Field(default=6e-3, description="of quaternions, constant")

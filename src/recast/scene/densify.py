@@ -80,11 +80,13 @@ class Change:
         kept: (M,) int64 old rows, ascending.
         born: new Gaussians.
         parents: (B,) int64 old row of each new one.
+        left_out: candidates beyond the most that may be added.
     """
 
     kept: Tensor
     born: Gaussians
     parents: Tensor
+    left_out: int
 
 
 def plan_change(
@@ -114,7 +116,8 @@ def plan_change(
     if doomed is not None:
         gone = gone | doomed
     wanted = torch.where(gone, 0.0, mean_gradient)
-    count = min(int((wanted > threshold).sum()), max(most_new, 0))
+    candidates = int((wanted > threshold).sum())
+    count = min(candidates, max(most_new, 0))
     chosen = wanted.topk(count).indices.sort().values
     split = chosen[sigma[chosen] > split_above]
     clone = chosen[sigma[chosen] <= split_above]
@@ -125,6 +128,7 @@ def plan_change(
         kept=(~gone).nonzero()[:, 0],
         born=_spread_splits(born, len(clone), generator),
         parents=parents,
+        left_out=candidates - count,
     )
 
 

@@ -10,18 +10,20 @@ from numpy.typing import NDArray
 
 from recast.errors import InputError
 from recast.logs import DrivingLog, GroundHeight, Track, ego_path, even_ground
-from recast.scene.actor_points import actor_gaussians
+from recast.scene.actor_points import actor_cloud, actor_gaussians, has_other_side
 from recast.scene.background_points import (
     coloured_background,
     plane_sweep_points,
     without_points_in_sky,
 )
+from recast.scene.budget import FIRST_SHARE
 from recast.scene.config import SceneConfig
 from recast.scene.lidar import DepthSamples, OwnedSweep, depth_samples, read_sweeps
 from recast.scene.point_cloud import (
     PointCloud,
     concatenate,
     gaussians_from_points,
+    thinned,
     voxel_downsample,
 )
 from recast.scene.sky import SkyMap, sky_from_pixels
@@ -46,6 +48,7 @@ class Initialisation:
         depths: measured depths of each training view.
         ground: where the ground is even and how high; None without such ground, or where it is
             left free.
+        found: Gaussians that there would have been without `max_gaussians`.
     """
 
     background: Gaussians
@@ -54,6 +57,10 @@ class Initialisation:
     sky_pixels: list[NDArray[np.int64]]
     depths: list[DepthSamples]
     ground: GroundHeight | None = None
+    found: int = 0
+
+    def __len__(self) -> int:
+        return len(self.background) + sum(len(part) for part in self.actors.values())
 
 
 def initialise(
@@ -68,7 +75,8 @@ def initialise(
 
     Args:
         views: all views; held-out ones lend their timestamps only.
-        rng: thins the plane-sweep points.
+        rng: thins the plane-sweep points, and all points where they are too many for
+            `max_gaussians`.
 
     Raises:
         InputError: LiDAR and images together give next to no points.
@@ -93,16 +101,24 @@ def initialise(
             f"{len(cloud)} points in view of the cameras, at least {MIN_POINTS} are needed",
             "check the calibration, or import the sweeps",
         )
+    clouds_of = {
+        name: actor_cloud(track, sweeps, training, config) for name, track in actors.items()
+    }
+    found = len(cloud) + sum(
+        len(own) * (1 + has_other_side(actors[name], config)) for name, own in clouds_of.items()
+    )
+    share = 1.0 if config.max_gaussians is None else FIRST_SHARE * config.max_gaussians / found
     return Initialisation(
-        background=gaussians_from_points(cloud, config.sh_degree),
+        background=gaussians_from_points(thinned(cloud, share, rng), config.sh_degree),
         actors={
-            track_id: actor_gaussians(track, sweeps, training, config)
-            for track_id, track in actors.items()
+            name: actor_gaussians(actors[name], thinned(own, share, rng), config)
+            for name, own in clouds_of.items()
         },
         sky=_first_sky(training, skies),
         sky_pixels=[np.flatnonzero(sky) for sky in skies],
         depths=depths,
         ground=_even_ground(log, sweeps) if config.ground_tolerance_m > 0 else None,
+        found=found,
     )
 
 

@@ -72,6 +72,14 @@ def voxel_downsample(cloud: PointCloud, voxel_m: float) -> PointCloud:
     return cloud.select(order[first])
 
 
+def thinned(cloud: PointCloud, share: float, rng: np.random.Generator) -> PointCloud:
+    """A share of the points, at least one and in their order; all of them from a share of 1 on."""
+    if share >= 1 or len(cloud) == 0:
+        return cloud
+    count = max(1, int(share * len(cloud)))
+    return cloud.select(np.sort(rng.choice(len(cloud), count, replace=False)))
+
+
 def neighbour_distance(points: Float32Array, neighbours: int = 3) -> Float32Array:
     """Root mean square distance (N,) to the nearest `neighbours` other points, metres."""
     if len(points) <= neighbours:

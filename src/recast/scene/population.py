@@ -26,18 +26,23 @@ def change_population(
     config: SceneConfig,
     generator: torch.Generator,
     oversize: bool = False,
-) -> None:
+) -> bool:
     """Clone, split and prune; background rows are put back into Morton order.
 
-    The room below `max_gaussians` is shared in proportion to the parts' sizes.
+    The room below `max_gaussians` is shared in proportion to the parts' sizes. Where it is None
+    there is no bound: `train_scene` puts the drive's own there.
 
     Args:
         oversize: whether rows above `prune_above_m` and `actor_prune_above_m` go as well.
+
+    Returns:
+        Whether `max_gaussians` kept rows from being added.
     """
     limit = config.prune_above_m if oversize else math.inf
     actor_limit = config.actor_prune_above_m if oversize else math.inf
     total = len(model.background) + len(model.local)
-    room = max(config.max_gaussians - total, 0) / max(total, 1)
+    most = math.inf if config.max_gaussians is None else config.max_gaussians
+    room = max(most - total, 0) / max(total, 1)
     growth = min(config.densify_growth, room)
     background = plan_change(
         model.background,
@@ -72,6 +77,7 @@ def change_population(
     device = model.background.means.device
     model.background_statistics = GradientStatistics(len(model.background), device)
     model.local_statistics = GradientStatistics(len(model.local), device)
+    return room < config.densify_growth and background.left_out + local.left_out > 0
 
 
 def reset_opacities(model: TrainableScene) -> None:

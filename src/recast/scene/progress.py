@@ -21,6 +21,8 @@ class TrainingStatus:
         phase: what is being done: "initialise", "train", "evaluate", "done".
         iteration, iterations: steps done, and of how many.
         gaussians: how many there are.
+        most_gaussians: how many there may be; None before that is known.
+        limited: whether that kept any from being added.
         loss, psnr: running means over the latest training views; None before the first.
         held_out_psnr: of the last periodic evaluation in dB; None before the first.
         iterations_per_second: over the latest steps.
@@ -31,6 +33,8 @@ class TrainingStatus:
     iteration: int
     iterations: int
     gaussians: int = 0
+    most_gaussians: int | None = None
+    limited: bool = False
     loss: float | None = None
     psnr: float | None = None
     held_out_psnr: float | None = None
@@ -88,6 +92,8 @@ class TrainingDisplay:
 def describe(status: TrainingStatus) -> str:
     """One line of figures: those that are known."""
     parts = [f"{status.gaussians:,} Gaussians"] if status.gaussians else []
+    if status.limited:
+        parts.append(f"limit of {status.most_gaussians:,} met")
     if status.loss is not None:
         parts.append(f"loss {status.loss:.4f}")
     if status.psnr is not None:

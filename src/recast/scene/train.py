@@ -15,6 +15,8 @@ import torch
 
 from recast.errors import InputError
 from recast.logs import DrivingLog
+from recast.records import read_record
+from recast.scene.budget import BUDGET_FILE, BUDGET_VERSION, Budget, gaussian_budget, write_budget
 from recast.scene.checkpoint import (
     load_checkpoint,
     load_initialisation,
@@ -24,7 +26,7 @@ from recast.scene.checkpoint import (
 from recast.scene.config import SceneConfig
 from recast.scene.dynamic import choose_actors
 from recast.scene.evaluate import held_out_psnr
-from recast.scene.initialise import initialise
+from recast.scene.initialise import Initialisation, initialise
 from recast.scene.progress import ProgressCallback, TrainingStatus
 from recast.scene.run_identity import claim_folder
 from recast.scene.store import SCENE_FILE, load_scene, save_scene
@@ -47,11 +49,13 @@ class TrainResult:
         scene: the scene, also at `folder`.
         folder: scene folder.
         history: one record an evaluation: iteration, gaussians, loss, psnr, held_out_psnr (dB).
+        budget: how many Gaussians there might be, and whether that kept any from being added.
     """
 
     scene: StreetScene
     folder: Path
     history: list[dict[str, float]]
+    budget: Budget
 
 
 def train_scene(
@@ -82,7 +86,9 @@ def train_scene(
     place = pick_device(device)
     claim_folder(out, log, config)
     if (out / SCENE_FILE).is_file():
-        return TrainResult(load_scene(out), out, read_json(out / HISTORY_FILE))
+        mend = "train the scene anew"
+        budget = read_record(out / BUDGET_FILE, Budget, BUDGET_VERSION, mend)
+        return TrainResult(load_scene(out), out, read_json(out / HISTORY_FILE), budget)
     threads = config.threads or _available_cores()
     run = _Run(log, out, config, threads, place, progress or (lambda status: None))
     before = torch.get_num_threads(), cv2.getNumThreads(), torch.backends.cudnn.allow_tf32
@@ -128,7 +134,13 @@ class _Run:
         self._tell("initialise", 0, None, [])
         views = read_views(self._log, self._config)
         held_out = [view for view in views if view.held_out]
-        trainer = self._trainer(views)
+        if len(held_out) == len(views):
+            raise InputError(
+                self._log.name, "cameras", "leave no image to train on", "check holdout_every"
+            )
+        budget = gaussian_budget(self._config, views)
+        self._config = self._config.model_copy(update={"max_gaussians": budget.most_gaussians})
+        start, trainer = self._trainer(views)
         checkpoint = self._work / "checkpoint.safetensors"
         history: list[dict[str, float]] = []
         if checkpoint.is_file():
@@ -150,18 +162,23 @@ class _Run:
                 notes = {"history": history, "recent": list(self._recent)}
                 save_checkpoint(trainer, notes, checkpoint)
         scene = trainer.scene(self._log)
+        budget = budget.model_copy(
+            update={
+                "first_found": start.found,
+                "first_kept": len(start),
+                "limited_from": trainer.limited_from,
+                "limited_changes": trainer.limited_changes,
+            }
+        )
+        write_budget(budget, self._out)
         write_json(self._out / HISTORY_FILE, history)
         save_scene(scene, self._out)
         shutil.rmtree(self._work, ignore_errors=True)
         self._tell("done", trainer.iteration, trainer, history)
-        return TrainResult(scene, self._out, history)
+        return TrainResult(scene, self._out, history, budget)
 
-    def _trainer(self, views: list[View]) -> Trainer:
+    def _trainer(self, views: list[View]) -> tuple[Initialisation, Trainer]:
         config = self._config
-        if all(view.held_out for view in views):
-            raise InputError(
-                self._log.name, "cameras", "leave no image to train on", "check holdout_every"
-            )
         tracks = choose_actors(self._log, views, config)
         path = self._work / "initialisation.safetensors"
         if path.is_file():
@@ -170,7 +187,7 @@ class _Run:
             rng = np.random.default_rng(config.seed)
             start = initialise(self._log, views, tracks, config, rng, self._threads)
             save_initialisation(start, path)
-        return Trainer(config, views, tracks, start, self._threads, self._device)
+        return start, Trainer(config, views, tracks, start, self._threads, self._device)
 
     def _evaluate(self, trainer: Trainer, held_out: list[View]) -> dict[str, float]:
         losses, psnrs = zip(*self._recent, strict=True)
@@ -201,6 +218,8 @@ class _Run:
                 iteration=iteration,
                 iterations=config.iterations,
                 gaussians=trainer.model.count_rows() if trainer else 0,
+                most_gaussians=config.max_gaussians if trainer else None,
+                limited=trainer is not None and trainer.limited_changes > 0,
                 loss=float(np.mean([loss for loss, _ in self._recent])) if self._recent else None,
                 psnr=float(np.mean([psnr for _, psnr in self._recent])) if self._recent else None,
                 held_out_psnr=history[-1].get("held_out_psnr") if history else None,

@@ -61,6 +61,8 @@ class Trainer:
         camera_poses, track_poses: pose corrections.
         exposures: changes of the images' colours.
         sky: the sky's colours.
+        limited_from: step of the first change that `max_gaussians` cut short; None before.
+        limited_changes: how many it cut short.
     """
 
     def __init__(
@@ -96,6 +98,8 @@ class Trainer:
             self._sheet.settle(self.model.background)
         self.sky = make_sky(config, start.sky)
         self.sky.table.to(self.device)
+        self.limited_from: int | None = None
+        self.limited_changes = 0
 
     def step(self) -> StepReport:
         """Fit one view, then densify when it is time."""
@@ -108,7 +112,9 @@ class Trainer:
         if self._density.changes(self.iteration):
             oversize = self._density.prunes_oversize(self.iteration)
             chance = generator(config.seed, self.iteration)
-            change_population(self.model, self._tracks, config, chance, oversize)
+            if change_population(self.model, self._tracks, config, chance, oversize):
+                self.limited_changes += 1
+                self.limited_from = self.limited_from or self.iteration
         if self._density.resets(self.iteration):
             reset_opacities(self.model)
         if self._sheet is not None and self._settles():
