@@ -31,6 +31,9 @@ class Bench:
     and replaced."""
     planner: str | None = None
     """Planner under test: a name, a folder, or package.module:attribute. Default: idm-follower."""
+    planner_device: str | None = None
+    """Where the planner computes: auto, cpu, cuda or cuda:1. Default: auto, a GPU where there is
+    one."""
     motions: tuple[str, ...] = ()
     """What the actor does: motions (all settings), scenarios such as cut-in-a, or scenario files.
     Default: cut-in, oncoming and stationary."""
@@ -95,6 +98,7 @@ class Bench:
             run_options={
                 "methods": self.methods,
                 "planner": self.planner,
+                "planner_device": self.planner_device,
                 "generator": self.generator,
                 "segmenter": self.segmenter,
                 "steps": self.steps,

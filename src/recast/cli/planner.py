@@ -170,6 +170,8 @@ class Probe:
     is the same size."""
     workers: int = 1
     """Processes that render side by side."""
+    device: str = "auto"
+    """Where the planner computes: auto (a GPU where there is one), cpu, cuda or cuda:1."""
 
     def __call__(self) -> None:
         """Run the command."""
@@ -181,7 +183,7 @@ class Probe:
         request = ProbeRequest(
             self.planner, self.out, self.scene or SCENES,
             self.motion or ("stationary", "oncoming", "cut-in"), self.seed, self.seconds,
-            self.full_size, self.workers,
+            self.full_size, self.workers, self.device,
         )  # fmt: skip
         console = Console()
         rows = probe(request, lambda row: console.print(row.line, markup=False, highlight=False))

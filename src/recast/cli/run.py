@@ -34,7 +34,10 @@ class Run:
     config: Path | None = None
     """Configuration file (JSON, see docs/runs.md). The options override it."""
     planner: str | None = None
-    """Planner under test: a name, or package.module:attribute. Default: idm-follower."""
+    """Planner under test: a name, a folder, or package.module:attribute. Default: idm-follower."""
+    planner_device: str | None = None
+    """Where the planner computes: auto, cpu, cuda or cuda:1. Default: auto, a GPU where there is
+    one."""
     generator: str | None = None
     """What makes the actor: recast-mini (the image-to-3D model of the package), template, an
     installed generator's name, a model folder, or the path of a PLY."""
@@ -76,6 +79,7 @@ class Run:
                 "methods": self.method or None,
                 "preset": self.preset,
                 "planner": self.planner,
+                "planner_device": self.planner_device,
                 "generator": self.generator,
                 "segmenter": self.segmenter,
                 "steps": self.steps,

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from recast.actors import DEFAULT_GENERATOR, DEFAULT_SEGMENTER
 from recast.pipeline.layout import Method
 from recast.pipeline.run_folder import RUN_FILE, RunFolder
+from recast.planning import DEVICE_PATTERN
 from recast.records import parse_record
 from recast.scene import Preset, SceneConfig
 from recast.simulation import MOTIONS, ScriptedMotion, motion_of_record, scenario_name
@@ -36,6 +37,9 @@ class RunConfig(BaseModel):
     )
     methods: tuple[Method, ...] = Field(default=("native", "replaced"), min_length=1)
     planner: str = "idm-follower"
+    planner_device: str = Field(
+        default="auto", pattern=f"^({DEVICE_PATTERN})$", description="where the planner computes"
+    )
     generator: str = Field(
         default=DEFAULT_GENERATOR, description="name of a generator, model folder, or PLY"
     )
@@ -98,6 +102,8 @@ class RunConfig(BaseModel):
             values["scene"] = self.scene.resolved()
         if not self.own_motions:
             del values["own_motions"]  # runs begun before there were scenario files go on
+        if self.planner_device == "auto":
+            del values["planner_device"]
         if self.plan_limit_s is None:
             del values["plan_limit_s"]
         if self.films:

@@ -216,6 +216,8 @@ class Job:
         }
         if not config.films:
             inputs["films"] = False
+        if config.planner_device != "auto":
+            inputs["planner_device"] = config.planner_device
         if config.plan_limit_s is not None:
             inputs["plan_limit_s"] = config.plan_limit_s
         if motion in config.own_motions:

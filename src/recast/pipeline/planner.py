@@ -1,33 +1,53 @@
-"""The planner of a run: what stands for it in a fingerprint, and the cameras rendered for it."""
+"""The planner of a run: the cameras that are rendered for it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+from rich.console import Console
+
 from recast.logs import DrivingLog
 from recast.pipeline.config import RunConfig
-from recast.pipeline.fingerprint import folder_hash
-from recast.planning import CameraMount, Planner, named_cameras, planner_cameras, planner_folder
+from recast.planning import CameraMount, Planner, seen_lines, shown_views, virtual_mounts
 from recast.planning.gtrs import nuplan_rig
 from recast.simulation import camera_mounts
 
 
-def planner_source(name: str) -> str:
-    """What stands for a planner in a fingerprint: the content of its folder, or its name."""
-    folder = planner_folder(name)
-    return name if folder is None else folder_hash(folder)
-
-
 def run_mounts(log: DrivingLog, planner: Planner, config: RunConfig) -> dict[str, CameraMount]:
-    """The cameras that a run renders: the log's, and those of nuPlan's rig that the planner names.
-
-    All at the scale of the scene's images; nuPlan's are virtual and have 1920x1080 at scale 1.
+    """The cameras that a run renders: the log's, at the scale of the scene, and `planner_mounts`.
 
     Raises:
-        InputError: the configuration names a camera that the log lacks, or the planner wants one
-            that is not there or cannot use its size.
+        InputError: the configuration names a camera that the log lacks, or see `planner_mounts`.
     """
     mounts = camera_mounts(log, config.scene.cameras or None, config.scene.scale)
-    named = named_cameras(planner) or ()
-    virtual = nuplan_rig(config.scene.scale)
-    mounts |= {name: virtual[name] for name in named if name in virtual and name not in mounts}
-    planner_cameras(planner, mounts)
-    return mounts
+    return planner_mounts(mounts, planner, config)
+
+
+def planner_mounts(
+    mounts: Mapping[str, CameraMount], planner: Planner, config: RunConfig
+) -> dict[str, CameraMount]:
+    """The log's cameras, and virtual ones that the planner wants.
+
+    nuPlan's have the scale of the scene, too: 1920x1080 at scale 1.
+
+    Raises:
+        InputError: see `shown_views`.
+    """
+    virtual = virtual_mounts(planner, mounts, nuplan_rig(config.scene.scale))
+    shown_views(planner, {**mounts, **virtual})
+    return {**mounts, **virtual}
+
+
+def announce_planner(
+    planner: Planner, mounts: Mapping[str, CameraMount], console: Console, where: str = ""
+) -> None:
+    """Print on which device the planner computes, and what it gets to see.
+
+    Args:
+        where: before each line.
+    """
+    said, warning = seen_lines(planner, mounts)
+    if said:
+        console.print(f"{where}{said}", markup=False, highlight=False)
+    if warning:
+        console.print(f"{where}warning: {warning}", markup=False, highlight=False, style="yellow")

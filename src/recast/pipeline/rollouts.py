@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict
 from recast import storage
 from recast.errors import InputError
 from recast.names import folder_name, member
-from recast.planning import Planner
+from recast.planning import Planner, seen_record
 from recast.records import read_record
 from recast.reporting.video import VideoWriter
 from recast.simulation import (
@@ -33,6 +33,7 @@ from recast.simulation import (
 
 _FAILURE = "failure.json"
 _FILMS = "films.json"
+_PLANNER = "planner.json"
 _STATES = "states"
 _VERSION: Literal[1] = 1
 _MEND = "remove the folder of this rollout and run again"
@@ -73,7 +74,8 @@ def make_rollout(
 
     Args:
         renderer: None where nothing looks: no film, and a planner that needs no images.
-        folder: gets `states/` (see `save_rollout`), the films and `films.json`, or `failure.json`.
+        folder: gets `states/` (see `save_rollout`), `planner.json` (see `seen_record`), the films
+            and `films.json`; or `failure.json`.
         on_step: called after each filmed step.
         filmed: render every step, not only those that the planner sees.
         timings: is added to.
@@ -114,6 +116,8 @@ def make_rollout(
             return
         opened.close()
         save_rollout(rollout, partial / _STATES)
+        mounts = {} if renderer is None else renderer.mounts
+        storage.write_json(partial / _PLANNER, seen_record(planner, mounts))
         if files:
             record = FilmsRecord(films=files)
             storage.write_json(partial / _FILMS, record.model_dump(mode="json"))

@@ -16,7 +16,7 @@ from recast.pipeline.config import RunConfig
 from recast.pipeline.fingerprint import folder_hash
 from recast.pipeline.job import Job
 from recast.pipeline.methods import Renderers
-from recast.pipeline.planner import run_mounts
+from recast.pipeline.planner import announce_planner, run_mounts
 from recast.pipeline.run_folder import RunFolder
 from recast.pipeline.sources import Sources
 from recast.planning import make_planner
@@ -50,8 +50,9 @@ def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Conso
         require_embree()
         world = world_of(log)
     sources = Sources.of(config)
-    planner = make_planner(config.planner)
+    planner = make_planner(config.planner, config.planner_device)
     mounts = run_mounts(log, planner, config)
+    announce_planner(planner, mounts, console)
     makers = ActorMakers.named(config.generator, config.segmenter)
     threads = config.threads or usable_cores()
     torch.set_num_threads(threads)

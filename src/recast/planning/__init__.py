@@ -2,7 +2,7 @@
 
 from recast.planning.cameras import camera_choice, named_cameras, planner_cameras
 from recast.planning.constant_velocity import ConstantVelocity
-from recast.planning.device import planner_device
+from recast.planning.device import DEVICE_PATTERN, planner_device
 from recast.planning.idm_follower import IdmFollowerConfig, IdmLaneFollower
 from recast.planning.log_replay import LogReplay
 from recast.planning.registry import (
@@ -35,6 +35,7 @@ from recast.planning.virtual import (
 )
 
 __all__ = [
+    "DEVICE_PATTERN",
     "GTRS_MINI",
     "NAVSIM_PREFIX",
     "PLANNERS",

@@ -18,7 +18,7 @@ from recast.simulation.motions import (
 )
 from recast.simulation.prepare import PreparedRollout, prepare
 from recast.simulation.probe_path import probe_path
-from recast.simulation.renderer import NullRenderer, SensorRenderer, camera_mounts
+from recast.simulation.renderer import NullRenderer, SensorRenderer, camera_mount, camera_mounts
 from recast.simulation.rollout import (
     EGO_COLUMNS,
     PATH_COLUMNS,
@@ -58,6 +58,7 @@ __all__ = [
     "StartSituation",
     "Stationary",
     "Timings",
+    "camera_mount",
     "camera_mounts",
     "ego_centre",
     "error_fields",

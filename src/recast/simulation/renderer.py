@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.errors import InputError
+from recast.geometry import PinholeCamera
 from recast.logs.types import DrivingLog
 from recast.planning import CameraMount
 from recast.simulation.state import SimState
 
+Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 
@@ -53,10 +55,14 @@ def camera_mounts(
                 f"choose from {', '.join(log.cameras)}",
             )
         stream = log.cameras[name]
-        camera = stream.camera.rectified()
-        size = round(camera.width * scale), round(camera.height * scale)
-        mounts[name] = CameraMount(camera.resized(*size), stream.rig_from_camera)
+        mounts[name] = camera_mount(stream.camera, stream.rig_from_camera, scale)
     return mounts
+
+
+def camera_mount(camera: PinholeCamera, rig_from_camera: Array, scale: float = 1.0) -> CameraMount:
+    """A camera, rectified and resized; see `camera_mounts`."""
+    size = round(camera.width * scale), round(camera.height * scale)
+    return CameraMount(camera.rectified().resized(*size), rig_from_camera)
 
 
 class NullRenderer:

@@ -20,6 +20,7 @@ from rich.console import Console
 from recast import storage
 from recast.actors import segmenter_of
 from recast.crews import Crew, crew_of
+from recast.errors import InputError
 from recast.evaluation.grid_file import write_rows
 from recast.logs import read_log
 from recast.pipeline.actor import generator_of
@@ -31,7 +32,9 @@ from recast.pipeline.bench.tasks import RolloutTask
 from recast.pipeline.bench.times import Times
 from recast.pipeline.bench.worker import start_worker
 from recast.pipeline.display import FrameProgress
-from recast.planning import Planner, make_planner
+from recast.pipeline.planner import announce_planner, planner_mounts, run_mounts
+from recast.planning import CameraMount, Planner, make_planner
+from recast.simulation import camera_mount
 from recast.synthetic import check_drive, world_of
 from recast.synthetic.rendering import require_embree
 from recast.synthetic.rig import make_rig
@@ -69,6 +72,7 @@ def run_closed_loop(
     crew = crew_of(workers, ray)
     planner = _check(settings)
     begin(out, settings)
+    _announce(settings, planner, console)
     if ray is not None:  # its workers have another working folder
         logs = (scene.log for scene in settings.scenes)
         scenes = tuple(
@@ -113,7 +117,7 @@ def _make(
 def _check(settings: BenchSettings) -> Planner:
     """Refuse what cannot work before anything is written; return the planner."""
     config, size = settings.run, settings.drive
-    planner = make_planner(config.planner)
+    planner = make_planner(config.planner, config.planner_device)
     generator_of(config.generator)
     segmenter_of(config.segmenter)
     synthetic = [scene for scene in settings.scenes if scene.log is None]
@@ -127,6 +131,27 @@ def _check(settings: BenchSettings) -> Planner:
     for scene in synthetic:
         check_drive(str(scene.world), scene.seed or 0, size.seconds)
     return planner
+
+
+def _announce(settings: BenchSettings, planner: Planner, console: Console) -> None:
+    """Say what the planner gets to see: in the synthetic scenes, and in each log."""
+    config = settings.run
+    logs = {scene.id if scene.log else "synthetic": scene.log for scene in settings.scenes}
+    for name, log in logs.items():
+        try:
+            if log is None:
+                mounts = planner_mounts(_synthetic_mounts(settings), planner, config)
+            else:
+                mounts = run_mounts(read_log(log), planner, config)
+            announce_planner(planner, mounts, console, f"{name}: ")
+        except InputError as error:  # becomes rows of the table
+            console.print(f"{name}: {error}", markup=False, style="yellow")
+
+
+def _synthetic_mounts(settings: BenchSettings) -> dict[str, CameraMount]:
+    size, scene = settings.drive, settings.run.scene
+    rig = make_rig(size.width, size.height, scene.cameras or None).cameras
+    return {n: camera_mount(c.camera, c.rig_from_camera, scene.scale) for n, c in rig.items()}
 
 
 def _print(results: GridResults, settings: BenchSettings, console: Console) -> None:

@@ -37,7 +37,7 @@ class SceneRun:
         folder = RunFolder.open(path)
         config = config_of(folder)
         log = read_log(folder.record.log.path)
-        planner = make_planner(config.planner)
+        planner = make_planner(config.planner, config.planner_device)
         looks = config.films or planner.needs_images
         methods = set(config.methods) if looks else set()
         world = world_of(log) if "oracle" in methods else None

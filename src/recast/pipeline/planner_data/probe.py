@@ -52,6 +52,7 @@ class ProbeRequest:
     seconds: float
     full_size: bool
     workers: int
+    device: str = "auto"
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ def probe(request: ProbeRequest, on_row: Callable[[ProbeRow], None]) -> list[Pro
     Raises:
         InputError: no such planner, scene or motion, or the planner reads no images.
     """
-    planner = make_planner(request.planner)
+    planner = make_planner(request.planner, request.device)
     if not planner.needs_images:
         raise InputError("planner", planner.name, "reads no images", "probe one that does")
     width, height = MINI_VIEWS.width, MINI_VIEWS.height
