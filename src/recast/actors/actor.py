@@ -6,21 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
 from recast.actors.generate import Asset
 from recast.actors.icp import Fit
 from recast.actors.observation import MaskQuality, Observation
+from recast.logs.checks import BOX_SIDE
+from recast.records import Record
 from recast.splats import Gaussians, LowPass
 
 Array = NDArray[np.float64]
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class FrontEvidence(_Record):
+class FrontEvidence(Record):
     """Why the asset faces the way it does.
 
     Attributes:
@@ -36,7 +33,7 @@ class FrontEvidence(_Record):
     margin: float
 
 
-class RegistrationReport(_Record):
+class RegistrationReport(Record):
     """Residuals and parameters of the registration.
 
     Attributes:
@@ -91,7 +88,7 @@ class RegistrationReport(_Record):
         )
 
 
-class Provenance(_Record):
+class Provenance(Record):
     """Where an actor comes from.
 
     Attributes:
@@ -159,8 +156,9 @@ class Actor:
 
     def validate(self) -> None:
         """Raise ValueError naming the field at fault."""
-        if self.size.shape != (3,) or not np.all(self.size > 0):
-            raise ValueError(f"Actor.size: three positive metres, got {self.size}")
+        least, most = BOX_SIDE
+        if self.size.shape != (3,) or not np.all((self.size >= least) & (self.size <= most)):
+            raise ValueError(f"Actor.size: three metres of {least} to {most}, got {self.size}")
         if len(self.gaussians) == 0:
             raise ValueError("Actor.gaussians: none")
         self.gaussians.validate()

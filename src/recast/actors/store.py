@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import cv2
 import numpy as np
-from pydantic import BaseModel, ConfigDict
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from PIL import Image
+from safetensors.torch import save
 
 from recast import storage
 from recast.actors.actor import Actor, Provenance
 from recast.errors import InputError
-from recast.records import read_record
+from recast.records import Record, read_record
 from recast.splats import Gaussians, LowPass, read_ply, write_ply
+from recast.torch_file import read_safetensors
 
 ACTOR_VERSION = 2
 ACTOR_FILE = "actor.json"
@@ -22,13 +23,15 @@ VEHICLE_FILE = "vehicle.ply"
 SHADOW_FILE = "shadow.safetensors"
 SOURCE_FILE = "source.png"
 
+SOURCE_PIXELS = 1 << 26
+"""Pixels of a source image, at most: a crop of a camera's image has far fewer."""
+
+_MEND = "generate the actor again with this recast"
 _FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 
 
-class ActorRecord(BaseModel):
+class ActorRecord(Record):
     """Contents of actor.json."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     version: int
     track_id: str
@@ -43,7 +46,7 @@ def save_actor(actor: Actor, folder: str | Path) -> None:
 
     Raises:
         ValueError: the actor is not valid.
-        InputError: the folder exists, or the disk is full.
+        InputError: the folder exists, or the disk refuses.
     """
     actor.validate()
     length, width, height = (float(v) for v in actor.size)
@@ -58,7 +61,7 @@ def save_actor(actor: Actor, folder: str | Path) -> None:
     with storage.atomic_folder(folder) as partial:
         write_ply(partial / VEHICLE_FILE, actor.gaussians, actor.low_pass)
         shadow = {name: getattr(actor.shadow, name).contiguous() for name in _FIELDS}
-        save_file(shadow, str(partial / SHADOW_FILE))
+        storage.write_bytes(partial / SHADOW_FILE, save(shadow))
         bgra = cv2.cvtColor(actor.source, cv2.COLOR_RGBA2BGRA)
         storage.write_bytes(partial / SOURCE_FILE, cv2.imencode(".png", bgra)[1].tobytes())
         storage.write_json(partial / ACTOR_FILE, record.model_dump(mode="json"))
@@ -68,12 +71,12 @@ def load_actor(folder: str | Path) -> Actor:
     """Read an actor folder.
 
     Raises:
-        InputError: no such folder, another version, or a file of it missing or broken.
+        InputError: no such folder, another version, a file of it missing or broken, or values that
+            no actor has.
     """
     folder = Path(folder)
-    mend = "generate the actor again with this recast"
-    record = read_record(folder / ACTOR_FILE, ActorRecord, ACTOR_VERSION, mend)
-    return Actor(
+    record = read_record(folder / ACTOR_FILE, ActorRecord, ACTOR_VERSION, _MEND)
+    actor = Actor(
         track_id=record.track_id,
         category=record.category,
         size=np.array(record.size),
@@ -83,22 +86,36 @@ def load_actor(folder: str | Path) -> Actor:
         source=_read_source(folder / SOURCE_FILE),
         low_pass=record.low_pass,
     )
+    try:
+        actor.validate()
+    except ValueError as error:
+        raise InputError(folder, "actor", str(error), _MEND) from None
+    return actor
 
 
 def _read_shadow(path: Path) -> Gaussians:
-    try:
-        tensors = load_file(str(path))
-        shadow = Gaussians(**{name: tensors[name] for name in _FIELDS})
-        shadow.validate()
-    except (FileNotFoundError, SafetensorError, KeyError, ValueError, OSError) as error:
-        raise InputError(
-            path, "tensors", f"cannot be read ({error})", "generate the actor again"
-        ) from None
+    tensors, _ = read_safetensors(path, "tensors", _MEND)
+    for name in _FIELDS:
+        if name not in tensors:
+            raise InputError(path, name, "is missing", _MEND)
+    shadow = Gaussians(**{name: tensors[name] for name in _FIELDS})
+    fault = shadow.fault()
+    if fault is not None:
+        raise InputError(path, *fault, _MEND)
     return shadow
 
 
 def _read_source(path: Path) -> np.ndarray:
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if image is None or image.ndim != 3 or image.shape[2] != 4:
-        raise InputError(path, "image", "is missing or no RGBA PNG", "generate the actor again")
+    data = storage.read_bytes(path, 8 * SOURCE_PIXELS)
+    try:
+        with Image.open(io.BytesIO(data), formats=["PNG"]) as header:
+            (width, height), mode = header.size, header.mode
+    except Exception as error:  # Pillow's parsers let through whatever broken bytes lead to
+        raise InputError(path, "image", f"is no PNG ({error})", _MEND) from None
+    if mode != "RGBA" or width * height > SOURCE_PIXELS:
+        problem = f"is {mode} of {width}x{height} pixels, not RGBA of {SOURCE_PIXELS} at most"
+        raise InputError(path, "image", problem, _MEND)
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None or image.shape != (height, width, 4) or image.dtype != np.uint8:
+        raise InputError(path, "image", "is damaged", _MEND)
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGRA2RGBA), np.uint8)

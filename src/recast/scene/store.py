@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 from torch import Tensor
 
 from recast.errors import InputError
 from recast.logs import Trajectory
-from recast.records import read_record
+from recast.names import folder_name, member
+from recast.records import Record, read_record
 from recast.scene.appearance import Appearance
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene
@@ -24,12 +23,11 @@ from recast.storage import write_json
 SCENE_VERSION = 1
 SCENE_FILE = "scene.json"
 TENSOR_FILE = "scene.safetensors"
+_MEND = "train the scene anew, or use the release that wrote it"
 
 
-class ActorRecord(BaseModel):
+class ActorRecord(Record):
     """One actor in scene.json."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     track_id: str
     size: tuple[float, float, float]
@@ -38,10 +36,8 @@ class ActorRecord(BaseModel):
     low_pass: LowPass = CLASSIC
 
 
-class SceneRecord(BaseModel):
+class SceneRecord(Record):
     """Contents of scene.json: what the folder holds and where."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     version: int = SCENE_VERSION
     log_name: str
@@ -56,8 +52,10 @@ def save_scene(scene: StreetScene, folder: str | Path) -> None:
     """Write a scene into `folder`; scene.json comes last and marks it as complete.
 
     Raises:
-        InputError: the folder holds a scene already, or the disk is full.
+        ValueError: the scene is not valid.
+        InputError: the folder holds a scene already, or the disk refuses.
     """
+    scene.validate()
     folder = Path(folder)
     if (folder / SCENE_FILE).exists():
         raise InputError(folder, "output folder", "holds a scene already", "name another one")
@@ -65,14 +63,13 @@ def save_scene(scene: StreetScene, folder: str | Path) -> None:
     tensors: dict[str, Tensor] = {"sky": scene.sky.colours}
     records = []
     for index, (track_id, actor) in enumerate(scene.actors.items()):
-        stem = f"actor_{index:03d}_{re.sub(r'[^A-Za-z0-9-]', '_', track_id)}"
+        stem = f"actor_{index:03d}_{folder_name(track_id)}"
         write_ply(folder / f"{stem}.ply", actor.gaussians)
         if actor.shadow is not None:
             write_ply(folder / f"{stem}_shadow.ply", actor.shadow)
-        tensors[f"actor/{track_id}/timestamps_us"] = torch.from_numpy(
-            actor.trajectory.timestamps_us
-        )
-        tensors[f"actor/{track_id}/poses"] = torch.from_numpy(actor.trajectory.poses)
+        trajectory = actor.trajectory
+        tensors[f"actor/{track_id}/timestamps_us"] = torch.from_numpy(trajectory.timestamps_us)
+        tensors[f"actor/{track_id}/poses"] = torch.from_numpy(trajectory.poses)
         if actor.appearance is not None:
             share = torch.tensor([actor.appearance.frozen_share], dtype=torch.float64)
             tensors[f"actor/{track_id}/waves"] = actor.appearance.waves
@@ -104,49 +101,75 @@ def load_scene(folder: str | Path) -> StreetScene:
     """Read a scene folder.
 
     Raises:
-        InputError: no scene there, of another version, a member missing or broken.
+        InputError: no scene there, of another version, a member missing, broken, outside of the
+            folder, or with values that no scene has.
     """
     folder = Path(folder)
-    mend = "train the scene anew, or use the release that wrote it"
-    record = read_record(folder / SCENE_FILE, SceneRecord, SCENE_VERSION, mend)
-    tensors, _ = read_tensors(folder / record.tensors)
-
-    def tensor(name: str) -> Tensor:
-        if name not in tensors:
-            raise InputError(folder / record.tensors, name, "is missing", "train the scene anew")
-        return tensors[name]
-
-    actors = {}
-    for entry in record.actors:
-        prefix = f"actor/{entry.track_id}"
-        actors[entry.track_id] = SceneActor(
-            track_id=entry.track_id,
-            gaussians=_read_part(folder / entry.gaussians),
-            size=np.array(entry.size),
-            trajectory=Trajectory(
-                tensor(f"{prefix}/timestamps_us").numpy(), tensor(f"{prefix}/poses").numpy()
-            ),
-            shadow=None if entry.shadow is None else _read_part(folder / entry.shadow),
-            appearance=Appearance(
-                tensor(f"{prefix}/waves"), float(tensor(f"{prefix}/frozen_share"))
-            )
-            if f"{prefix}/waves" in tensors
-            else None,
-            low_pass=entry.low_pass,
-        )
-    return StreetScene(
-        background=_read_part(folder / record.background),
-        actors=actors,
-        sky=SkyMap(tensor("sky")),
+    path = folder / SCENE_FILE
+    record = read_record(path, SceneRecord, SCENE_VERSION, _MEND)
+    if len({entry.track_id for entry in record.actors}) < len(record.actors):
+        raise InputError(path, "actors", "name a track twice", _MEND)
+    tensors = _Tensors(member(folder, record.tensors, path, "tensors"))
+    scene = StreetScene(
+        background=_read_part(folder, record.background, "background"),
+        actors={entry.track_id: _read_actor(folder, entry, tensors) for entry in record.actors},
+        sky=SkyMap(tensors.get("sky", torch.float32)),
         world_offset=np.array(record.world_offset),
         camera_corrections={
             name: (
-                tensor(f"camera/{name}/timestamps_us").numpy(),
-                tensor(f"camera/{name}/twists").numpy(),
+                tensors.get(f"camera/{name}/timestamps_us", torch.int64).numpy(),
+                tensors.get(f"camera/{name}/twists", torch.float64).numpy(),
             )
             for name in record.cameras
         },
         log_name=record.log_name,
+    )
+    try:
+        scene.validate()
+    except ValueError as error:
+        raise InputError(folder, "scene", str(error), _MEND) from None
+    return scene
+
+
+class _Tensors:
+    """The tensors of a scene by name; what is missing or of another type is an InputError."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._found, _ = read_tensors(path)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._found
+
+    def get(self, name: str, dtype: torch.dtype) -> Tensor:
+        if name not in self._found:
+            raise InputError(self._path, name, "is missing", _MEND)
+        found = self._found[name]
+        if found.dtype != dtype:
+            raise InputError(self._path, name, f"is of {found.dtype}, not {dtype}", _MEND)
+        return found
+
+
+def _read_actor(folder: Path, entry: ActorRecord, tensors: _Tensors) -> SceneActor:
+    prefix = f"actor/{entry.track_id}"
+    gaussians = _read_part(folder, entry.gaussians, "actors.gaussians")
+    appearance = None
+    if f"{prefix}/waves" in tensors:
+        share = tensors.get(f"{prefix}/frozen_share", torch.float64)
+        if share.numel() != 1:
+            raise InputError(folder, f"{prefix}/frozen_share", "is not one number", _MEND)
+        appearance = Appearance(tensors.get(f"{prefix}/waves", torch.float32), float(share))
+    return SceneActor(
+        track_id=entry.track_id,
+        gaussians=gaussians,
+        size=np.array(entry.size),
+        trajectory=Trajectory(
+            tensors.get(f"{prefix}/timestamps_us", torch.int64).numpy(),
+            tensors.get(f"{prefix}/poses", torch.float64).numpy(),
+        ),
+        shadow=None if entry.shadow is None else _read_part(folder, entry.shadow, "actors.shadow"),
+        appearance=appearance,
+        low_pass=entry.low_pass,
     )
 
 
@@ -155,7 +178,5 @@ def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-def _read_part(path: Path) -> Gaussians:
-    if not path.is_file():
-        raise InputError(path, "Gaussians", "file is missing", "train the scene anew")
-    return read_ply(path)
+def _read_part(folder: Path, name: str, field: str) -> Gaussians:
+    return read_ply(member(folder, name, folder / SCENE_FILE, field))

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from recast.logs import Trajectory
+from recast.logs.checks import BOX_SIDE, check_times
 from recast.scene.appearance import Appearance, share_of
 from recast.scene.dynamic import pose_at
 from recast.scene.poses import corrected
@@ -18,6 +19,9 @@ from recast.splats import CLASSIC, Gaussians, LowPass, concatenate
 
 Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
+
+MOST_CORRECTED = 100.0
+"""Metres or radians: a learned correction of a camera beyond it is no correction."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,18 @@ class SceneActor:
     shadow: Gaussians | None = None
     appearance: Appearance | None = None
     low_pass: LowPass = CLASSIC
+
+    def validate(self, where: str) -> None:
+        """Raise ValueError naming the member of `where` at fault."""
+        least, most = BOX_SIDE
+        if self.size.shape != (3,) or not np.all((self.size >= least) & (self.size <= most)):
+            raise ValueError(f"{where}.size: three metres of {least} to {most}, got {self.size}")
+        self.trajectory.validate(where)
+        _validate(f"{where}.gaussians", self.gaussians)
+        if self.shadow is not None:
+            _validate(f"{where}.shadow", self.shadow)
+        if self.appearance is not None:
+            self.appearance.validate(where, len(self.gaussians))
 
     def coloured_at(self, timestamp_us: int) -> SceneActor:
         """The actor with the colours that it had at a time of the recording."""
@@ -76,6 +92,24 @@ class StreetScene:
     camera_corrections: Mapping[str, tuple[Int64Array, Array]] = field(default_factory=dict)
     log_name: str = ""
 
+    def validate(self) -> None:
+        """Raise ValueError naming the member at fault: shape, range, order, or not finite."""
+        _validate("background", self.background)
+        for track_id, actor in self.actors.items():
+            actor.validate(f"actors[{track_id!r}]")
+            if actor.track_id != track_id:
+                raise ValueError(f"actors[{track_id!r}].track_id: is {actor.track_id!r}")
+        self.sky.validate()
+        if self.world_offset.shape != (3,) or not np.all(np.isfinite(self.world_offset)):
+            raise ValueError(f"world_offset: three finite metres, got {self.world_offset}")
+        for name, (times, twists) in self.camera_corrections.items():
+            where = f"camera_corrections[{name!r}]"
+            check_times(where, times)
+            if len(times) == 0 or twists.shape != (len(times), 6):
+                raise ValueError(f"{where}: {len(times)} times, twists {twists.shape}")
+            if not np.all(np.abs(twists) <= MOST_CORRECTED):  # also NaN
+                raise ValueError(f"{where}: a twist is not finite, or beyond {MOST_CORRECTED:g}")
+
     def at(self, poses: Mapping[str, Array]) -> Gaussians:
         """Everything drawn when the actors stand at `poses`, in the world frame.
 
@@ -107,3 +141,9 @@ class StreetScene:
     ) -> Array:
         """A logged camera pose (4, 4) with the learned correction at its time."""
         return corrected(camera_from_world, self.camera_corrections, camera_name, timestamp_us)
+
+
+def _validate(where: str, gaussians: Gaussians) -> None:
+    fault = gaussians.fault()
+    if fault is not None:
+        raise ValueError(f"{where}.{fault[0]}: {fault[1]}")
