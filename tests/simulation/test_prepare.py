@@ -10,7 +10,7 @@ from recast.dynamics import VehicleParameters
 from recast.errors import InputError
 from recast.geometry import boxes
 from recast.logs.hdmap import HdMap, Lane
-from recast.simulation import MOTIONS, RolloutSetup, ego_centre, prepare
+from recast.simulation import MOTIONS, RolloutSetup, StartSituation, ego_centre, prepare
 
 
 def test_the_gap_is_from_bumper_to_bumper() -> None:
@@ -115,3 +115,25 @@ def test_the_cut_in_uses_the_neighbour_lane_of_the_map() -> None:
     hdmap = HdMap({"ego": lane("ego", 0.0, "right"), "right": lane("right", -3.2, None)}, ())
     start = prepare(RolloutSetup(drive(), "7", MOTIONS["cut-in-a"], map=hdmap))
     assert start.actor[0, 1] == pytest.approx(-3.2, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("states", "problem"),
+    [
+        (np.zeros((160, 4)), r"its script is float64 \(160, 4\), not numbers \(161, 4\)"),
+        (np.zeros((161, 3)), r"its script is float64 \(161, 3\)"),
+        (np.full((161, 4), "a"), "its script is <U1"),
+        (np.full((161, 4), np.nan), r"its state 0 is \[nan"),
+        (np.full((161, 4), 1e300), "its state 0 is"),
+        (np.full((161, 4), -1.0), "its speed is negative in state 0"),
+    ],
+)
+def test_a_motion_of_ones_own_must_script_states(states: np.ndarray, problem: str) -> None:
+    class Own:
+        name, setting = "own", "a"
+
+        def script(self, start: StartSituation, steps: int, dt: float) -> np.ndarray:
+            return states
+
+    with pytest.raises(InputError, match=f"motion own: {problem}"):
+        prepare(RolloutSetup(drive(), "7", Own()))

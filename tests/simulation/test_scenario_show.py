@@ -11,6 +11,7 @@ from recast.errors import InputError
 from recast.logs import write_log
 from recast.logs.hdmap import HdMap
 from recast.pipeline.scenarios import list_scenarios, show_scenarios
+from recast.reporting.canvas import Canvas, View
 from recast.reporting.scenario_facts import facts_table, notes, scenario_facts
 from recast.reporting.scenario_figure import draw_scenarios
 from recast.simulation import MOTIONS, RolloutSetup, prepare
@@ -82,3 +83,23 @@ def test_list_names_all_with_their_numbers() -> None:
     text = console.export_text()
     assert all(name in text for name in MOTIONS)
     assert "stop_distance 15 m" in text
+    assert "stop_after 0.5 s" in text
+
+
+def test_a_hostile_description_is_text(tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text(
+        "version: 1\nname: x\nmotion: advancing\nsettings: {a: {gap: 5, speed: 0.5}}\n"
+        'description: "[/bold] [red] \\x1b[2J <script>"\n'
+    )
+    console = Console(record=True, width=120)
+    list_scenarios([str(path)], console)
+    text = console.export_text()
+    assert "[/bold] [red] \\x1b[2J <script>" in text
+
+
+def test_any_name_can_be_drawn() -> None:
+    for name in ("../x", "a\0b", "\u202egnp", "\ud800", "x" * 5000, "\x1b[2J", ""):
+        canvas = Canvas(View(np.zeros(2), 0.0, 1.0, 200, 40), (0, 0, 0))
+        canvas.text((5, 5), name)
+        assert canvas.image.shape == (40, 200, 3)

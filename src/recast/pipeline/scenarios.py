@@ -9,7 +9,7 @@ from PIL import Image
 from rich.console import Console
 
 from recast import storage
-from recast.errors import InputError
+from recast.errors import InputError, printable
 from recast.logs import DrivingLog, map_of, read_log
 from recast.reporting.scenario_facts import (
     facts_table,
@@ -64,7 +64,7 @@ def show_scenarios(
         raise refusals[0]
     facts = [facts for _, _, facts in shown]
     console.print(
-        f"track {track}; start {facts[0].start:.1f} s after the log's first pose, "
+        f"track {printable(track)}; start {facts[0].start:.1f} s after the log's first pose, "
         f"ego {facts[0].ego_speed:.1f} m/s",
         markup=False, highlight=False,
     )  # fmt: skip

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image as PilImage
 from PIL import ImageDraw, ImageFont
 
+from recast.errors import printable
 from recast.reporting.palette import GROUND, TEXT, Colour
 
 Array = NDArray[np.float64]
@@ -104,7 +105,7 @@ class Canvas:
         anchor: str = "la",
     ) -> int:
         """Write at a pixel, `anchor` as in Pillow ("la": left, ascender); return the width."""
-        content = " ".join(content.split())  # names from outside may hold line breaks
+        content = printable(" ".join(content.split()))  # names from outside may hold anything
         font = _font(size)
         left, top, right, bottom = (int(v) for v in font.getbbox(content, anchor=anchor))
         # Draw only the patch under the text: converting the whole picture for each word is slow.

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
+from rich.text import Text
 
 from recast.dynamics import state as ego
+from recast.errors import printable
 from recast.evaluation.collision import TOUCHING, overlap_areas
 from recast.simulation import PreparedRollout, RolloutSetup, ScriptedMotion, ego_centre
 from recast.simulation.scenario import scenario_name
@@ -113,7 +115,10 @@ def motions_table(motions: Sequence[ScriptedMotion]) -> Table:
             for key, value in values.items()
             if value is not None
         ]
-        table.add_row(scenario_name(motion), "\n".join(numbers), motion.description)
+        # as text: a description is no markup
+        table.add_row(
+            scenario_name(motion), "\n".join(numbers), Text(printable(motion.description))
+        )
     return table
 
 

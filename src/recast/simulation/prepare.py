@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from recast.dynamics import initial_state
 from recast.dynamics import state as ego
 from recast.errors import InputError
+from recast.logs.checks import WORLD_REACH
 from recast.logs.types import Track
 from recast.planning import ReferenceRoute
 from recast.simulation.lift import RoadSurface
 from recast.simulation.motions import StartSituation
 from recast.simulation.neighbour_lane import neighbour_lateral
-from recast.simulation.rollout import ego_centre
+from recast.simulation.rollout import PATH_COLUMNS, ego_centre
 from recast.simulation.setup import RolloutSetup
 from recast.simulation.start_checks import (
     refuse_off_map,
@@ -67,7 +68,7 @@ def prepare(setup: RolloutSetup) -> PreparedRollout:
     Raises:
         InputError: no such track; no route; a start outside the log; a route off the map; the actor
             overlaps the ego at the start, or stands off the recorded road or the map's; less than
-            two plan cycles remain.
+            two plan cycles remain; the motion's script is not made of states.
     """
     track, log = setup.track, setup.log.world_from_rig
     route = ReferenceRoute.from_trajectory(log)
@@ -87,7 +88,7 @@ def prepare(setup: RolloutSetup) -> PreparedRollout:
     where, rollout, road = setup.log.name, f"rollout {setup.name}", surveyed_road(hdmap)
     refuse_off_map(where, rollout, road, route, situation.ego_s)
     # In full first: a motion must not depend on where it is cut.
-    actor = setup.motion.script(situation, setup.steps, setup.dt)
+    actor = _script(setup, situation)
     outside = off_road(route, actor[:, :2], setup.road_margin)
     if np.any(outside[: steps + 1]):
         steps = int(np.argmax(outside)) - 1
@@ -119,6 +120,23 @@ def prepare(setup: RolloutSetup) -> PreparedRollout:
         world_from_actor=surface.actor_poses(actor[:, :3], track.size),
         cut_reason=reason,
     )
+
+
+def _script(setup: RolloutSetup, situation: StartSituation) -> Array:
+    """The actor's states (steps + 1, 4); motions may be the user's own."""
+    actor = np.asarray(setup.motion.script(situation, setup.steps, setup.dt))
+    expected, problem = (setup.steps + 1, len(PATH_COLUMNS)), None
+    if actor.shape != expected or actor.dtype.kind not in "iuf":
+        problem = f"its script is {actor.dtype} {actor.shape}, not numbers {expected}"
+    elif not (np.abs(actor) <= WORLD_REACH).all():  # also NaN
+        step = int(np.argmin((np.abs(actor) <= WORLD_REACH).all(axis=1)))
+        problem = f"its state {step} is {actor[step].tolist()}"
+    elif (actor[:, 3] < 0).any():
+        problem = f"its speed is negative in state {int(np.argmax(actor[:, 3] < 0))}"
+    if problem is not None:
+        mend = "see docs/scenarios.md for what a motion's script is"
+        raise InputError(setup.log.name, f"motion {setup.motion.name}", problem, mend)
+    return actor.astype(np.float64)
 
 
 def off_road(route: ReferenceRoute, points: Array, margin: float) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.dynamics.state import COLUMNS
+from recast.logs.checks import BOX_SIDE, LATEST_US, WORLD_REACH, check_poses, check_text
 
 Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -20,6 +21,18 @@ PATH_COLUMNS = ("x", "y", "heading", "speed")
 
 WAYPOINTS = 40
 """Waypoints of a prediction, 0.1 s apart."""
+
+_RANGES = {
+    "start_timestamp_us": (0, LATEST_US),
+    "dt": (1e-3, 10.0),
+    "steps_requested": (1, 1e9),
+    "actor_size": BOX_SIDE,
+    "ego_size": BOX_SIDE,
+    "ego_centre_offset": (-BOX_SIDE[1], BOX_SIDE[1]),
+}
+_TEXTS = ("name", "method", "track_id", "motion", "setting", "planner", "cut_reason")
+_LONGEST_TEXT = 4000
+"""Names are shorter (`NAME_LIMIT`); a rollout's joins two, and a reason may quote some."""
 
 
 @dataclass(frozen=True)
@@ -106,31 +119,24 @@ class Rollout:
         )
 
     def validate(self) -> None:
-        """Raise ValueError naming the field and the shape at fault."""
+        """Raise ValueError naming the field at fault, and its shape or value."""
         states, plans = len(self.ego), len(self.plan_steps)
-        expected: dict[str, tuple[int | None, ...]] = {
-            "ego": (states, len(EGO_COLUMNS)),
-            "log_ego": (states, len(PATH_COLUMNS)),
-            "actor": (states, len(PATH_COLUMNS)),
-            "world_from_rig": (states, 4, 4),
-            "world_from_actor": (states, 4, 4),
-            "actor_size": (3,),
-            "ego_size": (2,),
-            "predictions": (plans, WAYPOINTS, 3),
-            "plan_steps": (plans,),
-            "route": (None, 2),
-        }
-        for field, shape in expected.items():
-            value = getattr(self, field)
-            if value.ndim != len(shape) or any(
-                want is not None and have != want
-                for have, want in zip(value.shape, shape, strict=True)
-            ):
-                raise ValueError(f"Rollout.{field}: expected {shape}, got {value.shape}")
-            if not np.all(np.isfinite(value)):
-                raise ValueError(f"Rollout.{field}: holds NaN or infinity")
+        for field, shape in _shapes(states, plans).items():
+            _check_array(field, getattr(self, field), shape)
         if states < 2:
             raise ValueError(f"Rollout.ego: needs two states or more, got {states}")
+        for field, (low, high) in _RANGES.items():
+            values = np.asarray(getattr(self, field), np.float64)
+            if not np.all((values >= low) & (values <= high)):
+                raise ValueError(f"Rollout.{field}: is {values}, not within {low:g} and {high:g}")
+        for field in _TEXTS:
+            _check_text(field, getattr(self, field))
+        for track_id in self.other_actors:
+            _check_text("other_actors", track_id)
+        if np.any(self.actor[:, 3] < 0):
+            raise ValueError("Rollout.actor: has a negative speed")
+        for field in ("world_from_rig", "world_from_actor"):
+            check_poses(f"Rollout.{field}", getattr(self, field), WORLD_REACH)
         if self.steps_run > self.steps_requested:
             raise ValueError(
                 f"Rollout.steps_requested: {self.steps_requested}, but {self.steps_run} were run"
@@ -173,3 +179,42 @@ def ego_centre(rear_axle: Array, offset: float) -> Array:
     centre[..., 0] += offset * np.cos(rear_axle[..., 2])
     centre[..., 1] += offset * np.sin(rear_axle[..., 2])
     return centre
+
+
+def _shapes(states: int, plans: int) -> dict[str, tuple[int | None, ...]]:
+    return {
+        "ego": (states, len(EGO_COLUMNS)),
+        "log_ego": (states, len(PATH_COLUMNS)),
+        "actor": (states, len(PATH_COLUMNS)),
+        "world_from_rig": (states, 4, 4),
+        "world_from_actor": (states, 4, 4),
+        "actor_size": (3,),
+        "ego_size": (2,),
+        "predictions": (plans, WAYPOINTS, 3),
+        "plan_steps": (plans,),
+        "route": (None, 2),
+    }
+
+
+def _check_array(field: str, value: Array | Int64Array, shape: tuple[int | None, ...]) -> None:
+    fits = value.ndim == len(shape) and all(
+        want is None or have == want for have, want in zip(value.shape, shape, strict=True)
+    )
+    if not fits:
+        raise ValueError(f"Rollout.{field}: expected {shape}, got {value.shape}")
+    kind = "i" if field == "plan_steps" else "f"
+    if value.dtype.kind != kind:
+        raise ValueError(f"Rollout.{field}: holds {value.dtype}")
+    if not np.all(np.isfinite(value)):
+        raise ValueError(f"Rollout.{field}: holds NaN or infinity")
+    # Metres of the world are the largest; whatever is larger in another unit is no motion either.
+    if np.any(np.abs(value) > WORLD_REACH):
+        raise ValueError(f"Rollout.{field}: holds a number beyond {WORLD_REACH:g}")
+
+
+def _check_text(field: str, value: str | None) -> None:
+    if value is None:
+        return
+    check_text(f"Rollout.{field}", value)
+    if len(value) > _LONGEST_TEXT:
+        raise ValueError(f"Rollout.{field}: has {len(value)} characters")

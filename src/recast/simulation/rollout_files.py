@@ -25,14 +25,18 @@ from recast.errors import InputError
 from recast.records import read_record
 from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, WAYPOINTS, Rollout
 from recast.storage import atomic_folder, write_json
+from recast.tables import Table, read_parquet
 
 Array = NDArray[np.float64]
+
+_MEND = "write the rollout anew with this recast"
 
 VERSION: Literal[1] = 1
 
 
 class RolloutHeader(BaseModel):
-    """The scalars of a `Rollout`; `version` guards against readers of another layout."""
+    """The scalars of a `Rollout`, whose `validate` has their ranges; `version` guards against
+    readers of another layout."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -100,15 +104,14 @@ def load_rollout(folder: str | Path) -> Rollout:
     """Read a rollout back, bit for bit.
 
     Raises:
-        InputError: a file or column is missing or broken, or the header is of another version.
+        InputError: a file or column is missing or broken, the header is of another version, or what
+            they hold is no rollout, see `Rollout.validate`.
     """
     folder = Path(folder)
-    header_path = folder / "rollout.json"
-    mend = "write the rollout anew with this recast"
-    header = read_record(header_path, RolloutHeader, VERSION, mend, "recast-rollout")
-    states = _Table(folder / "rollout.parquet")
-    plans = _Table(folder / "plans.parquet")
-    route = _Table(folder / "route.parquet")
+    header = read_record(folder / "rollout.json", RolloutHeader, VERSION, _MEND, "recast-rollout")
+    states = read_parquet(folder / "rollout.parquet", _STATE_COLUMNS, _MEND)
+    plans = read_parquet(folder / "plans.parquet", ("plan_step", "waypoints"), _MEND)
+    route = read_parquet(folder / "route.parquet", ("x", "y"), _MEND)
     rollout = Rollout(
         name=header.name,
         method=header.method,
@@ -120,17 +123,17 @@ def load_rollout(folder: str | Path) -> Rollout:
         dt=header.dt,
         steps_requested=header.steps_requested,
         cut_reason=header.cut_reason,
-        ego=states.columns([f"ego_{c}" for c in EGO_COLUMNS]),
-        log_ego=states.columns([f"log_ego_{c}" for c in PATH_COLUMNS]),
-        actor=states.columns([f"actor_{c}" for c in PATH_COLUMNS]),
-        world_from_rig=states.lists("world_from_rig", (4, 4)),
-        world_from_actor=states.lists("world_from_actor", (4, 4)),
+        ego=_numbers(states, "ego", EGO_COLUMNS),
+        log_ego=_numbers(states, "log_ego", PATH_COLUMNS),
+        actor=_numbers(states, "actor", PATH_COLUMNS),
+        world_from_rig=states.lists("world_from_rig", 16).reshape(-1, 4, 4),
+        world_from_actor=states.lists("world_from_actor", 16).reshape(-1, 4, 4),
         actor_size=np.array(header.actor_size),
         ego_size=np.array(header.ego_size),
         ego_centre_offset=header.ego_centre_offset,
-        predictions=plans.lists("waypoints", (WAYPOINTS, 3)),
-        plan_steps=plans.columns(["plan_step"])[:, 0].astype(np.int64),
-        route=route.columns(["x", "y"]),
+        predictions=plans.lists("waypoints", 3 * WAYPOINTS).reshape(-1, WAYPOINTS, 3),
+        plan_steps=_whole(plans, "plan_step"),
+        route=np.stack([route.numbers("x"), route.numbers("y")], axis=1).astype(np.float64),
         other_actors=header.other_actors,
     )
     try:
@@ -138,14 +141,14 @@ def load_rollout(folder: str | Path) -> Rollout:
         if rollout.steps_run != header.steps_run:
             raise ValueError(f"steps_run is {header.steps_run}, the table has {rollout.steps_run}")
     except ValueError as error:
-        raise InputError(folder, "tables", str(error), "write the rollout anew") from None
+        raise InputError(folder, "rollout", str(error), _MEND) from None
     return rollout
 
 
 def _columns(prefix: str, names: Sequence[str], values: Array) -> dict[str, pa.Array]:
     return {
-        f"{prefix}_{name}": pa.array(np.ascontiguousarray(values[:, i]))
-        for i, name in enumerate(names)
+        name: pa.array(np.ascontiguousarray(values[:, i]))
+        for i, name in enumerate(_names(prefix, names))
     }
 
 
@@ -156,38 +159,24 @@ def _lists(values: Array) -> pa.Array:
     return pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), flat.shape[1])
 
 
-class _Table:
-    """A parquet table whose missing parts are input errors."""
+def _names(prefix: str, names: Sequence[str]) -> list[str]:
+    return [f"{prefix}_{name}" for name in names]
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        try:
-            self.table = pq.read_table(path)
-        except FileNotFoundError:
-            raise InputError(path, "file", "is missing", "write the rollout anew") from None
-        except (pa.ArrowException, OSError) as error:
-            problem = f"cannot be read ({str(error).splitlines()[0]})"
-            raise InputError(path, "parquet", problem, "write the rollout anew") from None
 
-    def columns(self, names: Sequence[str]) -> Array:
-        """(rows, len(names)) of plain number columns."""
-        return np.stack([self._values(name) for name in names], axis=1)
+_STATE_COLUMNS = (
+    *_names("ego", EGO_COLUMNS), *_names("log_ego", PATH_COLUMNS), *_names("actor", PATH_COLUMNS),
+    "world_from_rig", "world_from_actor",
+)  # fmt: skip
 
-    def lists(self, name: str, shape: tuple[int, ...]) -> Array:
-        """(rows, *shape) of a column of lists."""
-        column = self._column(name).combine_chunks()
-        values = column.flatten().to_numpy(zero_copy_only=False)
-        expected = len(column) * int(np.prod(shape))
-        if len(values) != expected:
-            raise InputError(
-                self.path, name, f"{len(values)} numbers, expected {expected}", "write it anew"
-            )
-        return np.array(values, np.float64).reshape(len(column), *shape)
 
-    def _values(self, name: str) -> Array:
-        return np.array(self._column(name).to_numpy(), np.float64)
+def _numbers(table: Table, prefix: str, names: Sequence[str]) -> Array:
+    columns = [table.numbers(name) for name in _names(prefix, names)]
+    return np.stack(columns, axis=1).astype(np.float64)
 
-    def _column(self, name: str) -> pa.ChunkedArray:
-        if name not in self.table.column_names:
-            raise InputError(self.path, name, "column is missing", "write the rollout anew")
-        return self.table.column(name)
+
+def _whole(table: Table, name: str) -> NDArray[np.int64]:
+    values = table.numbers(name)
+    if values.dtype.kind not in "iu" or (values > np.iinfo(np.int64).max).any():
+        problem = f"holds {values.dtype}, not whole numbers"
+        raise InputError(table.path, f"column {name}", problem, _MEND)
+    return values.astype(np.int64)
