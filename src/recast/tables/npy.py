@@ -168,7 +168,9 @@ def _header(path: Path, field: str, stream: IO[bytes], size: int, mend: str) -> 
     if dtype.kind not in "biufcSUmM" or not dtype.itemsize:
         raise InputError(path, field, f"holds {str(dtype)[:40]}, not plain values", mend)
     header = NpyHeader(tuple(shape), dtype, bool(fortran), stream.tell())
-    if any(length < 0 for length in shape) or header.size != size - header.start:
+    if any(length < 0 for length in shape):
+        raise InputError(path, field, f"has the shape {shape}", mend)
+    if header.size != size - header.start:
         problem = f"says {header.size} bytes of values, {size - header.start} are there"
         raise InputError(path, field, problem, mend)
     return header

@@ -37,15 +37,17 @@ def read_parquet(
     """
     rows = ParquetRows(path, columns, mend, limit)
     count, size = int(rows.first_rows[-1]), 0
-    batches = []
-    for group in range(len(rows.first_rows) - 1) if count <= ROW_LIMIT else ():
-        for batch in rows.batches(group, rows_at_once=ROW_LIMIT):
-            size += batch.nbytes
-            if size <= limit:
-                batches.append(batch)
-    if count > ROW_LIMIT or size > limit:
-        problem = f"has {count} rows of {size} bytes; at most {ROW_LIMIT} and {limit} are read"
+    if count > ROW_LIMIT:
+        problem = f"has {count} rows, {ROW_LIMIT} are read at most"
         raise InputError(path, "parquet table", problem, mend)
+    batches = []
+    for group in range(len(rows.first_rows) - 1):
+        for batch in rows.batches(group, rows_at_once=ROW_LIMIT):
+            batches.append(batch)
+            size += batch.nbytes
+            if size > limit:
+                problem = f"has {count} rows of more than {limit} bytes in memory"
+                raise InputError(path, "parquet table", problem, mend)
     return Table(Path(path), mend, pa.Table.from_batches(batches, rows.schema))
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from recast.errors import InputError
+from recast.logs import checks
 from recast.logs.types import Array
 from recast.storage import read_text
 
@@ -48,7 +49,7 @@ def read_box_rows(path: Path, mend: str) -> Iterator[BoxRow]:
 
     Raises:
         InputError: the file is missing, or a line has too few or too many columns, or something
-            else than finite numbers.
+            else than numbers in range.
     """
     if not path.is_file():
         raise InputError(path, "file", "is missing", mend)
@@ -67,7 +68,8 @@ def _row(path: Path, where: str, words: list[str], mend: str) -> BoxRow:
         height, width, length, x, y, z, heading = (float(word) for word in words[4:11])
     except ValueError:
         raise InputError(path, where, "holds words where numbers belong", mend) from None
-    if not np.all(np.isfinite([height, width, length, x, y, z, heading])):
-        raise InputError(path, where, "holds NaN or infinity", mend)
+    if not np.all(np.abs([height, width, length, x, y, z, heading]) <= checks.WORLD_REACH):
+        problem = f"holds NaN or infinity, or a number not within {checks.WORLD_REACH:g}"
+        raise InputError(path, where, problem, mend)
     size, centre = np.array([length, width, height]), np.array([x, y, z])
     return BoxRow(where, frame, words[1], words[2].lower(), size, centre, heading)
