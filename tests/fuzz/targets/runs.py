@@ -1,0 +1,38 @@
+"""Scenarios, rollouts, run folders and their configurations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from evaluation.rollouts import make_rollout
+from fuzz.target import Target
+from recast.pipeline.config import RunConfig, read_run_config
+from recast.pipeline.run_folder import RunFolder
+from recast.simulation import MOTIONS, load_rollout, save_rollout, scenario_record
+from recast.simulation.scenario_file import read_scenario
+from recast.storage import write_json
+
+_SCENARIOS = Path(__file__).parents[3] / "src" / "recast" / "simulation" / "scenarios"
+
+
+def _write_scenario(folder: Path) -> None:
+    (folder / "my.yaml").write_bytes((_SCENARIOS / "cut-in.yaml").read_bytes())
+
+
+def _config() -> RunConfig:
+    own = scenario_record(MOTIONS["cut-in-a"]) | {"name": "own"}
+    return RunConfig(track="0", motions=("own-a", "stationary-a"), own_motions={"own-a": own})
+
+
+def _write_run(folder: Path) -> None:
+    RunFolder.create_or_resume(folder / "run", _config().resolved(), "log", "0" * 32)
+
+
+TARGETS = (
+    Target("scenario", _write_scenario, lambda f, out: read_scenario(f / "my.yaml"), weight=10.0),
+    Target("run-config", lambda f: write_json(f / "config.json", _config().resolved()),
+           lambda f, out: read_run_config(f / "config.json"), weight=10.0),
+    Target("run-folder", _write_run, lambda f, out: RunFolder.open(f / "run"), weight=6.0),
+    Target("rollout", lambda f: save_rollout(make_rollout(steps=20), f / "states"),
+           lambda f, out: load_rollout(f / "states"), weight=8.0),
+)  # fmt: skip

@@ -1,0 +1,111 @@
+"""Gaussians, scenes, actors, and the trained scenes of others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from actors import made_up
+from fuzz.target import Target
+from recast.actors import (
+    Actor,
+    BoxLidarSegmenter,
+    TemplateGenerator,
+    load_actor,
+    observe,
+    register,
+    save_actor,
+)
+from recast.logs import DrivingLog
+from recast.scene import (
+    SceneActor,
+    SceneConfig,
+    SkyMap,
+    StreetScene,
+    load_scene,
+    read_config,
+    save_scene,
+)
+from recast.scene.importers import import_drivestudio, import_ply, import_street_gaussians
+from recast.splats import read_ply, write_ply
+from recast.storage import write_json
+from recast.synthetic.vehicles.read_mesh import read_mesh
+from scene.importers import test_drivestudio, test_street_gaussians
+from support import trained_scenes
+
+
+@cache
+def _log() -> DrivingLog:
+    return trained_scenes.make_log()
+
+
+@cache
+def _scene() -> StreetScene:
+    log, car = _log(), trained_scenes.make_car(1)
+    shadow = replace(car.select(torch.arange(9)), sh=torch.zeros(9, 1, 3))
+    trajectory = log.tracks[trained_scenes.CAR].trajectory
+    actors = {"car/1": SceneActor("car/1", car, np.array([4.2, 1.8, 1.6]), trajectory, shadow)}
+    return StreetScene(trained_scenes.make_background(1), actors, SkyMap(torch.rand(8, 32, 3)))
+
+
+@cache
+def _actor() -> Actor:
+    street = made_up.street_log(made_up.car())
+    observation = observe(street, "7", segmenter=BoxLidarSegmenter())
+    asset = TemplateGenerator(spacing=0.3).generate(observation, seed=0)
+    return register(asset, observation, street, street.tracks["7"])
+
+
+def _write_config(folder: Path) -> None:
+    write_json(folder / "config.json", SceneConfig().resolved())
+
+
+def _write_mesh(folder: Path) -> None:
+    corners = [
+        f"v {4 * x - 2} {2 * y - 1} {1.5 * z}" for x in (0, 1) for y in (0, 1) for z in (0, 1)
+    ]
+    faces = ["f 1 2 4", "f 1 4 3", "f 5 7 8", "f 5 8 6", "f 1 5 6", "f 1 6 2", "f 3 4 8", "f 3 8 7"]
+    faces += ["f 1 3 7", "f 1 7 5", "f 2 6 8", "f 2 8 4"]
+    (folder / "car.obj").write_text("\n".join(corners + faces) + "\n")
+
+
+def _write_street_gaussians(folder: Path) -> None:
+    test_street_gaussians.save(folder / "iteration.pth", test_street_gaussians.checkpoint())
+    rows = [(frame, track) for frame in range(trained_scenes.FRAMES) for track in (5, 6, 8, 3)]
+    trained_scenes.write_street_gaussians_folder(folder / "processed", rows)
+
+
+def _import_street_gaussians(folder: Path, out: Path) -> object:
+    return import_street_gaussians(
+        folder / "iteration.pth", _log(), out, processed=folder / "processed"
+    )  # fmt: skip
+
+
+TARGETS = (
+    Target("ply", lambda f: write_ply(f / "car.ply", trained_scenes.make_car(1)),
+           lambda f, out: read_ply(f / "car.ply"), weight=12.0),
+    Target("scene", lambda f: save_scene(_scene(), f / "scene"),
+           lambda f, out: load_scene(f / "scene"), weight=6.0),
+    Target("scene-record", lambda f: save_scene(_scene(), f / "scene"),
+           lambda f, out: load_scene(f / "scene"), files=("*.json",), weight=4.0),
+    Target("actor", lambda f: save_actor(_actor(), f / "actor"),
+           lambda f, out: load_actor(f / "actor"), weight=6.0),
+    Target("actor-record", lambda f: save_actor(_actor(), f / "actor"),
+           lambda f, out: load_actor(f / "actor"), files=("*.json",), weight=4.0),
+    Target("scene-config", _write_config, lambda f, out: read_config(f / "config.json"),
+           weight=8.0),
+    Target("mesh", _write_mesh, lambda f, out: read_mesh(f / "car.obj", forward="x"), weight=4.0),
+    Target("ply-scene", lambda f: write_ply(f / "scene.ply", trained_scenes.make_background(1)),
+           lambda f, out: import_ply(f / "scene.ply", _log(), out), weight=2.0),
+    Target("street-gaussians-checkpoint", _write_street_gaussians, _import_street_gaussians,
+           weight=2.0),
+    Target("drivestudio-checkpoint",
+           lambda f: torch.save(test_drivestudio.checkpoint(), f / "checkpoint_final.pth"),
+           lambda f, out: import_drivestudio(f / "checkpoint_final.pth", _log(), out,
+                                             first_frame=2),
+           weight=2.0),
+)  # fmt: skip

@@ -1,0 +1,65 @@
+"""Vehicle sets, photographs, pseudo-targets and the assets they are trained from."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from fuzz.target import Target
+from recar.photographs import SETTINGS, write_photos
+from recar.sets import write_set
+from recast.recar.assets.asset import TrainingAsset, read_asset, write_asset
+from recast.recar.ingest import ingest_photographs
+from recast.recar.ingest.table import read_table
+from recast.recar.real_crops import read_real_crops
+from recast.recar.shards import open_set, pack_set
+from recast.recar.targets import TargetCache
+from support import target_caches
+from support.crops import write_crops
+
+
+def _read_set(folder: Path, out: Path) -> object:
+    found = open_set(folder / "cars")
+    return [(one.record, one.view(0), one.camera(1)) for one in found.identities.values()]
+
+
+def _write_shards(folder: Path) -> None:
+    with tempfile.TemporaryDirectory() as plain:
+        pack_set(write_set(Path(plain) / "cars", 3), folder / "cars", 6_000)
+
+
+def _read_cache(folder: Path, out: Path) -> object:
+    cache = TargetCache.open(folder / "cache")
+    return cache.record, [cache.target(one) for one in cache.ids(accepted_only=False)]
+
+
+def _write_asset(folder: Path) -> None:
+    rng = np.random.default_rng(0)
+    coords = np.array([[1, 2, 3], [1, 2, 4], [5, 0, 0]], np.uint8)
+    features = np.clip(rng.normal(0, 0.3, (3, 17)), -1, 1).astype(np.float16)
+    features[:, 9:] = 1
+    poses = np.tile(np.eye(4, dtype=np.float32), (2, 1, 1))
+    poses[:, 2, 3] = 2.0
+    pictures = rng.integers(0, 255, (2, 8, 8, 4)).astype(np.uint8)
+    size, focal = np.array([1.0, 0.4, 0.4], np.float32), np.full(2, 9.0, np.float32)
+    asset = TrainingAsset("sedan", size, coords, features, pictures, poses, focal, 1)
+    write_asset(folder / "asset.npz", asset)
+
+
+TARGETS = (
+    Target("vehicle-set", lambda f: write_set(f / "cars", 3), _read_set, weight=6.0),
+    Target("vehicle-set-record", lambda f: write_set(f / "cars", 3), _read_set, ("*.json",), 6.0),
+    Target("shards", _write_shards, _read_set, weight=8.0),
+    Target("vehicle-table", lambda f: write_photos(f, 3),
+           lambda f, out: read_table(f / "vehicles.csv"), ("*.csv",), 10.0),
+    Target("photographs", lambda f: write_photos(f, 2),
+           lambda f, out: ingest_photographs(f, out, SETTINGS, None), ("*.png",), 2.0, True),
+    Target("real-crops", lambda f: write_crops(f / "crops"),
+           lambda f, out: [(v, [w.rgba() for w in v.inputs]) for v in read_real_crops(f / "crops")],
+           weight=4.0),
+    Target("target-cache", lambda f: target_caches.write_cache(f / "cache"), _read_cache,
+           weight=4.0),
+    Target("training-asset", _write_asset, lambda f, out: read_asset(f / "asset.npz"), weight=6.0),
+)  # fmt: skip
