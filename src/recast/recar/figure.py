@@ -12,6 +12,7 @@ from matplotlib.colors import is_color_like, to_rgb
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from recast.errors import printable
 from recast.recar.picture import Image
 from recast.recar.source import IdentitySource, VehicleSource
 from recast.recar.statistics import SetStatistics
@@ -56,7 +57,7 @@ def write_figure(vehicle_set: VehicleSource, statistics: SetStatistics, folder: 
     _draw_types(figure.add_subplot(grid[1, 1]), statistics.kinds)
     record = vehicle_set.record
     figure.suptitle(
-        f"{record.name}: {statistics.identities:,} identities, {record.views} views each, "
+        f"{_words(record.name)}: {statistics.identities:,} identities, {record.views} views each, "
         f"{statistics.pictures:,} RGBA images of {record.width}x{record.height}",
         x=0.062, y=1 - 0.12 / height, ha="left", fontsize=15, color=_INK, weight="bold",
     )  # fmt: skip
@@ -149,7 +150,7 @@ def _draw_views(
     for row, identity in enumerate(identities):
         one = identity.record
         axes.text(
-            -0.008, 1 - (row + 0.5) / rows, f"{one.kind}\n{one.colour or ''}",
+            -0.008, 1 - (row + 0.5) / rows, f"{_words(one.kind)}\n{_words(one.colour or '')}",
             ha="right", va="center", color=_INK, fontsize=10, linespacing=1.4,
         )  # fmt: skip
 
@@ -168,7 +169,9 @@ def _draw_colours(axes: Axes, counts: dict[str, int]) -> None:
             place, share + 0.015 * max(shares), f"{share:.0f}" if share >= 1 else f"{share:.1f}",
             ha="center", va="bottom", color=_INK, fontsize=9,
         )  # fmt: skip
-    axes.set_xticks(places, list(counts), rotation=38, ha="right", rotation_mode="anchor")
+    axes.set_xticks(
+        places, [_words(name) for name in counts], rotation=38, ha="right", rotation_mode="anchor"
+    )
     axes.set_xlim(-0.6, max(len(counts), 4) - 0.4)
     axes.set_ylim(0, 1.12 * max(shares))
     axes.set_yticks([])
@@ -191,7 +194,7 @@ def _draw_types(axes: Axes, counts: dict[str, int]) -> None:
     )[0]  # fmt: skip
     # Names in a list of their own: beside narrow slices they would lie on one another.
     axes.legend(
-        wedges, [f"{name}  {100 * count / total:.0f} %" for name, count in shown.items()],
+        wedges, [f"{_words(name)}  {100 * count / total:.0f} %" for name, count in shown.items()],
         loc="center left", bbox_to_anchor=(0.56, 0.5), frameon=False, fontsize=10, labelcolor=_INK,
         handlelength=1.0, handleheight=1.0, labelspacing=0.6,
     )  # fmt: skip
@@ -200,6 +203,12 @@ def _draw_types(axes: Axes, counts: dict[str, int]) -> None:
     axes.set_xlim(-1.1, 2.2 * box.width / box.height - 1.1)
     axes.set_ylim(-1.1, 1.1)
     axes.set_title("Types", loc="left", fontsize=12, color=_INK, weight="bold")
+
+
+def _words(text: str) -> str:
+    """A text of a set as a label: one short line, in which matplotlib finds no formula."""
+    line = printable(text)
+    return (line if len(line) <= 40 else line[:39] + "…").replace("$", r"\$")
 
 
 def swatch(name: str) -> tuple[float, float, float] | None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+
+Share = Annotated[float, Field(ge=0, lt=1)]
 
 
 class TrainerSettings(BaseModel):
@@ -28,13 +30,13 @@ class TrainerSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     steps: int = Field(ge=1)
-    lr: float = Field(gt=0)
+    lr: FiniteFloat = Field(gt=0)
     schedule: Literal["constant", "cosine"] = "constant"
     warmup: int = Field(default=0, ge=0)
-    betas: tuple[float, float] = (0.9, 0.999)
-    weight_decay: float = Field(default=0.0, ge=0)
-    ema_decay: float | None = Field(default=None, ge=0, lt=1)
-    clip: float | Literal["adaptive"] = "adaptive"
+    betas: tuple[Share, Share] = (0.9, 0.999)
+    weight_decay: FiniteFloat = Field(default=0.0, ge=0)
+    ema_decay: Share | None = None
+    clip: Annotated[FiniteFloat, Field(gt=0)] | Literal["adaptive"] = "adaptive"
     accumulate: int = Field(default=1, ge=1)
     seed: int = Field(default=0, ge=0)
     checkpoint_every: int = Field(default=500, ge=1)

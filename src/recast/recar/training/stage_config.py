@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from recast.recar.perturb import PerturbationConfig
 from recast.recar.training.settings import TrainerSettings
@@ -27,10 +27,10 @@ class FlowObjective(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    batch: int = Field(default=2, ge=1)
+    batch: int = Field(default=2, ge=1, le=65536)
     condition_drop: float = Field(default=0.1, ge=0, le=1)
-    time_mean: float = 1.0
-    time_std: float = Field(default=1.0, gt=0)
+    time_mean: FiniteFloat = 1.0
+    time_std: FiniteFloat = Field(default=1.0, gt=0)
     sigma_min: float = Field(default=1e-5, ge=0, lt=1)
     autocast: Literal["bfloat16"] | None = "bfloat16"
 

@@ -1,0 +1,196 @@
+"""Every JSON file that the adaptation reads, damaged in the ways that JSON allows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
+
+from recast import storage
+from recast.errors import InputError
+from recast.recar import read_real_crops, read_set
+from recast.recar.assets.build import AssetsRecord, make_assets
+from recast.recar.ingest.table import read_table
+from recast.recar.perturb import read_perturbations
+from recast.recar.screening import Screening
+from recast.recar.shards import pack_set, read_shards
+from recast.recar.targets import TargetCache
+from recast.recar.training.log import read_log_lines
+from recast.recar.training.loop import train
+from recast.recar.training.stage_presets import read_stage_config
+from recast.recar.training.state import STATE_FILE, steps_done
+from recast.recar.training.training_record import read_training_record
+from support.crops import write_crops
+
+from .screenings import write_cache
+from .sets import write_set
+from .test_training import SETTINGS, Line
+
+DAMAGE = {
+    "nested": b"[" * 100_000,
+    "nested objects": b'{"a":' * 100_000,
+    "huge integer": b'{"version": ' + b"9" * 5000 + b"}",
+    "huge float": b'{"version": 1e999}',
+    "not a number": b'{"version": NaN}',
+    "not UTF-8": b'{"format": "\xff"}',
+    "cut short": b'{"format": ',
+    "empty": b"",
+    "a list": b"[1, 2]",
+    "null": b"null",
+}
+
+
+def made_set(root: Path) -> Path:
+    return write_set(root / "set").folder
+
+
+def made_shards(root: Path) -> Path:
+    pack_set(write_set(root / "set"), root / "shards")
+    return root / "shards"
+
+
+def made_cache(root: Path) -> Path:
+    folder = write_cache(root / "cache").folder
+    Screening(folder).decide("car-0", "accept")
+    return folder
+
+
+def made_crops(root: Path) -> Path:
+    return write_crops(root / "crops")
+
+
+def made_file(root: Path) -> Path:
+    (root / "file").mkdir()
+    return root / "file"
+
+
+def first_view(folder: Path) -> None:
+    for identity in read_shards(folder).identities.values():
+        identity.view(0)
+
+
+READERS: list[tuple[Callable[[Path], Path], str, Callable[[Path], object]]] = [
+    (made_set, "set.json", read_set),
+    (made_set, "car-1/identity.json", read_set),
+    (made_shards, "index.json", read_shards),
+    (made_cache, "cache.json", TargetCache.open),
+    (made_cache, "records/car-0.json", TargetCache.open),
+    (made_cache, "screening.json", Screening),
+    (made_crops, "car-a/input_views/camera.json", read_real_crops),
+    (made_file, "vehicles.json", lambda f: read_table(f / "vehicles.json")),
+    (made_file, "stage.json", lambda f: read_stage_config(f / "stage.json")),
+    (made_file, "perturb.json", lambda f: read_perturbations(f / "perturb.json")),
+    (made_file, "training.json", read_training_record),
+    (made_file, "assets.json", lambda f: make_assets(f, 1, AssetsRecord())),
+    (made_file, "log.jsonl", lambda f: read_log_lines(f / "log.jsonl")),
+]
+
+
+@pytest.mark.parametrize("name", [*DAMAGE, "a folder"])
+@pytest.mark.parametrize(("make", "file", "read"), READERS, ids=[r[1] for r in READERS])
+def test_damage_is_one_line_that_names_the_file(
+    tmp_path: Path, make: Callable[[Path], Path], file: str, read: Callable[[Path], object],
+    name: str,
+) -> None:  # fmt: skip
+    folder = make(tmp_path)
+    path = folder / file
+    path.unlink(missing_ok=True)
+    if name == "a folder":
+        path.mkdir()
+    else:
+        # What ends without a line break is, in a log, what a kill cut short.
+        path.write_bytes(DAMAGE[name] + b"\n" * (path.suffix == ".jsonl"))
+    with pytest.raises(InputError) as caught:
+        read(folder)
+    assert path.name in str(caught.value)
+    assert len(str(caught.value)) <= 300 and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_a_record_within_a_shard(tmp_path: Path, name: str) -> None:
+    """Its hash is right: it was packed so."""
+    found = write_set(tmp_path / "set")
+    (found.folder / "car-0" / "identity.json").write_bytes(DAMAGE[name])
+    pack_set(found, tmp_path / "shards")
+    with pytest.raises(InputError, match=r"car-0\.identity\.json"):
+        _ = read_shards(tmp_path / "shards").identities["car-0"].record
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("trained")
+    train(Line(), SETTINGS, folder)
+    return folder
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_the_header_of_a_checkpoint(trained: Path, tmp_path: Path, name: str) -> None:
+    text = DAMAGE[name].decode("latin-1")
+    save_file(load_file(trained / STATE_FILE), tmp_path / STATE_FILE, {"recast-training": text})
+    for read in (lambda: steps_done(tmp_path), lambda: train(Line(), SETTINGS, tmp_path)):
+        with pytest.raises(InputError, match=r"state\.safetensors: "):
+            read()
+
+
+def changed_header(trained: Path, folder: Path, **changes: object) -> None:
+    with safe_open(trained / STATE_FILE, framework="pt") as file:
+        header = json.loads(file.metadata()["recast-training"])
+    text = json.dumps(header | changes)
+    save_file(load_file(trained / STATE_FILE), folder / STATE_FILE, {"recast-training": text})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"step": -1}, {"step": "many"}, {"step": 10**400}, {"clipper": None}, {"clipper": {}},
+        {"clipper": {"norms": ["x"]}}, {"log": {"sums": 3}}, {"settings": None},
+    ],
+)  # fmt: skip
+def test_members_of_the_header(trained: Path, tmp_path: Path, change: dict[str, object]) -> None:
+    changed_header(trained, tmp_path, **change)
+    with pytest.raises(InputError, match=r"state\.safetensors: "):
+        train(Line(), SETTINGS, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "name", ["model/line/0.weight", "optimiser/0/exp_avg", "average/line/0.bias"]
+)
+def test_tensors_of_a_checkpoint(trained: Path, tmp_path: Path, name: str) -> None:
+    with safe_open(trained / STATE_FILE, framework="pt") as file:
+        texts = file.metadata()
+    good = load_file(trained / STATE_FILE)
+    for change in ("nan", "shape", "missing"):
+        tensors = dict(good)
+        if change == "nan":
+            tensors[name] = good[name] * float("nan")
+        elif change == "shape":
+            tensors[name] = good[name].flatten()[:1].clone()
+        else:
+            del tensors[name]
+        save_file(tensors, tmp_path / STATE_FILE, texts)
+        with pytest.raises(InputError, match=r"state\.safetensors: "):
+            train(Line(), SETTINGS, tmp_path)
+
+
+@pytest.mark.parametrize("line", ["[]", '{"step": 3}', '{"step": "x", "seconds": 1}', "{}"])
+def test_lines_of_a_log_that_are_none(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "log.jsonl"
+    good = '{"step": 1, "seconds": 0.5, "loss": 2.0}\n'
+    path.write_text(good + line + "\n" + good)
+    with pytest.raises(InputError, match=r"log\.jsonl: line 2: "):
+        read_log_lines(path)
+    path.write_text(good + line)  # cut short: no line break
+    assert read_log_lines(path) == [{"step": 1, "seconds": 0.5, "loss": 2.0}]
+
+
+def test_members_of_a_cache_are_in_range(tmp_path: Path) -> None:
+    folder = made_cache(tmp_path)
+    good = storage.read_json(folder / "cache.json")
+    for name, value in (("max_voxels", 0), ("views_deg", [0, 90, 180, 360]), ("seed", -1)):
+        storage.write_json(folder / "cache.json", good | {name: value})
+        with pytest.raises(InputError, match=rf"cache\.json: {name}"):
+            TargetCache.open(folder)
