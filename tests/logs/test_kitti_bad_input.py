@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from recast.errors import InputError
@@ -49,6 +51,62 @@ def _move_boxes(path: Path, metres: float) -> None:
 
 def _calibration(drive: tiny.TinyDrive, name: str) -> Path:
     return drive.root / tiny.DATE / name
+
+
+def _set(path: Path, name: str, index: int, value: str) -> None:
+    """Write another number at `index` of a field of a calibration file."""
+    lines = path.read_text().splitlines()
+    row = next(i for i, line in enumerate(lines) if line.startswith(f"{name}:"))
+    words = lines[row].split()
+    words[1 + index] = value
+    lines[row] = " ".join(words)
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _camera(field: str, index: int, value: str) -> Damage:
+    return lambda d: _set(_calibration(d, "calib_cam_to_cam.txt"), field, index, value)
+
+
+def _latin(path: Path) -> None:
+    path.write_bytes(path.read_bytes() + b"\xe9t\xe9\n")
+
+
+def _time(value: str) -> Damage:
+    def change(drive: tiny.TinyDrive) -> None:
+        path = drive.folder / "velodyne_points/timestamps.txt"
+        lines = path.read_text().splitlines()
+        path.write_text("\n".join([*lines[:4], value, *lines[5:]]) + "\n")
+
+    return change
+
+
+def _label(column: int, value: str) -> Damage:
+    def change(drive: tiny.TinyDrive) -> None:
+        rows = [line.split(" ") for line in drive.labels.read_text().splitlines()]
+        rows[0][column] = value
+        drive.labels.write_text("\n".join(" ".join(row) for row in rows) + "\n")
+
+    return change
+
+
+def _sweep(column: int, value: float) -> Damage:
+    def change(drive: tiny.TinyDrive) -> None:
+        path = drive.folder / "velodyne_points/data/0000000004.bin"
+        points = np.fromfile(path, np.float32).reshape(-1, 4)
+        points[5, column] = value
+        points.tofile(path)
+
+    return change
+
+
+def _oxts(column: int, value: float) -> Damage:
+    def change(drive: tiny.TinyDrive) -> None:
+        path = drive.folder / "oxts/data/0000000003.txt"
+        words = path.read_text().split()
+        words[column] = str(value)
+        path.write_text(" ".join(words))
+
+    return change
 
 
 CASES: dict[str, tuple[Damage, str]] = {
@@ -134,6 +192,107 @@ CASES: dict[str, tuple[Damage, str]] = {
         lambda d: [(d.folder / f"oxts/data/{i:010d}.txt").unlink() for i in range(5, 18)],
         "0000000018.txt: packets before it: are missing for 1.4 s",
     ),
+    "oxts that are not finite": (_oxts(8, float("nan")), "fields: hold NaN"),
+    "oxts beyond the poles": (_oxts(0, 91.0), "91.0 8.43"),
+    "oxts beyond the date line": (_oxts(1, 200.0), "is no place on a road"),
+    "oxts below the sea": (_oxts(2, -1e6), "is no place on a road"),
+    "oxts that jump": (_oxts(0, 49.1), "0000000003.txt: position: is 100"),
+    "calibration that is not text": (
+        lambda d: _latin(_calibration(d, "calib_cam_to_cam.txt")),
+        "calib_cam_to_cam.txt: text: is not UTF-8",
+    ),
+    "timestamps that are not text": (
+        lambda d: _latin(d.folder / "oxts/timestamps.txt"),
+        "timestamps.txt: text: is not UTF-8",
+    ),
+    "labels that are not text": (lambda d: _latin(d.labels), "labels.txt: text: is not UTF-8"),
+    "oxts that are not text": (
+        lambda d: _latin(d.folder / "oxts/data/0000000003.txt"),
+        "0000000003.txt: text: is not UTF-8",
+    ),
+    "singular projection": (_camera("P_rect_02", 0, "0"), "PinholeCamera.fx, fy: must be"),
+    "negative focal length": (_camera("P_rect_02", 5, "-110"), "PinholeCamera.fx, fy: must be"),
+    "huge focal length": (_camera("P_rect_02", 0, "1e38"), "PinholeCamera.fx, fy: must be"),
+    "huge principal point": (_camera("P_rect_02", 2, "1e38"), "PinholeCamera.cx, cy"),
+    "skewed projection": (_camera("P_rect_02", 1, "3"), "P_rect_02: is not the projection"),
+    "projection of no camera": (_camera("P_rect_02", 10, "0"), "P_rect_02: is not the projection"),
+    "projection far away": (_camera("P_rect_02", 11, "1e9"), "is not within 100000 m"),
+    "projection not finite": (_camera("P_rect_02", 3, "nan"), "P_rect_02: holds NaN"),
+    "no width": (_camera("S_rect_02", 0, "0"), "PinholeCamera.width, height: 0 x 48"),
+    "width of half a pixel": (_camera("S_rect_02", 0, "160.5"), "160.5 x 48.0 are no pixels"),
+    "huge width": (_camera("S_rect_02", 0, "1e300"), "PinholeCamera.width, height"),
+    "infinite width": (_camera("S_rect_02", 0, "inf"), "S_rect_02: holds NaN or infinity"),
+    "no rectification": (_camera("R_rect_00", 0, "-0.9999"), "R_rect_00: is not a rotation"),
+    "mirrored mounting": (
+        lambda d: [
+            _set(_calibration(d, "calib_velo_to_cam.txt"), "R", i, value)
+            for i, value in enumerate(["1", "0", "0", "0", "1", "0", "0", "0", "-1"])
+        ],
+        "calib_velo_to_cam.txt: R: is not a rotation",
+    ),
+    "mounting without a rotation": (
+        lambda d: [_set(_calibration(d, "calib_imu_to_velo.txt"), "R", i, "0") for i in range(9)],
+        "calib_imu_to_velo.txt: R: is not a rotation",
+    ),
+    "mounting far away": (
+        lambda d: _set(_calibration(d, "calib_imu_to_velo.txt"), "T", 1, "1e30"),
+        "calib_imu_to_velo.txt: T: 1e+30 is not within",
+    ),
+    "time NaT": (_time("NaT"), "timestamps.txt: line 5: 'NaT' is not a time"),
+    "time of a year": (_time("2011"), "line 5: '2011' is not a time"),
+    "time of a day": (_time("2011-09-26"), "line 5: '2011-09-26' is not a time"),
+    "time that overflows": (_time("9999-09-26 13:02:26"), "is not a time"),
+    "time before computers": (_time("1901-09-26 13:02:26"), "is not a time"),
+    "time now": (_time("now"), "line 5: 'now' is not a time"),
+    "time of hour 25": (_time("2011-09-26 25:02:26.5"), "is not a time"),
+    "time missing in between": (_time(""), "line 5: '' is not a time"),
+    "times of another day": (
+        lambda d: (d.folder / "image_02/timestamps.txt").write_text(
+            (d.folder / "image_02/timestamps.txt").read_text().replace("09-26", "09-27")
+        ),
+        "image_02/timestamps.txt: times: are 86400.010 s after the scanner's triggers",
+    ),
+    "poses of another day": (
+        lambda d: (d.folder / "oxts/timestamps.txt").write_text(
+            (d.folder / "oxts/timestamps.txt").read_text().replace("09-26", "09-27")
+        ),
+        "image_02: timestamps.txt: no frame was taken while there were OXTS poses",
+    ),
+    "frame of a superscript": (
+        lambda d: (d.folder / "image_02/data/0000000003.png").rename(
+            d.folder / "image_02/data/²³.png"
+        ),
+        "²³.png: file name: is not a frame number",
+    ),
+    "frame of 25 digits": (
+        lambda d: (d.folder / "image_02/data/0000000003.png").rename(
+            d.folder / f"image_02/data/{'3' * 25}.png"
+        ),
+        "file name: is not a frame number",
+    ),
+    "a frame twice": (
+        lambda d: shutil.copy(
+            d.folder / "image_02/data/0000000003.png", d.folder / "image_02/data/3.png"
+        ),
+        "is frame 3, like ",
+    ),
+    "image in place of calibration": (
+        lambda d: shutil.copy(
+            d.folder / "image_02/data/0000000003.png", _calibration(d, "calib_imu_to_velo.txt")
+        ),
+        "calib_imu_to_velo.txt: text: is not UTF-8",
+    ),
+    "sweep of NaN": (_sweep(1, float("nan")), "points: hold NaN"),
+    "sweep of huge points": (_sweep(1, 1e30), "points: hold NaN, or lie farther"),
+    "reflectance": (_sweep(3, 1e30), "reflectance: is not within [0, 1]"),
+    "huge frame": (_label(0, "9" * 30), "line 1: frame 99999"),
+    "frame of 5000 digits": (_label(0, "9" * 5000), "labels.txt: line 1: "),
+    "negative frame": (_label(0, "-1"), "line 1: frame -1"),
+    "label of NaN": (_label(13, "nan"), "line 1: place: nan is not within"),
+    "label far away": (_label(13, "1e30"), "line 1: place: 1e+30 is not within"),
+    "label without height": (_label(10, "0"), "line 1: a box has three sides"),
+    "label of infinite length": (_label(12, "inf"), "line 1: a box has three sides"),
+    "label of endless turns": (_label(16, "inf"), "line 1: heading: inf is not within"),
     "no images": (
         lambda d: shutil.rmtree(d.folder / "image_02"),
         "cameras: image_00 to image_03 are missing",
@@ -170,15 +329,45 @@ def test_an_existing_output_folder_is_refused_at_once(
         import_kitti(drive.root, tiny.DRIVE, tmp_path / "log", drive.labels)
 
 
-def test_broken_tracklets(drive: tiny.TinyDrive, tmp_path: Path) -> None:
+def _field(name: str, value: str) -> tuple[str, str]:
+    return rf"<{name}>[^<]*</{name}>", f"<{name}>{value}</{name}>"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ((r"<l>[^<]*</l>", ""), "tracklet 0.l: is None"),
+        (_field("h", "nan"), "tracklet 0.h: is 'nan'"),
+        (_field("w", "-1"), "tracklet 0: a box has three sides"),
+        (_field("w", "1e30"), "tracklet 0: a box has three sides"),
+        (_field("tx", "inf"), "tracklet 0.tx: is 'inf'"),
+        (_field("ty", "1e30"), "tracklet 0: place: 1e+30 is not within"),
+        (_field("rz", "1e30"), "tracklet 0: heading: 1e+30 is not within"),
+        (_field("first_frame", "-1"), "tracklet 0: 6 poses from frame -1 on"),
+        (_field("first_frame", "nan"), "tracklet 0.first_frame: is 'nan'"),
+        (_field("first_frame", "0.5"), "tracklet 0: 6 poses from frame 0.5 on"),
+        (_field("first_frame", "1e300"), "tracklet 0: 6 poses from frame 1e+300 on"),
+        (_field("first_frame", "28"), "track 0: frame 33, but the drive has 30 frames"),
+        (_field("objectType", "Dragon"), "unknown type 'Dragon'"),
+        ((r"(?s)<poses>.*</poses>", ""), "tracklet 0: 0 poses"),
+        ((r"(?s).*", "<a>"), "XML: cannot be read"),
+        ((r"(?s).*", "<a>" * 100_000), "XML: cannot be read"),
+        ((r"<boost", '<!DOCTYPE a [<!ENTITY b "c">]><boost'), "XML: defines entities"),
+        ((r"UTF-8", "UTF-\ud800"), "text: is not UTF-8"),
+    ],
+)
+def test_broken_tracklets(
+    drive: tiny.TinyDrive, tmp_path: Path, change: tuple[str, str], message: str
+) -> None:
     path = tmp_path / "tracklet_labels.xml"
     tiny.write_tracklets(path)
-    _replace(path, "<l>4.2</l>", "")
-    with pytest.raises(InputError, match=r"tracklet 0\.l: is None"):
+    text, count = re.subn(change[0], change[1], path.read_text(), count=1)
+    assert count == 1
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    with pytest.raises(InputError) as error:
         import_kitti(drive.root, tiny.DRIVE, tmp_path / "log", path, refine=False)
-    path.write_text("<a>")
-    with pytest.raises(InputError, match="XML: cannot be read"):
-        import_kitti(drive.root, tiny.DRIVE, tmp_path / "log", path, refine=False)
+    assert message in str(error.value)
+    assert not (tmp_path / "log").exists()
 
 
 def test_a_full_disk_leaves_nothing(
