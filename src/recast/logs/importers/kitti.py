@@ -45,6 +45,7 @@ from recast.logs.types import (
 VELODYNE = "velodyne"
 GREY = ("image_00", "image_01")
 COLOUR = ("image_02", "image_03")
+LONGEST_DELAY_US = 100_000  # a turn of the scanner
 LICENCE = "CC BY-NC-SA 3.0"
 
 
@@ -160,6 +161,10 @@ def _image_files(files: KittiDrive, name: str) -> SensorFiles:
     # The scanner triggers the shutter as it faces forward; the images' stamps come about 10 ms
     # later, at the host. Images and sweeps match best (docs/data.md) without that delay.
     delay = int(np.median(listed.timestamps_us - trigger[listed.indices]))
+    if abs(delay) > LONGEST_DELAY_US:
+        problem = f"are {delay / 1e6:.3f} s after the scanner's triggers of the same frames"
+        mend = "take sensors of the same drive"
+        raise InputError(files.folder / name / "timestamps.txt", "times", problem, mend)
     return replace(listed, timestamps_us=listed.timestamps_us - delay)
 
 
