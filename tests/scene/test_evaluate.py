@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from PIL import Image
 from recast.errors import InputError
 from recast.logs import DrivingLog, LidarSweep
 from recast.logs.types import SweepSource
-from recast.scene import SceneConfig, TrainResult, evaluate_scene, load_scene, psnr
+from recast.scene import SHIFTS, SceneConfig, TrainResult, evaluate_scene, load_scene, psnr
 
 from .conftest import TINY
 
@@ -42,6 +43,32 @@ def test_scores_pictures_and_repeatability(
     evaluate_scene(load_scene(trained.folder), tiny_log, TINY, tmp_path / "b")
     for path in (tmp_path / "a").iterdir():
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
+
+
+HOSTILE = (
+    "../x", "/etc/x", "a/b", "a\\b", "a\0b", "a\nb", "x" * 300, "\u202egnp.x", "<script>", ".",
+    "..", "con", "", "A", "a",
+)  # fmt: skip
+
+
+def test_camera_names_never_become_paths(
+    trained: TrainResult, tiny_log: DrivingLog, tmp_path: Path
+) -> None:
+    """Pictures stay in their folder; the record says which camera each shows."""
+    stream = tiny_log.cameras["image_02"]
+    cameras = {name: replace(stream, name=name) for name in HOSTILE}
+    log = replace(tiny_log, cameras=cameras)
+    config = TINY.model_copy(update={"holdout_every": 1000})
+    evaluate_scene(trained.scene, log, config, tmp_path / "e" / "eval", shifts=SHIFTS[:1])
+    record = json.loads((tmp_path / "e" / "eval" / "eval.json").read_text())
+    named = {frame["camera"]: frame["picture"] for frame in record["frames"]}
+    assert set(named) == set(HOSTILE) and len(set(named.values())) == len(HOSTILE)
+    shifted = record["shifts"][0]["pictures"]
+    wanted = {"eval.json", *named.values(), *shifted}
+    files = [path for path in (tmp_path / "e").rglob("*") if path.is_file()]
+    assert {str(path.relative_to(tmp_path / "e" / "eval")) for path in files} == wanted
+    assert all(re.fullmatch(r"[\w.+~-]+", path.name) for path in files)
+    assert [path.name for path in tmp_path.iterdir()] == ["e"]
 
 
 def test_box_score_looks_at_the_actor_only(trained: TrainResult, tiny_log: DrivingLog) -> None:

@@ -12,7 +12,13 @@ from recast.logs import DrivingLog
 from recast.scene.config import SceneConfig
 from recast.scene.evaluate_record import SceneEvaluation
 from recast.scene.evaluate_regions import Distance
-from recast.scene.evaluate_shifts import ShiftScores, Truth, ViewShift, shifted_views
+from recast.scene.evaluate_shifts import (
+    ShiftScores,
+    Truth,
+    ViewShift,
+    picture_name,
+    shifted_views,
+)
 from recast.scene.evaluate_views import ViewJudge, draw_view, write_comparison
 from recast.scene.image_metrics import psnr
 from recast.scene.render import SceneRasterizer
@@ -80,7 +86,7 @@ def evaluate_scene(
         rendered = draw_view(judge.rasterizer, scene, view)
         scores[name, frame] = judge.held_out(view, rendered)
         if folder is not None:
-            write_comparison(folder / f"{name}_{frame:06d}.png", view, rendered.rgb)
+            write_comparison(folder / picture_name(name, frame), view, rendered.rgb)
         tell()
     found = []
     for shift, views in zip(shifts, planned, strict=True):

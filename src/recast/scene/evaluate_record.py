@@ -10,7 +10,7 @@ import numpy as np
 
 from recast.scene.evaluate_depth import DepthScore, mean_depth
 from recast.scene.evaluate_regions import RegionScore, mean_score
-from recast.scene.evaluate_shifts import ShiftScores
+from recast.scene.evaluate_shifts import ShiftScores, picture_name
 
 EVALUATION_VERSION = 2
 """2 has all members of 1, and lpips, moving, depth, shifts and shift_truth beside them."""
@@ -100,7 +100,7 @@ class SceneEvaluation:
         return mean_depth([frame.depth for frame in self.frames if frame.depth is not None])
 
     def to_json(self) -> dict[str, Any]:
-        """The contents of eval.json."""
+        """The contents of eval.json; a frame's `picture` is its file, if pictures are written."""
         return {
             "version": EVALUATION_VERSION,
             "psnr": self.psnr,
@@ -115,6 +115,7 @@ class SceneEvaluation:
                     "camera": frame.camera,
                     "frame": frame.frame,
                     "timestamp_us": frame.timestamp_us,
+                    "picture": picture_name(frame.camera, frame.frame),
                     **asdict(frame.whole),
                     "boxes": dict(frame.boxes),
                     "moving": _plain(frame.moving),

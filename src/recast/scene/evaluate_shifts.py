@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.logs import DrivingLog
+from recast.names import folder_name
 from recast.scene.dynamic import pose_at
 from recast.scene.evaluate_regions import RegionScore, mean_score
 from recast.scene.views import View, scaled_camera
@@ -58,6 +59,11 @@ SHIFTS: tuple[ViewShift, ...] = (
 """A lane's width to either side, and the yaw that changing lanes takes."""
 
 
+def picture_name(camera_name: str, frame: int) -> str:
+    """File name of a picture of one view: the camera's name as far as it can stand in one."""
+    return f"{folder_name(camera_name)}_{frame:06d}.png"
+
+
 @dataclass(frozen=True)
 class ShiftedView:
     """A view that the log does not have.
@@ -79,7 +85,7 @@ class ShiftedView:
     @property
     def picture(self) -> str:
         """File below the evaluation's folder."""
-        return f"shifts/{self.shift.name}/{self.camera_name}_{self.frame:06d}.png"
+        return f"shifts/{self.shift.name}/{picture_name(self.camera_name, self.frame)}"
 
     def seen_as(self, image: Image) -> View:
         """The view with what its camera sees."""

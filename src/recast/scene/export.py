@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from recast.errors import InputError
+from recast.names import folder_name
 from recast.scene.sky_image import write_sky
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.splats import write_ply
@@ -135,10 +135,10 @@ def _finish(scene: StreetScene, folder: Path, parts: dict[str, Any]) -> None:
 
 
 def _file_names(track_ids: Iterable[str]) -> dict[str, str]:
-    """File names without ending: the ids, with what may not stand in a name replaced."""
+    """File names without ending, also different where upper and lower case are the same."""
     names: dict[str, str] = {}
     for track_id in track_ids:
-        name = re.sub(r"[^A-Za-z0-9-]", "_", track_id) or "_"
+        name = folder_name(track_id)
         while name.lower() in {other.lower() for other in names.values()}:
             name += "_"
         names[track_id] = name

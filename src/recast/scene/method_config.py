@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from recast.records import Record
 from recast.scene.densify import Measure
 
 
-class MethodConfig(BaseModel):
+class MethodConfig(Record):
     """Fields of `SceneConfig` that choose between methods; the defaults are recast's own.
 
     `recast.scene.presets` has the values of Street Gaussians and of OmniRe.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     sky: Literal["panorama", "cubemap"] = Field(
         default="panorama", description="cells of the sky under training; saved as a panorama"

@@ -6,10 +6,11 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from recast.errors import InputError
 from recast.logs import DrivingLog
+from recast.records import Record
 from recast.scene.config import SceneConfig, parse_config, write_config
 from recast.storage import read_json, write_json
 
@@ -19,10 +20,8 @@ FREE_FIELDS = frozenset({"threads", "evaluate_every", "checkpoint_every"})
 """Fields that may differ when a run is taken up again: they do not change what is learned."""
 
 
-class Source(BaseModel):
+class Source(Record):
     """Contents of source.json: the log a scene is made from."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     log_name: str
     log_fingerprint: str

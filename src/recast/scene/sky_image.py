@@ -9,9 +9,12 @@ import numpy as np
 import torch
 
 from recast.errors import InputError
+from recast.logs.importers.image_files import image_size
 from recast.scene.sky import SkyMap
 from recast.storage import write_bytes
 
+MOST_PIXELS = 1 << 25
+"""8192 x 4096: 0.04 degrees a column."""
 DEPTHS = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}
 
 
@@ -26,15 +29,14 @@ def read_sky(path: str | Path) -> SkyMap:
     """Read an RGB image of 8 or 16 bits a channel.
 
     Raises:
-        InputError: the file is missing, no image, or of another kind.
+        InputError: the file is missing, no image, too large, or of another kind.
     """
     path = Path(path)
-    try:
-        data = np.frombuffer(path.read_bytes(), np.uint8)
-    except OSError as error:
-        problem = (error.strerror or "cannot be read").lower()
-        raise InputError(path, "sky image", problem, "check the path") from None
-    pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+    width, height = image_size(path)
+    if width * height > MOST_PIXELS:
+        problem = f"is of {width}x{height}, at most {MOST_PIXELS} pixels are read"
+        raise InputError(path, "sky image", problem, "make it smaller")
+    pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise InputError(path, "sky image", "is no image, or cut short", "write it anew")
     if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype not in DEPTHS:

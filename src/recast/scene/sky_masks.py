@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from recast.errors import InputError
 from recast.logs import DrivingLog
+from recast.logs.importers.image_files import image_size
 from recast.logs.importers.processed_folder import CAMERAS
 from recast.pretrained import PretrainedFolder
 from recast.scene.background_points import near_samples
@@ -74,13 +75,7 @@ def _from_files(
         ordered[name] = [files[frame] for frame in sorted(files)]
     for view in views:
         camera = log.cameras[view.camera_name].camera
-        mask = _read_mask(ordered[view.camera_name][view.frame])
-        if mask.shape != (camera.height, camera.width):
-            raise InputError(
-                ordered[view.camera_name][view.frame], "size",
-                f"is {mask.shape[1]}x{mask.shape[0]}, the image {camera.width}x{camera.height}",
-                "write a mask of the size of the recorded image",
-            )  # fmt: skip
+        mask = _read_mask(ordered[view.camera_name][view.frame], camera.width, camera.height)
         yield fit_mask(camera, mask, scale)
 
 
@@ -90,15 +85,15 @@ def _camera(log: DrivingLog, name: str) -> str:
     return name if name in log.cameras else numbered
 
 
-def _read_mask(path: Path) -> Mask:
-    try:
-        data = np.frombuffer(path.read_bytes(), np.uint8)
-    except OSError as error:
+def _read_mask(path: Path, width: int, height: int) -> Mask:
+    found = image_size(path)
+    if found != (width, height):
         raise InputError(
-            path, "sky mask", (error.strerror or "cannot be read").lower(), "check the file"
-        ) from None
-    pixels = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
-    if pixels is None:
+            path, "size", f"is {found[0]}x{found[1]}, the image {width}x{height}",
+            "write a mask of the size of the recorded image",
+        )  # fmt: skip
+    pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_GRAYSCALE)
+    if pixels is None or pixels.shape != (height, width):
         raise InputError(path, "sky mask", "is no image, or cut short", "write it anew")
     white: Mask = pixels > 127
     return white

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import time
 from collections import deque
@@ -13,6 +12,7 @@ import cv2
 import numpy as np
 import torch
 
+from recast.cores import usable_cores
 from recast.errors import InputError
 from recast.logs import DrivingLog
 from recast.records import read_record
@@ -89,7 +89,7 @@ def train_scene(
         mend = "train the scene anew"
         budget = read_record(out / BUDGET_FILE, Budget, BUDGET_VERSION, mend)
         return TrainResult(load_scene(out), out, read_json(out / HISTORY_FILE), budget)
-    threads = config.threads or _available_cores()
+    threads = config.threads or usable_cores()
     run = _Run(log, out, config, threads, place, progress or (lambda status: None))
     before = torch.get_num_threads(), cv2.getNumThreads(), torch.backends.cudnn.allow_tf32
     try:
@@ -105,12 +105,6 @@ def train_scene(
         torch.set_num_threads(before[0])
         cv2.setNumThreads(before[1])
         torch.backends.cudnn.allow_tf32 = before[2]
-
-
-def _available_cores() -> int:
-    if hasattr(os, "sched_getaffinity"):  # not on macOS
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 class _Run:

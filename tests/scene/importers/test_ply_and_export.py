@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from recast.cli.main import main
 from recast.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog
+from recast.names import folder_name
 from recast.pipeline.scene import evaluate_and_print
 from recast.scene import (
     SceneActor,
@@ -78,8 +80,8 @@ def test_parts_are_exported_in_their_own_frames(scene: StreetScene, tmp_path: Pa
     export_scene(scene, tmp_path / "out")
     record = json.loads((tmp_path / "out" / "scene.json").read_text())
     files = [actor["gaussians"] for actor in record["actors"]]
-    assert files == ["actors/car_1.ply", "actors/car_1_.ply"]
-    assert record["actors"][0]["shadow"] == "shadows/car_1.ply"
+    assert files == [f"actors/{folder_name('car/1')}.ply", "actors/car_1.ply"]
+    assert record["actors"][0]["shadow"] == f"shadows/{folder_name('car/1')}.ply"
     assert "shadow" not in record["actors"][1]
     actors = {}
     for entry in record["actors"]:
@@ -133,7 +135,9 @@ def test_a_ply_in_another_frame_and_unit_is_placed(
         ("1 2 x", "cannot be read"),
         (" ".join(map(str, np.diag([1, 1, -1, 1]).ravel())), "is not a rotation"),
         (" ".join(map(str, np.diag([1, 2, 1, 1]).ravel())), "is not a rotation"),
-        (" ".join(["nan"] * 3), "not all finite"),
+        (" ".join(["nan"] * 3), "not all within"),
+        ("1 2 1e300", "not all within"),
+        (" ".join(map(str, np.diag([1e-3, 2e-3, 1e-3, 1]).ravel())), "is not a rotation"),
     ],
 )
 def test_bad_transforms(log: DrivingLog, tmp_path: Path, text: str, line: str) -> None:
@@ -145,11 +149,21 @@ def test_bad_transforms(log: DrivingLog, tmp_path: Path, text: str, line: str) -
 
 
 def test_bad_skies(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="sky image: no such file"):
+    with pytest.raises(InputError, match="file: is missing"):
         read_sky(tmp_path / "none.png")
     (tmp_path / "a.png").write_bytes(b"")
-    with pytest.raises(InputError, match="is no image"):
+    with pytest.raises(InputError, match="image: cannot be read"):
         read_sky(tmp_path / "a.png")
+
+
+def test_a_sky_is_measured_before_it_is_decoded(scene: StreetScene, tmp_path: Path) -> None:
+    write_sky(tmp_path / "sky.png", scene.sky)
+    data = bytearray((tmp_path / "sky.png").read_bytes())
+    data[16:24] = (9000).to_bytes(4, "big") * 2  # width and height
+    data[29:33] = zlib.crc32(data[12:29]).to_bytes(4, "big")
+    (tmp_path / "sky.png").write_bytes(data)
+    with pytest.raises(InputError, match="sky image: is of 9000x9000"):
+        read_sky(tmp_path / "sky.png")
 
 
 def test_sky_image_round_trip(scene: StreetScene, tmp_path: Path) -> None:

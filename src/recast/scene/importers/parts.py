@@ -33,7 +33,8 @@ def read_gaussians(table: Table, names: Names, constant: Tensor) -> Gaussians:
         constant: (N, 3) constant harmonics, which layouts store in different ways.
 
     Raises:
-        InputError: a field is missing, of another shape, not finite, or a quaternion is zero.
+        InputError: a field is missing, of another shape, not finite, or out of range
+            (`Gaussians.fault`).
     """
     n = len(constant)
     rest = table.tensor(names.rest, n, None, 3)
@@ -41,17 +42,18 @@ def read_gaussians(table: Table, names: Names, constant: Tensor) -> Gaussians:
         raise table.fault(
             names.rest, f"has {rest.shape[1]} harmonics, expected one of {list(REST_COUNTS)}"
         )
-    quats = table.tensor(names.quats, n, 4)
-    zero = (quats.norm(dim=1) == 0).nonzero()
-    if len(zero):
-        raise table.fault(names.quats, f"row {int(zero[0])} is a quaternion of norm zero")
-    return Gaussians(
+    found = Gaussians(
         means=table.tensor(names.means, n, 3),
-        quats=quats,
+        quats=table.tensor(names.quats, n, 4),
         log_scales=table.tensor(names.log_scales, n, 3),
         logit_opacities=table.tensor(names.logit_opacities, n, 1)[:, 0],
         sh=torch.cat([constant[:, None], rest], dim=1),
     )
+    fault = found.fault()
+    if fault is not None:
+        field = names.rest if fault[0] == "sh" else getattr(names, fault[0])
+        raise table.fault(field, fault[1])
+    return found
 
 
 def unused_members(tables: Iterable[Table], names: Names, others: Sequence[str]) -> list[str]:

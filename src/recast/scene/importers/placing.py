@@ -13,10 +13,15 @@ from numpy.typing import NDArray
 from recast.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog
+from recast.logs.checks import WORLD_REACH
 from recast.splats import Gaussians
+from recast.storage import read_text
 
 Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
+
+TEXT_LIMIT = 1 << 16
+"""Bytes of a file of a few numbers, at most."""
 
 
 @dataclass(frozen=True)
@@ -41,16 +46,14 @@ def read_numbers(path: Path, counts: Sequence[int]) -> Array:
         InputError: it is missing, holds something else, or has another number of numbers.
     """
     mend = f"write {' or '.join(map(str, counts))} numbers"
+    words = re.sub(r"[\[\],;]", " ", read_text(path, TEXT_LIMIT)).split()
     try:
-        words = re.sub(r"[\[\],;]", " ", path.read_text()).split()
         numbers = np.array(words, np.float64)
-    except OSError as error:
-        problem = (error.strerror or "cannot be read").lower()
-        raise InputError(path, "file", problem, "check the path") from None
     except ValueError as error:
         raise InputError(path, "numbers", f"cannot be read ({error})", mend) from None
-    if len(numbers) not in counts or not np.isfinite(numbers).all():
-        raise InputError(path, "numbers", f"{len(numbers)}, or not all finite", mend)
+    if len(numbers) not in counts or not np.all(np.abs(numbers) <= WORLD_REACH):  # also NaN
+        problem = f"{len(numbers)}, or not all within {WORLD_REACH:g}"
+        raise InputError(path, "numbers", problem, mend)
     return numbers
 
 
@@ -79,7 +82,8 @@ def given_placement(path: Path, scalable: bool = False) -> Placement:
     block = matrix[:3, :3]
     determinant = float(np.linalg.det(block))
     scale = abs(determinant) ** (1 / 3)
-    rotates = determinant > 0 and np.allclose(block @ block.T, scale**2 * np.eye(3), 0, 1e-4)
+    unit = block / scale if determinant > 0 else np.zeros((3, 3))
+    rotates = np.allclose(unit @ unit.T, np.eye(3), 0, 1e-4)
     if not rotates or not np.allclose(matrix[3], (0, 0, 0, 1)):
         kind = "a rotation, translation and scale" if scalable else "a rotation and translation"
         raise InputError(path, "matrix", f"is not {kind}", "write another one")

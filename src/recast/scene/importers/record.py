@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from recast.errors import InputError
 from recast.logs import DrivingLog
+from recast.records import Record
 from recast.scene.importers.placing import Placement, drive_inside
 from recast.scene.run_identity import log_fingerprint
 from recast.scene.store import save_scene
@@ -23,7 +23,7 @@ MATCHED_SHARE = 0.5
 """With fewer ego positions within the background's bounds the frames are taken to differ."""
 
 
-class ImportRecord(BaseModel):
+class ImportRecord(Record):
     """Contents of import.json.
 
     Attributes:
@@ -39,8 +39,6 @@ class ImportRecord(BaseModel):
         left_out: what was not carried over, one sentence each.
         warnings: what looks wrong.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     version: int = IMPORT_VERSION
     layout: str
@@ -82,8 +80,13 @@ def write_imported(
     """Write the scene folder with its import.json, whole or not at all.
 
     Raises:
-        InputError: `out` exists, or the disk is full.
+        InputError: `out` exists, the disk refuses, or the scene is none as it was placed.
     """
+    try:
+        imported.scene.validate()
+    except ValueError as error:
+        mend = "check the placement and the values of the file"
+        raise InputError(source, "scene", str(error), mend) from None
     inside = drive_inside(log, imported.scene.background)
     warnings = list(imported.warnings)
     if inside < MATCHED_SHARE:

@@ -36,7 +36,7 @@ from recast.splats import Gaussians
 
 NAMES = Names("xyz", "feature_rest", "scaling", "rotation", "opacity")
 CONSTANT = "feature_dc"
-OBJECT = re.compile(r"obj_(\d+)")
+OBJECT = re.compile(r"obj_([0-9]{1,9})")
 KNOWN = ("iter", "background", "actor_pose", "sky_cubemap", "color_correction", "pose_correction")
 _UNUSED = {
     "color_correction": "colour corrections of single images",

@@ -98,7 +98,7 @@ def _visibility(path: Path) -> dict[tuple[int, int], frozenset[int]]:
             for track, frames in value.items()
             for frame, cameras in frames.items()
         }
-    except (AttributeError, TypeError, ValueError) as error:
+    except (AttributeError, TypeError, ValueError, OverflowError) as error:
         raise InputError(
             path, "JSON", f"is no table of cameras by track and frame ({error})", _MEND
         ) from None

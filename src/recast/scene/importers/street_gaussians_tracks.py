@@ -189,7 +189,7 @@ def _seconds(folder: Path, name: str, frames: Sequence[int]) -> dict[int, float]
     value = read_json(path)
     try:
         seconds = {frame: float(value[name][f"{frame:06d}"]) for frame in frames}
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(path, name, f"lacks a time ({error})", _MEND) from None
     steps = np.diff(list(seconds.values()))
     if not (np.isfinite(list(seconds.values())).all() and np.all(steps > 0)):

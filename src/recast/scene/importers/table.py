@@ -53,7 +53,7 @@ class Table:
         return Table(self.path, value, self.key(name))
 
     def integer(self, name: str) -> int:
-        """A plain whole number.
+        """A plain whole number, from 0 to 2^53.
 
         Raises:
             InputError: it is missing or something else.
@@ -61,6 +61,8 @@ class Table:
         value = self._member(name)
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.fault(name, f"is {type(value).__name__}, not a whole number")
+        if not 0 <= value <= 1 << 53:
+            raise self.fault(name, "is no number of steps")
         return value
 
     def tensor(self, name: str, *shape: int | None) -> Tensor:
