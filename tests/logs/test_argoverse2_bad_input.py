@@ -58,6 +58,28 @@ def _rows(path: str, keep: Callable[[str], bool]) -> Damage:
     return change
 
 
+def _named(path: str, name: str) -> Damage:
+    return lambda log: (log / path).rename((log / path).with_name(name))
+
+
+def _terabyte(log: Path) -> None:
+    """A compressed column of the sweep claims 2^40 bytes."""
+    count = len(feather.read_table(log / SWEEP, memory_map=False))
+    data = (log / SWEEP).read_bytes()
+    claim = (4 * count).to_bytes(8, "little")  # offset_ns, the one of four bytes
+    assert data.count(claim) >= 1
+    (log / SWEEP).write_bytes(data.replace(claim, (1 << 40).to_bytes(8, "little")))
+
+
+def _raster(header: str) -> Damage:
+    def change(log: Path) -> None:
+        path = next((log / "map").glob("*.npy"))
+        data = path.read_bytes()
+        path.write_bytes(data[:10] + header.ljust(117).encode() + b"\n" + data[128:])
+
+    return change
+
+
 def _only_bicycles(data: dict) -> None:
     for lane in data["lane_segments"].values():
         lane["lane_type"] = "BIKE"
@@ -115,6 +137,21 @@ def _cut(path: Path) -> None:
         (_column(SWEEP, "laser_number", 0, 64), f"{SWEEP}: column laser_number, row 0: is 64"),
         (_column(SWEEP, "offset_ns", 0, 10**9), f"{SWEEP}: column offset_ns, row 0: is 1000000000"),
         (lambda f: (f / SWEEP).rename(f / SWEEP.replace("3159", "x")), "is not a time"),
+        (
+            _named(SWEEP, "\u00b2.feather"),
+            "\u00b2.feather: file name: is not a time in nanoseconds",
+        ),
+        (_named(SWEEP, f"{'9' * 25}.feather"), "99.feather: file name: is not a time in nanosec"),
+        (_named(IMAGE, f"{'9' * 19}.jpg"), "99.jpg: file name: is not a time in nanoseconds"),
+        (_terabyte, f"{SWEEP}: feather table: claims 240 rows and 1099"),
+        (_column(POSES, "tx_m", 7, 1e300), f"{POSES}: tx_m, ty_m, tz_m in row 7: [1e+300, "),
+        (_column(POSES, "qw", 7, 1e300), f"{POSES}: qw, qx, qy, qz in row 7: are no rotation"),
+        (_column(POSES, "timestamp_ns", 0, -5), f"{POSES}: timestamp_ns in row 0: -5 is no time"),
+        (
+            _column(POSES, "timestamp_ns", -1, 2**63 - 1),
+            f"{POSES}: timestamp_ns in row 201: 9223372036854775807 is no time",
+        ),
+        (_column("annotations.feather", "width_m", 2, 1e9), "width_m in row 2: is 1e+09 m"),
         (lambda f: _cut(f / IMAGE), f"{IMAGE}: image: cannot be decoded"),
         (_column(INTRINSICS, "width_px", 0, 64), "intrinsics.feather says 64x32"),
         (lambda f: (f / MAP).unlink(), "map: log_map_archive_*.json: is missing"),
@@ -138,7 +175,15 @@ def _cut(path: Path) -> None:
             lambda f: next((f / "map").glob("*Sim2*")).unlink(),
             "map: *___img_Sim2_city.json: is missing",
         ),
-        (lambda f: _cut(next((f / "map").glob("*.npy"))), "PIT.npy: array: says 64000 bytes of values"),
+        (
+            lambda f: _cut(next((f / "map").glob("*.npy"))),
+            "PIT.npy: array: says 64000 bytes of values",
+        ),
+        (_raster("{'descr': '<f2', 'shape': (9"), "PIT.npy: array: has a damaged header"),
+        (
+            _raster("{'descr': '<f2', 'fortran_order': False, 'shape': (99999999, 99999)}"),
+            "PIT.npy: array: says 19999799800002 bytes of values",
+        ),
     ],
 )
 def test_a_faulty_log_is_one_clear_line(tmp_path: Path, damage: Damage, message: str) -> None:

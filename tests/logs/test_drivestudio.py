@@ -129,7 +129,7 @@ def _lidar_value(column: int, value: float) -> Damage:
         ),
         (
             _boxes(lambda b: b["box_size"].__setitem__(3, [1, 0, 1])),
-            f"{INFO}: 0.frame_annotations.box_size.3: is not positive",
+            f"{INFO}: 0.frame_annotations.box_size.3: is not a box's",
         ),
         (
             _boxes(lambda b: b["obj_to_world"].__setitem__(3, np.eye(4).tolist())),
@@ -154,6 +154,31 @@ def _lidar_value(column: int, value: float) -> Damage:
             lambda s: (s / "lidar/003.bin").write_bytes(b"\0" * 60),
             "lidar/003.bin: points: 60 bytes are not a whole number of 56-byte points",
         ),
+        (
+            lambda s: (s / "lidar/003.bin").rename(s / "lidar/\u00b2.bin"),
+            "lidar/\u00b2.bin: file name: is no frame",
+        ),
+        (
+            lambda s: tiny.write_matrix(s / "ego_pose/005.txt", np.diag([1.0, 1.0, -1.0, 1.0])),
+            "ego_pose/005.txt: matrix: is no rotation and translation",
+        ),
+        (
+            lambda s: tiny.write_matrix(s / "ego_pose/005.txt", np.full((4, 4), 1e300)),
+            "ego_pose/005.txt: matrix: is no rotation and translation",
+        ),
+        (
+            lambda s: (s / "ego_pose/005.txt").write_bytes(b"\xff" * 9),
+            "ego_pose/005.txt: text: is not UTF-8",
+        ),
+        (
+            _boxes(lambda b: b["frame_idx"].__setitem__(3, 10**30)),
+            f"{INFO}: 0.frame_annotations.frame_idx: 1000000000000000000000000000000 has no file",
+        ),
+        (
+            _boxes(lambda b: b["box_size"].__setitem__(3, [4, 1e9, 1])),
+            f"{INFO}: 0.frame_annotations.box_size.3: is not a box's",
+        ),
+        (_lidar_value(4, 1e9), "lidar/003.bin: point 4: is NaN or infinite, or not within 100000"),
         (_lidar_value(4, np.inf), "lidar/003.bin: point 4: is NaN or infinite"),
         (_lidar_value(13, 5.0), "lidar/003.bin: point 4: laser: is 5, not 0 to 4"),
         (

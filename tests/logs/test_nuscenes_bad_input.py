@@ -126,7 +126,7 @@ def _copied_row(table: str, source: str, **changes: Any) -> Damage:
         ),
         (
             _row("sample_annotation", "car3", size=[1.8, 0.0, 1.5]),
-            "token car3: size: is (1.8, 0.0, 1.5), not positive",
+            "token car3: size: is (1.8, 0.0, 1.5), not a box's",
         ),
         (
             _copied_row("sample_annotation", "car3", token="again"),
@@ -143,6 +143,42 @@ def _copied_row(table: str, source: str, **changes: Any) -> Damage:
         (
             _row("sample_data", "CAM_FRONT-0", width=32),
             "token CAM_FRONT-83334: width, height: 64x48, the camera's first is 32x48",
+        ),
+        (
+            _row("sample_data", "CAM_FRONT-0", filename="../../etc/passwd"),
+            "token CAM_FRONT-0: filename: names '../../etc/passwd', which is no file inside of",
+        ),
+        (
+            _row("sample_data", "CAM_FRONT-0", timestamp=10**30),
+            "(token CAM_FRONT-0): timestamp: Input should be",
+        ),
+        (
+            _row("sample_data", "CAM_FRONT-0", width=10**9),
+            "(token CAM_FRONT-0): width: Input should be less than",
+        ),
+        (
+            _row("ego_pose", "CAM_FRONT-0", translation=[1e300, 0.0, 0.0]),
+            "(token CAM_FRONT-0): translation.0: Input should be less than",
+        ),
+        (
+            _row("sample_annotation", "car3", rotation=[1e200, 1e200, 0.0, 0.0]),
+            "(token car3): rotation.0: Input should be less than",
+        ),
+        (
+            _row("sample_annotation", "car3", size=[1.8, 1e6, 1.5]),
+            "token car3: size: is (1.8, 1000000.0, 1.5), not a box's",
+        ),
+        (
+            lambda r: (r / "v1.0-mini/sample.json").write_text("[" * 100_000),
+            "sample.json: row 0: cannot be read (maximum recursion depth",
+        ),
+        (
+            lambda r: (r / "v1.0-mini/sample.json").write_text('[{"a": ' + "1" * 5000 + "}]"),
+            "sample.json: row 0: cannot be read (Exceeds the limit",
+        ),
+        (
+            lambda r: (r / SWEEP).write_bytes(b"\xff\xff\x7f\x7f" * 5),
+            f"{SWEEP}: point 0: is NaN or infinite, or not within 100000 m (3.4",
         ),
         (_row("sample_data", "LIDAR_TOP-0", fileformat="pkl"), "fileformat: is 'pkl', not pcd"),
         (lambda r: (r / KEY).unlink(), f"token CAM_FRONT-0: filename: {KEY} is missing under"),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -161,6 +163,17 @@ def _matrix(name: str, matrix: np.ndarray) -> Damage:
     return lambda scene: tiny.write_matrix(scene / name, matrix)
 
 
+def _bomb(side: int) -> bytes:
+    """The beginning of a PNG file of side x side pixels, which nobody may decode."""
+    header = b"IHDR" + struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0)
+    data = b"IDAT" + zlib.compress(bytes(1000))
+    chunks = [header, data, b"IEND"]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
+        for chunk in chunks
+    )
+
+
 TRACKS = "track/track_info.txt"
 
 
@@ -220,11 +233,26 @@ TRACKS = "track/track_info.txt"
             lambda s: (s / "images/000001_0.png").write_bytes(b"\x89PNG"),
             "images/000001_0.png: image: cannot be decoded",
         ),
+        (
+            lambda s: (s / "images/000001_0.png").write_bytes(_bomb(30_000)),
+            "images/000001_0.png: image size: is 30000x30000, its first image says 64x48",
+        ),
+        (
+            lambda s: (s / "images/000000_0.png").write_bytes(_bomb(100_000)),
+            "intrinsics/0.txt: numbers: PinholeCamera.width, height: 100000 x 100000",
+        ),
+        (_points(**{"\u00b2": np.zeros((3, 3))}), "pointcloud.npz: array \u00b2: is no frame"),
+        (_points(**{"000001": np.full((3, 3), 1e300)}), "array 000001: holds NaN or infinity, or"),
+        (
+            _times(lambda t: t["FRONT"].update({"000004": 1e18})),
+            "timestamps.json: FRONT.000004: 1e+18 is no time",
+        ),
         (lambda s: (s / TRACKS).unlink(), f"{TRACKS}: file: is missing"),
         (_edit(TRACKS, " 9.0", " 9.0 1 2"), f"{TRACKS}: line 2: has 14 columns, not 11 or 12"),
         (_edit(TRACKS, "vehicle", "boat"), f"{TRACKS}: line 2: class: 'boat' is unknown"),
         (_edit(TRACKS, "0 1.5", "0 tall"), f"{TRACKS}: line 2: holds words where"),
-        (_edit(TRACKS, "0 1.5", "0 -1.5"), f"{TRACKS}: line 2: size: is not positive"),
+        (_edit(TRACKS, "0 1.5", "0 1e200"), f"{TRACKS}: line 2: holds NaN or infinity, or a num"),
+        (_edit(TRACKS, "0 1.5", "0 -1.5"), f"{TRACKS}: line 2: size: is not a box's"),
         (_edit(TRACKS, "\n1 7", "\n99 7"), f"{TRACKS}: line 4: frame: 99 has no ego_pose"),
         (_edit(TRACKS, "\n1 7", "\n0 7"), f"{TRACKS}: line 4: track: track 7 is there twice"),
         (

@@ -154,6 +154,48 @@ SHEARED = np.arange(16.0)
             "[LiDARCalibrationComponent].beam_inclination.values: do not ascend",
         ),
         (
+            "lidar_calibration",
+            _cell({LASER: 1}, "beam_inclination.values", [0.1, None]),
+            "[LiDARCalibrationComponent].beam_inclination.values: is no list of numbers",
+        ),
+        (
+            "lidar_calibration",
+            _cell({LASER: 1}, "beam_inclination.values", [-4.0, 0.1]),
+            "[LiDARCalibrationComponent].beam_inclination.values: are not all within pi radians",
+        ),
+        (
+            "lidar",
+            _cell(TOP, "range_image_return1.shape", [6, None, 4]),
+            f"{LIDAR}.range_image_return1.shape: is no list of numbers",
+        ),
+        (
+            "lidar",
+            _cell(TOP, "range_image_return1.shape", [2**31 - 1] * 3),
+            "range_image_return1.values: has dimensions [2147483647, 2147483647, 2147483647] for",
+        ),
+        (
+            "lidar",
+            _of(TOP, **tiny2.cells("range_image_return1", np.full((6, 40, 4), 1e9))),
+            "range_image_return1.values: holds a range of 1e+09 m",
+        ),
+        (
+            "camera_image",
+            _cell(FRONT, "pose.transform", np.diag([1.0, 1.0, -1.0, 1.0]).ravel()),
+            f"{IMAGE}.pose.transform: is no rotation and translation",
+        ),
+        (
+            "camera_image",
+            _cell(FRONT, "pose_timestamp", 1e307),
+            f"{IMAGE}.pose_timestamp: is 1e+307",
+        ),
+        (
+            "vehicle_pose",
+            _cell({FRAME: SECOND}, "frame_timestamp_micros", -1),
+            "key.frame_timestamp_micros: -1 is no time",
+        ),
+        ("lidar_box", _cell(CAR, "box.size.x", 1e9), "[LiDARBoxComponent].box.size.x: is 1e+09"),
+        ("lidar_box", _cell(CAR, "box.center.x", 1e9), "LiDARBoxComponent].box.center.x: is 1e+09"),
+        (
             "lidar",
             _of(TOP, **tiny2.cells("range_image_return1", np.zeros((0, 40, 4)))),
             f"{LIDAR}.range_image_return1.values: is empty",
@@ -234,6 +276,14 @@ def test_a_column_that_is_missing_or_of_another_kind(tmp_path: Path, tag: str, c
     text = table.set_column(index, column, [["x"] * len(table)])
     pq.write_table(text, path)
     _refused(root, tiny.NAME, column)
+
+
+def test_text_that_is_not_utf8_is_one_line(tmp_path: Path) -> None:
+    root = tiny2.write_segment(tmp_path / "root")
+    path = _file(root, "lidar_box")
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"car", b"c\xffr"))
+    _refused(root, tiny.NAME, f"{path}: row group 0: cannot be read (")
 
 
 def test_a_component_without_the_segment_is_refused(tmp_path: Path) -> None:

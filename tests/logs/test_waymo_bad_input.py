@@ -11,6 +11,8 @@ import pytest
 
 from recast.errors import InputError
 from recast.logs.importers.waymo import import_waymo
+from recast.logs.importers.waymo_schema import MATRIX_FLOAT
+from recast.logs.importers.waymo_wire import decode
 from support import tiny_waymo as tiny
 from support.proto_writer import (
     blob,
@@ -70,6 +72,15 @@ def _lanes(*features: bytes) -> Parts:
     [
         (_frame(1, lambda d: d[:-3]), "record 1, Frame: field 500 is cut off"),
         (_frame(1, lambda d: integer(2, 5) + blob(3, b"")), "record 1, context: is missing"),
+        (
+            _frame(2, lambda d: d + integer(2, 1 << 62)),
+            "record 2, timestamp_micros: 4611686018427387904 is no time in microseconds",
+        ),
+        (
+            _camera(lambda d: d + blob(3, tiny.transform(np.diag([1.0, 1.0, -1.0, 1.0])))),
+            f"{CONTEXT}[4].extrinsic.transform: is no rotation and translation",
+        ),
+        (_top(1, _matrix(np.full((6, 40, 4), 1e9))), "holds a range of 1e+09 m"),
         (
             _frame(2, lambda d: tiny.frame_bytes(1, Parts())),
             "record 2, timestamp_micros: is not later than",
@@ -178,6 +189,22 @@ def _refused(tmp_path: Path, drive: str, message: str) -> None:
     assert message in f"{error.where}: {error.field}: {error.problem}; {error.mend}"
     assert "\n" not in str(error)
     assert not (tmp_path / "out").exists() or list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_range_image_that_grows_is_refused(tmp_path: Path) -> None:
+    # Numbers one by one, four times as large as any of the dataset: 100 kB, and gigabytes if each
+    # becomes an object of its own.
+    grown = zlib.compress(single(1, 1.0) * (1 << 22))
+    assert len(grown) < 200_000
+    tiny.write_segment(tmp_path / "root", _top(1, lambda d: grown))
+    _refused(tmp_path, tiny.NAME, "range_image_compressed: is cut off or too large")
+
+
+def test_repeated_numbers_are_the_same_packed_and_one_by_one() -> None:
+    values = np.linspace(0.0, 1.0, 5, dtype=np.float32)
+    packed = blob(1, values[:3].tobytes()) + b"".join(single(1, float(v)) for v in values[3:])
+    for data in (packed, b"".join(single(1, float(v)) for v in values)):
+        np.testing.assert_array_equal(decode(MATRIX_FLOAT, data)["data"], values)
 
 
 def test_a_damaged_file_names_its_record(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from recast.errors import InputError
-from recast.logs import motion
+from recast.logs import checks, motion
 from recast.logs.importers.argoverse2_sensors import TURN_US
 from recast.logs.importers.argoverse2_tables import (
     POSE,
@@ -133,8 +133,10 @@ def _check(
             f"{str(rows['category'][row])!r} is none of Argoverse 2",
             f"use one of {', '.join(CATEGORIES)}",
         )
-    if np.any(size <= 0):
-        row, axis = np.argwhere(size <= 0)[0]
+    shortest, longest = checks.BOX_SIDE
+    wrong = (size < shortest) | (size > longest)
+    if wrong.any():
+        row, axis = np.argwhere(wrong)[0]
         raise InputError(
             path, f"{SIZE[axis]} in row {row}", f"is {size[row, axis]:g} m", "remove the box"
         )

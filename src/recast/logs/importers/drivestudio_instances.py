@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from recast import storage
 from recast.errors import InputError
+from recast.logs import checks
 from recast.logs.importers.processed_folder import FARTHEST, rigid
 from recast.logs.types import Array, Track, Trajectory
 from recast.records import validation_error
@@ -98,8 +99,10 @@ def _track(
         problem = f"the box is {away[i]:.0f} m from the ego: mixed coordinate frames"
         raise InputError(path, f"{field}.obj_to_world.{i}", problem, _MEND)
     size = np.array(boxes.box_size)
-    if np.any(size <= 0):
-        i = int(np.argmax((size <= 0).any(axis=1)))
-        raise InputError(path, f"{field}.box_size.{i}", "is not positive", "remove the box")
+    shortest, longest = checks.BOX_SIDE
+    wrong = ((size < shortest) | (size > longest)).any(axis=1)
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        raise InputError(path, f"{field}.box_size.{i}", "is not a box's", "remove the box")
     category = CATEGORIES[instance.class_name]
     return Track(name, category, np.median(size, axis=0), Trajectory(times, poses))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from recast.errors import InputError
+from recast.logs import checks
 from recast.logs.importers.nuscenes_sensors import pose_of
 from recast.logs.importers.nuscenes_tables import (
     AnnotationRow,
@@ -128,10 +129,10 @@ def _track(
     poses[:, :3, 3] -= offset
     away = np.linalg.norm(poses[:, :3, 3] - world_from_rig.at(times)[:, :3, 3], axis=1)
     for box, distance in zip(ordered, away, strict=True):
-        if min(box.size) <= 0:
-            raise InputError(
-                path, f"token {box.token}: size", f"is {box.size}, not positive", "remove the box"
-            )
+        shortest, longest = checks.BOX_SIDE
+        if not shortest <= min(box.size) <= max(box.size) <= longest:
+            problem = f"is {box.size}, not a box's"
+            raise InputError(path, f"token {box.token}: size", problem, "remove the box")
         if distance > _FARTHEST:
             problem = f"the box is {distance:.0f} m from the ego: mixed coordinate frames"
             raise InputError(path, f"token {box.token}: translation", problem, _MEND)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from recast.errors import InputError
+from recast.logs import checks
 from recast.logs.importers.py123d_sensors import matrix
 from recast.logs.types import Array, Track, Trajectory
 
@@ -61,7 +62,8 @@ def _track(folder: Path, token: str, rows: list[tuple[int, Any]], offset: Array)
     boxes = [box.bounding_box_se3 for _, box in rows]
     sizes = np.array([[box.length, box.width, box.height] for box in boxes], np.float64)
     poses = np.stack([matrix(box.center_se3) for box in boxes])
-    if not np.isfinite(poses).all() or not np.all(sizes > 0):
+    shortest, longest = checks.BOX_SIDE
+    if not np.isfinite(poses).all() or not np.all((sizes >= shortest) & (sizes <= longest)):
         problem = "holds a box without a place or without a size"
         raise InputError(folder, f"track {token}", problem, "convert the log again")
     poses[:, :3, 3] -= offset

@@ -8,6 +8,7 @@ import numpy as np
 
 from recast.errors import InputError
 from recast.geometry import se3
+from recast.logs import checks
 from recast.logs.importers.processed_folder import FARTHEST
 from recast.logs.importers.street_gaussians_boxes import CATEGORIES, BoxRow, read_box_rows
 from recast.logs.importers.street_gaussians_ego import Drive
@@ -57,8 +58,9 @@ def _check(path: Path, row: BoxRow, drive: Drive) -> None:
     if row.frame not in drive.frame_times:
         problem = f"{row.frame} has no ego_pose/{row.frame:06d}.txt"
         raise InputError(path, f"{row.where}: frame", problem, "take the tracks of this scene")
-    if row.size.min() <= 0:
-        raise InputError(path, f"{row.where}: size", "is not positive", "remove the box")
+    shortest, longest = checks.BOX_SIDE
+    if not shortest <= row.size.min() <= row.size.max() <= longest:
+        raise InputError(path, f"{row.where}: size", "is not a box's", "remove the box")
     if (distance := float(np.linalg.norm(row.centre))) > FARTHEST:
         problem = f"the box is {distance:.0f} m from the ego: not in the vehicle's frame"
         raise InputError(path, f"{row.where}: centre", problem, "give boxes in the vehicle frame")

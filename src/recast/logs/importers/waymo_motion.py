@@ -132,7 +132,9 @@ def _states(track: Message, count: int) -> tuple[Array, Array, Array]:
     rows = np.array(
         [[state[name] for name in names] for state in states if state.get("valid", 0)], np.float64
     ).reshape(-1, len(names))
-    if not np.all(np.abs(rows) <= checks.WORLD_REACH) or np.any(rows[:, 4:] <= 0):
+    shortest, longest = checks.BOX_SIDE
+    fits = np.all((rows[:, 4:] >= shortest) & (rows[:, 4:] <= longest))
+    if not fits or not np.all(np.abs(rows) <= checks.WORLD_REACH):  # also NaN
         raise FieldError(track.path("states"), "hold a box without a place or without a size")
     poses = se3.from_rotation_translation(se3.rotation_z(rows[:, 3]), rows[:, :3])
     return seen, poses, rows[:, 4:]
