@@ -1,24 +1,21 @@
-"""A whole stage on the golden networks: what it writes, and that kills change nothing."""
+"""A whole stage on the golden networks: what it writes; kills are in test_moments.py."""
 
 from __future__ import annotations
 
 import json
-import multiprocessing
-import os
 import shutil
-import sys
-import time
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import cv2
-import numpy as np
 import pytest
 import torch
 from rich.console import Console
 from safetensors.torch import load_file
 
 from recast.errors import InputError
+from recast.recar.screening import Screening
 from recast.recar.targets import TargetCache
 from recast.recar.training.stage import train_stage
 from recast.recar.training.stage_parts import StageRequest
@@ -26,7 +23,7 @@ from recast.recar.training.training_record import read_training_record
 from recast.storage import read_json, write_json
 from recast.trellis import ImageTo3D, verify_checkpoint
 from recast.trellis.checkpoints import first_fault
-from support.tiny_stage import TinyStage, train_quietly, write_tiny_stage
+from support.tiny_stage import TinyStage, write_tiny_stage
 
 QUIET = Console(quiet=True)
 
@@ -54,50 +51,6 @@ def results(out: Path) -> dict[str, bytes]:
         for path in sorted(out.rglob("*"))
         if path.is_file() and path.suffix not in (".jsonl", ".png") and path.parent != out
     }
-
-
-def killed(request: StageRequest, after: float | None) -> float:
-    """Train in a process that is killed (SIGKILL) after so many seconds; gives how long it ran.
-
-    Processes are forked from a server that has imported everything, so that kills meet training.
-    """
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["support.tiny_stage_server"])
-    # The server of Python 3.11 is not told sys.path, and its preloading would silently fail.
-    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
-    start = time.monotonic()
-    process = context.Process(target=train_quietly, args=(request,))
-    process.start()
-    process.join(after)
-    process.kill()
-    process.join()
-    if after is None:
-        assert process.exitcode == 0
-    return time.monotonic() - start
-
-
-def survive(stage: TinyStage, out: Path, kills: int, seed: int) -> int:
-    """Kill a training at random moments, let it end, and give how many kills met it running."""
-    request = stage.request(out)
-    killed(request, 0.0)  # starts the server, whose imports take seconds
-    length = killed(stage.request(out.with_name("timed")), None)
-    rng, met = np.random.default_rng(seed), 0
-    for _ in range(kills):
-        killed(request, float(rng.uniform(0, length)))
-        met += not (out / "training.json").exists() or not read_training_record(out).complete
-    killed(request, None)
-    return met
-
-
-def test_two_kills_change_nothing(stage: TinyStage, whole: Path, tmp_path: Path) -> None:
-    assert survive(stage, tmp_path / "model", kills=2, seed=1) >= 1
-    assert results(tmp_path / "model") == results(whole)
-
-
-@pytest.mark.slow
-def test_ten_kills_change_nothing(stage: TinyStage, whole: Path, tmp_path: Path) -> None:
-    assert survive(stage, tmp_path / "model", kills=10, seed=2) >= 3
-    assert results(tmp_path / "model") == results(whole)
 
 
 def test_the_new_model_is_complete_and_only_the_flows_differ(stage: TinyStage, whole: Path) -> None:
@@ -174,6 +127,29 @@ def test_flows_that_are_trained_apart_make_the_same_model(
     trained(replace(request, flows=("structure",)))
     assert results(request.out) == results(whole)
     assert read_training_record(request.out).flows.keys() == {"structure", "latent"}
+
+
+def test_targets_that_nobody_screened_are_told_once_and_recorded(
+    stage: TinyStage, whole: Path, tmp_path: Path
+) -> None:
+    def said(changed: TinyStage, out: Path) -> str:
+        stream = StringIO()
+        train_stage(changed.request(out, structure={"steps": 1}, latent={"steps": 1}),
+                    console=Console(file=stream, width=400))  # fmt: skip
+        return stream.getvalue()
+
+    assert read_training_record(whole).unscreened == 4
+    text = said(stage, tmp_path / "none")
+    assert text.count("nobody screened 4 of the 4 targets to train on") == 1
+    screened = TinyStage(stage.model, tmp_path / "cache", stage.pictures)
+    shutil.copytree(stage.targets, screened.targets)
+    for name in ("car-0", "car-1", "car-2"):
+        Screening(screened.targets).decide(name, "accept")
+    assert "nobody screened 1 of the 4" in said(screened, tmp_path / "some")
+    assert read_training_record(tmp_path / "some").unscreened == 1
+    Screening(screened.targets).decide("car-3", "accept")
+    assert "screened" not in said(screened, tmp_path / "all")
+    assert read_training_record(tmp_path / "all").unscreened == 0
 
 
 def test_a_latent_flow_waits_for_the_encoder(stage: TinyStage, tmp_path: Path) -> None:

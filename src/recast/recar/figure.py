@@ -16,6 +16,7 @@ from recast.errors import printable
 from recast.recar.picture import Image
 from recast.recar.source import IdentitySource, VehicleSource
 from recast.recar.statistics import SetStatistics
+from recast.storage import atomic_file, disk_errors
 from recast.synthetic.vehicles import COLOURS
 
 FIGURE_FILES = ("dataset.png", "views.png", "colours.png", "types.png")
@@ -41,7 +42,8 @@ def write_figure(vehicle_set: VehicleSource, statistics: SetStatistics, folder: 
     Raises:
         InputError: a picture is broken.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     chosen = representatives(vehicle_set, 6)
     columns = _columns(vehicle_set.record.views, 6)
     sheet = view_sheet(chosen, columns)
@@ -230,4 +232,5 @@ def _srgb(linear: NDArray[np.float64]) -> tuple[float, float, float]:
 
 def _save(figure: Figure, path: Path) -> None:
     FigureCanvasAgg(figure)
-    figure.savefig(path, dpi=110, metadata={"Software": None})
+    with atomic_file(path) as partial:
+        figure.savefig(partial, format="png", dpi=110, metadata={"Software": None})

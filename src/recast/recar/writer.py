@@ -32,7 +32,8 @@ def begin_set(folder: str | Path, record: SetRecord, identities: Collection[str]
     """
     folder = Path(folder)
     finished = check_begin(folder, record, identities)
-    folder.mkdir(parents=True, exist_ok=True)
+    with storage.disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     if len(finished) < len(identities):
         _write_record(folder, record.model_copy(update={"complete": False}))
     return finished

@@ -138,10 +138,11 @@ def _already_there(path: Path, writing: _Shard) -> bool:
 def _remove_strangers(out: Path, wanted: set[str]) -> None:
     # Of a set whose pictures have become smaller since; a reader that takes all tars of the
     # folder would meet their identities twice.
-    for path in out.glob("shard-*.tar"):
-        if path.name not in wanted:
-            path.unlink()
-            (out / members_file(path.name)).unlink(missing_ok=True)
+    with storage.disk_errors(out):
+        for path in out.glob("shard-*.tar"):
+            if path.name not in wanted:
+                path.unlink()
+                (out / members_file(path.name)).unlink(missing_ok=True)
 
 
 class _Shard:

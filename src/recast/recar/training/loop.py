@@ -14,6 +14,7 @@ from recast.recar.training.processes import Processes
 from recast.recar.training.settings import TrainerSettings
 from recast.recar.training.state import TrainingState
 from recast.recar.training.task import StepRandom, TrainingTask
+from recast.storage import disk_errors
 
 Watch = Callable[[int, dict[str, float]], None]
 Probe = Callable[[], Mapping[str, float]]
@@ -53,7 +54,8 @@ def train(
         InputError: the folder holds another training, or the loss stays not finite.
     """
     processes = processes or Processes()
-    folder.mkdir(parents=True, exist_ok=True)
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     for module in task.modules.values():
         module.train()
     state = TrainingState.begin(task.modules, settings)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import Field, FiniteFloat
+
+from recast.records import Record
 
 Share = Annotated[float, Field(ge=0, lt=1)]
 
 
-class TrainerSettings(BaseModel):
+class TrainerSettings(Record):
     """Optimiser, schedule and bookkeeping of one training.
 
     Attributes:
@@ -26,8 +28,6 @@ class TrainerSettings(BaseModel):
         checkpoint_every: steps between checkpoints.
         log_every: steps between lines of the log.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     steps: int = Field(ge=1)
     lr: FiniteFloat = Field(gt=0)

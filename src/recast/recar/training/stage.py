@@ -214,7 +214,6 @@ class _Stage:
     def _record(self, complete: bool) -> None:
         if not self.processes.first:
             return
-        self.request.out.mkdir(parents=True, exist_ok=True)
         TrainingRecord(
             complete=complete,
             inputs=self.parts.inputs,

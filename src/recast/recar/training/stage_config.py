@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 
 from recast.recar.perturb import PerturbationConfig
 from recast.recar.training.settings import TrainerSettings
+from recast.records import Record
 
 FlowName = Literal["structure", "latent"]
 FLOWS: tuple[FlowName, ...] = ("structure", "latent")
 
 
-class FlowObjective(BaseModel):
+class FlowObjective(Record):
     """What is learnt from a batch.
 
     Attributes:
@@ -25,8 +26,6 @@ class FlowObjective(BaseModel):
             CPU computes in float32 in any case.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     batch: int = Field(default=2, ge=1, le=65536)
     condition_drop: float = Field(default=0.1, ge=0, le=1)
     time_mean: FiniteFloat = 1.0
@@ -35,7 +34,7 @@ class FlowObjective(BaseModel):
     autocast: Literal["bfloat16"] | None = "bfloat16"
 
 
-class StageConfig(BaseModel):
+class StageConfig(Record):
     """One stage.
 
     Attributes:
@@ -54,8 +53,6 @@ class StageConfig(BaseModel):
         sheet_every: steps between sample sheets; 0 for none.
         sheet_vehicles: held-out vehicles on them.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str
     structure: TrainerSettings | None

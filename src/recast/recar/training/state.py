@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -113,9 +113,10 @@ class TrainingState:
             try:
                 save_file(plain, partial, metadata={_HEADER: json.dumps(header)})
             except SafetensorError as error:
-                if f"os error {errno.ENOSPC}" in str(error):  # said by safetensors in its own way
-                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
-                raise
+                code = re.search(r"os error (\d+)", str(error))  # said in a way of its own
+                if code is None:
+                    raise
+                raise OSError(int(code[1]), os.strerror(int(code[1]))) from error
 
     def read(self, folder: Path, settings: TrainerSettings) -> None:
         """Continue from what `write` wrote; nothing happens where there is none.

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Literal
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 from recast.errors import InputError
 from recast.recar.training.stage_config import FlowName, StageConfig
-from recast.records import read_record
+from recast.records import Record, read_record
 from recast.storage import write_json
 
 RECORD_FILE = "training.json"
@@ -21,7 +21,7 @@ _FORMAT = "recast-training"
 _VERSION = 1
 
 
-class FlowRecord(BaseModel):
+class FlowRecord(Record):
     """One flow of a stage.
 
     Attributes:
@@ -31,15 +31,13 @@ class FlowRecord(BaseModel):
         last: means of the last log line.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     steps: int
     parameters: int
     seconds: float
     last: dict[str, float]
 
 
-class StageInputs(BaseModel):
+class StageInputs(Record):
     """What a stage was trained from; a resumed one must be from the same.
 
     Attributes:
@@ -51,7 +49,7 @@ class StageInputs(BaseModel):
         train, held_out: vehicles that were used.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
+    model_config = ConfigDict(protected_namespaces=())
 
     config: StageConfig
     model: str
@@ -64,7 +62,7 @@ class StageInputs(BaseModel):
     held_out: int
 
 
-class TrainingRecord(BaseModel):
+class TrainingRecord(Record):
     """Contents of training.json.
 
     Attributes:
@@ -79,8 +77,6 @@ class TrainingRecord(BaseModel):
         peak_bytes: most memory in use, last time; of the accelerator, or of the first process.
         torch, python: versions.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     format: Literal["recast-training"] = "recast-training"
     version: int = _VERSION
