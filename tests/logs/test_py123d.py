@@ -156,3 +156,30 @@ def test_what_is_not_there_is_answered_with_what_is(
     monkeypatch.setitem(sys.modules, "py123d.api.scene.arrow.arrow_scene_api", None)
     with pytest.raises(InputError, match=r"py123d: package: cannot be imported .*; pip install"):
         load_py123d(tmp_path, tiny.NAME)
+
+
+def test_files_that_py123d_would_map_as_they_are_are_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = tiny.install(monkeypatch, tmp_path, tiny.Scene())
+    path = root / "logs" / "av2-sensor_val" / tiny.NAME / "sync.arrow"
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-10])
+    with pytest.raises(InputError, match=r"sync\.arrow: Arrow file: cannot be read"):
+        load_py123d(root, tiny.NAME)
+    path.write_bytes(b"")
+    with pytest.raises(InputError, match=r"sync\.arrow: Arrow file: cannot be read"):
+        load_py123d(root, tiny.NAME)
+
+
+@pytest.mark.parametrize("error", [RuntimeError, OverflowError, NotImplementedError, MemoryError])
+def test_whatever_py123d_raises_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: type[Exception]
+) -> None:
+    def failing(*_: object) -> None:
+        raise error("of its own")
+
+    monkeypatch.setattr(tiny.Scene, "get_lidar_at_timestamp", failing)
+    with pytest.raises(InputError, match=f"py123d cannot read it .{error.__name__}: of its own"):
+        _imported(tmp_path, monkeypatch, tiny.Scene())
+    assert not (tmp_path / "log").exists()

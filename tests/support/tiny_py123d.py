@@ -14,6 +14,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 import shapely
 
@@ -240,10 +241,12 @@ def _frame(timestamp: int) -> int:
 
 
 def install(monkeypatch: pytest.MonkeyPatch, root: Path, scene: Any) -> Path:
-    """Have `import py123d...` find the stand-in, and write the log's empty folder."""
+    """Have `import py123d...` find the stand-in, and write the log's folder with its first file."""
     folder = root / "logs" / "av2-sensor_val" / NAME
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "sync.arrow").write_bytes(b"")
+    times = pa.table({"timestamp_us": [START_US + k * STEP_US for k in range(FRAMES)]})
+    with pa.ipc.new_file(str(folder / "sync.arrow"), times.schema) as writer:
+        writer.write_table(times)
 
     def opened(log_dir: Path, maps_root: Path) -> Any:
         assert log_dir == folder and maps_root == root / "maps"

@@ -12,7 +12,7 @@ import pytest
 from pyarrow import feather
 
 from recast.errors import InputError
-from recast.tables import ParquetRows, read_feather, read_parquet
+from recast.tables import ParquetRows, check_batches, read_feather, read_parquet
 from recast.tables import feather as feather_module
 from recast.tables.feather import declared_size
 from recast.tables.parquet_pages import read_footer
@@ -64,6 +64,18 @@ def test_a_buffer_that_claims_a_terabyte_is_refused(tmp_path: Path) -> None:
     path.write_bytes(data.replace(claim, (1 << 40).to_bytes(8, "little")))
     match = f"claims 1000 rows and {1 << 40} bytes"
     refused(lambda: read_feather(path, ["x"], MEND), match)
+
+
+def test_an_arrow_file_for_another_library_is_checked_batch_by_batch(tmp_path: Path) -> None:
+    path = tmp_path / "log.arrow"
+    feather.write_feather(ZEROS, str(path), compression="zstd", chunksize=1 << 18)
+    check_batches(path, MEND, 4 << 20)
+    with pytest.raises(InputError, match=f"Arrow file: a batch claims {2 << 20} bytes; mend it"):
+        check_batches(path, MEND, 1 << 20)
+    text = pa.Array.from_buffers(pa.string(), 1, pa.array([b"\xff"], pa.binary()).buffers())
+    feather.write_feather(pa.table({"t": text}), str(path))
+    with pytest.raises(InputError, match=r"Arrow file: cannot be read .*UTF8"):
+        check_batches(path, MEND, 1 << 20)
 
 
 def test_feather_of_version_1_is_refused(tmp_path: Path) -> None:

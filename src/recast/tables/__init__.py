@@ -1,7 +1,8 @@
 """Tables of foreign Arrow files: bytes in, checked columns out.
 
 `read_feather` and `read_parquet` return a `Table`, whose methods give columns as numpy arrays;
-`ParquetRows` streams a parquet file that is too large for memory. For each of them holds:
+`ParquetRows` streams a parquet file that is too large for memory; `check_batches` checks an Arrow
+file that another library is about to read. For each of them holds:
 
 - What the file would take in memory is worked out from its metadata, checked against a limit,
   before any of it is decoded: compressed buffers of feather, pages and dictionaries of parquet.
@@ -12,7 +13,7 @@
 """
 
 from recast.tables.columns import ROW_LIMIT, Table
-from recast.tables.feather import read_feather
+from recast.tables.feather import check_batches, read_feather
 from recast.tables.npy import npy_header, npz_array, npz_names, open_npz, read_npy, read_npz
 from recast.tables.parquet import ParquetRows, read_parquet
 
@@ -20,6 +21,7 @@ __all__ = [
     "ROW_LIMIT",
     "ParquetRows",
     "Table",
+    "check_batches",
     "npy_header",
     "npz_array",
     "npz_names",

@@ -7,16 +7,20 @@ distance back to its vtable, which holds the place of each field, 0 where the de
 from __future__ import annotations
 
 from dataclasses import dataclass
+from mmap import mmap
 
 import numpy as np
 from numpy.typing import NDArray
+
+Buffer = bytes | mmap
+"""Bytes of a file."""
 
 
 class DamagedError(ValueError):
     """A number or an offset in the bytes leads out of them, or is impossible."""
 
 
-def integer(data: bytes, at: int, size: int, signed: bool = True) -> int:
+def integer(data: Buffer, at: int, size: int, signed: bool = True) -> int:
     """The integer of `size` bytes at `at`.
 
     Raises:

@@ -168,7 +168,7 @@ def _leaves(elements: Sequence[dict[int, Any]]) -> list[Leaf]:
         if children:
             open_groups.append((children, f"{path}." if number else "", nested))
         else:
-            width = _WIDTHS.get(element.get(1), 8) + (_count(element, 2) if 2 in element else 0)
+            width = _WIDTHS.get(element.get(1, -1), 8) + (_count(element, 2) if 2 in element else 0)
             leaves.append(Leaf(path, width, element.get(1) == _BYTE_ARRAY, nested))
     return leaves
 

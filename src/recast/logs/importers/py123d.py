@@ -23,9 +23,12 @@ from recast.logs.importers.py123d_tracks import read_tracks
 from recast.logs.store import write_log
 from recast.logs.types import Array, DrivingLog, Trajectory
 from recast.storage import disk_errors
+from recast.tables import check_batches
 
 SYNC = "sync.arrow"
 _LISTED = 5
+_LARGEST_BATCH = 1 << 30
+"""Bytes in memory."""
 
 
 def import_py123d(
@@ -64,6 +67,8 @@ def load_py123d(root: Path, drive: str, cameras: Sequence[str] = ()) -> DrivingL
     """
     folder = find_log(Path(root), drive)
     scene_type = _scene_type()
+    for path in sorted(folder.glob("*.arrow")):  # py123d maps them into memory as they are
+        check_batches(path, "convert the log again", _LARGEST_BATCH)
     with reading(folder):
         scene = scene_type(folder, maps_root=Path(root) / "maps")
         return log_of(scene, folder, cameras)

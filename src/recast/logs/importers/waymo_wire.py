@@ -136,11 +136,11 @@ def decode(schema: Schema, data: bytes, span: slice | None = None, where: str = 
         FieldError: the bytes are no such message, or an enumeration has an unknown value.
     """
     begin, end = (0, len(data)) if span is None else (span.start, span.stop)
-    message = Message(where, {})
+    # Repeated doubles and floats are gathered as they are stored: as objects they would take far
+    # more memory than the file.
+    repeated = [row for row in schema.fields.values() if row.repeated]
+    message = Message(where, {f.name: bytearray() if f.number else [] for f in repeated})
     values = message.values
-    for row in schema.fields.values():
-        if row.repeated:  # doubles and floats are gathered as they are stored
-            values[row.name] = bytearray() if row.number else []
     for number, wire, value in fields(data, begin, end, where or schema.name):
         row = schema.fields.get(number)
         if row is None:
@@ -160,9 +160,9 @@ def decode(schema: Schema, data: bytes, span: slice | None = None, where: str = 
             values[row.name].append(item)
         else:
             values[row.name] = item
-    for row in schema.fields.values():
-        if row.repeated and row.number:
-            values[row.name] = np.frombuffer(values[row.name], row.number.format)
+    for gathered in repeated:
+        if gathered.number:
+            values[gathered.name] = np.frombuffer(values[gathered.name], gathered.number.format)
     return message
 
 
