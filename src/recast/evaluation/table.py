@@ -29,6 +29,11 @@ class Column:
     headline: bool
     passes: bool = False
 
+    @property
+    def heading(self) -> str:
+        """Label and unit, in two lines if the label has two words."""
+        return f"{self.label} {self.unit}".replace(" ", "\n", int(" " in self.label))
+
 
 COLUMNS: Mapping[str, Column] = {
     "nc": Column("NC", "%", 100.0, True, passes=True),

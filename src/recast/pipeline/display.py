@@ -70,18 +70,23 @@ class SamplingProgress(_CountingBars):
 
 
 def results_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """The headline metrics by method, from the `table` member of metrics.json."""
+    """The headline metrics by method, from the `table` member of metrics.json; 80 columns wide."""
     headline = {name: column for name, column in COLUMNS.items() if column.headline}
-    table = Table(title="closed loop", title_justify="left", box=SIMPLE_HEAD)
-    for heading in ("method", "scored", "failed", "cut", "plans"):
+    table = Table(
+        title="closed loop", title_justify="left", box=SIMPLE_HEAD, collapse_padding=True,
+        pad_edge=False,
+    )  # fmt: skip
+    for heading in ("method", "scored", "plans"):
         table.add_column(heading, no_wrap=True)
     for column in headline.values():
-        table.add_column(f"{column.label} {column.unit}", no_wrap=True)
+        table.add_column(column.heading, no_wrap=True)
     for row in rows:
+        told = [f"{row['rollouts']} of {row['asked']}"]
+        told += [f"{row[what]} {what}" for what in ("failed", "cut") if row[what]]
         table.add_row(
             row["method"],
-            f"{row['rollouts']} of {row['asked']}",
-            *(str(row[key]) for key in ("failed", "cut", "plans")),
+            "\n".join(told),
+            str(row["plans"]),
             *(_mean(row, name) for name in headline),
         )
     return table
@@ -92,7 +97,7 @@ def _mean(row: Mapping[str, Any], name: str) -> str:
     value, count = row["means"][name], row["counts"][name]
     if value is None:
         return "n/a"
-    return f"{value:.2f}" if count == row["rollouts"] else f"{value:.2f} (of {count})"
+    return f"{value:.2f}" if count == row["rollouts"] else f"{value:.2f}\nof {count}"
 
 
 def truth_table(views: OracleViews) -> Table:

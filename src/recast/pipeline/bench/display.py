@@ -21,18 +21,18 @@ _DIGITS = {"s": 2, "%": 1}
 def grid_table(lines: Sequence[MethodSummary], title: str) -> Table:
     """A line for each method: means with their intervals over scenes.
 
-    A metric that not every scored rollout has says over how many it is.
+    Below its name stands how many rollouts were scored, of how many. A metric that not every one
+    of them has says over how many it is.
     """
     table = _table(title)
-    for heading in ("method", "rollouts"):
-        table.add_column(heading, no_wrap=True)
+    table.add_column("method", no_wrap=True)
     for column in _HEADLINE.values():
-        table.add_column(f"{column.label} {column.unit}", no_wrap=True, justify="right")
+        table.add_column(column.heading, no_wrap=True, justify="right")
     for line in lines:
         row = line.row
-        counts = [f"{row.rollouts} of {row.asked}", f"{row.plans} plans"]
-        counts += [f"{n} {what}" for n, what in ((row.failed, "failed"), (row.cut, "cut")) if n]
-        table.add_row(row.method, "\n".join(counts), *(_mean(line, name) for name in _HEADLINE))
+        told = [row.method, f"{row.rollouts} of {row.asked}", f"{row.plans} plans"]
+        told += [f"{n} {what}" for n, what in ((row.failed, "failed"), (row.cut, "cut")) if n]
+        table.add_row("\n".join(told), *(_mean(line, name) for name in _HEADLINE))
     return table
 
 
@@ -40,9 +40,10 @@ def differences_table(differences: Sequence[PairedDifference]) -> Table:
     """A line for each headline metric of each method: its difference from the first method."""
     level = 100 * differences[0].sampled.level
     scenes = max(one.scenes for one in differences)
+    baseline = f"minus\n{differences[0].baseline}"
     table = _table(f"paired differences, {scenes} scenes drawn whole")
-    for heading in ("difference", "metric", "mean", f"{level:g} % sampled", "exact", "compared"):
-        left = heading in ("difference", "metric")
+    for heading in (baseline, "metric", "mean", f"{level:g} % sampled", "exact", "pairs", "plans"):
+        left = heading in (baseline, "metric")
         table.add_column(heading, no_wrap=True, justify="left" if left else "right")
     for one in differences:
         if one.metric not in _HEADLINE:
@@ -50,10 +51,10 @@ def differences_table(differences: Sequence[PairedDifference]) -> Table:
         column = _HEADLINE[one.metric]
         digits = _DIGITS[column.unit]
         table.add_row(
-            f"{one.candidate} - {one.baseline}", f"{column.label} {column.unit}",
+            one.candidate, f"{column.label} {column.unit}",
             f"{one.sampled.point:+.{digits}f}", _signed(one.sampled, digits),
             "n/a" if one.exact is None else _signed(one.exact, digits),
-            _compared(one),
+            _pairs(one), str(one.plans),
         )  # fmt: skip
     return table
 
@@ -64,7 +65,7 @@ def truth_table(lines: Sequence[Agreement]) -> Table:
     False are collisions that the oracle's rollouts do not have, missed are those that they have.
     """
     table = _table("against the truth (oracle)")
-    headings = ("method", "same verdict", "%", "false", "missed", "TTC error s", "compared")
+    headings = ("method", "same verdict", "%", "false", "missed", "TTC error s", "pairs", "plans")
     for heading in headings:
         table.add_column(heading, no_wrap=True, justify="left" if heading == "method" else "right")
     for one in lines:
@@ -78,7 +79,7 @@ def truth_table(lines: Sequence[Agreement]) -> Table:
             str(one.false_collisions), str(one.missed_collisions),
             "n/a" if one.ttc_error is None
             else f"{one.ttc_error.point:.3f}\n{_range(one.ttc_error, 3)}",
-            _compared(one),
+            _pairs(one), str(one.plans),
         )  # fmt: skip
     return table
 
@@ -117,15 +118,15 @@ def _mean(line: MethodSummary, name: str) -> str:
     return "\n".join(shown)
 
 
-def _compared(one: PairedDifference | Agreement) -> str:
-    """Over what: pairs of all that were asked for, and the plans that both made in them."""
-    lines = [f"{one.pairs} of {one.asked}", f"{one.plans} plans"]
-    return "\n".join(lines + ([f"{one.cut} cut"] if one.cut else []))
+def _pairs(one: PairedDifference | Agreement) -> str:
+    """How many of how many, and how many of them end where one of the two was cut."""
+    pairs = f"{one.pairs}/{one.asked}"
+    return f"{pairs}\n{one.cut} cut" if one.cut else pairs
 
 
 def _range(one: Bootstrap, digits: int) -> str:
-    return f"{one.low:.{digits}f}-{one.high:.{digits}f}"
+    return f"{one.low:.{digits}f}-{one.high:.{digits}f}".replace("100.0", "100")
 
 
 def _signed(one: Bootstrap, digits: int) -> str:
-    return f"[{one.low:+.{digits}f}, {one.high:+.{digits}f}]"
+    return f"[{one.low:+.{digits}f}, {one.high:+.{digits}f}]".replace("100.0", "100")
