@@ -80,7 +80,7 @@ class OracleViews:
 
 
 class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     format: Literal["recast-oracle-views"]
     version: Literal[1]

@@ -18,7 +18,7 @@ METRICS_VERSION: Literal[2] = 2
 class _Open(BaseModel):
     """Members that nobody here reads may be anything."""
 
-    model_config = ConfigDict(frozen=True, extra="allow")
+    model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
 
 
 class _Row(_Open):

@@ -10,13 +10,12 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
 from recast import storage
 from recast.errors import InputError
 from recast.names import folder_name, member
 from recast.planning import Planner, seen_record
-from recast.records import read_record
+from recast.records import Record, read_record
 from recast.reporting.video import VideoWriter
 from recast.simulation import (
     Rollout,
@@ -41,18 +40,17 @@ _MEND = "remove the folder of this rollout and run again"
 _LOG = logging.getLogger(__name__)
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class _Versioned(Record):
     version: Literal[1] = _VERSION
 
 
-class FilmsRecord(_Record):
+class FilmsRecord(_Versioned):
     """films.json: the film of each camera, whose name need not be that of a file."""
 
     films: dict[str, str]
 
 
-class FailureRecord(_Record):
+class FailureRecord(_Versioned):
     """failure.json: a `RolloutFailure`."""
 
     failure: RolloutFailure

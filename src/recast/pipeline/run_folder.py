@@ -18,13 +18,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, NonNegativeFloat
+from pydantic import Field, NonNegativeFloat
 
 from recast import __version__, storage
 from recast.errors import InputError
 from recast.names import member
 from recast.pipeline.fingerprint import value_hash
-from recast.records import read_record
+from recast.records import Record, read_record
 
 RUN_FILE, TIMINGS_FILE = "run.json", "timings.json"
 RUN_FORMAT: Literal["recast-run"] = "recast-run"
@@ -34,18 +34,14 @@ STEP_VERSION: Literal[1] = 1
 _LOG = logging.getLogger(__name__)
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class LogSource(_Record):
+class LogSource(Record):
     """The log of a run: where it was read from, for people, and its content hash."""
 
     path: str
     hash: str
 
 
-class RunRecord(_Record):
+class RunRecord(Record):
     """run.json."""
 
     format: Literal["recast-run"] = RUN_FORMAT
@@ -55,7 +51,7 @@ class RunRecord(_Record):
     versions: dict[str, str]
 
 
-class StepRecord(_Record):
+class StepRecord(Record):
     """steps/NAME.json: the hash of a finished step's inputs, and the inputs."""
 
     version: Literal[1] = STEP_VERSION
@@ -63,11 +59,11 @@ class StepRecord(_Record):
     inputs: dict[str, Any]
 
 
-class TimingsRecord(_Record):
+class TimingsRecord(Record):
     """timings.json: seconds by step."""
 
     version: Literal[1] = STEP_VERSION
-    seconds: dict[str, NonNegativeFloat] = {}
+    seconds: dict[str, NonNegativeFloat] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True)

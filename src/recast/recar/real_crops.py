@@ -48,7 +48,7 @@ Degrees = Annotated[FiniteFloat, Field(gt=0, lt=180)]
 class _CameraRecord(BaseModel):
     """Contents of camera.json; members that are not named here are left alone."""
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
     frame_filenames: tuple[Text, ...] = Field(min_length=1)
     mask_filenames: tuple[Text, ...]

@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import AfterValidator, Field, FiniteFloat
+
+from recast.records import Record
 
 SET_FORMAT = "recast-vehicle-set"
 SET_VERSION = 1
@@ -64,7 +66,7 @@ Text = Annotated[str, Field(min_length=1)]
 Metres = Annotated[FiniteFloat, Field(gt=0)]
 
 
-class SetRecord(BaseModel):
+class SetRecord(Record):
     """Contents of set.json: what all identities have in common.
 
     Attributes:
@@ -81,8 +83,6 @@ class SetRecord(BaseModel):
         split_seed, held_out_share: decide the split of new identities, see `split_of`.
         generator: settings of what made the set; None for photographs.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     format: Literal["recast-vehicle-set"] = "recast-vehicle-set"
     version: int = SET_VERSION
@@ -106,7 +106,7 @@ class SetRecord(BaseModel):
         return len(self.azimuths_deg)
 
 
-class IdentityRecord(BaseModel):
+class IdentityRecord(Record):
     """Contents of identity.json: one vehicle.
 
     Attributes:
@@ -121,8 +121,6 @@ class IdentityRecord(BaseModel):
         seed: with which a generator made it; None for photographs.
         licence: of this vehicle's pictures, where it is not that of the set.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     version: int = SET_VERSION
     id: IdentityName

@@ -38,7 +38,7 @@ class RolloutHeader(BaseModel):
     """The scalars of a `Rollout`, whose `validate` has their ranges; `version` guards against
     readers of another layout."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     format: Literal["recast-rollout"] = "recast-rollout"
     version: Literal[1] = VERSION

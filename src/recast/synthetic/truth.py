@@ -32,7 +32,7 @@ class TruthRecord(BaseModel):
         instances: track id by the value of its pixels.
     """
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     format: Literal["recast-truth"] = "recast-truth"
     version: Literal[1] = 1

@@ -21,7 +21,7 @@ _SCENE_STEPS = ("actor", "scene", "evaluation")
 
 
 class _Session(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     workers: NonNegativeInt
     seconds: NonNegativeFloat = 0.0
@@ -30,6 +30,8 @@ class _Session(BaseModel):
 
 class _Earlier(BaseModel):
     """What is kept of an earlier times.json; the sums are made anew."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
 
     rollouts: dict[str, RolloutTimes] = {}
     sessions: list[_Session] = []

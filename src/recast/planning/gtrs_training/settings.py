@@ -5,17 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from recast.errors import InputError
 from recast.planning.gtrs import GtrsConfig, ScoreWeights
 from recast.planning.gtrs_training.network import MINI, MINI_SCORING
 from recast.recar.training.settings import TrainerSettings
-from recast.records import validation_error
+from recast.records import Record, validation_error
 from recast.storage import read_json
 
 
-class PlannerTrainingConfig(BaseModel):
+class PlannerTrainingConfig(Record):
     """How the planner is trained; the defaults are the shipped one's.
 
     Attributes:
@@ -27,8 +27,6 @@ class PlannerTrainingConfig(BaseModel):
         judged: held-out samples that each line of the log is judged on; at the end all are.
         sheet_every: steps between sheets of held-out decisions; 0 draws none.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     trainer: TrainerSettings = TrainerSettings(
         steps=4_800, lr=6e-4, schedule="cosine", warmup=300, ema_decay=0.998, clip=2.0,

@@ -9,11 +9,11 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from recast.errors import InputError
 from recast.planning.gtrs.vocabulary import Trajectories, read_vocabulary
-from recast.records import read_record
+from recast.records import Record, read_record
 from recast.storage import atomic_folder
 
 RECORD_FILE, VOCABULARY_FILE = "dataset.json", "vocabulary.npy"
@@ -31,7 +31,7 @@ _IMAGES, _REST = "images.npy", "samples.npz"
 _MEMBERS = ("status", "scores", "best", "clues", "twin")
 
 
-class DatasetRecord(BaseModel):
+class DatasetRecord(Record):
     """What all samples of a folder share, as written to `dataset.json`.
 
     Attributes:
@@ -41,8 +41,6 @@ class DatasetRecord(BaseModel):
         seconds: of each world's drive.
         scenes: by which worlds take turns.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     format: Literal["recast-planner-dataset"] = "recast-planner-dataset"
     version: Literal[1] = 1

@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 from rich.console import Console
 from torch import nn
 
@@ -27,7 +26,7 @@ from recast.recar.training.display import TrainingDisplay
 from recast.recar.training.loop import train
 from recast.recar.training.state import TrainingState
 from recast.recar.training.training_record import hash_files
-from recast.records import read_record
+from recast.records import Record, read_record
 from recast.storage import write_json
 
 TRAINING_FILE = "planner_training.json"
@@ -37,7 +36,7 @@ _SETTLING = 32
 """Batches over which the norms' statistics are taken for the averaged weights."""
 
 
-class PlannerTrainingRecord(BaseModel):
+class PlannerTrainingRecord(Record):
     """`planner_training.json`: what from and how, and at the end what it reaches.
 
     Attributes:
@@ -49,8 +48,6 @@ class PlannerTrainingRecord(BaseModel):
         start_sha256: of the planner folder that it began from; None where weights were drawn.
         reached: on all held-out samples, by the weights that are exported; None before the end.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     format: Literal["recast-planner-training"] = "recast-planner-training"
     version: Literal[1] = 1

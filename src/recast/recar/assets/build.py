@@ -8,19 +8,19 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from recast.crews import crew_of
 from recast.errors import InputError
 from recast.recar.assets.asset import write_asset
-from recast.records import read_record
-from recast.storage import write_json
+from recast.records import Record, read_record
+from recast.storage import alone_in, write_json
 
 RECORD_FILE = "assets.json"
 _MEND = "name a new folder, or make the assets again"
 
 
-class AssetsRecord(BaseModel):
+class AssetsRecord(Record):
     """What all assets of a folder share, as written to `assets.json`.
 
     Attributes:
@@ -29,8 +29,6 @@ class AssetsRecord(BaseModel):
         resolution: voxels a side.
         crops, around, pixels: pictures of each, see `views.sample_views`.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     format: Literal["recast-training-assets"] = "recast-training-assets"
     version: Literal[1] = 1
@@ -74,10 +72,11 @@ def make_assets(
     if progress is not None:
         progress(done, count)
     crew = crew_of(min(workers, len(left)) or 1)
-    for _ in crew(_start, (out, record), lambda: next(indices, None), "finished assets"):
-        done += 1
-        if progress is not None:
-            progress(done, count)
+    with alone_in(out):
+        for _ in crew(_start, (out, record), lambda: next(indices, None), "finished assets"):
+            done += 1
+            if progress is not None:
+                progress(done, count)
 
 
 def _start(worker: int, out: Path, record: AssetsRecord) -> Callable[[int], None]:

@@ -6,18 +6,18 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel
 
 from recast import storage
 from recast.errors import InputError
 from recast.recar.ingest.perceptual_hash import WORDS, Hashes, perceptual_hash
 from recast.recar.vehicle_set import Identity
+from recast.records import Record
 
 REPORT_FILE = "ingest.json"
 _FOLDER = ".ingest"  # a reader of the set takes no folder whose name begins with a dot
 
 
-class _Entry(BaseModel):
+class _Entry(Record):
     hashes: tuple[str, ...]
     doubts: tuple[str, ...]
 

@@ -9,19 +9,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import Field, FiniteFloat, ValidationError, model_validator
 
 from recast import storage
 from recast.errors import InputError
 from recast.recar.record import IdentityName, Metres, Split, Text
-from recast.records import validation_error
+from recast.records import Record, validation_error
 
 MOST_BYTES = 1 << 26
 TABLES = ("vehicles.csv", "vehicles.json")
 _MEND = "correct the row; docs/data.md lists the columns"
 
 
-class VehicleRow(BaseModel):
+class VehicleRow(Record):
     """What is known about one vehicle.
 
     Attributes:
@@ -37,8 +37,6 @@ class VehicleRow(BaseModel):
         front: which photograph, counted from 1, shows its front.
         azimuths_deg: of the photographs, where they were measured.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     id: IdentityName
     folder: Text | None = None

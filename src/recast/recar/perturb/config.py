@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from recast import storage
 from recast.recar.perturb.border import Border
@@ -24,7 +24,7 @@ from recast.recar.perturb.motion_blur import MotionBlur
 from recast.recar.perturb.other_vehicle import OtherVehicle
 from recast.recar.perturb.pole import Pole
 from recast.recar.perturb.resampling import Resampling
-from recast.records import read_record
+from recast.records import Record, read_record
 
 PERTURBATIONS_FORMAT = "recast-perturbations"
 PERTURBATIONS_VERSION = 1
@@ -36,7 +36,7 @@ def _at_least_one(interval: tuple[int, int]) -> tuple[int, int]:
     return interval
 
 
-class PerturbationConfig(BaseModel):
+class PerturbationConfig(Record):
     """How conditioning pictures are perturbed in Stage II.
 
     The default weights make the paper's eight groups equally likely: down-up sampling, blur,
@@ -52,8 +52,6 @@ class PerturbationConfig(BaseModel):
         finest: longest extent, in pixels, of a spoilt object; larger ones are brought down to it,
             which is finer than what a crop of 518 pixels shows and spares most of the time.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     format: Literal["recast-perturbations"] = "recast-perturbations"
     version: Literal[1] = 1

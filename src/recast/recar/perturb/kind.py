@@ -7,7 +7,9 @@ from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
+
+from recast.records import Record
 
 Picture = NDArray[np.uint8]
 
@@ -45,7 +47,7 @@ class Perturbation(Protocol):
         ...
 
 
-class Kind(BaseModel, ABC):
+class Kind(Record, ABC):
     """One kind with its figures, as the configuration holds it.
 
     Lengths are shares of the object's extent (the longer side of its box), because the model sees
@@ -55,8 +57,6 @@ class Kind(BaseModel, ABC):
         weight: how often it is drawn, relative to the others; 0 switches it off.
         severity: lowest and highest severity that is drawn, uniformly.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: ClassVar[str]
 

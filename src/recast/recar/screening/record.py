@@ -6,9 +6,10 @@ import json
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Literal
 
-from pydantic import AwareDatetime, BaseModel, BeforeValidator, ConfigDict, model_validator
+from pydantic import AwareDatetime, BeforeValidator, model_validator
 
 from recast.recar.record import IdentityName
+from recast.records import Record
 
 SCREENING_FILE = "screening.json"
 SCREENING_FORMAT = "recast-screening"
@@ -27,7 +28,7 @@ def _as_it_stands(decision: object) -> object:
 _Stored = Annotated[Decision, BeforeValidator(_as_it_stands)]
 
 
-class Change(BaseModel):
+class Change(Record):
     """One key press.
 
     Attributes:
@@ -37,8 +38,6 @@ class Change(BaseModel):
         undo: it took back the last change that was not taken back yet.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     id: IdentityName
     before: _Stored | None
     after: _Stored | None
@@ -46,7 +45,7 @@ class Change(BaseModel):
     undo: bool = False
 
 
-class ScreeningRecord(BaseModel):
+class ScreeningRecord(Record):
     """Contents of screening.json.
 
     Attributes:
@@ -54,8 +53,6 @@ class ScreeningRecord(BaseModel):
         history: every change in order of time, those that were taken back and the undoing too, so
             that any number of them can be undone by a later session.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     format: Literal["recast-screening"] = "recast-screening"
     version: int = SCREENING_VERSION

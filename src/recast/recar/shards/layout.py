@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from recast.recar.record import IDENTITY_FILE, IdentityName, SetRecord, Split, view_file
+from recast.records import Record
 
 SHARDS_FORMAT = "recast-vehicle-shards"
 SHARDS_VERSION = 1
@@ -18,7 +19,7 @@ Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 
 
-class ShardRecord(BaseModel):
+class ShardRecord(Record):
     """One shard in index.json.
 
     Attributes:
@@ -29,8 +30,6 @@ class ShardRecord(BaseModel):
         identities: in the order in which they lie in it.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     file: Annotated[str, Field(pattern=r"^shard-[0-9]{6,}\.tar$")]
     split: Split
     bytes: Count
@@ -39,7 +38,7 @@ class ShardRecord(BaseModel):
     identities: tuple[IdentityName, ...] = Field(min_length=1)
 
 
-class IndexRecord(BaseModel):
+class IndexRecord(Record):
     """Contents of index.json.
 
     Attributes:
@@ -49,8 +48,6 @@ class IndexRecord(BaseModel):
         identities, pictures, bytes: counts over all shards.
         shards: the training ones first.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     format: Literal["recast-vehicle-shards"] = "recast-vehicle-shards"
     version: int = SHARDS_VERSION
@@ -63,10 +60,8 @@ class IndexRecord(BaseModel):
     shards: tuple[ShardRecord, ...]
 
 
-class Member(BaseModel):
+class Member(Record):
     """One file in a shard: its name, where its bytes begin, how many they are, and their hash."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str
     offset: Count
@@ -74,10 +69,8 @@ class Member(BaseModel):
     sha256: Sha256
 
 
-class MembersRecord(BaseModel):
+class MembersRecord(Record):
     """Contents of shard-000000.members.json: the files of each identity in the tar's order."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     version: int = SHARDS_VERSION
     shard: str

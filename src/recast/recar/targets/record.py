@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import Field, FiniteFloat
 
 from recast.recar.record import IdentityName, Split, Text
+from recast.records import Record
 from recast.trellis import MultiImageMode, SamplerSettings
 
 CACHE_FORMAT = "recast-target-cache"
@@ -22,7 +23,7 @@ VIEWS_DEG = (0.0, 180.0, 90.0, 270.0)
 Azimuth = Annotated[FiniteFloat, Field(ge=0, lt=360)]
 
 
-class ModelRecord(BaseModel):
+class ModelRecord(Record):
     """The model that made the targets.
 
     Attributes:
@@ -33,8 +34,6 @@ class ModelRecord(BaseModel):
             cache holds them raw.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     name: Text
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     resolution: int = Field(ge=1, le=256)
@@ -42,7 +41,7 @@ class ModelRecord(BaseModel):
     latent_std: tuple[Annotated[FiniteFloat, Field(gt=0)], ...]
 
 
-class FilterRecord(BaseModel):
+class FilterRecord(Record):
     """The quality filter: targets below the threshold are not used.
 
     Attributes:
@@ -51,14 +50,12 @@ class FilterRecord(BaseModel):
         weights: sha256 of the files the score was computed with, by what they are.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     score: Text | None = None
     threshold: FiniteFloat | None = None
-    weights: dict[str, str] = {}
+    weights: dict[str, str] = Field(default_factory=dict)
 
 
-class CacheRecord(BaseModel):
+class CacheRecord(Record):
     """Contents of cache.json: what all targets have in common.
 
     Attributes:
@@ -78,8 +75,6 @@ class CacheRecord(BaseModel):
             while targets are being made.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     format: Literal["recast-target-cache"] = "recast-target-cache"
     version: int = CACHE_VERSION
     complete: bool
@@ -98,7 +93,7 @@ class CacheRecord(BaseModel):
     failures: int | None = None
 
 
-class TargetRecord(BaseModel):
+class TargetRecord(Record):
     """Contents of records/ID.json: one vehicle. Written last: who has one is done.
 
     Attributes:
@@ -115,8 +110,6 @@ class TargetRecord(BaseModel):
         failure: why there is no target; None where there is one.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     version: int = CACHE_VERSION
     id: IdentityName
     split: Split
@@ -127,6 +120,6 @@ class TargetRecord(BaseModel):
     gaussians: int = Field(default=0, ge=0)
     score: FiniteFloat | None = None
     score_flipped: FiniteFloat | None = None
-    parts: dict[str, FiniteFloat] = {}
+    parts: dict[str, FiniteFloat] = Field(default_factory=dict)
     heading_deg: Azimuth | None = None
     failure: Text | None = None

@@ -6,15 +6,16 @@ import hashlib
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import Field, FiniteFloat
 
+from recast.records import Record
 from recast.trellis import MultiImageMode, SamplerSettings
 
 FilterKind = Literal["agreement", "aesthetic", "none"]
 Heading = Literal["any", "+x"]
 
 
-class FilterSettings(BaseModel):
+class FilterSettings(Record):
     """The quality filter.
 
     Attributes:
@@ -25,15 +26,13 @@ class FilterSettings(BaseModel):
         clip: folder of CLIP ViT-L/14 as Hugging Face has it.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     kind: FilterKind = "agreement"
     threshold: FiniteFloat | None = None
     predictor: Path | None = None
     clip: Path | None = None
 
 
-class TargetSettings(BaseModel):
+class TargetSettings(Record):
     """How targets are made; the defaults are the paper's, where it says something.
 
     Attributes:
@@ -47,8 +46,6 @@ class TargetSettings(BaseModel):
             ones, which is then found by the pictures.
         filter: quality filter.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     seed: int = Field(default=0, ge=0)
     mode: MultiImageMode = "stochastic"

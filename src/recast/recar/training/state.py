@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import torch
-from pydantic import BaseModel, Field, FiniteFloat, ValidationError
+from pydantic import Field, FiniteFloat, ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from recast.errors import InputError
 from recast.recar.training.log import Means
 from recast.recar.training.settings import TrainerSettings
-from recast.records import validation_error
+from recast.records import Record, validation_error
 from recast.storage import atomic_file, parse_json
 from recast.torch_file import read_safetensors
 from recast.trellis.flow import AdaptiveGradClipper, ExponentialMovingAverage
@@ -29,16 +29,16 @@ _MEND = "remove the folder and train again"
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # of AdamW
 
 
-class _Norms(BaseModel):
+class _Norms(Record):
     norms: tuple[FiniteFloat, ...]
 
 
-class _Sums(BaseModel):
-    sums: dict[str, FiniteFloat] = {}
-    counts: dict[str, FiniteFloat] = {}
+class _Sums(Record):
+    sums: dict[str, FiniteFloat] = Field(default_factory=dict)
+    counts: dict[str, FiniteFloat] = Field(default_factory=dict)
 
 
-class _Header(BaseModel):
+class _Header(Record):
     """What a checkpoint says beside its tensors; the first version had no log."""
 
     step: int = Field(ge=0)
