@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from recast.errors import InputError
 from recast.geometry import PinholeCamera
+from recast.logs.importers.waymo import load_waymo
 from recast.planning import (
     CameraMount,
     ConstantVelocity,
@@ -25,7 +27,8 @@ from recast.planning.gtrs import nuplan_rig
 from recast.planning.gtrs.rig import camera_pose
 from recast.planning.matching import Look, directions, match_cameras
 from recast.planning.views import choose_views
-from recast.simulation import NullRenderer
+from recast.planning.virtual import seen_by
+from recast.simulation import NullRenderer, camera_mounts
 from recast.simulation.lens_renderer import through_lenses
 from recast.synthetic.rig import make_rig
 
@@ -301,3 +304,22 @@ def _painted(mount: CameraMount) -> np.ndarray:
     rays = mount.camera.rays(mount.camera.pixel_grid()) @ mount.rig_from_camera[:3, :3].T
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     return np.rint(128 + 120 * np.sin(2 * rays)).astype(np.uint8)
+
+
+def test_large_pictures_are_looked_at_in_small() -> None:
+    wide = _rig(wide=(1000, 1000, 500.0, 0.0))["wide"]
+    camera = PinholeCamera(1600, 1200, 1600.0, 1600.0, 800.0, 600.0)
+    large = CameraMount(camera, camera_pose((0.0, 0.0, 1.0), 45.0, 0.0))
+    seen = seen_by(large, [wide])
+    assert seen.shape == (1200, 1600) and seen.dtype == np.bool_
+    edges = np.argmax(seen, axis=1)  # the first column that is seen, in each row
+    assert np.abs(edges - 800).max() <= 1600 / 640
+
+
+@pytest.mark.real_data
+def test_waymos_own_calibration_fits(shared: Path, looker: Looker) -> None:
+    log = load_waymo(shared / "data" / "waymo_v1", "pvps_data_one_frame")
+    mounts = camera_mounts(log, scale=0.25)
+    assert virtual_mounts(looker, mounts) == {}
+    shown = shown_views(looker, mounts)
+    assert [view.camera for view in shown] == ["FRONT_LEFT", "FRONT", "FRONT_RIGHT"]
