@@ -246,6 +246,8 @@ def test_damaged_images_are_one_line(folder: Path) -> None:
         _refused(folder, message)
     _image(folder, whole[key], format="eps")  # for which Pillow calls Ghostscript
     _refused(folder, "is 'eps', not png or jpeg")
+    _image(folder, whole[key], format=["png"])
+    _refused(folder, "not png or jpeg")
 
 
 def test_a_damaged_mask_is_one_line(folder: Path) -> None:

@@ -168,7 +168,7 @@ class StoredImages:
         reader = self.store.component(CameraSensorComponent.Reader, names.folder_name(self.camera))
         with _readable(self.store.folder, f"camera {self.camera}, frame {index}"):
             frame = reader.get_frame_data(self.frame_ids[index])
-            return bytes(frame.get_encoded_image_data()), frame.get_encoded_image_format()
+            return bytes(frame.get_encoded_image_data()), str(frame.get_encoded_image_format())
 
 
 @dataclass(frozen=True)
