@@ -170,6 +170,14 @@ def _cut(path: Path) -> None:
             _map(lambda d: d["lane_segments"]["3"].update(left_lane_boundary=[])),
             "lane_segments.3.left_lane_boundary: has fewer than two",
         ),
+        (
+            _map(lambda d: d["lane_segments"]["2"]["left_lane_boundary"][0].update(x=1e300)),
+            "lane_segments.2.left_lane_boundary.0.x: Input should be less than",
+        ),
+        (
+            _map(lambda d: d["lane_segments"]["2"]["left_lane_boundary"][0].update(x=9e6)),
+            "lane_segments.2.left_lane_boundary: is 899",
+        ),
         (_map(_elsewhere), "lane_segments: the ego drives 9"),
         (
             lambda f: next((f / "map").glob("*Sim2*")).unlink(),

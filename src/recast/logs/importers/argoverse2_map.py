@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from recast import storage
 from recast.errors import InputError
+from recast.logs import checks
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
 from recast.logs.importers.map_place import NEAR, metres_beside
 from recast.logs.types import Array
@@ -20,6 +21,8 @@ from recast.tables import read_npy
 
 _STEP = 1.0
 """Metres between points of an averaged centreline, measured on the longer boundary."""
+_LONGEST = 20_000.0
+"""Metres of a lane's boundary; those of the dataset have a few hundred at the most."""
 _LARGEST_RASTER = 1 << 26
 """Bytes; those of the dataset have one or two million."""
 _MEND = "download the log's map again"
@@ -29,10 +32,13 @@ class _Model(BaseModel):
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
 
 
+_Metres = Annotated[float, Field(ge=-checks.WORLD_REACH, le=checks.WORLD_REACH)]
+
+
 class _Point(_Model):
-    x: float
-    y: float
-    z: float
+    x: _Metres
+    y: _Metres
+    z: _Metres
 
 
 class _Lane(_Model):
@@ -144,6 +150,9 @@ def _line(path: Path, field: str, points: list[_Point], offset: Array) -> Array:
     line = _coordinates(points, offset)
     if len(line) < 2 or not np.any(np.ptp(line[:, :2], axis=0) > 0):
         raise InputError(path, field, "has fewer than two distinct points", _MEND)
+    length = float(np.linalg.norm(np.diff(line[:, :2], axis=0), axis=1).sum())
+    if length > _LONGEST:  # it is resampled every metre
+        raise InputError(path, field, f"is {length:.0f} m long", _MEND)
     return line
 
 
@@ -228,8 +237,7 @@ def _read_ground(folder: Path, offset: Array) -> GroundHeight | None:
         raise InputError(placing, "R, s", problem, _MEND)
     # A place p of the city lies in cell floor(s (p + t)), so the first centre is at 0.5 / s - t.
     cell = 1.0 / sim2.s
-    above = height.astype(np.float64) - offset[2]
-    above[~np.isfinite(above)] = np.nan
+    above = np.where(np.isfinite(height), height, np.nan).astype(np.float64) - offset[2]
     return GroundHeight(
         origin=cell / 2 - np.array(sim2.t) - offset[:2],
         cell=cell,

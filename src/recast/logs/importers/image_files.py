@@ -21,6 +21,24 @@ def kind_of(data: bytes) -> str:
     return "png" if data.startswith(_PNG) else "jpeg"
 
 
+def size_of(data: bytes, kind: str, where: str | Path) -> tuple[int, int]:
+    """Width and height that an encoded image says; its pixels are not decoded.
+
+    Args:
+        kind: "png" or "jpeg".
+        where: file that holds it, for messages.
+
+    Raises:
+        InputError: it is of another kind or damaged.
+    """
+    try:
+        with READERS[kind](io.BytesIO(data)) as image:
+            return image.size
+    except Exception as error:  # Pillow raises of many kinds for damaged files
+        problem = f"cannot be decoded ({error})"
+        raise InputError(where, "image", problem, "download it again") from None
+
+
 def image_size(path: Path) -> tuple[int, int]:
     """Width and height of a PNG or JPEG file; its pixels are not decoded.
 
@@ -28,11 +46,7 @@ def image_size(path: Path) -> tuple[int, int]:
         InputError: it is no such file.
     """
     data = read_bytes(path, _LARGEST)
-    try:
-        with READERS[kind_of(data)](io.BytesIO(data)) as image:
-            return image.size
-    except Exception as error:  # Pillow raises of many kinds for damaged files
-        raise InputError(path, "image", f"cannot be read ({error})", "take a whole one") from None
+    return size_of(data, kind_of(data), path)
 
 
 @dataclass(frozen=True)

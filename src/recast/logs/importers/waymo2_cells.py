@@ -61,12 +61,13 @@ class RowReader:
 
 @dataclass(frozen=True)
 class BytesCell:
-    """Bytes in a cell; `StoredBytes`."""
+    """Bytes in a cell; `StoredBytes`. The tables come without checksums."""
 
     reader: RowReader
     place: Place
     row: int
     column: str
+    sealed: bool = False
 
     def error(self, problem: str, mend: str = MEND) -> InputError:
         """An error that names file, row and column."""

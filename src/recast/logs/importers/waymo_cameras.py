@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +12,11 @@ import numpy as np
 from recast.errors import InputError
 from recast.geometry import PinholeCamera
 from recast.logs.image_bytes import decode
+from recast.logs.importers.image_files import size_of
 from recast.logs.importers.waymo_segment import ImageEntry, Segment
 from recast.logs.types import CameraStream, Image
+
+_SAYS = "the camera's calibration"
 
 
 @dataclass(frozen=True)
@@ -36,19 +40,35 @@ class WaymoImages:
         return self._decode(index, self.entries[index].jpeg.read())
 
     def encoded(self, index: int) -> tuple[bytes, str]:
-        """The JPEG file as it is in the dataset, decoded once to be sure of it.
+        """The JPEG file as it is in the dataset, decoded once if no checksum vouches for it.
 
         Raises:
             InputError: it is no JPEG, or of another size than the calibration says.
         """
-        data = self.entries[index].jpeg.read()
-        self._decode(index, data)
+        jpeg = self.entries[index].jpeg
+        data = jpeg.read()
+        if not jpeg.sealed:
+            self._decode(index, data)
+            return data, "jpeg"
+        with self._errors(index):
+            found = size_of(data, "jpeg", "")
+        if found != self._size:
+            problem = f"is {found[0]}x{found[1]}, {_SAYS} says {self._size[0]}x{self._size[1]}"
+            raise jpeg.error(problem)
         return data, "jpeg"
 
+    @property
+    def _size(self) -> tuple[int, int]:
+        return self.camera.width, self.camera.height
+
     def _decode(self, index: int, data: bytes) -> Image:
-        size = self.camera.width, self.camera.height
+        with self._errors(index):
+            return decode(data, "jpeg", self._size, "", _SAYS)
+
+    @contextmanager
+    def _errors(self, index: int) -> Iterator[None]:
         try:
-            return decode(data, "jpeg", size, "", "the camera's calibration")
+            yield
         except InputError as error:
             raise self.entries[index].jpeg.error(error.problem) from None
 

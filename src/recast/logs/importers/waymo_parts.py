@@ -24,11 +24,13 @@ class FilePart:
     Attributes:
         place: for messages.
         offset, size: in bytes.
+        sealed: the record's checksum has been compared.
     """
 
     place: Place
     offset: int
     size: int
+    sealed: bool = True
 
     def read(self) -> bytes:
         """The bytes."""

@@ -53,6 +53,10 @@ def record_errors(path: Path, record: int) -> Iterator[None]:
 class StoredBytes(Protocol):
     """Bytes in a file, read when asked for."""
 
+    @property
+    def sealed(self) -> bool:
+        """Whether a checksum of theirs has been compared."""
+
     def read(self) -> bytes:
         """The bytes; raises InputError where they are damaged or missing."""
 
