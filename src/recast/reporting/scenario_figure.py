@@ -92,9 +92,9 @@ def _header(setup: RolloutSetup, prepared: PreparedRollout, facts: ScenarioFacts
     speeds = " to ".join(dict.fromkeys(f"{speed:.1f}" for speed in facts.actor_speeds))
     x = 16.0
     for text, colour in (
-        (f"{setup.log.name}, {facts.start:.1f} s after its start", palette.TEXT),
+        (f"{_short(setup.log.name)}, {facts.start:.1f} s after its start", palette.TEXT),
         (f"ego {facts.ego_speed:.1f} m/s", palette.EGO),
-        (f"actor {setup.track_id} ({length:.1f} x {width:.1f} m) {speeds} m/s", _RAMP[0]),
+        (f"actor {_short(setup.track_id)} ({length:.1f} x {width:.1f} m) {speeds} m/s", _RAMP[0]),
     ):
         x += canvas.text((x, 40), text, colour, 18) + 28
     note, colour = f"{facts.seconds:.1f} s, not cut", palette.LOGGED
@@ -104,6 +104,11 @@ def _header(setup: RolloutSetup, prepared: PreparedRollout, facts: ScenarioFacts
     canvas.text((16, 66), note, colour, 18)
     _time_bar(canvas, prepared.steps * setup.dt)
     return canvas.image
+
+
+def _short(name: str) -> str:
+    """A name of at most 24 characters: its beginning and its end, so that the line has room."""
+    return name if len(name) <= 24 else f"{name[:12]}\u2026{name[-11:]}"
 
 
 def _time_bar(canvas: Canvas, seconds: float) -> None:
