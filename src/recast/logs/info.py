@@ -203,7 +203,7 @@ def track_visibility(log: DrivingLog, track: Track) -> TrackVisibility:
             if crop is None:
                 continue
             frames += 1
-            largest = max(largest, crop, key=max)
+            largest = crop if max(crop) > max(largest) else largest
             eye = se3.inverse(camera_from_box)[:3, 3]
             for side, (axis, sign) in SIDES.items():
                 towards = eye.copy()
@@ -225,7 +225,7 @@ def crop_in_image(
         return None
     limits = np.array([camera.camera.width, camera.camera.height], np.float64)
     inside = np.clip(rectangle[2:], 0, limits) - np.clip(rectangle[:2], 0, limits)
-    whole = np.prod(rectangle[2:] - rectangle[:2])
-    if np.prod(inside) < max(SMALLEST, SMALLEST_PART * whole):
+    whole = float(np.prod(rectangle[2:] - rectangle[:2]))
+    if float(np.prod(inside)) < max(SMALLEST, SMALLEST_PART * whole):
         return None
     return round(float(inside[0])), round(float(inside[1]))

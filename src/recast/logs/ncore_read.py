@@ -232,7 +232,8 @@ def read_camera(store: NcoreFolder, name: str, camera: PinholeCamera) -> CameraS
     Raises:
         InputError: a part of it is missing or damaged.
     """
-    times, frames = np.zeros(0, np.int64), ()
+    times: Int64Array = np.zeros(0, np.int64)
+    frames: tuple[int, ...] = ()
     stored = names.folder_name(name)
     with _readable(store.folder, f"camera {name!r}"):
         if store.has(CameraSensorComponent.Reader, stored):
