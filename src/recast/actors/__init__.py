@@ -1,7 +1,7 @@
 """Actors: observe a track, generate a view-complete vehicle, register it, insert it."""
 
 from recast.actors.actor import Actor, Provenance, RegistrationReport
-from recast.actors.axes import CONVENTIONS, AxisConvention
+from recast.actors.axes import AUTO, CONVENTIONS, AxisConvention, axes_of
 from recast.actors.box_lidar_segmenter import BoxLidarSegmenter
 from recast.actors.generate import (
     DEFAULT_GENERATOR,
@@ -28,6 +28,7 @@ from recast.actors.template import TemplateGenerator
 from recast.actors.turntable import orbit, turntable
 
 __all__ = [
+    "AUTO",
     "CONVENTIONS",
     "DEFAULT_GENERATOR",
     "DEFAULT_SEGMENTER",
@@ -49,6 +50,7 @@ __all__ = [
     "Segmenter",
     "TemplateGenerator",
     "ViewScore",
+    "axes_of",
     "insert",
     "is_segmenter_folder",
     "load_actor",

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.errors import InputError
+
 Array = NDArray[np.float64]
 
 
@@ -63,3 +65,40 @@ RECAR_BOX = AxisConvention("rear_right_up", "-x", "+z", declares_front=True)
 CONVENTIONS = {
     c.name: c for c in (VEHICLE, UNIT_CUBE_Z_UP, UNIT_CUBE_X_FORWARD, UNIT_CUBE_Y_UP, RECAR_BOX)
 }
+
+UPS = {
+    up: AxisConvention(
+        up.replace("-", "minus-").removeprefix("+") + "-up", "+y" if "x" in up else "+x", up, False
+    )
+    for up in ("+x", "-x", "+y", "-y", "+z", "-z")
+}
+"""Any unit and heading, by the axis that points up."""
+
+AUTO = "auto"
+"""Instead of a convention: to be told from the shape, see `recast.actors.upright`."""
+AXES_HELP = (
+    "auto, z-up, y-up, minus-y-up or another UP, or FORWARD,UP such as x,z (--axes=-y,z with a "
+    "minus), which says where the front is"
+)
+
+
+def axes_of(text: str) -> AxisConvention:
+    """The convention of a name, of `UPS` or `CONVENTIONS`, or of two signed axes, such as "x,-y".
+
+    Raises:
+        InputError: there is none.
+    """
+    named = {one.name: one for one in UPS.values()} | CONVENTIONS
+    if text in named:
+        return named[text]
+    axes = [axis if axis[:1] in "+-" else f"+{axis}" for axis in text.split(",")]
+    try:
+        forward, up = axes
+        convention = AxisConvention(text, forward, up, declares_front=True)
+        convention.rotation()
+    except ValueError:
+        raise InputError(
+            "--axes", text, "is no axis convention",
+            f"give {AXES_HELP}; or one of {', '.join(CONVENTIONS)}",
+        ) from None  # fmt: skip
+    return convention

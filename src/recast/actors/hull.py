@@ -42,7 +42,7 @@ def outer_surface(gaussians: Gaussians) -> Surface:
     the plane through the twelve nearest neighbours.
 
     Raises:
-        ValueError: fewer than 50 opaque Gaussians.
+        ValueError: fewer than 50 opaque Gaussians, or all in one place.
     """
     with torch.no_grad():
         opaque = np.flatnonzero(torch.sigmoid(gaussians.logit_opacities).numpy() > _MIN_OPACITY)
@@ -52,6 +52,8 @@ def outer_surface(gaussians: Gaussians) -> Surface:
     # empty cells would let inner Gaussians through
     cells = np.clip(np.sqrt(len(points) / _PER_CELL), 8, 128)
     cell = float(np.ptp(points, axis=0).max()) / float(cells)
+    if not cell > 0:
+        raise ValueError("outer_surface: all opaque Gaussians are in one place")
     outside = np.zeros(len(points), bool)
     for direction in _directions():
         outside |= _frontmost(points, direction, cell)

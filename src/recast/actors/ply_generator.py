@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from recast.actors.axes import CONVENTIONS, AxisConvention
+import numpy as np
+
+from recast.actors.axes import AUTO, AXES_HELP, AxisConvention, axes_of
 from recast.actors.generate import Asset
+from recast.actors.hull import outer_surface
 from recast.actors.observation import Observation
+from recast.actors.upright import LEAST_EVIDENCE, Posture, postures
 from recast.errors import InputError
-from recast.splats import read_ply
+from recast.splats import CLASSIC, MIP, Gaussians, LowPass, read_ply
+from recast.splats.ply import read_low_pass
+
+_UNIT_CUBE = 0.51  # half its edge; decoded centres reach a little beyond their voxels
+_LEAST_DEVIATION = 9e-4  # that TRELLIS gives every axis of a Gaussian, in unit cubes
 
 
 class PlyGenerator:
@@ -16,7 +24,11 @@ class PlyGenerator:
 
     Args:
         path: the file.
-        axes: its axis convention, by name (`axes.CONVENTIONS`) or as such.
+        axes: its axis convention, as such or as text, see `axes.axes_of`; "auto" tells which axis
+            points up from the shape and the observed box, see `recast.actors.upright`.
+        low_pass: the filter that it was made for. None takes what the file declares
+            (`recast.splats.write_ply`); if it declares none, that of TRELLIS for what its decoder
+            makes (unit cube, no harmonics, no deviation below 9e-4), else that of 3DGS.
 
     Raises:
         InputError: no such convention.
@@ -24,25 +36,62 @@ class PlyGenerator:
 
     name = "ply"
 
-    def __init__(self, path: str | Path, axes: str | AxisConvention = "unit_cube_z_up") -> None:
-        self.path = Path(path)
-        if isinstance(axes, str):
-            if axes not in CONVENTIONS:
-                raise InputError(
-                    path, f"axes {axes}", "is no known convention",
-                    "choose one of: " + ", ".join(CONVENTIONS),
-                )  # fmt: skip
-            axes = CONVENTIONS[axes]
-        self.axes = axes
+    def __init__(
+        self, path: str | Path, axes: str | AxisConvention = AUTO, low_pass: LowPass | None = None
+    ) -> None:
+        self.path, self.low_pass = Path(path), low_pass
+        named = isinstance(axes, str) and axes != AUTO
+        self.axes = axes_of(str(axes)) if named else axes
 
     def generate(self, observation: Observation, seed: int) -> Asset:
         """Read the file.
 
         Raises:
-            InputError: the file is missing, lacks a field, or holds a value that is not finite.
+            InputError: the file is missing, lacks a field, or holds a value that is not finite;
+                with "auto", no orientation fits the box, or the shape does not tell it.
         """
-        del observation  # the file is what it is
         gaussians = read_ply(self.path)
         if len(gaussians) == 0:
             raise InputError(self.path, "vertex", "holds no Gaussians", "export the asset again")
-        return Asset(gaussians, self.axes, self.name, seed, {"file": self.path.name})
+        details: dict[str, str | float | int] = {"file": self.path.name}
+        if isinstance(self.axes, AxisConvention):
+            axes = self.axes
+        else:
+            found = self._upright(gaussians, observation.size)
+            axes, details["axes"] = found.axes, f"told from the shape: {found.explain()}"
+        low_pass = self.low_pass or read_low_pass(self.path)
+        if low_pass is None:
+            low_pass = MIP if made_by_trellis(gaussians) else CLASSIC
+        return Asset(gaussians, axes, self.name, seed, details, low_pass)
+
+    def _upright(self, gaussians: Gaussians, size: np.ndarray) -> Posture:
+        mend = f"name them by --axes: {AXES_HELP}"
+        try:
+            best, second, *_ = found = postures(outer_surface(gaussians).points, size)
+        except ValueError as error:
+            raise InputError(self.path, "shape", str(error), "export the asset again") from None
+        if not best.fits:
+            box = " x ".join(f"{metres:.2f}" for metres in size)
+            closest = min(found, key=lambda one: -one.votes["box"])
+            raise InputError(
+                self.path, "axes",
+                f"no orientation fits a box of {box} m: {closest.axes.name}, the closest, has "
+                f"{closest.width_over_box:.2f} of its width and {closest.height_over_box:.2f} of "
+                "its height", mend,
+            )  # fmt: skip
+        if not best.convincing or best.total - second.total < LEAST_EVIDENCE:
+            raise InputError(
+                self.path, "axes", f"the shape does not tell which way is up: {best.explain()}; "
+                f"next is {second.axes.name}", mend,
+            )  # fmt: skip
+        return best
+
+
+def made_by_trellis(gaussians: Gaussians) -> bool:
+    """Whether all values are such as TRELLIS's decoder gives them, and no other known source."""
+    scales = gaussians.log_scales
+    return (
+        gaussians.sh_degree == 0
+        and bool((gaussians.means.abs() <= _UNIT_CUBE).all())
+        and bool((scales >= np.log(_LEAST_DEVIATION) - 1e-4).all())
+    )

@@ -22,6 +22,10 @@ class Make:
     generator: str = "recast-mini"
     """What makes the vehicle: recast-mini (the image-to-3D model of the package), template, an
     installed generator's name, a model folder, or the path of a PLY."""
+    axes: str = "auto"
+    """Axes of a PLY or a model folder: which one points up, such as z-up, y-up or minus-y-up (a
+    splat viewer's), or forward and up, such as x,z (write --axes=-y,z with a minus). auto tells a
+    PLY's from its shape, and takes models for z-up."""
     segmenter: str = "box-lidar"
     """What cuts the vehicle out: box-lidar, an installed segmenter's name, or a folder that holds
     grounding-dino and sam (see docs/actors.md)."""
@@ -39,7 +43,8 @@ class Make:
         from recast.storage import atomic_folder
 
         with atomic_folder(self.out) as folder:
-            log, makers = read_log(self.log), ActorMakers.named(self.generator, self.segmenter)
+            makers = ActorMakers.named(self.generator, self.segmenter, self.axes)
+            log = read_log(self.log)
             actor = make_actor(log, self.track, makers, self.seed, folder, self.cameras)
         console = Console()
         console.print(actor.provenance.observation, markup=False)

@@ -19,6 +19,10 @@ class EvalActor:
     """Folder of real crops (ID/input_views, ID/reserved_views), or a vehicle set."""
     out: Path
     """Folder to write metrics.json and a picture of every vehicle to; must not exist."""
+    axes: str = "auto"
+    """Axes of a PLY or a model folder: which one points up, such as z-up, y-up or minus-y-up (a
+    splat viewer's), or forward and up, such as x,z (write --axes=-y,z with a minus). auto tells a
+    PLY's from its shape, and takes models for z-up."""
     seed: int = 0
     """Seed of everything random."""
     limit: int | None = None
@@ -40,7 +44,7 @@ class EvalActor:
         from recast.pipeline.evaluate_actor import evaluate_actors, evaluation_table
 
         distances = load_distances(self.lpips_weights, self.clip, self.dino)
-        generator = generator_of(self.model)
+        generator = generator_of(self.model, self.axes)
         console = Console()
         with Progress(console=console, transient=True) as progress:
             task = progress.add_task("vehicles", total=None)

@@ -41,6 +41,10 @@ class Run:
     generator: str | None = None
     """What makes the actor: recast-mini (the image-to-3D model of the package), template, an
     installed generator's name, a model folder, or the path of a PLY."""
+    axes: str | None = None
+    """Axes of a PLY or a model folder: which one points up, such as z-up, y-up or minus-y-up (a
+    splat viewer's), or forward and up, such as x,z (write --axes=-y,z with a minus). auto tells a
+    PLY's from its shape, and takes models for z-up. Default: auto."""
     segmenter: str | None = None
     """What cuts the actor's picture out: box-lidar, an installed segmenter's name, or a folder that
     holds grounding-dino and sam (see docs/actors.md). Default: box-lidar."""
@@ -81,6 +85,7 @@ class Run:
                 "planner": self.planner,
                 "planner_device": self.planner_device,
                 "generator": self.generator,
+                "axes": self.axes,
                 "segmenter": self.segmenter,
                 "steps": self.steps,
                 "seed": self.seed,

@@ -13,12 +13,13 @@ from PIL import Image
 
 from recast import storage
 from recast.actors import (
+    AUTO,
     Actor,
     ActorGenerator,
     Observation,
     PlyGenerator,
     Segmenter,
-    is_segmenter_folder,
+    axes_of,
     make_generator,
     observe,
     register,
@@ -26,52 +27,43 @@ from recast.actors import (
     segmenter_of,
     turntable,
 )
+from recast.actors.axes import UNIT_CUBE_Z_UP
 from recast.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog
-from recast.pipeline.fingerprint import file_hash, folder_hash
 from recast.pipeline.layout import ACTOR_FOLDER, OBSERVATION_FOLDER, TURNTABLE_FILE
 from recast.reporting.video import write_video
-from recast.trellis import RECAST_MINI, recast_mini
 
 _TURNTABLE_VIEWS = 72
 _TURNTABLE_SIZE = (640, 360)
 _BOX_COLOUR = (255, 170, 0)
 
 
-def generator_of(name: str) -> ActorGenerator:
+def generator_of(name: str, axes: str = AUTO) -> ActorGenerator:
     """A generator by its name, or one for the PLY file or the model folder of that path.
 
+    Args:
+        axes: of a PLY or a model, see `recast.actors.axes_of`. "auto" tells a PLY's from its shape;
+            models are z up, any heading.
+
     Raises:
-        InputError: no such generator, no such file, or a model that cannot be loaded.
+        InputError: no such generator, no such file, no such axes, or axes of a generator that knows
+            its own; or a model that cannot be loaded.
     """
     if name.lower().endswith(".ply"):
         path = Path(name)
         if not path.is_file():
             raise InputError(path, "file", "is missing", "check the path given as --generator")
-        return PlyGenerator(path)
+        return PlyGenerator(path, axes)
     if Path(name).is_dir():
         from recast.actors.image_to_3d_generator import ImageTo3DGenerator
 
-        return ImageTo3DGenerator(name)
+        return ImageTo3DGenerator(name, axes=UNIT_CUBE_Z_UP if axes == AUTO else axes_of(axes))
+    if axes != AUTO:
+        raise InputError(
+            "--axes", axes, f"is not for the generator {name}, which knows its axes", "leave it out"
+        )
     return make_generator(name)
-
-
-def generator_source(name: str) -> str:
-    """What stands for a generator in a fingerprint: the content of its file or folder, or its name.
-
-    A PLY must be there.
-    """
-    if name.lower().endswith(".ply"):
-        return file_hash(name)
-    if name == RECAST_MINI:
-        return folder_hash(recast_mini())
-    return folder_hash(name) if Path(name).is_dir() else name
-
-
-def segmenter_source(name: str) -> str:
-    """What stands for a segmenter in a fingerprint: the content of its folder, or its name."""
-    return folder_hash(name) if is_segmenter_folder(name) else name
 
 
 @dataclass(frozen=True)
@@ -82,13 +74,13 @@ class ActorMakers:
     segmenter: Segmenter
 
     @classmethod
-    def named(cls, generator: str, segmenter: str) -> Self:
+    def named(cls, generator: str, segmenter: str, axes: str = AUTO) -> Self:
         """Those of these names, see `generator_of` and `segmenter_of`.
 
         Raises:
             InputError: there is none of a name, or it cannot be loaded.
         """
-        return cls(generator_of(generator), segmenter_of(segmenter))
+        return cls(generator_of(generator, axes), segmenter_of(segmenter))
 
 
 def make_actor(

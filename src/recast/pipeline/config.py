@@ -7,7 +7,7 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from recast.actors import DEFAULT_GENERATOR, DEFAULT_SEGMENTER
+from recast.actors import AUTO, DEFAULT_GENERATOR, DEFAULT_SEGMENTER
 from recast.pipeline.layout import Method
 from recast.pipeline.run_folder import RUN_FILE, RunFolder
 from recast.planning import DEVICE_PATTERN
@@ -43,6 +43,7 @@ class RunConfig(BaseModel):
     generator: str = Field(
         default=DEFAULT_GENERATOR, description="name of a generator, model folder, or PLY"
     )
+    axes: str = Field(default=AUTO, description="axis convention of a PLY or model folder")
     segmenter: str = Field(
         default=DEFAULT_SEGMENTER, description="name of a segmenter, or folder of its networks"
     )
@@ -102,6 +103,8 @@ class RunConfig(BaseModel):
             values["scene"] = self.scene.resolved()
         if not self.own_motions:
             del values["own_motions"]  # runs begun before there were scenario files go on
+        if self.axes == AUTO:
+            del values["axes"]
         if self.planner_device == "auto":
             del values["planner_device"]
         if self.plan_limit_s is None:

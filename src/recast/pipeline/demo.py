@@ -100,7 +100,7 @@ def demo(
         ),
     )
     make_planner(config.planner)
-    generator_of(config.generator)
+    generator_of(config.generator, config.axes)
     out = Path(out)
     with storage.disk_errors(out):
         out.mkdir(parents=True, exist_ok=True)

@@ -151,6 +151,7 @@ class Job:
             "log": self._log_hash,
             "track": self.config.track,
             "generator": self._sources.generator,
+            "axes": self.config.axes,
             "segmenter": self._sources.segmenter,
             "seed": self.config.seed,
             "cameras": list(self.config.scene.cameras),
@@ -161,7 +162,7 @@ class Job:
         with self.console.status("observing, generating, registering"):
             makers, self._makers = self._makers, None
             if makers is None:
-                makers = ActorMakers.named(config.generator, config.segmenter)
+                makers = ActorMakers.named(config.generator, config.segmenter, config.axes)
             actor = make_actor(
                 self.log, config.track, makers, config.seed, self.path, config.scene.cameras
             )

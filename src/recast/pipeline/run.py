@@ -53,7 +53,7 @@ def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Conso
     planner = make_planner(config.planner, config.planner_device)
     mounts = run_mounts(log, planner, config)
     announce_planner(planner, mounts, console)
-    makers = ActorMakers.named(config.generator, config.segmenter)
+    makers = ActorMakers.named(config.generator, config.segmenter, config.axes)
     threads = config.threads or usable_cores()
     torch.set_num_threads(threads)
     set_threads(threads)

@@ -17,7 +17,7 @@ from recast.plugins import Registry
 from recast.trellis import RECAST_MINI, recast_mini
 
 RECIPES = {
-    "actor": 1,
+    "actor": 2,
     "scene": 1,
     "evaluation": 1,
     "truth": 1,

@@ -118,7 +118,7 @@ def _check(settings: BenchSettings) -> Planner:
     """Refuse what cannot work before anything is written; return the planner."""
     config, size = settings.run, settings.drive
     planner = make_planner(config.planner, config.planner_device)
-    generator_of(config.generator)
+    generator_of(config.generator, config.axes)
     segmenter_of(config.segmenter)
     synthetic = [scene for scene in settings.scenes if scene.log is None]
     if synthetic or "oracle" in config.methods:

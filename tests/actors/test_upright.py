@@ -1,0 +1,227 @@
+"""Which way up a vehicle lies, told from its shape, in all 24 orientations of a file."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from actors import made_up
+from recast.actors import Observation, PlyGenerator, axes_of, register
+from recast.actors.hull import outer_surface
+from recast.actors.upright import LEAST_EVIDENCE, postures
+from recast.errors import InputError
+from recast.geometry import se3
+from recast.logs import DrivingLog
+from recast.splats import CLASSIC, MIP, Gaussians, LowPass, write_ply
+from recast.synthetic.vehicles import KINDS, sample_vehicle
+from recast.trellis import viewer_frame
+
+SIZES = {
+    "sedan": (4.7, 1.85, 1.45), "hatchback": (4.1, 1.75, 1.48), "suv": (4.6, 1.9, 1.7),
+    "pickup": (5.4, 1.93, 1.84), "van": (5.5, 2.0, 2.3), "bus": (11.5, 2.55, 3.1),
+}  # fmt: skip
+TEMPLATES = tuple(f"template {style}" for style in SIZES)
+SYNTHETIC = tuple(f"synthetic {kind}" for kind in KINDS)
+
+
+def orientations() -> list[np.ndarray]:
+    """The 24 rotations by quarters of a turn."""
+    found = []
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            rotation = np.zeros((3, 3))
+            rotation[range(3), order] = signs
+            if np.linalg.det(rotation) > 0:
+                found.append(rotation)
+    return found
+
+
+ORIENTATIONS = orientations()
+
+
+def points_gaussians(points: np.ndarray) -> Gaussians:
+    """Small opaque grey Gaussians."""
+    n = len(points)
+    return Gaussians(
+        torch.as_tensor(points, dtype=torch.float32),
+        torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(n, 1),
+        torch.full((n, 3), float(np.log(0.02))),
+        torch.full((n,), 3.0),
+        torch.zeros(n, 1, 3),
+    )
+
+
+@lru_cache
+def vehicle(name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, 3) of its outer surface in the actor frame, and its size."""
+    source, kind = name.split(" ")
+    if source == "template":
+        size = np.array(SIZES[kind])
+        return outer_surface(made_up.car(size, style=kind)).points, size
+    rng = np.random.default_rng([13, KINDS.index(kind)])
+    model = sample_vehicle(rng, kind)
+    corners = model.surface.vertices[model.surface.faces]
+    edges = corners[:, 1:] - corners[:, :1]
+    areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    chosen = rng.choice(len(areas), 12_000, p=areas / areas.sum())
+    shares = np.sort(rng.random((12_000, 2)), axis=1)
+    weights = np.column_stack([shares[:, 0], np.diff(shares, axis=1)[:, 0]])
+    points = corners[chosen, 0] + np.einsum("nk,nkc->nc", weights, edges[chosen])
+    return outer_surface(points_gaussians(points)).points, np.asarray(model.size)
+
+
+def up_in_file(rotation: np.ndarray) -> str:
+    """The file's axis that points up, of a vehicle that was turned by a rotation."""
+    axis = int(np.argmax(np.abs(rotation[:, 2])))
+    return f"{'+' if rotation[axis, 2] > 0 else '-'}{'xyz'[axis]}"
+
+
+@pytest.mark.parametrize(
+    "name", ["template hatchback", "synthetic sedan", "synthetic pickup", "synthetic bus"]
+)
+def test_up_is_found_in_all_24_orientations(name: str) -> None:
+    points, size = vehicle(name)
+    for rotation in ORIENTATIONS:
+        best, second, *_ = postures(points @ rotation.T, size)
+        assert best.up == up_in_file(rotation)
+        assert best.fits and best.convincing
+        assert best.total - second.total > LEAST_EVIDENCE
+        # the convention turns the file's up to z
+        np.testing.assert_allclose(best.axes.rotation() @ rotation[:, 2], [0, 0, 1], atol=1e-12)
+
+
+@given(
+    st.sampled_from([*TEMPLATES, *SYNTHETIC]),
+    st.sampled_from(range(24)),
+    st.floats(-np.pi, np.pi),
+    st.floats(1e-3, 1e3),
+    st.floats(-5.0, 5.0),
+)
+@settings(max_examples=25, deadline=None)
+def test_any_heading_unit_and_place(
+    name: str, index: int, yaw: float, unit: float, shift: float
+) -> None:
+    """TRELLIS gives any heading, others centimetres, others put the origin at the rear axle."""
+    points, size = vehicle(name)
+    rotation = ORIENTATIONS[index]
+    lying = (points @ se3.rotation_z(yaw).T + [shift, 0.3 * shift, shift]) * unit
+    best, second, *_ = postures(lying @ rotation.T, size)
+    assert best.up == up_in_file(rotation)
+    assert best.fits and best.convincing and best.total - second.total > LEAST_EVIDENCE
+
+
+@pytest.mark.parametrize("up", ["+x", "-x", "+y", "-y", "+z", "-z"])
+def test_a_ply_that_lies_on_its_side_is_registered_upright(
+    up: str, red_car: Gaussians, observation: Observation, street: DrivingLog, tmp_path: Path
+) -> None:
+    rotation = next(one for one in ORIENTATIONS if up_in_file(one) == up)
+    pose = se3.from_rotation_translation(rotation @ se3.rotation_z(0.4), [0.1, 0.2, -0.3])
+    write_ply(tmp_path / "car.ply", red_car.transformed(torch.from_numpy(pose), 0.22))
+    asset = PlyGenerator(tmp_path / "car.ply").generate(observation, 0)
+    assert "told from the shape" in str(asset.details["axes"])
+    placed = register(asset, observation, street, street.tracks["7"])
+    assert float((placed.gaussians.means - red_car.means).norm(dim=1).mean()) < 0.06
+    assert placed.provenance.registration.axes == asset.axes.name
+
+
+def test_our_viewer_frame_is_minus_y_up(
+    red_car: Gaussians, observation: Observation, tmp_path: Path
+) -> None:
+    write_ply(tmp_path / "viewer.ply", viewer_frame(red_car))
+    told = PlyGenerator(tmp_path / "viewer.ply").generate(observation, 0)
+    named = PlyGenerator(tmp_path / "viewer.ply", "minus-y-up").generate(observation, 0)
+    assert told.axes == named.axes and told.axes.up == "-y" and not told.axes.declares_front
+
+
+def box_points(size: np.ndarray) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.5, 0.5, (6000, 3))
+    points[range(6000), rng.integers(3, size=6000)] = rng.choice([-0.5, 0.5], 6000)
+    return points * size
+
+
+def test_shapes_that_are_refused(
+    red_car: Gaussians, observation: Observation, tmp_path: Path
+) -> None:
+    path = tmp_path / "thing.ply"
+    rng = np.random.default_rng(0)
+    ball = rng.normal(size=(3000, 3))
+    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+    for points, message in (
+        (ball, r"no orientation fits a box of 4\.40 x 1\.75 x 1\.45 m"),
+        (vehicle("template bus")[0], "no orientation fits"),
+        (box_points(observation.size), "does not tell which way is up"),
+        (box_points(np.array([1.0, 1.0, 1e-12])), "in a plane or on a line"),
+        (np.zeros((100, 3)), "in one place"),
+        (np.outer(np.linspace(0, 1, 100), [1.0, 2.0, 3.0]), "in a plane or on a line"),
+    ):
+        write_ply(path, points_gaussians(points))
+        with pytest.raises(InputError, match=message) as caught:
+            PlyGenerator(path).generate(observation, 0)
+        assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+        PlyGenerator(path, "z-up").generate(observation, 0)  # the user knows better
+    haze = replace(red_car, logit_opacities=torch.full_like(red_car.logit_opacities, -9.0))
+    write_ply(path, haze)
+    with pytest.raises(InputError, match="opaque"):
+        PlyGenerator(path).generate(observation, 0)
+
+
+@pytest.mark.parametrize(
+    ("text", "forward", "up", "front"),
+    [
+        ("z-up", "+x", "+z", False),
+        ("minus-y-up", "+x", "-y", False),
+        ("minus-x-up", "+y", "-x", False),
+        ("x,z", "+x", "+z", True),
+        ("-z,-y", "-z", "-y", True),
+        ("unit_cube_y_up", "+z", "+y", False),
+    ],
+)
+def test_axes_by_name_and_by_two_axes(text: str, forward: str, up: str, front: bool) -> None:
+    axes = axes_of(text)
+    assert (axes.forward, axes.up, axes.declares_front) == (forward, up, front)
+    np.testing.assert_allclose(np.linalg.det(axes.rotation()), 1.0)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "up", "w-up", "x", "x,x", "x,-x", "x,y,z", "x,q", ",", "auto "]
+)
+def test_axes_that_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match="is no axis convention"):
+        axes_of(text)
+
+
+@pytest.mark.parametrize("low_pass", [CLASSIC, LowPass(0.2, antialiased=True)])
+def test_the_filter_of_a_ply_is_the_declared_one(
+    low_pass: LowPass, red_car: Gaussians, observation: Observation, tmp_path: Path
+) -> None:
+    path = tmp_path / "car.ply"
+    write_ply(path, red_car, low_pass)
+    assert PlyGenerator(path, "x,z").generate(observation, 0).low_pass == low_pass
+    assert PlyGenerator(path, "x,z", MIP).generate(observation, 0).low_pass == MIP
+
+
+def test_the_filter_of_a_ply_that_declares_none(
+    red_car: Gaussians, observation: Observation, tmp_path: Path
+) -> None:
+    """What the published decoder makes is told by its values; all else is as 3DGS made it."""
+    cube = red_car.transformed(torch.eye(4), 0.2)
+    plain = replace(cube, sh=cube.sh[:, :1])
+    decoded = replace(plain, log_scales=plain.log_scales.clamp(min=float(np.log(9e-4))))
+    for gaussians, expected in (
+        (decoded, MIP),
+        (plain, CLASSIC),  # thinner than the decoder makes any
+        (replace(decoded, means=decoded.means * 3), CLASSIC),  # in metres
+        (replace(cube, log_scales=decoded.log_scales), CLASSIC),  # with harmonics
+    ):
+        write_ply(tmp_path / "car.ply", gaussians)
+        found = PlyGenerator(tmp_path / "car.ply", "x,z").generate(observation, 0)
+        assert found.low_pass == expected
