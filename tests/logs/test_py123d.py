@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -182,4 +184,69 @@ def test_whatever_py123d_raises_is_one_line(
     monkeypatch.setattr(tiny.Scene, "get_lidar_at_timestamp", failing)
     with pytest.raises(InputError, match=f"py123d cannot read it .{error.__name__}: of its own"):
         _imported(tmp_path, monkeypatch, tiny.Scene())
+    assert not (tmp_path / "log").exists()
+
+
+def _ego(change: Callable[[np.ndarray], None]) -> Callable[[tiny.Scene, int], Any]:
+    """The ego poses with the last one changed."""
+
+    def state(self: tiny.Scene, timestamp: int) -> Any:
+        pose = tiny.placed(tiny.there(1e-5 * (timestamp - tiny.START_US), 0, 1))
+        if timestamp == tiny.START_US + (tiny.FRAMES - 1) * tiny.STEP_US:
+            change(pose.transformation_matrix)
+        return SimpleNamespace(imu_se3=pose)
+
+    return state
+
+
+def _points(value: float) -> Callable[..., Any]:
+    def cloud(self: tiny.Scene, timestamp: int, lidar_id: int) -> Any:
+        points = np.full((3, 3), value, np.float32)
+        return SimpleNamespace(
+            point_cloud_3d=points, is_merged=False, ids=None, intensity=None, timestamps=None
+        )
+
+    return cloud
+
+
+def _box(place: Any = (30.0, 4.0, 0.8), size: Any = (4.5, 1.9, 1.6)) -> Callable[..., Any]:
+    found = tiny.box("car", "REGULAR_VEHICLE", "VEHICLE", tiny.there(*place), size)
+    return lambda self, timestamp: [found]
+
+
+@pytest.mark.parametrize(
+    ("method", "replacement", "message"),
+    [
+        ("get_ego_state_se3_at_timestamp", _ego(lambda m: m.fill(np.nan)), "nan is not"),
+        (
+            "get_ego_state_se3_at_timestamp",
+            _ego(lambda m: m.__setitem__((2, 2), -1.0)),
+            "is a mirror image of a rotation",
+        ),
+        (
+            "get_ego_state_se3_at_timestamp",
+            _ego(lambda m: m.__setitem__((0, 3), 1e300)),
+            "1e+300 is",
+        ),
+        ("get_lidar_at_timestamp", _points(np.nan), "points: nan is not within 100000 m"),
+        ("get_lidar_at_timestamp", _points(1e30), "is not within 100000 m"),
+        ("get_box_detections_se3_at_timestamp", _box(size=(4.5, np.nan, 1.6)), "track car: holds"),
+        ("get_box_detections_se3_at_timestamp", _box(size=(4.5, 1e9, 1.6)), "track car: holds"),
+        ("get_box_detections_se3_at_timestamp", _box((np.nan, 0.0, 0.0)), "track car: holds"),
+        ("get_box_detections_se3_at_timestamp", _box((1e12, 0.0, 0.0)), "1e+12 is not within"),
+        ("get_all_ego_state_se3_timestamps", lambda s: [tiny.stamp(10**12)] * 2, "no time"),
+        ("get_all_ego_state_se3_timestamps", lambda s: [tiny.stamp(0)] * 2, "increase"),
+    ],
+)
+def test_values_out_of_range_are_one_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    method: str,
+    replacement: Any,
+    message: str,
+) -> None:
+    monkeypatch.setattr(tiny.Scene, method, replacement)
+    with pytest.raises(InputError) as raised:
+        _imported(tmp_path, monkeypatch, tiny.Scene(map=None))
+    assert message in str(raised.value) and "\n" not in str(raised.value)
     assert not (tmp_path / "log").exists()

@@ -16,6 +16,7 @@ import numpy as np
 from recast.errors import InputError
 from recast.geometry import se3
 from recast.logs import motion
+from recast.logs.checks import refused
 from recast.logs.importers.cameras import chosen_cameras
 from recast.logs.importers.py123d_map import read_map
 from recast.logs.importers.py123d_sensors import matrix, read_cameras, read_lidars, reading
@@ -96,6 +97,8 @@ def log_of(scene: Any, folder: Path, cameras: Sequence[str] = ()) -> DrivingLog:
     offset: Array = poses[0, :3, 3].copy()
     poses[:, :3, 3] -= offset
     trajectory = Trajectory(np.array(times, np.int64), poses)
+    with refused(folder, "convert the log again"):
+        trajectory.validate("ego states")
     trajectory = motion.extended(
         trajectory, times[0] - motion.MAX_EXTENSION_US, times[-1] + motion.MAX_EXTENSION_US
     )
