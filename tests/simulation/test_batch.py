@@ -81,6 +81,12 @@ def test_a_traceback_keeps_its_end() -> None:
     assert fields["reason"] == "a" * 2000
 
 
+def test_a_message_is_text_that_every_table_can_hold() -> None:
+    fields = error_fields(ValueError("half a character: \ud800, and \0"))
+    assert fields["reason"] == "half a character: \\ud800, and \0"
+    assert all(value.encode() for value in fields.values())
+
+
 def test_an_exception_without_a_message_is_a_row_too() -> None:
     class MuteError(Exception):
         def __str__(self) -> str:

@@ -77,6 +77,11 @@ def error_fields(error: BaseException) -> dict[str, str]:
     lines = "".join(traceback.format_exception(error))
     return {
         "error": type(error).__name__,
-        "reason": reason[:_REASON_LIMIT],
-        "traceback": lines[-TRACEBACK_LIMIT:],
+        "reason": _unicode(reason)[:_REASON_LIMIT],
+        "traceback": _unicode(lines)[-TRACEBACK_LIMIT:],
     }
+
+
+def _unicode(text: str) -> str:
+    """Lone surrogates, which no table and no page can hold, escaped."""
+    return text.encode("utf-8", "backslashreplace").decode()

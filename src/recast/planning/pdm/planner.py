@@ -34,7 +34,7 @@ class PdmClosedPlanner:
     def __init__(self, config: PdmConfig | None = None) -> None:
         self.config = config or PdmConfig()
         self._pdm: PdmClosed | None = None
-        self._times = DT * np.arange(1, WAYPOINTS + 1)
+        self._times: Array = DT * np.arange(1, WAYPOINTS + 1, dtype=np.float64)
 
     def reset(self, context: PlanningContext) -> None:
         """Adapt the map and find the route on it.
@@ -50,7 +50,7 @@ class PdmClosedPlanner:
                 "the log has none",
                 "use a log with a map, or derive one from the drive",
             )
-        self._times = context.dt * np.arange(1, WAYPOINTS + 1)
+        self._times = np.asarray(context.dt * np.arange(1, WAYPOINTS + 1), np.float64)
         planned = DT * self.config.plan_steps
         if self._times[-1] > planned + 1e-9:
             raise InputError(
