@@ -47,7 +47,8 @@ def log_info_tables(info: LogInfo, width: int) -> list[RenderableType]:
     """
     title = f"{printable(info.name)}: {info.seconds:.1f} s, {info.ego_distance:.0f} m driven, "
     title += f"map: {info.map_kind}" + (f" ({info.lanes} lanes)" if info.lanes else "")
-    parts: list[RenderableType] = [Text(title, style="bold"), _sensors(info)]
+    parts: list[RenderableType] = [Text(title, style="bold")]
+    parts.append(_sensors(info) if info.sensors else Text("no sensors"))
     best = [track for track in info.tracks if track.usable][:BEST]
     parts.append(Text("best candidates for replacing:" if best else "no track can be replaced:"))
     parts.append(_reasons(best or info.tracks[:BEST], width))

@@ -92,7 +92,7 @@ def _lane(
         left_boundary=left,
         right_boundary=right,
         polygon=shapely.get_coordinates(shapely.orient_polygons(outline).exterior)[:-1],
-        speed_limit=None if limit is None else float(limit),
+        speed_limit=float(limit) if limit else None,
         successors=tuple(str(key) for key in lane.successor_ids if str(key) in known),
         left_neighbour=named(lane.left_lane_id),
         right_neighbour=named(lane.right_lane_id),
