@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import logging
+import os
 import sys
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from recast.crews import Crew, alone, crew_of
+from recast import diagnostics
+from recast.crews import Crew, alone, crew_of, in_processes
+from recast.diagnostics import Diagnostics
 from recast.errors import InputError
 
 
@@ -102,3 +107,26 @@ def test_no_worker_and_no_ray_are_refused(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(InputError, match="not installed"):
         crew_of(2, ray="auto")
+
+
+def telling(number: int) -> Callable[[int], int]:
+    def work(job: int) -> int:
+        logging.getLogger("recast.tests").warning("job %s", job)
+        return os.getpid()
+
+    return work
+
+
+def test_workers_write_to_the_same_records(tmp_path: Path) -> None:
+    file = tmp_path / "file.log"
+    diagnostics.begin(Diagnostics(file=file))
+    try:
+        jobs = deque(range(3))
+        crew = in_processes(1)
+        done = list(crew(telling, (), lambda: jobs.popleft() if jobs else None, "jobs"))
+    finally:
+        diagnostics.begin(Diagnostics())
+    lines = file.read_text().splitlines()
+    for job, process in done:
+        assert any(f"WARNING {process} recast.tests: job {job}" in line for line in lines)
+    assert os.getpid() not in dict(done).values()

@@ -7,8 +7,8 @@ import logging
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import redirect_stderr, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, suppress
 from io import StringIO
 from pathlib import Path
 from typing import Annotated, NoReturn
@@ -64,7 +64,7 @@ def main(args: Sequence[str] | None = None) -> int:
         diagnostics.begin(where)
         _LOG.debug("recast %s: %s", __version__, words)
         command = _command(words)
-        with storage.disk_errors("disk"):
+        with _system_errors():
             command()
     except InputError as error:
         _LOG.debug("refused", exc_info=True)
@@ -83,6 +83,21 @@ def main(args: Sequence[str] | None = None) -> int:
         raise
     _LOG.debug("done")
     return 0
+
+
+@contextmanager
+def _system_errors() -> Iterator[None]:
+    """The last resort: whatever the system refuses is one line."""
+    try:
+        with storage.disk_errors("disk"):
+            yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        where = error.filename if isinstance(error.filename, str) else "system"
+        reason = error.strerror or str(error) or type(error).__name__
+        mend = "see --verbose for where it comes from"
+        raise InputError(where, type(error).__name__, reason, mend) from error
 
 
 class _Options(argparse.ArgumentParser):
@@ -126,10 +141,13 @@ def _command(words: Sequence[str]) -> Callable[[], None]:
 def _refusal(boxed: str) -> InputError:
     """One line of the box that tyro draws: title, problem, rule, perhaps options alike, rule, help.
 
-    Explanations of options are indented by eight blanks and left out.
+    Its frame is of lines or of ASCII. Explanations of options are indented by eight and left out.
     """
-    title, *rows = [row.strip("│╭╮╰╯").removeprefix(" ") for row in boxed.splitlines()]
-    rule = next((i for i, row in enumerate(rows) if not row.strip(" ─")), len(rows))
+    first, *framed = boxed.splitlines() or ["options"]
+    rows = [row[2:].rstrip(" │") for row in framed if not row.startswith("╰")]
+    if rows and not rows[0].strip("-"):  # below the title, in ASCII
+        del rows[0]
+    rule = next((i for i, row in enumerate(rows) if not row.strip(" ─-")), len(rows))
     said = " ".join(row.strip() for row in rows[:rule] if not row.startswith(" " * 8))
     alike = ""
     if any(row.startswith("Perhaps you meant") for row in rows):
@@ -137,7 +155,7 @@ def _refusal(boxed: str) -> InputError:
         alike = f"did you mean {option}? "
     asked = (re.search(r"recast[a-z0-9 -]* --help", row) for row in rows)
     shown = next((found[0] for found in asked if found), "recast --help")
-    title = title.strip(" ─").lower()
+    title = first.strip("╭╮─ ").lower()
     said = re.sub(f"(?i)^{re.escape(title)}:? *", "", said).rstrip(".")
     mend = f"{alike}see {shown}"
     return InputError("command line", title, said, mend)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from recast.actors import AUTO, DEFAULT_GENERATOR, DEFAULT_SEGMENTER
 from recast.pipeline.layout import Method
 from recast.pipeline.run_folder import RUN_FILE, RunFolder
 from recast.planning import DEVICE_PATTERN
-from recast.records import parse_record
+from recast.records import Record, parse_record
 from recast.scene import Preset, SceneConfig
 from recast.simulation import MOTIONS, ScriptedMotion, motion_of_record, scenario_name
 from recast.storage import read_json
@@ -19,15 +19,13 @@ from recast.storage import read_json
 CONFIG_VERSION: Literal[1] = 1
 
 
-class RunConfig(BaseModel):
+class RunConfig(Record):
     """The resolved configuration of a run, as written to `run.json`.
 
     `motions` are scenario names with their setting, such as "cut-in-a"; `own_motions` holds those
     that came from scenario files, so that the run needs no file again. `methods` say what renders
     the scene; the first is the baseline. "oracle" needs a synthetic log.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     version: Literal[1] = CONFIG_VERSION
     track: str

@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 
 from recast import storage
-from recast.errors import InputError
+from recast.errors import InputError, printable
 from recast.logs import DrivingLog, HdMap, map_of
 from recast.pipeline.actor import ActorMakers, make_actor
 from recast.pipeline.config import RunConfig
@@ -298,7 +298,8 @@ class Job:
         metrics = read_metrics(self.path / METRICS_FILE)
         self.console.print(results_table(metrics["table"]))
         for failed in metrics["failures"]:
-            self.console.print(f"{failed['name']}: {failed['reason']}", markup=False, style="red")
+            reason = printable(f"{failed['name']}: {failed['reason']}")
+            self.console.print(reason, markup=False, style="red")
         page = self.path / REPORT_FOLDER / "index.html"
         self.console.print(f"report: {page}", markup=False)
         return page

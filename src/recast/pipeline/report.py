@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from recast import storage
 from recast.actors import load_actor
 from recast.actors.icp import INLIER_DISTANCE
 from recast.errors import InputError
 from recast.evaluation import rollout_metrics
 from recast.logs import DrivingLog, HdMap, map_of, read_log
+from recast.names import member
 from recast.pipeline.config import RunConfig, config_of
+from recast.pipeline.evaluation_file import read_evaluation
 from recast.pipeline.layout import (
     ACTOR_FOLDER,
     EVALUATION_FOLDER,
@@ -72,8 +73,22 @@ def report_run(run: str | Path, out: str | Path | None = None) -> Path:
             folder.path / RUN_FILE, "log.path", f"names {log_path}, which is not there",
             "put the log back, or run from the folder that `recast run` was called in",
         )  # fmt: skip
-    inputs = gather(folder, read_log(log_path))
+    log = read_log(log_path)
+    _check_log(config_of(folder), log, folder.path / RUN_FILE)
+    inputs = gather(folder, log)
     return write_report(inputs, folder.path / REPORT_FOLDER if out is None else Path(out))
+
+
+def _check_log(config: RunConfig, log: DrivingLog, record: Path) -> None:
+    """Refuse a log that took the place of the one that was run on."""
+    wanted = {"track": ((config.track,), log.tracks), "camera": (config.scene.cameras, log.cameras)}
+    for kind, (names, there) in wanted.items():
+        for name in names:
+            if name not in there:
+                raise InputError(
+                    record, "log.path", f"names a log without {kind} {name}",
+                    "put the log back that was run on",
+                )  # fmt: skip
 
 
 def gather(folder: RunFolder, log: DrivingLog) -> ReportInputs:
@@ -214,7 +229,7 @@ def _scene(run: Path) -> ScenePart | NotMade:
     path = run / EVALUATION_FOLDER / "eval.json"
     if not path.exists():
         return NotMade("no image was held out" if path.parent.exists() else NOT_MADE.reason)
-    evaluation = storage.read_json(path)
+    evaluation = read_evaluation(path)
     scene = load_scene(run / SCENE_FOLDER)
     frames: list[dict[str, Any]] = evaluation["frames"]
     actors = sum(len(actor.gaussians) for actor in scene.actors.values())
@@ -223,7 +238,7 @@ def _scene(run: Path) -> ScenePart | NotMade:
         comparisons=tuple(
             Comparison(
                 f"{frame['camera']}, frame {frame['frame']}: {frame['psnr']:.1f} dB",
-                {"recorded, rendered, difference x 3": path.parent / _picture(frame)},
+                {"recorded, rendered, difference x 3": _picture(path, frame)},
             )
             for frame in frames
         ),
@@ -236,5 +251,5 @@ def _scene(run: Path) -> ScenePart | NotMade:
     )
 
 
-def _picture(frame: dict[str, Any]) -> str:
-    return f"{frame['camera']}_{frame['frame']:06d}.png"
+def _picture(evaluation: Path, frame: dict[str, Any]) -> Path:
+    return member(evaluation.parent, frame["picture"], evaluation, "picture")

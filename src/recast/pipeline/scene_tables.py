@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from rich.box import SIMPLE_HEAD
+from rich.markup import escape
 from rich.table import Table
 
+from recast.errors import printable
 from recast.scene import RegionScore, SceneEvaluation
 
 
@@ -20,7 +22,7 @@ def evaluation_table(evaluation: SceneEvaluation) -> Table:
         table.add_row("what moves: boxes, l and w x1.5", str(seen), *cells)
     for track, value in evaluation.box_psnr_by_track().items():
         seen = sum(track in frame.boxes for frame in evaluation.frames)
-        table.add_row(f"box of track {track}", str(seen), f"{value:.2f}")
+        table.add_row(f"box of track {escape(printable(track))}", str(seen), f"{value:.2f}")
     if evaluation.box_psnr is not None:
         table.add_row("all boxes", str(frames), f"{evaluation.box_psnr:.2f}")
     depth = evaluation.depth

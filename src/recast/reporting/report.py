@@ -27,7 +27,7 @@ from recast.reporting.inputs import (
 from recast.reporting.scenario_view import ScenarioView, scenario_view
 from recast.reporting.truth import truth_view
 from recast.reporting.truth_inputs import ShowcasePart, TruthPart
-from recast.storage import atomic_folder
+from recast.storage import atomic_folder, disk_errors, write_text
 
 _GENERATOR = "recast report"
 
@@ -53,11 +53,15 @@ def write_report(run: ReportInputs, out: str | Path) -> Path:
             out, "report folder", "holds something that is no report", "name another folder"
         )
     fresh = out.with_name(f".{out.name}.fresh")
-    shutil.rmtree(fresh, ignore_errors=True)
+    with disk_errors(out):
+        if fresh.exists():  # left behind by a kill
+            shutil.rmtree(fresh)
     with atomic_folder(fresh) as folder:
-        (folder / "index.html").write_text(_render(run, Assets(folder)), encoding="utf-8")
-    shutil.rmtree(out, ignore_errors=True)
-    fresh.rename(out)
+        write_text(folder / "index.html", _render(run, Assets(folder)))
+    with disk_errors(out):
+        if out.exists():
+            shutil.rmtree(out)
+        fresh.rename(out)
     return out / "index.html"
 
 

@@ -16,11 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 
 from recast import storage
 from recast.actors import segmenter_of
 from recast.crews import Crew, crew_of
-from recast.errors import InputError
+from recast.errors import InputError, printable
 from recast.evaluation.grid_file import write_rows
 from recast.logs import read_log
 from recast.pipeline.actor import generator_of
@@ -160,7 +161,7 @@ def _print(results: GridResults, settings: BenchSettings, console: Console) -> N
         f"{config.planner} in closed loop: {len(settings.scenes)} scenes x "
         f"{len(config.motions)} motions and settings, {len(config.methods)} methods"
     )
-    console.print(grid_table(results.table, title))
+    console.print(grid_table(results.table, escape(printable(title))))
     if results.differences:
         console.print(differences_table(results.differences))
     if results.truth:
@@ -168,7 +169,7 @@ def _print(results: GridResults, settings: BenchSettings, console: Console) -> N
     failed = [row for row in results.rows if row.failure is not None]
     for row in failed[:_SHOWN_FAILURES]:
         where = f"{row.scene} {row.motion}-{row.setting} {row.method}"
-        console.print(f"{where}: {row.failure_reason}", markup=False, style="red")
+        console.print(printable(f"{where}: {row.failure_reason}"), markup=False, style="red")
     if len(failed) > _SHOWN_FAILURES:
         more = len(failed) - _SHOWN_FAILURES
         console.print(f"and {more} more failures, see {RESULTS_FILE}", markup=False, style="red")

@@ -1,0 +1,146 @@
+"""Commands in child processes that are killed, or refused by the disk, at a chosen moment.
+
+A moment is a change below one folder: something is opened for writing, made, renamed or removed.
+Python tells of each before it happens (`sys.addaudithook`), so the n-th is the same in every run.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import multiprocessing
+import os
+import resource
+import signal
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+KILL = -signal.SIGKILL
+_LOADED = (
+    "recast.cli.main",
+    "recast.pipeline.bench",
+    "recast.pipeline.run",
+    "matplotlib.backends.backend_agg",
+    "torch.fx.experimental.symbolic_shapes",  # which training asks for
+)
+"""What the server that children are forked from imports once."""
+_WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
+_REMOVING = ("os.remove", "os.rmdir")
+_CHANGES = ("os.mkdir", "os.rename", "os.link", "os.symlink", *_REMOVING)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What goes wrong with a command.
+
+    Attributes:
+        root: changes below this folder are counted.
+        kind: `KILL`; or an error number, which every change meets from then on.
+        at: number of the change, from 1, or words that its description holds; None for never.
+        file_limit: bytes that a file may have at most, which holds for any library; None for all.
+    """
+
+    root: Path
+    kind: int = KILL
+    at: int | str | None = None
+    file_limit: int | None = None
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended.
+
+    Attributes:
+        code: exit code; `KILL` if it was killed.
+        moments: descriptions of all changes, such as "os.rename run/run.json".
+        err: what it wrote to standard error.
+    """
+
+    code: int
+    moments: tuple[str, ...]
+    err: str
+
+
+def command(args: Sequence[str | Path], fault: Fault, notes: Path) -> Ended:
+    """Run `recast` with `args` in a child.
+
+    Args:
+        notes: new folder, elsewhere, for what the child says.
+    """
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(list(_LOADED))
+    notes.mkdir(parents=True)
+    child = context.Process(target=_child, args=([str(arg) for arg in args], fault, notes))
+    child.start()
+    child.join()
+    moments = (notes / "moments").read_text().splitlines()
+    assert child.exitcode is not None
+    return Ended(child.exitcode, tuple(json.loads(m) for m in moments), (notes / "err").read_text())
+
+
+def _child(args: list[str], fault: Fault, notes: Path) -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    os.dup2(os.open(notes / "err", os.O_WRONLY | os.O_CREAT), sys.stderr.fileno())
+    import torch
+
+    import recast.pipeline.actor as actor
+    from recast.cli.main import main
+
+    torch.set_num_threads(1)
+    actor._TURNTABLE_VIEWS, actor._TURNTABLE_SIZE = 2, (32, 32)  # type: ignore[misc]
+    if fault.file_limit is not None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (fault.file_limit, resource.RLIM_INFINITY))
+    _Watch(fault, os.open(notes / "moments", os.O_WRONLY | os.O_CREAT)).begin()
+    code = main(args)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+class _Watch:
+    def __init__(self, fault: Fault, notes: int) -> None:
+        self.fault, self.notes = fault, notes
+        self.root, self.seen, self.broken = str(fault.root), 0, False
+
+    def begin(self) -> None:
+        sys.addaudithook(self.look)
+
+    def look(self, event: str, args: tuple[Any, ...]) -> None:
+        path = _changed(event, args)
+        if path is None or not (path == self.root or path.startswith(self.root + os.sep)):
+            return
+        self.seen += 1
+        moment = f"{event} {os.path.relpath(path, self.root)}"
+        at = self.fault.at
+        reached = at == self.seen if isinstance(at, int) else at is not None and at in moment
+        self.broken = self.broken or reached
+        if self.fault.file_limit is None:
+            os.write(self.notes, json.dumps(moment).encode() + b"\n")
+        if not self.broken:
+            return
+        if self.fault.kind == KILL:
+            os.kill(os.getpid(), signal.SIGKILL)
+        if event in _REMOVING and self.fault.kind != errno.EROFS:
+            return  # a full disk lets go of files
+        raise OSError(self.fault.kind, os.strerror(self.fault.kind), path)
+
+
+def _changed(event: str, args: tuple[Any, ...]) -> str | None:
+    """The path that an audit event is about to change, or None."""
+    if event == "open":
+        path, _, flags = args
+        wanted = isinstance(flags, int) and flags & _WRITING
+    elif event in _CHANGES:
+        path, wanted = args[1 if event == "os.rename" else 0], True
+    else:
+        return None
+    if not wanted or not isinstance(path, str | os.PathLike):
+        return None
+    path = os.fspath(path)
+    folder = args[-1]
+    if event in _REMOVING and isinstance(folder, int) and folder >= 0:  # as `shutil.rmtree` does
+        path = os.path.join(Path(f"/proc/self/fd/{folder}").readlink(), path)  # noqa: PTH118
+    return os.path.abspath(path)  # noqa: PTH100

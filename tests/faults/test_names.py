@@ -1,0 +1,99 @@
+"""Hostile names of tracks and cameras through a whole run, its films, its report and a grid."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+import recast.pipeline.report
+import recast.pipeline.run
+from recast.logs import DrivingLog
+from recast.pipeline.layout import rollout_folder
+from recast.pipeline.options import resolve_config
+from recast.pipeline.rollouts import films
+from recast.pipeline.run import run
+from recast.reporting.video import read_video
+
+HOSTILE = (
+    "../../x",
+    "/absolute",
+    "nul\0nul",
+    "new\nline",
+    "l" * 300,
+    "\u202eright to left",
+    "<script>alert(1)</script>",
+    "[/bold]",
+    "\x1b[2Jescape",
+    "..",
+    "con",
+)
+TRACK = "".join(HOSTILE)
+
+
+@pytest.fixture
+def hostile(tiny_log: DrivingLog) -> DrivingLog:
+    """The tiny drive with one camera under many names."""
+    [camera] = tiny_log.cameras.values()
+    return dataclasses.replace(
+        tiny_log,
+        name=HOSTILE[0] + HOSTILE[6],
+        cameras={name: dataclasses.replace(camera, name=name) for name in HOSTILE},
+        tracks={TRACK: dataclasses.replace(tiny_log.tracks["0"], track_id=TRACK)},
+    )
+
+
+class Page(HTMLParser):
+    """Notes what a browser would run or fetch."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.scripts, self.sources = 0, []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.scripts += tag == "script"
+        self.sources += [value or "" for name, value in attrs if name in ("src", "href")]
+
+
+def test_a_run_with_hostile_names(
+    hostile: DrivingLog,
+    tiny_log_folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for module in (recast.pipeline.run, recast.pipeline.report):
+        monkeypatch.setattr(module, "read_log", lambda path: hostile)
+    monkeypatch.setattr("recast.pipeline.actor._TURNTABLE_VIEWS", 2)
+    config = resolve_config(
+        TRACK, ["advancing-a"], None, None,
+        {"generator": "faults.parts:Box", "steps": 10, "threads": 1},
+        {"iterations": 4, "scale": 0.25, "threads": 1},
+    )  # fmt: skip
+    out = tmp_path / "deep" / "run"
+    with (tmp_path / "shown").open("w", encoding="utf-8") as shown:
+        page = run(tiny_log_folder, out, config, Console(file=shown, width=120))
+
+    inside = {path for path in tmp_path.rglob("*") if path.is_file()}
+    assert all(out in path.parents or path.name == "shown" for path in inside)
+    assert "\x1b" not in (tmp_path / "shown").read_text()
+
+    for method in ("native", "replaced"):
+        found = films(rollout_folder(out, "advancing-a", method))
+        assert tuple(found) == HOSTILE
+        for film in found.values():
+            assert len(read_video(film)[0]) == 10
+
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert {one["track_id"] for one in metrics["rollouts"]} == {TRACK}
+    text = page.read_text(encoding="utf-8")
+    parsed = Page()
+    parsed.feed(text)
+    assert parsed.scripts == 1, "the page's own"
+    for source in parsed.sources:
+        assert source.startswith("#") or (page.parent / source).resolve().is_relative_to(
+            page.parent
+        )

@@ -1,0 +1,75 @@
+"""Two commands in one folder: the second is told that the first is at work, and changes nothing."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from recast import storage
+from recast.cli.main import main
+from recast.errors import InputError
+from recast.pipeline.bench import resolve_bench
+from recast.pipeline.bench.settings import begin
+from recast.pipeline.fingerprint import folder_hash
+from recast.pipeline.options import resolve_config
+from recast.pipeline.run_folder import RunFolder
+
+
+def names(folder: Path) -> dict[str, int]:
+    return {str(path): path.stat().st_mtime_ns for path in folder.rglob("*")}
+
+
+def refused(capsys: pytest.CaptureFixture[str], out: Path, *command: str) -> None:
+    before = names(out)
+    with storage.alone_in(out):
+        assert main([*command, "--out", str(out)]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert "another process is at work here" in line
+    assert names(out) == before
+
+
+def test_a_run(tiny_log_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = resolve_config("0", ["advancing-a"], None, None, {}, {})
+    log = str(tiny_log_folder)
+    RunFolder.create_or_resume(tmp_path, config.resolved(), log, folder_hash(log))
+    refused(capsys, tmp_path, "run", log, "--track", "0", "--motion", "advancing-a")
+
+
+def test_a_grid(tiny_log_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [f"{tiny_log_folder}:0"]
+    settings = resolve_bench(
+        words=words, track=None, motions=["advancing-a"], quick=False, config_file=None,
+        scene_config_file=None, samples=100, drive_options={}, run_options={"films": False},
+        scene_options={},
+    )  # fmt: skip
+    begin(tmp_path, settings)
+    command = ["bench", "closed-loop", "--scenes", *words, "--motions", "advancing-a"]
+    refused(capsys, tmp_path, *command, "--samples", "100")
+
+
+def test_a_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    refused(capsys, tmp_path, "demo", "--quick")
+
+
+def test_what_a_killed_command_held_is_free(tmp_path: Path) -> None:
+    with pytest.raises(InputError), storage.alone_in(tmp_path), storage.alone_in(tmp_path):
+        pass
+    with storage.alone_in(tmp_path):
+        pass
+
+
+@pytest.mark.parametrize("module", ["embreex.rtcore_scene", "embreex.mesh_construction"])
+def test_a_demo_without_the_ray_tracer_asks_for_it_before_anything_begins(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    module: str,
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    assert main(["demo", "--quick", "--out", str(tmp_path / "demo")]) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert "embreex" in shown.err and "pip install" in shown.err
+    assert not (tmp_path / "demo").exists()
