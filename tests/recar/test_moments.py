@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recast import storage
+from recast.errors import InputError
 from recast.recar import read_set
 from recast.recar.ingest import ingest_photographs
 from recast.recar.screening import Screening
@@ -146,6 +148,21 @@ def test_a_disk_without_room_is_one_line_and_the_same_call_goes_on(
     runs[name](out)
     runs[name](tmp_path / "out")
     assert untimed(out) == untimed(tmp_path / "out")
+
+
+@pytest.mark.parametrize("name", ["ingest", "pack", "targets", "training", "stage"])
+def test_a_second_process_is_told_that_the_first_is_at_work(
+    runs: dict[str, Run], tmp_path: Path, name: str
+) -> None:
+    out = tmp_path / "out"
+    assert killed_before(6, lambda: runs[name](out), out)  # it has hardly begun
+    busy = out / "training" / "structure" if name == "stage" else out
+    busy.mkdir(parents=True, exist_ok=True)
+    before = tree(out)
+    with storage.alone_in(busy), pytest.raises(InputError, match="another process is at work"):
+        runs[name](out)
+    assert {n: d for n, d in tree(out).items() if n in before} == before
+    runs[name](out)
 
 
 def test_a_decision_is_whole_or_not_there(tmp_path: Path) -> None:

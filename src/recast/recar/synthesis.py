@@ -14,6 +14,7 @@ from recast.recar.record import SetRecord
 from recast.recar.synthesis_plan import PlannedIdentity, SynthesisSettings, plan_identities
 from recast.recar.vehicle_set import VehicleSet, read_set
 from recast.recar.writer import begin_set, check_begin, finish_set, write_identity
+from recast.storage import alone_in
 from recast.synthetic.child_process import end_with_parent, worker_faults
 
 Progress = Callable[[int, int], None]
@@ -65,12 +66,13 @@ def synthesize_set(
     finished = begin_set(out, record, ids)
     left = [planned for planned in plan if planned.id not in finished]
     counter = _Counter(progress, len(plan) * record.views, len(finished) * record.views)
-    if workers == 1 or len(left) < 2:
-        for planned in left:
-            _make(out, record, settings, planned, counter.advance)
-    else:
-        _make_in_processes(out, record, settings, left, min(workers, len(left)), counter)
-    finish_set(out, record)
+    with alone_in(out):
+        if workers == 1 or len(left) < 2:
+            for planned in left:
+                _make(out, record, settings, planned, counter.advance)
+        else:
+            _make_in_processes(out, record, settings, left, min(workers, len(left)), counter)
+        finish_set(out, record)
     return read_set(out)
 
 

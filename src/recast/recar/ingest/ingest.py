@@ -85,14 +85,15 @@ def ingest_photographs(
     names = [one.row.id for one in candidates]
     check_begin(out, record, [*names, *work.skipped])
     begin_set(out, record, [*names, *work.skipped])
-    left = work.already_there(candidates, record)
-    counts = [len(names) * settings.views - len(left) * settings.views, len(names) * settings.views]
-    for candidate, found in prepare_all(left, settings, remover, workers):
-        work.take(candidate, found, record)
-        counts[0] += settings.views
-        if progress is not None:
-            progress(counts[0], counts[1])
-    write_report(out, work.skipped, work.doubts)
+    with storage.alone_in(out):
+        left = work.already_there(candidates, record)
+        done, total_pictures = len(names) - len(left), len(names) * settings.views
+        for candidate, found in prepare_all(left, settings, remover, workers):
+            work.take(candidate, found, record)
+            done += 1
+            if progress is not None:
+                progress(done * settings.views, total_pictures)
+        write_report(out, work.skipped, work.doubts)
     if work.skipped and not skip_bad:
         raise work.refusal(total, f"; the other {len(work.doubts)} are in {out}")
     if not work.doubts:

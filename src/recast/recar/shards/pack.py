@@ -66,12 +66,13 @@ def pack_set(
     _write_index(out, index)
     shards: list[ShardRecord] = []
     done = 0
-    for planned in plan:
-        shards.append(_write_shard(out, planned, vehicle_set.record))
-        done += len(planned.members) * vehicle_set.record.views
-        if progress is not None:
-            progress(done, pictures)
-    _remove_strangers(out, {shard.file for shard in shards})
+    with storage.alone_in(out):
+        for planned in plan:
+            shards.append(_write_shard(out, planned, vehicle_set.record))
+            done += len(planned.members) * vehicle_set.record.views
+            if progress is not None:
+                progress(done, pictures)
+        _remove_strangers(out, {shard.file for shard in shards})
     index = index.model_copy(
         update={
             "complete": True,

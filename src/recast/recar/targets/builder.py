@@ -77,10 +77,11 @@ def build_targets(
         if ray is None and len(left) == 1:
             crew = alone
         plan = (model, settings) if ray is None else absolute(model, settings)
-        for _, outcome in crew(start_maker, plan, lambda: next(jobs, None), "finished targets"):
-            cache.write_target(outcome.record, outcome.target, outcome.preview)
-            done += 1
-            _tell(progress, done, len(wanted))
+        with storage.alone_in(out):
+            for _, outcome in crew(start_maker, plan, lambda: next(jobs, None), "finished targets"):
+                cache.write_target(outcome.record, outcome.target, outcome.preview)
+                done += 1
+                _tell(progress, done, len(wanted))
     failures = sum(one.failure is not None for one in cache.records.values())
     changes = {"complete": True, "identities": len(cache.records), "failures": failures}
     _write_record(cache, record.model_copy(update=changes))

@@ -12,9 +12,9 @@ from recast.errors import InputError
 from recast.recar.training.log import LOG_FILE, Means, TrainingLog
 from recast.recar.training.processes import Processes
 from recast.recar.training.settings import TrainerSettings
-from recast.recar.training.state import TrainingState
+from recast.recar.training.state import TrainingState, steps_done
 from recast.recar.training.task import StepRandom, TrainingTask
-from recast.storage import disk_errors
+from recast.storage import alone_in, disk_errors
 
 Watch = Callable[[int, dict[str, float]], None]
 Probe = Callable[[], Mapping[str, float]]
@@ -51,11 +51,29 @@ def train(
             called in the first one only.
 
     Raises:
-        InputError: the folder holds another training, or the loss stays not finite.
+        InputError: the folder holds another training, another process trains there, or the loss
+            stays not finite.
     """
     processes = processes or Processes()
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
+    if not processes.first:
+        return _train(task, settings, folder, watch, probe, after_step, processes)
+    # A process that has finished may still be on its way out.
+    with alone_in(folder, wait=steps_done(folder) == settings.steps):
+        return _train(task, settings, folder, watch, probe, after_step, processes)
+
+
+def _train(
+    task: TrainingTask,
+    settings: TrainerSettings,
+    folder: Path,
+    watch: Watch | None,
+    probe: Probe | None,
+    after_step: AfterStep | None,
+    processes: Processes,
+) -> TrainingState:
+    """`train` in a folder that no other training uses."""
     for module in task.modules.values():
         module.train()
     state = TrainingState.begin(task.modules, settings)
