@@ -1,18 +1,9 @@
-"""Reading an NCore V4 store back, images and sweeps on demand.
-
-The files are foreign: `ncore_check` says which may be opened, and what NCore and the libraries
-below it raise for the rest becomes one line here.
-"""
+"""Reading sensors, poses and boxes back from an NCore V4 store, images and sweeps on demand."""
 
 from __future__ import annotations
 
-import functools
-import os
-from collections.abc import Hashable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import numpy as np
 from ncore.data.v4 import (
@@ -21,16 +12,14 @@ from ncore.data.v4 import (
     LidarSensorComponent,
     MasksComponent,
     PosesComponent,
-    SequenceComponentGroupsReader,
 )
 from scipy.spatial.transform import Rotation
 
-from recast import names, storage
-from recast.errors import InputError
+from recast import names
 from recast.geometry import PinholeCamera, se3
 from recast.logs import image_bytes, motion
-from recast.logs.ncore_check import check_store
-from recast.logs.ncore_write import COMPONENT, MASK, REFERENCE, SEQUENCE_FILE
+from recast.logs.ncore_folder import NcoreFolder, readable
+from recast.logs.ncore_write import COMPONENT, MASK, REFERENCE
 from recast.logs.types import (
     Array,
     CameraStream,
@@ -42,93 +31,6 @@ from recast.logs.types import (
     Track,
     Trajectory,
 )
-
-Reader = TypeVar("Reader")
-MEND = "import the drive again"
-
-
-@contextmanager
-def _readable(path: Path, field: str) -> Iterator[None]:
-    """Whatever goes wrong with a store's contents inside of the block is one clear line."""
-    try:
-        yield
-    except InputError:
-        raise
-    except (
-        Exception
-    ) as error:  # zarr, cbor, lzma, Blosc, numpy and NCore each raise their own kinds
-        reason = str(error) or type(error).__name__
-        raise InputError(path, field, f"cannot be read ({reason})", MEND) from error
-
-
-@dataclass(frozen=True)
-class NcoreFolder:
-    """An NCore V4 store in a folder; cheap to copy into another process.
-
-    Attributes:
-        folder: holds ncore.json and the stores it lists.
-    """
-
-    folder: Path
-
-    @property
-    def listing(self) -> Path:
-        """The file that names the stores."""
-        return self.folder / SEQUENCE_FILE
-
-    def check(self) -> None:
-        """Open every store.
-
-        Raises:
-            InputError: ncore.json or a store it lists is missing or broken.
-        """
-        self._open()
-
-    def has(self, kind: type[Any], name: str) -> bool:
-        """Whether there is a component of this kind and instance name."""
-        return name in _open_components(self._open(), cast(Hashable, kind))
-
-    def component(self, kind: type[Reader], name: str) -> Reader:
-        """The component reader of this kind and instance name.
-
-        Raises:
-            InputError: there is none.
-        """
-        field = f"{kind.__qualname__.split('.')[0]} {name!r}"
-        with _readable(self.listing, field):
-            components = _open_components(self._open(), cast(Hashable, kind))
-        if name not in components:
-            raise InputError(self.listing, field, "is missing from the stores", MEND)
-        return cast(Reader, components[name])
-
-    def _open(self) -> SequenceComponentGroupsReader:
-        with storage.disk_errors(self.listing):
-            status = self.listing.stat()
-        # Open files cannot be shared with a forked process, nor with a folder written anew.
-        return _open(self.folder, os.getpid(), status.st_ino, status.st_mtime_ns)
-
-
-@functools.lru_cache(maxsize=4)
-def _open(folder: Path, pid: int, inode: int, changed: int) -> SequenceComponentGroupsReader:
-    listing = folder / SEQUENCE_FILE
-    field = "component_stores"
-    with _readable(listing, field):
-        listed = [store["path"] for store in storage.read_json(listing)[field]]
-    if not listed or not all(isinstance(name, str) for name in listed):
-        raise InputError(listing, field, "names no files", MEND)
-    if len(set(listed)) != len(listed):
-        raise InputError(listing, field, "names a store twice", MEND)
-    paths = [names.member(folder, name, listing, field) for name in listed]
-    for path in paths:
-        with _readable(path, "NCore store"):
-            check_store(path)
-    with _readable(listing, "NCore stores"):
-        return SequenceComponentGroupsReader(paths, max_threads=1)
-
-
-@functools.lru_cache(maxsize=64)
-def _open_components(reader: SequenceComponentGroupsReader, kind: Hashable) -> dict[str, Any]:
-    return dict(reader.open_component_readers(cast(Any, kind)))
 
 
 @dataclass(frozen=True)
@@ -166,7 +68,7 @@ class StoredImages:
             InputError: they cannot be read.
         """
         reader = self.store.component(CameraSensorComponent.Reader, names.folder_name(self.camera))
-        with _readable(self.store.folder, f"camera {self.camera}, frame {index}"):
+        with readable(self.store.folder, f"camera {self.camera}, frame {index}"):
             frame = reader.get_frame_data(self.frame_ids[index])
             return bytes(frame.get_encoded_image_data()), str(frame.get_encoded_image_format())
 
@@ -192,7 +94,7 @@ class StoredSweeps:
             InputError: it is damaged.
         """
         reader = self.store.component(LidarSensorComponent.Reader, names.folder_name(self.lidar))
-        with _readable(self.store.folder, f"LiDAR {self.lidar}, sweep {index}"):
+        with readable(self.store.folder, f"LiDAR {self.lidar}, sweep {index}"):
             sweep = self._decode(reader, self.frame_ids[index])
             sweep.validate("sweep")
         return sweep
@@ -218,7 +120,7 @@ def read_trajectory(store: NcoreFolder) -> Trajectory:
         InputError: there is none.
     """
     reader = store.component(PosesComponent.Reader, COMPONENT)
-    with _readable(store.folder, "ego trajectory"):
+    with readable(store.folder, "ego trajectory"):
         poses, times = reader.get_dynamic_pose("rig", "world")
         return Trajectory(times.astype(np.int64), poses.astype(np.float64))
 
@@ -235,7 +137,7 @@ def read_camera(store: NcoreFolder, name: str, camera: PinholeCamera) -> CameraS
     times: Int64Array = np.zeros(0, np.int64)
     frames: tuple[int, ...] = ()
     stored = names.folder_name(name)
-    with _readable(store.folder, f"camera {name!r}"):
+    with readable(store.folder, f"camera {name!r}"):
         if store.has(CameraSensorComponent.Reader, stored):
             reader = store.component(CameraSensorComponent.Reader, stored)
             times = reader.frames_timestamps_us.reshape(-1, 2)[:, 1].astype(np.int64)
@@ -275,7 +177,7 @@ def read_lidar(store: NcoreFolder, name: str, world_from_rig: Trajectory) -> Lid
     """
     stored = names.folder_name(name)
     reader = store.component(LidarSensorComponent.Reader, stored)
-    with _readable(store.folder, f"LiDAR {name!r}"):
+    with readable(store.folder, f"LiDAR {name!r}"):
         frames = tuple(reader.frames_timestamps_us.reshape(-1, 2)[:, 1].astype(np.int64).tolist())
         times = np.array([_reference_time(reader, frame) for frame in frames], np.int64)
         mount = _mount(store, stored)
@@ -297,7 +199,7 @@ def read_tracks(store: NcoreFolder) -> dict[str, Track]:
     # NCore's own get_observations checks types box by box: a millisecond each, and a city log has
     # 12,000. The stored records are the same.
     rows: dict[str, list[Any]] = {}
-    with _readable(store.folder, "tracks"):
+    with readable(store.folder, "tracks"):
         for box in cuboids._group["cuboids"].attrs["cuboid_track_observations"]:
             rows.setdefault(box["track_id"], []).append(box)
         return {track_id: _track(track_id, boxes) for track_id, boxes in rows.items()}

@@ -15,6 +15,7 @@ from recast.logs import ncore_read
 from recast.logs.checks import refused
 from recast.logs.log_json import CameraRecord, LogRecord, read_record, write_record
 from recast.logs.map_json import read_map, write_map
+from recast.logs.ncore_folder import NcoreFolder
 from recast.logs.ncore_write import write_ncore
 from recast.logs.types import DrivingLog
 
@@ -85,7 +86,7 @@ def read_log(path: str | Path) -> DrivingLog:
     if not (folder / LOG_FILE).is_file():
         raise InputError(path, LOG_FILE, "is missing", "name a folder that recast log import wrote")
     record = read_record(folder / LOG_FILE)
-    store = ncore_read.NcoreFolder(folder)
+    store = NcoreFolder(folder)
     store.check()
     world_from_rig = ncore_read.read_trajectory(store)
     cameras = {}

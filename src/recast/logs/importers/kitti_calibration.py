@@ -100,7 +100,7 @@ def _camera(values: dict[str, str], path: Path, number: str) -> tuple[PinholeCam
         camera.validate()
         if np.any(K[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] != [0, 0, 0, 0, 1]):
             raise ValueError(f"{field}: is not the projection of a rectified camera")
-        translation: Array = np.linalg.solve(K, projection[:, 3])
+        translation = np.asarray(np.linalg.solve(K, projection[:, 3]), np.float64)
         check_reach(field, translation, SENSOR_REACH)
     return camera, translation
 
