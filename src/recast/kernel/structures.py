@@ -11,7 +11,7 @@ class View(ctypes.Structure):
     _fields_ = [
         ("count", ctypes.c_int64),
         *((name, ctypes.c_int32) for name in ("sh_bases", "width", "height")),
-        *((name, ctypes.c_int32) for name in ("antialiased", "training", "spare")),
+        *((name, ctypes.c_int32) for name in ("antialiased", "training", "most_at_once")),
         *((name, ctypes.c_float) for name in ("near", "far", "eps2d", "max_alpha")),
         *((name, ctypes.c_float) for name in ("fx", "fy", "cx", "cy")),
         ("rotation", ctypes.c_float * 9),

@@ -15,6 +15,10 @@ ALPHA_THRESHOLD = 1.0 / 255.0
 """A Gaussian that covers a pixel by less than this does not touch it."""
 TRANSMITTANCE_THRESHOLD = 1e-4
 """A pixel is finished before the Gaussian that would bring its transmittance to this or below."""
+LARGEST_DETERMINANT = 1e30
+"""A Gaussian whose covariance in the image has this determinant or more, px^4, is not drawn."""
+LARGEST_PIXELS = 1e30
+"""Focal lengths and centres in pixels are less: they must be numbers of float32."""
 TILE = 16
 """Edge of a tile, pixels."""
 TANGENT_MARGIN = 0.3
@@ -109,7 +113,8 @@ def check_settings(
     if tuple(K.shape) != (3, 3):
         raise ValueError(f"rasterize: K: shape {tuple(K.shape)}, expected (3, 3)")
     (fx, skew, cx), (_, fy, cy) = K.detach().double().cpu()[:2].tolist()
-    if not all(math.isfinite(v) for v in (fx, fy, cx, cy)) or fx <= 0 or fy <= 0:
+    fine = all(abs(v) < LARGEST_PIXELS for v in (fx, fy, cx, cy))  # not so NaN
+    if not fine or min(fx, fy) < 1 / LARGEST_PIXELS:
         raise ValueError(
             f"rasterize: K: focal lengths {fx}, {fy}, centre {cx}, {cy} make no camera"
         )

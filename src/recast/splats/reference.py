@@ -17,6 +17,7 @@ from recast.splats import sh as harmonics
 from recast.splats.gaussians import Gaussians
 from recast.splats.rasterization import (
     ALPHA_THRESHOLD,
+    LARGEST_DETERMINANT,
     TANGENT_MARGIN,
     TILE,
     TRANSMITTANCE_THRESHOLD,
@@ -86,11 +87,43 @@ def rasterize_reference(
 
 def project(gaussians: Gaussians, camera_from_world: Tensor, settings: RasterSettings) -> Splats:
     """Project, colour, cull and sort by depth."""
-    rotation, translation = camera_from_world[:3, :3], camera_from_world[:3, 3]
-    all_depths = gaussians.means @ rotation[2] + translation[2]
-    ids = ((all_depths >= settings.near) & (all_depths <= settings.far)).nonzero()[:, 0]
+    with torch.no_grad():
+        ids = _visible(gaussians, camera_from_world, settings)
+    # What is not drawn takes no part in the graph: some of it has derivatives that are not finite.
     g = gaussians.select(ids)
+    image = _project(g, camera_from_world, settings)
+    covariance = image.covariance
+    conics = (
+        torch.stack([covariance[:, 1, 1], -covariance[:, 0, 1], covariance[:, 0, 0]], dim=-1)
+        / image.determinant[:, None]
+    )
+    # -R^T t is the camera centre of a rigid pose; its derivative is taken in this form.
+    rotation, translation = camera_from_world[:3, :3], camera_from_world[:3, 3]
+    directions = torch.nn.functional.normalize(g.means + translation @ rotation, dim=-1)
+    colours = (harmonics.evaluate(g.sh, directions) + 0.5).clamp(min=0)
+    return Splats(
+        ids=ids,
+        means2d=image.means2d,
+        conics=conics,
+        opacities=image.opacities,
+        channels=torch.cat([colours, image.depths[:, None]], dim=1),
+        extents=_extents(image).detach(),
+    )
 
+
+@dataclass(frozen=True)
+class _Image:
+    """Projected Gaussians (M): centres (M, 2) px, depths, covariances (M, 2, 2) px^2, opacities."""
+
+    means2d: Tensor
+    depths: Tensor
+    covariance: Tensor
+    determinant: Tensor
+    opacities: Tensor
+
+
+def _project(g: Gaussians, camera_from_world: Tensor, settings: RasterSettings) -> _Image:
+    rotation, translation = camera_from_world[:3, :3], camera_from_world[:3, 3]
     centres = g.means @ rotation.T + translation
     x, y, z = centres.unbind(-1)
     means2d = torch.stack(
@@ -104,36 +137,35 @@ def project(gaussians: Gaussians, camera_from_world: Tensor, settings: RasterSet
     opacities = g.logit_opacities.sigmoid()
     if settings.antialiased:
         # The low-pass filter widens a Gaussian; its opacity is lowered to keep the integral.
-        ratio = torch.linalg.det(exact) / determinant
+        ratio = _determinant(exact) / determinant
         opacities = opacities * ratio.clamp(min=1e-12).sqrt()
+    return _Image(means2d, z, covariance, determinant, opacities)
 
+
+def _determinant(matrix: Tensor) -> Tensor:
+    # Unlike that of torch.linalg.det, its derivative is finite where the matrix is singular.
+    return matrix[:, 0, 0] * matrix[:, 1, 1] - matrix[:, 0, 1] * matrix[:, 1, 0]
+
+
+def _extents(image: _Image) -> Tensor:
     # alpha = o exp(-q / 2) >= 1/255 inside an ellipse q <= 2 ln(255 o), boxed by its half widths.
-    with torch.no_grad():
-        reach = 2 * (opacities / ALPHA_THRESHOLD).clamp(min=1).log()
-        extents = (reach[:, None] * torch.diagonal(covariance, dim1=1, dim2=2)).sqrt()
-        low, high = means2d - extents, means2d + extents
-        size = torch.tensor([settings.width, settings.height], dtype=low.dtype)
-        # Pixel centres are at 0.5 .. size - 0.5.
-        inside = ((high > 0.5) & (low < size - 0.5)).all(dim=1)
-        kept = (inside & (opacities >= ALPHA_THRESHOLD) & (determinant > 0)).nonzero()[:, 0]
-        kept = kept[z[kept].argsort(stable=True)]
+    reach = 2 * (image.opacities / ALPHA_THRESHOLD).clamp(min=1).log()
+    return (reach[:, None] * torch.diagonal(image.covariance, dim1=1, dim2=2)).sqrt()
 
-    covariance, determinant = covariance[kept], determinant[kept]
-    conics = (
-        torch.stack([covariance[:, 1, 1], -covariance[:, 0, 1], covariance[:, 0, 0]], dim=-1)
-        / determinant[:, None]
-    )
-    # -R^T t is the camera centre of a rigid pose; its derivative is taken in this form.
-    directions = torch.nn.functional.normalize(g.means[kept] + translation @ rotation, dim=-1)
-    colours = (harmonics.evaluate(g.sh[kept], directions) + 0.5).clamp(min=0)
-    return Splats(
-        ids=ids[kept],
-        means2d=means2d[kept],
-        conics=conics,
-        opacities=opacities[kept],
-        channels=torch.cat([colours, z[kept, None]], dim=1),
-        extents=extents[kept],
-    )
+
+def _visible(gaussians: Gaussians, camera_from_world: Tensor, settings: RasterSettings) -> Tensor:
+    """Rows that touch the image, nearest first."""
+    depths = gaussians.means @ camera_from_world[2, :3] + camera_from_world[2, 3]
+    ids = ((depths >= settings.near) & (depths <= settings.far)).nonzero()[:, 0]
+    image = _project(gaussians.select(ids), camera_from_world, settings)
+    extents = _extents(image)
+    low, high = image.means2d - extents, image.means2d + extents
+    size = torch.tensor([settings.width, settings.height], dtype=low.dtype)
+    # Pixel centres are at 0.5 .. size - 0.5.
+    inside = ((high > 0.5) & (low < size - 0.5)).all(dim=1)
+    sized = (image.determinant > 0) & (image.determinant < LARGEST_DETERMINANT)
+    kept = (inside & sized & (image.opacities >= ALPHA_THRESHOLD)).nonzero()[:, 0]
+    return ids[kept[image.depths[kept].argsort(stable=True)]]
 
 
 def _jacobian(centres: Tensor, settings: RasterSettings) -> Tensor:

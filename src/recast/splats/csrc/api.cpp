@@ -88,7 +88,7 @@ RECAST_EXPORT void recast_destroy(Context* c) { delete c; }
 // What crosses the border: laid out like the ctypes structures in kernel/structures.py.
 struct RecastView {
   int64_t count;
-  int32_t sh_bases, width, height, antialiased, training, spare;
+  int32_t sh_bases, width, height, antialiased, training, most_at_once;
   float near_plane, far_plane, eps2d, max_alpha;
   float fx, fy, cx, cy;
   float rotation[9], translation[3], background[3], pad;
@@ -137,6 +137,7 @@ RECAST_EXPORT int recast_forward(Context* c, const RecastView* v, int64_t* fault
   f.visible = v->visible;
   f.radii = v->radii;
   f.means2d = v->means2d;
+  if (v->most_at_once > 0) c->most_at_once = uint64_t(v->most_at_once);
   try {
     return c->forward(recast::kernels(), f, fault_row);
   } catch (const std::bad_alloc&) {

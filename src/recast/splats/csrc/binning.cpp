@@ -7,6 +7,23 @@
 namespace recast {
 namespace {
 
+// The part of a footprint in the rows of tiles [first, end); an empty mask where there is none.
+inline Footprint clipped(Footprint print, int first, int end) {
+  const int w = int(print >> 28 & 0xFFF) + 1, h = int(print >> 16 & 0xFFF) + 1;
+  const int y = int(print >> 40 & 0xFFF);
+  const int low = y > first ? y : first, high = y + h < end ? y + h : end;
+  if (low == y && high == y + h) return print;
+  if (low >= high) return 0;
+  const bool large = w > 4 || h > 4;
+  const uint32_t rows = uint32_t(high - low);
+  // A rectangle of more than 4x4 tiles has no mask: where it becomes small, it gets a full one.
+  const uint32_t full = ((2u << (w - 1)) - 1u) * 0x1111u;
+  uint32_t mask = large ? (w > 4 ? 0u : full) : uint32_t(print & 0xFFFF) >> (4 * (low - y));
+  if (rows < 4) mask &= (1u << (4 * rows)) - 1u;
+  const Footprint kept = print >> 52 << 52 | (print >> 28 & 0xFFF) << 28;
+  return kept | Footprint(low) << 40 | Footprint(rows - 1) << 16 | (mask & 0xFFFF);
+}
+
 template <typename Visit>
 inline void for_each_tile(Footprint print, int tiles_x, Visit visit) {
   const int w = int(print >> 28 & 0xFFF) + 1, h = int(print >> 16 & 0xFFF) + 1;
@@ -69,36 +86,94 @@ void sort_bucket(uint64_t* pairs, uint64_t* spare, uint32_t n, int bits) {
 }  // namespace
 
 uint64_t Binning::compact(Frame& f, int64_t chunks) {
-  int64_t* offsets = chunk_offsets_.reserve(2 * (chunks + 1));
+  int64_t* offsets = chunk_offsets_.reserve(chunks + 1);
   int64_t visible = 0;
   uint64_t total = 0;
   key_min_ = ~0u;
   key_max_ = 0;
   for (int64_t c = 0; c < chunks; ++c) {
-    offsets[2 * c] = visible;
-    offsets[2 * c + 1] = int64_t(total);
+    offsets[c] = visible;
     visible += f.chunks[c].visible;
     total += f.chunks[c].intersections;
     if (f.chunks[c].key_min < key_min_) key_min_ = f.chunks[c].key_min;
     if (f.chunks[c].key_max > key_max_) key_max_ = f.chunks[c].key_max;
   }
   visible_ = visible;
-  if (total >= 0xFFFFFFFFull) return total;
   uint64_t* pairs = pairs_[0].reserve(visible + 1);
   pairs_[1].reserve(visible + 1);
   const uint32_t low = key_min_;
   parallel_for(chunks, [&f, offsets, pairs, low](int64_t c) {
     const uint32_t* ids = f.chunk_ids + c * kChunk;
     const uint32_t* keys = f.chunk_keys + c * kChunk;
-    uint64_t* out = pairs + offsets[2 * c];
-    uint32_t slot = uint32_t(offsets[2 * c + 1]);
-    for (uint32_t i = 0; i < f.chunks[c].visible; ++i) {
+    uint64_t* out = pairs + offsets[c];
+    for (uint32_t i = 0; i < f.chunks[c].visible; ++i)
       out[i] = uint64_t(keys[i] - low) << 32 | ids[i];
-      f.slots[ids[i]] = slot;
-      slot += tiles_of(f.footprints[ids[i]]);
-    }
   });
   return total;
+}
+
+std::vector<Band> Binning::bands(const Frame& f, int64_t chunks, uint64_t total, uint64_t most) {
+  if (total <= most) return {{0, f.tiles_y, total}};
+  std::vector<uint64_t> rows(size_t(f.tiles_y), 0);
+  for (int64_t c = 0; c < chunks; ++c)
+    for (uint32_t i = 0; i < f.chunks[c].visible; ++i) {
+      const Footprint print = f.footprints[f.chunk_ids[c * kChunk + i]];
+      const int y = int(print >> 40 & 0xFFF), h = int(print >> 16 & 0xFFF) + 1;
+      for (int j = y; j < y + h; ++j) rows[size_t(j)] += tiles_of(clipped(print, j, j + 1));
+    }
+  std::vector<Band> found;
+  for (int y = 0; y < f.tiles_y; ++y) {
+    const uint64_t here = rows[size_t(y)];
+    if (found.empty() || found.back().intersections + here > most)
+      found.push_back({y, y + 1, here});
+    else
+      found.back() = {found.back().first, y + 1, found.back().intersections + here};
+  }
+  return found;
+}
+
+void Binning::number(Frame& f, int64_t chunks, const Band& band) {
+  uint32_t* counts = chunk_counts_.reserve(chunks + 1);
+  const bool whole = band.first == 0 && band.end == f.tiles_y;
+  parallel_for(chunks, [=, &f](int64_t c) {
+    uint32_t count = uint32_t(f.chunks[c].intersections);
+    if (whole) {
+      counts[c] = count;
+      return;
+    }
+    count = 0;
+    for (uint32_t i = 0; i < f.chunks[c].visible; ++i)
+      count += tiles_of(clipped(f.footprints[f.chunk_ids[c * kChunk + i]], band.first, band.end));
+    counts[c] = count;
+  });
+  uint32_t total = 0;
+  for (int64_t c = 0; c < chunks; ++c) {
+    const uint32_t count = counts[c];
+    counts[c] = total;
+    total += count;
+  }
+  parallel_for(chunks, [=, &f](int64_t c) {
+    uint32_t slot = counts[c];
+    for (uint32_t i = 0; i < f.chunks[c].visible; ++i) {
+      const uint32_t id = f.chunk_ids[c * kChunk + i];
+      f.slots[id] = slot;
+      slot += tiles_of(clipped(f.footprints[id], band.first, band.end));
+    }
+  });
+}
+
+void Binning::fold(const Frame& f, int64_t chunks, const Band& band, const float* records,
+                   int sums, float* out) const {
+  parallel_for(chunks, [=, &f](int64_t c) {
+    for (uint32_t i = 0; i < f.chunks[c].visible; ++i) {
+      const uint32_t id = f.chunk_ids[c * kChunk + i], first = f.slots[id];
+      const uint32_t end = first + tiles_of(clipped(f.footprints[id], band.first, band.end));
+      float* row = out + int64_t(id) * sums;
+      for (uint32_t k = first; k < end; ++k)
+        if (f.record_used[k])
+          for (int j = 0; j < sums; ++j) row[j] += records[int64_t(k) * sums + j];
+    }
+  });
 }
 
 void Binning::sort() {
@@ -144,16 +219,18 @@ void Binning::sort() {
   sorted_ = spare;
 }
 
-void Binning::scatter(Frame& f) {
-  const int64_t n = visible_, tiles = int64_t(f.tiles_x) * f.tiles_y;
+void Binning::scatter(Frame& f, int64_t chunks, const Band& band) {
+  number(f, chunks, band);
+  const int64_t n = visible_;
+  const int64_t first = int64_t(f.tiles_x) * band.first, tiles = int64_t(f.tiles_x) * band.end - first;
   const int64_t parts = n < 16384 ? 1 : thread_count();
   const int tiles_x = f.tiles_x;
   Placed* placed = placed_.reserve(n + 1);
   uint32_t* counts = counts_.reserve(parts * tiles);
   const uint64_t* sorted = sorted_;
   parallel_for(parts, [=, &f](int64_t p) {
-    uint32_t* count = counts + p * tiles;
-    std::memset(count, 0, size_t(tiles) * sizeof(uint32_t));
+    std::memset(counts + p * tiles, 0, size_t(tiles) * sizeof(uint32_t));
+    uint32_t* count = counts + p * tiles - first;  // by tile of the image
     for (int64_t i = n * p / parts; i < n * (p + 1) / parts; ++i) {
       // Depth order jumps all over the memory.
       if (i + kAhead < n) {
@@ -161,23 +238,23 @@ void Binning::scatter(Frame& f) {
         __builtin_prefetch(f.slots + uint32_t(sorted[i + kAhead]));
       }
       const uint32_t id = uint32_t(sorted[i]);
-      const Footprint print = f.footprints[id];
+      const Footprint print = clipped(f.footprints[id], band.first, band.end);
       placed[i] = {print, id, f.slots[id]};
       for_each_tile(print, tiles_x, [count](int tile) { ++count[tile]; });
     }
   });
   uint32_t total = 0;
   for (int64_t t = 0; t < tiles; ++t) {
-    f.tile_begin[t] = total;
+    f.tile_begin[first + t] = total;
     for (int64_t p = 0; p < parts; ++p) {
       const uint32_t c = counts[p * tiles + t];
       counts[p * tiles + t] = total;
       total += c;
     }
   }
-  f.tile_begin[tiles] = total;
+  f.tile_begin[first + tiles] = total;
   parallel_for(parts, [=, &f](int64_t p) {
-    uint32_t* next = counts + p * tiles;
+    uint32_t* next = counts + p * tiles - first;
     Intersection* out = f.intersections;
     for (int64_t i = n * p / parts; i < n * (p + 1) / parts; ++i) {
       const Placed g = placed[i];
@@ -189,7 +266,7 @@ void Binning::scatter(Frame& f) {
 
 int64_t Binning::bytes() const {
   return pairs_[0].bytes() + pairs_[1].bytes() + counts_.bytes() + placed_.bytes() +
-         chunk_offsets_.bytes();
+         chunk_offsets_.bytes() + chunk_counts_.bytes();
 }
 
 }  // namespace recast

@@ -1,22 +1,37 @@
 // From visible Gaussians to a list of intersections a tile, nearest first.
 #pragma once
+#include <vector>
+
 #include "buffer.hpp"
 #include "frame.hpp"
 
 namespace recast {
 
+// Rows of tiles that are worked on together, because their lists fit into memory.
+struct Band {
+  int first, end;          // rows of tiles
+  uint64_t intersections;  // of them
+};
+
 class Binning {
  public:
-  // Compacts the chunks' visible Gaussians and assigns gradient records; returns the number of
-  // intersections.
+  // Compacts the chunks' visible Gaussians; returns the number of intersections.
   uint64_t compact(Frame& f, int64_t chunks);
   // Orders them by depth, those of equal depth by row.
   void sort();
-  // Scatters them to their tiles, keeping that order. Fills f.tile_begin and f.intersections.
-  void scatter(Frame& f);
+  // Cuts the image into bands of at most `most` intersections, or of one row of tiles.
+  std::vector<Band> bands(const Frame& f, int64_t chunks, uint64_t total, uint64_t most);
+  // Scatters them to the tiles of a band, keeping their order. Fills f.slots with the first gradient
+  // record in the band, f.tile_begin and f.intersections.
+  void scatter(Frame& f, int64_t chunks, const Band& band);
+  // Adds the band's gradient records of each Gaussian, `sums` floats each, to its row of `out`.
+  void fold(const Frame& f, int64_t chunks, const Band& band, const float* records, int sums,
+            float* out) const;
   int64_t bytes() const;
 
  private:
+  void number(Frame& f, int64_t chunks, const Band& band);
+
   int64_t visible_ = 0;
   uint32_t key_min_ = 0, key_max_ = 0;
   uint64_t* sorted_ = nullptr;  // key in the high half, row in the low half
@@ -28,6 +43,7 @@ class Binning {
   };
   Buffer<Placed> placed_;
   Buffer<int64_t> chunk_offsets_;
+  Buffer<uint32_t> chunk_counts_;
 };
 
 }  // namespace recast

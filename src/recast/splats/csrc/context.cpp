@@ -22,6 +22,18 @@ double cpu_milliseconds() {
 int64_t chunk_count(const Frame& f) { return (f.count + kChunk - 1) / kChunk; }
 int64_t tile_count(const Frame& f) { return int64_t(f.tiles_x) * f.tiles_y; }
 
+template <typename Visit>
+void for_tiles(const Frame& f, const Band& band, Visit visit) {
+  const int64_t first = int64_t(band.first) * f.tiles_x;
+  parallel_for(int64_t(band.end) * f.tiles_x - first, [&](int64_t t) { visit(first + t); });
+}
+
+float* zeros(Buffer<float>& buffer, int64_t count) {
+  float* out = buffer.reserve(count + 1);
+  std::memset(out, 0, size_t(count) * sizeof(float));
+  return out;
+}
+
 }  // namespace
 
 int Context::forward(const Kernels& kernels, Frame f, int64_t* fault_row) {
@@ -30,10 +42,14 @@ int Context::forward(const Kernels& kernels, Frame f, int64_t* fault_row) {
   f.tiles_y = (f.height + kTile - 1) / kTile;
   const int64_t tiles = tile_count(f);
   double start = cpu_milliseconds();
-  const auto lap = [&](Stage stage) {
+  const auto add = [&](Stage stage) {
     const double now = cpu_milliseconds();
-    milliseconds[stage] = now - start;
+    milliseconds[stage] += now - start;
     start = now;
+  };
+  const auto lap = [&](Stage stage) {
+    milliseconds[stage] = 0;
+    add(stage);
   };
 
   f.splats = splats_.reserve(n);
@@ -52,17 +68,23 @@ int Context::forward(const Kernels& kernels, Frame f, int64_t* fault_row) {
     }
   if (n) std::memcpy(given, f.visible, size_t(n));
   intersections = binning_.compact(f, chunks);
-  if (intersections >= 0xFFFFFFFFull) return -1;
   lap(kProject);
   binning_.sort();
   lap(kSort);
+  bands_ = binning_.bands(f, chunks, intersections, most_at_once);
+  uint64_t most = 0;
+  for (const Band& band : bands_) most = band.intersections > most ? band.intersections : most;
+  if (most >= 0xFFFFFFFFull) return -1;
   f.tile_begin = tile_begin_.reserve(tiles + 1);
-  f.intersections = intersections_.reserve(int64_t(intersections) + 1);
-  binning_.scatter(f);
-  lap(kBin);
+  f.intersections = intersections_.reserve(int64_t(most) + 1);
   if (f.training) f.tile_state = state_.reserve(tiles * 5 * kTilePixels);
-  parallel_for(tiles, [&](int64_t t) { kernels.raster(f, t); });
-  lap(kRaster);
+  milliseconds[kBin] = milliseconds[kRaster] = 0;
+  for (const Band& band : bands_) {
+    binning_.scatter(f, chunks, band);
+    add(kBin);
+    for_tiles(f, band, [&](int64_t t) { kernels.raster(f, t); });
+    add(kRaster);
+  }
   frame_ = f;
   return 0;
 }
@@ -86,13 +108,33 @@ void Context::backward(const Kernels& kernels, const Frame& g, float* pose_grad)
   f.means2d_absgrad = g.means2d_absgrad;
   const int64_t chunks = chunk_count(f);
   double start = cpu_milliseconds();
-  f.records = records_.reserve(int64_t(intersections) * kSums + 16);
+  const bool several = bands_.size() > 1;
+  float *sums = nullptr, *absolute_sums = nullptr;
+  if (several) {
+    sums = zeros(sums_, f.count * kSums);
+    if (f.means2d_absgrad) absolute_sums = zeros(absolute_sums_, f.count * kAbsoluteSums);
+  }
+  f.folded = 0;
   f.absolute_records = nullptr;
-  if (f.means2d_absgrad)
-    f.absolute_records = absolute_records_.reserve(int64_t(intersections) * kAbsoluteSums + 1);
-  f.record_used = used_.reserve(int64_t(intersections) + 1);
-  std::memset(f.record_used, 0, size_t(intersections));
-  parallel_for(tile_count(f), [&](int64_t t) { kernels.raster_backward(f, t); });
+  for (const Band& band : bands_) {
+    if (several) binning_.scatter(f, chunks, band);
+    const int64_t count = int64_t(band.intersections);
+    f.records = records_.reserve(count * kSums + 16);
+    if (f.means2d_absgrad)
+      f.absolute_records = absolute_records_.reserve(count * kAbsoluteSums + 1);
+    f.record_used = used_.reserve(count + 1);
+    std::memset(f.record_used, 0, size_t(count));
+    for_tiles(f, band, [&](int64_t t) { kernels.raster_backward(f, t); });
+    if (!several) continue;
+    binning_.fold(f, chunks, band, f.records, kSums, sums);
+    if (absolute_sums)
+      binning_.fold(f, chunks, band, f.absolute_records, kAbsoluteSums, absolute_sums);
+  }
+  if (several) {
+    f.folded = 1;
+    f.records = sums;
+    f.absolute_records = absolute_sums;
+  }
   double now = cpu_milliseconds();
   milliseconds[kRasterBackward] = now - start;
   start = now;
@@ -112,7 +154,7 @@ int64_t Context::bytes() const {
   return binning_.bytes() + splats_.bytes() + footprints_.bytes() + slots_.bytes() + ids_.bytes() +
          keys_.bytes() + tile_begin_.bytes() + chunks_.bytes() + intersections_.bytes() +
          visible_.bytes() + used_.bytes() + state_.bytes() + records_.bytes() +
-         absolute_records_.bytes() + pose_.bytes();
+         absolute_records_.bytes() + sums_.bytes() + absolute_sums_.bytes() + pose_.bytes();
 }
 
 }  // namespace recast

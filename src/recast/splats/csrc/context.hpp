@@ -19,17 +19,21 @@ class Context {
   int64_t bytes() const;
   double milliseconds[kStages] = {};
   uint64_t intersections = 0;
+  // Intersections that are listed together: what bounds the memory. An image with more is worked on
+  // in bands of tiles, each with lists and gradient records of its own.
+  uint64_t most_at_once = 1 << 24;
 
  private:
   Frame frame_ = {};
   Binning binning_;
+  std::vector<Band> bands_;
   Buffer<Splat> splats_;
   Buffer<Footprint> footprints_;
   Buffer<uint32_t> slots_, ids_, keys_, tile_begin_;
   Buffer<ChunkResult> chunks_;
   Buffer<Intersection> intersections_;
   Buffer<uint8_t> visible_, used_;
-  Buffer<float> state_, records_, absolute_records_;
+  Buffer<float> state_, records_, absolute_records_, sums_, absolute_sums_;
   Buffer<double> pose_;
 };
 

@@ -15,6 +15,10 @@ constexpr float kTransmittanceThreshold = 1e-4f;
 constexpr float kTangentMargin = 0.3f;
 constexpr float kSplatUnit = 0.849321800288019f;  // sqrt(log2(e) / 2): Gaussians as powers of two
 constexpr float kMinCompensation = 1e-12f;  // floor of det(exact) / det(blurred)
+// Determinant of a covariance in the image, px^4, from which on a Gaussian is not drawn: products of
+// a few of its entries would leave the range of float32.
+constexpr float kLargestDeterminant = 1e30f;
+constexpr float kLargestInput = 1e15f;  // of centres and logits
 
 // A projected Gaussian: one cache line.
 // log2 alpha at offset d from the centre is log2_opacity - (l1 dx + l2 dy)^2 - (l3 dy)^2: the
@@ -67,7 +71,7 @@ struct Frame {
   int32_t tiles_x, tiles_y;
   int32_t antialiased;
   int32_t training;
-  int32_t has_background;
+  int32_t folded;           // records are sums of all tiles, one a row
   float near_plane, far_plane, eps2d, max_alpha;
   float fx, fy, cx, cy;
   float rotation[9], translation[3];
@@ -95,7 +99,7 @@ struct Frame {
 
   // Backward.
   const float *rgb_grad, *depth_grad, *alpha_grad;  // may be null
-  float* records;           // kSums floats an intersection
+  float* records;           // kSums floats an intersection; where folded, a row
   float* absolute_records;  // kAbsoluteSums floats an intersection; null where not asked for
   uint8_t* record_used;
   float *means_grad, *quats_grad, *log_scales_grad, *logits_grad, *sh_grad, *means2d_grad;

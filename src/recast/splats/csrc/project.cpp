@@ -8,13 +8,13 @@ namespace recast {
 namespace RECAST_ISA {
 namespace {
 
-inline vm finite(vf x) { return vabs(x) < vf(3e38f); }
-
-inline vm all_finite(const vf* x, int n) {
-  vm m = finite(x[0]);
-  for (int i = 1; i < n; ++i) m = m & finite(x[i]);
+inline vm all_below(const vf* x, int n, float limit) {
+  vm m = vabs(x[0]) < vf(limit);
+  for (int i = 1; i < n; ++i) m = m & (vabs(x[i]) < vf(limit));
   return m;
 }
+
+inline vm all_finite(const vf* x, int n) { return all_below(x, n, 3e38f); }
 
 void note_fault(ChunkResult& result, vm good, uint32_t lanes, uint32_t row, uint32_t fault) {
   const uint32_t bad = ~bits(good) & lanes;
@@ -33,11 +33,11 @@ void project_group(const Frame& f, uint32_t first, int lanes, ChunkResult& resul
   const Parameters p = load_parameters(f, rows);
   const Projection o = project(f, p);
 
-  vm ok_mean = all_finite(p.mean, 3), ok_quat = all_finite(p.quat, 4);
+  vm ok_mean = all_below(p.mean, 3, kLargestInput), ok_quat = all_finite(p.quat, 4);
   vm ok_scale = all_finite(p.log_scale, 3);
   for (int i = 0; i < 3; ++i)  // larger ones would overflow the determinant
     ok_scale = ok_scale & (p.log_scale[i] < vf(14.0f)) & (p.log_scale[i] > vf(-60.0f));
-  vm ok_logit = finite(p.logit);
+  vm ok_logit = all_below(&p.logit, 1, kLargestInput);
   vm ok_norm = (o.norm2 > vf(1e-30f)) & (o.norm2 < vf(1e30f));
   if ((bits(ok_mean & ok_quat & ok_scale & ok_logit & ok_norm) & valid) != valid) {
     note_fault(result, ok_mean, valid, first, kFaultMeans);
@@ -56,6 +56,7 @@ void project_group(const Frame& f, uint32_t first, int lanes, ChunkResult& resul
   const vf size_x = float(f.width), size_y = float(f.height), half = 0.5f;
   const vm seen = (o.point[2] >= vf(f.near_plane)) & (o.point[2] <= vf(f.far_plane)) &
                   (o.opacity >= vf(kAlphaThreshold)) & (o.det > vf(0.0f)) &
+                  (o.det < vf(kLargestDeterminant)) &
                   (o.x + extent_x > half) & (o.x - extent_x < size_x - half) &
                   (o.y + extent_y > half) & (o.y - extent_y < size_y - half);
   const uint32_t visible = bits(seen) & valid;

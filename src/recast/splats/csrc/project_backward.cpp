@@ -13,6 +13,10 @@ enum Sum { kSumU, kSumV, kSumUU, kSumUV, kSumVV, kSumOpacity, kSumR, kSumG, kSum
 // Adds up `records` of the Gaussian's tiles, in the order of its slots.
 template <int Sums>
 void collect(const Frame& f, const float* records, uint32_t row, float* out) {
+  if (f.folded) {
+    for (int i = 0; i < Sums; ++i) out[i] = records[int64_t(row) * Sums + i];
+    return;
+  }
   for (int i = 0; i < Sums; ++i) out[i] = 0.0f;
   const Footprint print = f.footprints[row];
   const uint32_t w = (print >> 28 & 0xFFF) + 1, h = (print >> 16 & 0xFFF) + 1;
