@@ -8,7 +8,7 @@ from tests.splats.scenes import HEIGHT, WIDTH, K, camera, random_gaussians, rend
 
 from recast.splats import Gaussians, rasterize
 from recast.splats.native import autograd
-from recast.splats.native.workspace import Workspace
+from recast.splats.native.workspace import Workspace, free_memory
 from recast.splats.rasterization import RasterMeta, check_settings
 
 ROUNDING = 1e-5
@@ -52,13 +52,14 @@ def test_the_memory_of_lists_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None
     meta = RasterMeta(
         torch.empty(count, dtype=torch.bool), torch.empty(count), torch.empty(count, 2)
     )
+    free_memory()  # of larger views before
     workspace = Workspace()
     autograd.run_forward(workspace, tuple(filling), torch.eye(4), None, settings, meta, True)
     tiles = (width // 16) * (height // 16)
     assert workspace.intersections() == count * tiles
     states, rows = tiles * 5 * 256 * 4, count * 256
     assert workspace.nbytes() < 8 * most + 1.5 * (states + rows) + 2**20
-    assert 8 * count * tiles > 3 * workspace.nbytes(), "the whole lists would be larger"
+    assert 8 * count * tiles > 2 * workspace.nbytes(), "the whole lists would be larger"
 
 
 @pytest.mark.parametrize("backend", ["native", "reference"])
@@ -98,7 +99,7 @@ def test_gradients_are_finite_whatever_the_sizes(
 
 @pytest.mark.usefixtures("compiled")
 def test_both_leave_out_the_same_giants() -> None:
-    """Standard deviations from a hundred to 1e12 pixels, some with determinants beyond the limit."""
+    """From a hundred to 1e12 pixels wide, some with determinants beyond the limit."""
     gaussians = random_gaussians("normal", count=40)
     gaussians.log_scales[:] = torch.linspace(2, 13.9, 40)[:, None]
     gaussians.means[:, 2] = 4
