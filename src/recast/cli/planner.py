@@ -156,7 +156,7 @@ class Probe:
     planner: tyro.conf.Positional[str]
     """A planner that reads images: a name, or a folder of `recast planner export`."""
     out: Path
-    """Folder; rollouts that are there already are kept."""
+    """Folder; rollouts that the same planner left there are used again."""
     scene: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """Synthetic scenes; all where not given."""
     motion: tyro.conf.UseAppendAction[tuple[str, ...]] = ()

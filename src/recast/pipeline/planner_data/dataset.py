@@ -26,7 +26,7 @@ from recast.planning.gtrs_training.store import (
 )
 from recast.planning.gtrs_training.vocabulary import mirror_index
 from recast.records import read_record
-from recast.storage import write_json
+from recast.storage import alone_in, write_json
 from recast.synthetic.oracle import Oracle
 
 FIRST_SEED = 1000
@@ -56,7 +56,8 @@ def make_dataset(
 
     Raises:
         InputError: `out` holds samples of other settings or another vocabulary, the vocabulary is
-            not symmetrical, embreex is missing, or a count or number of workers is below one.
+            not symmetrical, embreex is missing, a count or number of workers is below
+            one, or another process is at work there.
     """
     from recast.synthetic.rendering import require_embree
 
@@ -77,9 +78,10 @@ def make_dataset(
     report()
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the processes, whose numpy loads later
     crew = crew_of(min(workers, len(left)) or 1)
-    for _ in crew(_start, (out, record), lambda: next(numbers, None), "finished worlds"):
-        done += 1
-        report()
+    with alone_in(out):
+        for _ in crew(_start, (out, record), lambda: next(numbers, None), "finished worlds"):
+            done += 1
+            report()
     return worlds * record.per_world
 
 

@@ -14,12 +14,15 @@ from rich.table import Table
 from recast.errors import InputError
 from recast.evaluation.collision import no_collision
 from recast.logs import DrivingLog, Track
+from recast.pipeline.fingerprint import value_hash
+from recast.pipeline.sources import RECIPES, planner_source
 from recast.planning import CameraMount, Planner, make_planner
 from recast.planning.gtrs import GtrsPlanner
 from recast.planning.gtrs_training.network import HALF_VIEWS, MINI_VIEWS
 from recast.simulation import (
     Rollout,
     RolloutSetup,
+    ScriptedMotion,
     SensorRenderer,
     SimState,
     ego_centre,
@@ -27,8 +30,9 @@ from recast.simulation import (
     parse_motions,
     run_rollout,
     save_rollout,
+    scenario_name,
+    scenario_record,
 )
-from recast.simulation.motions import ActorMotion
 from recast.simulation.oracle_renderer import OracleRenderer
 from recast.synthetic import make_rig, make_world
 from recast.synthetic.world import World
@@ -106,11 +110,14 @@ class ErasingRenderer:
 
 
 def probe(request: ProbeRequest, on_row: Callable[[ProbeRow], None]) -> list[ProbeRow]:
-    """Drive every scenario in every scene twice; those whose rollouts are there are not repeated.
+    """Drive every scenario in every scene twice.
+
+    A rollout that lies there is not repeated if the same planner made it by the same settings.
 
     Raises:
         InputError: no such planner, scene or motion, or the planner reads no images.
     """
+    source = planner_source(request.planner)
     planner = make_planner(request.planner, request.device)
     if not planner.needs_images:
         raise InputError("planner", planner.name, "reads no images", "probe one that does")
@@ -128,7 +135,7 @@ def probe(request: ProbeRequest, on_row: Callable[[ProbeRow], None]) -> list[Pro
         }
         with OracleRenderer(world, mounts, request.workers) as renderer:
             for motion in motions:
-                rows.append(_drive_twice(request, planner, world, renderer, motion))
+                rows.append(_drive_twice(request, source, planner, world, renderer, motion))
                 on_row(rows[-1])
     return rows
 
@@ -153,8 +160,8 @@ def probe_table(rows: Sequence[ProbeRow]) -> Table:
 
 
 def _drive_twice(
-    request: ProbeRequest, planner: Planner, world: World, renderer: OracleRenderer,
-    motion: ActorMotion,
+    request: ProbeRequest, source: str, planner: Planner, world: World, renderer: OracleRenderer,
+    motion: ScriptedMotion,
 ) -> ProbeRow:  # fmt: skip
     vehicle = world.vehicles[world.target]
     track = Track(world.target, vehicle.model.category, vehicle.model.size, vehicle.trajectory)
@@ -168,7 +175,7 @@ def _drive_twice(
         setup = RolloutSetup(
             log, world.target, motion, method=how, camera_names=tuple(renderer.mounts)
         )
-        folder = request.out / f"{name}-{setup.name}"
+        folder = rollout_folder(request, source, world, motion, how)
         try:
             if folder.exists():
                 rollout = load_rollout(folder)
@@ -183,6 +190,22 @@ def _drive_twice(
         apart = np.linalg.norm(boxes[:, :2] - rollout.actor[:, :2], axis=1)
         nearest[how], driven[how] = float(apart.min()), _metres(rollout)
     return ProbeRow(world.name, scenario, collided, nearest, driven)
+
+
+def rollout_folder(
+    request: ProbeRequest, source: str, world: World, motion: ScriptedMotion, how: str
+) -> Path:
+    """Where a rollout lies: another folder for other code, other settings and another scenario."""
+    made_by = {
+        "planner": source,
+        "device": request.device,
+        "seconds": request.seconds,
+        "full_size": request.full_size,
+        "scenario": scenario_record(motion),
+        "recipe": RECIPES["rollout"],
+    }
+    plain = f"{world.name}-{world.seed}-{scenario_name(motion)}-{how}"
+    return request.out / f"{plain}-{value_hash(made_by)[:12]}"
 
 
 def _metres(rollout: Rollout) -> float:
