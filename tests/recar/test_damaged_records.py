@@ -194,3 +194,8 @@ def test_members_of_a_cache_are_in_range(tmp_path: Path) -> None:
         storage.write_json(folder / "cache.json", good | {name: value})
         with pytest.raises(InputError, match=rf"cache\.json: {name}"):
             TargetCache.open(folder)
+    storage.write_json(folder / "cache.json", good)
+    one = folder / "records" / "car-0.json"
+    storage.write_json(one, storage.read_json(one) | {"voxels": 10**400})
+    with pytest.raises(InputError, match=r"car-0\.json: voxels"):
+        TargetCache.open(folder)

@@ -116,8 +116,8 @@ class TargetRecord(Record):
     kind: Text
     colour: Text | None = None
     seed: int = Field(ge=0)
-    voxels: int = Field(default=0, ge=0)
-    gaussians: int = Field(default=0, ge=0)
+    voxels: int = Field(default=0, ge=0, le=256**3)
+    gaussians: int = Field(default=0, ge=0, lt=2**63)
     score: FiniteFloat | None = None
     score_flipped: FiniteFloat | None = None
     parts: dict[str, FiniteFloat] = Field(default_factory=dict)
