@@ -14,7 +14,10 @@ from recast.logs.types import Image
 
 # Not PIL.Image.open: other formats call other programs, and it warns of large images, which are
 # measured here.
-READERS = {"png": PngImageFile, "jpeg": JpegImageFile}
+READERS: dict[str, type[PngImageFile] | type[JpegImageFile]] = {
+    "png": PngImageFile,
+    "jpeg": JpegImageFile,
+}
 
 
 def decode(

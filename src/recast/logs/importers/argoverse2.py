@@ -29,9 +29,9 @@ from recast.logs.importers.argoverse2_sensors import (
 from recast.logs.importers.argoverse2_tables import POSE, TIME, poses, read_columns, times_of
 from recast.logs.importers.cameras import chosen_cameras
 from recast.logs.importers.image_files import ImageFiles
+from recast.logs.importers.valid import returns_valid
 from recast.logs.store import write_log
 from recast.logs.types import Array, CameraStream, DrivingLog, LidarStream, Trajectory
-from recast.storage import disk_errors
 
 LICENCE = "CC BY-NC-SA 4.0"
 
@@ -63,10 +63,10 @@ def import_argoverse2(
     """
     if Path(out).exists():
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
-    with disk_errors(root):
-        write_log(load_argoverse2(root, drive, labels, cameras), out)
+    write_log(load_argoverse2(root, drive, labels, cameras), out)
 
 
+@returns_valid
 def load_argoverse2(
     root: Path, drive: str, labels: Path | None = None, cameras: Sequence[str] = ()
 ) -> DrivingLog:

@@ -24,11 +24,11 @@ from recast.logs.importers.processed_folder import (
     read_cameras,
     read_pose,
 )
+from recast.logs.importers.valid import returns_valid
 from recast.logs.importers.waymo_schema import LICENCE
 from recast.logs.importers.waymo_values import WAYMO_FROM_OPENCV
 from recast.logs.store import write_log
 from recast.logs.types import CameraStream, DrivingLog, Trajectory
-from recast.storage import disk_errors
 
 FRAME_US = 100_000
 """The folder has no times; Waymo's frames are ten a second."""
@@ -57,10 +57,10 @@ def import_drivestudio(
     """
     if Path(out).exists():
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
-    with disk_errors(root):
-        write_log(load_drivestudio(root, drive, labels, cameras), out)
+    write_log(load_drivestudio(root, drive, labels, cameras), out)
 
 
+@returns_valid
 def load_drivestudio(
     root: Path, drive: str, labels: Path | None = None, cameras: Sequence[str] = ()
 ) -> DrivingLog:

@@ -19,9 +19,9 @@ from recast.logs.importers.nuscenes_frames import Sensor, read_sensors
 from recast.logs.importers.nuscenes_labels import read_tracks
 from recast.logs.importers.nuscenes_sensors import NuScenesSweeps, camera_of, pose_of
 from recast.logs.importers.nuscenes_tables import LogRow, SampleRow, SceneRow, linked, select
+from recast.logs.importers.valid import returns_valid
 from recast.logs.store import write_log
 from recast.logs.types import CameraStream, DrivingLog, LidarStream
-from recast.storage import disk_errors
 
 LICENCE = "CC BY-NC-SA 4.0"
 _LISTED = 5
@@ -54,10 +54,10 @@ def import_nuscenes(
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
     if labels is not None:
         raise InputError(labels, "labels", "nuScenes tables hold the boxes", "leave the option out")
-    with disk_errors(root):
-        write_log(load_nuscenes(root, drive, cameras), out)
+    write_log(load_nuscenes(root, drive, cameras), out)
 
 
+@returns_valid
 def load_nuscenes(root: Path, drive: str, cameras: Sequence[str] = ()) -> DrivingLog:
     """Read a nuScenes scene; images and sweeps stay in its files until asked for.
 

@@ -21,9 +21,9 @@ from recast.logs.importers.cameras import chosen_cameras
 from recast.logs.importers.py123d_map import read_map
 from recast.logs.importers.py123d_sensors import matrix, read_cameras, read_lidars, reading
 from recast.logs.importers.py123d_tracks import read_tracks
+from recast.logs.importers.valid import returns_valid
 from recast.logs.store import write_log
 from recast.logs.types import Array, DrivingLog, Trajectory
-from recast.storage import disk_errors
 from recast.tables import check_batches
 
 SYNC = "sync.arrow"
@@ -56,10 +56,10 @@ def import_py123d(
         raise InputError(labels, "labels", "a log holds its own", "leave the option out")
     if Path(out).exists():
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
-    with disk_errors(root):
-        write_log(load_py123d(root, drive, cameras), out)
+    write_log(load_py123d(root, drive, cameras), out)
 
 
+@returns_valid
 def load_py123d(root: Path, drive: str, cameras: Sequence[str] = ()) -> DrivingLog:
     """Read a log; images and sweeps stay in its files until asked for.
 

@@ -18,10 +18,10 @@ from recast.logs.importers.processed_folder import CameraFolder, find_scene, rea
 from recast.logs.importers.street_gaussians_ego import Drive, read_drive
 from recast.logs.importers.street_gaussians_points import read_lidar
 from recast.logs.importers.street_gaussians_tracks import read_tracks
+from recast.logs.importers.valid import returns_valid
 from recast.logs.importers.waymo_schema import LICENCE
 from recast.logs.store import write_log
 from recast.logs.types import CameraStream, DrivingLog
-from recast.storage import disk_errors
 
 
 def import_street_gaussians(
@@ -46,10 +46,10 @@ def import_street_gaussians(
     """
     if Path(out).exists():
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
-    with disk_errors(root):
-        write_log(load_street_gaussians(root, drive, labels, cameras), out)
+    write_log(load_street_gaussians(root, drive, labels, cameras), out)
 
 
+@returns_valid
 def load_street_gaussians(
     root: Path, drive: str, labels: Path | None = None, cameras: Sequence[str] = ()
 ) -> DrivingLog:

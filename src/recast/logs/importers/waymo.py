@@ -12,6 +12,7 @@ from pathlib import Path
 
 from recast.errors import InputError
 from recast.logs.importers.cameras import chosen_cameras
+from recast.logs.importers.valid import returns_valid
 from recast.logs.importers.waymo_drive import driving_log
 from recast.logs.importers.waymo_files import find_drive, is_motion
 from recast.logs.importers.waymo_frames import read_segment
@@ -19,7 +20,6 @@ from recast.logs.importers.waymo_motion import load_scenario
 from recast.logs.importers.waymo_schema import LICENCE
 from recast.logs.store import write_log
 from recast.logs.types import DrivingLog
-from recast.storage import disk_errors
 
 
 def import_waymo(
@@ -47,10 +47,10 @@ def import_waymo(
         raise InputError(labels, "labels", "a segment holds its own", "leave the option out")
     if Path(out).exists():
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
-    with disk_errors(root):
-        write_log(load_waymo(root, drive, cameras), out)
+    write_log(load_waymo(root, drive, cameras), out)
 
 
+@returns_valid
 def load_waymo(root: Path, drive: str, cameras: Sequence[str] = ()) -> DrivingLog:
     """Read a segment or scenario; images and sweeps stay in its file until asked for.
 

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from recast.errors import InputError
+from recast.logs.importers.valid import returns_valid
 from recast.logs.importers.waymo2_files import find_segment
 from recast.logs.importers.waymo2_segment import read_segment
 from recast.logs.importers.waymo_drive import driving_log
 from recast.logs.store import write_log
 from recast.logs.types import DrivingLog
-from recast.storage import disk_errors
 
 
 def import_waymo2(
@@ -41,10 +41,10 @@ def import_waymo2(
         raise InputError(labels, "labels", "a segment holds its own", "leave the option out")
     if Path(out).exists():
         raise InputError(out, "output folder", "exists already", "name another one or remove it")
-    with disk_errors(root):
-        write_log(load_waymo2(root, drive, cameras), out)
+    write_log(load_waymo2(root, drive, cameras), out)
 
 
+@returns_valid
 def load_waymo2(root: Path, drive: str, cameras: Sequence[str] = ()) -> DrivingLog:
     """Read a segment; images and sweeps stay in its files until asked for.
 
