@@ -13,6 +13,8 @@ WHOLE_RUN = (
     "os.rename run/run.json",
     "open run/.observation.partial/frame.png",
     "os.rename run/turntable.mp4",
+    "os.rename run/scene/source.json",
+    "os.rename run/scene/config.json",
     "os.rename run/scene/work/initialisation.safetensors",
     "os.rename run/scene/scene.json",
     "os.rename run/timings.json",
@@ -23,7 +25,7 @@ WHOLE_RUN = (
 )
 
 
-def test_a_run_that_is_killed_ten_times(finished: Unbroken, tmp_path: Path) -> None:
+def test_a_run_that_is_killed_twelve_times(finished: Unbroken, tmp_path: Path) -> None:
     """Each try goes on where the last one was killed."""
     out = tmp_path / "run"
     for moment in WHOLE_RUN:

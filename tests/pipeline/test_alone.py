@@ -10,11 +10,14 @@ import pytest
 from recast import storage
 from recast.cli.main import main
 from recast.errors import InputError
+from recast.logs import read_log
 from recast.pipeline.bench import resolve_bench
 from recast.pipeline.bench.settings import begin
 from recast.pipeline.fingerprint import folder_hash
 from recast.pipeline.options import resolve_config
 from recast.pipeline.run_folder import RunFolder
+from recast.scene import SceneConfig
+from recast.scene.run_identity import claim_folder
 
 
 def names(folder: Path) -> dict[str, int]:
@@ -73,3 +76,12 @@ def test_a_demo_without_the_ray_tracer_asks_for_it_before_anything_begins(
     assert shown.out == ""
     assert "embreex" in shown.err and "pip install" in shown.err
     assert not (tmp_path / "demo").exists()
+
+
+def test_a_training(
+    tiny_log_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ("scene", "train", str(tiny_log_folder), "--iterations", "1", "--threads", "1")
+    config = SceneConfig(iterations=1, threads=1)
+    claim_folder(tmp_path, read_log(tiny_log_folder), config)
+    refused(capsys, tmp_path, *command)

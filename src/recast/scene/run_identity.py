@@ -65,7 +65,9 @@ def claim_folder(folder: Path, log: DrivingLog, config: SceneConfig) -> None:
         _check_same(folder, source, config)
         return
     strangers = [] if not folder.exists() else sorted(folder.iterdir())
-    strangers = [path for path in strangers if path.name not in (CONFIG_FILE, SOURCE_FILE)]
+    begun = {f".{name}.partial" for name in (CONFIG_FILE, SOURCE_FILE)}  # left behind by a kill
+    ours = {CONFIG_FILE, SOURCE_FILE, *begun}
+    strangers = [path for path in strangers if path.name not in ours]
     if strangers:
         raise InputError(
             folder,

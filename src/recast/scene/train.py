@@ -34,7 +34,7 @@ from recast.scene.street_scene import StreetScene
 from recast.scene.trainer import Trainer
 from recast.scene.views import View, read_views
 from recast.splats import pick_device, set_threads
-from recast.storage import read_json, write_json
+from recast.storage import alone_in, read_json, write_json
 
 WORK_FOLDER = "work"
 HISTORY_FILE = "history.json"
@@ -79,18 +79,25 @@ def train_scene(
 
     Raises:
         InputError: the folder holds another run, the log lacks what is needed, the disk is full,
-            there is no such device.
+            there is no such device, or another process is at work in the folder.
     """
     config = config or SceneConfig()
     out = Path(out)
     place = pick_device(device)
     claim_folder(out, log, config)
+    with alone_in(out):
+        return _trained(log, out, config, place, progress or (lambda status: None))
+
+
+def _trained(
+    log: DrivingLog, out: Path, config: SceneConfig, place: torch.device, progress: ProgressCallback
+) -> TrainResult:
     if (out / SCENE_FILE).is_file():
         mend = "train the scene anew"
         budget = read_record(out / BUDGET_FILE, Budget, BUDGET_VERSION, mend)
         return TrainResult(load_scene(out), out, read_json(out / HISTORY_FILE), budget)
     threads = config.threads or usable_cores()
-    run = _Run(log, out, config, threads, place, progress or (lambda status: None))
+    run = _Run(log, out, config, threads, place, progress)
     before = torch.get_num_threads(), cv2.getNumThreads(), torch.backends.cudnn.allow_tf32
     try:
         # The rasterizer and the losses bring their own threads; torch's and OpenCV's would spin
