@@ -126,6 +126,9 @@ def test_what_is_no_text_file_is_one_clear_line(tmp_path: Path) -> None:
             storage.read_json(tmp_path / name)
     with pytest.raises(InputError, match="10 bytes, 9 are read at most"):
         storage.read_bytes(tmp_path / "latin", limit=9)
+    if Path("/dev/zero").exists():  # says that it has no bytes, and never ends
+        with pytest.raises(InputError, match="has 10 bytes, 9 are read at most"):
+            storage.read_bytes("/dev/zero", limit=9)
 
 
 def test_two_processes_do_not_write_the_same(tmp_path: Path) -> None:

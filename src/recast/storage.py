@@ -203,10 +203,15 @@ def read_bytes(path: str | Path, limit: int) -> bytes:
     """
     path = Path(path)
     with disk_errors(path):
-        if (size := path.stat().st_size) > limit:
+        size = path.stat().st_size
+        if size <= limit:
+            with path.open("rb") as stream:
+                data = stream.read(limit + 1)  # a device says 0 and never ends
+            size = max(size, len(data))
+        if size > limit:
             problem = f"has {size} bytes, {limit} are read at most"
             raise InputError(path, "size", problem, "check that it is the right file")
-        return path.read_bytes()
+        return data
 
 
 def read_text(path: str | Path, limit: int = JSON_LIMIT) -> str:
