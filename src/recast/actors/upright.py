@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 LARGEST_MISFIT = 1.6
 """Width or height for the length beyond this factor of the box's: another thing or another way."""
-LEAST_EVIDENCE = 3.0
+LEAST_EVIDENCE = 2.0
 """Units of evidence that the best axis must have, and by which it must be ahead of the next."""
 MOST_AGAINST = 0.5
 """Units by which one kind of evidence may speak against it."""
@@ -34,7 +34,7 @@ _YAWS = np.radians(np.arange(0.0, 90.0, 2.0))
 _FINER = np.radians(np.arange(-1.75, 2.0, 0.25))
 _CELLS = 48  # of the maps from above and from below, along the length
 _CONTACT = 0.06  # share of the height: tyres reach further down than floors do by more than that
-_FLOOR, _ROOF = (0.10, 0.40), (0.70, 0.95)  # shares of the height that are compared in extent
+_LOWER, _UPPER = (0.1, 0.4), (0.6, 0.9)  # shares of the height that are compared in extent
 _LIMIT = 4.0  # units that one kind of evidence is worth at most; the box is not limited
 # What counts as one unit: log of width and height, mirrored distance over length, logs of areas.
 _BOX, _SYMMETRY, _WHEELS, _TAPER = 0.10, 0.006, 0.4, 0.2
@@ -116,10 +116,8 @@ def _about(points: Array, axis: int, size: Array) -> list[Posture]:
         "box": -float(np.abs(np.log(ratios)).sum()) / _BOX,
         "symmetry": _vote(_asymmetry(upright, 2) - _asymmetry(upright, 1), length * _SYMMETRY),
     }
-    ends = upright, upright * [1, 1, -1]
-    contact = [_contact(end) for end in ends]
-    wheels = _vote(np.log(contact[1] / contact[0]), _WHEELS)
-    taper = _vote(np.log(_extent(upright, _FLOOR) / _extent(upright, _ROOF)), _TAPER)
+    wheels = _vote(np.log(_contact(upright * [1, 1, -1]) / _contact(upright)), _WHEELS)
+    taper = _vote(np.log(_extent(upright, _LOWER) / _extent(upright, _UPPER)), _TAPER)
     return [
         Posture(
             f"{sign}{'xyz'[axis]}", float(ratios[0]), float(ratios[1]),
