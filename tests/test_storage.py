@@ -165,3 +165,16 @@ def test_a_lock_ends_with_the_process_that_holds_it(tmp_path: Path) -> None:
     child.wait()
     with storage.alone_in(tmp_path):
         pass
+
+
+@pytest.mark.parametrize("fault", [errno.EBADF, errno.ENOLCK, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks_is_written_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: int
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(fault, os.strerror(fault))
+
+    monkeypatch.setattr(storage.fcntl, "flock", refuse)
+    with storage.alone_in(tmp_path):
+        storage.write_text(tmp_path / "a", "written")
+    assert (tmp_path / "a").read_text() == "written"

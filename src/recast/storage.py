@@ -23,6 +23,9 @@ try:
 except ImportError:  # not on Windows, where nothing is locked
     fcntl = None  # type: ignore[assignment]
 
+_NO_LOCKS = {errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}
+"""What file systems say that cannot lock this; NFS says the first of folders."""
+
 JSON_LIMIT = 1 << 28
 """Bytes of a JSON file, at most."""
 
@@ -174,6 +177,9 @@ def _locked(handle: int, what: Path, wait: bool = False) -> Iterator[None]:
                     what, "lock", "another process is at work here",
                     "wait until it is done, or name another output folder",
                 ) from None  # fmt: skip
+            except OSError as error:
+                if error.errno not in _NO_LOCKS:
+                    raise
         yield
     finally:
         os.close(handle)
