@@ -27,7 +27,7 @@ def test_scores_pictures_and_repeatability(
     assert record["psnr"] == result.psnr and record["ssim"] == result.ssim
     assert 0.5 < result.ssim < 1.0
     assert set(result.box_psnr_by_track()) == {"0"}
-    assert record["version"] == 2 and record["shifts"] == [] and record["lpips"] is None
+    assert record["version"] == 3 and record["shifts"] == [] and record["lpips"] is None
     for frame, written in zip(result.frames, record["frames"], strict=True):
         assert written["psnr"] == frame.whole.psnr and written["ssim"] == frame.whole.ssim
         assert written["boxes"] == frame.boxes

@@ -12,8 +12,8 @@ from recast.scene.evaluate_depth import DepthScore, mean_depth
 from recast.scene.evaluate_regions import RegionScore, mean_score
 from recast.scene.evaluate_shifts import ShiftScores, picture_name
 
-EVALUATION_VERSION = 2
-"""2 has all members of 1, and lpips, moving, depth, shifts and shift_truth beside them."""
+EVALUATION_VERSION = 3
+"""2 has all members of 1, and lpips, moving, depth, shifts and shift_truth; 3 a picture a frame."""
 
 
 @dataclass(frozen=True)
