@@ -6,25 +6,45 @@ NATIVE := CMakeLists.txt $(wildcard src/recast/splats/csrc/*)
 # Two workers suit two cores; each runs torch on one thread.
 WORKERS ?= 2
 
-.PHONY: help setup demo test lint types contracts unit bench clean
+
+# Instruction sets for `make test-portable`: torch, our kernels and every BLAS held to no more.
+PORTABLE_portable := ATEN_CPU_CAPABILITY=default RECAST_ISA=portable
+PORTABLE_avx2 := ATEN_CPU_CAPABILITY=avx2 RECAST_ISA=avx2
+LEVELS := portable
+ifeq ($(shell uname -m),x86_64)
+PORTABLE_portable += MKL_ENABLE_INSTRUCTIONS=SSE4_2 ONEDNN_MAX_CPU_ISA=SSE41 \
+  OPENBLAS_CORETYPE=Nehalem NPY_DISABLE_CPU_FEATURES="X86_V3 X86_V4 AVX512_ICL AVX512_SPR"
+PORTABLE_avx2 += MKL_ENABLE_INSTRUCTIONS=AVX2 ONEDNN_MAX_CPU_ISA=AVX2 \
+  OPENBLAS_CORETYPE=Haswell NPY_DISABLE_CPU_FEATURES="X86_V4 AVX512_ICL AVX512_SPR"
+ifneq ($(shell grep -om1 avx2 /proc/cpuinfo),)
+LEVELS += avx2
+endif
+endif
+# The tests whose numbers may differ between processors; TESTS=tests for all.
+TESTS ?= tests/geometry tests/dynamics tests/evaluation tests/planning tests/splats tests/trellis
+
+.PHONY: help setup demo test test-portable $(LEVELS:%=test-at-%) lint types contracts docs unit fuzz bench clean
 
 help:
 	@echo "make setup   install into $(VENV)"
 	@echo "make demo    a made-up drive, from log to report (about twelve minutes)"
 	@echo "make test    lint, types, layer contracts and the tests (what CI runs)"
+	@echo "make test-portable   tests whose numbers may differ, as on lesser processors"
+	@echo "make fuzz    100,000 damaged files for every reader; goes on where it was stopped"
 	@echo "make bench   the benchmarks of rasterizer, ray tracer and image-to-3D model"
 	@echo "make clean   remove $(VENV) and build folders"
 
 setup: $(VENV)/.ready
 
 # uv resolves in seconds where pip needs minutes; pip stands in where uv cannot be had.
-# uv does not read pip's settings, hence the link folder by name.
+# uv does not read pip's settings, hence the link folder by name. Compiled once here, the packages
+# import in a third of the time wherever Python is told not to write bytecode.
 $(VENV)/.ready: pyproject.toml constraints.txt $(NATIVE)
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "recast needs Python 3.11 or newer")'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	if test -x $(BIN)/uv || $(BIN)/python -m pip install -q uv; then \
 	  UV_FIND_LINKS="$${UV_FIND_LINKS:-$${PIP_FIND_LINKS:-}}" $(BIN)/uv pip install -q \
-	    --python $(BIN)/python -c constraints.txt --reinstall-package recast-sim -e '.[dev]'; \
+	    --compile-bytecode --python $(BIN)/python -c constraints.txt --reinstall-package recast-sim -e '.[dev]'; \
 	else \
 	  $(BIN)/python -m pip install -q -c constraints.txt -e '.[dev]'; \
 	fi
@@ -33,7 +53,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt $(NATIVE)
 demo: setup
 	$(BIN)/recast demo
 
-test: lint types contracts unit
+test: lint types contracts docs unit
 
 lint: setup
 	$(BIN)/ruff check .
@@ -45,8 +65,22 @@ types: setup
 contracts: setup
 	$(BIN)/lint-imports
 
+docs: setup
+	$(BIN)/mkdocs build --strict --quiet --site-dir build/site
+
+# Neighbouring tests share costly fixtures: each worker takes a stretch, and steals when it is done.
+PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+
 unit: setup
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --durations=10
+	$(PYTEST) --durations=10
+
+test-portable: $(LEVELS:%=test-at-%)
+
+$(LEVELS:%=test-at-%): test-at-%: setup
+	$(PORTABLE_$*) $(PYTEST) $(TESTS)
+
+fuzz: setup
+	PYTHONPATH=tests $(BIN)/python -m fuzz.campaign --workers $(WORKERS)
 
 bench: setup
 	$(BIN)/python benchmarks/raster.py

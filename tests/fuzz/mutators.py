@@ -27,8 +27,8 @@ Mutator = Callable[[bytes, Rng], bytes]
 WORDS = (
     b"nan", b"inf", b"-inf", b"NaT", b"1e400", b"-1", b"0", b"-0", b"1e308", b"-1e30", b"", b"x",
     b"9" * 400, b"9" * 5000, b"4294967296", b"18446744073709551616", b"0.5", b"\xc2\xb2",
-    b"\xff\xfe", b"../../x", b"/etc/passwd", b"\0", b"None", b"true", b"\xe2\x80\xae", b"A" * 300, b"\n",
-    b"1e-320",
+    b"\xff\xfe", b"../../x", b"/etc/passwd", b"\0", b"None", b"true", b"\xe2\x80\xae", b"A" * 300,
+    b"\n", b"1e-320",
 )  # fmt: skip
 """In the place of a word or a number of a text."""
 

@@ -49,7 +49,7 @@ def _importer(
 TARGETS = (
     _importer(
         "kitti", tiny_drive.write_tiny_drive,
-        lambda root: load_kitti(root, tiny_drive.DRIVE, root / "labels.txt", refine=False),
+        lambda root: load_kitti(root, tiny_drive.DRIVE, root / "labels.txt", refine=False), 0.4,
     ),
     _importer(
         "kitti-tracklets",
@@ -60,7 +60,7 @@ TARGETS = (
         lambda root: load_kitti(
             root, tiny_drive.DRIVE, root / tiny_drive.DATE / "tracklets.xml", refine=False
         ),
-        files=("*tracklets.xml",),
+        weight=0.4, files=("*tracklets.xml",),
     ),
     _importer(
         "argoverse2", tiny_argoverse2.write_tiny_log,
