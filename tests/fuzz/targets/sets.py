@@ -13,11 +13,19 @@ from recar.sets import write_set
 from recast.recar.assets.asset import TrainingAsset, read_asset, write_asset
 from recast.recar.ingest import ingest_photographs
 from recast.recar.ingest.table import read_table
+from recast.recar.perturb.config import (
+    PerturbationConfig,
+    read_perturbations,
+    write_perturbations,
+)
 from recast.recar.real_crops import read_real_crops
 from recast.recar.shards import open_set, pack_set
 from recast.recar.targets import TargetCache
+from recast.recar.training.stage_presets import read_stage_config
+from recast.storage import write_json
 from support import target_caches
 from support.crops import write_crops
+from support.tiny_stage import tiny_config
 
 
 def _read_set(folder: Path, out: Path) -> object:
@@ -61,5 +69,10 @@ TARGETS = (
            weight=4.0),
     Target("target-cache", lambda f: target_caches.write_cache(f / "cache"), _read_cache,
            weight=4.0),
+    Target("perturbations",
+           lambda f: write_perturbations(f / "p.json", PerturbationConfig()),
+           lambda f, out: read_perturbations(f / "p.json"), weight=8.0),
+    Target("stage", lambda f: write_json(f / "stage.json", tiny_config().model_dump(mode="json")),
+           lambda f, out: read_stage_config(f / "stage.json"), weight=8.0),
     Target("training-asset", _write_asset, lambda f, out: read_asset(f / "asset.npz"), weight=6.0),
 )  # fmt: skip
