@@ -14,6 +14,7 @@ from recast.scene import TrainingStatus, TrainResult, train_scene
 from recast.scene.dynamic import choose_actors
 from recast.scene.ground_sheet import REACH_M, GroundSheet
 from recast.scene.lidar import read_sweeps
+from recast.scene.tensor_file import read_tensors, write_tensors
 from recast.scene.train import WORK_FOLDER
 from recast.scene.views import read_views
 
@@ -30,6 +31,20 @@ def contents(folder: Path) -> dict[str, bytes]:
         for path in folder.rglob("*")
         if path.is_file()
     }
+
+
+@pytest.fixture(scope="module")
+def stopped(tiny_log: DrivingLog, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that ended after its first checkpoint."""
+
+    def stop(status: TrainingStatus) -> None:
+        if status.iteration >= 20:
+            raise KilledError
+
+    folder: Path = tmp_path_factory.mktemp("stopped") / "scene"
+    with pytest.raises(KilledError):
+        train_scene(tiny_log, folder, TINY, progress=stop)
+    return folder
 
 
 def test_training_raises_held_out_psnr(trained: TrainResult) -> None:
@@ -91,6 +106,28 @@ def test_a_killed_run_ends_in_the_same_bytes(
     train_scene(tiny_log, folder, TINY, progress=lambda status: first_told.append(status.iteration))
     assert first_told[1] == 40  # not from the start
     assert contents(folder) == contents(trained.folder)
+
+
+@pytest.mark.parametrize("name", ["initialisation", "checkpoint"])
+@pytest.mark.parametrize("damage", ["a tensor is gone", "a tensor has another shape", "no header"])
+def test_damaged_work_is_one_line(
+    tiny_log: DrivingLog, stopped: Path, tmp_path: Path, name: str, damage: str
+) -> None:
+    folder = Path(shutil.copytree(stopped, tmp_path / "scene"))
+    path = folder / WORK_FOLDER / f"{name}.safetensors"
+    tensors, header = read_tensors(path)
+    tensors = {key: tensor.clone() for key, tensor in tensors.items()}
+    key = next(key for key in tensors if key.startswith("background:quats"))
+    if damage == "a tensor is gone":
+        del tensors[key]
+    elif damage == "no header":
+        header = {}
+    else:
+        tensors[key] = tensors[key][:, :3].contiguous()
+    write_tensors(path, tensors, header)
+    with pytest.raises(InputError, match=rf"{name}\.safetensors: state: is none of this recast"):
+        train_scene(tiny_log, folder, TINY)
+    assert not (folder / "scene.json").exists()
 
 
 def test_a_finished_run_is_loaded_not_trained(trained: TrainResult, tiny_log: DrivingLog) -> None:

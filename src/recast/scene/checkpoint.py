@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from recast.errors import InputError
 from recast.logs import GroundHeight
 from recast.scene.initialise import Initialisation
 from recast.scene.lidar import DepthSamples
@@ -54,7 +56,13 @@ def load_checkpoint(trainer: Trainer, path: Path) -> dict[str, Any]:
     Raises:
         InputError: the file is missing or broken.
     """
-    tensors, header = read_tensors(path)
+    with _broken(path):
+        return _load_checkpoint(trainer, *read_tensors(path))
+
+
+def _load_checkpoint(
+    trainer: Trainer, tensors: dict[str, Tensor], header: Mapping[str, Any]
+) -> dict[str, Any]:
     model = trainer.model
     local = Gaussians(**_group(tensors, "local"))
     model.place(
@@ -104,7 +112,14 @@ def load_initialisation(path: Path) -> Initialisation:
     Raises:
         InputError: the file is missing or broken.
     """
-    tensors, header = read_tensors(path)
+    with _broken(path):
+        start = _load_initialisation(*read_tensors(path))
+        for part in (start.background, *start.actors.values()):
+            part.validate()
+    return start
+
+
+def _load_initialisation(tensors: dict[str, Tensor], header: Mapping[str, Any]) -> Initialisation:
     views = range(header["views"])
     ground = None
     if "ground_cell_m" in header:
@@ -124,6 +139,18 @@ def load_initialisation(path: Path) -> Initialisation:
         ground=ground,
         found=header["found"],
     )
+
+
+@contextmanager
+def _broken(path: Path) -> Iterator[None]:
+    """What a file of ours lacks, or has of another kind or shape, is one clear line."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        problem = f"is none of this recast ({type(error).__name__}: {error})"
+        raise InputError(path, "state", problem, "remove work/ and train again") from error
 
 
 def _prefixed(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -106,3 +108,26 @@ def test_open_mesh_and_impossible_sizes_are_refused(tmp_path):
         read_mesh(tmp_path / "car.stl", up="w")
     with pytest.raises(InputError, match="material"):
         read_mesh(tmp_path / "car.stl", material="cheese")
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "problem"),
+    [
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "3 0 1 7", "faces: names vertex 7 of 3"),
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "3 0 1 -1", "faces|cannot be read"),
+        ([[0, 0, 0], [1, 0, 0], [0, 1e300, 0]], "3 0 1 2", "vertices: are not all within"),
+        ([[0, 0, 0], [1, 0, 0], [0, "nan", 0]], "3 0 1 2", "vertices: are not all within"),
+    ],
+)
+def test_meshes_with_impossible_numbers(
+    tmp_path: Path, vertices: list[list[object]], faces: str, problem: str
+) -> None:
+    header = (
+        f"ply\nformat ascii 1.0\nelement vertex {len(vertices)}\nproperty double x\n"
+        "property double y\nproperty double z\nelement face 1\n"
+        "property list uchar int vertex_indices\nend_header\n"
+    )
+    rows = [" ".join(str(value) for value in row) for row in vertices]
+    (tmp_path / "car.ply").write_text(header + "\n".join([*rows, faces]) + "\n")
+    with pytest.raises(InputError, match=problem):
+        read_mesh(tmp_path / "car.ply")

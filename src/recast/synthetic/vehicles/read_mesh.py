@@ -19,6 +19,8 @@ FORMATS: tuple[str, ...] = ("glb", "gltf", "obj", "ply", "stl")
 
 MOST_TRIANGLES = 500_000
 SHORTEST, LONGEST = 0.2, 25.0
+FARTHEST = 1e9
+"""In the file's unit: what its arithmetic bears."""
 
 
 def read_mesh(
@@ -97,8 +99,16 @@ def _load(path: Path, suffix: str) -> tuple[Array, NDArray[np.int32], NDArray[np
     if len(mesh.faces) > MOST_TRIANGLES:
         problem = f"has {len(mesh.faces)} triangles"
         raise InputError(path, "mesh", problem, f"reduce it to {MOST_TRIANGLES}")
-    if not np.all(np.isfinite(mesh.vertices)):
-        raise InputError(path, "vertices", "are not all finite", "export it again")
+    if len(mesh.vertices) > 3 * MOST_TRIANGLES:
+        problem = f"has {len(mesh.vertices)} vertices"
+        raise InputError(path, "mesh", problem, f"reduce it to {3 * MOST_TRIANGLES}")
+    faces = np.asarray(mesh.faces)
+    if faces.min() < 0 or faces.max() >= len(mesh.vertices):
+        problem = f"names vertex {faces.max()} of {len(mesh.vertices)}"
+        raise InputError(path, "faces", problem, "export it again")
+    if not np.all(np.abs(mesh.vertices) <= FARTHEST):  # also NaN
+        problem = f"are not all within {FARTHEST:g} of the origin"
+        raise InputError(path, "vertices", problem, "export it again")
     colours = np.full((len(mesh.faces), 3), 0.4, np.float32)
     visual: Any = mesh.visual
     if visual.kind in ("face", "vertex"):
