@@ -14,6 +14,7 @@ from safetensors import safe_open
 from torch import Tensor
 
 from recast.errors import InputError
+from recast.storage import disk_errors
 
 
 def read_torch_file(path: Path, mend: str, field: str = "file") -> Any:
@@ -82,8 +83,9 @@ def read_safetensors(path: Path, field: str, mend: str) -> tuple[dict[str, Tenso
     Raises:
         InputError: the file is missing or damaged, or has a type of numbers that torch lacks.
     """
-    if not path.is_file():
-        raise InputError(path, field, "is missing or no file", "check the path")
+    with disk_errors(path):
+        if not path.is_file():
+            raise InputError(path, field, "is missing or no file", "check the path")
     try:
         with safe_open(path, framework="pt") as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118

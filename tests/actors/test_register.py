@@ -150,3 +150,15 @@ def test_explanation_has_the_residuals(actor: Actor) -> None:
     text = actor.provenance.registration.explain()
     assert f"{actor.provenance.registration.after.median:.3f} m" in text
     assert "rear" in text
+
+
+def test_a_generator_that_makes_nonsense_is_one_line(
+    asset: Asset, observation: Observation, street: DrivingLog
+) -> None:
+    log_scales = asset.gaussians.log_scales.clone()
+    log_scales[5, 2] = 30.0
+    wrong = dataclasses.replace(
+        asset, gaussians=dataclasses.replace(asset.gaussians, log_scales=log_scales)
+    )
+    with pytest.raises(InputError, match=r"asset of template: log_scales: row 5 is out of"):
+        register(wrong, observation, street, street.tracks["7"])

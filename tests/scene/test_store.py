@@ -194,3 +194,9 @@ def test_a_header_of_many_brackets(folder: Path) -> None:
     save_file({k: t.clone() for k, t in tensors.items()}, path, {"recast": "9" * 10_000})
     with pytest.raises(InputError, match=r"cannot be read|no object"):
         load_scene(folder)
+
+
+def test_a_name_that_is_too_long(folder: Path) -> None:
+    edit(folder, tensors="A" * 300)
+    with pytest.raises(InputError, match="too long a name"):
+        load_scene(folder)

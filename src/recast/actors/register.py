@@ -43,8 +43,13 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
         track: the vehicle it stands for.
 
     Raises:
-        InputError: fewer than 20 LiDAR points on the track, or an asset that is hardly opaque.
+        InputError: fewer than 20 LiDAR points on the track, or an asset that is hardly opaque, or
+            has values that are not finite or out of range.
     """
+    fault = asset.gaussians.fault()
+    if fault is not None:
+        where = f"asset of {asset.generator}"
+        raise InputError(where, *fault, "take another seed or another generator")
     same = observation.track_id == track.track_id  # reading all sweeps again takes seconds
     points = observation.points if same else track_points(log, track).points
     require_points(points, log, track.track_id)

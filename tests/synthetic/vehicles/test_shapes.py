@@ -116,6 +116,7 @@ def test_open_mesh_and_impossible_sizes_are_refused(tmp_path):
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "3 0 1 7", "faces: names vertex 7 of 3"),
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "3 0 1 -1", "faces|cannot be read"),
         ([[0, 0, 0], [1, 0, 0], [0, 1e300, 0]], "3 0 1 2", "vertices: are not all within"),
+        ([[0, 0, 0], [1, 0, 0], [0, 1e18, 0]], "3 0 1 2", "vertices: are not all within"),
         ([[0, 0, 0], [1, 0, 0], [0, "nan", 0]], "3 0 1 2", "vertices: are not all within"),
     ],
 )

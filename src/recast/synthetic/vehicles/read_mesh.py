@@ -19,7 +19,7 @@ FORMATS: tuple[str, ...] = ("glb", "gltf", "obj", "ply", "stl")
 
 MOST_TRIANGLES = 500_000
 SHORTEST, LONGEST = 0.2, 25.0
-FARTHEST = 1e9
+FARTHEST = 1e7
 """In the file's unit: what its arithmetic bears."""
 
 
