@@ -103,6 +103,8 @@ def _load(path: Path, suffix: str) -> tuple[Array, NDArray[np.int32], NDArray[np
         problem = f"has {len(mesh.vertices)} vertices"
         raise InputError(path, "mesh", problem, f"reduce it to {3 * MOST_TRIANGLES}")
     faces = np.asarray(mesh.faces)
+    if faces.shape != (len(faces), 3) or mesh.vertices.shape != (len(mesh.vertices), 3):
+        raise InputError(path, "mesh", "is not of triangles in space", "export it again")
     if faces.min() < 0 or faces.max() >= len(mesh.vertices):
         problem = f"names vertex {faces.max()} of {len(mesh.vertices)}"
         raise InputError(path, "faces", problem, "export it again")
@@ -113,8 +115,10 @@ def _load(path: Path, suffix: str) -> tuple[Array, NDArray[np.int32], NDArray[np
     visual: Any = mesh.visual
     if visual.kind in ("face", "vertex"):
         colours = _linear(np.asarray(visual.face_colors)[:, :3] / 255.0)
-    # STL repeats the corners of every triangle, and texture seams split vertices.
-    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    # STL repeats the corners of every triangle, and texture seams split vertices: places alone
+    # count. What else the file says of a vertex may be anything.
+    mesh = trimesh.Trimesh(np.array(mesh.vertices, np.float64), faces, process=False)
+    mesh.merge_vertices()
     if not mesh.is_watertight or not mesh.is_winding_consistent:
         raise InputError(
             path, "mesh", "is not watertight", "close its holes and merge its vertices"
