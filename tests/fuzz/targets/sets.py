@@ -30,7 +30,7 @@ from support.tiny_stage import tiny_config
 
 def _read_set(folder: Path, out: Path) -> object:
     found = open_set(folder / "cars")
-    return [(one.record, one.view(0), one.camera(1)) for one in found.identities.values()]
+    return [(one.record, one.view(0)) for one in found.identities.values()]
 
 
 def _write_shards(folder: Path) -> None:
