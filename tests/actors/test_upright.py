@@ -23,6 +23,11 @@ from recast.logs import DrivingLog
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass, write_ply
 from recast.synthetic.vehicles import KINDS, sample_vehicle
 from recast.trellis import viewer_frame
+from recast.trellis.models.gaussians import (
+    RepresentationConfig,
+    offset_perturbation,
+    raw_to_gaussians,
+)
 
 SIZES = {
     "sedan": (4.7, 1.85, 1.45), "hatchback": (4.1, 1.75, 1.48), "suv": (4.6, 1.9, 1.7),
@@ -212,15 +217,19 @@ def test_the_filter_of_a_ply_is_the_declared_one(
 def test_the_filter_of_a_ply_that_declares_none(
     red_car: Gaussians, observation: Observation, tmp_path: Path
 ) -> None:
-    """What the published decoder makes is told by its values; all else is as 3DGS made it."""
-    cube = red_car.transformed(torch.eye(4), 0.2)
-    plain = replace(cube, sh=cube.sh[:, :1])
-    decoded = replace(plain, log_scales=plain.log_scales.clamp(min=float(np.log(9e-4))))
+    """What the published decoder makes is told by its rows; all else is as 3DGS made it."""
+    config = RepresentationConfig()
+    voxels = torch.from_numpy(np.random.default_rng(0).integers(0, 64, (40, 3))).int()
+    raw = 2.0 * torch.randn(40, config.channels, generator=torch.Generator().manual_seed(0))
+    decoded = raw_to_gaussians(raw, voxels, offset_perturbation(config), config, 64)
+    shuffled = torch.randperm(len(decoded), generator=torch.Generator().manual_seed(0))
     for gaussians, expected in (
         (decoded, MIP),
-        (plain, CLASSIC),  # thinner than the decoder makes any
-        (replace(decoded, means=decoded.means * 3), CLASSIC),  # in metres
-        (replace(cube, log_scales=decoded.log_scales), CLASSIC),  # with harmonics
+        (viewer_frame(decoded), MIP),  # as it is exported
+        (decoded.select(shuffled), CLASSIC),
+        (decoded.select(torch.arange(len(decoded) - 1)), CLASSIC),
+        (decoded.transformed(torch.eye(4), 4.5), CLASSIC),  # in metres
+        (red_car.transformed(torch.eye(4), 0.2), CLASSIC),
     ):
         write_ply(tmp_path / "car.ply", gaussians)
         found = PlyGenerator(tmp_path / "car.ply", "x,z").generate(observation, 0)

@@ -15,8 +15,8 @@ from recast.errors import InputError
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass, read_ply
 from recast.splats.ply import read_low_pass
 
-_UNIT_CUBE = 0.51  # half its edge; decoded centres reach a little beyond their voxels
-_LEAST_DEVIATION = 9e-4  # that TRELLIS gives every axis of a Gaussian, in unit cubes
+# Of the published decoder of TRELLIS, in unit cubes (rounded up by what float32 and text lose).
+_PER_VOXEL, _LARGEST_SPREAD, _LEAST_DEVIATION = 32, 1.5 / 64 + 1e-5, 9e-4
 
 
 class PlyGenerator:
@@ -27,8 +27,8 @@ class PlyGenerator:
         axes: its axis convention, as such or as text, see `axes.axes_of`; "auto" tells which axis
             points up from the shape and the observed box, see `recast.actors.upright`.
         low_pass: the filter that it was made for. None takes what the file declares
-            (`recast.splats.write_ply`); if it declares none, that of TRELLIS for what its decoder
-            makes (unit cube, no harmonics, no deviation below 9e-4), else that of 3DGS.
+            (`recast.splats.write_ply`); if it declares none, that of TRELLIS for what its published
+            decoder made (`made_by_trellis`), else that of 3DGS.
 
     Raises:
         InputError: no such convention.
@@ -88,10 +88,14 @@ class PlyGenerator:
 
 
 def made_by_trellis(gaussians: Gaussians) -> bool:
-    """Whether all values are such as TRELLIS's decoder gives them, and no other known source."""
-    scales = gaussians.log_scales
-    return (
-        gaussians.sh_degree == 0
-        and bool((gaussians.means.abs() <= _UNIT_CUBE).all())
-        and bool((scales >= np.log(_LEAST_DEVIATION) - 1e-4).all())
-    )
+    """Whether these are, row by row, what the published decoder of TRELLIS gives.
+
+    32 Gaussians for each voxel of 1/64, within three quarters of a voxel of its centre; no
+    harmonics; no deviation below 9e-4.
+    """
+    if gaussians.sh_degree > 0 or len(gaussians) == 0 or len(gaussians) % _PER_VOXEL:
+        return False
+    voxels = gaussians.means.reshape(-1, _PER_VOXEL, 3)
+    spread = float((voxels.amax(dim=1) - voxels.amin(dim=1)).max())
+    least = float(gaussians.log_scales.min())
+    return spread <= _LARGEST_SPREAD and least >= np.log(_LEAST_DEVIATION) - 1e-4
