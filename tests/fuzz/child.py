@@ -32,7 +32,7 @@ ADDRESSES = 3 << 30
 """Bytes of address space beyond what the interpreter and the libraries take at the start."""
 
 RESIDENT = 1 << 30
-"""Bytes of memory beyond the same; samples have less than a megabyte."""
+"""Bytes of memory that one input may take; samples have less than a megabyte."""
 
 
 class Bench:
@@ -42,7 +42,6 @@ class Bench:
         self._root = root
         root.mkdir(exist_ok=True)
         self._targets = all_targets()
-        self._start_memory = _resident()
 
     def prepare(self, name: str) -> tuple[Target, Path]:
         """The target and its sample, which its reader accepts."""
@@ -79,6 +78,7 @@ class Bench:
         beside = sorted(self._root.iterdir()), sorted(folder.parent.iterdir())
         out.parent.mkdir(exist_ok=True)
         _limit_time()
+        memory, peak = _resident(), _peak()
         try:
             value = target.read(folder, out)
         except InputError as error:
@@ -98,12 +98,17 @@ class Bench:
         wrong = first_fault(value)
         if wrong is not None:
             return "fault", f"accepted, and {wrong} is not finite"
-        if _resident() - self._start_memory > RESIDENT:
-            return "fault", f"took {(_resident() - self._start_memory) >> 20} MiB of memory"
+        if _peak() > max(peak, memory + RESIDENT):
+            return "fault", f"took {(_peak() - memory) >> 20} MiB of memory"
         return "accepted", ""
 
 
 def _resident() -> int:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def _peak() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
