@@ -154,14 +154,16 @@ def campaign(inputs: int, workers: int, seed: int, state: Path) -> Counter[tuple
     ]
     jobs.sort(key=lambda job: job[1])  # all targets get on alike
     lock, queue = Lock(), iter(jobs)
-    finished: dict[str, set[int]] = {}
+    finished: dict[tuple[str, int], tuple[Counter[tuple[str, str]], float]] = {}
 
-    def note(name: str, first: int, count: int, spent: float) -> None:
-        seconds[name] = seconds.get(name, 0.0) + spent
-        blocks = finished.setdefault(name, set())
-        blocks.add(first)
-        while done.get(name, 0) in blocks:
-            done[name] = done.get(name, 0) + count
+    def note(name: str, first: int, found: Counter[tuple[str, str]], spent: float) -> None:
+        finished[name, first] = found, spent
+        # Only what has no gap before it is written: a campaign that goes on begins at `done`.
+        while (name, done.get(name, 0)) in finished:
+            found, spent = finished.pop((name, done.get(name, 0)))
+            done[name] = done.get(name, 0) + found.total()
+            seconds[name] = seconds.get(name, 0.0) + spent
+            counts.update(found)
         record = {"seed": seed, "done": done, "seconds": seconds}
         record["counts"] = {" ".join(key): n for key, n in counts.items()}
         state.parent.mkdir(parents=True, exist_ok=True)
@@ -184,8 +186,7 @@ def campaign(inputs: int, workers: int, seed: int, state: Path) -> Counter[tuple
                         place = keep(name, seed, result)
                         print(f"FAULT {name} {result.number} {place}\n{result.text}", flush=True)
                 with lock:
-                    counts.update(found)
-                    note(name, first, count, time.monotonic() - began)
+                    note(name, first, found, time.monotonic() - began)
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(work, range(workers)))
