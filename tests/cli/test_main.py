@@ -162,3 +162,13 @@ def test_a_fault_of_ours_keeps_its_traceback_in_the_file(
     with pytest.raises(ZeroDivisionError):
         main(["doctor", "--log-file", str(tmp_path / "file.log")])
     assert "in fail" in (tmp_path / "file.log").read_text()
+
+
+@pytest.mark.parametrize("command", [RUN, ("demo", "--out", "x")])
+@pytest.mark.parametrize("threads", ["-1", "9" * 30])
+def test_threads_that_no_machine_has(
+    command: tuple[str, ...], threads: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*command, f"--threads={threads}"]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert "threads" in line

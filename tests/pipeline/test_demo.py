@@ -89,6 +89,6 @@ def test_an_unknown_part_is_refused_before_anything_is_made(tmp_path: Path, part
 
 
 def test_a_negative_number_of_threads_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="negative"):
+    with pytest.raises(InputError, match="threads"):
         demo(tmp_path / "out", SCENE, 1, TINY, threads=-1, console=Console(quiet=True))
     assert not (tmp_path / "out").exists()

@@ -55,7 +55,7 @@ class RunConfig(Record):
         default=True, description="of all cameras; without, only what the planner sees is rendered"
     )
     seed: int = 0
-    threads: int = Field(default=0, ge=0, description="CPU threads, 0: all")
+    threads: int = Field(default=0, ge=0, le=1024, description="CPU threads, 0: all")
     preset: Preset | None = Field(
         default=None, description="method of the scene: sets what `scene` does not name"
     )

@@ -5,17 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from pydantic import ValidationError
 from rich.console import Console
 
 from recast import storage
 from recast.actors import DEFAULT_GENERATOR
-from recast.errors import InputError
 from recast.pipeline.actor import generator_of
 from recast.pipeline.config import RunConfig
 from recast.pipeline.drive import drive_log
 from recast.pipeline.layout import METHODS
 from recast.pipeline.run import run
 from recast.planning import GTRS_MINI, make_planner
+from recast.records import validation_error
 from recast.scene import SceneConfig
 from recast.synthetic import make_world
 from recast.synthetic.rendering import require_embree
@@ -79,26 +80,27 @@ def demo(
             or `out` holds something else, or another process is at work there.
     """
     require_embree()  # the truth is ray-traced, and so is the log
-    if threads < 0:
-        raise InputError("threads", str(threads), "is negative", "choose 0 for all cores")
     world = make_world(scene, seed, size.seconds)
-    config = RunConfig(
-        track=world.target,
-        motions=size.motions,
-        methods=tuple(METHODS),
-        planner=planner or size.planner,
-        generator=generator,
-        steps=size.steps,
-        seed=seed,
-        threads=threads,
-        scene=SceneConfig(
-            scale=1.0,
-            iterations=size.iterations,
+    try:
+        config = RunConfig(
+            track=world.target,
+            motions=size.motions,
+            methods=tuple(METHODS),
+            planner=planner or size.planner,
+            generator=generator,
+            steps=size.steps,
             seed=seed,
             threads=threads,
-            force_dynamic=(world.target,),
-        ),
-    )
+            scene=SceneConfig(
+                scale=1.0,
+                iterations=size.iterations,
+                seed=seed,
+                threads=threads,
+                force_dynamic=(world.target,),
+            ),
+        )
+    except ValidationError as error:
+        raise validation_error("options", error, "give a value in range") from None
     make_planner(config.planner)
     generator_of(config.generator, config.axes)
     out = Path(out)

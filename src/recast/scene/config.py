@@ -114,7 +114,7 @@ class SceneConfig(MethodConfig):
 
     evaluate_every: int = Field(default=500, ge=1, description="steps between held-out PSNRs")
     checkpoint_every: int = Field(default=200, ge=1, description="steps that a kill costs at most")
-    threads: int = Field(default=0, ge=0, description="CPU threads, 0: all")
+    threads: int = Field(default=0, ge=0, le=1024, description="CPU threads, 0: all")
 
     def is_whole(self) -> bool:
         """Whether every field was named, as in the record of a run; the youngest may lack."""

@@ -93,6 +93,7 @@ def _trained(
     log: DrivingLog, out: Path, config: SceneConfig, place: torch.device, progress: ProgressCallback
 ) -> TrainResult:
     if (out / SCENE_FILE).is_file():
+        shutil.rmtree(out / WORK_FOLDER, ignore_errors=True)  # a kill may have been faster
         mend = "train the scene anew"
         budget = read_record(out / BUDGET_FILE, Budget, BUDGET_VERSION, mend)
         return TrainResult(load_scene(out), out, read_json(out / HISTORY_FILE), budget)
