@@ -74,7 +74,9 @@ def test_failed_and_cut_rollouts_are_told_and_pairs_end_together() -> None:
         ScenarioPart("c", "", (RolloutPart("native", failure), part("recast", "c", 40))),
     ]
     native, recast, difference = tables.aggregate_lines(scenarios, METHODS)
-    assert native.sub == "idm-lane-follower; 2 of 3 rollouts scored, 12 plans, 2 cut short, 1 failed"
+    assert (
+        native.sub == "idm-lane-follower; 2 of 3 rollouts scored, 12 plans, 2 cut short, 1 failed"
+    )
     assert recast.sub == "idm-lane-follower; 3 of 3 rollouts scored, 24 plans, 2 cut short"
     assert cell(native, "nc").text == "1 of 2"  # as far as it went
     # a: +1; b: neither has a contact in the first 20 steps

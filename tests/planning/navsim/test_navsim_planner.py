@@ -155,9 +155,7 @@ def test_cameras_by_yaw_and_by_frame() -> None:
 
 def test_a_camera_that_nothing_looks_like_is_named() -> None:
     planner = NavsimPlanner(Recorder(SensorConfig(cam_b0=[3])))
-    message = (
-        r"^planner my-agent: camera cam_b0: is wanted, .* of 180 .*there are front \(ahead, 6"
-    )
+    message = r"^planner my-agent: camera cam_b0: is wanted, .* of 180 .*there are front \(ahead, 6"
     with pytest.raises(InputError, match=message):
         _run(planner)
 
