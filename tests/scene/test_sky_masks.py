@@ -74,7 +74,7 @@ def test_bad_files_are_named(tiny_log: DrivingLog, tmp_path: Path) -> None:
     write_masks(tmp_path / "sky", tiny_log, "{frame:03d}_image_02.png")
     views, asked = few_views(tiny_log), config(tmp_path / "sky", "files")
     (tmp_path / "sky" / "005_image_02.png").write_bytes(b"no image")
-    with pytest.raises(InputError, match=r"005_image_02\.png.*cannot be read"):
+    with pytest.raises(InputError, match=r"005_image_02\.png.*cannot be decoded"):
         sky_masks(tiny_log, views, no_depths(views), asked)
     cv2.imwrite(str(tmp_path / "sky" / "005_image_02.png"), np.zeros((5, 7), np.uint8))
     with pytest.raises(InputError, match="is 7x5, the image"):

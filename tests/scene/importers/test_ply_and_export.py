@@ -152,7 +152,7 @@ def test_bad_skies(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="file: is missing"):
         read_sky(tmp_path / "none.png")
     (tmp_path / "a.png").write_bytes(b"")
-    with pytest.raises(InputError, match="image: cannot be read"):
+    with pytest.raises(InputError, match="image: cannot be decoded"):
         read_sky(tmp_path / "a.png")
 
 
