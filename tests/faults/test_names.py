@@ -13,6 +13,7 @@ from rich.console import Console
 import recast.pipeline.report
 import recast.pipeline.run
 from recast.logs import DrivingLog
+from recast.pipeline.bench import parse_scenes
 from recast.pipeline.layout import rollout_folder
 from recast.pipeline.options import resolve_config
 from recast.pipeline.rollouts import films
@@ -97,3 +98,17 @@ def test_a_run_with_hostile_names(
         assert source.startswith("#") or (page.parent / source).resolve().is_relative_to(
             page.parent
         )
+
+
+def test_scenes_of_a_grid_with_hostile_names(
+    hostile: DrivingLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two tracks whose names differ in what folders cannot hold are two scenes."""
+    track = hostile.tracks[TRACK]
+    both = dataclasses.replace(hostile, tracks={TRACK: track, TRACK.replace("/", "\\"): track})
+    monkeypatch.setattr("recast.pipeline.bench.scenes.read_log", lambda path: both)
+    ids = [parse_scenes([str(tmp_path)], 0, name)[0].id for name in both.tracks]
+    assert len(set(ids)) == 2
+    for name in ids:
+        assert len(name) < 100 and (tmp_path / name).parent == tmp_path
+        (tmp_path / name).mkdir()

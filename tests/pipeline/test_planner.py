@@ -12,7 +12,8 @@ from recast.cli.main import main
 from recast.errors import InputError
 from recast.logs import DrivingLog
 from recast.pipeline.config import RunConfig
-from recast.pipeline.planner import planner_source, run_mounts
+from recast.pipeline.planner import run_mounts
+from recast.pipeline.sources import planner_source
 from recast.planning import ConstantVelocity, Planner
 
 PLUGIN = """

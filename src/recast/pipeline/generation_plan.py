@@ -13,9 +13,9 @@ from recast.errors import InputError
 from recast.evaluation.actor_cases import ActorCase, ActorView
 from recast.evaluation.bootstrap import SAMPLES
 from recast.evaluation.generation_placement import Placement
-from recast.pipeline.sources import generator_source
 from recast.pipeline.fingerprint import file_hash, folder_hash, value_hash
 from recast.pipeline.generation_maker import CellJob, Measures
+from recast.pipeline.sources import generator_source
 from recast.recar.perturb import PerturbationConfig
 from recast.trellis import verify_checkpoint
 
