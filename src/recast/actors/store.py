@@ -108,14 +108,12 @@ def _read_shadow(path: Path) -> Gaussians:
 def _read_source(path: Path) -> np.ndarray:
     data = storage.read_bytes(path, 8 * SOURCE_PIXELS)
     try:
-        with Image.open(io.BytesIO(data), formats=["PNG"]) as header:
-            (width, height), mode = header.size, header.mode
+        # Not through OpenCV, whose PNG reader prints and goes on where a file is damaged.
+        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
+            (width, height), mode = image.size, image.mode
+            if mode == "RGBA" and width * height <= SOURCE_PIXELS:
+                return np.array(image)
     except Exception as error:  # Pillow's parsers let through whatever broken bytes lead to
-        raise InputError(path, "image", f"is no PNG ({error})", _MEND) from None
-    if mode != "RGBA" or width * height > SOURCE_PIXELS:
-        problem = f"is {mode} of {width}x{height} pixels, not RGBA of {SOURCE_PIXELS} at most"
-        raise InputError(path, "image", problem, _MEND)
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None or image.shape != (height, width, 4) or image.dtype != np.uint8:
-        raise InputError(path, "image", "is damaged", _MEND)
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGRA2RGBA), np.uint8)
+        raise InputError(path, "image", f"is no whole PNG ({error})", _MEND) from None
+    problem = f"is {mode} of {width}x{height} pixels, not RGBA of {SOURCE_PIXELS} at most"
+    raise InputError(path, "image", problem, _MEND)
