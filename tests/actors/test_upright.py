@@ -16,8 +16,10 @@ from hypothesis import strategies as st
 from actors import made_up
 from recast.actors import Observation, PlyGenerator, axes_of, register
 from recast.actors.hull import outer_surface
+from recast.actors.place import place_asset
 from recast.actors.upright import LEAST_EVIDENCE, postures
 from recast.errors import InputError
+from recast.evaluation.generation_placement import place_canonical
 from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass, write_ply
@@ -164,19 +166,48 @@ def test_shapes_that_are_refused(
         (ball, r"no orientation fits a box of 4\.40 x 1\.75 x 1\.45 m"),
         (vehicle("template bus")[0], "no orientation fits"),
         (box_points(observation.size), "does not tell which way is up"),
-        (box_points(np.array([1.0, 1.0, 1e-12])), "in a plane or on a line"),
+        (box_points(np.array([1.0, 1.0, 1e-12])), "on a line or in a plane"),
         (np.zeros((100, 3)), "in one place"),
-        (np.outer(np.linspace(0, 1, 100), [1.0, 2.0, 3.0]), "in a plane or on a line"),
+        (np.outer(np.linspace(0, 1, 100), [1.0, 2.0, 3.0]), "on a line or in a plane"),
     ):
         write_ply(path, points_gaussians(points))
         with pytest.raises(InputError, match=message) as caught:
             PlyGenerator(path).generate(observation, 0)
         assert str(path) in str(caught.value) and "\n" not in str(caught.value)
-        PlyGenerator(path, "z-up").generate(observation, 0)  # the user knows better
     haze = replace(red_car, logit_opacities=torch.full_like(red_car.logit_opacities, -9.0))
     write_ply(path, haze)
     with pytest.raises(InputError, match="opaque"):
         PlyGenerator(path).generate(observation, 0)
+
+
+def test_named_axes_ask_nothing_of_the_shape(observation: Observation, tmp_path: Path) -> None:
+    write_ply(tmp_path / "box.ply", points_gaussians(box_points(observation.size)))
+    asset = PlyGenerator(tmp_path / "box.ply", "z-up").generate(observation, 0)
+    assert asset.axes.up == "+z" and "axes" not in asset.details
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (np.outer(np.linspace(0, 1, 100), [0.0, 0.0, 1.0]), "on a line or in a plane"),
+        (box_points(np.array([1.0, 1.0, 1e-12])), "on a line or in a plane"),
+        (np.repeat([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], 60, axis=0), "on a line or in a plane"),
+        (1e-12 * box_points(np.ones(3)), "log_scales: at the size of a box"),
+    ],
+)
+def test_what_cannot_stand_in_a_box_is_refused(
+    points: np.ndarray, message: str, observation: Observation, street: DrivingLog, tmp_path: Path
+) -> None:
+    """With the axes named, where nothing is told from the shape."""
+    write_ply(tmp_path / "thing.ply", points_gaussians(points))
+    asset = PlyGenerator(tmp_path / "thing.ply", "z-up").generate(observation, 0)
+    for use in (
+        lambda: register(asset, observation, street, street.tracks["7"]),
+        lambda: place_asset(asset, observation.size, [observation]),
+        lambda: place_canonical(asset, observation.size),
+    ):
+        with pytest.raises(InputError, match=message):
+            use()
 
 
 @pytest.mark.parametrize(

@@ -62,5 +62,5 @@ def test_views_find_the_heading(observation: Observation) -> None:
 def test_what_cannot_be_seen_is_refused(observation: Observation, how: str) -> None:
     box = two_coloured_box()
     box.logit_opacities.fill_(-9.0)
-    with pytest.raises(InputError, match="asset of made: opacity"):
+    with pytest.raises(InputError, match="asset of made: shape"):
         place(Asset(box, UNIT_CUBE_Z_UP, "made", 0), SIZE, [observation], how)  # type: ignore[arg-type]

@@ -16,6 +16,7 @@ from recast.splats import Gaussians
 Array = NDArray[np.float64]
 
 _MIN_OPACITY = 0.3
+_LEAST_SPREAD = 1e-3  # of the thinnest direction over the longest: less is a sheet, not a vehicle
 _PER_CELL = 8  # Gaussians per cell of the depth maps that decide what is outside
 _FLAT = 0.5  # a Gaussian whose least deviation is below this share of its middle one has a normal
 
@@ -42,18 +43,21 @@ def outer_surface(gaussians: Gaussians) -> Surface:
     the plane through the twelve nearest neighbours.
 
     Raises:
-        ValueError: fewer than 50 opaque Gaussians, or all in one place.
+        ValueError: fewer than 50 opaque Gaussians, or all in one place, on a line or in a plane.
     """
     with torch.no_grad():
         opaque = np.flatnonzero(torch.sigmoid(gaussians.logit_opacities).numpy() > _MIN_OPACITY)
     if len(opaque) < 50:
         raise ValueError(f"outer_surface: {len(opaque)} opaque Gaussians, at least 50 are needed")
     points = gaussians.means.detach().numpy().astype(np.float64)[opaque]
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if not spread[-1] > _LEAST_SPREAD * spread[0]:
+        raise ValueError(
+            "outer_surface: opaque Gaussians lie in one place, on a line or in a plane"
+        )
     # empty cells would let inner Gaussians through
     cells = np.clip(np.sqrt(len(points) / _PER_CELL), 8, 128)
     cell = float(np.ptp(points, axis=0).max()) / float(cells)
-    if not cell > 0:
-        raise ValueError("outer_surface: all opaque Gaussians are in one place")
     outside = np.zeros(len(points), bool)
     for direction in _directions():
         outside |= _frontmost(points, direction, cell)

@@ -17,10 +17,9 @@ from scipy.optimize import minimize
 
 from recast.actors.evidence import Agreement, compare_views, front_votes
 from recast.actors.generate import Asset
-from recast.actors.hull import bounds, outer_surface
+from recast.actors.hull import bounds
 from recast.actors.observation import Observation
-from recast.actors.start import Start, stand_on_box
-from recast.errors import InputError
+from recast.actors.start import Start, stand_on_box, stood_up
 from recast.geometry import se3
 from recast.splats import Gaussians, LowPass
 
@@ -86,21 +85,14 @@ def place_asset(asset: Asset, size: ArrayLike, observations: Sequence[Observatio
         observations: conditioning views with cameras, at least one.
 
     Raises:
-        InputError: the asset is hardly opaque.
+        InputError: see `stood_up`.
         ValueError: no observation.
     """
     if not observations:
         raise ValueError("place_asset: at least one observation is needed")
     size = np.asarray(size, np.float64)
-    upright = se3.from_rotation_translation(asset.axes.rotation(), np.zeros(3))
-    gaussians = asset.gaussians.detach().transformed(torch.from_numpy(upright))
-    try:
-        points = outer_surface(gaussians).points
-    except ValueError as error:
-        raise InputError(
-            f"asset of {asset.generator}", "opacity", str(error),
-            "generate again with another seed, or export the asset again",
-        ) from None  # fmt: skip
+    gaussians, surface = stood_up(asset)
+    points = surface.points
     search = _Search(gaussians, asset.low_pass, points, size, observations)
     declared = asset.axes.declares_front
     first = 0.0 if declared else search.best_yaw()

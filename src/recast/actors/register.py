@@ -14,13 +14,12 @@ from scipy.spatial import cKDTree
 from recast.actors.actor import Actor, FrontEvidence, Provenance, RegistrationReport
 from recast.actors.evidence import Agreement, compare_views, front_votes, heading_agreement
 from recast.actors.generate import Asset
-from recast.actors.hull import Surface, bounds, outer_surface
+from recast.actors.hull import Surface, bounds
 from recast.actors.icp import IcpLimits, align, fit_of
 from recast.actors.observation import Observation
 from recast.actors.observe import require_points
 from recast.actors.shadow import contact_shadow
-from recast.actors.start import Start, stand_on_box
-from recast.errors import InputError
+from recast.actors.start import Start, stand_on_box, stood_up
 from recast.geometry import se3
 from recast.logs import DrivingLog, Track, track_points
 from recast.splats import Gaussians, LowPass
@@ -43,27 +42,14 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
         track: the vehicle it stands for.
 
     Raises:
-        InputError: fewer than 20 LiDAR points on the track, or an asset that is hardly opaque, or
-            has values that are not finite or out of range.
+        InputError: fewer than 20 LiDAR points on the track, or see `stood_up`.
     """
-    fault = asset.gaussians.fault()
-    if fault is not None:
-        where = f"asset of {asset.generator}"
-        raise InputError(where, *fault, "take another seed or another generator")
     same = observation.track_id == track.track_id  # reading all sweeps again takes seconds
     points = observation.points if same else track_points(log, track).points
     require_points(points, log, track.track_id)
     lidar = _thinned(np.asarray(points, np.float64), _LIDAR_POINTS)
     size = np.asarray(track.size, np.float64)
-    upright = se3.from_rotation_translation(asset.axes.rotation(), np.zeros(3))
-    gaussians = asset.gaussians.detach().transformed(torch.from_numpy(upright))
-    try:
-        surface = outer_surface(gaussians)
-    except ValueError as error:
-        raise InputError(
-            f"asset of {asset.generator}", "opacity", str(error), "export the asset again"
-        ) from None
-
+    gaussians, surface = stood_up(asset)
     start, front = _orientation(gaussians, surface, lidar, size, observation, track, asset)
     placed = start.apply(surface)
     before = fit_of(placed.points, lidar)

@@ -29,7 +29,6 @@ MOST_AGAINST = 0.5
 
 _POINTS = 6000
 _EVERY = 4  # point counts where many yaws are tried, and where points are mirrored
-_LEAST_SPREAD = 1e-3  # of the thinnest direction over the longest: less is a sheet
 _YAWS = np.radians(np.arange(0.0, 90.0, 2.0))
 _FINER = np.radians(np.arange(-1.75, 2.0, 0.25))
 _CELLS = 48  # of the maps from above and from below, along the length
@@ -90,17 +89,11 @@ def postures(points: Array, size: ArrayLike) -> list[Posture]:
     """All six, the most likely first.
 
     Args:
-        points: (N, 3) of the outer surface, in any unit and turned by quarters of a turn, or about
-            the vertical by any angle.
+        points: (N, 3) of an outer surface (`outer_surface`), in any unit; lying by quarters of a
+            turn, and turned about the vertical by any angle.
         size: (3,) length, width, height of the box that the vehicle stands for.
-
-    Raises:
-        ValueError: the points have no extent.
     """
     points = np.asarray(points, np.float64)[:: max(1, len(points) // _POINTS)]
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if not spread[-1] > _LEAST_SPREAD * spread[0]:
-        raise ValueError("postures: the points lie in a plane or on a line")
     found = [one for axis in range(3) for one in _about(points, axis, np.asarray(size, np.float64))]
     return sorted(found, key=lambda posture: -posture.total)
 

@@ -11,9 +11,9 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from recast.actors import Asset, Observation
-from recast.actors.hull import bounds, outer_surface
+from recast.actors.hull import Surface, bounds
 from recast.actors.place import place_asset
-from recast.errors import InputError
+from recast.actors.start import stood_up
 from recast.geometry import se3
 from recast.splats import Gaussians
 
@@ -36,7 +36,7 @@ def place(
         how: see `Placement`.
 
     Raises:
-        InputError: the asset is hardly opaque.
+        InputError: see `stood_up`.
     """
     if how == "views":
         placed = place_asset(asset, size, observations)
@@ -52,18 +52,11 @@ def place_canonical(asset: Asset, size: ArrayLike) -> tuple[Gaussians, dict[str,
     look along +x whatever they are shown: errors of a search do not blur the comparison then.
 
     Raises:
-        InputError: the asset is hardly opaque.
+        InputError: see `stood_up`.
     """
     size = np.asarray(size, np.float64)
-    upright = se3.from_rotation_translation(asset.axes.rotation(), np.zeros(3))
-    gaussians = asset.gaussians.detach().transformed(torch.from_numpy(upright))
-    try:
-        low, high = _outline(gaussians)
-    except ValueError as error:
-        raise InputError(
-            f"asset of {asset.generator}", "opacity", str(error),
-            "generate again with another seed, or export the asset again",
-        ) from None  # fmt: skip
+    gaussians, surface = stood_up(asset)
+    low, high = _outline(gaussians, surface)
     scale = float(size[0] / (high[0] - low[0]))
     middle = (low + high) / 2 * scale
     shift = np.array([-middle[0], -middle[1], -size[2] / 2 - low[2] * scale])
@@ -79,12 +72,11 @@ def place_canonical(asset: Asset, size: ArrayLike) -> tuple[Gaussians, dict[str,
     return gaussians.transformed(torch.from_numpy(matrix), scale), facts
 
 
-def _outline(gaussians: Gaussians) -> tuple[Array, Array]:
+def _outline(gaussians: Gaussians, surface: Surface) -> tuple[Array, Array]:
     """Lower and upper corner (3,) of where outer Gaussians alone cover half; strays left out.
 
     A Gaussian of opacity o covers half at sqrt(2 ln(o / 0.5)) deviations.
     """
-    surface = outer_surface(gaussians)
     chosen = gaussians.select(torch.from_numpy(surface.index))
     opacity = torch.sigmoid(chosen.logit_opacities).double().numpy()
     radius = np.sqrt(2 * np.log(np.maximum(opacity / 0.5, 1.0)))
