@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 import zlib
 from dataclasses import replace
 from pathlib import Path

@@ -38,6 +38,11 @@ def test_a_model_folder_is_a_generator(folder: Path, observation: Observation) -
     }
 
 
+def test_the_axes_of_a_model_may_be_named(folder: Path) -> None:
+    generator = generator_of(str(folder), "x,z")
+    assert isinstance(generator, ImageTo3DGenerator) and generator.axes.declares_front
+
+
 def test_the_crop_decides(folder: Path, observation: Observation) -> None:
     generator = ImageTo3DGenerator(folder, limits=GenerationLimits(max_voxels=4096))
     turned = replace(observation, rgba=observation.rgba[:, ::-1].copy())

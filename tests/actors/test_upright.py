@@ -18,10 +18,13 @@ from recast.actors import Observation, PlyGenerator, axes_of, register
 from recast.actors.hull import outer_surface
 from recast.actors.place import place_asset
 from recast.actors.upright import LEAST_EVIDENCE, postures
+from recast.cli.main import main
 from recast.errors import InputError
 from recast.evaluation.generation_placement import place_canonical
 from recast.geometry import se3
 from recast.logs import DrivingLog
+from recast.pipeline.actor import generator_of
+from recast.pipeline.config import RunConfig
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass, write_ply
 from recast.synthetic.vehicles import KINDS, sample_vehicle
 from recast.trellis import viewer_frame
@@ -233,6 +236,24 @@ def test_axes_by_name_and_by_two_axes(text: str, forward: str, up: str, front: b
 def test_axes_that_are_refused(text: str) -> None:
     with pytest.raises(InputError, match="is no axis convention"):
         axes_of(text)
+
+
+def test_axes_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_ply(tmp_path / "car.ply", points_gaussians(box_points(np.ones(3))))
+    make = ["actor", "make", str(tmp_path), "--track", "7", "--out", str(tmp_path / "out")]
+    for generator, axes, message in (
+        ("template", "y-up", "is not for the generator template, which knows its axes"),
+        (str(tmp_path / "car.ply"), "sideways", "is no axis convention"),
+    ):
+        assert main([*make, "--generator", generator, "--axes", axes]) == 2
+        told = " ".join(capsys.readouterr().err.split())
+        assert f"--axes: {axes}: {message}" in told
+    generator = generator_of(str(tmp_path / "car.ply"), "-y,z")
+    assert isinstance(generator, PlyGenerator)
+    assert generator.axes == axes_of("-y,z") and generator.axes.declares_front
+    record = {"track": "7", "motions": ("cut-in-a",)}
+    assert "axes" not in RunConfig.model_validate(record).resolved()
+    assert RunConfig.model_validate(record | {"axes": "y-up"}).resolved()["axes"] == "y-up"
 
 
 @pytest.mark.parametrize("low_pass", [CLASSIC, LowPass(0.2, antialiased=True)])
