@@ -142,5 +142,8 @@ def _changed(event: str, args: tuple[Any, ...]) -> str | None:
     path = os.fspath(path)
     folder = args[-1]
     if event in _REMOVING and isinstance(folder, int) and folder >= 0:  # as `shutil.rmtree` does
-        path = os.path.join(Path(f"/proc/self/fd/{folder}").readlink(), path)  # noqa: PTH118
+        try:
+            path = os.path.join(Path(f"/proc/self/fd/{folder}").readlink(), path)  # noqa: PTH118
+        except OSError:  # not on Linux: what is removed there is no moment
+            return None
     return os.path.abspath(path)  # noqa: PTH100
