@@ -19,6 +19,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from math import ceil
 from pathlib import Path
 from threading import Lock
 from typing import Any, Self
@@ -118,10 +119,10 @@ class Child:
 
 
 def shares(inputs: int) -> dict[str, int]:
-    """Inputs of each target, `inputs` in all."""
+    """Inputs of each target, at least `inputs` in all."""
     targets = all_targets()
     total = sum(target.weight for target in targets.values())
-    return {name: round(inputs * target.weight / total) for name, target in targets.items()}
+    return {name: ceil(inputs * target.weight / total) for name, target in targets.items()}
 
 
 def keep(name: str, seed: int, result: Result) -> Path:
