@@ -21,7 +21,8 @@ LEVELS += avx2
 endif
 endif
 # The tests whose numbers may differ between processors; TESTS=tests for all.
-TESTS ?= tests/geometry tests/dynamics tests/evaluation tests/planning tests/splats tests/trellis
+TESTS ?= tests/geometry tests/dynamics tests/evaluation tests/splats tests/trellis tests/planning/pdm \
+  tests/planning/gtrs
 
 .PHONY: help setup demo test test-portable $(LEVELS:%=test-at-%) lint types contracts docs unit fuzz bench clean
 
