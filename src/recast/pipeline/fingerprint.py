@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,15 @@ def file_hash(path: str | Path) -> str:
 def folder_hash(folder: str | Path) -> str:
     """BLAKE2b-128 over the relative names and bytes of all files below a folder, in name order."""
     folder = Path(folder)
+    return files_hash(sorted(p for p in folder.rglob("*") if p.is_file()), folder)
+
+
+def files_hash(files: Iterable[Path], root: Path) -> str:
+    """BLAKE2b-128 over the names below `root` and the bytes of files, in the order given."""
     digest = hashlib.blake2b(digest_size=16)
-    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
-        digest.update(path.relative_to(folder).as_posix().encode() + b"\0")
+    for path in files:
+        name = path.relative_to(root).as_posix()
+        digest.update(name.encode("utf-8", "surrogateescape") + b"\0")
         digest.update(bytes.fromhex(file_hash(path)))
     return digest.hexdigest()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -11,7 +10,7 @@ from typing import Self
 
 from recast.actors import GENERATORS, SEGMENTERS, is_segmenter_folder
 from recast.pipeline.config import RunConfig
-from recast.pipeline.fingerprint import file_hash, folder_hash
+from recast.pipeline.fingerprint import file_hash, files_hash, folder_hash
 from recast.planning import PLANNERS, planner_folder, planner_source_files
 from recast.plugins import Registry
 from recast.trellis import RECAST_MINI, recast_mini
@@ -90,12 +89,8 @@ def _code(registry: Registry, name: str, files: tuple[Path, ...]) -> str:
     if not files:
         return name
     # Names below the folder that all share: the same code elsewhere is the same code.
-    root = os.path.commonpath([file.parent for file in files])
-    digest = hashlib.blake2b(digest_size=16)
-    for file in files:
-        digest.update(os.path.relpath(file, root).encode("utf-8", "surrogateescape") + b"\0")
-        digest.update(bytes.fromhex(file_hash(file)))
+    root = Path(os.path.commonpath([file.parent for file in files]))
     plugins = entry_points(group=registry.group)
     package = plugins[name].dist if name in plugins.names else None
     # Its data files are not looked at, so the version stands for them.
-    return " ".join([name, *([package.version] if package else []), digest.hexdigest()])
+    return " ".join([name, *([package.version] if package else []), files_hash(files, root)])
