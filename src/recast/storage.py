@@ -119,13 +119,13 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     with disk_errors(path):
-        _must_not_exist(path)
+        require_new(path)
         partial = _partial_name(path)
         if not partial.is_dir():
             partial.unlink(missing_ok=True)
         partial.mkdir(parents=True, exist_ok=True)
         with _locked(os.open(partial, os.O_RDONLY), path):
-            _must_not_exist(path)  # the process that held the lock may have finished it
+            require_new(path)  # the process that held the lock may have finished it
             try:
                 _clear(partial)
                 yield partial
@@ -135,8 +135,13 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
                 raise
 
 
-def _must_not_exist(path: Path) -> None:
-    if path.exists():
+def require_new(path: str | Path) -> None:
+    """Refuse an output that is there already, before anything that takes long.
+
+    Raises:
+        InputError: `path` exists.
+    """
+    if Path(path).exists():
         raise InputError(path, "output folder", "exists already", "name another one or remove it")
 
 

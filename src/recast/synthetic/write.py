@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast import storage
-from recast.errors import InputError
 from recast.logs import CameraStream, DrivingLog, LidarStream, Track, write_log
 from recast.synthetic.label_noise import check_label_noise, with_label_noise
 from recast.synthetic.oracle import instances
@@ -100,8 +99,7 @@ def check_request(
         working_llvm()
     make_rig(width, height, cameras)
     check_label_noise(label_noise)
-    if Path(out).exists():
-        raise InputError(out, "output folder", "exists already", "name another one or remove it")
+    storage.require_new(out)
 
 
 def moments(world: World) -> NDArray[np.int64]:

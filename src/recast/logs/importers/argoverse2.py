@@ -32,6 +32,7 @@ from recast.logs.importers.image_files import ImageFiles
 from recast.logs.importers.valid import returns_valid
 from recast.logs.store import write_log
 from recast.logs.types import Array, CameraStream, DrivingLog, LidarStream, Trajectory
+from recast.storage import require_new
 
 LICENCE = "CC BY-NC-SA 4.0"
 
@@ -61,8 +62,7 @@ def import_argoverse2(
     Raises:
         InputError: files are missing, broken or do not belong together; nothing is written then.
     """
-    if Path(out).exists():
-        raise InputError(out, "output folder", "exists already", "name another one or remove it")
+    require_new(out)
     write_log(load_argoverse2(root, drive, labels, cameras), out)
 
 

@@ -29,6 +29,7 @@ from recast.logs.importers.waymo_schema import LICENCE
 from recast.logs.importers.waymo_values import WAYMO_FROM_OPENCV
 from recast.logs.store import write_log
 from recast.logs.types import CameraStream, DrivingLog, Trajectory
+from recast.storage import require_new
 
 FRAME_US = 100_000
 """The folder has no times; Waymo's frames are ten a second."""
@@ -55,8 +56,7 @@ def import_drivestudio(
         InputError: files are missing, broken or do not belong together, or the scene is not
             Waymo's; nothing is written then.
     """
-    if Path(out).exists():
-        raise InputError(out, "output folder", "exists already", "name another one or remove it")
+    require_new(out)
     write_log(load_drivestudio(root, drive, labels, cameras), out)
 
 

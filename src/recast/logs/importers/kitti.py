@@ -41,6 +41,7 @@ from recast.logs.types import (
     LidarStream,
     Trajectory,
 )
+from recast.storage import require_new
 
 VELODYNE = "velodyne"
 GREY = ("image_00", "image_01")
@@ -73,8 +74,7 @@ def import_kitti(
     Raises:
         InputError: files are missing, broken or do not belong together; nothing is written then.
     """
-    if Path(out).exists():
-        raise InputError(out, "output folder", "exists already", "name another one or remove it")
+    require_new(out)
     log = load_kitti(root, drive, labels, cameras, refine)
     if ego_path(log.world_from_rig) is not None:
         log = replace(log, map=derive_map(log))

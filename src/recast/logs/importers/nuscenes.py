@@ -22,6 +22,7 @@ from recast.logs.importers.nuscenes_tables import LogRow, SampleRow, SceneRow, l
 from recast.logs.importers.valid import returns_valid
 from recast.logs.store import write_log
 from recast.logs.types import CameraStream, DrivingLog, LidarStream
+from recast.storage import require_new
 
 LICENCE = "CC BY-NC-SA 4.0"
 _LISTED = 5
@@ -50,8 +51,7 @@ def import_nuscenes(
         InputError: tables or files are missing, broken or do not belong together; nothing is
             written then.
     """
-    if Path(out).exists():
-        raise InputError(out, "output folder", "exists already", "name another one or remove it")
+    require_new(out)
     if labels is not None:
         raise InputError(labels, "labels", "nuScenes tables hold the boxes", "leave the option out")
     write_log(load_nuscenes(root, drive, cameras), out)

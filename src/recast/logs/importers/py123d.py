@@ -24,6 +24,7 @@ from recast.logs.importers.py123d_tracks import read_tracks
 from recast.logs.importers.valid import returns_valid
 from recast.logs.store import write_log
 from recast.logs.types import Array, DrivingLog, Trajectory
+from recast.storage import require_new
 from recast.tables import check_batches
 
 SYNC = "sync.arrow"
@@ -54,8 +55,7 @@ def import_py123d(
     """
     if labels is not None:
         raise InputError(labels, "labels", "a log holds its own", "leave the option out")
-    if Path(out).exists():
-        raise InputError(out, "output folder", "exists already", "name another one or remove it")
+    require_new(out)
     write_log(load_py123d(root, drive, cameras), out)
 
 

@@ -22,6 +22,7 @@ from recast.logs.importers.valid import returns_valid
 from recast.logs.importers.waymo_schema import LICENCE
 from recast.logs.store import write_log
 from recast.logs.types import CameraStream, DrivingLog
+from recast.storage import require_new
 
 
 def import_street_gaussians(
@@ -44,8 +45,7 @@ def import_street_gaussians(
         InputError: files are missing, broken, hold pickled objects or do not belong together;
             nothing is written then.
     """
-    if Path(out).exists():
-        raise InputError(out, "output folder", "exists already", "name another one or remove it")
+    require_new(out)
     write_log(load_street_gaussians(root, drive, labels, cameras), out)
 
 

@@ -20,6 +20,7 @@ from recast.logs.importers.waymo_motion import load_scenario
 from recast.logs.importers.waymo_schema import LICENCE
 from recast.logs.store import write_log
 from recast.logs.types import DrivingLog
+from recast.storage import require_new
 
 
 def import_waymo(
@@ -45,8 +46,7 @@ def import_waymo(
     """
     if labels is not None:
         raise InputError(labels, "labels", "a segment holds its own", "leave the option out")
-    if Path(out).exists():
-        raise InputError(out, "output folder", "exists already", "name another one or remove it")
+    require_new(out)
     write_log(load_waymo(root, drive, cameras), out)
 
 

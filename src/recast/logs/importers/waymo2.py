@@ -16,6 +16,7 @@ from recast.logs.importers.waymo2_segment import read_segment
 from recast.logs.importers.waymo_drive import driving_log
 from recast.logs.store import write_log
 from recast.logs.types import DrivingLog
+from recast.storage import require_new
 
 
 def import_waymo2(
@@ -39,8 +40,7 @@ def import_waymo2(
     """
     if labels is not None:
         raise InputError(labels, "labels", "a segment holds its own", "leave the option out")
-    if Path(out).exists():
-        raise InputError(out, "output folder", "exists already", "name another one or remove it")
+    require_new(out)
     write_log(load_waymo2(root, drive, cameras), out)
 
 

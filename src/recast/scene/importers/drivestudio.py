@@ -41,10 +41,11 @@ from recast.scene.importers.placing import (
     frame_times,
     given_placement,
 )
-from recast.scene.importers.record import Imported, ImportRecord, check_output, write_imported
+from recast.scene.importers.record import Imported, ImportRecord, write_imported
 from recast.scene.importers.table import Table, read_checkpoint
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.splats import Gaussians
+from recast.storage import require_new
 
 CUBE_FROM_SCENE = torch.tensor([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """The sky is looked up in direction (x, z, -y)."""
@@ -101,7 +102,7 @@ def import_drivestudio(
             log, `out` exists. Nothing is written then.
     """
     check_share(share)
-    check_output(out)
+    require_new(out)
     root = read_checkpoint(path)
     models = root.table("models")
     times = frame_times(log, clock, first_frame)

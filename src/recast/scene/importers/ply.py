@@ -9,11 +9,12 @@ import torch
 from recast.errors import InputError
 from recast.logs import DrivingLog
 from recast.scene.importers.placing import Placement, given_placement
-from recast.scene.importers.record import Imported, ImportRecord, check_output, write_imported
+from recast.scene.importers.record import Imported, ImportRecord, write_imported
 from recast.scene.sky import SkyMap
 from recast.scene.sky_image import read_sky
 from recast.scene.street_scene import StreetScene
 from recast.splats import read_ply
+from recast.storage import require_new
 
 
 def import_ply(
@@ -34,7 +35,7 @@ def import_ply(
         InputError: a file is missing or broken, the PLY is empty, `out` exists.
     """
     path = Path(path)
-    check_output(out)
+    require_new(out)
     background = read_ply(path)
     if len(background) == 0:
         raise InputError(path, "element vertex", "has no rows", "export it again")

@@ -116,9 +116,3 @@ def write_imported(
         write_json(partial / IMPORT_FILE, record.model_dump(mode="json"))
         save_scene(imported.scene, partial)
     return record
-
-
-def check_output(out: str | Path) -> None:
-    """Refuse a folder that exists before anything large is read."""
-    if Path(out).exists():
-        raise InputError(out, "output folder", "exists already", "name another one or remove it")

@@ -28,11 +28,12 @@ from recast.scene.importers.actors import (
 from recast.scene.importers.cubemap import NO_SKY, RESAMPLED, read_faces
 from recast.scene.importers.parts import Names, read_gaussians, unused_members
 from recast.scene.importers.placing import Placement, frame_times, given_placement
-from recast.scene.importers.record import Imported, ImportRecord, check_output, write_imported
+from recast.scene.importers.record import Imported, ImportRecord, write_imported
 from recast.scene.importers.street_gaussians_tracks import ProcessedDrive, read_processed
 from recast.scene.importers.table import Table, read_checkpoint
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.splats import Gaussians
+from recast.storage import require_new
 
 NAMES = Names("xyz", "feature_rest", "scaling", "rotation", "opacity")
 CONSTANT = "feature_dc"
@@ -77,7 +78,7 @@ def import_street_gaussians(
             log, `out` exists. Nothing is written then.
     """
     check_share(share)
-    check_output(out)
+    require_new(out)
     table = read_checkpoint(path)
     drive = None if processed is None else read_processed(processed, frames, cameras)
     placement = _placement(log, drive, world_from_scene)
