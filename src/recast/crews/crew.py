@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol, TypeVar
 
-from recast.synthetic.child_process import one_thread
+from recast.crews.child_process import one_thread
 
 Job = TypeVar("Job")
 Outcome = TypeVar("Outcome")

@@ -9,9 +9,9 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from typing import Any
 
 from recast import diagnostics
+from recast.crews.child_process import end_with_parent, worker_faults
 from recast.crews.crew import Crew, Job, Outcome, Start
 from recast.diagnostics import Diagnostics
-from recast.synthetic.child_process import end_with_parent, worker_faults
 
 _WAITING = 2
 """Jobs handed out for each process: one at work, one waiting."""
@@ -57,7 +57,7 @@ def _set_up(
     global _start
     import torch
 
-    from recast.splats import set_threads
+    from recast.kernel import set_threads
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers itself
     end_with_parent()

@@ -85,7 +85,7 @@ class _RemoteWorker:
     ) -> None:
         import torch
 
-        from recast.splats import set_threads
+        from recast.kernel import set_threads
 
         self._records = records
         torch.set_num_threads(1)

@@ -8,6 +8,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from pathlib import Path
 from typing import Any
 
+from recast.crews.child_process import end_with_parent, worker_faults
 from recast.errors import InputError
 from recast.recar.picture import Image
 from recast.recar.record import SetRecord
@@ -15,7 +16,6 @@ from recast.recar.synthesis_plan import PlannedIdentity, SynthesisSettings, plan
 from recast.recar.vehicle_set import VehicleSet, read_set
 from recast.recar.writer import begin_set, check_begin, finish_set, write_identity
 from recast.storage import alone_in
-from recast.synthetic.child_process import end_with_parent, worker_faults
 
 Progress = Callable[[int, int], None]
 """Called with pictures done and all pictures."""

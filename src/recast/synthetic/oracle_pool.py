@@ -18,8 +18,8 @@ from types import TracebackType
 from typing import Self, TypeVar
 
 from recast.cores import usable_cores
+from recast.crews.child_process import end_with_parent
 from recast.errors import InputError
-from recast.synthetic.child_process import end_with_parent
 from recast.synthetic.oracle import Oracle
 from recast.synthetic.rendering import require_embree
 from recast.synthetic.world import World

@@ -7,11 +7,11 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 
+from recast.crews.child_process import end_with_parent, worker_faults
 from recast.errors import InputError
 from recast.recar.ingest.background import BackgroundRemover
 from recast.recar.ingest.prepare import Candidate, Prepared, prepare
 from recast.recar.ingest.settings import IngestSettings
-from recast.synthetic.child_process import end_with_parent, worker_faults
 
 
 def prepare_all(
