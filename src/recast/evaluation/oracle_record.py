@@ -6,11 +6,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict
-
 from recast.evaluation.oracle_scores import Agreement, Rectangle
 from recast.evaluation.oracle_summary import AngleBin
-from recast.records import read_record
+from recast.records import Record, read_record
 
 VERSION: Literal[1] = 1
 RECORD_FILE = "oracle_views.json"
@@ -79,9 +77,7 @@ class OracleViews:
         return {"format": "recast-oracle-views", "version": VERSION, **asdict(self)}
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
+class _Record(Record):
     format: Literal["recast-oracle-views"]
     version: Literal[1]
     track_id: str

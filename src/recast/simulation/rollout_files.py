@@ -19,10 +19,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
 from recast.errors import InputError
-from recast.records import read_record
+from recast.records import Record, read_record
 from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, WAYPOINTS, Rollout
 from recast.storage import atomic_folder, write_json
 from recast.tables import Table, read_parquet
@@ -34,11 +33,9 @@ _MEND = "write the rollout anew with this recast"
 VERSION: Literal[1] = 1
 
 
-class RolloutHeader(BaseModel):
+class RolloutHeader(Record):
     """The scalars of a `Rollout`, whose `validate` has their ranges; `version` guards against
     readers of another layout."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     format: Literal["recast-rollout"] = "recast-rollout"
     version: Literal[1] = VERSION
