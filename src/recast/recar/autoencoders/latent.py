@@ -13,7 +13,7 @@ from recast.recar.assets.store import AssetStore, voxel_features
 from recast.recar.autoencoders.structure import normal_divergence
 from recast.recar.training.task import StepLoss, StepRandom
 from recast.scene.image_metrics import ssim_map
-from recast.splats import Gaussians, Rasterization, rasterize
+from recast.splats import MIP, Gaussians, Rasterization, rasterize
 from recast.trellis.models.slat_decoder_gs import SLatGaussianDecoder
 from recast.trellis.models.slat_encoder import SLatEncoder
 
@@ -75,7 +75,7 @@ def draw(
     camera = torch.tensor([[focal, 0, side / 2], [0, focal, side / 2], [0, 0, 1]])
     return rasterize(
         gaussians, torch.from_numpy(asset.poses[view]), camera, side, side,
-        background=background, eps2d=0.1, antialiased=True,
+        background=background, eps2d=MIP.variance, antialiased=MIP.antialiased,
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from recast.geometry import se3
 from recast.recar.camera import camera_pose, pinhole
 from recast.recar.picture import Image
 from recast.recar.targets.views import Viewpoint
-from recast.splats import Gaussians, rasterize
+from recast.splats import MIP, Gaussians, rasterize
 
 FloatImage = NDArray[np.float32]
 
@@ -77,7 +77,8 @@ def render(gaussians: Gaussians, viewpoint: Viewpoint, pixels: int) -> Cutout:
     with torch.no_grad():
         made = rasterize(
             gaussians, torch.from_numpy(se3.inverse(pose)).float(),
-            torch.from_numpy(camera.matrix).float(), pixels, pixels, eps2d=0.1, antialiased=True,
+            torch.from_numpy(camera.matrix).float(), pixels, pixels,
+            eps2d=MIP.variance, antialiased=MIP.antialiased,
         )  # fmt: skip
     return Cutout(made.rgb.clamp(0, 1).numpy(), made.alpha.clamp(0, 1).numpy())
 
