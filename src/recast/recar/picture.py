@@ -69,7 +69,6 @@ def read_picture(path: Path, width: int, height: int) -> Image:
     Raises:
         InputError: as `check_header`, or cut short, or transparent everywhere.
     """
-    check_header(path, width, height)
     return decode_picture(read_bytes(path, MOST_BYTES), path, width, height)
 
 
