@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, FiniteFloat
 
 from recast.recar.record import IdentityName, Split, Text
+from recast.recar.targets.settings import Heading
 from recast.records import Record
 from recast.trellis import MultiImageMode, SamplerSettings
 
@@ -87,7 +88,7 @@ class CacheRecord(Record):
     seed: int = Field(ge=0)
     retries: int = Field(ge=0)
     max_voxels: int = Field(ge=1)
-    heading: Literal["any", "+x"] = "+x"
+    heading: Heading = "+x"
     filter: FilterRecord = FilterRecord()
     identities: int | None = None
     failures: int | None = None
