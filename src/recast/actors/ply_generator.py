@@ -40,8 +40,7 @@ class PlyGenerator:
         self, path: str | Path, axes: str | AxisConvention = AUTO, low_pass: LowPass | None = None
     ) -> None:
         self.path, self.low_pass = Path(path), low_pass
-        named = isinstance(axes, str) and axes != AUTO
-        self.axes = axes_of(str(axes)) if named else axes
+        self.axes = axes_of(axes) if isinstance(axes, str) and axes != AUTO else axes
 
     def generate(self, observation: Observation, seed: int) -> Asset:
         """Read the file.
@@ -72,7 +71,7 @@ class PlyGenerator:
             raise InputError(self.path, "shape", str(error), "export the asset again") from None
         if not best.fits:
             box = " x ".join(f"{metres:.2f}" for metres in size)
-            closest = min(found, key=lambda one: -one.votes["box"])
+            closest = max(found, key=lambda one: one.votes["box"])
             raise InputError(
                 self.path, "axes",
                 f"no orientation fits a box of {box} m: {closest.axes.name}, the closest, has "
