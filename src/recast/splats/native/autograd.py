@@ -8,7 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from recast.kernel.library import Gradients, View, library
+from recast.kernel.library import library
+from recast.kernel.structures import Gradients, View
 from recast.splats.gaussians import Gaussians
 from recast.splats.native.memory import empty
 from recast.splats.native.workspace import Workspace

@@ -83,5 +83,5 @@ def build(
     except ValidationError as error:
         raise validation_error(where, error, mend) from None
     except (RuntimeError, ValueError, TypeError, OverflowError) as error:  # of torch's layers
-        reason = str(error).partition(chr(10))[0]
+        reason = str(error).partition("\n")[0]
         raise InputError(where, "args", f"make no network ({reason})", mend) from None
