@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 WAYPOINTS = 40
-"""Waypoints of a plan: 0.1 s .. 4.0 s ahead."""
+"""Waypoints of a plan, `PlanningContext.dt` apart: 0.1 s .. 4.0 s ahead."""
 
 
 @dataclass(frozen=True)

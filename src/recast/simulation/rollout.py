@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from recast.dynamics.state import COLUMNS
 from recast.logs.checks import BOX_SIDE, LATEST_US, WORLD_REACH, check_poses, check_text
+from recast.planning import WAYPOINTS
 
 Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -18,9 +19,6 @@ EGO_COLUMNS = COLUMNS
 
 PATH_COLUMNS = ("x", "y", "heading", "speed")
 """Columns of `Rollout.log_ego` (rear axle) and `Rollout.actor` (box centre), world frame."""
-
-WAYPOINTS = 40
-"""Waypoints of a prediction, 0.1 s apart."""
 
 _RANGES = {
     "start_timestamp_us": (0, LATEST_US),

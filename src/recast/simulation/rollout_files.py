@@ -21,8 +21,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from recast.errors import InputError
+from recast.planning import WAYPOINTS
 from recast.records import Record, read_record
-from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, WAYPOINTS, Rollout
+from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, Rollout
 from recast.storage import atomic_folder, write_json
 from recast.tables import Table, read_parquet
 

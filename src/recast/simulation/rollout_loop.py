@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from recast.dynamics import initial_state
 from recast.dynamics import state as ego
 from recast.planning import (
+    WAYPOINTS,
     ActorState,
     Plan,
     Planner,
@@ -28,7 +29,7 @@ from recast.simulation.prepare import (
     refuse_if_too_short,
 )
 from recast.simulation.renderer import SensorRenderer
-from recast.simulation.rollout import WAYPOINTS, Rollout
+from recast.simulation.rollout import Rollout
 from recast.simulation.setup import RolloutSetup
 from recast.simulation.state import SimState
 
