@@ -72,10 +72,10 @@ UPS = {
     )
     for up in ("+x", "-x", "+y", "-y", "+z", "-z")
 }
-"""Any unit and heading, by the axis that points up."""
+"""Conventions of any unit and heading, by the axis that points up."""
 
 AUTO = "auto"
-"""Instead of a convention: to be told from the shape, see `recast.actors.upright`."""
+"""Name that stands for telling the axes from the shape, see `recast.actors.upright`."""
 AXES_HELP = (
     "auto, z-up, y-up, minus-y-up or another UP, or FORWARD,UP such as x,z (--axes=-y,z with a "
     "minus), which says where the front is"

@@ -24,7 +24,7 @@ class Asset:
         generator: name, for the record.
         seed: that made it.
         details: facts about how it was made, plain values.
-        low_pass: filter of the pass that it looks right through.
+        low_pass: filter that the Gaussians were made for.
     """
 
     gaussians: Gaussians

@@ -21,11 +21,11 @@ from recast.actors.hull import bounds
 Array = NDArray[np.float64]
 
 LARGEST_MISFIT = 1.6
-"""Width or height for the length beyond this factor of the box's: another thing or another way."""
+"""Largest factor between width or height (for the length) and the box's."""
 LEAST_EVIDENCE = 2.0
 """Units of evidence that the best axis must have, and by which it must be ahead of the next."""
 MOST_AGAINST = 0.5
-"""Units by which one kind of evidence may speak against it."""
+"""Units by which one kind of evidence may speak against the best axis."""
 
 _POINTS = 6000
 _EVERY = 4  # point counts where many yaws are tried, and where points are mirrored
@@ -45,7 +45,7 @@ class Posture:
 
     Attributes:
         up: signed axis, such as "-y".
-        width_over_box, height_over_box: for its length, over those of the box.
+        width_over_box, height_over_box: width and height for its length, over those of the box.
         votes: evidence for it, in units: box (0 at best), symmetry, wheels, taper.
     """
 
@@ -86,7 +86,7 @@ class Posture:
 
 
 def postures(points: Array, size: ArrayLike) -> list[Posture]:
-    """All six, the most likely first.
+    """All six postures, the most likely first.
 
     Args:
         points: (N, 3) of an outer surface (`outer_surface`), in any unit; lying by quarters of a
@@ -99,7 +99,7 @@ def postures(points: Array, size: ArrayLike) -> list[Posture]:
 
 
 def _about(points: Array, axis: int, size: Array) -> list[Posture]:
-    """With one axis up, and with it down."""
+    """The postures with one axis up, and with it down."""
     flat = _lengthwise(np.delete(points, axis, axis=1))
     upright = np.column_stack([flat, points[:, axis]])
     low, high = bounds(upright)
@@ -126,7 +126,6 @@ def _vote(difference: float, unit: float) -> float:
 
 def _lengthwise(flat: Array) -> Array:
     """Points (N, 2) turned so that the rectangle around them is smallest, its length first."""
-
     few = flat[::_EVERY]
 
     def turned(points: Array, yaw: float) -> Array:

@@ -17,7 +17,7 @@ Image = NDArray[np.uint8]
 
 HEADER_BYTES = 26
 MOST_BYTES = 5 * LARGEST_SIDE**2
-"""Of an encoded view: the largest one, of noise that does not pack, and as much again of text."""
+"""Most bytes of an encoded view: the largest one of noise, which does not pack, and some text."""
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _RGBA = 6  # PNG colour type of truecolour with alpha

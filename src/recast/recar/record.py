@@ -15,9 +15,9 @@ SET_FILE = "set.json"
 IDENTITY_FILE = "identity.json"
 REGULAR_WITHIN_DEG = 1e-3
 LARGEST_SIDE = 8192
-"""Pixels of a picture of a set: one then takes 268 MB at most."""
+"""Longest side of a picture of a set, pixels: decoded, it takes 268 MB at most."""
 MOST_VIEWS = 1000
-"""Of an identity."""
+"""Most views of an identity."""
 
 Split = Literal["train", "held-out"]
 SPLITS: tuple[Split, ...] = ("train", "held-out")

@@ -28,13 +28,15 @@ BUDGET_FILE = "budget.json"
 BUDGET_VERSION = 1
 
 REACH_M = 25.0
-"""Street to either side of the drive that is counted."""
+"""Metres of street to either side of the drive that are counted."""
 EACH_M2 = 48.0
-"""Gaussians a square metre of it."""
+"""Gaussians per square metre of street."""
 PIXELS_EACH = 16.0
-"""Pixels of the training images a Gaussian."""
+"""Pixels of the training images per Gaussian."""
 LEAST = 20_000
+"""Smallest limit that is derived."""
 FIRST_SHARE = 2 / 3
+"""Share of the limit that the first points may take."""
 _CELL_M = 5.0
 
 
@@ -45,10 +47,10 @@ class Budget(Record):
         most_gaussians: the limit.
         named: whether the configuration named it; else it was derived from the next two.
         area_m2: street within `REACH_M` of the drive.
-        training_pixels: of all training images at the scale of the training.
+        training_pixels: pixels of all training images at the scale of the training.
         first_found, first_kept: first points before and after they were thinned to the limit.
         limited_from: step of the first change of the population that the limit cut short, or None.
-        limited_changes: how many it cut short.
+        limited_changes: number of changes that the limit cut short.
     """
 
     version: int = BUDGET_VERSION

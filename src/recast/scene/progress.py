@@ -21,8 +21,8 @@ class TrainingStatus:
         phase: what is being done: "initialise", "train", "evaluate", "done".
         iteration, iterations: steps done, and of how many.
         gaussians: how many there are.
-        most_gaussians: how many there may be; None before that is known.
-        limited: whether that kept any from being added.
+        most_gaussians: limit of Gaussians; None before it is known.
+        limited: whether the limit kept any from being added.
         loss, psnr: running means over the latest training views; None before the first.
         held_out_psnr: of the last periodic evaluation in dB; None before the first.
         iterations_per_second: over the latest steps.

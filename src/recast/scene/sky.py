@@ -33,7 +33,7 @@ class SkyMap:
     colours: Tensor
 
     def validate(self) -> None:
-        """Raise ValueError: no map of colours, or one that is not within [0, 1]."""
+        """Raise ValueError for another shape or type, or a colour outside of [0, 1]."""
         shape = tuple(self.colours.shape)
         if len(shape) != 3 or shape[2] != 3 or 0 in shape or self.colours.dtype != torch.float32:
             raise ValueError(f"sky: expected (H, W, 3) float32, got {shape} {self.colours.dtype}")

@@ -14,7 +14,7 @@ from recast.scene.sky import SkyMap
 from recast.storage import write_bytes
 
 MOST_PIXELS = 1 << 25
-"""8192 x 4096: 0.04 degrees a column."""
+"""Most pixels of a sky image: 8192 x 4096, 0.04 degrees a column."""
 DEPTHS = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}
 
 

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
 
 MOST_CORRECTED = 100.0
-"""Metres or radians: a learned correction of a camera beyond it is no correction."""
+"""Largest learned correction of a camera, metres or radians."""
 
 
 @dataclass(frozen=True)

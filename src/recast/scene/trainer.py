@@ -62,7 +62,7 @@ class Trainer:
         exposures: changes of the images' colours.
         sky: the sky's colours.
         limited_from: step of the first change that `max_gaussians` cut short; None before.
-        limited_changes: how many it cut short.
+        limited_changes: number of changes that `max_gaussians` cut short.
     """
 
     def __init__(

@@ -18,7 +18,7 @@ from recast.splats.gaussians import LOG_SCALES, Gaussians
 from recast.splats.rotations import quat_to_matrix
 
 _LEAST_SHARE = 1e-4
-"""No variance becomes smaller than this share of itself."""
+"""Smallest share of itself to which a variance is lowered."""
 _LEAST_OPAQUE, _MOST_OPAQUE = 1e-12, 1 - 1e-4
 _LARGEST_EXPONENT = 80.0  # of e in float32
 _INSIDE = 1e-3  # the ends of a range do not belong to it
@@ -29,7 +29,7 @@ class LowPass:
     """A low-pass filter on the image plane.
 
     Attributes:
-        variance: added to every projected covariance, px^2; `eps2d` of `rasterize`.
+        variance: variance added to every projected covariance, px^2; `eps2d` of `rasterize`.
         antialiased: whether opacity is lowered so that the filter keeps a Gaussian's integral.
 
     Raises:
@@ -63,8 +63,8 @@ def refiltered(
 
     Args:
         gaussians: N Gaussians in the world frame.
-        made_for: their own filter.
-        drawn_by: the filter of the pass.
+        made_for: filter that they were made for.
+        drawn_by: filter of the pass.
         camera_from_world: (4, 4) rigid, OpenCV axes.
         K: (3, 3) pinhole intrinsics, pixels.
     """

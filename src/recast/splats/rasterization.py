@@ -18,7 +18,7 @@ TRANSMITTANCE_THRESHOLD = 1e-4
 LARGEST_DETERMINANT = 1e30
 """A Gaussian whose covariance in the image has this determinant or more, px^4, is not drawn."""
 LARGEST_PIXELS = 1e30
-"""Focal lengths and centres in pixels are less: they must be numbers of float32."""
+"""Bound of focal lengths and centres in pixels, which must be numbers of float32."""
 TILE = 16
 """Edge of a tile, pixels."""
 TANGENT_MARGIN = 0.3

@@ -22,7 +22,7 @@ from recast.storage import disk_errors
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
 MOST_PIXELS = LARGEST_SIDE**2
-"""Of a photograph. Some 30 bytes a pixel are in memory while it is brought to size: 2 GB."""
+"""Most pixels of a photograph: each takes some 30 bytes while it is brought to size, 2 GB."""
 
 _FORMATS = ("BMP", "JPEG", "PNG", "TIFF", "WEBP")  # others may run programs of their own
 _MODES = ("1", "CMYK", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "YCbCr")

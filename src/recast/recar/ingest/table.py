@@ -17,6 +17,7 @@ from recast.recar.record import IdentityName, Metres, Split, Text
 from recast.records import Record, validation_error
 
 MOST_BYTES = 1 << 26
+"""Most bytes of a table."""
 TABLES = ("vehicles.csv", "vehicles.json")
 _MEND = "correct the row; docs/data.md lists the columns"
 

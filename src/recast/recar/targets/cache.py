@@ -35,7 +35,7 @@ from recast.recar.targets.target import Target
 from recast.records import read_record
 from recast.tables import read_npz
 
-_MOST_BYTES = 1 << 28  # of the arrays of a target; published ones have 2 MB
+_MOST_BYTES = 1 << 28  # most of the arrays of a target; published ones have 2 MB
 STRUCTURES = "ss_latents"
 LATENTS = "latents"
 _REMAKE = "make the target again: remove its record and run the command that made it"

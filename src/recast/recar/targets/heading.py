@@ -17,7 +17,7 @@ STEPS = 24
 """Headings that are tried around the circle, 15 degrees apart."""
 
 WITHIN_DEG = 1.0
-"""The best of them is then moved by ever smaller steps, the last of which is at most this."""
+"""Largest last step: the best of them is then moved by ever smaller ones."""
 
 _PIXELS = 64  # side of the cut-outs that are compared
 
@@ -33,9 +33,9 @@ def find_heading(
     is then alike too.
 
     Args:
-        gaussians: of the target, in the unit cube, z up.
-        pictures: of the vehicle, RGBA with straight alpha.
-        viewpoints: where they were taken from, azimuth 0 ahead of the vehicle.
+        gaussians: the target, in the unit cube, z up.
+        pictures: the vehicle, RGBA with straight alpha.
+        viewpoints: where the pictures were taken from, azimuth 0 ahead of the vehicle.
     """
     wanted = [framed(of_picture(picture), _PIXELS) for picture in pictures]
 

@@ -25,7 +25,7 @@ class Candidate:
         gaussians: decoded, in the unit cube.
         pictures: front, rear, left, right that it was made from; RGBA with straight alpha.
         viewpoints: where they were taken from, azimuth 0 ahead of the vehicle.
-        heading_deg: to which the vehicle's front points in the frame of the target, 0 along +x.
+        heading_deg: direction of the vehicle's front in the frame of the target, 0 along +x.
     """
 
     target: Target
@@ -41,7 +41,7 @@ class Quality:
 
     Attributes:
         score: of the target.
-        flipped: of the target with front and rear exchanged; None where the score cannot tell.
+        flipped: score with front and rear exchanged; None where the score cannot tell.
         parts: what the score is made of, by name.
     """
 

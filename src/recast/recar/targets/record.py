@@ -105,9 +105,9 @@ class TargetRecord(Record):
         voxels: active ones; 0 where it failed.
         gaussians: decoded; 0 where it failed.
         score: of the quality filter; None where there is none, or it failed.
-        score_flipped: of the target with front and rear exchanged, where the score can tell.
+        score_flipped: score with front and rear exchanged, where the score can tell.
         parts: what the score is made of, by name.
-        heading_deg: about z from +x, to which its front points, where that was found.
+        heading_deg: direction of its front, about z from +x; None where it was not searched.
         failure: why there is no target; None where there is one.
     """
 

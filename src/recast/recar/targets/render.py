@@ -69,7 +69,7 @@ def render(gaussians: Gaussians, viewpoint: Viewpoint, pixels: int) -> Cutout:
 
     Args:
         gaussians: z up, about the origin.
-        viewpoint: of the camera, its azimuth from +x.
+        viewpoint: place of the camera, its azimuth from +x.
         pixels: side of the picture.
     """
     camera = pinhole(pixels, pixels, viewpoint.fov_deg)

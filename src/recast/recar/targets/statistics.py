@@ -26,7 +26,7 @@ class TargetStatistics:
         rejected: by a person.
         below: not rejected, below the threshold.
         accepted: by split.
-        doubtful: those nobody decided about whose score is higher with front and rear exchanged.
+        doubtful: targets nobody decided about that score higher with front and rear exchanged.
         voxels: least, median and most of accepted targets; zeros where there is none.
         scores: of all targets that have one, sorted.
     """

@@ -84,7 +84,7 @@ def read_log_lines(path: Path) -> list[dict[str, float]]:
     """The lines of a log, but for a last one that a kill cut short; none where there is no log.
 
     Raises:
-        InputError: another line cannot be read, or is none of a log.
+        InputError: another line cannot be read, or is no line of a log.
     """
     whole = read_text(path).split("\n")[:-1] if path.exists() else []
     return [_line(f"{path}: line {number}", text) for number, text in enumerate(whole, 1)]

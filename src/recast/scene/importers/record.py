@@ -80,7 +80,7 @@ def write_imported(
     """Write the scene folder with its import.json, whole or not at all.
 
     Raises:
-        InputError: `out` exists, the disk refuses, or the scene is none as it was placed.
+        InputError: `out` exists, the disk refuses, or the placed scene is not valid.
     """
     try:
         imported.scene.validate()
