@@ -24,9 +24,8 @@ from recast.planning import (
     virtual_mounts,
 )
 from recast.planning.gtrs import nuplan_rig
-from recast.planning.gtrs.rig import camera_pose
 from recast.planning.matching import Look, directions, match_cameras
-from recast.planning.views import choose_views
+from recast.planning.views import camera_pose, choose_views
 from recast.planning.virtual import seen_by
 from recast.simulation import NullRenderer, camera_mounts
 from recast.simulation.lens_renderer import through_lenses

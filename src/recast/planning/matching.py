@@ -42,7 +42,7 @@ class Look:
         rays = camera.rays(np.stack([across, np.full(3, camera.height / 2)], axis=-1))
         left, centre, right = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
         direction: Array = mount.rig_from_camera[:3, :3] @ centre
-        return cls(direction, _degrees(left, right))
+        return cls(direction, float(degrees_between(left, right)))
 
     @property
     def yaw(self) -> float:
@@ -57,7 +57,7 @@ class Look:
 
     def angle(self, other: Look) -> float:
         """Degrees between the two directions."""
-        return _degrees(self.direction, other.direction)
+        return float(degrees_between(self.direction, other.direction))
 
     def likeness(self, other: Look) -> float:
         """0 to 1: what both fields see over what either sees, as if side by side in one plane."""
@@ -98,6 +98,9 @@ def directions(mounts: Mapping[str, CameraMount]) -> str:
     return ", ".join(f"{name} ({Look.of(mount)})" for name, mount in mounts.items()) or "none"
 
 
-def _degrees(a: Array, b: Array) -> float:
+def degrees_between(a: Array, b: Array) -> Array:
+    """Angles (...) between directions (..., 3)."""
     # The sine too: arccos alone knows nothing of angles below a millionth.
-    return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
+    sine = np.linalg.norm(np.cross(a, b), axis=-1)
+    angles: Array = np.rad2deg(np.arctan2(sine, np.sum(a * b, axis=-1)))
+    return angles

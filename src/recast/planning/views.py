@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from recast.geometry import PinholeCamera, se3
-from recast.planning.matching import Look
+from recast.planning.matching import Look, degrees_between
 from recast.planning.types import CameraMount, Planner
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ class View:
     Attributes:
         name: what the planner calls it.
         camera: intrinsics; images of another size in the same proportion will do.
-        yaw: of the optical axis, degrees to the left of ahead.
+        yaw: direction of the optical axis, degrees to the left of ahead.
         crop_rows, crop_columns: pixels at each edge that the planner does not look at.
     """
 
@@ -45,11 +45,7 @@ class View:
             size: width and height of the images.
             position: (3,) place in the rig.
         """
-        turn = np.deg2rad(self.yaw)
-        forward = np.array([np.cos(turn), np.sin(turn), 0.0])
-        right, down = np.array([np.sin(turn), -np.cos(turn), 0.0]), np.array([0.0, 0.0, -1.0])
-        pose = se3.from_rotation_translation(np.stack([right, down, forward], axis=1), position)
-        return CameraMount(self.camera.resized(*size), pose)
+        return CameraMount(self.camera.resized(*size), camera_pose(position, self.yaw, 0.0))
 
     @property
     def look(self) -> Look:
@@ -64,9 +60,7 @@ class View:
         camera, theirs = self.camera, mount.camera
         if abs(theirs.height - theirs.width * camera.height / camera.width) > 1.0:
             return np.inf
-        ours, seen = _sampled(self._own), _sampled(mount)
-        sine = np.linalg.norm(np.cross(ours, seen), axis=-1)
-        return float(np.rad2deg(np.arctan2(sine, np.sum(ours * seen, axis=-1))).max())
+        return float(degrees_between(_sampled(self._own), _sampled(mount)).max())
 
     def covered(self, mount: CameraMount) -> float:
         """Share of the pixels that the planner looks at which cameras of the log see.
@@ -84,6 +78,20 @@ class View:
     @property
     def _own(self) -> CameraMount:
         return self.mount((self.camera.width, self.camera.height), np.zeros(3))
+
+
+def camera_pose(position: ArrayLike, yaw: float, pitch: float) -> Array:
+    """`rig_from_camera` (4, 4) of a camera without roll.
+
+    Args:
+        position: (3,) metres in the rig frame (x forward, y left, z up).
+        yaw, pitch: degrees of the optical axis: to the left of x, and upwards.
+    """
+    turn, rise = np.deg2rad(yaw), np.deg2rad(pitch)
+    forward = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
+    right = np.array([np.sin(turn), -np.cos(turn), 0.0])
+    rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
+    return se3.from_rotation_translation(rotation, position)
 
 
 def wanted_views(planner: Planner) -> tuple[View, ...]:

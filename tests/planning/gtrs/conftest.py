@@ -21,7 +21,7 @@ from recast.planning.gtrs import (
     ViewLayout,
     new_model,
 )
-from recast.planning.gtrs.rig import camera_pose
+from recast.planning.views import camera_pose
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "planners"
 

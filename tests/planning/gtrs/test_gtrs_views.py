@@ -21,7 +21,7 @@ from recast.planning.gtrs import (
     network_input,
     nuplan_rig,
 )
-from recast.planning.gtrs.rig import camera_pose
+from recast.planning.views import camera_pose
 
 from .conftest import GOLDEN, VIEWS
 

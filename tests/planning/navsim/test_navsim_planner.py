@@ -23,7 +23,6 @@ from recast.planning import (
     make_planner,
     planner_cameras,
 )
-from recast.planning.gtrs.rig import camera_pose
 from recast.planning.navsim import (
     NAVSIM_CAMERAS,
     NUPLAN_RIG,
@@ -34,6 +33,7 @@ from recast.planning.navsim import (
     resample,
 )
 from recast.planning.navsim import Trajectory as NavsimTrajectory
+from recast.planning.views import camera_pose
 from recast.simulation import MOTIONS, NullRenderer, Rollout, RolloutSetup, run_rollout
 
 CAMERA = PinholeCamera(12, 8, 10.0, 10.0, 6.0, 4.0)

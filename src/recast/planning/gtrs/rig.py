@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import PinholeCamera
 from recast.planning.types import CameraMount
-
-Array = NDArray[np.float64]
+from recast.planning.views import camera_pose
 
 NUPLAN_CAMERAS = ("nuplan_l0", "nuplan_f0", "nuplan_r0")
 """Left, front and right."""
@@ -50,17 +46,3 @@ def nuplan_rig(scale: float = 1.0) -> dict[str, CameraMount]:
         name: CameraMount(camera, camera_pose(position, yaw, pitch))
         for name, (position, yaw, pitch) in zip(NUPLAN_CAMERAS, _MOUNTS, strict=True)
     }
-
-
-def camera_pose(position: tuple[float, float, float], yaw: float, pitch: float) -> Array:
-    """`rig_from_camera` (4, 4) of a camera without roll.
-
-    Args:
-        position: metres in the rig frame (x forward, y left, z up).
-        yaw, pitch: degrees of the optical axis: to the left of x, and upwards.
-    """
-    turn, rise = np.deg2rad(yaw), np.deg2rad(pitch)
-    forward = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
-    right = np.array([np.sin(turn), -np.cos(turn), 0.0])
-    rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
-    return se3.from_rotation_translation(rotation, np.array(position))
