@@ -13,7 +13,7 @@ from recast.evaluation.grid_row import GridRow
 from recast.evaluation.pairs import over_common_steps
 from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import METRICS_FILE, rollout_folder
-from recast.pipeline.metrics_file import read_metrics
+from recast.pipeline.results_files import read_metrics
 from recast.pipeline.rollouts import write_failure
 from recast.pipeline.scores import write_metrics
 from recast.simulation import Rollout, RolloutFailure, save_rollout

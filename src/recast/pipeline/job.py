@@ -27,8 +27,8 @@ from recast.pipeline.layout import (
     rollout_folder,
 )
 from recast.pipeline.methods import Renderers
-from recast.pipeline.metrics_file import read_metrics
 from recast.pipeline.report import report_run
+from recast.pipeline.results_files import read_metrics
 from recast.pipeline.rollouts import make_rollout
 from recast.pipeline.run_folder import RunFolder
 from recast.pipeline.scene import train_with_display

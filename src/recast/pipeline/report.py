@@ -15,7 +15,6 @@ from recast.evaluation import rollout_metrics
 from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.names import member
 from recast.pipeline.config import RunConfig, config_of
-from recast.pipeline.evaluation_file import read_evaluation
 from recast.pipeline.layout import (
     ACTOR_FOLDER,
     EVALUATION_FOLDER,
@@ -28,6 +27,7 @@ from recast.pipeline.layout import (
     Method,
     rollout_folder,
 )
+from recast.pipeline.results_files import read_evaluation
 from recast.pipeline.rollouts import films, read_rollout
 from recast.pipeline.run_folder import RUN_FILE, RunFolder
 from recast.reporting import (

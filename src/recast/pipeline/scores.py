@@ -18,7 +18,7 @@ from recast.pipeline.layout import (
     TRUTH_FOLDER,
     rollout_folder,
 )
-from recast.pipeline.metrics_file import METRICS_VERSION
+from recast.pipeline.results_files import METRICS_VERSION
 from recast.pipeline.rollouts import read_rollout
 from recast.simulation import RolloutFailure
 

@@ -11,7 +11,7 @@ from recast.pipeline.bench.scenes import BenchScene
 from recast.pipeline.bench.tasks import ScoreTask
 from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import METRICS_FILE, Method
-from recast.pipeline.metrics_file import read_metrics
+from recast.pipeline.results_files import read_metrics
 from recast.pipeline.rollouts import read_rollout
 from recast.simulation import Rollout
 

@@ -1,4 +1,4 @@
-"""Reading metrics.json back, checked."""
+"""Reading metrics.json and eval.json back, checked."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, field_validator
 from recast import storage
 from recast.evaluation import COLUMNS
 from recast.records import parse_record
+from recast.scene.evaluate_record import EVALUATION_VERSION
 
 METRICS_VERSION: Literal[2] = 2
 """1 had no `com_driven`, and compared rollouts of different lengths as they were."""
@@ -58,12 +59,56 @@ class _Metrics(_Open):
     failures: list[_Failed]
 
 
+class _Region(_Open):
+    psnr: float
+    ssim: float | None
+
+
+class _Depth(_Open):
+    median_abs_m: float
+    mean_abs_m: float
+    mean_relative: float
+    missing: float
+    points: int
+    lag_ms: float
+
+
+class _Frame(_Open):
+    camera: str
+    frame: int
+    picture: str
+    psnr: float
+    boxes: dict[str, float]
+    moving: _Region | None
+    depth: _Depth | None
+
+
+class _Evaluation(_Region):
+    box_psnr_by_track: dict[str, float]
+    moving: _Region | None
+    depth: _Depth | None
+    frames: list[_Frame]
+
+
 def read_metrics(path: Path) -> dict[str, Any]:
     """The contents of metrics.json, as JSON says them.
 
     Raises:
         InputError: it is missing or damaged.
     """
+    return _checked(path, _Metrics, METRICS_VERSION, "remove it and run again")
+
+
+def read_evaluation(path: Path) -> dict[str, Any]:
+    """The contents of eval.json, as JSON says them.
+
+    Raises:
+        InputError: it is missing or damaged.
+    """
+    return _checked(path, _Evaluation, EVALUATION_VERSION, "remove its folder and run again")
+
+
+def _checked(path: Path, model: type[_Open], version: int, mend: str) -> dict[str, Any]:
     value: dict[str, Any] = storage.read_json(path)
-    parse_record(path, value, _Metrics, METRICS_VERSION, "remove it and run again")
+    parse_record(path, value, model, version, mend)
     return value
