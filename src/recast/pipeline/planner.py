@@ -33,9 +33,9 @@ def planner_mounts(
     Raises:
         InputError: see `shown_views`.
     """
-    virtual = virtual_mounts(planner, mounts, nuplan_rig(config.scene.scale))
-    shown_views(planner, {**mounts, **virtual})
-    return {**mounts, **virtual}
+    rendered = {**mounts, **virtual_mounts(planner, mounts, nuplan_rig(config.scene.scale))}
+    shown_views(planner, rendered)
+    return rendered
 
 
 def announce_planner(
