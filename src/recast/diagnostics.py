@@ -22,8 +22,8 @@ class Diagnostics:
     """Where records go.
 
     Attributes:
-        verbose: to standard error, with the tracebacks of errors that users caused.
-        file: that they are appended to, or None.
+        verbose: whether they go to standard error, with the tracebacks of errors that users caused.
+        file: file that they are appended to, or None.
     """
 
     verbose: bool = False

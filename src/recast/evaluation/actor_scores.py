@@ -56,8 +56,8 @@ class Window:
     """A rectangle of pixels; it may reach beyond the image.
 
     Attributes:
-        top, left: of its first pixel, from that of the image.
-        height, width: pixels.
+        top, left: row and column of its first pixel; negative above and left of the image.
+        height, width: size in pixels.
     """
 
     top: int

@@ -39,7 +39,7 @@ class PairedMetric:
 
     Attributes:
         differences: by scene, (n,) plain values; scenes without a pair are left out.
-        pairs: how many there are.
+        pairs: number of these pairs.
         plans: how many plans each side made in them.
         cut: how many of the pairs end where one of the two rollouts was cut.
         asked: scenarios that either method was asked for, failed rollouts among them.

@@ -29,9 +29,9 @@ class CameraMount:
     Attributes:
         camera: at the size of the rendered images; rectified, unless virtual.
         rig_from_camera: (4, 4) OpenCV camera frame to rig.
-        seen: of a virtual camera, (height, width) which pixels look where a camera of the log does;
-            the others are black. None for a camera of the log.
-        source: of a virtual camera, the log's camera at whose place it is, if any.
+        seen: mask (height, width) of a virtual camera's pixels that look where a camera of the log
+            does; the others are black. None for a camera of the log.
+        source: the log's camera at whose place a virtual camera is, if any.
     """
 
     camera: PinholeCamera

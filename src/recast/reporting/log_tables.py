@@ -14,9 +14,9 @@ from recast.errors import printable
 from recast.logs.info import LogInfo, TrackInfo
 
 BEST = 3
-"""Candidates that are told with why."""
+"""Number of candidates that are shown with reasons."""
 GAP = 2
-"""Blanks between columns."""
+"""Number of blanks between columns."""
 
 Cell = Callable[[TrackInfo], str]
 

@@ -32,10 +32,10 @@ class RolloutSetup:
         map: lanes, drivable area and ground, or None for the log's.
         start_timestamp_us: log time of state 0; None for the first ego pose with 3 m/s or more that
             leaves enough log for all steps, or else the first pose.
-        steps: how many, of `dt` seconds; 160 in the paper.
+        steps: number of steps of `dt` seconds; 160 in the paper.
         plan_every: steps between plans, K; 40 at most, since a plan has 40 waypoints.
-        dt: seconds per step and between waypoints: of controller, planner, actor and metrics.
-        vehicle: the ego's outline and wheelbase: of controller, planner and metrics.
+        dt: seconds per step and between waypoints, for controller, planner, actor and metrics.
+        vehicle: outline and wheelbase of the ego, for controller, planner and metrics.
         controller: executes the plans; it is told `dt` and `vehicle`.
         keep_other_actors: leave the other logged actors in, on their logged motion.
         road_margin: metres before the end of the logged road at which a rollout is cut.

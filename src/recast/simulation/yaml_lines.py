@@ -50,11 +50,11 @@ def located(value: Any, where: str, levels: int = MOST_LEVELS) -> Node:
     """Nodes without lines from plain data, as JSON has it.
 
     Args:
-        where: it came from, for errors.
-        levels: that it may have at most.
+        where: name of its source, for errors.
+        levels: most levels that it may have.
 
     Raises:
-        InputError: it has more.
+        InputError: it has more levels.
     """
     if isinstance(value, Mapping | list | tuple) and levels == 0:
         raise InputError(where, "scenario", "is nested too deeply", _MEND)

@@ -39,7 +39,7 @@ class ViewLayout(Record):
         input_width, input_height: of the network's input, pixels.
         yaws: where the three look, degrees to the left of ahead. Like `field_of_view`, not used
             with nuPlan's rig.
-        field_of_view: of each, horizontally, degrees; Waymo's by default.
+        field_of_view: horizontal field of view of each, degrees; Waymo's by default.
     """
 
     cameras: tuple[str, str, str] = ("front_left", "front", "front_right")
