@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
 
-from recast.errors import InputError
-from recast.logs.image_bytes import READERS, decode
+from recast.logs.image_bytes import decode, size_of
 from recast.logs.types import Image
 from recast.storage import read_bytes
 
@@ -19,24 +17,6 @@ _PNG = b"\x89PNG"
 def kind_of(data: bytes) -> str:
     """ "png" or "jpeg", by how the file begins: names of files may say otherwise."""
     return "png" if data.startswith(_PNG) else "jpeg"
-
-
-def size_of(data: bytes, kind: str, where: str | Path) -> tuple[int, int]:
-    """Width and height that an encoded image says; its pixels are not decoded.
-
-    Args:
-        kind: "png" or "jpeg".
-        where: file that holds it, for messages.
-
-    Raises:
-        InputError: it is of another kind or damaged.
-    """
-    try:
-        with READERS[kind](io.BytesIO(data)) as image:
-            return image.size
-    except Exception as error:  # Pillow raises of many kinds for damaged files
-        problem = f"cannot be decoded ({error})"
-        raise InputError(where, "image", problem, "download it again") from None
 
 
 def image_size(path: Path) -> tuple[int, int]:

@@ -11,8 +11,7 @@ import numpy as np
 
 from recast.errors import InputError
 from recast.geometry import PinholeCamera
-from recast.logs.image_bytes import decode
-from recast.logs.importers.image_files import size_of
+from recast.logs.image_bytes import decode, require_size, size_of
 from recast.logs.importers.waymo_segment import ImageEntry, Segment
 from recast.logs.types import CameraStream, Image
 
@@ -51,10 +50,7 @@ class WaymoImages:
             self._decode(index, data)
             return data, "jpeg"
         with self._errors(index):
-            found = size_of(data, "jpeg", "")
-        if found != self._size:
-            problem = f"is {found[0]}x{found[1]}, {_SAYS} says {self._size[0]}x{self._size[1]}"
-            raise jpeg.error(problem)
+            require_size(size_of(data, "jpeg", ""), self._size, "", _SAYS)
         return data, "jpeg"
 
     @property
