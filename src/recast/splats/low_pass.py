@@ -21,6 +21,7 @@ _LEAST_SHARE = 1e-4
 """Smallest share of itself to which a variance is lowered."""
 _LEAST_OPAQUE, _MOST_OPAQUE = 1e-12, 1 - 1e-4
 _LARGEST_EXPONENT = 80.0  # of e in float32
+_LARGEST_FACTOR = 1e38  # of an opacity in float32: infinity times zero is not a number
 _INSIDE = 1e-3  # the ends of a range do not belong to it
 
 
@@ -84,7 +85,8 @@ def refiltered(
     log_scales = log_scales.clamp(LOG_SCALES[0] + _INSIDE, LOG_SCALES[1] - _INSIDE)
     before = _weight(pixels_from_axes, gaussians.log_scales, made_for)
     after = _weight(pixels_from_axes, log_scales, drawn_by)
-    opacities = gaussians.logit_opacities.sigmoid() * (before / after.clamp(min=1e-60)).to(z)
+    factor = (before / after.clamp(min=1e-60)).clamp(max=_LARGEST_FACTOR).to(z)
+    opacities = gaussians.logit_opacities.sigmoid() * factor
     logits = opacities.clamp(_LEAST_OPAQUE, _MOST_OPAQUE).logit()
     return replace(gaussians, log_scales=log_scales, logit_opacities=logits)
 
