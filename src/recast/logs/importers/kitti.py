@@ -38,6 +38,7 @@ from recast.logs.types import (
     Array,
     CameraStream,
     DrivingLog,
+    Int64Array,
     LidarStream,
     Trajectory,
 )
@@ -97,17 +98,17 @@ def load_kitti(
         InputError: see `import_kitti`.
     """
     files = kitti_files.find_drive(Path(root), drive)
-    chosen_cameras = _cameras(files, cameras)
-    calibration = read_calibration(files.calibration, chosen_cameras)
+    taken = _cameras(files, cameras)
+    calibration = read_calibration(files.calibration, taken)
     turns = list_turns(files.folder / "velodyne_points")
-    images = {name: _image_files(files, name) for name in chosen_cameras}
+    times = turn_times(files.folder / "velodyne_points")
+    images = {name: _image_files(files.folder / name, times[0]) for name in taken}
     # What can be found wrong in the files is found before the long work.
     for name, listed in images.items():
         _image_source(calibration.cameras[name], listed.paths).check()
     own = files.folder / "tracklet_labels.xml"
     chosen = Path(labels) if labels is not None else own if own.is_file() else None
-    turn_count = len(turn_times(files.folder / "velodyne_points")[0])
-    labelled = [] if chosen is None else read_labels(chosen, turn_count)
+    labelled = [] if chosen is None else read_labels(chosen, len(times[0]))
     covered = (
         min(turns.start_us[0], *(listed.timestamps_us[0] for listed in images.values())),
         max(turns.end_us[-1], *(listed.timestamps_us[-1] for listed in images.values())),
@@ -137,7 +138,6 @@ def load_kitti(
     )
     if chosen is None:
         return log
-    times = turn_times(files.folder / "velodyne_points")
     tracks = place_tracks(labelled, chosen, times, calibration, trajectory)
     check_labels_fit(log, tracks, chosen)
     return replace(log, tracks=tracks)
@@ -153,18 +153,17 @@ def _cameras(files: KittiDrive, named: Sequence[str]) -> tuple[str, ...]:
     return tuple(chosen_cameras(files.folder, found, named or coloured))
 
 
-def _image_files(files: KittiDrive, name: str) -> SensorFiles:
-    listed = kitti_files.list_frames(files.folder / name, ".png")
-    trigger, _, _ = turn_times(files.folder / "velodyne_points")
-    if listed.indices[-1] >= len(trigger):
+def _image_files(folder: Path, trigger_us: Int64Array) -> SensorFiles:
+    listed = kitti_files.list_frames(folder, ".png")
+    if listed.indices[-1] >= len(trigger_us):
         return listed
     # The scanner triggers the shutter as it faces forward; the images' stamps come about 10 ms
     # later, at the host. Images and sweeps match best (docs/data.md) without that delay.
-    delay = int(np.median(listed.timestamps_us - trigger[listed.indices]))
+    delay = int(np.median(listed.timestamps_us - trigger_us[listed.indices]))
     if abs(delay) > LONGEST_DELAY_US:
         problem = f"are {delay / 1e6:.3f} s after the scanner's triggers of the same frames"
         mend = "take sensors of the same drive"
-        raise InputError(files.folder / name / "timestamps.txt", "times", problem, mend)
+        raise InputError(folder / "timestamps.txt", "times", problem, mend)
     return replace(listed, timestamps_us=listed.timestamps_us - delay)
 
 
