@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from recast.errors import InputError
 
@@ -70,9 +70,9 @@ def check_times(where: str, timestamps_us: NDArray[np.int64]) -> None:
 
 def check_time_range(where: str, timestamps_us: NDArray[np.int64]) -> None:
     """Check that times (T,) in any order lie within [0, `LATEST_US`)."""
-    if np.any((timestamps_us < 0) | (timestamps_us >= LATEST_US)):
-        odd = timestamps_us[(timestamps_us < 0) | (timestamps_us >= LATEST_US)][0]
-        raise ValueError(f"{where}: {odd} is no time in microseconds since 1970")
+    odd = timestamps_us[(timestamps_us < 0) | (timestamps_us >= LATEST_US)]
+    if len(odd):
+        raise ValueError(f"{where}: {odd[0]} is no time in microseconds since 1970")
 
 
 def check_reach(where: str, values: NDArray[np.floating], reach: float) -> None:
@@ -80,6 +80,14 @@ def check_reach(where: str, values: NDArray[np.floating], reach: float) -> None:
     if not np.all(np.abs(values) <= reach):  # also NaN
         odd = values[~(np.abs(values) <= reach)].flat[0]
         raise ValueError(f"{where}: {odd:g} is not within {reach:g} m")
+
+
+def are_box_sides(metres: ArrayLike) -> NDArray[np.bool_]:
+    """Which of these lengths can be sides of a labelled box (see `BOX_SIDE`); NaN cannot."""
+    metres = np.asarray(metres)
+    shortest, longest = BOX_SIDE
+    sides: NDArray[np.bool_] = (metres >= shortest) & (metres <= longest)
+    return sides
 
 
 def check_poses(where: str, poses: NDArray[np.float64], reach: float) -> None:

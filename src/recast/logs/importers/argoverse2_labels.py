@@ -133,8 +133,7 @@ def _check(
             f"{str(rows['category'][row])!r} is none of Argoverse 2",
             f"use one of {', '.join(CATEGORIES)}",
         )
-    shortest, longest = checks.BOX_SIDE
-    wrong = (size < shortest) | (size > longest)
+    wrong = ~checks.are_box_sides(size)
     if wrong.any():
         row, axis = np.argwhere(wrong)[0]
         raise InputError(

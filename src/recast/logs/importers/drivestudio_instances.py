@@ -99,8 +99,7 @@ def _track(
         problem = f"the box is {away[i]:.0f} m from the ego: mixed coordinate frames"
         raise InputError(path, f"{field}.obj_to_world.{i}", problem, _MEND)
     size = np.array(boxes.box_size)
-    shortest, longest = checks.BOX_SIDE
-    wrong = ((size < shortest) | (size > longest)).any(axis=1)
+    wrong = ~checks.are_box_sides(size).all(axis=1)
     if wrong.any():
         i = int(np.argmax(wrong))
         raise InputError(path, f"{field}.box_size.{i}", "is not a box's", "remove the box")

@@ -129,8 +129,7 @@ def _track(
     poses[:, :3, 3] -= offset
     away = np.linalg.norm(poses[:, :3, 3] - world_from_rig.at(times)[:, :3, 3], axis=1)
     for box, distance in zip(ordered, away, strict=True):
-        shortest, longest = checks.BOX_SIDE
-        if not shortest <= min(box.size) <= max(box.size) <= longest:
+        if not checks.are_box_sides(box.size).all():
             problem = f"is {box.size}, not a box's"
             raise InputError(path, f"token {box.token}: size", problem, "remove the box")
         if distance > _FARTHEST:

@@ -62,8 +62,7 @@ def _track(folder: Path, token: str, rows: list[tuple[int, Any]], offset: Array)
     boxes = [box.bounding_box_se3 for _, box in rows]
     sizes = np.array([[box.length, box.width, box.height] for box in boxes], np.float64)
     poses = np.stack([matrix(box.center_se3) for box in boxes])
-    shortest, longest = checks.BOX_SIDE
-    if not np.isfinite(poses).all() or not np.all((sizes >= shortest) & (sizes <= longest)):
+    if not np.isfinite(poses).all() or not checks.are_box_sides(sizes).all():
         problem = "holds a box without a place or without a size"
         raise InputError(folder, f"track {token}", problem, "convert the log again")
     poses[:, :3, 3] -= offset

@@ -58,8 +58,7 @@ def _check(path: Path, row: BoxRow, drive: Drive) -> None:
     if row.frame not in drive.frame_times:
         problem = f"{row.frame} has no ego_pose/{row.frame:06d}.txt"
         raise InputError(path, f"{row.where}: frame", problem, "take the tracks of this scene")
-    shortest, longest = checks.BOX_SIDE
-    if not shortest <= row.size.min() <= row.size.max() <= longest:
+    if not checks.are_box_sides(row.size).all():
         raise InputError(path, f"{row.where}: size", "is not a box's", "remove the box")
     if (distance := float(np.linalg.norm(row.centre))) > FARTHEST:
         problem = f"the box is {distance:.0f} m from the ego: not in the vehicle's frame"

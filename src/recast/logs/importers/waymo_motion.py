@@ -132,8 +132,7 @@ def _states(track: Message, count: int) -> tuple[Array, Array, Array]:
     rows = np.array(
         [[state[name] for name in names] for state in states if state.get("valid", 0)], np.float64
     ).reshape(-1, len(names))
-    shortest, longest = checks.BOX_SIDE
-    fits = np.all((rows[:, 4:] >= shortest) & (rows[:, 4:] <= longest))
+    fits = checks.are_box_sides(rows[:, 4:]).all()
     if not fits or not np.all(np.abs(rows) <= checks.WORLD_REACH):  # also NaN
         raise FieldError(track.path("states"), "hold a box without a place or without a size")
     poses = se3.from_rotation_translation(se3.rotation_z(rows[:, 3]), rows[:, :3])
