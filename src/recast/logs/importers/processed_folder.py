@@ -63,10 +63,9 @@ def read_numbers(path: Path, count: int) -> Array:
     """
     if not path.is_file():
         raise InputError(path, "file", "is missing", _MEND)
+    words = read_text(path, _TEXT_LIMIT).split()
     try:
-        numbers = np.array([float(word) for word in read_text(path, _TEXT_LIMIT).split()])
-    except InputError:
-        raise
+        numbers = np.array([float(word) for word in words])
     except ValueError:
         raise InputError(path, "numbers", "cannot be read: not plain numbers", _MEND) from None
     if numbers.shape != (count,) or not np.all(np.isfinite(numbers)):

@@ -24,7 +24,6 @@ from recast.logs.importers.waymo_segment import (
 from recast.logs.importers.waymo_wire import FieldError
 from recast.logs.types import Array, Float32Array
 
-_LATEST = checks.LATEST_US / 1e6
 WAYMO_FROM_OPENCV = se3.from_rotation_translation(
     np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3)
 )
@@ -124,7 +123,7 @@ def image_entry(
         FieldError: a time is none, or far from the frame's.
     """
     for field, value in seconds.items():
-        if not abs(value) <= _LATEST:  # also NaN
+        if not abs(value) <= checks.LATEST_US / 1e6:  # also NaN
             raise FieldError(field, f"is {value}")
     stamp, exposure, trigger, done = seconds.values()
     time_us = round(stamp * 1e6)
