@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, field_validator
+from pydantic import field_validator
 
 from recast import records, storage
 from recast.geometry import PinholeCamera
@@ -16,10 +16,8 @@ from recast.geometry import PinholeCamera
 VERSION = 1
 
 
-class CameraRecord(BaseModel):
+class CameraRecord(records.Record):
     """Exact intrinsics of one camera; pixels, pixel centres at +0.5."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     width: int
     height: int
@@ -47,10 +45,8 @@ class CameraRecord(BaseModel):
         return PinholeCamera(**self.model_dump())
 
 
-class LogRecord(BaseModel):
+class LogRecord(records.Record):
     """The contents of log.json."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     format: Literal["recast-log"] = "recast-log"
     version: Literal[1] = 1

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from recast import storage
 from recast.logs.checks import refused
 from recast.logs.hdmap import Array, GroundHeight, HdMap, Lane
-from recast.records import read_record
+from recast.records import Record, read_record
 
 VERSION = 1
 
@@ -20,11 +19,7 @@ Point2 = tuple[float, float]
 Point3 = tuple[float, float, float]
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-
-class _LaneModel(_Model):
+class _LaneModel(Record):
     lane_id: str
     speed_limit: float | None
     is_intersection: bool
@@ -37,13 +32,13 @@ class _LaneModel(_Model):
     polygon: list[Point2]
 
 
-class _GroundModel(_Model):
+class _GroundModel(Record):
     origin: Point2
     cell: float
     height: list[list[float | None]]
 
 
-class _MapModel(_Model):
+class _MapModel(Record):
     format: Literal["recast-map"]
     version: Literal[1]
     derived: bool
