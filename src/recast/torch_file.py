@@ -98,9 +98,10 @@ def _require_stored(path: Path, field: str) -> None:
     """`torch.save` never compresses: what is compressed was made to grow."""
     if not zipfile.is_zipfile(path):  # the format before PyTorch 1.6
         return
+    size = path.stat().st_size
     with zipfile.ZipFile(path) as archive:
         for one in archive.infolist():
-            if one.compress_type != zipfile.ZIP_STORED or one.file_size > path.stat().st_size:
+            if one.compress_type != zipfile.ZIP_STORED or one.file_size > size:
                 raise InputError(
                     path, field, "is compressed, which no PyTorch checkpoint is",
                     "save it with torch.save",

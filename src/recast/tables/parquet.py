@@ -85,14 +85,13 @@ class ParquetRows:
         self.first_rows = np.cumsum([0, *(group.rows for group in self._groups)], dtype=np.int64)
         self._chunks: dict[int, list[Chunk]] = {}
 
-    def size_of(self, group: int, rows: int | None = None) -> int:
-        """Bytes in memory of a row group, or of any `rows` of it, at most.
+    def size_of(self, group: int, rows: int) -> int:
+        """Bytes in memory of any `rows` rows of a row group, at most.
 
         Raises:
             InputError: the file is damaged.
         """
         count = self._groups[group].rows
-        rows = count if rows is None else min(rows, count)
         if group not in self._chunks:
             with (
                 arrow_errors(self._path, f"row group {group}", self._mend),
@@ -103,7 +102,7 @@ class ParquetRows:
                     for i, leaf in enumerate(self._leaves)
                     if self._is_read(leaf.path)
                 ]
-        return sum(chunk.size_of(rows) for chunk in self._chunks[group])
+        return sum(chunk.size_of(min(rows, count)) for chunk in self._chunks[group])
 
     def batches(self, group: int, rows_at_once: int = _ROWS_AT_ONCE) -> Iterator[pa.RecordBatch]:
         """The rows of a row group in order, at most `rows_at_once` at a time, validated in full.
