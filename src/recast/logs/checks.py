@@ -1,4 +1,4 @@
-"""What values of a log may be, whatever wrote them: a check raises ValueError that names its field.
+"""Checks of the values of a log, whatever wrote it; each raises ValueError that names its field.
 
 The limits lie far beyond any drive, and within what float32 and float64 arithmetic bears.
 """
@@ -28,7 +28,7 @@ NAME_LIMIT = 1000
 
 @contextmanager
 def refused(where: str | Path, mend: str) -> Iterator[None]:
-    """Inside of the block, what a check raises becomes the one line that users see."""
+    """Turn what a check raises inside the block into the one line that users see."""
     try:
         yield
     except InputError:
@@ -51,7 +51,7 @@ def check_text(where: str, text: object) -> None:
 
 
 def check_name(where: str, name: object) -> None:
-    """Check for text of 1 to `NAME_LIMIT` characters; any characters."""
+    """Check for a name of 1 to `NAME_LIMIT` characters; any character is allowed."""
     check_text(where, name)
     if not isinstance(name, str) or not 0 < len(name) <= NAME_LIMIT:
         raise ValueError(f"{where}: a name has 1 to {NAME_LIMIT} characters, got {name!r}")

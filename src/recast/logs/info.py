@@ -72,7 +72,7 @@ class TrackInfo:
 
     @property
     def evidence(self) -> int:
-        """What tracks are ranked by: frames times the crop's longer side times LiDAR points."""
+        """Key of the ranking: frames times the crop's longer side times LiDAR points."""
         return self.visibility.frames * max(self.visibility.crop) * self.lidar_points
 
 

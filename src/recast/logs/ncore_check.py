@@ -1,4 +1,4 @@
-"""Whether a store file may be handed to NCore, which trusts it.
+"""Checks of a store file before it is handed to NCore, which trusts it.
 
 A store is a tar file of zarr arrays with a compressed index at its end. Zarr allocates whatever
 shape is written there, fills in chunks that are missing, and decodes with whatever codec is named;

@@ -27,7 +27,7 @@ MEND = "import the drive again"
 
 @contextmanager
 def readable(path: Path, field: str) -> Iterator[None]:
-    """Whatever goes wrong with a store's contents inside of the block is one clear line."""
+    """Turn whatever goes wrong with a store's contents inside the block into one clear line."""
     try:
         yield
     except InputError:

@@ -133,7 +133,7 @@ def require_plain(path: Path, schema: pa.Schema, columns: Iterable[str], mend: s
 
 @contextmanager
 def arrow_errors(path: Path, field: str, mend: str) -> Iterator[None]:
-    """Whatever Arrow raises on damaged bytes is one line that names the file.
+    """Turn whatever Arrow raises on damaged bytes into one line that names the file.
 
     Raises:
         InputError: in place of any other error.

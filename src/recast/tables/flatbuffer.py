@@ -45,7 +45,7 @@ class FlatTable:
 
     @classmethod
     def root(cls, data: bytes) -> FlatTable:
-        """The table that the FlatBuffer is of."""
+        """The root table of a FlatBuffer."""
         return cls(data, integer(data, 0, 4, signed=False))
 
     def integer(self, slot: int, size: int) -> int:

@@ -31,10 +31,10 @@ class NpyHeader:
     """What a .npy file says of its array.
 
     Attributes:
-        shape: of the array.
+        shape: shape of the array.
         dtype: numbers, bool or fixed text; no objects, no fields.
         fortran: whether the first axis lies densest.
-        start: byte at which the values begin.
+        start: offset in bytes at which the values begin.
     """
 
     shape: tuple[int, ...]
@@ -84,8 +84,8 @@ def read_npz(
 
     Args:
         mend: what the user can do about any fault.
-        names: those wanted; all of them if None.
-        limit: bytes that those wanted may have together, once decompressed.
+        names: names of the arrays to read; all arrays if None.
+        limit: bytes that these arrays may have together, once decompressed.
 
     Raises:
         InputError: the file is missing or damaged, lacks an array, holds objects, or its arrays are

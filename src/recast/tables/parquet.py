@@ -55,7 +55,7 @@ class ParquetRows:
     """Some columns of a parquet file, read piece by piece.
 
     Attributes:
-        schema: of these columns.
+        schema: Arrow schema of these columns.
         first_rows: (groups + 1,) the number of each row group's first row, and of all rows.
     """
 

@@ -36,9 +36,9 @@ class Leaf:
     """A stored column: a column of the table, or the values of one of lists.
 
     Attributes:
-        path: its name and those of its parents, with dots between.
-        width: bytes of a value in memory; of a text, those of its length and place.
-        texts: whether values have each its own length.
+        path: its parents' names and its own, joined by dots.
+        width: bytes of a value in memory; if it is a text, bytes of its length and offset.
+        texts: whether each value has a length of its own.
         nested: whether values are in lists, each of unknown length.
     """
 
@@ -115,7 +115,7 @@ def read_chunk(stream: IO[bytes], leaf: Leaf, metadata: dict[int, Any], rows: in
 
     Args:
         metadata: as `Group.columns` has it.
-        rows: of the row group.
+        rows: number of rows of the row group.
 
     Raises:
         ValueError: a header is damaged, or contradicts the metadata; or texts are stored as changes

@@ -14,10 +14,10 @@ _DEPTH = 16
 
 
 class Compact:
-    """A value in `data` after the other, from the first byte on.
+    """Reader of the values in `data`, one after the other from the first byte on.
 
     Attributes:
-        at: the next byte.
+        at: offset of the next byte.
     """
 
     def __init__(self, data: bytes) -> None:

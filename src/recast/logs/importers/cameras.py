@@ -13,11 +13,11 @@ def chosen_cameras(where: Path, there: Iterable[str], wanted: Sequence[str]) -> 
 
     Args:
         where: the drive, for messages.
-        there: names of all its cameras.
-        wanted: those to import; all if empty.
+        there: names of all cameras of the drive.
+        wanted: names of the cameras to import; all if empty.
 
     Raises:
-        InputError: one wanted is not there; the message lists those that are.
+        InputError: a wanted camera is not there; the message lists the cameras that are.
     """
     names = list(there)
     for name in wanted:

@@ -1,4 +1,4 @@
-"""Names of drives from the command line, and files."""
+"""Check of a drive's name from the command line, before it becomes part of a path."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def log_of(scene: Any, folder: Path, cameras: Sequence[str] = ()) -> DrivingLog:
     Args:
         scene: a `py123d.api.SceneAPI`.
         folder: for messages.
-        cameras: names of those to keep; all if empty.
+        cameras: names of the cameras to keep; all if empty.
 
     Raises:
         InputError: there are fewer than two ego poses, or a sensor or box is not as it must be.

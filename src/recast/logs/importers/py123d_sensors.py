@@ -27,7 +27,7 @@ _MEND = "convert the log again"
 
 @contextmanager
 def reading(folder: Path) -> Iterator[None]:
-    """Whatever py123d raises is one line that names the log."""
+    """Turn whatever py123d raises inside the block into one line that names the log."""
     try:
         yield
     except InputError:

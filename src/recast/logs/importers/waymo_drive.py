@@ -30,7 +30,7 @@ def driving_log(segment: Segment, dataset: str, cameras: Sequence[str] = ()) -> 
     Args:
         segment: what was read.
         dataset: its name, for the metadata.
-        cameras: names of those to keep; all if empty.
+        cameras: names of the cameras to keep; all if empty.
 
     Raises:
         InputError: a calibration is missing, a sensor's frames do not belong together, there is a
