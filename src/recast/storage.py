@@ -68,7 +68,7 @@ def disk_errors(path: str | Path) -> Iterator[None]:
         if fault is None:
             raise
         named = error.filename if isinstance(error.filename, str) else str(path)
-        temporary = named.startswith(str(_partial_name(Path(path)))) if Path(path).name else False
+        temporary = named.startswith(str(partial_name(path))) if Path(path).name else False
         raise InputError(path if temporary else named, *fault) from error
     except ValueError as error:
         if isinstance(error, InputError) or "null" not in str(error):
@@ -76,8 +76,12 @@ def disk_errors(path: str | Path) -> Iterator[None]:
         raise InputError(path, "file", "has a NUL character in its name", "check it") from error
 
 
-def _partial_name(path: Path) -> Path:
-    # The same name every time, so that what a kill left behind is gone with the next write.
+def partial_name(path: str | Path) -> Path:
+    """The temporary name beside `path` of what is being written.
+
+    The same every time, so that what a kill left behind is gone with the next write.
+    """
+    path = Path(path)
     return path.with_name(f".{path.name}.partial")
 
 
@@ -91,7 +95,7 @@ def atomic_file(path: str | Path) -> Iterator[Path]:
         InputError: another process is writing it, or the disk refuses (see `disk_errors`).
     """
     path = Path(path)
-    partial = _partial_name(path)
+    partial = partial_name(path)
     with disk_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         if partial.is_dir():  # a file is overwritten
@@ -120,7 +124,7 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     with disk_errors(path):
         require_new(path)
-        partial = _partial_name(path)
+        partial = partial_name(path)
         if not partial.is_dir():
             partial.unlink(missing_ok=True)
         partial.mkdir(parents=True, exist_ok=True)

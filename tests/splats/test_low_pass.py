@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from recast.errors import InputError
@@ -96,6 +96,7 @@ def test_the_same_filter_changes_nothing() -> None:
     filters,
     filters,
 )
+@example(LEAST, LEAST, -FAR, 3.0, LowPass(0.5, antialiased=False), LowPass(0.5, antialiased=True))
 @settings(max_examples=150, deadline=None)
 def test_whatever_the_rasterizer_takes_stays_drawable(
     first: float, second: float, logit: float, depth: float, made_for: LowPass, drawn_by: LowPass

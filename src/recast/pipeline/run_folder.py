@@ -211,7 +211,7 @@ def claim_empty(folder: Path, first: str) -> None:
     """
     with storage.disk_errors(folder):
         inside = {entry.name for entry in folder.iterdir()} if folder.is_dir() else set()
-        if (folder.exists() and not folder.is_dir()) or inside - {f".{first}.partial"}:
+        if (folder.exists() and not folder.is_dir()) or inside - {storage.partial_name(first).name}:
             raise InputError(
                 folder, first, "is missing in a folder that is not empty",
                 "name a new or empty folder for --out",

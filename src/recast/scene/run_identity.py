@@ -12,7 +12,7 @@ from recast.errors import InputError
 from recast.logs import DrivingLog
 from recast.records import Record
 from recast.scene.config import SceneConfig, parse_config, write_config
-from recast.storage import read_json, write_json
+from recast.storage import partial_name, read_json, write_json
 
 CONFIG_FILE = "config.json"
 SOURCE_FILE = "source.json"
@@ -65,7 +65,9 @@ def claim_folder(folder: Path, log: DrivingLog, config: SceneConfig) -> None:
         _check_same(folder, source, config)
         return
     strangers = [] if not folder.exists() else sorted(folder.iterdir())
-    begun = {f".{name}.partial" for name in (CONFIG_FILE, SOURCE_FILE)}  # left behind by a kill
+    begun = {
+        partial_name(name).name for name in (CONFIG_FILE, SOURCE_FILE)
+    }  # left behind by a kill
     ours = {CONFIG_FILE, SOURCE_FILE, *begun}
     strangers = [path for path in strangers if path.name not in ours]
     if strangers:

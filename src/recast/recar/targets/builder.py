@@ -129,7 +129,7 @@ def _begin(out: Path, record: CacheRecord) -> TargetCache:
     if not (out / CACHE_FILE).is_file():
         # a kill at the very start leaves no more than the beginning of cache.json
         inside = {path.name for path in out.iterdir()} if out.is_dir() else set()
-        if not out.exists() or (out.is_dir() and inside <= {f".{CACHE_FILE}.partial"}):
+        if not out.exists() or (out.is_dir() and inside <= {storage.partial_name(CACHE_FILE).name}):
             return TargetCache(out, record, {}, {})
         raise InputError(
             out, "output folder", "exists and is no target cache", "name a new or empty folder"
