@@ -1,7 +1,7 @@
 """Commands in child processes that are killed, or refused by the disk, at a chosen moment.
 
-A moment is a change below one folder: something is opened for writing, made, renamed or removed.
-Python tells of each before it happens (`sys.addaudithook`), so the n-th is the same in every run.
+A moment is a change below one folder, see `support.moments.changed`: the n-th is the same in every
+run. Where one function is enough instead of a whole command, `support.moments` forks for it.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from support.moments import REMOVING, changed
+
 KILL = -signal.SIGKILL
 _LOADED = (
     "recast.cli.main",
@@ -27,9 +29,6 @@ _LOADED = (
     "torch.fx.experimental.symbolic_shapes",  # which training asks for
 )
 """What the server that children are forked from imports once."""
-_WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
-_REMOVING = ("os.remove", "os.rmdir")
-_CHANGES = ("os.mkdir", "os.rename", "os.link", "os.symlink", *_REMOVING)
 
 
 @dataclass(frozen=True)
@@ -103,17 +102,17 @@ def _child(args: list[str], fault: Fault, notes: Path) -> None:
 class _Watch:
     def __init__(self, fault: Fault, notes: int) -> None:
         self.fault, self.notes = fault, notes
-        self.root, self.seen, self.broken = str(fault.root), 0, False
+        self.seen, self.broken = 0, False
 
     def begin(self) -> None:
         sys.addaudithook(self.look)
 
     def look(self, event: str, args: tuple[Any, ...]) -> None:
-        path = _changed(event, args)
-        if path is None or not (path == self.root or path.startswith(self.root + os.sep)):
+        path = changed(event, args, self.fault.root)
+        if path is None:
             return
         self.seen += 1
-        moment = f"{event} {os.path.relpath(path, self.root)}"
+        moment = f"{event} {os.path.relpath(path, self.fault.root)}"
         at = self.fault.at
         reached = at == self.seen if isinstance(at, int) else at is not None and at in moment
         self.broken = self.broken or reached
@@ -123,27 +122,6 @@ class _Watch:
             return
         if self.fault.kind == KILL:
             os.kill(os.getpid(), signal.SIGKILL)
-        if event in _REMOVING and self.fault.kind != errno.EROFS:
+        if event in REMOVING and self.fault.kind != errno.EROFS:
             return  # a full disk lets go of files
         raise OSError(self.fault.kind, os.strerror(self.fault.kind), path)
-
-
-def _changed(event: str, args: tuple[Any, ...]) -> str | None:
-    """The path that an audit event is about to change, or None."""
-    if event == "open":
-        path, _, flags = args
-        wanted = isinstance(flags, int) and flags & _WRITING
-    elif event in _CHANGES:
-        path, wanted = args[1 if event == "os.rename" else 0], True
-    else:
-        return None
-    if not wanted or not isinstance(path, str | os.PathLike):
-        return None
-    path = os.fspath(path)
-    folder = args[-1]
-    if event in _REMOVING and isinstance(folder, int) and folder >= 0:  # as `shutil.rmtree` does
-        try:
-            path = os.path.join(Path(f"/proc/self/fd/{folder}").readlink(), path)  # noqa: PTH118
-        except OSError:  # not on Linux: what is removed there is no moment
-            return None
-    return os.path.abspath(path)  # noqa: PTH100

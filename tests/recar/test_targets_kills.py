@@ -18,23 +18,11 @@ import torch
 from recast.recar.targets import TargetCache, build_targets
 from recast.recar.targets.maker import Job, Outcome, TargetMaker
 from recast.recar.targets.record import TargetRecord
+from support.moments import forked
 from support.target_caches import box_target
 from support.target_places import SETTINGS, Places
 
 from .sets import tree
-
-
-def forked(work: Callable[[], object]) -> int:
-    """Start `work` in a copy of this process, which ends with it."""
-    child = os.fork()
-    if child == 0:
-        code = 1
-        try:
-            work()
-            code = 0
-        finally:
-            os._exit(code)
-    return child
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no fork")

@@ -13,11 +13,13 @@ import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from recast.errors import InputError
 
 Work = Callable[[], object]
-_CHANGES = {"os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.truncate", "os.link"}
+REMOVING = ("os.remove", "os.rmdir")
+_CHANGES = ("os.mkdir", "os.rename", "os.truncate", "os.link", "os.symlink", *REMOVING)
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 
 
@@ -82,19 +84,30 @@ def said_on_a_full_disk(work: Work, size: int = 0) -> str:
     return _said(limited)
 
 
-def _before_changes(folder: Path, hook: Work) -> None:
-    prefix = str(folder)
+def changed(event: str, args: tuple[Any, ...], folder: Path) -> str | None:
+    """The path at or below `folder` that an audit event is about to change, or None."""
+    if event == "open":
+        path, _, flags = args
+        wanted = isinstance(flags, int) and flags & _WRITING
+    elif event in _CHANGES:
+        path, wanted = args[1 if event == "os.rename" else 0], True
+    else:
+        return None
+    if not wanted or not isinstance(path, str | bytes | os.PathLike):
+        return None
+    path, within = os.fsdecode(path), args[-1]
+    if event in REMOVING and isinstance(within, int) and within >= 0:  # as `shutil.rmtree` does
+        try:
+            path = os.path.join(Path(f"/proc/self/fd/{within}").readlink(), path)  # noqa: PTH118
+        except OSError:  # not on Linux: what is removed there is no moment
+            return None
+    path = os.path.abspath(path)  # noqa: PTH100
+    return path if path == str(folder) or path.startswith(f"{folder}{os.sep}") else None
 
-    def on_event(event: str, args: tuple[object, ...]) -> None:
-        if event == "open":
-            path, _, flags = args
-            if not isinstance(flags, int) or not flags & _WRITING:
-                return
-        elif event in _CHANGES:
-            path = args[0]
-        else:
-            return
-        if isinstance(path, str | bytes | os.PathLike) and os.fsdecode(path).startswith(prefix):
+
+def _before_changes(folder: Path, hook: Work) -> None:
+    def on_event(event: str, args: tuple[Any, ...]) -> None:
+        if changed(event, args, folder) is not None:
             hook()
 
     sys.addaudithook(on_event)
@@ -120,6 +133,11 @@ def _said(work: Work) -> str:
 
 def _ended(work: Work) -> int:
     """Run in a forked copy of this process; its exit code, or minus the signal that ended it."""
+    return os.waitstatus_to_exitcode(os.waitpid(forked(work), 0)[1])
+
+
+def forked(work: Work) -> int:
+    """Start `work` in a copy of this process, which ends with it; its number."""
     child = os.fork()
     if child == 0:
         code = 1
@@ -131,4 +149,4 @@ def _ended(work: Work) -> int:
         finally:
             sys.stderr.flush()
             os._exit(code)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    return child
