@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from recast.errors import InputError
-from recast.logs.importers.kitti import import_kitti
+from recast.logs.importers.kitti import import_kitti, load_kitti
 from support import tiny_drive as tiny
 
 Damage = Callable[[tiny.TinyDrive], object]
@@ -382,3 +382,12 @@ def test_a_full_disk_leaves_nothing(
     with pytest.raises(InputError, match="no space left"):
         import_kitti(drive.root, tiny.DRIVE, out / "log", drive.labels, refine=False)
     assert list(out.iterdir()) == []
+
+
+def test_a_sweep_that_is_a_dead_link_is_one_clear_line(drive: tiny.TinyDrive) -> None:
+    """A cut-off download: the poses' refinement is the first that reads it."""
+    sweep = sorted((drive.folder / "velodyne_points" / "data").iterdir())[0]
+    sweep.unlink()
+    sweep.symlink_to("elsewhere.bin")
+    with pytest.raises(InputError, match=r"0000000000\.bin: file: is missing"):
+        load_kitti(drive.root, tiny.DRIVE, drive.labels)

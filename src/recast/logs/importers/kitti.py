@@ -32,6 +32,7 @@ from recast.logs.importers.kitti_velodyne import (
     turn_times,
 )
 from recast.logs.importers.pose_jumps import first_jump
+from recast.logs.importers.valid import returns_valid
 from recast.logs.refine_trajectory import heading_offset, refine_trajectory
 from recast.logs.store import write_log
 from recast.logs.types import (
@@ -82,6 +83,7 @@ def import_kitti(
     write_log(log, out)
 
 
+@returns_valid
 def load_kitti(
     root: Path,
     drive: str,
