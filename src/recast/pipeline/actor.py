@@ -43,8 +43,8 @@ def generator_of(name: str, axes: str = AUTO) -> ActorGenerator:
     """A generator by its name, or one for the PLY file or the model folder of that path.
 
     Args:
-        axes: of a PLY or a model, see `recast.actors.axes_of`. "auto" tells a PLY's from its shape;
-            models are z up, any heading.
+        axes: orientation of a PLY or a model, see `recast.actors.axes_of`. With "auto", that of a
+            PLY is told from its shape, and models are z up with any heading.
 
     Raises:
         InputError: no such generator, no such file, no such axes, or axes of a generator that knows

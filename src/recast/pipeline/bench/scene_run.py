@@ -27,7 +27,7 @@ class SceneRun:
 
     Args:
         path: run folder, begun with `RunFolder.create_or_resume`.
-        sources: of its configuration, taken before any of them was loaded.
+        sources: what stands for the exchangeable parts, taken before any of them was loaded.
 
     Raises:
         InputError: a faulty log or folder, or a camera that the planner wants and the log lacks.
