@@ -15,7 +15,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 
-from recast.actors.evidence import Agreement, compare_views, front_votes
+from recast.actors.agreement import Agreement, compare_views, front_votes
 from recast.actors.generate import Asset
 from recast.actors.hull import bounds
 from recast.actors.observation import Observation
@@ -48,7 +48,7 @@ class PlacementReport:
         flipped: whether the votes turned it half around.
         overlap_before, overlap: mean intersection over union with the masks, before and after the
             refinement.
-        colour: mean absolute difference of colours to the views, see `evidence.Agreement`.
+        colour: mean absolute difference of colours to the views, see `agreement.Agreement`.
         width_over_box, height_over_box: extents at the scale of the length over the box's.
     """
 

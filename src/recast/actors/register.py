@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from recast.actors.actor import Actor, FrontEvidence, Provenance, RegistrationReport
-from recast.actors.evidence import Agreement, compare_views, front_votes, heading_agreement
+from recast.actors.agreement import Agreement, compare_views, front_votes, heading_agreement
 from recast.actors.generate import Asset
 from recast.actors.hull import Surface, bounds
 from recast.actors.icp import IcpLimits, align, fit_of
