@@ -138,26 +138,31 @@ def _cut(
     assert rectangle is not None  # scored frames show the box
     crop = _crop_window(stream.camera, rectangle)
     camera = stream.camera.rectified().cropped(*crop)
-    other_points = np.zeros((0, 3))
-    sweep = NearestSweeps(log).at(time)
-    if sweep is not None and track.trajectory.covers(sweep.timestamp_us):
-        world = se3.apply(log.world_from_rig.at(sweep.timestamp_us), sweep.points)
-        own = boxes.contains(
-            world, track.size, track.trajectory.at(sweep.timestamp_us), margin=2 * _BOX_GROWTH
-        )
-        moved = se3.apply(camera_from_world, world[~own])
-        # a static point behind the vehicle now is seen through it: only what is not hidden by the
-        # box is evidence of background
-        other_points = _not_behind(moved, camera_from_object, track.size)
     return SegmentationTarget(
         image=_rectified_crop(stream, view.frame, crop),
         camera=camera,
         camera_from_object=camera_from_object,
         size=np.asarray(track.size, np.float64),
         object_points=object_points,
-        other_points=other_points,
+        other_points=points_beside(log, track, time, camera_from_world, NearestSweeps(log)),
         category=track.category,
     )
+
+
+def points_beside(
+    log: DrivingLog, track: Track, time: int, camera_from_world: Array, sweeps: NearestSweeps
+) -> Array:
+    """LiDAR points (M, 3) near a time that are not on a track, camera frame; see `_not_behind`."""
+    sweep = sweeps.at(time)
+    if sweep is None or not track.trajectory.covers(sweep.timestamp_us):
+        return np.zeros((0, 3))
+    world = se3.apply(log.world_from_rig.at(sweep.timestamp_us), sweep.points)
+    pose = track.trajectory.at(sweep.timestamp_us)
+    own = boxes.contains(world, track.size, pose, margin=2 * _BOX_GROWTH)
+    # a static point behind the vehicle now is seen through it: only what is not hidden by the
+    # box is evidence of background
+    moved = se3.apply(camera_from_world, world[~own])
+    return _not_behind(moved, camera_from_world @ track.trajectory.at(time), track.size)
 
 
 def _not_behind(points: Array, camera_from_object: Array, size: Array) -> Array:
