@@ -85,12 +85,19 @@ class Sweeps:
         return self.sweeps[index]
 
 
-def street_log(vehicle: Gaussians) -> DrivingLog:
+def turning_poses() -> np.ndarray:
+    """`world_from_object` (F, 4, 4): on one spot, turned by 40 degrees a frame, its left first."""
+    centre = [8.0, 0.0, SIZE[2] / 2]
+    angles = -np.pi / 2 + np.radians(40.0) * np.arange(FRAMES)
+    return np.array([se3.from_rotation_translation(se3.rotation_z(a), centre) for a in angles])
+
+
+def street_log(vehicle: Gaussians, poses: np.ndarray | None = None) -> DrivingLog:
     """Five frames of the car "7", a car "8" hidden behind it, one "9" never in view and one "10"
     that the LiDAR missed."""
     rng = np.random.default_rng(0)
     times = np.arange(FRAMES, dtype=np.int64) * STEP_US
-    poses = car_poses()
+    poses = car_poses() if poses is None else poses
     images, sweeps = [], []
     for frame, pose in enumerate(poses):
         camera_from_object = se3.inverse(RIG_FROM_CAMERA) @ pose

@@ -8,13 +8,21 @@ import numpy as np
 import pytest
 
 from actors import made_up
-from recast.actors import BoxLidarSegmenter, Observation, TemplateGenerator, observe
-from recast.actors.observe import rank_views
+from recast.actors import (
+    BoxLidarSegmenter,
+    Observation,
+    Segmentation,
+    SegmentationTarget,
+    TemplateGenerator,
+    observe,
+)
+from recast.actors.view_pool import ViewPool
 from recast.actors.view_score import NearestSweeps, check_lidar, score_frame
 from recast.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, Track
 from recast.pipeline.actor import ActorMakers, make_actor
+from recast.splats import Gaussians
 
 
 def test_takes_the_largest_view_that_is_whole(observation: Observation, street: DrivingLog) -> None:
@@ -35,7 +43,7 @@ def test_another_track_in_front_lowers_the_score(street: DrivingLog) -> None:
     assert score.unoccluded < 0.6
     # ... and so do LiDAR returns before the box
     assert score.unblocked < 0.9
-    clear = rank_views(street, street.tracks["7"])[0]
+    clear = ViewPool(street, street.tracks["7"]).ranked()[0]
     assert clear.unoccluded == 1.0
     assert clear.unblocked > 0.95
 
@@ -118,7 +126,7 @@ def test_a_track_without_a_label_at_the_frames_is_not_scored(street: DrivingLog)
     late = dataclasses.replace(
         track.trajectory, timestamps_us=track.trajectory.timestamps_us + 10_000_000
     )
-    assert rank_views(street, Track("7", "car", track.size, late)) == []
+    assert ViewPool(street, Track("7", "car", track.size, late)).ranked() == []
 
 
 def with_more_cameras(street: DrivingLog) -> DrivingLog:
@@ -145,6 +153,74 @@ def test_the_best_view_of_the_named_cameras_is_taken(
     seen = observe(log, "7", segmenter=BoxLidarSegmenter(), cameras=named)
     assert seen.view.camera == chosen
     assert {view.camera for view in seen.candidates} <= set(named or log.cameras)
+
+
+@pytest.fixture(scope="module")
+def turning(red_car: Gaussians) -> DrivingLog:
+    """The car "7" shows another side in every frame."""
+    return made_up.street_log(red_car, made_up.turning_poses())
+
+
+def test_further_views_show_other_sides(turning: DrivingLog) -> None:
+    alone = observe(turning, "7", segmenter=BoxLidarSegmenter())
+    seen = observe(turning, "7", segmenter=BoxLidarSegmenter(), views=3)
+    assert alone.further == ()
+    assert seen.view == alone.view
+    assert len(seen.further) == 2
+    azimuths = np.array([one.azimuth for one in seen.views])
+    apart = np.abs(np.angle(np.exp(1j * (azimuths[:, None] - azimuths))))
+    assert np.degrees(apart[np.triu_indices(3, 1)]).min() > 39  # three frames, 40 degrees a frame
+    for one in seen.views:  # each is whole: its own crop, camera, pose and mask
+        assert one.azimuth == pytest.approx(one.view.azimuth)
+        assert one.rgba.shape[:2] == (one.camera.height, one.camera.width)
+        assert one.mask_quality.agrees
+        assert f"frame {one.view.frame}:" in seen.explain()
+
+
+def test_what_adds_nothing_is_no_further_view(street: DrivingLog, turning: DrivingLog) -> None:
+    """All five frames of the street show the car from within 12 degrees of the best one."""
+    assert observe(street, "7", segmenter=BoxLidarSegmenter(), views=5).further == ()
+    many = observe(turning, "7", segmenter=BoxLidarSegmenter(), views=99)
+    frames = [one.view.frame for one in many.views]
+    assert len(set(frames)) == len(frames) == made_up.FRAMES
+
+
+def test_frames_that_may_not_be_looked_at_are_not(turning: DrivingLog) -> None:
+    best = observe(turning, "7", segmenter=BoxLidarSegmenter()).view.frame
+    kept = {frame for frame in range(made_up.FRAMES) if frame not in (best, best + 1)}
+    seen = observe(
+        turning, "7", segmenter=BoxLidarSegmenter(), views=5,
+        usable=lambda camera, frame: camera == "front" and frame in kept,
+    )  # fmt: skip
+    assert {one.view.frame for one in seen.views} == kept
+    assert {view.frame for view in seen.candidates} <= kept
+    with pytest.raises(InputError, match="never visible"):
+        observe(turning, "7", segmenter=BoxLidarSegmenter(), usable=lambda camera, frame: False)
+
+
+class EmptyAfterTheFirst:
+    """A segmenter that finds the vehicle once only."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def segment(self, target: SegmentationTarget) -> np.ndarray:
+        self.calls += 1
+        found = BoxLidarSegmenter().segment(target)
+        alpha = found.alpha if isinstance(found, Segmentation) else found
+        return alpha if self.calls == 1 else np.zeros_like(alpha)
+
+
+def test_a_further_view_with_a_wrong_mask_is_passed_over(turning: DrivingLog) -> None:
+    segmenter = EmptyAfterTheFirst()
+    seen = observe(turning, "7", segmenter=segmenter, views=3)
+    assert seen.further == ()
+    assert segmenter.calls == made_up.FRAMES  # every other frame was tried
+
+
+def test_no_view_at_all_is_refused(street: DrivingLog) -> None:
+    with pytest.raises(ValueError, match="views 0"):
+        observe(street, "7", segmenter=BoxLidarSegmenter(), views=0)
 
 
 def test_making_an_actor_counts_all_named_cameras(

@@ -11,6 +11,9 @@ from recast.geometry import PinholeCamera
 
 Array = NDArray[np.float64]
 
+_COVERAGE = (0.45, 0.97)  # shares of the projected box that the mask of a vehicle fills
+_LIDAR_SHARE = 0.85  # of the LiDAR points, that a good mask puts on the right side
+
 
 @dataclass(frozen=True)
 class ViewScore:
@@ -24,6 +27,7 @@ class ViewScore:
         in_image: share of the projected box that lies inside the image.
         unoccluded: share of the box that no other track's box hides.
         unblocked: share of the LiDAR returns towards the box that are not in front of it.
+        azimuth: direction to the camera in the object frame, radians: 0 ahead, +pi/2 to its left.
         score: size_px * in_image^3 * unoccluded^2 * unblocked.
     """
 
@@ -34,11 +38,22 @@ class ViewScore:
     in_image: float
     unoccluded: float
     unblocked: float
+    azimuth: float
+
+    @property
+    def key(self) -> tuple[str, int]:
+        """Camera and frame."""
+        return self.camera, self.frame
 
     @property
     def score(self) -> float:
         """Larger is better."""
         return self.size_px * self.in_image**3 * self.unoccluded**2 * self.unblocked
+
+    @property
+    def detail(self) -> float:
+        """How much the frame tells beside others: what lies outside its image, they may show."""
+        return self.size_px * self.in_image * self.unoccluded**2 * self.unblocked
 
     def explain(self) -> str:
         """One line with the score and its terms."""
@@ -84,18 +99,24 @@ class MaskQuality:
         )
         return "\n".join([shares, *self.notes])
 
+    @property
+    def agrees(self) -> bool:
+        """Whether the mask fits the box and the LiDAR; `warnings` says more."""
+        shares = self.lidar_inside, self.lidar_outside
+        return _COVERAGE[0] <= self.box_coverage <= _COVERAGE[1] and min(shares) >= _LIDAR_SHARE
+
     def warnings(self) -> tuple[str, ...]:
         """What a person should look at, empty for a mask without complaint."""
         found = []
-        if not 0.45 <= self.box_coverage <= 0.97:
+        if not _COVERAGE[0] <= self.box_coverage <= _COVERAGE[1]:
             found.append(f"mask fills {self.box_coverage:.0%} of the projected box")
         if self.border_contact > 0.02:
             found.append(f"mask touches {self.border_contact:.0%} of the crop's border")
-        if self.lidar_inside < 0.85:
+        if self.lidar_inside < _LIDAR_SHARE:
             found.append(
                 f"only {self.lidar_inside:.0%} of the vehicle's LiDAR points are in the mask"
             )
-        if self.lidar_outside < 0.85:
+        if self.lidar_outside < _LIDAR_SHARE:
             found.append(f"only {self.lidar_outside:.0%} of the background's points are outside it")
         return (*found, *self.doubts)
 
@@ -114,6 +135,7 @@ class Observation:
         view: score terms of the frame taken.
         candidates: the best frames, best first.
         mask_quality: see `MaskQuality`.
+        further: views of other sides, if they were asked for; of each only what is its own differs.
     """
 
     track_id: str
@@ -126,6 +148,12 @@ class Observation:
     view: ViewScore
     candidates: tuple[ViewScore, ...]
     mask_quality: MaskQuality
+    further: tuple[Observation, ...] = ()
+
+    @property
+    def views(self) -> tuple[Observation, ...]:
+        """This view and the further ones."""
+        return (self, *self.further)
 
     @property
     def eye(self) -> Array:
@@ -163,5 +191,9 @@ class Observation:
         others = [c for c in self.candidates if c is not self.view][:3]
         lines += [f"next: {c.explain()}" for c in others]
         lines.append(self.mask_quality.explain())
+        lines += [
+            f"further view: {one.view.explain()}, azimuth {np.degrees(one.azimuth):.0f} degrees"
+            for one in self.further
+        ]
         lines += [f"warning: {text}" for text in self.mask_quality.warnings()]
         return "\n".join(lines)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 
 from recast.actors.observation import Observation, ViewScore
 from recast.actors.segment import SegmentationTarget, Segmenter, mask_quality, run_segmenter
-from recast.actors.view_score import NearestSweeps, check_lidar, score_frame
+from recast.actors.view_pool import Usable, ViewPool
+from recast.actors.view_score import NearestSweeps
 from recast.errors import InputError
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.geometry.camera import distort
@@ -19,52 +21,79 @@ from recast.logs import CameraStream, DrivingLog, Track, track_points
 Array = NDArray[np.float64]
 
 MIN_LIDAR_POINTS = 20
-_MIN_CHECKED = 4
 _CROP_MARGIN = 0.18  # share of the box's longer side left around it
 _BOX_GROWTH = 0.12  # metres around the label within which a return belongs to the vehicle
 
 
 def observe(
-    log: DrivingLog, track_id: str, *, segmenter: Segmenter, cameras: Sequence[str] = ()
+    log: DrivingLog,
+    track_id: str,
+    *,
+    segmenter: Segmenter,
+    cameras: Sequence[str] = (),
+    views: int = 1,
+    usable: Usable | None = None,
 ) -> Observation:
     """The best view of a track: largest, least truncated and occluded.
+
+    Further views show other sides. One whose mask contradicts box or LiDAR is passed over.
 
     Args:
         log: the drive.
         track_id: which track.
         segmenter: separates the vehicle from its background.
         cameras: consider only these camera streams; all where none is named.
+        views: how many views to take at most; those after the best are its `further`.
+        usable: which frames may be looked at; all if None.
 
     Raises:
         InputError: no such track or camera, a track that is never visible, or one with fewer than
             20 LiDAR points.
+        ValueError: `views` below 1.
     """
+    if views < 1:
+        raise ValueError(f"observe: views {views}, expected at least 1")
     track = _track(log, track_id)
     points = track_points(log, track).points
     require_points(points, log, track_id)
-    candidates = rank_views(log, track, cameras)
+    pool = ViewPool(log, track, cameras, usable)
+    candidates = pool.ranked()
     if not candidates:
         raise InputError(
             log.name, f"track {track_id}",
             "is never visible in " + (" or ".join(cameras) or "any camera"),
             "choose another track or camera: recast log info lists them",
         )  # fmt: skip
-    best = candidates[0]
-    stream = log.cameras[best.camera]
-    target = _cut(log, track, stream, best, np.asarray(points, np.float64))
-    found = run_segmenter(segmenter, target)
-    return Observation(
-        track_id=track_id,
-        category=track.category,
-        size=np.asarray(track.size, np.float64),
-        rgba=np.dstack([target.image, found.alpha]),
-        camera=target.camera,
-        camera_from_object=target.camera_from_object,
-        points=points,
-        view=best,
-        candidates=tuple(candidates),
-        mask_quality=mask_quality(target, found),
-    )
+
+    def cut(view: ViewScore) -> Observation:
+        target = _cut(log, track, log.cameras[view.camera], view, np.asarray(points, np.float64))
+        found = run_segmenter(segmenter, target)
+        return Observation(
+            track_id=track_id,
+            category=track.category,
+            size=np.asarray(track.size, np.float64),
+            rgba=np.dstack([target.image, found.alpha]),
+            camera=target.camera,
+            camera_from_object=target.camera_from_object,
+            points=points,
+            view=view,
+            candidates=tuple(candidates),
+            mask_quality=mask_quality(target, found),
+        )
+
+    first = cut(candidates[0])
+    further: list[Observation] = []
+    left_out: list[ViewScore] = []
+    while len(further) + 1 < views:
+        view = pool.next_best([first.view, *(one.view for one in further)], left_out)
+        if view is None:
+            break
+        one = cut(view)
+        if one.mask_quality.agrees:
+            further.append(one)
+        else:
+            left_out.append(view)
+    return replace(first, further=tuple(further))
 
 
 def require_points(points: NDArray[np.float32], log: DrivingLog, track_id: str) -> None:
@@ -79,43 +108,6 @@ def require_points(points: NDArray[np.float32], log: DrivingLog, track_id: str) 
             f"has {len(points)} LiDAR points in its boxes, at least {MIN_LIDAR_POINTS} are needed",
             "choose a track that comes nearer: recast log info lists them",
         )  # fmt: skip
-
-
-def rank_views(log: DrivingLog, track: Track, cameras: Sequence[str] = ()) -> list[ViewScore]:
-    """The best frames in which the track is in view, best first; ties go to the earlier frame.
-
-    LiDAR occlusion can only lower a score, so it is checked from the top of the list down until no
-    frame left could win, and for at least four frames; the rest is left out.
-
-    Args:
-        cameras: consider only these camera streams; all where none is named.
-
-    Raises:
-        InputError: the log has no such camera.
-    """
-    for camera in cameras:
-        if camera not in log.cameras:
-            names = ", ".join(log.cameras)
-            raise InputError(
-                log.name, f"camera {camera}", "is not in the log", f"choose from {names}"
-            )
-    streams = [stream for name, stream in log.cameras.items() if not cameras or name in cameras]
-    bounds = [
-        score
-        for stream in streams
-        for frame in range(len(stream.timestamps_us))
-        if (score := score_frame(log, track, stream, frame)) is not None
-    ]
-    sweeps = NearestSweeps(log)
-    checked: list[ViewScore] = []
-    for bound in sorted(bounds, key=lambda s: -s.score):
-        best = max((score.score for score in checked), default=0.0)
-        if len(checked) >= _MIN_CHECKED and best >= bound.score:
-            break
-        score = check_lidar(log, track, bound, sweeps)
-        if score.score > 0:
-            checked.append(score)
-    return sorted(checked, key=lambda s: -s.score)
 
 
 def _track(log: DrivingLog, track_id: str) -> Track:

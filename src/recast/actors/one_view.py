@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from recast.actors.observation import Observation, ViewScore
 from recast.actors.segment import SegmentationTarget, mask_quality
-from recast.geometry import PinholeCamera
+from recast.geometry import PinholeCamera, se3
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,11 @@ def observation_of_view(
         crop[..., :3], cropped, camera_from_object, np.asarray(size, np.float64), none, none
     )
     pixels = float(np.sqrt((crop[..., 3] > 127).sum()))
-    view = ViewScore(name, 0, 0, pixels, in_image=1.0, unoccluded=1.0, unblocked=1.0)
+    eye = se3.inverse(camera_from_object)[:3, 3]
+    view = ViewScore(
+        name, 0, 0, pixels, in_image=1.0, unoccluded=1.0, unblocked=1.0,
+        azimuth=float(np.arctan2(eye[1], eye[0])),
+    )  # fmt: skip
     return Observation(
         track_id=name,
         category=category,

@@ -29,6 +29,7 @@ def score_frame(
         return None
     camera_from_world = se3.inverse(log.world_from_rig.at(time) @ stream.rig_from_camera)
     camera_from_object = camera_from_world @ track.trajectory.at(time)
+    eye = se3.inverse(camera_from_object)[:3, 3]
     if camera_from_object[2, 3] < 0.5 * track.size[0]:  # beside or behind the camera
         return None
     camera = stream.camera.rectified()
@@ -50,6 +51,7 @@ def score_frame(
         in_image=float(inside / ((right - left) * (bottom - top))),
         unoccluded=_unoccluded(log, track, time, camera_from_world),
         unblocked=1.0,
+        azimuth=float(np.arctan2(eye[1], eye[0])),
     )
 
 
