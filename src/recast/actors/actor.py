@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from recast.actors.generate import Asset
 from recast.actors.icp import Fit
 from recast.actors.observation import MaskQuality, Observation
+from recast.actors.shares import Shares
+from recast.logs import Trajectory
 from recast.logs.checks import BOX_SIDE
 from recast.records import Record
 from recast.splats import Gaussians, LowPass
@@ -88,6 +90,67 @@ class RegistrationReport(Record):
         )
 
 
+class SourceView(Record):
+    """One image that an actor was made from.
+
+    Attributes:
+        camera, frame, timestamp_us: of the image.
+        azimuth: direction to the camera in the actor frame, radians.
+    """
+
+    camera: str
+    frame: int
+    timestamp_us: int
+    azimuth: float
+
+
+class Refinement(Record):
+    """What following all images of the log did to an actor.
+
+    Attributes:
+        images: that were followed, and `held_back` of the log's training images that judged.
+        left_out: why other images that show the box were not used, and how many.
+        loss_before, loss_bent, loss_after: on the held-back images: as registered, after the body
+            was moved and bent, at the end. None where none could be held back.
+        kept: whether the refined actor was better there; if not, the registered one stayed.
+        steps: of the free stage until it stopped.
+        moved: (3,) metres; turned: radians; grew: (3,) factors along, across, up.
+        pose_correction: root mean square of the track's corrections at the images, metres.
+        seen, mirrored: shares of the vehicle's surface (by area of its Gaussians' discs).
+        notes: what was not done, and why.
+    """
+
+    images: int
+    held_back: int
+    left_out: dict[str, int]
+    loss_before: float | None
+    loss_bent: float | None
+    loss_after: float | None
+    kept: bool
+    steps: int
+    moved: tuple[float, float, float]
+    turned: float
+    grew: tuple[float, float, float]
+    pose_correction: float
+    seen: float
+    mirrored: float
+    notes: tuple[str, ...] = ()
+
+    def explain(self) -> str:
+        """A few lines for people."""
+        losses = [self.loss_before, self.loss_bent, self.loss_after]
+        judged = " -> ".join(f"{loss:.3f}" for loss in losses if loss is not None)
+        lines = [
+            f"refined by {self.images} images in {self.steps} steps; loss on {self.held_back} "
+            f"others {judged} (registered, bent, refined)"
+            + ("" if self.kept else ": not better, so the registered actor stays"),
+            f"seen {self.seen:.0%}, mirrored {self.mirrored:.0%}, invented "
+            f"{max(1 - self.seen - self.mirrored, 0):.0%} of the surface",
+        ]
+        lines += [f"left out {count}: {reason}" for reason, count in self.left_out.items()]
+        return "\n".join([*lines, *self.notes])
+
+
 class Provenance(Record):
     """Where an actor comes from.
 
@@ -99,6 +162,8 @@ class Provenance(Record):
         mask: quality of the mask.
         observation: why that image was taken, in words.
         registration: see `RegistrationReport`.
+        further: other views that were used.
+        refinement: see `Refinement`; None for an actor that was only registered.
     """
 
     generator: str
@@ -112,6 +177,8 @@ class Provenance(Record):
     mask: MaskQuality
     observation: str
     registration: RegistrationReport
+    further: tuple[SourceView, ...] = ()
+    refinement: Refinement | None = None
 
     @staticmethod
     def of(asset: Asset, observation: Observation, report: RegistrationReport) -> Provenance:
@@ -128,7 +195,14 @@ class Provenance(Record):
             mask=observation.mask_quality,
             observation=observation.explain(),
             registration=report,
-        )
+            further=tuple(
+                SourceView(
+                    camera=one.view.camera, frame=one.view.frame,
+                    timestamp_us=one.view.timestamp_us, azimuth=one.azimuth,
+                )
+                for one in observation.further
+            ),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -143,6 +217,8 @@ class Actor:
         provenance: see `Provenance`.
         source: (H, W, 4) uint8 crop it was made from.
         low_pass: the filter that the vehicle's Gaussians were made for.
+        shares: where each Gaussian comes from; None for an actor that was only registered.
+        trajectory: the track's poses as corrected with the actor, world frame; None likewise.
     """
 
     track_id: str
@@ -153,6 +229,8 @@ class Actor:
     provenance: Provenance
     source: NDArray[np.uint8]
     low_pass: LowPass
+    shares: Shares | None = None
+    trajectory: Trajectory | None = None
 
     def validate(self) -> None:
         """Raise ValueError naming the field at fault."""
@@ -163,6 +241,11 @@ class Actor:
             raise ValueError("Actor.gaussians: none")
         self.gaussians.validate()
         self.shadow.validate()
+        fault = None if self.shares is None else self.shares.fault(len(self.gaussians))
+        if fault is not None:
+            raise ValueError(f"Actor.shares.{fault[0]}: {fault[1]}")
+        if self.trajectory is not None:
+            self.trajectory.validate("Actor.trajectory")
         if self.source.ndim != 3 or self.source.shape[2] != 4 or self.source.dtype != np.uint8:
             raise ValueError(
                 f"Actor.source: (H, W, 4) uint8, got {self.source.shape} {self.source.dtype}"

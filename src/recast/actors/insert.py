@@ -10,7 +10,7 @@ from recast.scene import StreetScene
 
 
 def insert(scene: StreetScene, actor: Actor) -> StreetScene:
-    """The scene with the track's Gaussians replaced; logged (refined) poses are kept.
+    """The scene with the track's Gaussians replaced, and its poses if the actor has refined ones.
 
     Vehicle and contact shadow are both actor-local and so move under one transform.
 
@@ -30,6 +30,7 @@ def insert(scene: StreetScene, actor: Actor) -> StreetScene:
             native,
             gaussians=actor.gaussians,
             size=actor.size,
+            trajectory=actor.trajectory or native.trajectory,
             shadow=actor.shadow,
             appearance=None,
             low_pass=actor.low_pass,

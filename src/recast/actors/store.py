@@ -1,4 +1,4 @@
-"""Actors on disk: a folder with actor.json, two PLY files, tensors and the source image."""
+"""Actors on disk: a folder with actor.json, a PLY file, tensors and the source image."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
 from PIL import Image
 from safetensors.torch import save
 
 from recast import storage
 from recast.actors.actor import Actor, Provenance
+from recast.actors.shares import Shares
 from recast.errors import InputError
+from recast.logs import Trajectory
 from recast.records import Record, read_record
 from recast.splats import Gaussians, LowPass, read_ply, write_ply
 from recast.torch_file import read_safetensors
@@ -22,6 +25,7 @@ ACTOR_FILE = "actor.json"
 VEHICLE_FILE = "vehicle.ply"
 SHADOW_FILE = "shadow.safetensors"
 SOURCE_FILE = "source.png"
+REFINED_FILE = "refined.safetensors"
 
 SOURCE_PIXELS = 1 << 26
 """Pixels of a source image, at most: a crop of a camera's image has far fewer."""
@@ -62,6 +66,8 @@ def save_actor(actor: Actor, folder: str | Path) -> None:
         write_ply(partial / VEHICLE_FILE, actor.gaussians, actor.low_pass)
         shadow = {name: getattr(actor.shadow, name).contiguous() for name in _FIELDS}
         storage.write_bytes(partial / SHADOW_FILE, save(shadow))
+        if actor.shares is not None and actor.trajectory is not None:
+            storage.write_bytes(partial / REFINED_FILE, save(_refined(actor)))
         bgra = cv2.cvtColor(actor.source, cv2.COLOR_RGBA2BGRA)
         storage.write_bytes(partial / SOURCE_FILE, cv2.imencode(".png", bgra)[1].tobytes())
         storage.write_json(partial / ACTOR_FILE, record.model_dump(mode="json"))
@@ -76,6 +82,9 @@ def load_actor(folder: str | Path) -> Actor:
     """
     folder = Path(folder)
     record = read_record(folder / ACTOR_FILE, ActorRecord, ACTOR_VERSION, _MEND)
+    shares, trajectory = None, None
+    if record.provenance.refinement is not None:
+        shares, trajectory = _read_refined(folder / REFINED_FILE)
     actor = Actor(
         track_id=record.track_id,
         category=record.category,
@@ -85,6 +94,8 @@ def load_actor(folder: str | Path) -> Actor:
         provenance=record.provenance,
         source=_read_source(folder / SOURCE_FILE),
         low_pass=record.low_pass,
+        shares=shares,
+        trajectory=trajectory,
     )
     try:
         actor.validate()
@@ -103,6 +114,32 @@ def _read_shadow(path: Path) -> Gaussians:
     if fault is not None:
         raise InputError(path, *fault, _MEND)
     return shadow
+
+
+def _refined(actor: Actor) -> dict[str, torch.Tensor]:
+    """What refinement adds to an actor, by name."""
+    assert actor.shares is not None and actor.trajectory is not None
+    return {
+        "seen": actor.shares.seen.contiguous(),
+        "mirrored": actor.shares.mirrored.contiguous(),
+        "timestamps_us": torch.from_numpy(actor.trajectory.timestamps_us).contiguous(),
+        "poses": torch.from_numpy(actor.trajectory.poses).contiguous(),
+    }
+
+
+def _read_refined(path: Path) -> tuple[Shares, Trajectory]:
+    tensors, _ = read_safetensors(path, "tensors", _MEND)
+    types = dict.fromkeys(("seen", "mirrored"), torch.float32)
+    types |= {"timestamps_us": torch.int64, "poses": torch.float64}
+    for name, kind in types.items():
+        if name not in tensors:
+            raise InputError(path, name, "is missing", _MEND)
+        if tensors[name].dtype != kind:
+            raise InputError(path, name, f"is {tensors[name].dtype}, not {kind}", _MEND)
+    times, poses = tensors["timestamps_us"].numpy(), tensors["poses"].numpy()
+    if times.ndim != 1:
+        raise InputError(path, "timestamps_us", f"has shape {times.shape}", _MEND)
+    return Shares(tensors["seen"], tensors["mirrored"]), Trajectory(times, poses)
 
 
 def _read_source(path: Path) -> np.ndarray:

@@ -1,0 +1,201 @@
+"""The two descents of a refinement: the whole body, then every Gaussian."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from recast.actors.actor import Actor
+from recast.actors.hull import outer_surface
+from recast.actors.refine.free import FreeGaussians
+from recast.actors.refine.layers import Layers
+from recast.actors.refine.objective import mean_loss, view_loss
+from recast.actors.refine.shape import Bend, PoseOffsets
+from recast.scene.chance import generator, picked_view
+from recast.scene.mirror import mirrored
+from recast.splats import Gaussians, LowPass
+
+Step = Callable[[], None]
+
+SHAPE_STEPS, PAINT_STEPS, FREE_STEPS = 120, 80, 400
+CHECK_EVERY = 50
+"""Steps between looks at the held-back images."""
+PATIENCE = 3
+"""Looks without a better loss after which the descent ends."""
+_MIRROR_CHANCE, _MIRROR_WEIGHT = 0.35, 0.5
+_MIRRORS = 7  # stream of random numbers
+_FALL = 0.1  # factor of all rates at the end of a descent
+_STRAIN, _LIDAR = 0.002, 0.03  # weights
+_LIDAR_POINTS, _LIDAR_NOISE, _NEAREST_EVERY = 1500, 0.04, 15
+_SHAPE_RATES = {"move": 4e-3, "turn": 1e-3, "grow": 2e-3, "offsets": 2e-3}
+_POSE_RATE = 1e-3
+_FREE_RATES = {
+    "means": 1e-3, "quats": 2e-3, "log_scales": 6e-3, "logit_opacities": 3e-2, "sh": 6e-3
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Task:
+    """What both descents have in common.
+
+    Attributes:
+        views: images to follow.
+        held: images that judge.
+        low_pass: the filter of the Gaussians.
+        symmetric: whether images teach the other side, too.
+        seed: of the order of images and of the mirrored steps.
+    """
+
+    views: Sequence[Layers]
+    held: Sequence[Layers]
+    low_pass: LowPass
+    symmetric: bool
+    seed: int
+
+    def image_loss(self, gaussians: Gaussians, poses: PoseOffsets, step: int) -> Tensor:
+        """Weighted loss of the image of a step, now and then of the mirrored vehicle."""
+        view = self.views[picked_view(self.seed, step, len(self.views))]
+        weight = view.sighting.weight
+        chance = torch.rand((), generator=generator(self.seed, step, _MIRRORS))
+        if self.symmetric and float(chance) < _MIRROR_CHANCE:
+            gaussians = mirrored(gaussians, torch.ones(len(gaussians), dtype=torch.bool))
+            weight *= _MIRROR_WEIGHT
+        offset = poses.at(view.sighting.timestamp_us)
+        return weight * view_loss(gaussians, self.low_pass, view, offset).total
+
+    def judged(self, gaussians: Gaussians, poses: PoseOffsets | None) -> float:
+        """Mean loss on the held-back images; nan without one."""
+        offsets = [
+            None if poses is None else poses.at(view.sighting.timestamp_us).detach()
+            for view in self.held
+        ]
+        return mean_loss(gaussians, self.low_pass, self.held, offsets)
+
+
+def fit_shape(
+    task: Task, actor: Actor, hits: np.ndarray[Any, np.dtype[np.float32]], bend: Bend,
+    poses: PoseOffsets, step: Step,
+) -> None:  # fmt: skip
+    """Move and bend a body, and correct its track, in place.
+
+    Args:
+        hits: (N, 3) LiDAR points, object frame.
+        step: called after every step.
+    """
+    prior = actor.gaussians.detach()
+    surface = outer_surface(prior)
+    points = torch.from_numpy(surface.points).float()
+    normals = torch.from_numpy(surface.normals).float()
+    lidar = torch.from_numpy(hits[:: max(1, -(-len(hits) // _LIDAR_POINTS))])
+    nearest = torch.zeros(0, dtype=torch.int64)
+    parameters = {**bend.parameters(), "poses": poses.values}
+    optimiser = _adam(parameters, {**_SHAPE_RATES, "poses": _POSE_RATE})
+    for index in range(SHAPE_STEPS):
+        loss = task.image_loss(bend(prior), poses, index)
+        if len(lidar):
+            placed = bend.points(points)
+            if index % _NEAREST_EVERY == 0:
+                _, found = cKDTree(placed.detach().numpy()).query(lidar.numpy())
+                nearest = torch.from_numpy(found)
+            gap = ((lidar - placed[nearest]) * normals[nearest]).sum(-1)
+            loss = loss + _LIDAR * torch.log1p((gap / _LIDAR_NOISE).square()).mean()
+        loss = loss + _STRAIN * (bend.strain() + poses.roughness())
+        _descend(optimiser, loss, index / SHAPE_STEPS, parameters)
+        step()
+
+
+class FreeDescent:
+    """The descent of every Gaussian, which may be left and taken up again.
+
+    Args:
+        free: what is changed.
+        poses: corrected on.
+
+    Attributes:
+        index: steps done.
+        best, best_loss: the Gaussians with the least loss on the held-back images, and that loss.
+    """
+
+    def __init__(self, task: Task, free: FreeGaussians, poses: PoseOffsets) -> None:
+        self.task, self.free, self.poses = task, free, poses
+        self._parameters = {**free.changes, "poses": poses.values}
+        self._optimiser = _adam(self._parameters, {**_FREE_RATES, "poses": 0.3 * _POSE_RATE})
+        self.index, self._worse = 0, 0
+        self.best, self.best_loss = free().detach(), math.inf
+
+    @property
+    def steps(self) -> int:
+        """Steps at most."""
+        return PAINT_STEPS + FREE_STEPS
+
+    @property
+    def done(self) -> bool:
+        """Whether it has come to its end."""
+        return self.index >= self.steps or self._worse >= PATIENCE
+
+    def step(self) -> None:
+        """One step: colours alone at first, then everything; a look now and then."""
+        loss = self.task.image_loss(self.free(), self.poses, self.index)
+        loss = loss + self.free.strain() + _STRAIN * self.poses.roughness()
+        moved = {"sh"} if self.index < PAINT_STEPS else set(self._parameters)
+        _descend(self._optimiser, loss, self.index / self.steps, moved)
+        self.index += 1
+        if self.index % CHECK_EVERY == 0 or self.index == self.steps:
+            self._look()
+
+    def _look(self) -> None:
+        now = self.free().detach()
+        loss = self.task.judged(now, self.poses)
+        if not self.task.held or loss < self.best_loss:
+            self.best, self.best_loss, self._worse = now, loss, 0
+        else:
+            self._worse += 1
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Tensors and numbers from which `load` goes on."""
+        tensors = {f"value.{name}": value for name, value in self._parameters.items()}
+        for group in self._optimiser.param_groups:
+            kept = self._optimiser.state[group["params"][0]]
+            tensors |= {f"{key}.{group['name']}": value for key, value in kept.items()}
+        tensors |= {f"best.{name}": getattr(self.best, name) for name in self.free.changes}
+        return tensors, {"index": self.index, "worse": self._worse, "loss": self.best_loss}
+
+    def load(self, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> None:
+        """Go on from a state."""
+        with torch.no_grad():
+            for name, value in self._parameters.items():
+                value.copy_(tensors[f"value.{name}"])
+        for group in self._optimiser.param_groups:
+            ending = f".{group['name']}"
+            self._optimiser.state[group["params"][0]] = {
+                key.removesuffix(ending): value
+                for key, value in tensors.items()
+                if key.endswith(ending) and not key.startswith(("value.", "best."))
+            }
+        self.index, self._worse = int(numbers["index"]), int(numbers["worse"])
+        self.best_loss = float(numbers["loss"])
+        self.best = Gaussians(**{name: tensors[f"best.{name}"] for name in self.free.changes})
+
+
+def _adam(parameters: dict[str, Tensor], rates: dict[str, float]) -> torch.optim.Adam:
+    groups = [
+        {"params": [value], "lr": rates[name], "rate": rates[name], "name": name}
+        for name, value in parameters.items()
+    ]
+    return torch.optim.Adam(groups, eps=1e-15)
+
+
+def _descend(optimiser: torch.optim.Adam, loss: Tensor, share: float, moved: Iterable[str]) -> None:
+    """One step of the parameters `moved`, with rates that have fallen by `share` of the way."""
+    optimiser.zero_grad()
+    loss.backward()
+    for group in optimiser.param_groups:
+        group["lr"] = group["rate"] * _FALL**share if group["name"] in moved else 0.0
+    optimiser.step()

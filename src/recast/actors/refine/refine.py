@@ -1,0 +1,204 @@
+"""Refinement: a registered vehicle follows all images of the log, where they show it.
+
+First the whole body moves and bends (outlines, LiDAR, colours), together with the track's poses;
+then colours follow, then every Gaussian, as free as the images have seen it. What they did not
+show takes over the paint's correction. Held-back images say when to stop, and whether it was worth
+it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from recast.actors.actor import Actor, Refinement
+from recast.actors.evidence import Evidence
+from recast.actors.refine.descent import CHECK_EVERY, SHAPE_STEPS, FreeDescent, Task, fit_shape
+from recast.actors.refine.free import FreeGaussians, split
+from recast.actors.refine.layers import make_layers
+from recast.actors.refine.paint import follow_paint
+from recast.actors.refine.shape import Bend, PoseOffsets
+from recast.actors.refine.visibility import freedom, shares_of
+from recast.actors.shares import Shares
+from recast.logs import Trajectory
+from recast.scene import StreetScene
+from recast.scene.mirror import DEFORMABLE
+from recast.scene.tensor_file import read_tensors, write_tensors
+from recast.splats import Gaussians
+
+Progress = Callable[[int, int], None]
+Array = NDArray[np.float64]
+
+LEAST_IMAGES = 5
+"""Fewer images than this cannot both teach and judge."""
+_HOLD_BACK = 10
+_SPLIT = 0.5  # share of images in a Gaussian from which on it is split
+_SURFACE_OPACITY = 0.3
+
+
+def refine(
+    actor: Actor,
+    evidence: Evidence,
+    scene: StreetScene,
+    seed: int = 0,
+    *,
+    checkpoint: Path | None = None,
+    progress: Progress | None = None,
+) -> Actor:
+    """The actor with all that the evidence says of it; never worse than before by its judges.
+
+    Args:
+        actor: registered, not refined.
+        evidence: of its track, with the poses of `scene`.
+        scene: street that the vehicle stands in; its own model of the track is not looked at.
+        seed: of the order of images.
+        checkpoint: file to go on from after a kill, and to be removed by whoever keeps the result;
+            one of another task is written anew.
+        progress: told the number of steps done, and of all.
+
+    Raises:
+        InputError: the checkpoint is broken, or the disk refuses.
+        ValueError: the evidence is of another track.
+    """
+    if evidence.track_id != actor.track_id:
+        raise ValueError(f"refine: evidence of track {evidence.track_id}, not {actor.track_id}")
+    count = len(evidence.sightings)
+    if count < LEAST_IMAGES:
+        note = f"not refined: {count} usable images, at least {LEAST_IMAGES} are needed"
+        return _unrefined(actor, evidence, note)
+    views = make_layers(scene, evidence, actor.shadow)
+    held = views[_HOLD_BACK // 2 :: _HOLD_BACK] or [views[count // 2]]
+    kept = [view for view in views if view not in held]
+    symmetric = actor.category not in DEFORMABLE
+    task = Task(kept, held, actor.low_pass, symmetric, seed)
+    times = np.array([one.timestamp_us for one in evidence.sightings], np.int64)
+    bend, poses = Bend(actor.size), PoseOffsets(times)
+    counter = _Counter(progress)
+
+    fit_shape(task, actor, evidence.hits, bend, poses, counter.step)
+    with torch.no_grad():
+        bent = bend(actor.gaussians.detach())
+    shares = shares_of(bent, actor.low_pass, views, symmetric)
+    loss_before, loss_bent = task.judged(actor.gaussians, None), task.judged(bent, poses)
+    finer, shares = split(bent, shares, shares.seen + shares.mirrored > _SPLIT)
+    free = FreeGaussians(finer, freedom(finer, shares))
+    descent = FreeDescent(task, free, poses)
+    _descend(descent, _identity(actor, evidence, seed), checkpoint, counter)
+
+    refined = follow_paint(free.prior, descent.best, shares)
+    loss_after = task.judged(refined, poses)
+    better = loss_after < loss_before
+    report = Refinement(
+        images=len(kept),
+        held_back=len(held),
+        left_out=dict(Counter(evidence.left_out)),
+        loss_before=loss_before,
+        loss_bent=loss_bent,
+        loss_after=loss_after,
+        kept=better,
+        steps=descent.index,
+        moved=_triple(bend.move),
+        turned=float(bend.turn.detach()),
+        grew=_triple(bend.grow.exp()),
+        pose_correction=_correction(poses, times),
+        **_surface_shares(refined, shares),
+    )
+    if not better:
+        return _reported(actor, report)
+    trajectory = _corrected(scene.actors[actor.track_id].trajectory, poses)
+    return _reported(
+        replace(actor, gaussians=refined, shares=shares, trajectory=trajectory), report
+    )
+
+
+class _Counter:
+    """Counts the steps of both descents."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        self._progress, self.done, self.total = progress, 0, SHAPE_STEPS
+
+    def step(self, count: int = 1) -> None:
+        self.done += count
+        if self._progress is not None:
+            self._progress(self.done, self.total)
+
+
+def _descend(
+    descent: FreeDescent, identity: str, checkpoint: Path | None, counter: _Counter
+) -> None:
+    """Go to the end of a descent, from its checkpoint if there is one of the same task."""
+    counter.total = SHAPE_STEPS + descent.steps
+    if checkpoint is not None and checkpoint.exists():
+        tensors, header = read_tensors(checkpoint)
+        if header.get("identity") == identity:
+            descent.load(tensors, header)
+            counter.step(descent.index)
+    while not descent.done:
+        descent.step()
+        counter.step()
+        if checkpoint is not None and descent.index % CHECK_EVERY == 0:
+            tensors, numbers = descent.state()
+            write_tensors(checkpoint, tensors, {"identity": identity, **numbers})
+    counter.done, counter.total = counter.total, counter.total
+    counter.step(0)
+
+
+def _identity(actor: Actor, evidence: Evidence, seed: int) -> str:
+    """Hash of what a descent starts from."""
+    digest = hashlib.sha256(f"{seed} {actor.track_id}".encode())
+    for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
+        digest.update(getattr(actor.gaussians, name).contiguous().numpy().tobytes())
+    for sighting in evidence.sightings:
+        for part in (sighting.image, sighting.mask, sighting.trust, sighting.camera_from_object):
+            digest.update(np.ascontiguousarray(part).tobytes())
+    return digest.hexdigest()
+
+
+def _unrefined(actor: Actor, evidence: Evidence, note: str) -> Actor:
+    nothing = Refinement(
+        images=len(evidence.sightings), held_back=0, left_out=dict(Counter(evidence.left_out)),
+        loss_before=None, loss_bent=None, loss_after=None, kept=False, steps=0,
+        moved=(0.0, 0.0, 0.0), turned=0.0, grew=(1.0, 1.0, 1.0), pose_correction=0.0,
+        seen=0.0, mirrored=0.0, notes=(note,),
+    )  # fmt: skip
+    return _reported(actor, nothing)
+
+
+def _reported(actor: Actor, report: Refinement) -> Actor:
+    return replace(actor, provenance=actor.provenance.model_copy(update={"refinement": report}))
+
+
+def _triple(values: torch.Tensor) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values.detach())
+    return x, y, z
+
+
+def _correction(poses: PoseOffsets, times: NDArray[np.int64]) -> float:
+    shifts = [poses.at(int(time))[:3, 3].detach().square().sum() for time in times]
+    return float(torch.stack(shifts).mean().sqrt())
+
+
+def _corrected(trajectory: Trajectory, poses: PoseOffsets) -> Trajectory:
+    """The track's poses with the corrections in the vehicle's frame."""
+    with torch.no_grad():
+        offsets = [poses.at(int(time)).double().numpy() for time in trajectory.timestamps_us]
+    return Trajectory(trajectory.timestamps_us, trajectory.poses @ np.stack(offsets))
+
+
+def _surface_shares(gaussians: Gaussians, shares: Shares) -> dict[str, float]:
+    """Seen and mirrored share of the opaque Gaussians, by the area of their discs."""
+    scales = gaussians.log_scales.sort(dim=1).values[:, 1:].sum(dim=1).exp()
+    area = scales * (gaussians.logit_opacities.sigmoid() > _SURFACE_OPACITY)
+    total = float(area.sum()) or math.inf
+    return {
+        "seen": float((area * shares.seen).sum()) / total,
+        "mirrored": float((area * shares.mirrored).sum()) / total,
+    }
