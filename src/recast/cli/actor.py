@@ -30,7 +30,10 @@ class Make:
     """What cuts the vehicle out: box-lidar, an installed segmenter's name, or a folder that holds
     grounding-dino and sam (see docs/actors.md)."""
     cameras: tuple[str, ...] = ()
-    """Cameras that the view may be taken from. Default: all of the log."""
+    """Cameras that the views may be taken from. Default: all of the log."""
+    views: int = 1
+    """Number of views to use at most: the best one and others that show other sides. Frames that
+    scenes hold out by default (every eighth) are never used."""
     seed: int = 0
     """Seed of everything random."""
 
@@ -38,14 +41,22 @@ class Make:
         """Run the command."""
         from rich.console import Console
 
+        from recast.errors import InputError
         from recast.logs import read_log
-        from recast.pipeline.actor import ActorMakers, make_actor
+        from recast.pipeline.actor import ActorMakers, make_actor, training_frames
+        from recast.pipeline.config import MOST_VIEWS
+        from recast.scene import SceneConfig
         from recast.storage import atomic_folder
 
+        if not 1 <= self.views <= MOST_VIEWS:
+            raise InputError("--views", "value", f"is {self.views}", f"give 1 to {MOST_VIEWS}")
         with atomic_folder(self.out) as folder:
             makers = ActorMakers.named(self.generator, self.segmenter, self.axes)
             log = read_log(self.log)
-            actor = make_actor(log, self.track, makers, self.seed, folder, self.cameras)
+            actor = make_actor(
+                log, self.track, makers, self.seed, folder, self.cameras, self.views,
+                training_frames(SceneConfig()),
+            )  # fmt: skip
         console = Console()
         console.print(actor.provenance.observation, markup=False)
         console.print(actor.provenance.registration.explain(), markup=False)

@@ -48,6 +48,9 @@ class Run:
     segmenter: str | None = None
     """What cuts the actor's picture out: box-lidar, an installed segmenter's name, or a folder that
     holds grounding-dino and sam (see docs/actors.md). Default: box-lidar."""
+    views: int | None = None
+    """Number of views of the target to make the actor from, at most: the best one and others that
+    show other sides. Default: 1."""
     preset: Literal["streetgs", "omnire"] | None = None
     """Reconstruct by the method of Street Gaussians or of OmniRe; recast's own where none is named
     (see docs/scenes.md)."""
@@ -87,6 +90,7 @@ class Run:
                 "generator": self.generator,
                 "axes": self.axes,
                 "segmenter": self.segmenter,
+                "views": self.views,
                 "steps": self.steps,
                 "seed": self.seed,
                 "threads": self.threads,

@@ -28,11 +28,14 @@ from recast.actors import (
     turntable,
 )
 from recast.actors.axes import UNIT_CUBE_Z_UP
+from recast.actors.view_pool import Usable
 from recast.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog
 from recast.pipeline.layout import ACTOR_FOLDER, OBSERVATION_FOLDER, TURNTABLE_FILE
 from recast.reporting.video import write_video
+from recast.scene import SceneConfig
+from recast.scene.views import is_held_out
 
 _TURNTABLE_VIEWS = 72
 _TURNTABLE_SIZE = (640, 360)
@@ -90,16 +93,22 @@ def make_actor(
     seed: int,
     out: Path,
     cameras: tuple[str, ...] = (),
+    views: int = 1,
+    usable: Usable | None = None,
 ) -> Actor:
     """Observe, generate, register; write `observation/`, `actor/` and `turntable.mp4` below `out`.
 
     Args:
         cameras: observe from these only; from all where none is named.
+        views: of the track to use at most.
+        usable: which frames may be looked at; all if None. See `training_frames`.
 
     Raises:
         InputError: see `observe` and `register`.
     """
-    observation = observe(log, track_id, segmenter=makers.segmenter, cameras=cameras)
+    observation = observe(
+        log, track_id, segmenter=makers.segmenter, cameras=cameras, views=views, usable=usable
+    )
     with storage.atomic_folder(out / OBSERVATION_FOLDER) as folder:
         save_observation(observation, log, folder)
     asset = makers.generator.generate(observation, seed)
@@ -107,6 +116,11 @@ def make_actor(
     save_actor(actor, out / ACTOR_FOLDER)
     film_turntable(actor, out / TURNTABLE_FILE)
     return actor
+
+
+def training_frames(config: SceneConfig) -> Usable:
+    """The frames that a scene is trained on: those held out must not lead to its actors either."""
+    return lambda camera, frame: not is_held_out(frame, config)
 
 
 def film_turntable(actor: Actor, path: Path) -> None:
@@ -117,9 +131,11 @@ def film_turntable(actor: Actor, path: Path) -> None:
 
 
 def save_observation(observation: Observation, log: DrivingLog, folder: Path) -> None:
-    """Write the crop, the frame it was cut from with the box drawn in, and why this view."""
-    Image.fromarray(observation.rgba, "RGBA").save(folder / "crop.png")
-    Image.fromarray(_frame_with_box(observation, log)).save(folder / "frame.png")
+    """Write each crop, the frame it was cut from with the box drawn in, and why these views."""
+    for number, view in enumerate(observation.views, 1):
+        mark = "" if number == 1 else f"_{number}"
+        Image.fromarray(view.rgba, "RGBA").save(folder / f"crop{mark}.png")
+        Image.fromarray(_frame_with_box(view, log)).save(folder / f"frame{mark}.png")
     storage.write_text(folder / "explanation.txt", observation.explain() + "\n")
 
 

@@ -17,6 +17,8 @@ from recast.simulation import MOTIONS, ScriptedMotion, motion_of_record, scenari
 from recast.storage import read_json
 
 CONFIG_VERSION: Literal[1] = 1
+MOST_VIEWS = 24
+"""Of a target: one every 15 degrees all around."""
 
 
 class RunConfig(Record):
@@ -44,6 +46,9 @@ class RunConfig(Record):
     axes: str = Field(default=AUTO, description="axis convention of a PLY or model folder")
     segmenter: str = Field(
         default=DEFAULT_SEGMENTER, description="name of a segmenter, or folder of its networks"
+    )
+    views: int = Field(
+        default=1, ge=1, le=MOST_VIEWS, description="most views of the target an actor is made from"
     )
     steps: int = Field(default=160, ge=1, description="of 0.1 s; cut where log or road end")
     plan_every: int = Field(default=5, ge=1)
@@ -103,6 +108,8 @@ class RunConfig(Record):
             del values["own_motions"]  # runs begun before there were scenario files go on
         if self.axes == AUTO:
             del values["axes"]
+        if self.views == 1:
+            del values["views"]
         if self.planner_device == "auto":
             del values["planner_device"]
         if self.plan_limit_s is None:

@@ -11,7 +11,7 @@ from rich.console import Console
 from recast import storage
 from recast.errors import InputError, printable
 from recast.logs import DrivingLog, HdMap, map_of
-from recast.pipeline.actor import ActorMakers, make_actor
+from recast.pipeline.actor import ActorMakers, make_actor, training_frames
 from recast.pipeline.config import RunConfig
 from recast.pipeline.display import FrameProgress, results_table
 from recast.pipeline.layout import (
@@ -155,6 +155,8 @@ class Job:
             "segmenter": self._sources.segmenter,
             "seed": self.config.seed,
             "cameras": list(self.config.scene.cameras),
+            "holdout": [self.config.scene.holdout_every, self.config.scene.holdout_offset],
+            **({"views": self.config.views} if self.config.views != 1 else {}),
         }
 
     def _make_actor(self) -> None:
@@ -164,8 +166,9 @@ class Job:
             if makers is None:
                 makers = ActorMakers.named(config.generator, config.segmenter, config.axes)
             actor = make_actor(
-                self.log, config.track, makers, config.seed, self.path, config.scene.cameras
-            )
+                self.log, config.track, makers, config.seed, self.path, config.scene.cameras,
+                config.views, training_frames(config.scene),
+            )  # fmt: skip
         for warning in actor.provenance.mask.warnings():
             self.console.print(f"warning: {warning}", markup=False, style="yellow")
         self.console.print(actor.provenance.registration.explain(), markup=False, highlight=False)

@@ -16,7 +16,7 @@ from recast.plugins import Registry
 from recast.trellis import RECAST_MINI, recast_mini
 
 RECIPES = {
-    "actor": 2,
+    "actor": 3,
     "scene": 1,
     "evaluation": 1,
     "truth": 1,

@@ -1,0 +1,50 @@
+"""The number of views that an actor is made from: options, records, and what is never looked at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from actors import made_up
+from recast.actors import BoxLidarSegmenter, TemplateGenerator, load_actor
+from recast.errors import InputError
+from recast.pipeline.actor import ActorMakers, make_actor, training_frames
+from recast.pipeline.config import RunConfig
+from recast.pipeline.options import resolve_config
+from recast.scene import SceneConfig
+
+
+def resolve(views: int | None) -> RunConfig:
+    return resolve_config("0", (), None, None, {"views": views}, {})
+
+
+def test_runs_from_before_go_on() -> None:
+    assert resolve(None).views == 1
+    assert "views" not in resolve(None).resolved()
+    assert resolve(4).resolved()["views"] == 4
+
+
+@pytest.mark.parametrize("views", [0, -1, 25])
+def test_an_impossible_number_is_one_line(views: int) -> None:
+    with pytest.raises(InputError, match="views"):
+        resolve(views)
+
+
+def test_an_actor_of_several_views_names_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("recast.pipeline.actor.film_turntable", lambda actor, path: None)
+    log = made_up.street_log(made_up.car(), made_up.turning_poses())
+    makers = ActorMakers(TemplateGenerator(spacing=0.1), BoxLidarSegmenter())
+    usable = training_frames(SceneConfig(holdout_every=2, holdout_offset=0))
+    make_actor(log, "7", makers, 0, tmp_path, views=3, usable=usable)
+    record = load_actor(tmp_path / "actor").provenance
+    assert {record.frame, *(one.frame for one in record.further)} == {1, 3}
+    for one in record.further:
+        assert one.camera == "front"
+        assert one.timestamp_us == one.frame * made_up.STEP_US
+        assert np.degrees(abs(one.azimuth - record.azimuth)) == pytest.approx(80.0, abs=5.0)
+    written = {path.name for path in (tmp_path / "observation").iterdir()}
+    assert written == {"crop.png", "frame.png", "crop_2.png", "frame_2.png", "explanation.txt"}
