@@ -45,6 +45,7 @@ def test_an_actor_of_several_views_names_them(
     for one in record.further:
         assert one.camera == "front"
         assert one.timestamp_us == one.frame * made_up.STEP_US
-        assert np.degrees(abs(one.azimuth - record.azimuth)) == pytest.approx(80.0, abs=5.0)
+        turn = np.angle(np.exp(1j * (one.azimuth - record.azimuth)))
+        assert np.degrees(abs(turn)) == pytest.approx(80.0)  # two frames, 40 degrees a frame
     written = {path.name for path in (tmp_path / "observation").iterdir()}
     assert written == {"crop.png", "frame.png", "crop_2.png", "frame_2.png", "explanation.txt"}
