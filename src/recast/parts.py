@@ -24,6 +24,7 @@ GENERATORS = Registry(
     "generator",
     "recast.generators",
     {
+        "auto": "recast.actors.auto_generator:AutoGenerator",
         "recast-mini": "recast.actors.image_to_3d_generator:recast_mini_generator",
         "template": "recast.actors.template:TemplateGenerator",
     },

@@ -12,6 +12,7 @@ from recast.actors.generate import (
 )
 from recast.actors.grounded_segmenter import GroundedSamSegmenter
 from recast.actors.insert import insert
+from recast.actors.mesh import MeshGenerator
 from recast.actors.observation import MaskQuality, Observation, ViewScore
 from recast.actors.observe import observe
 from recast.actors.ply_generator import PlyGenerator
@@ -41,6 +42,7 @@ __all__ = [
     "BoxLidarSegmenter",
     "GroundedSamSegmenter",
     "MaskQuality",
+    "MeshGenerator",
     "Observation",
     "PlyGenerator",
     "Provenance",

@@ -104,6 +104,57 @@ class SourceView(Record):
     azimuth: float
 
 
+class CandidateScore(Record):
+    """How well a registered vehicle explains what the log knows; None where it knows nothing.
+
+    Attributes:
+        outline: mean overlap (IoU) with the masks of many images.
+        colour: mean absolute difference of display values where both are, after one gain.
+        lidar: share of the LiDAR points within 10 cm of its surface; `lidar_median` in metres.
+        free: share of its surface in space that LiDAR rays passed through.
+        total: all of these in units; the largest is taken.
+        fits: whether outline and LiDAR speak of the same kind of vehicle.
+    """
+
+    outline: float | None
+    colour: float | None
+    lidar: float | None
+    lidar_median: float | None
+    free: float
+    total: float
+    fits: bool
+
+
+class CandidateRecord(Record):
+    """One of the vehicles that an actor was chosen from.
+
+    Attributes:
+        generator, seed: what made it.
+        label: what tells it from the others of its generator; or why there is none.
+        score: None where it could not be made.
+        chosen: whether it is the actor.
+    """
+
+    generator: str
+    seed: int
+    label: str
+    score: CandidateScore | None = None
+    chosen: bool = False
+
+    def cells(self) -> tuple[str, ...]:
+        """Generator, label, outline, LiDAR share, free space, colour, total; for tables."""
+        score = self.score
+        if score is None:
+            return self.generator, self.label, "", "", "", "", ""
+        shares = [score.outline, score.lidar, score.free]
+        return (
+            self.generator, self.label,
+            *("" if share is None else f"{share:.0%}" for share in shares),
+            "" if score.colour is None else f"{score.colour:.3f}",
+            f"{score.total:.1f}" + ("" if score.fits else ", does not fit"),
+        )  # fmt: skip
+
+
 class Refinement(Record):
     """What following all images of the log did to an actor.
 
@@ -164,6 +215,7 @@ class Provenance(Record):
         registration: see `RegistrationReport`.
         further: other views that were used.
         refinement: see `Refinement`; None for an actor that was only registered.
+        candidates: the vehicles that it was chosen from.
     """
 
     generator: str
@@ -179,6 +231,7 @@ class Provenance(Record):
     registration: RegistrationReport
     further: tuple[SourceView, ...] = ()
     refinement: Refinement | None = None
+    candidates: tuple[CandidateRecord, ...] = ()
 
     @staticmethod
     def of(asset: Asset, observation: Observation, report: RegistrationReport) -> Provenance:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from recast.actors.axes import AxisConvention
 from recast.actors.observation import Observation
 from recast.parts import GENERATORS
 from recast.splats import CLASSIC, Gaussians, LowPass
 
-DEFAULT_GENERATOR = "recast-mini"
+DEFAULT_GENERATOR = "auto"
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,23 @@ class ActorGenerator(Protocol):
 
     def generate(self, observation: Observation, seed: int) -> Asset:
         """The vehicle; the same observation and seed give the same asset."""
+
+
+@runtime_checkable
+class OffersCandidates(Protocol):
+    """A generator that knows several vehicles which the view may show."""
+
+    def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
+        """What makes each of them, the likeliest first; each may raise InputError."""
+
+
+def candidates_of(
+    generator: ActorGenerator, observation: Observation, seed: int
+) -> Sequence[Callable[[], Asset]]:
+    """What makes each vehicle that a generator offers: all it has, or the one."""
+    if isinstance(generator, OffersCandidates):
+        return generator.candidates(observation, seed)
+    return [lambda: generator.generate(observation, seed)]
 
 
 def make_generator(name: str) -> ActorGenerator:

@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from recast.actors.axes import UNIT_CUBE_X_FORWARD, UNIT_CUBE_Z_UP, AxisConvention
 from recast.actors.generate import Asset
 from recast.actors.observation import Observation
-from recast.trellis import RECAST_MINI, GenerationLimits, ImageTo3D, generate, recast_mini
+from recast.trellis import (
+    RECAST_MINI,
+    GenerationLimits,
+    ImageTo3D,
+    MultiImageMode,
+    generate,
+    recast_mini,
+)
+
+_WHOLE = 0.9  # of the box in the image: the model takes every picture for that of a whole vehicle
+
+
+_MINI_SEEDS = 4  # of the small model, 1.6 s each
 
 
 class ImageTo3DGenerator:
-    """Generates the vehicle from its RGBA crop (RECAST, section 2, inference).
+    """Generates the vehicle from its RGBA crop (RECAST, section 2, inference), or from several.
+
+    Further views in which the vehicle is cut off are left out.
 
     Args:
         folder: model in the published layout, see `ImageTo3D.load`.
@@ -20,6 +36,8 @@ class ImageTo3DGenerator:
             run should not end because one of them failed.
         name: for the record.
         axes: of what the model makes; published ones give any heading.
+        offers: number of seeds that are offered to choose from.
+        mode: how several views are used, see `recast.trellis.flow.Condition`.
 
     Raises:
         InputError: see `ImageTo3D.load`.
@@ -32,30 +50,43 @@ class ImageTo3DGenerator:
         limits: GenerationLimits | None = None,
         name: str = "image-to-3d",
         axes: AxisConvention = UNIT_CUBE_Z_UP,
+        offers: int = 1,
+        mode: MultiImageMode = "stochastic",
     ) -> None:
-        self.name, self.axes = name, axes
+        self.name, self.axes, self.offers, self.mode = name, axes, offers, mode
         self.folder = Path(folder)
         self.model = ImageTo3D.load(self.folder, image_encoder=image_encoder)
         self.limits = limits or GenerationLimits(retries=3)
 
+    def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
+        """Vehicles of `seed` and further ones; see `recast.actors.generate.OffersCandidates`."""
+        step = self.limits.retries + 1  # the seeds between are for structures that fail
+        return [partial(self.generate, observation, seed + i * step) for i in range(self.offers)]
+
     def generate(self, observation: Observation, seed: int) -> Asset:
-        """Generate from the crop.
+        """Generate from the crops.
 
         Raises:
             InputError: the mask is unusable, or the structure failed with every seed allowed.
         """
+        whole = [one for one in observation.further if one.view.in_image >= _WHOLE]
         made = generate(
-            self.model, [[observation.rgba]], [seed],
-            names=[f"crop of track {observation.track_id}"], limits=self.limits,
+            self.model, [[observation.rgba, *(one.rgba for one in whole)]], [seed],
+            names=[f"crop of track {observation.track_id}"], mode=self.mode, limits=self.limits,
         )  # fmt: skip
         vehicle = made.vehicles[0]
         return Asset(
             vehicle.gaussians, self.axes, self.name, vehicle.seed,
-            {"model": self.folder.resolve().name, "voxels": len(vehicle.coords)},
+            {
+                "model": self.folder.resolve().name, "voxels": len(vehicle.coords),
+                "views": 1 + len(whole),
+            },
             self.model.low_pass,
         )  # fmt: skip
 
 
 def recast_mini_generator() -> ImageTo3DGenerator:
     """The small model that comes with the package."""
-    return ImageTo3DGenerator(recast_mini(), name=RECAST_MINI, axes=UNIT_CUBE_X_FORWARD)
+    return ImageTo3DGenerator(
+        recast_mini(), name=RECAST_MINI, axes=UNIT_CUBE_X_FORWARD, offers=_MINI_SEEDS
+    )

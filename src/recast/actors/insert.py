@@ -17,13 +17,7 @@ def insert(scene: StreetScene, actor: Actor) -> StreetScene:
     Raises:
         InputError: the scene has no model of the track.
     """
-    if actor.track_id not in scene.actors:
-        known = ", ".join(scene.actors) or "none"
-        raise InputError(
-            scene.log_name or "scene", f"track {actor.track_id}",
-            f"is not an actor of the scene (actors: {known})",
-            "train the scene with the track in force_dynamic",
-        )  # fmt: skip
+    require_model(scene, actor.track_id)
     native = scene.actors[actor.track_id]
     return scene.with_actor(
         replace(
@@ -36,3 +30,18 @@ def insert(scene: StreetScene, actor: Actor) -> StreetScene:
             low_pass=actor.low_pass,
         )
     )
+
+
+def require_model(scene: StreetScene, track_id: str) -> None:
+    """Refuse a scene that has no model of a track.
+
+    Raises:
+        InputError: it has none.
+    """
+    if track_id not in scene.actors:
+        known = ", ".join(scene.actors) or "none"
+        raise InputError(
+            scene.log_name or "scene", f"track {track_id}",
+            f"is not an actor of the scene (actors: {known})",
+            "train the scene with the track in force_dynamic",
+        )  # fmt: skip

@@ -11,7 +11,8 @@ import tyro
 
 @dataclass(frozen=True)
 class Make:
-    """Observe a track, generate a vehicle from its best view, register it to box and LiDAR."""
+    """Generate vehicles from a track's best view, register them to box and LiDAR, and take the one
+    that fits the log best; with a scene, have it follow all images."""
 
     log: tyro.conf.Positional[Path]
     """Log folder."""
@@ -19,9 +20,12 @@ class Make:
     """Track to make; `recast log info LOG` lists them."""
     out: Path
     """Folder to write observation, actor and turntable to; must not exist."""
-    generator: str = "recast-mini"
-    """What makes the vehicle: recast-mini (the image-to-3D model of the package), template, an
-    installed generator's name, a model folder, or the path of a PLY."""
+    scene: Path | None = None
+    """Scene folder of the log, with a model of the track: the actor is refined against it."""
+    generator: str = "auto"
+    """What makes the vehicle: auto (template and recast-mini, of which the log's evidence takes the
+    best), recast-mini (the image-to-3D model of the package), template, an installed generator's
+    name, a model folder, or the path of a PLY."""
     axes: str = "auto"
     """Axes of a PLY or a model folder: which one points up, such as z-up, y-up or minus-y-up (a
     splat viewer's), or forward and up, such as x,z (write --axes=-y,z with a minus). auto tells a
@@ -43,23 +47,31 @@ class Make:
 
         from recast.errors import InputError
         from recast.logs import read_log
-        from recast.pipeline.actor import ActorMakers, make_actor, training_frames
+        from recast.pipeline.actor import ActorMakers, make_actor, refine_actor
         from recast.pipeline.config import MOST_VIEWS
-        from recast.scene import SceneConfig
+        from recast.pipeline.display import SamplingProgress, print_actor
+        from recast.scene import SceneConfig, load_scene, read_training_config
         from recast.storage import atomic_folder
 
         if not 1 <= self.views <= MOST_VIEWS:
             raise InputError("--views", "value", f"is {self.views}", f"give 1 to {MOST_VIEWS}")
-        with atomic_folder(self.out) as folder:
+        console = Console()
+        with atomic_folder(self.out) as folder, SamplingProgress(console) as progress:
             makers = ActorMakers.named(self.generator, self.segmenter, self.axes)
             log = read_log(self.log)
+            scene = None if self.scene is None else load_scene(self.scene)
+            config = SceneConfig() if self.scene is None else read_training_config(self.scene)
+            if self.cameras:
+                config = config.model_copy(update={"cameras": self.cameras})
             actor = make_actor(
-                log, self.track, makers, self.seed, folder, self.cameras, self.views,
-                training_frames(SceneConfig()),
-            )  # fmt: skip
-        console = Console()
+                log, self.track, makers, self.seed, folder, config, self.views, progress
+            )
+            if scene is not None:
+                actor = refine_actor(folder, scene, self.seed, progress)
         console.print(actor.provenance.observation, markup=False)
-        console.print(actor.provenance.registration.explain(), markup=False)
+        print_actor(actor, console)
+        if actor.provenance.refinement is not None:
+            console.print(actor.provenance.refinement.explain(), markup=False, highlight=False)
         console.print(f"wrote {self.out}", markup=False)
 
 

@@ -63,6 +63,8 @@ class Bench:
     """Of synthetic images, pixels. Default: 320."""
     generator: str | None = None
     """What makes the actor, as for recast run."""
+    refine: bool | None = None
+    """Whether the actor follows all images of the log, which takes a minute. Default: yes."""
     segmenter: str | None = None
     """What cuts the actor's picture out, as for recast run."""
     scene_config: Path | None = None
@@ -100,6 +102,7 @@ class Bench:
                 "planner": self.planner,
                 "planner_device": self.planner_device,
                 "generator": self.generator,
+                "refine": self.refine,
                 "segmenter": self.segmenter,
                 "steps": self.steps,
                 "seed": self.seed,

@@ -21,8 +21,9 @@ class Demo:
     """Synthetic scene; `recast log synth --help` lists them."""
     seed: int = 1
     """Seed of everything random, the drive itself included."""
-    generator: str = "recast-mini"
-    """What makes the vehicle: recast-mini (the image-to-3D model of the package), template, an
+    generator: str = "auto"
+    """What makes the vehicle: auto (the better one of template and recast-mini for
+    this vehicle), recast-mini (the image-to-3D model of the package), template, an
     installed generator's name, a model folder, or the path of a PLY."""
     planner: str | None = None
     """Planner under test, as for recast run. Default: gtrs-mini (the package's, which looks at

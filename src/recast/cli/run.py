@@ -39,12 +39,15 @@ class Run:
     """Where the planner computes: auto, cpu, cuda or cuda:1. Default: auto, a GPU where there is
     one."""
     generator: str | None = None
-    """What makes the actor: recast-mini (the image-to-3D model of the package), template, an
+    """What makes the actor: auto (the better one of template and recast-mini for
+    this vehicle), recast-mini (the image-to-3D model of the package), template, an
     installed generator's name, a model folder, or the path of a PLY."""
     axes: str | None = None
     """Axes of a PLY or a model folder: which one points up, such as z-up, y-up or minus-y-up (a
     splat viewer's), or forward and up, such as x,z (write --axes=-y,z with a minus). auto tells a
     PLY's from its shape, and takes models for z-up. Default: auto."""
+    refine: bool | None = None
+    """Whether the actor follows all images of the log, which takes a minute. Default: yes."""
     segmenter: str | None = None
     """What cuts the actor's picture out: box-lidar, an installed segmenter's name, or a folder that
     holds grounding-dino and sam (see docs/actors.md). Default: box-lidar."""
@@ -89,6 +92,7 @@ class Run:
                 "planner_device": self.planner_device,
                 "generator": self.generator,
                 "axes": self.axes,
+                "refine": self.refine,
                 "segmenter": self.segmenter,
                 "views": self.views,
                 "steps": self.steps,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Self
 
@@ -20,22 +22,36 @@ from recast.actors import (
     PlyGenerator,
     Segmenter,
     axes_of,
+    load_actor,
     make_generator,
     observe,
-    register,
     save_actor,
     segmenter_of,
     turntable,
 )
 from recast.actors.axes import UNIT_CUBE_Z_UP
+from recast.actors.candidates import choose
+from recast.actors.evidence import gather_evidence, load_evidence, save_evidence
+from recast.actors.generate import candidates_of
+from recast.actors.insert import require_model
+from recast.actors.refine import refine
 from recast.actors.view_pool import Usable
 from recast.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog
-from recast.pipeline.layout import ACTOR_FOLDER, OBSERVATION_FOLDER, TURNTABLE_FILE
+from recast.pipeline.layout import (
+    ACTOR_FOLDER,
+    EVIDENCE_FILE,
+    OBSERVATION_FOLDER,
+    REFINED_FOLDER,
+    REFINEMENT_CHECKPOINT,
+    TURNTABLE_FILE,
+)
 from recast.reporting.video import write_video
-from recast.scene import SceneConfig
+from recast.scene import SceneConfig, StreetScene
 from recast.scene.views import is_held_out
+
+StageProgress = Callable[[str, int, int], None]
 
 _TURNTABLE_VIEWS = 72
 _TURNTABLE_SIZE = (640, 360)
@@ -92,30 +108,67 @@ def make_actor(
     makers: ActorMakers,
     seed: int,
     out: Path,
-    cameras: tuple[str, ...] = (),
+    config: SceneConfig,
     views: int = 1,
-    usable: Usable | None = None,
+    progress: StageProgress | None = None,
 ) -> Actor:
-    """Observe, generate, register; write `observation/`, `actor/` and `turntable.mp4` below `out`.
+    """Observe, gather evidence, generate candidates, register and choose.
+
+    Writes `observation/` with the evidence, `actor/` and `turntable.mp4` below `out`.
 
     Args:
-        cameras: observe from these only; from all where none is named.
-        views: of the track to use at most.
-        usable: which frames may be looked at; all if None. See `training_frames`.
+        config: of the street's scene: cameras, image scale, and the frames that are held out.
+        views: of the track that a generator is given, at most.
+        progress: told stage, pieces done, and all of the stage.
 
     Raises:
-        InputError: see `observe` and `register`.
+        InputError: see `observe` and `choose`.
     """
     observation = observe(
-        log, track_id, segmenter=makers.segmenter, cameras=cameras, views=views, usable=usable
-    )
+        log, track_id, segmenter=makers.segmenter, cameras=config.cameras, views=views,
+        usable=training_frames(config),
+    )  # fmt: skip
+    evidence = gather_evidence(
+        log, track_id, segmenter=makers.segmenter, config=config,
+        progress=_stage(progress, "images"),
+    )  # fmt: skip
     with storage.atomic_folder(out / OBSERVATION_FOLDER) as folder:
         save_observation(observation, log, folder)
-    asset = makers.generator.generate(observation, seed)
-    actor = register(asset, observation, log, log.tracks[track_id])
-    save_actor(actor, out / ACTOR_FOLDER)
-    film_turntable(actor, out / TURNTABLE_FILE)
-    return actor
+        save_evidence(evidence, folder / Path(EVIDENCE_FILE).name)
+    candidates = candidates_of(makers.generator, observation, seed)
+    choice = choose(candidates, observation, log, evidence, _stage(progress, "vehicles"))
+    save_actor(choice.actor, out / ACTOR_FOLDER)
+    film_turntable(choice.actor, out / TURNTABLE_FILE)
+    return choice.actor
+
+
+def refine_actor(
+    run: Path, scene: StreetScene, seed: int, progress: StageProgress | None = None
+) -> Actor:
+    """Refine the actor of a folder that `make_actor` wrote, against a street.
+
+    Writes `refined/`, and `turntable.mp4` anew; goes on where it was stopped.
+
+    Raises:
+        InputError: something of the folder is missing or broken; the scene has no such track.
+    """
+    actor = load_actor(run / ACTOR_FOLDER)
+    require_model(scene, actor.track_id)
+    evidence = load_evidence(run / EVIDENCE_FILE).posed_by(scene)
+    checkpoint = run / REFINEMENT_CHECKPOINT
+    refined = refine(
+        actor, evidence, scene, seed, checkpoint=checkpoint,
+        progress=_stage(progress, "refinement"),
+    )  # fmt: skip
+    save_actor(refined, run / REFINED_FOLDER)
+    (run / TURNTABLE_FILE).unlink(missing_ok=True)
+    film_turntable(refined, run / TURNTABLE_FILE)
+    checkpoint.unlink(missing_ok=True)
+    return refined
+
+
+def _stage(progress: StageProgress | None, name: str) -> Callable[[int, int], None] | None:
+    return None if progress is None else partial(progress, name)
 
 
 def training_frames(config: SceneConfig) -> Usable:

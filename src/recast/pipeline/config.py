@@ -44,6 +44,7 @@ class RunConfig(Record):
         default=DEFAULT_GENERATOR, description="name of a generator, model folder, or PLY"
     )
     axes: str = Field(default=AUTO, description="axis convention of a PLY or model folder")
+    refine: bool = Field(default=True, description="follow all images of the log with the actor")
     segmenter: str = Field(
         default=DEFAULT_SEGMENTER, description="name of a segmenter, or folder of its networks"
     )
@@ -114,8 +115,9 @@ class RunConfig(Record):
             del values["planner_device"]
         if self.plan_limit_s is None:
             del values["plan_limit_s"]
-        if self.films:
-            del values["films"]
+        for default in ("films", "refine"):
+            if values[default]:
+                del values[default]
         return values
 
 

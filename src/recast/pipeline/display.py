@@ -15,7 +15,10 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.table import Table
+from rich.text import Text
 
+from recast.actors import Actor
+from recast.actors.actor import CandidateRecord
 from recast.bars import Bars
 from recast.evaluation import COLUMNS, OracleViews
 
@@ -67,6 +70,32 @@ class SamplingProgress(_CountingBars):
         if stage not in self._tasks:
             self._tasks[stage] = self._bars.add_task(stage, total=total)
         self._bars.update(self._tasks[stage], completed=done, total=total)
+
+
+def print_actor(actor: Actor, console: Console) -> None:
+    """Print which vehicle was chosen, how it was registered, and what a person should look at."""
+    provenance = actor.provenance
+    for warning in provenance.mask.warnings():
+        console.print(f"warning: {warning}", markup=False, style="yellow")
+    if len(provenance.candidates) > 1:
+        console.print(candidates_table(provenance.candidates))
+    for one in provenance.candidates:
+        if one.chosen and one.score is not None and not one.score.fits:
+            console.print(
+                "warning: no candidate has the shape that masks and LiDAR show; the best of them "
+                f"is used ({one.generator}, {one.label})", markup=False, style="yellow",
+            )  # fmt: skip
+    console.print(provenance.registration.explain(), markup=False, highlight=False)
+
+
+def candidates_table(candidates: Sequence[CandidateRecord]) -> Table:
+    """The vehicles that an actor was chosen from, with their scores; 80 columns wide."""
+    table = Table(title="candidates", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    for heading in ("", "generator", "which", "outline", "LiDAR", "free", "colour", "score"):
+        table.add_column(heading)
+    for one in candidates:
+        table.add_row("*" if one.chosen else "", *(Text(cell) for cell in one.cells()))
+    return table
 
 
 def results_table(rows: Sequence[Mapping[str, Any]]) -> Table:

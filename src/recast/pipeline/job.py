@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,14 +12,15 @@ from rich.console import Console
 from recast import storage
 from recast.errors import InputError, printable
 from recast.logs import DrivingLog, HdMap, map_of
-from recast.pipeline.actor import ActorMakers, make_actor, training_frames
+from recast.pipeline.actor import ActorMakers, make_actor, refine_actor
 from recast.pipeline.config import RunConfig
-from recast.pipeline.display import FrameProgress, results_table
+from recast.pipeline.display import FrameProgress, SamplingProgress, print_actor, results_table
 from recast.pipeline.layout import (
     ACTOR_FOLDER,
     EVALUATION_FOLDER,
     METRICS_FILE,
     OBSERVATION_FOLDER,
+    REFINED_FOLDER,
     REPORT_FOLDER,
     SCENE_FOLDER,
     TRUTH_FOLDER,
@@ -70,13 +72,19 @@ class Job:
         self.map: HdMap = map_of(log)
         self.possible_steps: dict[str, int] = {}
         self.done = 0
-        self.total = 5 + len(config.motions) * len(config.methods) + ("oracle" in config.methods)
+        self.total = (
+            5
+            + config.refine
+            + len(config.motions) * len(config.methods)
+            + ("oracle" in config.methods)
+        )
 
     def finish(self) -> Path:
         """Make what is not finished yet; return the report's page."""
         self._announce()
         actor = self.make_actor()
         scene = self.make_scene()
+        actor = self.refine_actor(scene, actor)
         evaluation = self.evaluate(scene)
         truth = None
         if "oracle" in self.config.methods:
@@ -105,6 +113,15 @@ class Job:
         return self._step(
             "scene", {"log": self._log_hash, "config": self.config.scene.resolved()},
             self._train, (SCENE_FOLDER,), keep_partial=True,
+        )  # fmt: skip
+
+    def refine_actor(self, scene: str, actor: str) -> str:
+        """The actor that rollouts insert: refined against the scene, if that is wanted."""
+        if not self.config.refine:
+            return actor
+        return self._step(
+            "refine", {"scene": scene, "actor": actor, "seed": self.config.seed}, self._refine,
+            (REFINED_FOLDER,), keep_partial=True,
         )  # fmt: skip
 
     def evaluate(self, scene: str) -> str:
@@ -154,6 +171,7 @@ class Job:
             "axes": self.config.axes,
             "segmenter": self._sources.segmenter,
             "seed": self.config.seed,
+            "scale": self.config.scene.scale,
             "cameras": list(self.config.scene.cameras),
             "holdout": [self.config.scene.holdout_every, self.config.scene.holdout_offset],
             **({"views": self.config.views} if self.config.views != 1 else {}),
@@ -161,17 +179,28 @@ class Job:
 
     def _make_actor(self) -> None:
         config = self.config
-        with self.console.status("observing, generating, registering"):
-            makers, self._makers = self._makers, None
-            if makers is None:
-                makers = ActorMakers.named(config.generator, config.segmenter, config.axes)
+        makers, self._makers = self._makers, None
+        if makers is None:
+            makers = ActorMakers.named(config.generator, config.segmenter, config.axes)
+        with SamplingProgress(self.console) as progress:
             actor = make_actor(
-                self.log, config.track, makers, config.seed, self.path, config.scene.cameras,
-                config.views, training_frames(config.scene),
+                self.log, config.track, makers, config.seed, self.path, config.scene,
+                config.views, progress,
             )  # fmt: skip
-        for warning in actor.provenance.mask.warnings():
-            self.console.print(f"warning: {warning}", markup=False, style="yellow")
-        self.console.print(actor.provenance.registration.explain(), markup=False, highlight=False)
+        print_actor(actor, self.console)
+
+    def _refine(self) -> None:
+        path = self.path / REFINED_FOLDER
+        if path.exists():  # a kill between the folder and the marker of the step
+            shutil.rmtree(path)
+        with SamplingProgress(self.console) as progress:
+            refined = refine_actor(
+                self.path, load_scene(self.path / SCENE_FOLDER), self.config.seed, progress
+            )
+        report = refined.provenance.refinement
+        assert report is not None
+        style = None if report.kept else "yellow"
+        self.console.print(report.explain(), markup=False, highlight=False, style=style)
 
     def _train(self) -> None:
         train_with_display(self.log, self.path / SCENE_FOLDER, self.config.scene, self.console)

@@ -8,7 +8,10 @@ from typing import Literal
 from recast.names import folder_name
 
 OBSERVATION_FOLDER = "observation"
+EVIDENCE_FILE = "observation/evidence.safetensors"
 ACTOR_FOLDER = "actor"
+REFINED_FOLDER = "refined"
+REFINEMENT_CHECKPOINT = "refinement.safetensors"
 TURNTABLE_FILE = "turntable.mp4"
 SCENE_FOLDER = "scene"
 EVALUATION_FOLDER = "evaluation"
@@ -25,6 +28,12 @@ METHODS: dict[Method, str] = {
     "oracle": "truth (oracle)",
 }
 """Rendering methods in the order of the report, with their names for people."""
+
+
+def final_actor(run: Path) -> Path:
+    """The folder of the actor that a run inserts: the refined one where there is one."""
+    refined = run / REFINED_FOLDER
+    return refined if refined.is_dir() else run / ACTOR_FOLDER
 
 
 def rollout_folder(run: Path, motion: str, method: Method) -> Path:

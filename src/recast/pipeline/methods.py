@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Self
 
 from recast.actors import insert, load_actor
-from recast.pipeline.layout import ACTOR_FOLDER, SCENE_FOLDER, Method
+from recast.pipeline.layout import SCENE_FOLDER, Method, final_actor
 from recast.planning import CameraMount
 from recast.scene import StreetScene, load_scene
 from recast.simulation import SensorRenderer
@@ -82,5 +82,5 @@ def method_scene(method: Method, run: Path) -> StreetScene:
     """The reconstructed street, with its own model of the target or with the generated one."""
     scene = load_scene(run / SCENE_FOLDER)
     if method == "replaced":
-        scene = insert(scene, load_actor(run / ACTOR_FOLDER))
+        scene = insert(scene, load_actor(final_actor(run)))
     return scene

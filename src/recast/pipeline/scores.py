@@ -12,10 +12,10 @@ from recast.evaluation import COLUMNS, RolloutMetrics, matched_pairs, rollout_me
 from recast.logs import HdMap
 from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import (
-    ACTOR_FOLDER,
     EVALUATION_FOLDER,
     METRICS_FILE,
     TRUTH_FOLDER,
+    final_actor,
     rollout_folder,
 )
 from recast.pipeline.results_files import METRICS_VERSION
@@ -45,7 +45,7 @@ def write_metrics(run: Path, config: RunConfig, hd_map: HdMap) -> None:
                 metrics.append(rollout_metrics(result, hd_map))
     evaluation = run / EVALUATION_FOLDER / "eval.json"
     views = run / TRUTH_FOLDER / "oracle_views.json"
-    actor = run / ACTOR_FOLDER
+    actor = final_actor(run)
     storage.write_json(
         run / METRICS_FILE,
         {

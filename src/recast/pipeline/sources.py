@@ -8,7 +8,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Self
 
-from recast.actors import GENERATORS, SEGMENTERS, is_segmenter_folder
+from recast.actors import DEFAULT_GENERATOR, GENERATORS, SEGMENTERS, is_segmenter_folder
 from recast.pipeline.config import RunConfig
 from recast.pipeline.fingerprint import file_hash, files_hash, folder_hash
 from recast.planning import PLANNERS, planner_folder, planner_source_files
@@ -16,7 +16,8 @@ from recast.plugins import Registry
 from recast.trellis import RECAST_MINI, recast_mini
 
 RECIPES = {
-    "actor": 3,
+    "actor": 4,
+    "refine": 1,
     "scene": 1,
     "evaluation": 1,
     "truth": 1,
@@ -73,6 +74,8 @@ def generator_source(name: str) -> str:
         return file_hash(name)
     if name == RECAST_MINI:
         return folder_hash(recast_mini())
+    if name == DEFAULT_GENERATOR:  # offers the template and that model
+        return f"{name} {folder_hash(recast_mini())}"
     if Path(name).is_dir():
         return folder_hash(name)
     return _code(GENERATORS, name, GENERATORS.source_files(name))

@@ -4,6 +4,7 @@ from recast.actors.evidence.free_space import FreeSpace, free_space
 from recast.actors.evidence.gather import gather_evidence
 from recast.actors.evidence.masks import VisualHull, settle_masks
 from recast.actors.evidence.sighting import Evidence, Sighting
+from recast.actors.evidence.store import load_evidence, save_evidence
 
 __all__ = [
     "Evidence",
@@ -12,5 +13,7 @@ __all__ = [
     "VisualHull",
     "free_space",
     "gather_evidence",
+    "load_evidence",
+    "save_evidence",
     "settle_masks",
 ]

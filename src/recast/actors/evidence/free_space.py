@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from recast.geometry import se3
-from recast.logs import DrivingLog, Track, Trajectory
+from recast.logs import DrivingLog, Track
 
 Array = NDArray[np.float64]
 
@@ -43,14 +43,13 @@ class FreeSpace:
         return inside
 
 
-def free_space(log: DrivingLog, track: Track, trajectory: Trajectory, hits: ArrayLike) -> FreeSpace:
+def free_space(log: DrivingLog, track: Track, hits: ArrayLike) -> FreeSpace:
     """Cells of a track's box through which at least two rays passed to what lies behind.
 
     A ray that ends in the box, or less than half a metre beyond it, says nothing: it may have gone
     through glass. So may one that passes two windows; cells near a hit are not free.
 
     Args:
-        trajectory: of the track, perhaps refined.
         hits: (N, 3) LiDAR points on the vehicle, object frame.
     """
     hits = np.asarray(hits, np.float64)
@@ -59,9 +58,9 @@ def free_space(log: DrivingLog, track: Track, trajectory: Trajectory, hits: Arra
     passed = np.zeros(int(np.prod(shape)), np.int32)
     for lidar in log.lidars.values():
         for index, time in enumerate(lidar.timestamps_us.tolist()):
-            if not trajectory.covers(time):
+            if not track.trajectory.covers(time):
                 continue
-            object_from_rig = se3.inverse(trajectory.at(time)) @ log.world_from_rig.at(time)
+            object_from_rig = se3.inverse(track.trajectory.at(time)) @ log.world_from_rig.at(time)
             origin = se3.apply(object_from_rig, lidar.rig_from_lidar[:3, 3][None])[0]
             ends = se3.apply(object_from_rig, _towards(lidar.sweeps[index].points, object_from_rig))
             for cells in _crossed(origin, ends, half, shape):

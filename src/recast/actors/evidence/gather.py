@@ -18,8 +18,8 @@ from recast.actors.segment import SegmentationTarget, Segmenter, run_segmenter
 from recast.actors.view_score import NearestSweeps, ViewScore, check_lidar, score_frame
 from recast.errors import InputError
 from recast.geometry import PinholeCamera, boxes
-from recast.logs import DrivingLog, Track, Trajectory, track_points
-from recast.scene import SceneConfig, StreetScene
+from recast.logs import DrivingLog, Track, track_points
+from recast.scene import SceneConfig
 from recast.scene.dynamic import pose_at
 from recast.scene.views import View, camera_names, is_held_out, read_view
 
@@ -41,17 +41,17 @@ def gather_evidence(
     *,
     segmenter: Segmenter,
     config: SceneConfig,
-    scene: StreetScene | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Evidence:
     """All training images of a track with masks, its LiDAR points and the free space in its box.
+
+    Poses are those of the log; `Evidence.posed_by` takes a scene's.
 
     Args:
         log: the drive.
         track_id: which track.
         segmenter: separates the vehicle from its background, image by image.
         config: cameras, image scale, and which images are held out: those do not enter.
-        scene: with refined poses of cameras and track; without, the logged ones are taken.
         progress: told the number of images done, and of all.
 
     Raises:
@@ -62,9 +62,6 @@ def gather_evidence(
             log.name, f"track {track_id}", "is not in the log", f"choose of {', '.join(log.tracks)}"
         )
     track = log.tracks[track_id]
-    trajectory = track.trajectory
-    if scene is not None and track_id in scene.actors:
-        trajectory = scene.actors[track_id].trajectory
     hits = track_points(log, track).points
     scores, left_out = _candidates(log, track, config)
     few = hits[:: max(1, -(-len(hits) // _LIDAR_POINTS))]
@@ -75,7 +72,7 @@ def gather_evidence(
         if score.unblocked * score.unoccluded < _LEAST_VISIBLE:
             left_out.append("something hides it")
         else:
-            sighting = _sight(log, track, trajectory, score, few, segmenter, config, scene, sweeps)
+            sighting = _sight(log, track, score, few, segmenter, config, sweeps)
             if sighting is None:
                 left_out.append("no mask")
             else:
@@ -90,7 +87,7 @@ def gather_evidence(
         size=np.asarray(track.size, np.float64),
         sightings=tuple(sightings),
         hits=hits,
-        free=free_space(log, track, trajectory, hits),
+        free=free_space(log, track, hits),
         left_out=tuple(left_out),
     )
 
@@ -124,20 +121,20 @@ def _candidates(
 
 
 def _sight(
-    log: DrivingLog, track: Track, trajectory: Trajectory, score: ViewScore,
-    hits: NDArray[np.float32], segmenter: Segmenter, config: SceneConfig,
-    scene: StreetScene | None, sweeps: NearestSweeps,
-) -> Sighting | None:  # fmt: skip
+    log: DrivingLog,
+    track: Track,
+    score: ViewScore,
+    hits: NDArray[np.float32],
+    segmenter: Segmenter,
+    config: SceneConfig,
+    sweeps: NearestSweeps,
+) -> Sighting | None:
     """One image cut to the vehicle; None where the segmenter finds nothing."""
     view = read_view(log, log.cameras[score.camera], score.frame, config.scale)
-    world_from_object = pose_at(trajectory, view.timestamp_us)
+    world_from_object = pose_at(track.trajectory, view.timestamp_us)
     if world_from_object is None:
         return None
     camera_from_world = view.camera_from_world
-    if scene is not None:
-        camera_from_world = scene.corrected_camera(
-            camera_from_world, view.camera_name, view.timestamp_us
-        )
     camera_from_object = camera_from_world @ world_from_object
     window = _window(view.camera, boxes.project(track.size, camera_from_object, view.camera))
     if window is None:
@@ -223,6 +220,7 @@ def _sharpness(sighting: Sighting) -> float:
     part = sighting.image[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
     grey = cv2.cvtColor(np.ascontiguousarray(part), cv2.COLOR_RGB2GRAY).astype(np.float32)
     width = max(round(grey.shape[1] * _SHARPNESS_HEIGHT / grey.shape[0]), 4)
-    grey = cv2.resize(grey, (width, _SHARPNESS_HEIGHT), interpolation=cv2.INTER_AREA)
+    size = (width, _SHARPNESS_HEIGHT)
+    grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float32)
     slope = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
     return float(np.abs(cv2.Laplacian(grey, cv2.CV_32F)).mean() / max(float(slope.mean()), 1e-6))

@@ -23,7 +23,7 @@ Float32Array = NDArray[np.float32]
 _CELLS = 60  # along the length
 _GROWTH = 0.08  # share of the box by which the grid is larger
 _SOLID = 0.75  # share of the weight of the images that see a cell which must have it in their mask
-_DOUBT = 0.25  # trust in a pixel about which mask and hull differ
+_DOUBT = 51 / 255  # trust in a pixel about which mask and hull differ
 LEAST_AGREEMENT = 0.5
 """Overlap (IoU) of a mask and the hull's outline below which the image is left out."""
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recast.actors.evidence.free_space import FreeSpace
 from recast.geometry import PinholeCamera
+from recast.scene import StreetScene
+from recast.scene.dynamic import pose_at
 
 Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -75,6 +77,23 @@ class Evidence:
     hits: Float32Array
     free: FreeSpace
     left_out: tuple[str, ...] = ()
+
+    def posed_by(self, scene: StreetScene) -> Evidence:
+        """The evidence with the poses of cameras and track that a scene has learned.
+
+        The scene must have a model of the track.
+        """
+        trajectory = scene.actors[self.track_id].trajectory
+        sightings = []
+        for sighting in self.sightings:
+            time = sighting.timestamp_us
+            pose = pose_at(trajectory, time)
+            camera = scene.corrected_camera(sighting.camera_from_world, sighting.camera_name, time)
+            if pose is not None:
+                sightings.append(
+                    replace(sighting, camera_from_world=camera, world_from_object=pose)
+                )
+        return replace(self, sightings=tuple(sightings))
 
     def explain(self) -> str:
         """A few lines for people."""

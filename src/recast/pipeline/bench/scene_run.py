@@ -47,6 +47,8 @@ class SceneRun:
         self.job = Job(log, world, folder, config, sources, planner, self._renderers, console)
         self._actor = self.job.make_actor() if "replaced" in methods else None
         self._scene = self.job.make_scene() if methods - {"oracle"} else None
+        if self._actor is not None and self._scene is not None:
+            self._actor = self.job.refine_actor(self._scene, self._actor)
         self._evaluation = None if self._scene is None else self.job.evaluate(self._scene)
 
     def rollout_folder(self, motion: str, method: Method) -> Path:

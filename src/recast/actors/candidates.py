@@ -1,0 +1,178 @@
+"""Several vehicles for one track, and the evidence that chooses among them.
+
+A generator that draws another seed draws another car: an estate, a pickup, a blur. Each candidate
+is registered and judged by what the log knows: masks of many images, LiDAR hits and free space,
+colours. A wrong class shows in all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from recast.actors.actor import Actor, CandidateRecord, CandidateScore
+from recast.actors.evidence import Evidence, Sighting
+from recast.actors.generate import Asset
+from recast.actors.hull import outer_surface
+from recast.actors.icp import fit_of
+from recast.actors.observation import Observation
+from recast.actors.register import register
+from recast.errors import InputError
+from recast.logs import DrivingLog
+from recast.splats import LowPass, rasterize
+
+Array = NDArray[np.float64]
+
+_IMAGES = 16
+_LIDAR_POINTS = 6000
+_LEAST_LIDAR = 50  # points that say something of a shape
+# Differences that count as one unit: overlap, share of LiDAR points met, of the surface in free
+# space, and of colours in display values.
+_OUTLINE, _LIDAR, _FREE, _COLOUR = 0.03, 0.06, 0.03, 0.03
+LEAST_OUTLINE, LEAST_LIDAR = 0.75, 0.7
+"""Overlap with the masks, and share of the LiDAR points within 10 cm, of a vehicle that fits."""
+_GAINS = (0.3, 3.0)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The best candidate, registered, with the table of all in its provenance.
+
+    Attributes:
+        actor: registered.
+        fits: whether it has the vehicle's shape; if not, it is the best of those that have not.
+    """
+
+    actor: Actor
+    fits: bool
+
+
+def choose(
+    makers: Sequence[Callable[[], Asset]],
+    observation: Observation,
+    log: DrivingLog,
+    evidence: Evidence,
+    progress: Callable[[int, int], None] | None = None,
+) -> Choice:
+    """Register and judge every candidate, and take the best.
+
+    Args:
+        makers: what makes each candidate.
+        observation: that they were made from.
+        log: the drive.
+        evidence: of the track.
+        progress: told the number of candidates done, and of all.
+
+    Raises:
+        InputError: none could be made and registered; the last one's reason.
+    """
+    track = log.tracks[observation.track_id]
+    rows: list[CandidateRecord] = []
+    best: tuple[float, int, Actor] | None = None
+    failure: InputError | None = None
+    for index, make in enumerate(makers):
+        if progress is not None:
+            progress(index, len(makers))
+        try:
+            asset = make()
+            actor = register(asset, observation, log, track)
+        except InputError as error:
+            failure = error
+            rows.append(CandidateRecord(generator="", seed=0, label=f"none: {error}"))
+            continue
+        score = judge(actor, evidence)
+        rows.append(
+            CandidateRecord(
+                generator=asset.generator, seed=asset.seed, label=_label(asset), score=score
+            )
+        )
+        if best is None or score.total > best[0]:
+            best = (score.total, index, actor)
+    if progress is not None:
+        progress(len(makers), len(makers))
+    if best is None:
+        raise failure or InputError("candidates", "vehicles", "none were made", "name a generator")
+    _, chosen, actor = best
+    rows[chosen] = rows[chosen].model_copy(update={"chosen": True})
+    provenance = actor.provenance.model_copy(update={"candidates": tuple(rows)})
+    score = rows[chosen].score
+    assert score is not None
+    return Choice(replace(actor, provenance=provenance), score.fits)
+
+
+def _label(asset: Asset) -> str:
+    style = asset.details.get("style") or asset.details.get("file")
+    return f"seed {asset.seed}" if style is None else str(style)
+
+
+def judge(actor: Actor, evidence: Evidence) -> CandidateScore:
+    """How well a registered vehicle explains what the log knows."""
+    views = _chosen(evidence.sightings)
+    overlap, colour = _pictures(actor, views)
+    surface = outer_surface(actor.gaussians)
+    lidar, median = 1.0, 0.0
+    told = len(evidence.hits) >= _LEAST_LIDAR
+    if told:
+        hits = evidence.hits[:: max(1, -(-len(evidence.hits) // _LIDAR_POINTS))]
+        fit = fit_of(surface.points, np.asarray(hits, np.float64))
+        lidar, median = fit.inlier_share, fit.median
+    free = float(evidence.free.holds(surface.points).mean())
+    total = -free / _FREE
+    if views:
+        total += overlap / _OUTLINE - colour / _COLOUR
+    if told:
+        total += lidar / _LIDAR
+    return CandidateScore(
+        outline=overlap if views else None,
+        colour=colour if views else None,
+        lidar=lidar if told else None,
+        lidar_median=median if told else None,
+        free=free,
+        total=total,
+        fits=(not views or overlap >= LEAST_OUTLINE) and (not told or lidar >= LEAST_LIDAR),
+    )
+
+
+def _chosen(sightings: tuple[Sighting, ...]) -> list[Sighting]:
+    """The best images of equal stretches of time."""
+    count = min(_IMAGES, len(sightings))
+    parts = np.array_split(np.arange(len(sightings)), count) if count else []
+    return [sightings[max(part, key=lambda i: sightings[i].weight)] for part in parts]
+
+
+def _pictures(actor: Actor, views: list[Sighting]) -> tuple[float, float]:
+    """Weighted mean overlap of outlines, and difference of colours after one gain for all."""
+    if not views:
+        return 0.0, 1.0
+    overlaps, weights, shown, wanted = [], [], [], []
+    for view in views:
+        rgb, covered = _drawn(actor, view, actor.low_pass)
+        mask, known = view.mask > 0.5, view.trust > 0
+        union = float(((covered | mask) & known).sum())
+        both = covered & mask & known
+        overlaps.append(float(both.sum()) / union if union else 0.0)
+        weights.append(view.weight)
+        shown.append(rgb[both])
+        wanted.append(view.image[both] / 255.0)
+    overlap = float(np.average(overlaps, weights=weights))
+    drawn, target = np.concatenate(shown), np.concatenate(wanted)
+    if len(drawn) == 0:
+        return overlap, 1.0
+    gain = (drawn * target).sum(axis=0) / np.maximum((drawn * drawn).sum(axis=0), 1e-6)
+    difference = np.abs(target - np.clip(drawn * np.clip(gain, *_GAINS), 0, 1))
+    return overlap, float(difference.mean())
+
+
+def _drawn(actor: Actor, view: Sighting, low_pass: LowPass) -> tuple[Array, NDArray[np.bool_]]:
+    """Colours (H, W, 3) of a vehicle drawn alone, and where (H, W) it covers more than half."""
+    with torch.no_grad():
+        picture = rasterize(
+            actor.gaussians, torch.from_numpy(view.camera_from_object).float(),
+            torch.from_numpy(view.camera.matrix).float(), view.camera.width, view.camera.height,
+            eps2d=low_pass.variance, antialiased=low_pass.antialiased,
+        )  # fmt: skip
+    return picture.rgb.numpy().astype(np.float64), picture.alpha.numpy() > 0.5
