@@ -283,6 +283,19 @@ def mutate_png(data: bytes, rng: Rng) -> bytes:
     return data[:12] + body + struct.pack(">I", zlib.crc32(body)) + data[33:]
 
 
+def mutate_glb(data: bytes, rng: Rng) -> bytes:
+    """Values of a GLB's JSON or numbers of its binary chunk, lengths put right."""
+    size = int.from_bytes(data[12:16], "little")
+    tree, binary = data[20 : 20 + size], data[28 + size :]
+    if rng.random() < 0.7:
+        tree = mutate_json(tree, rng)
+    else:
+        binary = mutate_array(binary, rng, choose(rng, ("<f4", "<u2", "<u1")))
+    body = struct.pack("<I4s", len(tree), b"JSON") + tree
+    body += struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    return data[:8] + (12 + len(body)).to_bytes(4, "little") + body
+
+
 def mutate_tfrecord(data: bytes, rng: Rng) -> bytes:
     """Messages of a TFRecord, sealed again."""
     from recast.logs.importers.waymo_tfrecord import masked_crc
@@ -345,7 +358,7 @@ BY_SUFFIX: dict[str, Mutator] = {
     ".xml": mutate_text, ".npy": mutate_npy, ".safetensors": mutate_safetensors,
     ".ply": mutate_ply, ".feather": mutate_table, ".parquet": mutate_table, ".png": mutate_png,
     ".pth": mutate_checkpoint, ".tfrecord": mutate_tfrecord, ".jsonl": mutate_text,
-    ".obj": mutate_text,
+    ".obj": mutate_text, ".mtl": mutate_text, ".glb": mutate_glb,
     ".bin": lambda data, rng: mutate_array(data, rng, "<f4"),
 }  # fmt: skip
 

@@ -43,27 +43,38 @@ def outer_surface(gaussians: Gaussians) -> Surface:
     the plane through the twelve nearest neighbours.
 
     Raises:
-        ValueError: fewer than 50 opaque Gaussians, or all in one place, on a line or in a plane.
+        ValueError: see `require_volume`, of the opaque Gaussians.
     """
     with torch.no_grad():
         opaque = np.flatnonzero(torch.sigmoid(gaussians.logit_opacities).numpy() > _MIN_OPACITY)
-    if len(opaque) < 50:
-        raise ValueError(f"outer_surface: {len(opaque)} opaque Gaussians, at least 50 are needed")
     points = gaussians.means.detach().numpy().astype(np.float64)[opaque]
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if not spread[-1] > _LEAST_SPREAD * spread[0]:
-        raise ValueError(
-            "outer_surface: opaque Gaussians lie in one place, on a line or in a plane"
-        )
-    # empty cells would let inner Gaussians through
-    cells = np.clip(np.sqrt(len(points) / _PER_CELL), 8, 128)
-    cell = float(np.ptp(points, axis=0).max()) / float(cells)
-    outside = np.zeros(len(points), bool)
-    for direction in _directions():
-        outside |= _frontmost(points, direction, cell)
+    require_volume(points)
+    outside = seen_from_outside(points)[1].any(axis=0)
     kept = opaque[outside]
     points = points[outside]
     return Surface(points, _normals(gaussians, kept, points), kept)
+
+
+def require_volume(points: Array) -> None:
+    """Refuse what cannot be a vehicle's opaque points (N, 3).
+
+    Raises:
+        ValueError: fewer than 50, or all in one place, on a line or in a plane.
+    """
+    if len(points) < 50:
+        raise ValueError(f"{len(points)} opaque points, at least 50 are needed")
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if not spread[-1] > _LEAST_SPREAD * spread[0]:
+        raise ValueError("opaque points lie in one place, on a line or in a plane")
+
+
+def seen_from_outside(points: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """26 directions of view (26, 3), and which points (N, 3) are frontmost along each, (26, N)."""
+    # empty cells would let inner points through
+    cells = np.clip(np.sqrt(len(points) / _PER_CELL), 8, 128)
+    cell = float(np.ptp(points, axis=0).max()) / float(cells)
+    directions = _directions()
+    return directions, np.stack([_frontmost(points, one, cell) for one in directions])
 
 
 def _directions() -> Array:

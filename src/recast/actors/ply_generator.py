@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from recast.actors.axes import AUTO, AXES_HELP, AxisConvention, axes_of
+from recast.actors.axes import AUTO, AxisConvention, axes_of
 from recast.actors.generate import Asset
 from recast.actors.hull import outer_surface
 from recast.actors.observation import Observation
-from recast.actors.upright import LEAST_EVIDENCE, Posture, postures
+from recast.actors.upright import upright
 from recast.errors import InputError
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass, read_ply
 from recast.splats.ply import read_low_pass
@@ -56,34 +56,17 @@ class PlyGenerator:
         if isinstance(self.axes, AxisConvention):
             axes = self.axes
         else:
-            found = self._upright(gaussians, observation.size)
+            try:
+                points = outer_surface(gaussians).points
+            except ValueError as error:
+                mend = "export the asset again"
+                raise InputError(self.path, "shape", str(error), mend) from None
+            found = upright(points, observation.size, self.path)
             axes, details["axes"] = found.axes, f"told from the shape: {found.explain()}"
         low_pass = self.low_pass or read_low_pass(self.path)
         if low_pass is None:
             low_pass = MIP if made_by_trellis(gaussians) else CLASSIC
         return Asset(gaussians, axes, self.name, seed, details, low_pass)
-
-    def _upright(self, gaussians: Gaussians, size: np.ndarray) -> Posture:
-        mend = f"name them by --axes: {AXES_HELP}"
-        try:
-            best, second, *_ = found = postures(outer_surface(gaussians).points, size)
-        except ValueError as error:
-            raise InputError(self.path, "shape", str(error), "export the asset again") from None
-        if not best.fits:
-            box = " x ".join(f"{metres:.2f}" for metres in size)
-            closest = max(found, key=lambda one: one.votes["box"])
-            raise InputError(
-                self.path, "axes",
-                f"no orientation fits a box of {box} m: {closest.axes.name}, the closest, has "
-                f"{closest.width_over_box:.2f} of its width and {closest.height_over_box:.2f} of "
-                "its height", mend,
-            )  # fmt: skip
-        if not best.convincing or best.total - second.total < LEAST_EVIDENCE:
-            raise InputError(
-                self.path, "axes", f"the shape does not tell which way is up: {best.explain()}; "
-                f"next is {second.axes.name}", mend,
-            )  # fmt: skip
-        return best
 
 
 def made_by_trellis(gaussians: Gaussians) -> bool:

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from recast.actors.axes import UPS, AxisConvention
+from recast.actors.axes import AXES_HELP, UPS, AxisConvention
 from recast.actors.hull import bounds
+from recast.errors import InputError
 
 Array = NDArray[np.float64]
 
@@ -96,6 +98,35 @@ def postures(points: Array, size: ArrayLike) -> list[Posture]:
     points = np.asarray(points, np.float64)[:: max(1, len(points) // _POINTS)]
     found = [one for axis in range(3) for one in _about(points, axis, np.asarray(size, np.float64))]
     return sorted(found, key=lambda posture: -posture.total)
+
+
+def upright(points: Array, size: ArrayLike, path: Path) -> Posture:
+    """The posture that the shape tells, of a vehicle from a file.
+
+    Args:
+        points, size: see `postures`.
+        path: the file, for messages.
+
+    Raises:
+        InputError: no orientation fits the box, or the shape does not tell it.
+    """
+    mend = f"name them by --axes: {AXES_HELP}"
+    best, second, *_ = found = postures(points, size)
+    if not best.fits:
+        box = " x ".join(f"{metres:.2f}" for metres in np.asarray(size))
+        closest = max(found, key=lambda one: one.votes["box"])
+        raise InputError(
+            path, "axes",
+            f"no orientation fits a box of {box} m: {closest.axes.name}, the closest, has "
+            f"{closest.width_over_box:.2f} of its width and {closest.height_over_box:.2f} of "
+            "its height", mend,
+        )  # fmt: skip
+    if not best.convincing or best.total - second.total < LEAST_EVIDENCE:
+        raise InputError(
+            path, "axes", f"the shape does not tell which way is up: {best.explain()}; "
+            f"next is {second.axes.name}", mend,
+        )  # fmt: skip
+    return best
 
 
 def _about(points: Array, axis: int, size: Array) -> list[Posture]:

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from actors import made_up
+from actors.mesh import made
 from fuzz.target import Target
 from recast.actors import (
     Actor,
@@ -20,6 +21,8 @@ from recast.actors import (
     register,
     save_actor,
 )
+from recast.actors.mesh import files_of_mesh, read_triangles
+from recast.actors.mesh.generator import sampled
 from recast.logs import DrivingLog
 from recast.scene import (
     SceneActor,
@@ -73,6 +76,42 @@ def _write_mesh(folder: Path) -> None:
     (folder / "car.obj").write_text("\n".join(corners + faces) + "\n")
 
 
+def _write_glb(folder: Path) -> None:
+    car = made.car()
+    pixels = np.random.default_rng(0).integers(0, 256, (8, 8, 3), np.uint8)
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    one = car.primitive(made.SQUARE, made.HALVES, material=3)
+    one["attributes"]["TEXCOORD_0"] = car.array(square)
+    one["attributes"]["COLOR_0"] = car.array(np.full((4, 4), 200, np.uint8), normalized=True)
+    car.tree["images"] = [{"bufferView": car.view(made.picture(pixels))}, {"uri": "paint.png"}]
+    car.tree["textures"] = [{"source": 0}, {"source": 1}]
+    for index in (0, 1):
+        use = {"index": index, "extensions": {"KHR_texture_transform": {"scale": [2, 2]}}}
+        car.tree["materials"].append({"pbrMetallicRoughness": {"baseColorTexture": use}})
+    other = {**one, "material": 4}
+    car.tree["meshes"][0]["primitives"].append(other)
+    car.tree["nodes"] = [{"children": [1], "rotation": [0, 0, 0, 1]}, {"mesh": 0}]
+    car.write(folder / "car.glb")
+    (folder / "paint.png").write_bytes(made.picture(pixels))
+
+
+def _write_obj(folder: Path) -> None:
+    _write_mesh(folder)
+    text = (folder / "car.obj").read_text().replace("f 1 2 4", "f 1/1 2/2 4/3")
+    uv = "vt 0 0\nvt 1 0\nvt 1 1\n"
+    (folder / "car.obj").write_text(f"mtllib car.mtl\n{uv}usemtl paint\n{text}")
+    library = "newmtl glass\nKd 0 0 0\nd 0.3\nnewmtl paint\nKd 1 0.5 0\nNs 200\nmap_Kd paint.png\n"
+    (folder / "car.mtl").write_text(library)
+    pixels = np.random.default_rng(0).integers(0, 256, (8, 8, 3), np.uint8)
+    (folder / "paint.png").write_bytes(made.picture(pixels))
+
+
+def _read_triangles(path: Path) -> object:
+    """The file's triangles, and coarse points of them."""
+    parts = read_triangles(path)
+    return parts, sampled(parts, 4.0, 0.1), files_of_mesh(path)
+
+
 def _write_street_gaussians(folder: Path) -> None:
     test_street_gaussians.save(folder / "iteration.pth", test_street_gaussians.checkpoint())
     rows = [(frame, track) for frame in range(trained_scenes.FRAMES) for track in (5, 6, 8, 3)]
@@ -99,6 +138,9 @@ TARGETS = (
     Target("scene-config", _write_config, lambda f, out: read_config(f / "config.json"),
            weight=8.0),
     Target("mesh", _write_mesh, lambda f, out: read_mesh(f / "car.obj", forward="x"), weight=4.0),
+    Target("glb", _write_glb, lambda f, out: _read_triangles(f / "car.glb"),
+           files=("*.glb",), weight=10.0),
+    Target("obj", _write_obj, lambda f, out: _read_triangles(f / "car.obj"), weight=6.0),
     Target("ply-scene", lambda f: write_ply(f / "scene.ply", trained_scenes.make_background(1)),
            lambda f, out: import_ply(f / "scene.ply", _log(), out), weight=2.0),
     Target("street-gaussians-checkpoint", _write_street_gaussians, _import_street_gaussians,

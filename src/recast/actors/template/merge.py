@@ -14,7 +14,8 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _THICKNESS = 0.002
-_COVERAGE = (1.75, 2.1)  # standard deviation of a Gaussian over that of its patch, and of a group
+COVERAGE = (1.75, 2.1)
+"""Standard deviation of a Gaussian over that of its patch, and of a group of patches."""
 
 
 def group_patches(
@@ -104,7 +105,7 @@ def flat_gaussians(
     minor, major = np.sqrt(np.maximum(values[:, 1:], 1e-8)).T
     minor = np.maximum(minor, 0.35 * major)
     rotation = np.stack([vectors[:, :, 2], np.cross(normal, vectors[:, :, 2]), normal], axis=-1)
-    cover = np.where(np.bincount(group) > 1, _COVERAGE[1], _COVERAGE[0])
+    cover = np.where(np.bincount(group) > 1, COVERAGE[1], COVERAGE[0])
     deviations = np.stack([major * cover, minor * cover, np.full_like(major, _THICKNESS)], -1)
 
     def tensor(values: Array) -> torch.Tensor:

@@ -1,0 +1,93 @@
+"""Textured triangles, as read from a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.errors import InputError
+
+Array = NDArray[np.float64]
+
+Alpha = Literal["OPAQUE", "MASK", "BLEND"]
+
+MOST_TRIANGLES = 3_000_000
+_FARTHEST = 1e7  # of a vertex from the origin, in the file's unit
+
+
+@dataclass(frozen=True)
+class Material:
+    """How the triangles of one part look.
+
+    Attributes:
+        factor: (4,) linear RGB and alpha by which texture and vertex colours are multiplied.
+        texture: (H, W, 4) uint8 sRGB and alpha, first row on top; None if there is none.
+        alpha: OPAQUE ignores alpha, MASK cuts out what is below `cutoff`, BLEND lets light through.
+        cutoff: alpha below which a MASK is open.
+        gloss: share of a clear coat's reflection that the surface has, 0 to 1.
+    """
+
+    factor: Array = field(default_factory=lambda: np.array([0.5, 0.5, 0.5, 1.0]))
+    texture: NDArray[np.uint8] | None = None
+    alpha: Alpha = "OPAQUE"
+    cutoff: float = 0.5
+    gloss: float = 0.0
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """Triangles of one material.
+
+    Attributes:
+        corners: (F, 3, 3) in the file's frame and unit.
+        uv: (F, 3, 2) texture coordinates, (0, 0) the upper left corner; None if there are none.
+        colours: (F, 3, 4) linear vertex colours and alpha; None if there are none.
+        material: how they look.
+    """
+
+    corners: Array
+    uv: Array | None
+    colours: Array | None
+    material: Material
+
+    def __len__(self) -> int:
+        return len(self.corners)
+
+
+def checked(path: Path, parts: Sequence[Triangles]) -> list[Triangles]:
+    """The parts that have triangles, once all their numbers are finite and in range.
+
+    Raises:
+        InputError: no triangles, or a vertex, a texture coordinate or a colour is out of range.
+    """
+    parts = [part for part in parts if len(part)]
+    if not parts:
+        raise InputError(path, "mesh", "holds no triangles", "export it with its faces")
+    for part in parts:
+        values = {"vertices": part.corners, "texture coordinates": part.uv, "colours": part.colours}
+        for name, found in values.items():
+            if found is not None and not np.all(np.abs(found) <= _FARTHEST):  # also NaN
+                problem = f"are not all finite and within {_FARTHEST:g}"
+                raise InputError(path, name, problem, "export it again")
+    return parts
+
+
+def require_few(path: Path, triangles: int) -> None:
+    """Refuse a mesh of too many triangles, before memory for them is taken.
+
+    Raises:
+        InputError: there are more than `MOST_TRIANGLES`.
+    """
+    if triangles > MOST_TRIANGLES:
+        problem = f"has {triangles} triangles"
+        raise InputError(path, "mesh", problem, f"reduce it to {MOST_TRIANGLES}")
+
+
+def to_linear(srgb: Array) -> Array:
+    """Linear light of sRGB values in [0, 1] (IEC 61966-2-1)."""
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
