@@ -289,10 +289,11 @@ class Job:
         setup = self._setup(motion, method)
         looked_at = self.config.films or self.planner.needs_images
         renderer = self.renderers.of(method) if looked_at else None
+        meter = self.renderers.meter_of(method) if looked_at else None
         steps = self.possible_steps.get(motion, self.config.steps)
         with FrameProgress(self.console, steps) as progress:
             make_rollout(
-                setup, self.planner, renderer, target, progress, self.config.films, timings
+                setup, self.planner, renderer, target, progress, self.config.films, timings, meter
             )  # fmt: skip
 
     def _score(self) -> None:

@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Self
 
 from recast.actors import insert, load_actor
+from recast.actors.coverage import CoverageMeter
 from recast.pipeline.layout import SCENE_FOLDER, Method, final_actor
 from recast.planning import CameraMount
 from recast.scene import StreetScene, load_scene
@@ -40,6 +41,7 @@ class Renderers:
         self._oracle_workers = oracle_workers
         self._open = ExitStack()
         self._made: dict[Method, SensorRenderer] = {}
+        self._meters: dict[Method, CoverageMeter | None] = {}
 
     def of(self, method: Method) -> SensorRenderer:
         """The renderer of a method, made when first asked for and kept.
@@ -51,6 +53,21 @@ class Renderers:
         if method not in self._made:
             self._made[method] = self._make(method)
         return self._made[method]
+
+    def meter_of(self, method: Method) -> CoverageMeter | None:
+        """What measures a method's vehicle in images; None for one without shares.
+
+        Raises:
+            InputError: the scene or actor folder is missing or broken.
+        """
+        if method not in self._meters:
+            actor = load_actor(final_actor(self._run)) if method == "replaced" else None
+            self._meters[method] = (
+                None
+                if actor is None or actor.shares is None
+                else CoverageMeter(method_scene(method, self._run), actor.track_id, actor.shares)
+            )
+        return self._meters[method]
 
     def _make(self, method: Method) -> SensorRenderer:
         if method != "oracle":

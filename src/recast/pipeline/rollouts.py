@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from recast import storage
 from recast.errors import InputError
 from recast.names import folder_name, member
-from recast.planning import Planner, seen_record
+from recast.planning import Planner, planner_cameras, seen_record
 from recast.records import Record, read_record
 from recast.reporting.video import VideoWriter
 from recast.simulation import (
@@ -29,11 +29,14 @@ from recast.simulation import (
     run_rollout,
     save_rollout,
 )
+from recast.simulation.coverage import Meter, RolloutCoverage, rollout_coverage
+from recast.simulation.rollout_files import load_coverage, save_coverage
 
 _FAILURE = "failure.json"
 _FILMS = "films.json"
 _PLANNER = "planner.json"
 _STATES = "states"
+_COVERAGE = "coverage.parquet"
 _VERSION: Literal[1] = 1
 _MEND = "remove the folder of this rollout and run again"
 
@@ -64,6 +67,7 @@ def make_rollout(
     on_step: Callable[[], None] = lambda: None,
     filmed: bool = True,
     timings: Timings | None = None,
+    meter: Meter | None = None,
 ) -> None:
     """Run one rollout and write it to a new folder, whole or not at all.
 
@@ -73,10 +77,11 @@ def make_rollout(
     Args:
         renderer: None where nothing looks: no film, and a planner that needs no images.
         folder: gets `states/` (see `save_rollout`), `planner.json` (see `seen_record`), the films
-            and `films.json`; or `failure.json`.
+            and `films.json`, and with a meter `coverage.parquet`; or `failure.json`.
         on_step: called after each filmed step.
         filmed: render every step, not only those that the planner sees.
         timings: is added to.
+        meter: of the actor that the renderer draws; None for one without shares.
 
     Raises:
         InputError: the folder exists already, or the disk refuses.
@@ -116,6 +121,13 @@ def make_rollout(
         save_rollout(rollout, partial / _STATES)
         mounts = {} if renderer is None else renderer.mounts
         storage.write_json(partial / _PLANNER, seen_record(planner, mounts))
+        if meter is not None and mounts:
+            names = tuple(setup.log.cameras if setup.camera_names is None else setup.camera_names)
+            given = planner_cameras(planner, mounts, names)
+            coverage = rollout_coverage(
+                rollout, setup, meter, mounts, names if filmed else (), given
+            )
+            save_coverage(coverage, partial / _COVERAGE)
         if files:
             record = FilmsRecord(films=files)
             storage.write_json(partial / _FILMS, record.model_dump(mode="json"))
@@ -131,6 +143,16 @@ def read_rollout(folder: Path) -> Rollout | RolloutFailure:
     if not path.exists():
         return load_rollout(folder / _STATES)
     return read_record(path, FailureRecord, _VERSION, _MEND).failure
+
+
+def read_coverage(folder: Path) -> RolloutCoverage | None:
+    """What of the actor the cameras of a rollout saw; None if it was not measured.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    path = folder / _COVERAGE
+    return load_coverage(path) if path.exists() else None
 
 
 def films(folder: Path) -> dict[str, Path]:

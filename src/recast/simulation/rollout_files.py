@@ -5,6 +5,8 @@
 - `plans.parquet`: one row a plan, `plan_step` and `waypoints`, 120 numbers x0, y0, h0, x1, ...
 - `route.parquet`: the reference route, `x` and `y`.
 
+Beside them, for a refined actor, `coverage.parquet`: one row an image, see `save_coverage`.
+
 No timings are stored: the same setup gives the same bytes.
 """
 
@@ -20,11 +22,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from recast.actors.coverage import Coverage
 from recast.errors import InputError
 from recast.planning import WAYPOINTS
 from recast.records import Record, read_record
+from recast.simulation.coverage import SHARES, ImageCoverage, RolloutCoverage
 from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, Rollout
-from recast.storage import atomic_folder, write_json
+from recast.storage import atomic_file, atomic_folder, write_json
 from recast.tables import Table, read_parquet
 
 Array = NDArray[np.float64]
@@ -141,6 +145,51 @@ def load_rollout(folder: str | Path) -> Rollout:
     except ValueError as error:
         raise InputError(folder, "rollout", str(error), _MEND) from None
     return rollout
+
+
+def save_coverage(coverage: RolloutCoverage, path: str | Path) -> None:
+    """Write a table with a row an image: camera, step, planned (1 if the planner was given it, else
+    0), pixels, seen, mirrored, invented.
+
+    Raises:
+        ValueError: the coverage is not valid.
+        InputError: the disk refuses.
+    """
+    coverage.validate()
+    images = coverage.images
+    columns = {
+        "camera": pa.array([image.camera for image in images], pa.string()),
+        "step": pa.array([image.step for image in images], pa.int64()),
+        "planned": pa.array([int(image.planned) for image in images], pa.int8()),
+    }
+    for name in ("pixels", *SHARES):
+        values = [getattr(image.coverage, name) for image in images]
+        columns[name] = pa.array(values, pa.float64())
+    with atomic_file(path) as partial:
+        pq.write_table(pa.table(columns), partial)
+
+
+def load_coverage(path: str | Path) -> RolloutCoverage:
+    """Read back what `save_coverage` wrote.
+
+    Raises:
+        InputError: the file or a column is missing or broken, or holds what is no coverage.
+    """
+    names = ("pixels", *SHARES)
+    table = read_parquet(Path(path), ("camera", "step", "planned", *names), _MEND)
+    shares = np.stack([table.numbers(name) for name in names], axis=1).astype(np.float64)
+    rows = zip(
+        table.words("camera").tolist(), _whole(table, "step").tolist(),
+        _whole(table, "planned").tolist(), shares.tolist(), strict=True,
+    )  # fmt: skip
+    coverage = RolloutCoverage(
+        tuple(ImageCoverage(name, k, bool(told), Coverage(*row)) for name, k, told, row in rows)
+    )
+    try:
+        coverage.validate()
+    except ValueError as error:
+        raise InputError(path, "coverage", str(error), _MEND) from None
+    return coverage
 
 
 def _columns(prefix: str, names: Sequence[str], values: Array) -> dict[str, pa.Array]:

@@ -1,0 +1,198 @@
+"""How much of what a camera sees of a vehicle was seen by the log, mirrored or invented."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import astuple, dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from recast.actors.shares import Shares
+from recast.geometry import PinholeCamera, boxes, se3
+from recast.scene import StreetScene
+from recast.splats import CLASSIC, Gaussians, concatenate, pick_device, rasterize, refiltered
+from recast.splats.sh import C0
+
+Array = NDArray[np.float64]
+
+LEAST_PIXELS = 1.0
+"""A vehicle of which an image shows less than this is not visible there."""
+_REACH = 3.5  # deviations: at 3.33 even an opaque Gaussian falls below the 1/255 that is drawn
+_MARGIN = 3  # pixels by which the low-pass filter may widen a Gaussian
+_NEAR = 0.2  # metres, the near plane of `rasterize`
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Where the looks of a visible vehicle come from.
+
+    Attributes:
+        pixels: visible area of the vehicle, 0 or at least `LEAST_PIXELS`.
+        seen, mirrored, invented: means over that area; they add up to 1, or are 0 where pixels is.
+    """
+
+    pixels: float
+    seen: float
+    mirrored: float
+    invented: float
+
+    @classmethod
+    def of(cls, areas: Array) -> Coverage:
+        """Of the areas (3,) in pixels that come from each."""
+        pixels = float(areas.sum())
+        if pixels < LEAST_PIXELS:
+            return NOTHING
+        return cls(pixels, *(float(area) / pixels for area in areas))
+
+    @classmethod
+    def mean(cls, several: Iterable[Coverage]) -> Coverage:
+        """Of several images: mean area, and shares of all their area, over those that show it."""
+        rows = np.array([astuple(one) for one in several if one.pixels > 0]).reshape(-1, 4)
+        return NOTHING if len(rows) == 0 else cls.of((rows[:, :1] * rows[:, 1:]).mean(axis=0))
+
+
+NOTHING = Coverage(0.0, 0.0, 0.0, 0.0)
+"""Of an image that does not show the vehicle."""
+
+
+class CoverageMeter:
+    """Measures the coverage of a vehicle in images of a scene, without drawing the images.
+
+    The vehicle is drawn with its shares as colours, behind black: what lies nearer to the camera in
+    the scene. Only the part of the image that shows the vehicle is drawn, and only Gaussians that
+    may reach it.
+
+    Args:
+        scene: with the vehicle, see `recast.actors.insert`.
+        track_id: the vehicle.
+        shares: of its Gaussians.
+        device: where it is drawn, see `recast.splats.pick_device`.
+
+    Raises:
+        InputError: there is no such device, or gsplat is missing.
+        ValueError: the scene has no such vehicle, or one of another number of Gaussians.
+    """
+
+    def __init__(
+        self, scene: StreetScene, track_id: str, shares: Shares, device: str = "auto"
+    ) -> None:
+        if track_id not in scene.actors or len(scene.actors[track_id].gaussians) != len(shares):
+            raise ValueError(f"CoverageMeter: {len(shares)} shares of track {track_id}")
+        place = pick_device(device)
+        vehicle = scene.actors[track_id]
+        self._track_id, self._low_pass = track_id, vehicle.low_pass
+        coloured = ((shares.columns - 0.5) / C0)[:, None]
+        self._vehicle = replace(vehicle.gaussians.detach(), sh=coloured).to(place)
+        self._centre, self._size = _bounds(self._vehicle)
+        self._street = _black(scene.background).to(place)
+        # One axis after the other: the test of a plane reads them so several times faster.
+        self._places = self._street.means.T.contiguous()
+        self._reach = _reach(self._street)
+        self._shadow = None if vehicle.shadow is None else _black(vehicle.shadow).to(place)
+        self._others = {
+            key: (_black(other.drawn).to(place), other.low_pass)
+            for key, other in scene.actors.items()
+            if key != track_id
+        }
+
+    def measure(
+        self,
+        camera: PinholeCamera,
+        camera_from_world: Array,
+        poses: Mapping[str, Array],
+        shown: NDArray[np.bool_] | None = None,
+    ) -> Coverage:
+        """Coverage in one image.
+
+        Args:
+            camera: rectified.
+            camera_from_world: (4, 4).
+            poses: `world_from_actor` (4, 4) by track id of all that stand there.
+            shown: (H, W), pixels that are not black whatever is there; all if None.
+        """
+        camera_from_vehicle = np.asarray(camera_from_world) @ poses[self._track_id]
+        box = camera_from_vehicle @ se3.from_rotation_translation(np.eye(3), self._centre)
+        outline = boxes.project(self._size, box, camera)
+        if outline is None:
+            return NOTHING
+        limits = [camera.width, camera.height]
+        left, top = (int(v) for v in np.floor(outline[:2] - _MARGIN).clip(0, limits))
+        right, bottom = (int(v) for v in np.ceil(outline[2:] + _MARGIN).clip(0, limits))
+        if left >= right or top >= bottom:
+            return NOTHING
+        areas = self._areas(
+            camera.cropped(left, top, right - left, bottom - top),
+            np.asarray(camera_from_world), poses,
+        )  # fmt: skip
+        if shown is not None:
+            areas = areas * torch.from_numpy(shown[top:bottom, left:right, None]).to(areas)
+        return Coverage.of(areas.sum(dim=(0, 1)).double().cpu().numpy())
+
+    def _areas(
+        self, camera: PinholeCamera, camera_from_world: Array, poses: Mapping[str, Array]
+    ) -> Tensor:
+        """(H, W, 3) share of each pixel that shows what was seen, mirrored, invented."""
+        # In the vehicle's frame: it has the most Gaussians, and they need not be moved.
+        vehicle_from_world = se3.inverse(poses[self._track_id])
+        view = torch.from_numpy(camera_from_world @ poses[self._track_id]).float()
+        K = torch.from_numpy(camera.matrix).float()
+        depths = self._vehicle.means @ view[2, :3].to(self._vehicle.means) + float(view[2, 3])
+        before = self._before(camera, camera_from_world, float(depths.max()))
+        parts = [
+            refiltered(self._vehicle, self._low_pass, CLASSIC, view, K),
+            self._street.select(before).transformed(torch.from_numpy(vehicle_from_world)),
+        ]
+        if self._shadow is not None:
+            parts.append(self._shadow)
+        for key, (other, low_pass) in self._others.items():
+            if key in poses:
+                posed = other.transformed(torch.from_numpy(vehicle_from_world @ poses[key]))
+                parts.append(refiltered(posed, low_pass, CLASSIC, view, K))
+        with torch.no_grad():
+            drawn = rasterize(
+                concatenate(parts), view, K, camera.width, camera.height,
+                eps2d=CLASSIC.variance, antialiased=CLASSIC.antialiased,
+            )  # fmt: skip
+        return drawn.rgb
+
+    def _before(self, camera: PinholeCamera, camera_from_world: Array, farthest: float) -> Tensor:
+        """Indices of the street's Gaussians that are nearer than `farthest` and may be in view."""
+        left, top = -camera.cx - _MARGIN, -camera.cy - _MARGIN
+        right, bottom = camera.width - camera.cx + _MARGIN, camera.height - camera.cy + _MARGIN
+        sides = np.array(
+            [
+                [camera.fx, 0, -left, 0], [-camera.fx, 0, right, 0],
+                [0, camera.fy, -top, 0], [0, -camera.fy, bottom, 0],
+            ]
+        )  # fmt: skip
+        sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+        depth, *planes = torch.from_numpy(
+            np.concatenate([camera_from_world[2:3], sides @ camera_from_world])
+        ).to(self._places)
+        z = depth[:3] @ self._places + depth[3]
+        inside = (z > _NEAR) & (z <= farthest)
+        for plane in planes:
+            inside &= plane[:3] @ self._places + plane[3] > -self._reach
+        return inside.nonzero()[:, 0]
+
+
+def _black(gaussians: Gaussians) -> Gaussians:
+    # Far below black, since colours are clamped at zero.
+    return replace(gaussians.detach(), sh=gaussians.sh.new_full((len(gaussians), 1, 3), -1 / C0))
+
+
+def _reach(gaussians: Gaussians) -> Tensor:
+    """(N,) metres from its centre beyond which a Gaussian is not drawn."""
+    reach: Tensor = _REACH * gaussians.log_scales.max(dim=1).values.exp()
+    return reach
+
+
+def _bounds(gaussians: Gaussians) -> tuple[Array, Array]:
+    """Centre (3,) and size (3,) of the box around all that is drawn."""
+    reach = _reach(gaussians)[:, None]
+    low = (gaussians.means - reach).amin(dim=0).double().cpu().numpy()
+    high = (gaussians.means + reach).amax(dim=0).double().cpu().numpy()
+    return (low + high) / 2, high - low
