@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -9,10 +12,13 @@ from numpy.typing import NDArray
 from recast.actors.actor import Actor
 from recast.geometry import PinholeCamera, se3
 from recast.splats import CLASSIC, Gaussians, LowPass, concatenate, rasterize
+from recast.splats.rotations import quat_to_matrix
+from recast.splats.sh import C0
 
 Array = NDArray[np.float64]
 
 _DISTANCE = 2.1  # of the camera, in diagonals of the box
+_SHADE = 0.55  # brightness of what lies flat against what stands upright
 
 
 def turntable(
@@ -38,6 +44,26 @@ def turntable(
         concatenate(parts), actor.size, views=views, width=width, height=height,
         elevation=elevation, background=background, low_pass=actor.low_pass,
     )  # fmt: skip
+
+
+def coloured_by_shares(actor: Actor, colours: Sequence[Sequence[float]]) -> Actor:
+    """The actor in the colours of its shares, shaded by which way its surface faces.
+
+    Args:
+        actor: a refined one.
+        colours: of what was seen, mirrored and invented, three times RGB in [0, 1].
+
+    Raises:
+        ValueError: the actor has no shares.
+    """
+    if actor.shares is None:
+        raise ValueError("coloured_by_shares: the actor has no shares")
+    gaussians = actor.gaussians.detach()
+    thin = gaussians.log_scales.argmin(dim=1)
+    up = quat_to_matrix(gaussians.quats)[torch.arange(len(gaussians)), 2, thin].abs()
+    mixed = actor.shares.columns @ torch.tensor(colours, dtype=torch.float32)
+    mixed = mixed * (1 - (1 - _SHADE) * (1 - up))[:, None]
+    return replace(actor, gaussians=replace(gaussians, sh=((mixed - 0.5) / C0)[:, None]))
 
 
 def orbit(

@@ -132,7 +132,8 @@ class Generate:
 
 @dataclass(frozen=True)
 class Turntable:
-    """Film an actor turning once."""
+    """Film an actor turning once; below it, what of a refined one was seen, mirrored or
+    invented."""
 
     actor: tyro.conf.Positional[Path]
     """Actor folder, such as RUN/actor."""
@@ -148,6 +149,25 @@ class Turntable:
 
 
 @dataclass(frozen=True)
+class Show:
+    """Draw an actor on one sheet: source, eight views, what was seen, mirrored or invented, and how
+    it was made."""
+
+    actor: tyro.conf.Positional[Path]
+    """Actor folder, such as RUN/actor or RUN/refined."""
+    out: Path | None = None
+    """Picture to write (PNG); must not exist. Default: ACTOR.png, beside the folder."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from rich.console import Console
+
+        from recast.pipeline.show_actor import show_actor
+
+        Console().print(f"wrote {show_actor(self.actor, self.out)}", markup=False)
+
+
+@dataclass(frozen=True)
 class Actor:
     """A view-complete vehicle from a log."""
 
@@ -155,6 +175,7 @@ class Actor:
         Annotated[Make, tyro.conf.subcommand("make")]
         | Annotated[Generate, tyro.conf.subcommand("generate")]
         | Annotated[Turntable, tyro.conf.subcommand("turntable")]
+        | Annotated[Show, tyro.conf.subcommand("show")]
     )
 
     def __call__(self) -> None:

@@ -134,6 +134,18 @@ def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
 
 
+def wrapped(content: str, size: int, width: float) -> list[str]:
+    """Text in lines of at most `width` pixels, unless a single word is longer."""
+    font, lines = _font(size), [""]
+    for word in printable(" ".join(content.split())).split(" "):
+        longer = f"{lines[-1]} {word}".strip()
+        if lines[-1] and font.getlength(longer) > width:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
+
+
 def dashed(points: ArrayLike, dash: float) -> list[Array]:
     """Every other piece of `dash` metres of the chain (N, >=2), bends kept."""
     points = np.asarray(points, np.float64)[:, :2]

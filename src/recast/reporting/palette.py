@@ -6,6 +6,8 @@ middle lightness, so that their lines do too.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 Colour = tuple[int, int, int]
 
 EGO: Colour = (86, 164, 255)
@@ -21,6 +23,13 @@ DRIVABLE: Colour = (46, 52, 62)
 BOUNDARY: Colour = (104, 114, 130)
 CENTRELINE: Colour = (78, 88, 104)
 ROUTE: Colour = (70, 96, 130)
+
+SHARES: Mapping[str, Colour] = {
+    "seen": (40, 130, 220),
+    "mirrored": (245, 205, 60),
+    "invented": (214, 60, 90),
+}
+"""Where a vehicle's looks come from; told apart by people who cannot tell red, green or blue."""
 
 METHODS: tuple[Colour, ...] = (
     (133, 104, 224),
