@@ -8,28 +8,19 @@ import numpy as np
 import pytest
 import torch
 
-from evaluation.box_world import CAMERA, FACES, MOUNTS, SIZE, box_log, scene
+from evaluation.box_world import CAMERA, FACES, MOUNTS, SIZE, box_log, box_shares, scene
 from recast.actors.coverage import NOTHING, Coverage, CoverageMeter
-from recast.actors.shares import Shares
 from recast.geometry import se2, se3
 from recast.scene import SceneActor, SkyMap, StreetScene
 from recast.scene.render import SceneRasterizer
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass
 from recast.splats.sh import C0
 
-REAR, LEFT = (-1, 0, 0), (0, 1, 0)
 CAMERA_FROM_WORLD = se3.inverse(MOUNTS["front"].rig_from_camera)
 WHOLE = scene(tuple(FACES), box_log())
 
 
-def shares_by_face(vehicle: Gaussians) -> Shares:
-    """The rear was seen, the left is mirrored, the rest invented."""
-    edge = torch.from_numpy(SIZE).float() / 2 - 0.03
-    rear, left = vehicle.means[:, 0] < -edge[0], vehicle.means[:, 1] > edge[1]
-    return Shares(rear.float(), (left & ~rear).float())
-
-
-SHARES = shares_by_face(WHOLE.actors["7"].gaussians)
+SHARES = box_shares(WHOLE)
 
 
 def pose(x: float, y: float, heading: float) -> np.ndarray:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from recast.actors.shares import Shares
 from recast.geometry import PinholeCamera, se2, se3
 from recast.logs.types import CameraStream, DrivingLog, Track, Trajectory
 from recast.planning import CameraMount
@@ -108,6 +109,14 @@ def scene(faces: tuple[tuple[int, int, int], ...], log: DrivingLog) -> StreetSce
     nowhere = _blobs(torch.tensor([[0.0, 0.0, -500.0]]), torch.zeros(1, 3), 0.01)
     sky = SkyMap.constant(torch.tensor(SKY, dtype=torch.float32))
     return StreetScene(nowhere, {"7": actor}, sky)
+
+
+def box_shares(street: StreetScene) -> Shares:
+    """The box's rear was seen, its left is mirrored, the rest invented."""
+    means = street.actors["7"].gaussians.means
+    edge = torch.from_numpy(SIZE).float() / 2 - 0.03
+    rear, left = means[:, 0] < -edge[0], means[:, 1] > edge[1]
+    return Shares(rear.float(), (left & ~rear).float())
 
 
 def _blobs(means: torch.Tensor, colours: torch.Tensor, scale: float) -> Gaussians:

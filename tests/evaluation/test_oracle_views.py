@@ -27,6 +27,7 @@ from .box_world import (
     SIZE,
     BoxOracle,
     box_log,
+    box_shares,
     parked_at,
     scene,
 )
@@ -45,6 +46,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory):
         rng=np.random.default_rng(0),
         settings=ViewSettings(moments=1, distances=(9.0,), headings=8),
         exposures={"front": 0.97},
+        shares=box_shares(scene(WHOLE, LOG)),
         progress=lambda done, of: told.append((done, of)),
     )  # fmt: skip
     return result, out, oracle, told
@@ -203,12 +205,33 @@ def test_the_folder_holds_what_was_seen(compared) -> None:
     assert oracle.calls[0][2:] == (shown.timestamp_us, 0.97)
 
 
+def test_each_view_tells_what_of_the_vehicle_was_seen(compared) -> None:
+    result, *_ = compared
+    for view in result.views:
+        assert view.coverage is not None
+        assert view.coverage.pixels > 50
+        rear, left = np.cos(np.radians(view.azimuth)) < 0, np.sin(np.radians(view.azimuth)) > 0
+        assert (view.coverage.seen > 0.05) == rear
+        assert (view.coverage.mirrored > 0.05) == left
+
+
+def test_records_without_shares_are_read(compared, tmp_path: Path) -> None:
+    result, out, *_ = compared
+    record = json.loads((out / "oracle_views.json").read_text())
+    for view in record["views"]:
+        del view["coverage"]
+    (tmp_path / "oracle_views.json").write_text(json.dumps(record))
+    older = read_oracle_views(tmp_path)
+    assert older.views == tuple(replace(view, coverage=None) for view in result.views)
+
+
 def test_the_same_again_gives_the_same_bytes(compared, tmp_path: Path) -> None:
     _, out, *_ = compared
     settings = ViewSettings(moments=1, distances=(9.0,), headings=8)
     evaluate_oracle_views(
         LOG, scene(REAR_ONLY, LOG), scene(WHOLE, LOG), BoxOracle(), "7", MOUNTS, tmp_path / "truth",
         rng=np.random.default_rng(0), settings=settings, exposures={"front": 0.97},
+        shares=box_shares(scene(WHOLE, LOG)),
     )  # fmt: skip
     for path in out.iterdir():
         again = (tmp_path / "truth" / path.name).read_bytes()

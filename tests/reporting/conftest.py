@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recast.actors.coverage import NOTHING, Coverage
 from recast.evaluation import rollout_metrics
 from recast.reporting import (
     ActorPart,
@@ -23,8 +24,18 @@ from recast.reporting import (
     write_report,
     write_video,
 )
+from recast.simulation.coverage import ImageCoverage, RolloutCoverage
 from recast.simulation.rollout import RolloutFailure
+from reporting.made_up_actor import CANDIDATES
 from reporting.made_up_rollouts import HOSTILE, STEPS, cut_in, straight_map
+
+COVERAGE = RolloutCoverage(
+    (
+        ImageCoverage(f"front{HOSTILE}", 0, True, Coverage(90.0, 0.5, 0.25, 0.25)),
+        ImageCoverage("side", 0, False, Coverage(200.0, 0.0, 0.0, 1.0)),
+        ImageCoverage(f"front{HOSTILE}", 5, True, NOTHING),
+    )
+)
 
 
 def noise(*shape: int) -> np.ndarray:
@@ -46,7 +57,11 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> ReportInputs:
     }
     parts = tuple(
         RolloutPart(
-            method, rollout, rollout_metrics(rollout, hd_map), {f"front{HOSTILE}": films[method]}
+            method,
+            rollout,
+            rollout_metrics(rollout, hd_map),
+            {f"front{HOSTILE}": films[method]},
+            COVERAGE if method == "recast" else None,
         )
         for method, rollout in driven.items()
     )
@@ -68,6 +83,10 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> ReportInputs:
                 np.array([1.02, 0.94]), {"front": 0.02, "rear": 0.98}, (Fact("Front", "heading"),),
             ),
             log_path=np.stack([np.linspace(10, 60, 50), np.full(50, 3.4)], axis=1),
+            source="from two views",
+            sheet=noise(30, 50, 3),
+            candidates=CANDIDATES,
+            refinement=(f"refined {HOSTILE}", "left out 3"),
         ),
         scenarios=(
             ScenarioPart(f"Cut-in {HOSTILE}", f"Changes lane. {HOSTILE}", parts),

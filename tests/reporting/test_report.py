@@ -72,6 +72,9 @@ def test_every_part_is_on_the_page(report: Path) -> None:
         "Can it be trusted?", "How each rollout ended", "Results over all rollouts",
         "Input crop", "Turntable of the made actor", "Registration to the LiDAR",
         "0.310 m before", "0.182 m after", "Sides that the LiDAR saw",
+        "from two views", "Candidates", "✓ chosen", "93%", "Refinement by all images", "left out 3",
+        "What the rollouts showed of it", "From all around",
+        "25% was invented, 25% mirrored and 50% seen in the log (visible in 1 of 2 images).",
         "contact at 2.3 s", "bird's-eye view", "Time to collision of each plan",
         "21.93 dB", "LiDAR depth", "0.061 m",
         "Side-by-side films", "Resolved configuration", '"steps": 3000',
@@ -79,7 +82,7 @@ def test_every_part_is_on_the_page(report: Path) -> None:
         "the rollout failed", "the recorded road ends", "Drivable-area compliance",
     ):  # fmt: skip
         assert words in page.text, words
-    assert sum(tag == "svg" for tag, _ in page.tags) == 4
+    assert sum(tag == "svg" for tag, _ in page.tags) == 4 + 1  # curves, and what was shown
     films = [a for tag, a in page.tags if tag == "video"]
     assert len(films) == 1 + 2 + 2  # turntable, a camera and a bird's-eye view a method
 

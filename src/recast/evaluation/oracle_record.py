@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from recast.actors.coverage import Coverage
 from recast.evaluation.oracle_scores import Agreement, Rectangle
 from recast.evaluation.oracle_summary import AngleBin
 from recast.records import Record, read_record
@@ -27,6 +28,8 @@ class OracleView:
         angle: degrees to the nearest logged view.
         rectangle: left, top, right, bottom of the box in the image, whole pixels.
         native, replaced: scores.
+        coverage: how much of the replaced actor was seen by the log, mirrored or invented; None for
+            an actor without shares.
     """
 
     index: int
@@ -41,6 +44,7 @@ class OracleView:
     rectangle: Rectangle
     native: Agreement
     replaced: Agreement
+    coverage: Coverage | None = None
 
     @property
     def picture(self) -> str:

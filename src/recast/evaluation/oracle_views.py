@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PilImage
 
+from recast.actors.coverage import CoverageMeter
+from recast.actors.shares import Shares
 from recast.errors import InputError
 from recast.evaluation.oracle_directions import (
     angle_to_nearest,
@@ -21,6 +23,7 @@ from recast.evaluation.oracle_draw import Painter, TrueWorld
 from recast.evaluation.oracle_poses import ViewSettings, place_views
 from recast.evaluation.oracle_record import RECORD_FILE, OracleView, OracleViews
 from recast.evaluation.oracle_summary import summarise
+from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.planning import CameraMount
 from recast.scene import StreetScene
@@ -39,6 +42,7 @@ def evaluate_oracle_views(
     rng: np.random.Generator,
     settings: ViewSettings | None = None,
     exposures: Mapping[str, float] | None = None,
+    shares: Shares | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> OracleViews:
     """Compare both actors with the truth where a closed loop may put them.
@@ -58,6 +62,8 @@ def evaluate_oracle_views(
         rng: for the intervals.
         settings: which views; the default draws 36.
         exposures: of the log's images, by camera, which the truth's are given too; 1 if missing.
+        shares: of the replaced actor, if it has some: each view then tells how much of what it
+            shows was seen, mirrored or invented.
         progress: told the number of views done, and of all.
 
     Raises:
@@ -93,6 +99,7 @@ def evaluate_oracle_views(
             log.name, f"track {track_id}", "is in view at none of the places before the ego",
             "ask for other distances",
         )  # fmt: skip
+    meter = None if shares is None else CoverageMeter(replaced, track_id, shares)
     with nullcontext() if out is None else atomic_folder(out) as folder:
         views = []
         for index, (view, rectangle) in enumerate(placed):
@@ -113,6 +120,13 @@ def evaluate_oracle_views(
                     rectangle=rectangle,
                     native=scores["native"],
                     replaced=scores["replaced"],
+                    coverage=None
+                    if meter is None
+                    else meter.measure(
+                        mounts[view.camera].camera,
+                        se3.inverse(view.world_from_camera),
+                        {track_id: view.world_from_actor},
+                    ),
                 )
             )
             if folder is not None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from recast.actors import load_actor
+from recast.actors import Actor, load_actor
 from recast.actors.icp import INLIER_DISTANCE
 from recast.errors import InputError
 from recast.evaluation import rollout_metrics
@@ -25,10 +25,11 @@ from recast.pipeline.layout import (
     TRUTH_FOLDER,
     TURNTABLE_FILE,
     Method,
+    final_actor,
     rollout_folder,
 )
 from recast.pipeline.results_files import read_evaluation
-from recast.pipeline.rollouts import films, read_rollout
+from recast.pipeline.rollouts import films, read_coverage, read_rollout
 from recast.pipeline.run_folder import RUN_FILE, RunFolder
 from recast.reporting import (
     NOT_MADE,
@@ -48,6 +49,7 @@ from recast.reporting import (
     truth_parts,
     write_report,
 )
+from recast.reporting.actor_sheet import draw_actor_sheet
 from recast.reporting.scene_scores import depth_facts, score_lines
 from recast.scene import load_scene
 from recast.simulation import RolloutFailure
@@ -156,7 +158,7 @@ def _truth(
 def _actor(run: Path, config: RunConfig, log: DrivingLog) -> ActorPart | NotMade:
     if not (run / ACTOR_FOLDER).is_dir():
         return NOT_MADE
-    actor = load_actor(run / ACTOR_FOLDER)
+    actor = load_actor(final_actor(run))
     provenance = actor.provenance
     report = provenance.registration
     frame = run / OBSERVATION_FOLDER / "frame.png"
@@ -197,7 +199,22 @@ def _actor(run: Path, config: RunConfig, log: DrivingLog) -> ActorPart | NotMade
             ),
         ),
         log_path=log.tracks[config.track].trajectory.poses[:, :2, 3],
+        source=_source(actor),
+        sheet=draw_actor_sheet(actor),
+        candidates=provenance.candidates if len(provenance.candidates) > 1 else (),
+        refinement=()
+        if provenance.refinement is None
+        else tuple(provenance.refinement.explain().splitlines()),
     )  # fmt: skip
+
+
+def _source(actor: Actor) -> str:
+    """What an actor was made from, in words."""
+    views, refinement = 1 + len(actor.provenance.further), actor.provenance.refinement
+    words = "from one view in the log" if views == 1 else f"from {views} views in the log"
+    if refinement is not None and refinement.kept:
+        words += f", then refined by {refinement.images} images of it"
+    return words
 
 
 def _shares(counts: dict[str, int]) -> dict[str, float]:
@@ -222,7 +239,9 @@ def _rollout(folder: Path, method: Method, hd_map: HdMap) -> RolloutPart:
     rollout = read_rollout(folder)
     if isinstance(rollout, RolloutFailure):
         return RolloutPart(method, rollout, NotMade(rollout.reason), NotMade(rollout.reason))
-    return RolloutPart(method, rollout, rollout_metrics(rollout, hd_map), films(folder))
+    return RolloutPart(
+        method, rollout, rollout_metrics(rollout, hd_map), films(folder), read_coverage(folder)
+    )
 
 
 def _scene(run: Path) -> ScenePart | NotMade:

@@ -41,13 +41,31 @@ class _Row(_Open):
         return value
 
 
-class _Scored(_Open):
+class _Named(_Open):
     motion: str
     setting: str
     method: str
 
 
-class _Failed(_Scored):
+class _Means(_Open):
+    images: int
+    visible: int
+    pixels: float
+    seen: float
+    mirrored: float
+    invented: float
+
+
+class _Coverage(_Open):
+    all: _Means
+    planner: _Means | None
+
+
+class _Scored(_Named):
+    coverage: _Coverage | None = None
+
+
+class _Failed(_Named):
     name: str
     error: str
     reason: str

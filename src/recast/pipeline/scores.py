@@ -19,8 +19,9 @@ from recast.pipeline.layout import (
     rollout_folder,
 )
 from recast.pipeline.results_files import METRICS_VERSION
-from recast.pipeline.rollouts import read_rollout
+from recast.pipeline.rollouts import read_coverage, read_rollout
 from recast.simulation import RolloutFailure
+from recast.simulation.coverage import RolloutCoverage
 
 
 def write_metrics(run: Path, config: RunConfig, hd_map: HdMap) -> None:
@@ -28,21 +29,24 @@ def write_metrics(run: Path, config: RunConfig, hd_map: HdMap) -> None:
 
     Each rollout's entry has, besides `RolloutMetrics.to_json`, a member `shorter`: by number of
     steps, its scores over the first steps alone, for each length at which the rollout of another
-    method was cut in the same scenario.
+    method was cut in the same scenario. And `coverage`: what its cameras showed of an actor with
+    shares, see `RolloutCoverage.to_json`, or None.
 
     Args:
         run: run folder with rollouts; actor, evaluation and truth where they were made.
         hd_map: lanes and drivable area that the rollouts are judged by.
     """
     metrics: list[RolloutMetrics] = []
+    coverages: list[RolloutCoverage | None] = []
     failures: list[RolloutFailure] = []
     for motion in config.motions:
         for method in config.methods:
             result = read_rollout(rollout_folder(run, motion, method))
             if isinstance(result, RolloutFailure):
                 failures.append(result)
-            else:
-                metrics.append(rollout_metrics(result, hd_map))
+                continue
+            metrics.append(rollout_metrics(result, hd_map))
+            coverages.append(read_coverage(rollout_folder(run, motion, method)))
     evaluation = run / EVALUATION_FOLDER / "eval.json"
     views = run / TRUTH_FOLDER / "oracle_views.json"
     actor = final_actor(run)
@@ -56,7 +60,14 @@ def write_metrics(run: Path, config: RunConfig, hd_map: HdMap) -> None:
                 for method in config.methods[1:]
                 for one in _differences(metrics, failures, method, config.methods[0])
             ],
-            "rollouts": [{**m.to_json(), "shorter": _shorter(m, metrics)} for m in metrics],
+            "rollouts": [
+                {
+                    **one.to_json(),
+                    "shorter": _shorter(one, metrics),
+                    "coverage": None if coverage is None else coverage.to_json(),
+                }
+                for one, coverage in zip(metrics, coverages, strict=True)
+            ],
             "failures": [vars(f) for f in failures],
             "scene": storage.read_json(evaluation) if evaluation.exists() else None,
             "truth": storage.read_json(views) if views.exists() else None,

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from recast.actors import load_actor
 from recast.evaluation import evaluate_oracle_views
 from recast.logs import DrivingLog
 from recast.pipeline.config import RunConfig
 from recast.pipeline.display import FrameProgress, truth_table
-from recast.pipeline.layout import TRUTH_FOLDER
+from recast.pipeline.layout import TRUTH_FOLDER, final_actor
 from recast.pipeline.methods import method_scene
 from recast.simulation import camera_mounts
 from recast.synthetic import Oracle, World
@@ -42,6 +43,7 @@ def compare_with_truth(
             run / TRUTH_FOLDER,
             rng=np.random.default_rng(config.seed),
             exposures={name: exposure(world.seed, name) for name in mounts},
+            shares=load_actor(final_actor(run)).shares,
             progress=progress.reach,
         )
     console.print(truth_table(views))

@@ -14,6 +14,7 @@ from recast.actors.actor import CandidateRecord
 from recast.actors.coverage import Coverage
 from recast.actors.turntable import coloured_by_shares
 from recast.reporting import palette
+from recast.reporting.basics import SIDES
 from recast.reporting.canvas import Canvas, View, wrapped
 from recast.splats.sh import C0
 
@@ -34,9 +35,6 @@ _CANDIDATES = {
 }  # fmt: skip
 """Headings of the columns, and their places in pixels."""
 _CHECKS = ((46, 50, 58), (58, 63, 72))  # behind a transparent crop
-_SIDES = (
-    "ahead", "front left", "left", "rear left", "behind", "rear right", "right", "front right",
-)  # fmt: skip
 
 
 def draw_actor_sheet(actor: Actor) -> Image:
@@ -46,7 +44,7 @@ def draw_actor_sheet(actor: Actor) -> Image:
         (H, 1600, 3) uint8 RGB.
     """
     looks = turntable(actor, views=_VIEWS, width=_VIEW[0], height=_VIEW[1])
-    shown = [_labelled(view, f"from {side}") for view, side in zip(looks, _SIDES, strict=True)]
+    shown = [_labelled(view, f"from the {side}") for view, side in zip(looks, SIDES, strict=True)]
     strips = [_header(actor), _story(actor)]
     rows: list[Sequence[Image]] = [shown]
     if actor.shares is not None:

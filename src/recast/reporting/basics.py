@@ -12,6 +12,10 @@ Picture = Path | NDArray[np.uint8]
 """A PNG or JPEG file, or (H, W, 3) RGB or (H, W, 4) RGBA uint8."""
 
 
+SIDES = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
+"""Of a vehicle, by azimuth in steps of 45 degrees."""
+
+
 @dataclass(frozen=True)
 class NotMade:
     """Stands where a part is missing.

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.actors.actor import CandidateRecord
 from recast.evaluation import RolloutMetrics
 from recast.logs.hdmap import HdMap
 from recast.reporting.basics import NOT_MADE, Fact, NotMade, Picture
 from recast.reporting.truth_inputs import ShowcasePart, TruthPart
+from recast.simulation.coverage import RolloutCoverage
 from recast.simulation.rollout import Rollout, RolloutFailure
 
 Array = NDArray[np.float64]
@@ -76,6 +78,10 @@ class ActorPart:
         observation, registration: see there.
         turntable: film of the actor turning once.
         log_path: (N, 2) where it drove in the log, world metres, or None.
+        source: what it was made from, in words.
+        sheet: the actor from all around, and its shares; see `draw_actor_sheet`.
+        candidates: vehicles that it was chosen from.
+        refinement: what following all images of the log did, in sentences.
     """
 
     name: str
@@ -84,6 +90,10 @@ class ActorPart:
     turntable: Path | NotMade = NOT_MADE
     registration: RegistrationPart | NotMade = NOT_MADE
     log_path: Array | None = None
+    source: str = "from one view in the log"
+    sheet: Picture | NotMade = NOT_MADE
+    candidates: tuple[CandidateRecord, ...] = ()
+    refinement: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -95,12 +105,14 @@ class RolloutPart:
         rollout: its states, the failure that ended it, or why there is none.
         metrics: its scores.
         films: camera name to film of what the planner saw, one frame a step.
+        coverage: what of the actor its cameras showed; None for an actor without shares.
     """
 
     method: str
     rollout: Rollout | RolloutFailure | NotMade
     metrics: RolloutMetrics | NotMade = NOT_MADE
     films: Mapping[str, Path] | NotMade = NOT_MADE
+    coverage: RolloutCoverage | None = None
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from recast.evaluation.ttc import CAP
 from recast.reporting import palette
 from recast.reporting.figure import FAINT, INK, Plot, blank_axes, finish
 from recast.reporting.series import Series
+from recast.simulation.coverage import RolloutCoverage
 
 Array = NDArray[np.float64]
 
@@ -49,6 +50,28 @@ def rollout_plots(name: str, methods: Sequence[Curves]) -> tuple[Plot, ...]:
         _ttc(f"{name}-ttc", methods, end),
         _acceleration(f"{name}-acceleration", methods, end),
     )
+
+
+def coverage_plot(name: str, method: str, coverage: RolloutCoverage, dt: float, end: float) -> Plot:
+    """Shares of the vehicle in the images of each plan step; nothing where none shows it.
+
+    Args:
+        name: unique in the page.
+        method: its name for people.
+        dt: seconds between steps; the axis ends after `end` seconds.
+    """
+    figure, axes = blank_axes(end)
+    steps, shares = coverage.by_step()
+    all_steps = sorted({image.step for image in coverage.images})
+    width = dt * float(np.diff(all_steps).min()) if len(all_steps) > 1 else end
+    below = np.zeros(len(steps))
+    for column, colour in zip(shares.T, palette.SHARES.values(), strict=True):
+        axes.bar(steps * dt, 100 * column, width, below, align="edge", color=palette.css(colour))
+        below += 100 * column
+    axes.set_ylim(0.0, 100.0)
+    told = ", ".join(f"{key} {getattr(coverage.mean, key):.0%}" for key in palette.SHARES)
+    title = f"What was shown of the {method} [%]"
+    return finish(name, title, f"over all images: {told}", figure, end)
 
 
 def _speed(name: str, methods: Sequence[Curves], longest: Series, end: float) -> Plot:

@@ -16,6 +16,7 @@ from recast.errors import InputError
 from recast.reporting import palette, summary, tables
 from recast.reporting.assets import Assets
 from recast.reporting.checks import checks
+from recast.reporting.coverage_view import coverage_lines, coverage_note
 from recast.reporting.inputs import (
     NOT_MADE,
     ActorPart,
@@ -81,7 +82,11 @@ def _render(run: ReportInputs, assets: Assets) -> str:
         lstrip_blocks=True,
     )
     environment.tests["missing"] = lambda value: isinstance(value, NotMade)
+    environment.globals["share_colours"] = {
+        name: palette.css(colour) for name, colour in palette.SHARES.items()
+    }
     environment.filters["method_colour"] = lambda i: palette.css(palette.method_colour(i))
+    environment.filters["coverage_note"] = coverage_note
     environment.globals["zip"] = zip
     loader = environment.loader
     assert loader is not None
@@ -110,6 +115,9 @@ def _render(run: ReportInputs, assets: Assets) -> str:
         headings=tables.headings(),
         aggregate=aggregate,
         actor=_actor(run.actor, assets),
+        coverage=()
+        if isinstance(run.scenarios, NotMade)
+        else coverage_lines(run.scenarios, run.methods),
         scenarios=scenarios,
         scene=_scene(run.scene, assets),
         showcase=_showcase(run.showcase, assets),
@@ -142,6 +150,7 @@ def _actor(actor: ActorPart | NotMade, assets: Assets) -> dict[str, Any] | NotMa
         "frame": assets.picture("actor-frame", seen.frame),
         "facts": seen.facts,
         "turntable": assets.film("actor-turntable", actor.turntable),
+        "sheet": assets.picture("actor-sheet", actor.sheet),
         "registration": actor.registration,
     }
 

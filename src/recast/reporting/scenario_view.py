@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from recast.logs.hdmap import HdMap
 from recast.reporting import birdseye, drives_compared, palette, plots, summary, tables
 from recast.reporting.assets import Assets, Media
+from recast.reporting.coverage_view import coverage_lines, coverage_note, looked_at
 from recast.reporting.inputs import ActorPart, NotMade, ReportInputs, RolloutPart, ScenarioPart
 from recast.reporting.series import Series, series
 from recast.simulation.rollout import Rollout
@@ -43,9 +44,10 @@ class ScenarioView:
         cameras: all that some method has a film of.
         joined: camera and methods in words, and the film with the two side by side.
         lines: of the metric table, one a method.
-        legend: colour and meaning of the curves in `plots`.
+        legend: colour and meaning of the curves in `plots`, and of their areas.
         seconds: the length of the longest rollout; `dt` between states.
-        notes: sentences on how the methods compare: who drove alike, and how far from the truth.
+        notes: sentences on how the methods compare: who drove alike, and how far from the truth;
+            and on what was shown of the actor.
     """
 
     part: ScenarioPart
@@ -91,6 +93,7 @@ def scenario_view(
     cameras = dict.fromkeys(
         name for p in parts if not isinstance(p.films, NotMade) for name in p.films
     )
+    covered = [p for p in parts if p.coverage is not None and p.method in driven]
     steps = [p.rollout.dt for p in parts if isinstance(p.rollout, Rollout)]
     return ScenarioView(
         part=part,
@@ -99,11 +102,15 @@ def scenario_view(
         cameras=tuple(cameras),
         joined=_joined(run, part, columns, tuple(cameras), assets),
         lines=tuple(_line(run, p, order[p.method]) for p in parts),
-        plots=plots.rollout_plots(anchor, curves) if curves else (),
+        plots=(
+            *(plots.rollout_plots(anchor, curves) if curves else ()),
+            *(_coverage_plot(run, anchor, p, driven) for p in covered),
+        ),
         legend=(
             *((palette.css(curve.colour), f"ego, {curve.label}") for curve in curves),
             (palette.css(palette.ACTOR), "actor"),
             ("currentColor", "ego as recorded (dotted)"),
+            *((palette.css(colour), name) for name, colour in palette.SHARES.items() if covered),
         ),
         seconds=max((float(c.time[-1]) for c in driven.values()), default=0.0),
         dt=steps[0] if steps else 0.1,
@@ -114,8 +121,20 @@ def scenario_view(
                 drives_compared.truth_gaps(run, part),
             )
             if note is not None
-        ),
+        )
+        + tuple(coverage_note(line) for line in coverage_lines([part], run.methods)),
     )
+
+
+def _coverage_plot(
+    run: ReportInputs, anchor: str, part: RolloutPart, driven: Mapping[str, Series]
+) -> plots.Plot:
+    assert part.coverage is not None and isinstance(part.rollout, Rollout)
+    end = max(float(curves.time[-1]) for curves in driven.values())
+    return plots.coverage_plot(
+        f"{anchor}-coverage-{part.method}", run.methods[part.method], looked_at(part.coverage),
+        part.rollout.dt, end,
+    )  # fmt: skip
 
 
 def _draw(

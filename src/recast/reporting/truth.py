@@ -8,14 +8,11 @@ from pathlib import Path
 
 from recast.evaluation import Agreement, AngleBin, OracleView, OracleViews, read_oracle_views
 from recast.reporting.assets import Assets, Media
-from recast.reporting.basics import NotMade
+from recast.reporting.basics import SIDES, NotMade
 from recast.reporting.figure import Plot
 from recast.reporting.tables import Tone
 from recast.reporting.truth_inputs import ShowcasePart, TruthPart
 from recast.reporting.truth_plots import truth_plots
-
-_SIDES = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
-"""By azimuth, in steps of 45 degrees."""
 
 _MEASURES: Mapping[str, tuple[str, int, str]] = {
     "psnr": ("PSNR", 1, "\u00a0dB"),
@@ -111,7 +108,7 @@ def angle_label(low: float, high: float) -> str:
 
 def _showcase(folder: Path, views: OracleViews, names: Mapping[str, str]) -> ShowcasePart:
     view = next(v for v in views.views if v.index == views.showcase)
-    side = _SIDES[round(view.azimuth / 45) % 8]
+    side = SIDES[round(view.azimuth / 45) % 8]
     beyond = views.beyond_60
     numbers = ""
     if beyond.native is not None and beyond.replaced is not None:
@@ -170,9 +167,10 @@ def _line(angle_bin: AngleBin) -> TruthLine:
 
 
 def _caption(view: OracleView) -> str:
-    side = _SIDES[round(view.azimuth / 45) % 8]
+    side = SIDES[round(view.azimuth / 45) % 8]
+    known = "" if view.coverage is None else f", {view.coverage.invented:.0%} of it invented"
     return (
-        f"{view.angle:.0f}° from the log, {side} at {view.distance:.0f} m: "
+        f"{view.angle:.0f}° from the log, {side} at {view.distance:.0f} m{known}: "
         f"mask IoU {view.native.mask_iou:.2f} and {view.replaced.mask_iou:.2f}, "
         f"PSNR {view.native.psnr:.1f} and {view.replaced.psnr:.1f} dB"
     )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,14 @@ class RolloutCoverage:
         shown = {step: mean for step, mean in means.items() if mean.pixels > 0}
         shares = [[getattr(mean, name) for name in SHARES] for mean in shown.values()]
         return np.array(list(shown), np.int64), np.array(shares).reshape(-1, len(SHARES))
+
+    def to_json(self) -> dict[str, Any]:
+        """Means over all images, and over those of the planner (None for one that has none)."""
+        given = self.of_planner
+        return {"all": self._means(), "planner": None if given is None else given._means()}
+
+    def _means(self) -> dict[str, float]:
+        return {"images": len(self.images), "visible": self.visible, **asdict(self.mean)}
 
     def validate(self) -> None:
         """Raise ValueError naming the image and the value at fault."""

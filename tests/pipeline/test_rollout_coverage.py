@@ -1,0 +1,97 @@
+"""Rollouts of an actor with shares: their coverage, in metrics.json and on the page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evaluation.box_world import FACES, MOUNTS, SKY, box_log, box_shares, scene
+from evaluation.rollouts import street
+from recast.actors.coverage import CoverageMeter
+from recast.errors import InputError
+from recast.pipeline.config import RunConfig
+from recast.pipeline.layout import METRICS_FILE, rollout_folder
+from recast.pipeline.results_files import read_metrics
+from recast.pipeline.rollouts import make_rollout, read_coverage, read_rollout
+from recast.pipeline.scores import write_metrics
+from recast.planning import Plan, PlannerInput, PlanningContext
+from recast.planning.probes import ProbePlanner
+from recast.simulation import MOTIONS, Rollout, RolloutSetup
+from recast.simulation.scene_renderer import SceneRenderer
+
+LOG = box_log()
+WHOLE = scene(tuple(FACES), LOG)
+METER = CoverageMeter(WHOLE, "7", box_shares(WHOLE), "cpu")
+
+
+class Watcher(ProbePlanner):
+    """Drives straight on, and counts the images that show more than the sky."""
+
+    needs_images = True
+
+    def __init__(self) -> None:
+        super().__init__("straight")
+        self.shown = 0
+
+    def reset(self, context: PlanningContext) -> None:
+        super().reset(context)
+        assert set(context.cameras) == {"front"}
+
+    def plan(self, observation: PlannerInput) -> Plan:
+        self.shown += bool((np.abs(observation.images["front"] / 255 - SKY) > 0.2).any())
+        return super().plan(observation)
+
+
+def drive(folder: Path, planner: ProbePlanner, filmed: bool, motion: str = "stationary-a") -> None:
+    setup = RolloutSetup(
+        LOG, "7", MOTIONS[motion], method="replaced", steps=20, camera_names=("front",)
+    )
+    renderer = SceneRenderer(WHOLE, MOUNTS, "cpu")
+    make_rollout(setup, planner, renderer, folder, filmed=filmed, meter=METER)
+
+
+@pytest.mark.parametrize("filmed", [False, True])
+def test_images_of_the_planner_are_measured(filmed: bool, tmp_path: Path) -> None:
+    planner = Watcher()
+    drive(tmp_path / "r", planner, filmed)
+    coverage = read_coverage(tmp_path / "r")
+    assert coverage is not None and coverage.of_planner == coverage
+    rollout = read_rollout(tmp_path / "r")
+    assert isinstance(rollout, Rollout)
+    assert [i.step for i in coverage.images] == rollout.plan_steps.tolist()
+    assert coverage.visible == planner.shown > 0
+    assert coverage.mean.invented > 0.9  # it faces the ego, and only rear and left are known
+
+
+def test_films_of_a_planner_that_looks_at_nothing(tmp_path: Path) -> None:
+    drive(tmp_path / "r", ProbePlanner("straight"), True)
+    coverage = read_coverage(tmp_path / "r")
+    assert coverage is not None and coverage.of_planner is None
+    assert len(coverage.images) > 2
+
+
+def test_metrics_have_the_means(tmp_path: Path) -> None:
+    config = RunConfig(track="7", motions=("stationary-a",), methods=("native", "replaced"))
+    for method in config.methods:
+        folder = rollout_folder(tmp_path, "stationary-a", method)
+        drive(folder, Watcher(), False)
+        if method == "native":
+            (folder / "coverage.parquet").unlink()
+            header = folder / "states" / "rollout.json"
+            header.write_text(header.read_text().replace('"replaced"', '"native"'))
+    write_metrics(tmp_path, config, street())
+    native, replaced = read_metrics(tmp_path / METRICS_FILE)["rollouts"]
+    assert native["coverage"] is None
+    measured = read_coverage(rollout_folder(tmp_path, "stationary-a", "replaced"))
+    assert measured is not None
+    assert replaced["coverage"]["planner"] == replaced["coverage"]["all"]
+    assert replaced["coverage"]["all"]["invented"] == measured.mean.invented
+    assert replaced["coverage"]["all"]["images"] == len(measured.images)
+    record = json.loads((tmp_path / METRICS_FILE).read_text())
+    record["rollouts"][1]["coverage"]["all"]["seen"] = "most"
+    (tmp_path / METRICS_FILE).write_text(json.dumps(record))
+    with pytest.raises(InputError, match=r"rollouts.*coverage.*seen"):
+        read_metrics(tmp_path / METRICS_FILE)
