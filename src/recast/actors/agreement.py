@@ -44,10 +44,23 @@ _AXES_WEIGHT = 1.5
 _LIMIT = 4.0
 
 
-def compare_views(
-    gaussians: Gaussians, low_pass: LowPass, observation: Observation
-) -> tuple[float, float]:
-    """Silhouette overlap and colour difference of an asset placed in the actor frame.
+@dataclass(frozen=True)
+class Pictures:
+    """An asset as the crop's camera sees it, beside the crop, both at most 160 pixels wide.
+
+    Attributes:
+        shown: (H, W, 3) display values on black; alpha: (H, W) of the asset.
+        wanted: (H, W, 3) display values of the crop; mask: (H, W) of the vehicle in it.
+    """
+
+    shown: Array
+    alpha: Array
+    wanted: Array
+    mask: NDArray[np.bool_]
+
+
+def draw_beside(gaussians: Gaussians, low_pass: LowPass, observation: Observation) -> Pictures:
+    """Draw an asset placed in the actor frame where the observation was made from.
 
     Args:
         gaussians: actor frame, metres.
@@ -67,16 +80,30 @@ def compare_views(
             eps2d=low_pass.variance,
             antialiased=low_pass.antialiased,
         )
-    rendered = picture.rgb.numpy().astype(np.float64)
-    alpha = picture.alpha.numpy() > 0.5
     crop = cv2.resize(observation.rgba, small, interpolation=cv2.INTER_AREA)
-    mask = crop[..., 3] > 127
+    return Pictures(
+        picture.rgb.numpy().astype(np.float64),
+        picture.alpha.numpy().astype(np.float64),
+        crop[..., :3].astype(np.float64) / 255,
+        crop[..., 3] > 127,
+    )
+
+
+def compare_views(
+    gaussians: Gaussians, low_pass: LowPass, observation: Observation
+) -> tuple[float, float]:
+    """Silhouette overlap and colour difference of an asset; see `draw_beside`, `agree`."""
+    return agree(draw_beside(gaussians, low_pass, observation))
+
+
+def agree(pictures: Pictures) -> tuple[float, float]:
+    """Overlap of the silhouettes, and mean difference of colours after the best gain a channel."""
+    alpha, mask = pictures.alpha > 0.5, pictures.mask
     union = int((alpha | mask).sum())
     both = alpha & mask
     if union == 0 or both.sum() < 20:
         return 0.0, 1.0
-    wanted = crop[..., :3][both].astype(np.float64) / 255
-    shown = rendered[both]
+    wanted, shown = pictures.wanted[both], pictures.shown[both]
     gain = np.sum(wanted * shown, axis=0) / np.maximum(np.sum(shown * shown, axis=0), 1e-6)
     difference = np.abs(wanted - np.clip(shown * np.clip(gain, 0.3, 3.0), 0, 1))
     return float(both.sum() / union), float(difference.mean())

@@ -166,13 +166,17 @@ def _agreement(
     observation: Observation,
 ) -> Agreement:  # fmt: skip
     """What speaks for one orientation after a short alignment."""
-    placed = start.apply(surface)
-    floor = -observation.size[2] / 2
-    result = align(placed, _thinned(lidar, 1500), IcpLimits(iterations=15), floor=floor)
+    start = aligned(surface, lidar, start, observation.size)
+    moved = gaussians.transformed(torch.from_numpy(start.matrix), start.scale)
+    silhouette, colour = compare_views(moved, low_pass, observation)
+    return Agreement(fit_of(start.apply(surface).points, lidar), silhouette, colour)
+
+
+def aligned(surface: Surface, lidar: Array, start: Start, size: Array) -> Start:
+    """A start after a short alignment to LiDAR points (N, 3) in a box of `size` (3,)."""
+    placed, few = start.apply(surface), _thinned(lidar, 1500)
+    result = align(placed, few, IcpLimits(iterations=15), floor=-size[2] / 2)
     matrix = result.matrix @ se3.from_rotation_translation(
         start.matrix[:3, :3], start.matrix[:3, 3] * result.scale
     )
-    moved = gaussians.transformed(torch.from_numpy(matrix), start.scale * result.scale)
-    silhouette, colour = compare_views(moved, low_pass, observation)
-    points = result.apply(placed.points)
-    return Agreement(fit_of(points, lidar), silhouette, colour)
+    return Start(start.yaw, start.scale * result.scale, matrix)

@@ -155,20 +155,35 @@ def _vote(difference: float, unit: float) -> float:
     return float(np.clip(difference / unit, -_LIMIT, _LIMIT))
 
 
+def lengthwise_yaw(flat: Array) -> float:
+    """Radians that turn points (N, 2) to lie lengthwise along x, either way round."""
+    yaw, across = _smallest_rectangle(flat)
+    return -yaw + (np.pi / 2 if across else 0.0)
+
+
 def _lengthwise(flat: Array) -> Array:
     """Points (N, 2) turned so that the rectangle around them is smallest, its length first."""
+    yaw, across = _smallest_rectangle(flat)
+    turned = _turned_back(flat, yaw)
+    return turned[:, ::-1] if across else turned
+
+
+def _smallest_rectangle(flat: Array) -> tuple[float, bool]:
+    """Yaw of the smallest rectangle around points (N, 2), and whether it is longer across."""
     few = flat[::_EVERY]
 
-    def turned(points: Array, yaw: float) -> Array:
-        sine, cosine = np.sin(yaw), np.cos(yaw)
-        return points @ np.array([[cosine, -sine], [sine, cosine]])
-
     def area(yaw: float) -> float:
-        return float(np.prod(np.subtract(*bounds(turned(few, yaw))[::-1])))
+        return float(np.prod(np.subtract(*bounds(_turned_back(few, yaw))[::-1])))
 
-    best = turned(flat, min(min(_YAWS, key=area) + _FINER, key=area))
-    extent = np.subtract(*bounds(best)[::-1])
-    return best if extent[0] >= extent[1] else best[:, ::-1]
+    best = float(min(min(_YAWS, key=area) + _FINER, key=area))
+    extent = np.subtract(*bounds(_turned_back(flat, best))[::-1])
+    return best, bool(extent[0] < extent[1])
+
+
+def _turned_back(points: Array, yaw: float) -> Array:
+    sine, cosine = np.sin(yaw), np.cos(yaw)
+    turned: Array = points @ np.array([[cosine, -sine], [sine, cosine]])
+    return turned
 
 
 def _asymmetry(points: Array, axis: int) -> float:

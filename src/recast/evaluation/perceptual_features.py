@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image as PilImage
 from torch import Tensor
 
-from recast.pretrained import ClipImages, PretrainedFolder, model_type
+from recast.pretrained import ClipImages, PretrainedFolder, model_type, whole_picture
 
 Array = NDArray[np.float64]
 
@@ -48,30 +47,10 @@ class FeatureDistance:
     def features(self, image: Array) -> Array:
         """(C,) what the model makes of an image (H, W, 3) in [0, 1]."""
         with torch.no_grad():
-            features: Array = self._features(self.pixels(image)).double()[0].numpy()
+            features: Array = (
+                self._features(whole_picture(self._processor, image)).double()[0].numpy()
+            )
         return features
-
-    def pixels(self, image: Array) -> Tensor:
-        """(1, 3, h, w) what the model is given: all of an image (H, W, 3) at the model's size.
-
-        Published processors cut the middle out of the resized picture, and DINOv2's even out of a
-        square one: a vehicle that fills the picture would lose its ends. Here nothing is cut, as in
-        the FD by DINOv2 (dgm-eval), which resizes directly.
-        """
-        picture = PilImage.fromarray(np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8))
-        given = self._processor(
-            images=picture, do_resize=True, size=_input_size(self._processor),
-            do_center_crop=False, return_tensors="pt",
-        )  # fmt: skip
-        pixels: Tensor = given["pixel_values"].float()
-        return pixels
-
-
-def _input_size(processor: Any) -> dict[str, int]:
-    """Height and width of what a processor of transformers gives."""
-    size = processor.crop_size if processor.do_center_crop else processor.size
-    edge = size.get("shortest_edge")
-    return {side: edge or size[side] for side in ("height", "width")}
 
 
 def cosine(first: Array, second: Array) -> float:

@@ -19,7 +19,6 @@ from recast.actors import (
     Actor,
     ActorGenerator,
     Observation,
-    PlyGenerator,
     Segmenter,
     axes_of,
     load_actor,
@@ -27,14 +26,15 @@ from recast.actors import (
     observe,
     save_actor,
     segmenter_of,
-    turntable,
 )
 from recast.actors.axes import UNIT_CUBE_Z_UP
 from recast.actors.candidates import choose
 from recast.actors.evidence import gather_evidence, load_evidence, save_evidence
 from recast.actors.generate import candidates_of
 from recast.actors.insert import require_model
+from recast.actors.library import LIBRARY, LibraryGenerator
 from recast.actors.refine import refine
+from recast.actors.vehicle_files import is_vehicle_file, vehicle_generator
 from recast.actors.view_pool import Usable
 from recast.errors import InputError
 from recast.geometry import boxes, se3
@@ -47,6 +47,7 @@ from recast.pipeline.layout import (
     REFINEMENT_CHECKPOINT,
     TURNTABLE_FILE,
 )
+from recast.reporting.actor_sheet import turntable_frames
 from recast.reporting.video import write_video
 from recast.scene import SceneConfig, StreetScene
 from recast.scene.views import is_held_out
@@ -59,21 +60,20 @@ _BOX_COLOUR = (255, 170, 0)
 
 
 def generator_of(name: str, axes: str = AUTO) -> ActorGenerator:
-    """A generator by its name, or one for the PLY file or the model folder of that path.
+    """A generator by its name, or one for the vehicle file, the library or the model of that path.
 
     Args:
-        axes: orientation of a PLY or a model, see `recast.actors.axes_of`. With "auto", that of a
-            PLY is told from its shape, and models are z up with any heading.
+        axes: orientation of files or a model, see `recast.actors.axes_of`. With "auto", that of a
+            file is told from its shape, and models are z up with any heading.
 
     Raises:
         InputError: no such generator, no such file, no such axes, or axes of a generator that knows
             its own; or a model that cannot be loaded.
     """
-    if name.lower().endswith(".ply"):
-        path = Path(name)
-        if not path.is_file():
-            raise InputError(path, "file", "is missing", "check the path given as --generator")
-        return PlyGenerator(path, axes)
+    if name.startswith(LIBRARY):
+        return LibraryGenerator(name.removeprefix(LIBRARY), axes)
+    if is_vehicle_file(name):
+        return vehicle_generator(name, axes)
     if Path(name).is_dir():
         from recast.actors.image_to_3d_generator import ImageTo3DGenerator
 
@@ -177,9 +177,8 @@ def training_frames(config: SceneConfig) -> Usable:
 
 
 def film_turntable(actor: Actor, path: Path) -> None:
-    """Write a film of an actor turning once in six seconds."""
-    width, height = _TURNTABLE_SIZE
-    frames = turntable(actor, views=_TURNTABLE_VIEWS, width=width, height=height)
+    """Write a film of an actor turning once in six seconds, its shares below if it has some."""
+    frames = turntable_frames(actor, _TURNTABLE_VIEWS, *_TURNTABLE_SIZE)
     write_video(path, frames, fps=_TURNTABLE_VIEWS / 6)
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from recast.actors import make_generator
+from recast.actors.library import LIBRARY, LibraryGenerator
+from recast.actors.vehicle_files import is_vehicle_file
 from recast.errors import InputError
 from recast.evaluation.actor_cases import ActorCase, ActorView
 from recast.evaluation.bootstrap import SAMPLES
@@ -105,9 +107,11 @@ def model_hash(what: str) -> str:
             fault = check.fault(loading=True)
             if fault is not None:
                 raise fault
-    elif what.lower().endswith(".ply"):
+    elif is_vehicle_file(what):
         if not path.is_file():
             raise InputError(path, "file", "is missing", "check the path given as --model")
+    elif what.startswith(LIBRARY):
+        LibraryGenerator(what.removeprefix(LIBRARY))
     else:
         make_generator(what)
     return generator_source(what)

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Self
 
 from recast.actors import DEFAULT_GENERATOR, GENERATORS, SEGMENTERS, is_segmenter_folder
+from recast.actors.library import LIBRARY
+from recast.actors.vehicle_files import files_of_vehicle, is_vehicle_file
 from recast.pipeline.config import RunConfig
 from recast.pipeline.fingerprint import file_hash, files_hash, folder_hash
 from recast.planning import PLANNERS, planner_folder, planner_source_files
@@ -69,9 +71,12 @@ def planner_source(name: str) -> str:
 
 
 def generator_source(name: str) -> str:
-    """What stands for a generator; see `Sources`. A PLY must be there."""
-    if name.lower().endswith(".ply"):
-        return file_hash(name)
+    """What stands for a generator; see `Sources`. Vehicles' files must be there."""
+    if name.startswith(LIBRARY):
+        return folder_hash(name.removeprefix(LIBRARY))
+    if is_vehicle_file(name):
+        first, *others = files_of_vehicle(Path(name))
+        return files_hash([first, *others], first.parent) if others else file_hash(first)
     if name == RECAST_MINI:
         return folder_hash(recast_mini())
     if name == DEFAULT_GENERATOR:  # offers the template and that model

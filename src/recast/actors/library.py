@@ -1,0 +1,217 @@
+"""The generator `library:FOLDER`: those of a user's vehicles that look most like the observed one.
+
+Retrieval instead of generation, as in HUGSIM (Zhou et al. 2024), which inserts scanned vehicles of
+3DRealCar, and MADrive (Karpikova et al. 2025), which finds look-alikes in MAD-Cars by embeddings of
+images and by colour. Two passes: all vehicles by size and mean colour, read once a process; then
+the best few by silhouette and colours as they stand in the observed box. Where there is a log, its
+evidence chooses among the best of these (`candidates.choose`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from recast.actors.agreement import agree, draw_beside
+from recast.actors.axes import AUTO
+from recast.actors.generate import Asset
+from recast.actors.hull import bounds
+from recast.actors.icp import fit_of
+from recast.actors.library_summary import Summary, paint_apart, seen_paint, size_apart, summary_of
+from recast.actors.observation import Observation
+from recast.actors.observe import MIN_LIDAR_POINTS
+from recast.actors.register import aligned
+from recast.actors.start import stand_on_box, stood_up
+from recast.actors.upright import lengthwise_yaw
+from recast.actors.vehicle_files import is_actor_folder, is_vehicle_file, vehicle_generator
+from recast.errors import InputError
+from recast.pretrained import ClipImages, whole_picture
+
+LIBRARY = "library:"
+"""What the name of such a generator begins with; the folder follows."""
+CLIP_FOLDER = "clip"
+"""Folder of a library with a CLIP model in the files of its Hugging Face repository."""
+
+_COARSE = 0.03  # metres between points of meshes that are only compared
+_NAMED = 5  # vehicles of a ranking, and files that were left out, that are told of
+# What counts as one unit of cost: logs of width and height, mean colour, share of the LiDAR points
+# that are not met, overlap, colours, cosine of CLIP.
+_UNITS = {"size": 0.10, "paint": 0.10, "lidar": 0.06, "silhouette": 0.03, "colour": 0.02,
+          "clip": 0.05}  # fmt: skip
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A vehicle of the library and what speaks against it.
+
+    Attributes:
+        path: its file or folder.
+        terms: misfits by kind, 0 at best: size, paint, lidar, silhouette, colour, clip; see
+            `_UNITS`.
+    """
+
+    path: Path
+    terms: dict[str, float]
+
+    @property
+    def cost(self) -> float:
+        """Sum of the terms in units; less is better."""
+        return sum(value / _UNITS[kind] for kind, value in self.terms.items())
+
+    def explain(self) -> str:
+        """Name, cost and terms."""
+        terms = ", ".join(f"{kind} {value:.3f}" for kind, value in self.terms.items())
+        return f"{self.path.name} {self.cost:.1f} ({terms})"
+
+
+class LibraryGenerator:
+    """Picks vehicles of a folder: PLY, GLB and OBJ files and actors' folders, one level deep.
+
+    Args:
+        folder: the library; `clip` in it may hold a CLIP model, whose image similarity then counts.
+        axes: orientation of its files, see `recast.actors.axes_of`.
+        tried: vehicles that are placed in the box, the best by size and mean colour.
+        offered: of these, how many `candidates` offers.
+
+    Raises:
+        InputError: no such folder, or no vehicle in it; CLIP's files are incomplete.
+    """
+
+    name = "library"
+
+    def __init__(
+        self, folder: str | Path, axes: str = AUTO, tried: int = 8, offered: int = 3
+    ) -> None:
+        self.folder, self.axes, self.tried, self.offered = Path(folder), axes, tried, offered
+        if not self.folder.is_dir():
+            raise InputError(folder, "folder", "is missing", f"check the path behind {LIBRARY}")
+        self.vehicles = sorted(
+            path for path in self.folder.iterdir() if is_vehicle_file(path) or is_actor_folder(path)
+        )
+        if not self.vehicles:
+            raise self._none("holds no vehicle")
+        if (self.folder / CLIP_FOLDER).is_dir():
+            ClipImages.folder(self.folder / CLIP_FOLDER).check()
+
+    def generate(self, observation: Observation, seed: int) -> Asset:
+        """The best vehicle by one view.
+
+        Raises:
+            InputError: none can be read, or stood up in the box.
+        """
+        return self.candidates(observation, seed)[0]()
+
+    def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
+        """The best few, the best first; see `OffersCandidates`.
+
+        Raises:
+            InputError: see `generate`.
+        """
+        ranking, left_out = self.rank(observation)
+        told = {
+            "ranking": "; ".join(one.explain() for one in ranking[:_NAMED]),
+            "vehicles": len(self.vehicles),
+        }
+        if left_out:
+            rest = len(left_out) - _NAMED
+            more = f"; and {rest} more" if rest > 0 else ""
+            told["left_out"] = "; ".join(left_out[:_NAMED]) + more
+        return [
+            partial(self._make, one, rank, told, observation, seed)
+            for rank, one in enumerate(ranking[: self.offered], 1)
+        ]
+
+    def rank(self, observation: Observation) -> tuple[list[Ranked], list[str]]:
+        """The best vehicles, the best first, and why others cannot be used.
+
+        Raises:
+            InputError: see `generate`.
+        """
+        paint = seen_paint(observation)
+        first: list[Ranked] = []
+        left_out: list[str] = []
+        for path in self.vehicles:
+            found = summary_of(path)
+            if isinstance(found, Summary):
+                terms = {
+                    "size": size_apart(found, observation.size),
+                    "paint": paint_apart(found, paint),
+                }
+                first.append(Ranked(path, terms))
+            else:
+                left_out.append(found)
+        placed: list[Ranked] = []
+        for one in sorted(first, key=lambda one: (one.cost, one.path.name)):
+            if len(placed) == self.tried:
+                break
+            try:
+                placed.append(self._placed(one, observation))
+            except InputError as error:
+                left_out.append(str(error))
+        if not placed:
+            raise self._none(f"holds {len(self.vehicles)}, none can be used: {left_out[0]}")
+        return sorted(placed, key=lambda one: (one.cost, one.path.name)), left_out
+
+    def _placed(self, one: Ranked, observation: Observation) -> Ranked:
+        """The vehicle with the terms of its place in the box, the better way round."""
+        asset = vehicle_generator(one.path, self.axes, _COARSE).generate(observation, seed=0)
+        gaussians, surface = stood_up(asset)
+        lidar = np.asarray(observation.points, np.float64)
+        yaws = [0.0]
+        if not asset.axes.declares_front:
+            first = lengthwise_yaw(surface.points[:, :2])
+            yaws = [first, first + np.pi]
+        found = []
+        for yaw in yaws:
+            start = stand_on_box(surface.points, yaw, observation.size)
+            terms = one.terms | {"size": _misfit(start.apply(surface).points, observation.size)}
+            if len(lidar) >= MIN_LIDAR_POINTS:
+                start = aligned(surface, lidar, start, observation.size)
+                fit = fit_of(start.apply(surface).points, lidar)
+                terms["lidar"] = 1 - fit.inlier_share
+            placed = gaussians.transformed(torch.from_numpy(start.matrix), start.scale)
+            pictures = draw_beside(placed, asset.low_pass, observation)
+            overlap, terms["colour"] = agree(pictures)
+            terms["silhouette"] = 1 - overlap
+            if self._clip is not None:
+                seen = pictures.wanted * pictures.mask[..., None]
+                terms["clip"] = 1 - _alike(self._clip, pictures.shown, seen)
+            found.append(Ranked(one.path, terms))
+        return min(found, key=lambda turned: turned.cost)
+
+    def _make(
+        self, one: Ranked, rank: int, told: dict[str, str | int], observation: Observation,
+        seed: int,
+    ) -> Asset:  # fmt: skip
+        asset = vehicle_generator(one.path, self.axes).generate(observation, seed)
+        details = {**asset.details, "read_by": asset.generator, "rank": rank, **told}
+        return replace(asset, generator=self.name, details=details)
+
+    @cached_property
+    def _clip(self) -> ClipImages | None:
+        folder = self.folder / CLIP_FOLDER
+        return ClipImages.read(folder) if folder.is_dir() else None
+
+    def _none(self, problem: str) -> InputError:
+        mend = "put *.ply, *.glb, *.obj or folders of actors into it"
+        return InputError(self.folder, "vehicles", problem, mend)
+
+
+def _misfit(points: Array, size: Array) -> float:
+    """Sum of the logs of width and height over those of a box (3,) of the same length."""
+    extent = np.subtract(*bounds(points)[::-1])
+    return float(np.abs(np.log(extent[1:] / size[1:])).sum())
+
+
+def _alike(clip: ClipImages, first: Array, second: Array) -> float:
+    """Cosine of CLIP's embeddings of two pictures (H, W, 3)."""
+    one, other = (clip.embedding(whole_picture(clip.processor, p))[0] for p in (first, second))
+    return float(one @ other / (one.norm() * other.norm()).clamp(min=1e-12))
