@@ -22,6 +22,7 @@ from recast.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, Track
 from recast.pipeline.actor import ActorMakers, make_actor
+from recast.scene import SceneConfig
 from recast.splats import Gaussians
 
 
@@ -229,5 +230,5 @@ def test_making_an_actor_counts_all_named_cameras(
     monkeypatch.setattr("recast.pipeline.actor.film_turntable", lambda actor, path: None)
     makers = ActorMakers(TemplateGenerator(spacing=0.1), BoxLidarSegmenter())
     log = with_more_cameras(street)
-    actor = make_actor(log, "7", makers, 0, tmp_path, cameras=("half", "most"))
+    actor = make_actor(log, "7", makers, 0, tmp_path, SceneConfig(cameras=("half", "most")))
     assert actor.provenance.camera == "most"

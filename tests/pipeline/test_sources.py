@@ -80,7 +80,7 @@ def test_a_run_makes_again_what_was_edited_and_what_follows(
     command += ["--motion", "advancing-a", "--steps", "10", "--iterations", "4", "--scale", "0.5"]
     command += ["--planner", "my_planner:Mine", "--generator", "my_generator:Mine"]
     run = steps_made(out, command)
-    assert run() == {"actor", "scene", "evaluation", "metrics", "report"} | ROLLOUTS
+    assert run() == {"actor", "scene", "refine", "evaluation", "metrics", "report"} | ROLLOUTS
     assert run() == set()
     first = json.loads((out / "metrics.json").read_text())["rollouts"]
 
@@ -94,7 +94,7 @@ def test_a_run_makes_again_what_was_edited_and_what_follows(
     assert slower != first, "the new planner drove"
 
     code("my_generator", GENERATOR.replace("first", "second"))
-    assert run() == {"actor", "rollout-advancing-a-replaced", "metrics", "report"}
+    assert run() == {"actor", "refine", "rollout-advancing-a-replaced", "metrics", "report"}
 
     monkeypatch.setitem(sources.RECIPES, "metrics", sources.RECIPES["metrics"] + 1)
     assert run() == {"metrics", "report"}

@@ -10,7 +10,7 @@ import pytest
 from actors import made_up
 from recast.actors import BoxLidarSegmenter, TemplateGenerator, load_actor
 from recast.errors import InputError
-from recast.pipeline.actor import ActorMakers, make_actor, training_frames
+from recast.pipeline.actor import ActorMakers, make_actor
 from recast.pipeline.config import RunConfig
 from recast.pipeline.options import resolve_config
 from recast.scene import SceneConfig
@@ -38,8 +38,8 @@ def test_an_actor_of_several_views_names_them(
     monkeypatch.setattr("recast.pipeline.actor.film_turntable", lambda actor, path: None)
     log = made_up.street_log(made_up.car(), made_up.turning_poses())
     makers = ActorMakers(TemplateGenerator(spacing=0.1), BoxLidarSegmenter())
-    usable = training_frames(SceneConfig(holdout_every=2, holdout_offset=0))
-    make_actor(log, "7", makers, 0, tmp_path, views=3, usable=usable)
+    config = SceneConfig(holdout_every=2, holdout_offset=0)
+    make_actor(log, "7", makers, 0, tmp_path, config, views=3)
     record = load_actor(tmp_path / "actor").provenance
     assert {record.frame, *(one.frame for one in record.further)} == {1, 3}
     for one in record.further:
@@ -48,4 +48,6 @@ def test_an_actor_of_several_views_names_them(
         turn = np.angle(np.exp(1j * (one.azimuth - record.azimuth)))
         assert np.degrees(abs(turn)) == pytest.approx(80.0)  # two frames, 40 degrees a frame
     written = {path.name for path in (tmp_path / "observation").iterdir()}
-    assert written == {"crop.png", "frame.png", "crop_2.png", "frame_2.png", "explanation.txt"}
+    assert written == {"crop.png", "frame.png", "crop_2.png", "frame_2.png", "explanation.txt"} | {
+        "evidence.safetensors"
+    }

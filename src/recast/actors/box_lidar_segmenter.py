@@ -27,7 +27,7 @@ class BoxLidarSegmenter:
     background: outside the box (grown to hold the points), well outside the hull, on LiDAR returns
     of the scene, and under the body between the wheels, where a dark car's shadow looks like the
     car. Colour models and edges decide the rest; holes are filled and only the largest piece is
-    kept.
+    kept. Without hits, the box's inside is where the colours begin.
 
     Args:
         iterations: of GrabCut.
@@ -41,6 +41,9 @@ class BoxLidarSegmenter:
     def segment(self, target: SegmentationTarget) -> NDArray[np.uint8]:
         """See `Segmenter.segment`; the same crop always gives the same mask."""
         trimap = self.trimap(target)
+        known = np.isin(trimap, (cv2.GC_FGD, cv2.GC_PR_FGD))
+        if known.all() or not known.any():  # the box fills the crop, or is not in it
+            return feather(known)
         background, foreground = np.zeros((1, 65)), np.zeros((1, 65))
         cv2.setRNGSeed(0)  # GrabCut seeds its colour clusters from OpenCV's global generator
         cv2.grabCut(
@@ -63,7 +66,10 @@ class BoxLidarSegmenter:
             # a car behind this one often has its colour; tyres may lie below all hits
             near = cv2.dilate(vehicle.astype(np.uint8), disc(_REACH * extent))
             trimap[np.maximum.accumulate(near, axis=0) == 0] = cv2.GC_BGD
-        trimap[vehicle & outline] = cv2.GC_PR_FGD
+        # without any hit on it, the vehicle is what fills its box
+        inner = cv2.erode(outline.astype(np.uint8), disc(0.05 * extent)) > 0
+        body = vehicle if vehicle.any() else inner
+        trimap[body & outline] = cv2.GC_PR_FGD
         core = cv2.erode(vehicle.astype(np.uint8), disc(0.07 * extent)) > 0
         share = target.object_points[:, 2] / target.size[2] + 0.5
         apron = target.object_points[(share > _APRON[0]) & (share < _APRON[1])]

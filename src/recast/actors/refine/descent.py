@@ -24,11 +24,6 @@ from recast.splats import Gaussians, LowPass
 
 Step = Callable[[], None]
 
-SHAPE_STEPS, PAINT_STEPS, FREE_STEPS = 120, 80, 400
-CHECK_EVERY = 50
-"""Steps between looks at the held-back images."""
-PATIENCE = 3
-"""Looks without a better loss after which the descent ends."""
 _MIRROR_CHANCE, _MIRROR_WEIGHT = 0.35, 0.5
 _MIRRORS = 7  # stream of random numbers
 _FALL = 0.1  # factor of all rates at the end of a descent
@@ -42,6 +37,25 @@ _FREE_RATES = {
 
 
 @dataclass(frozen=True)
+class Steps:
+    """How long the descents are.
+
+    Attributes:
+        shape: steps of the whole body.
+        paint: steps of the colours alone, with which the second descent begins.
+        free: steps of every Gaussian after that, at most.
+        look_every: steps between looks at the held-back images.
+        patience: looks without a better loss after which the second descent ends.
+    """
+
+    shape: int = 120
+    paint: int = 80
+    free: int = 400
+    look_every: int = 50
+    patience: int = 3
+
+
+@dataclass(frozen=True)
 class Task:
     """What both descents have in common.
 
@@ -51,6 +65,7 @@ class Task:
         low_pass: the filter of the Gaussians.
         symmetric: whether images teach the other side, too.
         seed: of the order of images and of the mirrored steps.
+        steps: how many.
     """
 
     views: Sequence[Layers]
@@ -58,6 +73,7 @@ class Task:
     low_pass: LowPass
     symmetric: bool
     seed: int
+    steps: Steps
 
     def image_loss(self, gaussians: Gaussians, poses: PoseOffsets, step: int) -> Tensor:
         """Weighted loss of the image of a step, now and then of the mirrored vehicle."""
@@ -97,7 +113,7 @@ def fit_shape(
     nearest = torch.zeros(0, dtype=torch.int64)
     parameters = {**bend.parameters(), "poses": poses.values}
     optimiser = _adam(parameters, {**_SHAPE_RATES, "poses": _POSE_RATE})
-    for index in range(SHAPE_STEPS):
+    for index in range(task.steps.shape):
         loss = task.image_loss(bend(prior), poses, index)
         if len(lidar):
             placed = bend.points(points)
@@ -107,7 +123,7 @@ def fit_shape(
             gap = ((lidar - placed[nearest]) * normals[nearest]).sum(-1)
             loss = loss + _LIDAR * torch.log1p((gap / _LIDAR_NOISE).square()).mean()
         loss = loss + _STRAIN * (bend.strain() + poses.roughness())
-        _descend(optimiser, loss, index / SHAPE_STEPS, parameters)
+        _descend(optimiser, loss, index / task.steps.shape, parameters)
         step()
 
 
@@ -133,21 +149,21 @@ class FreeDescent:
     @property
     def steps(self) -> int:
         """Steps at most."""
-        return PAINT_STEPS + FREE_STEPS
+        return self.task.steps.paint + self.task.steps.free
 
     @property
     def done(self) -> bool:
         """Whether it has come to its end."""
-        return self.index >= self.steps or self._worse >= PATIENCE
+        return self.index >= self.steps or self._worse >= self.task.steps.patience
 
     def step(self) -> None:
         """One step: colours alone at first, then everything; a look now and then."""
         loss = self.task.image_loss(self.free(), self.poses, self.index)
         loss = loss + self.free.strain() + _STRAIN * self.poses.roughness()
-        moved = {"sh"} if self.index < PAINT_STEPS else set(self._parameters)
+        moved = {"sh"} if self.index < self.task.steps.paint else set(self._parameters)
         _descend(self._optimiser, loss, self.index / self.steps, moved)
         self.index += 1
-        if self.index % CHECK_EVERY == 0 or self.index == self.steps:
+        if self.index % self.task.steps.look_every == 0 or self.index == self.steps:
             self._look()
 
     def _look(self) -> None:

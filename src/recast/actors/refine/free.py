@@ -8,12 +8,12 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from recast.actors.shares import Shares
-from recast.splats import Gaussians
+from recast.splats import Gaussians, concatenate
 from recast.splats.rotations import quat_to_matrix
 
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 _SMALLEST, _LARGEST = math.log(0.006), math.log(0.25)  # metres, as logarithms
+_APART, _SHORTER = 0.6, 0.65
 _FINEST = 0.012  # metres: smaller ones are not split
 
 
@@ -55,27 +55,32 @@ class FreeGaussians:
         return 0.02 * moved + 0.005 * grown + 0.02 * turned
 
 
-def split(gaussians: Gaussians, shares: Shares, chosen: Tensor) -> tuple[Gaussians, Shares]:
-    """The chosen Gaussians (N,) cut in two along their longest axis, half as long each.
+def split_rows(gaussians: Gaussians, chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Rows that stay whole, and twice those that are to be cut: chosen (N,) bool and not fine."""
+    cut = chosen & (gaussians.log_scales.amax(dim=1) > math.log(_FINEST))
+    rows = cut.nonzero()[:, 0]
+    return (~cut).nonzero()[:, 0], rows, rows
 
-    The halves' centres lie half a deviation to either side, which keeps the mean and, with 0.87 of
-    the old deviation along that axis, the variance.
+
+def split(gaussians: Gaussians, whole: Tensor, first: Tensor, second: Tensor) -> Gaussians:
+    """Gaussians cut in two along their longest axis; rows as `split_rows` gives them.
+
+    Halves lie 0.6 deviations to either side and are 0.65 times as long: together they keep the
+    centre and 0.88 of the deviation (0.6^2 + 0.65^2 = 0.88^2).
     """
-    chosen = chosen & (gaussians.log_scales.amax(dim=1) > math.log(_FINEST))
-    kept, cut = gaussians.select(~chosen), gaussians.select(chosen)
-    longest = cut.log_scales.argmax(dim=1)
-    axes = quat_to_matrix(cut.quats)
-    axis = axes.gather(2, longest[:, None, None].expand(-1, 3, 1))[:, :, 0]
-    step = 0.6 * cut.log_scales.amax(dim=1, keepdim=True).exp() * axis
-    shorter = cut.log_scales.clone()
-    shorter.scatter_add_(1, longest[:, None], torch.full((len(cut), 1), math.log(0.65)))
-    halves = [replace(cut, means=cut.means + way * step, log_scales=shorter) for way in (1, -1)]
-    merged = Gaussians(
-        **{
-            name: torch.cat([getattr(part, name) for part in (kept, *halves)]).contiguous()
-            for name in FIELDS
-        }
-    )
-    return merged, Shares(
-        *(torch.cat([s[~chosen], s[chosen], s[chosen]]) for s in (shares.seen, shares.mirrored))
-    )
+    parts = [gaussians.select(whole)]
+    for rows, way in ((first, 1), (second, -1)):
+        cut = gaussians.select(rows)
+        longest = cut.log_scales.argmax(dim=1)[:, None]
+        axes = quat_to_matrix(cut.quats)
+        axis = axes.gather(2, longest[:, None].expand(-1, 3, 1))[:, :, 0]
+        step = _APART * cut.log_scales.amax(dim=1, keepdim=True).exp() * axis
+        shorter = torch.full_like(cut.log_scales[:, :1], math.log(_SHORTER))
+        parts.append(
+            replace(
+                cut,
+                means=cut.means + way * step,
+                log_scales=cut.log_scales.scatter_add(1, longest, shorter),
+            )
+        )
+    return concatenate(parts)

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from recast.actors.actor import Actor, Refinement
 from recast.actors.evidence import Evidence
-from recast.actors.refine.descent import CHECK_EVERY, SHAPE_STEPS, FreeDescent, Task, fit_shape
-from recast.actors.refine.free import FreeGaussians, split
+from recast.actors.refine.descent import FreeDescent, Steps, Task, fit_shape
+from recast.actors.refine.free import FreeGaussians, split, split_rows
 from recast.actors.refine.layers import make_layers
 from recast.actors.refine.paint import follow_paint
 from recast.actors.refine.shape import Bend, PoseOffsets
-from recast.actors.refine.visibility import freedom, shares_of
+from recast.actors.refine.visibility import visibility_of
 from recast.actors.shares import Shares
 from recast.logs import Trajectory
 from recast.scene import StreetScene
@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 LEAST_IMAGES = 5
 """Fewer images than this cannot both teach and judge."""
 _HOLD_BACK = 10
-_SPLIT = 0.5  # share of images in a Gaussian from which on it is split
+_SPLIT = 20.0  # pixels of its patch over all images from which on a Gaussian is split
 _SURFACE_OPACITY = 0.3
 
 
@@ -50,6 +50,7 @@ def refine(
     scene: StreetScene,
     seed: int = 0,
     *,
+    steps: Steps | None = None,
     checkpoint: Path | None = None,
     progress: Progress | None = None,
 ) -> Actor:
@@ -60,6 +61,7 @@ def refine(
         evidence: of its track, with the poses of `scene`.
         scene: street that the vehicle stands in; its own model of the track is not looked at.
         seed: of the order of images.
+        steps: how many; those of `Steps` if None.
         checkpoint: file to go on from after a kill, and to be removed by whoever keeps the result;
             one of another task is written anew.
         progress: told the number of steps done, and of all.
@@ -78,18 +80,20 @@ def refine(
     held = views[_HOLD_BACK // 2 :: _HOLD_BACK] or [views[count // 2]]
     kept = [view for view in views if view not in held]
     symmetric = actor.category not in DEFORMABLE
-    task = Task(kept, held, actor.low_pass, symmetric, seed)
+    task = Task(kept, held, actor.low_pass, symmetric, seed, steps or Steps())
     times = np.array([one.timestamp_us for one in evidence.sightings], np.int64)
     bend, poses = Bend(actor.size), PoseOffsets(times)
-    counter = _Counter(progress)
+    counter = _Counter(progress, task.steps)
 
     fit_shape(task, actor, evidence.hits, bend, poses, counter.step)
     with torch.no_grad():
         bent = bend(actor.gaussians.detach())
-    shares = shares_of(bent, actor.low_pass, views, symmetric)
+    visible = visibility_of(bent, actor.low_pass, views, symmetric)
     loss_before, loss_bent = task.judged(actor.gaussians, None), task.judged(bent, poses)
-    finer, shares = split(bent, shares, shares.seen + shares.mirrored > _SPLIT)
-    free = FreeGaussians(finer, freedom(finer, shares))
+    source = split_rows(bent, visible.shown & (visible.own + visible.twin > _SPLIT))
+    finer, visible = split(bent, *source), visible.select(torch.cat(source))
+    shares = visible.shares
+    free = FreeGaussians(finer, visible.freedom(finer))
     descent = FreeDescent(task, free, poses)
     _descend(descent, _identity(actor, evidence, seed), checkpoint, counter)
 
@@ -122,8 +126,9 @@ def refine(
 class _Counter:
     """Counts the steps of both descents."""
 
-    def __init__(self, progress: Progress | None) -> None:
-        self._progress, self.done, self.total = progress, 0, SHAPE_STEPS
+    def __init__(self, progress: Progress | None, steps: Steps) -> None:
+        self._progress, self.done = progress, 0
+        self.total = steps.shape + steps.paint + steps.free
 
     def step(self, count: int = 1) -> None:
         self.done += count
@@ -135,7 +140,6 @@ def _descend(
     descent: FreeDescent, identity: str, checkpoint: Path | None, counter: _Counter
 ) -> None:
     """Go to the end of a descent, from its checkpoint if there is one of the same task."""
-    counter.total = SHAPE_STEPS + descent.steps
     if checkpoint is not None and checkpoint.exists():
         tensors, header = read_tensors(checkpoint)
         if header.get("identity") == identity:
@@ -144,11 +148,10 @@ def _descend(
     while not descent.done:
         descent.step()
         counter.step()
-        if checkpoint is not None and descent.index % CHECK_EVERY == 0:
+        if checkpoint is not None and descent.index % descent.task.steps.look_every == 0:
             tensors, numbers = descent.state()
             write_tensors(checkpoint, tensors, {"identity": identity, **numbers})
-    counter.done, counter.total = counter.total, counter.total
-    counter.step(0)
+    counter.step(counter.total - counter.done)
 
 
 def _identity(actor: Actor, evidence: Evidence, seed: int) -> str:

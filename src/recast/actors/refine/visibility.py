@@ -8,7 +8,7 @@ occlusion, opacity and the vehicle's own parts in between are all in it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 from scipy.spatial import cKDTree
@@ -20,17 +20,46 @@ from recast.scene.mirror import mirrored
 from recast.splats import Gaussians, LowPass, rasterize
 from recast.splats.sh import C0
 
-_ENOUGH = 6.0  # pixels of a Gaussian's own over all images that make it two thirds seen
+_PATCH = 0.06  # metres around a Gaussian that are seen or not seen together
+_SHOWN = 0.5  # pixels of a Gaussian's own over all images that put it in the picture
+_SEEN = 20.0  # pixels of a patch over all images that make it two thirds seen
+_TRUSTED = 400.0  # and that let two thirds of it follow them: few images are followed too far
 _NEIGHBOURS = 8
-_MIRRORED, _INVENTED = 0.6, 0.05  # freedom of such Gaussians where seen ones have 1
+_MIRRORED = 0.6  # of the freedom, for what only the other side's images show
 
 
-def freedom(gaussians: Gaussians, shares: Shares) -> Tensor:
-    """(N,) in [0, 1] how far each Gaussian may leave the prior, smooth over its neighbours."""
-    own = shares.seen + _MIRRORED * shares.mirrored + _INVENTED * shares.invented
-    points = gaussians.means.detach().numpy()
-    _, near = cKDTree(points).query(points, k=min(_NEIGHBOURS, len(points)))
-    return 0.5 * own + 0.5 * own[torch.from_numpy(near.reshape(len(points), -1))].mean(dim=1)
+@dataclass(frozen=True)
+class Visibility:
+    """What images show of N Gaussians, in pixels of the patch of surface around each.
+
+    Attributes:
+        own: (N,) float32 over all images, weighted as they are.
+        twin: (N,) of the mirrored vehicle.
+        shown: (N,) bool, which Gaussians themselves are in a picture, or mirrored in one.
+    """
+
+    own: Tensor
+    twin: Tensor
+    shown: Tensor
+
+    @property
+    def shares(self) -> Shares:
+        """Where each comes from."""
+        seen = 1 - torch.exp(-self.own / _SEEN)
+        return Shares(seen, (1 - seen) * (1 - torch.exp(-self.twin / _SEEN)))
+
+    def freedom(self, gaussians: Gaussians) -> Tensor:
+        """(N,) in [0, 1] how far each may leave the prior, smooth over its neighbours."""
+        own = 1 - torch.exp(-self.own / _TRUSTED)
+        own = own + _MIRRORED * (1 - own) * (1 - torch.exp(-self.twin / _TRUSTED))
+        points = gaussians.means.detach().numpy()
+        _, near = cKDTree(points).query(points, k=min(_NEIGHBOURS, len(points)))
+        around = own[torch.from_numpy(near.reshape(len(points), -1))].mean(dim=1)
+        return 0.5 * (own + around)
+
+    def select(self, index: Tensor) -> Visibility:
+        """That of the Gaussians at `index`."""
+        return Visibility(self.own[index], self.twin[index], self.shown[index])
 
 
 def pixel_weights(
@@ -54,10 +83,10 @@ def pixel_weights(
     return white.grad[:, 0, 0].abs() / C0
 
 
-def shares_of(
+def visibility_of(
     gaussians: Gaussians, low_pass: LowPass, views: Sequence[Layers], symmetric: bool
-) -> Shares:
-    """Shares of Gaussians in the actor frame, by all images.
+) -> Visibility:
+    """What all images show of Gaussians in the actor frame.
 
     Args:
         symmetric: whether the other side may teach.
@@ -70,5 +99,12 @@ def shares_of(
         own += pixel_weights(gaussians, low_pass, view, pixels)
         if symmetric:
             twin += pixel_weights(other, low_pass, view, pixels)
-    seen = 1 - torch.exp(-own / _ENOUGH)
-    return Shares(seen, (1 - seen) * (1 - torch.exp(-twin / _ENOUGH)))
+    points = gaussians.means.detach().numpy()
+    near = cKDTree(points).sparse_distance_matrix(cKDTree(points), _PATCH, output_type="coo_matrix")
+    rows = torch.from_numpy(near.row.astype("int64"))
+    columns = torch.from_numpy(near.col.astype("int64"))
+
+    def patches(pixels: Tensor) -> Tensor:
+        return torch.zeros_like(pixels).index_add(0, rows, pixels[columns])
+
+    return Visibility(patches(own), patches(twin), (own + twin) > _SHOWN)

@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from actors import made_up
+from recast.actors import Asset, BoxLidarSegmenter, Observation
+from recast.actors.auto_generator import AutoGenerator
+from recast.actors.axes import VEHICLE
+from recast.actors.candidates import choose, judge
+from recast.actors.evidence import Evidence, gather_evidence
+from recast.actors.generate import candidates_of
+from recast.actors.register import register
+from recast.errors import InputError
+from recast.logs import DrivingLog
+from recast.scene import SceneConfig
+from recast.splats import Gaussians
+
+
+@pytest.fixture(scope="module")
+def evidence(street: DrivingLog) -> Evidence:
+    config = SceneConfig(scale=1.0, holdout_every=0)
+    return gather_evidence(street, "7", segmenter=BoxLidarSegmenter(), config=config)
+
+
+def asset_of(gaussians: Gaussians, seed: int = 0) -> Asset:
+    return Asset(gaussians, VEHICLE, "made up", seed)
+
+
+def no_vehicle() -> Asset:
+    raise InputError("crop", "structure", "is empty", "take another seed")
+
+
+def test_the_right_kind_of_vehicle_is_chosen(
+    red_car: Gaussians, observation: Observation, street: DrivingLog, evidence: Evidence
+) -> None:
+    makers = [
+        partial(asset_of, made_up.car(style="pickup"), 1),
+        no_vehicle,
+        partial(asset_of, red_car, 2),
+        partial(asset_of, made_up.car(style="van"), 3),
+    ]
+    told: list[tuple[int, int]] = []
+    choice = choose(
+        makers, observation, street, evidence, lambda done, total: told.append((done, total))
+    )
+    assert choice.fits
+    assert told[-1] == (4, 4)
+    rows = choice.actor.provenance.candidates
+    assert [row.chosen for row in rows] == [False, False, True, False]
+    assert rows[1].score is None and "is empty" in rows[1].label
+    assert choice.actor.provenance.seed == 2
+    best = rows[2].score
+    assert best is not None
+    for row in (rows[0], rows[3]):
+        assert row.score is not None and row.score.total < best.total
+
+
+def test_a_vehicle_that_does_not_fit_is_said_not_to(
+    observation: Observation, street: DrivingLog, evidence: Evidence
+) -> None:
+    """A quarter of a car: the LiDAR met what is not there."""
+    flat = made_up.car(size=made_up.SIZE * [1.0, 1.0, 0.5])
+    choice = choose([partial(asset_of, flat)], observation, street, evidence)
+    assert not choice.fits
+    assert "does not fit" in choice.actor.provenance.candidates[0].cells()[-1]
+
+
+def test_no_candidate_at_all(
+    observation: Observation, street: DrivingLog, evidence: Evidence
+) -> None:
+    with pytest.raises(InputError, match="is empty"):
+        choose([no_vehicle, no_vehicle], observation, street, evidence)
+
+
+def test_what_is_not_known_does_not_count(
+    red_car: Gaussians, observation: Observation, street: DrivingLog
+) -> None:
+    actor = register(asset_of(red_car), observation, street, street.tracks["7"])
+    nothing = np.zeros((0, 3), np.float32)
+    from recast.actors.evidence import FreeSpace
+
+    blind = Evidence("7", "car", made_up.SIZE, (), nothing, FreeSpace(nothing))
+    score = judge(actor, blind)
+    assert (score.outline, score.colour, score.lidar) == (None, None, None)
+    assert score.total == 0 and score.fits
+
+
+def test_every_generator_offers_at_least_one(observation: Observation, red_car: Gaussians) -> None:
+    class Two:
+        name = "two"
+
+        def candidates(self, observation: Observation, seed: int) -> list[partial[Asset]]:
+            return [partial(asset_of, red_car, seed), partial(asset_of, red_car, seed + 1)]
+
+        def generate(self, observation: Observation, seed: int) -> Asset:
+            return asset_of(red_car, seed)
+
+    class One:
+        name = "one"
+
+        def generate(self, observation: Observation, seed: int) -> Asset:
+            return asset_of(red_car, seed)
+
+    made = [make().seed for make in candidates_of(AutoGenerator((Two(), One())), observation, 5)]
+    assert made == [5, 6, 5]
+    assert [make().seed for make in candidates_of(One(), observation, 5)] == [5]
+    assert AutoGenerator((One(), Two())).generate(observation, 9).seed == 9
