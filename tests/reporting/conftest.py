@@ -84,7 +84,7 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> ReportInputs:
             ),
             log_path=np.stack([np.linspace(10, 60, 50), np.full(50, 3.4)], axis=1),
             source="from two views",
-            sheet=noise(30, 50, 3),
+            all_around=noise(30, 50, 3),
             candidates=CANDIDATES,
             refinement=(f"refined {HOSTILE}", "left out 3"),
         ),

@@ -49,7 +49,7 @@ from recast.reporting import (
     truth_parts,
     write_report,
 )
-from recast.reporting.actor_sheet import draw_actor_sheet
+from recast.reporting.actor_sheet import draw_all_around
 from recast.reporting.scene_scores import depth_facts, score_lines
 from recast.scene import load_scene
 from recast.simulation import RolloutFailure
@@ -200,7 +200,7 @@ def _actor(run: Path, config: RunConfig, log: DrivingLog) -> ActorPart | NotMade
         ),
         log_path=log.tracks[config.track].trajectory.poses[:, :2, 3],
         source=_source(actor),
-        sheet=draw_actor_sheet(actor),
+        all_around=draw_all_around(actor),
         candidates=provenance.candidates if len(provenance.candidates) > 1 else (),
         refinement=()
         if provenance.refinement is None

@@ -38,23 +38,29 @@ _CHECKS = ((46, 50, 58), (58, 63, 72))  # behind a transparent crop
 
 
 def draw_actor_sheet(actor: Actor) -> Image:
-    """Draw source crop, provenance in words, eight views around, and their shares if it has some.
+    """Draw the source crop, where the actor comes from in words, and `draw_all_around`.
+
+    Returns:
+        (H, 1600, 3) uint8 RGB.
+    """
+    return np.concatenate([_header(actor), _story(actor), draw_all_around(actor)], axis=0)
+
+
+def draw_all_around(actor: Actor) -> Image:
+    """Draw eight views of an actor, and their shares with a legend if it has some.
 
     Returns:
         (H, 1600, 3) uint8 RGB.
     """
     looks = turntable(actor, views=_VIEWS, width=_VIEW[0], height=_VIEW[1])
-    shown = [_labelled(view, f"from the {side}") for view, side in zip(looks, SIDES, strict=True)]
-    strips = [_header(actor), _story(actor)]
-    rows: list[Sequence[Image]] = [shown]
+    rows = [[_labelled(view, f"from the {side}") for view, side in zip(looks, SIDES, strict=True)]]
+    strips = []
     if actor.shares is not None:
         known = _view_coverages(actor)
         strips.append(_legend(Coverage.mean(known)))
+        views = _share_views(actor, _VIEWS, *_VIEW)
         rows.append(
-            [
-                _labelled(view, _percentages(coverage))
-                for view, coverage in zip(_share_views(actor, _VIEWS, *_VIEW), known, strict=True)
-            ]
+            [_labelled(view, _percentages(one)) for view, one in zip(views, known, strict=True)]
         )
     for first in range(0, _VIEWS, _ACROSS):
         strips += [np.concatenate(row[first : first + _ACROSS], axis=1) for row in rows]
@@ -72,7 +78,7 @@ def turntable_frames(actor: Actor, views: int, width: int, height: int) -> Itera
         canvas.image[:] = below
         x = 12
         for name, colour in palette.SHARES.items():
-            x += _swatch(canvas, x, height - 18, name, colour, 15) + 18
+            x += _swatch(canvas, x, height - 20, name, colour, 22) + 24
         yield np.concatenate([above, canvas.image], axis=0)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from recast.reporting.coverage_view import CoverageLine, coverage_lines
 from recast.reporting.inputs import (
     ActorPart,
     NotMade,
@@ -57,6 +58,8 @@ def checks(run: ReportInputs) -> tuple[Check, ...]:
         found.append(Check("Registration to the LiDAR", "not made", "", "warn"))
     if isinstance(run.truth, TruthPart):
         found.extend(_beyond_the_log(run.truth))
+    if not isinstance(run.scenarios, NotMade):
+        found.extend(_invented(coverage_lines(run.scenarios, run.methods)))
     if not isinstance(run.hd_map, NotMade):
         derived = run.hd_map.derived
         found.append(
@@ -88,6 +91,17 @@ def _beyond_the_log(truth: TruthPart) -> tuple[Check, ...]:
         tone: Tone = "good" if after > before else "bad"
         found.append(Check(f"{label}, 60° and more from the log", text, wanted, tone))
     return tuple(found)
+
+
+def _invented(lines: Sequence[CoverageLine]) -> tuple[Check, ...]:
+    """Between which shares of the vehicle, of all that was shown of it, nobody had seen."""
+    shares = [line.mean.invented for line in lines if line.visible]
+    if not shares:
+        return ()
+    text = f"{min(shares):.0%}"
+    if len(shares) > 1:
+        text += f" to {max(shares):.0%} by rollout"
+    return (Check("Invented, of what was shown of the actor", text, "little; see Actor", "plain"),)
 
 
 def _completeness(scenarios: Sequence[ScenarioPart]) -> Check:

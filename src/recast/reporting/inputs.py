@@ -79,7 +79,7 @@ class ActorPart:
         turntable: film of the actor turning once.
         log_path: (N, 2) where it drove in the log, world metres, or None.
         source: what it was made from, in words.
-        sheet: the actor from all around, and its shares; see `draw_actor_sheet`.
+        all_around: views of the actor and of its shares; see `draw_all_around`.
         candidates: vehicles that it was chosen from.
         refinement: what following all images of the log did, in sentences.
     """
@@ -91,7 +91,7 @@ class ActorPart:
     registration: RegistrationPart | NotMade = NOT_MADE
     log_path: Array | None = None
     source: str = "from one view in the log"
-    sheet: Picture | NotMade = NOT_MADE
+    all_around: Picture | NotMade = NOT_MADE
     candidates: tuple[CandidateRecord, ...] = ()
     refinement: tuple[str, ...] = ()
 

@@ -66,8 +66,14 @@ def coverage_plot(name: str, method: str, coverage: RolloutCoverage, dt: float, 
     width = dt * float(np.diff(all_steps).min()) if len(all_steps) > 1 else end
     below = np.zeros(len(steps))
     for column, colour in zip(shares.T, palette.SHARES.values(), strict=True):
-        axes.bar(steps * dt, 100 * column, width, below, align="edge", color=palette.css(colour))
+        paint = palette.css(colour)
+        # With edges of their colour: else the page would shine through between the bars.
+        axes.bar(
+            steps * dt, 100 * column, width, below, align="edge", color=paint, edgecolor=paint,
+            lw=0.4,
+        )  # fmt: skip
         below += 100 * column
+    axes.set_axisbelow(True)
     axes.set_ylim(0.0, 100.0)
     told = ", ".join(f"{key} {getattr(coverage.mean, key):.0%}" for key in palette.SHARES)
     title = f"What was shown of the {method} [%]"

@@ -150,7 +150,7 @@ def _actor(actor: ActorPart | NotMade, assets: Assets) -> dict[str, Any] | NotMa
         "frame": assets.picture("actor-frame", seen.frame),
         "facts": seen.facts,
         "turntable": assets.film("actor-turntable", actor.turntable),
-        "sheet": assets.picture("actor-sheet", actor.sheet),
+        "all_around": assets.picture("actor-all-around", actor.all_around),
         "registration": actor.registration,
     }
 
