@@ -173,10 +173,12 @@ class CoverageMeter:
             np.concatenate([camera_from_world[2:3], sides @ camera_from_world])
         ).to(self._places)
         z = depth[:3] @ self._places + depth[3]
-        inside = (z > _NEAR) & (z <= farthest)
+        index = ((z > _NEAR) & (z <= farthest)).nonzero()[:, 0]
+        places, reach = self._places[:, index], self._reach[index]
+        inside = torch.ones_like(index, dtype=torch.bool)
         for plane in planes:
-            inside &= plane[:3] @ self._places + plane[3] > -self._reach
-        return inside.nonzero()[:, 0]
+            inside &= plane[:3] @ places + plane[3] > -reach
+        return index[inside]
 
 
 def _black(gaussians: Gaussians) -> Gaussians:
