@@ -6,12 +6,21 @@ from pathlib import Path
 
 from evaluation.rollouts import make_rollout
 from fuzz.target import Target
+from recast.actors.coverage import NOTHING, Coverage
 from recast.pipeline.config import RunConfig, read_run_config
 from recast.pipeline.run_folder import RunFolder
 from recast.simulation import MOTIONS, load_rollout, save_rollout, scenario_record
+from recast.simulation.coverage import ImageCoverage, RolloutCoverage
+from recast.simulation.rollout_files import load_coverage, save_coverage
 from recast.simulation.scenario_file import read_scenario
 from recast.storage import write_json
 
+_COVERAGE = RolloutCoverage(
+    (
+        ImageCoverage("front", 0, True, Coverage(40.0, 0.5, 0.25, 0.25)),
+        ImageCoverage("side", 5, False, NOTHING),
+    )
+)
 _SCENARIOS = Path(__file__).parents[3] / "src" / "recast" / "simulation" / "scenarios"
 
 
@@ -33,6 +42,8 @@ TARGETS = (
     Target("run-config", lambda f: write_json(f / "config.json", _config().resolved()),
            lambda f, out: read_run_config(f / "config.json"), weight=10.0),
     Target("run-folder", _write_run, lambda f, out: RunFolder.open(f / "run"), weight=6.0),
+    Target("coverage", lambda f: save_coverage(_COVERAGE, f / "coverage.parquet"),
+           lambda f, out: load_coverage(f / "coverage.parquet"), weight=6.0),
     Target("rollout", lambda f: save_rollout(make_rollout(steps=20), f / "states"),
            lambda f, out: load_rollout(f / "states"), weight=8.0),
 )  # fmt: skip
