@@ -99,9 +99,9 @@ def choose(
     _, chosen, actor = best
     rows[chosen] = rows[chosen].model_copy(update={"chosen": True})
     provenance = actor.provenance.model_copy(update={"candidates": tuple(rows)})
-    score = rows[chosen].score
-    assert score is not None
-    return Choice(replace(actor, provenance=provenance), score.fits)
+    kept = rows[chosen].score
+    assert kept is not None
+    return Choice(replace(actor, provenance=provenance), kept.fits)
 
 
 def _label(asset: Asset) -> str:

@@ -64,7 +64,7 @@ def save_evidence(evidence: Evidence, path: Path) -> None:
         left_out=evidence.left_out,
         sightings=tuple(_record(sighting) for sighting in evidence.sightings),
     )
-    tensors = {"hits": evidence.hits, "free": evidence.free.centres}
+    tensors: dict[str, NDArray[Any]] = {"hits": evidence.hits, "free": evidence.free.centres}
     for number, sighting in enumerate(evidence.sightings):
         tensors[f"{number}.image"] = sighting.image
         for name in ("mask", "trust"):

@@ -32,26 +32,26 @@ class FreeGaussians:
         if prior.sh.shape[1] < 4:
             room = (0, 0, 0, 4 - prior.sh.shape[1])
             prior = replace(prior, sh=torch.nn.functional.pad(prior.sh, room))
-        self.prior, self.freedom = prior.detach(), freedom
+        self.prior, self._freedom = prior.detach(), freedom
         self.changes = {
             name: torch.zeros_like(getattr(self.prior, name), requires_grad=True) for name in FIELDS
         }
 
+    def _change(self, name: str) -> Tensor:
+        change = self.changes[name]
+        return self._freedom.view(-1, *[1] * (change.ndim - 1)) * change
+
     def __call__(self) -> Gaussians:
         """The Gaussians as they stand; differentiable in the changes."""
-        value = {}
-        for name, change in self.changes.items():
-            prior: Tensor = getattr(self.prior, name)
-            freedom = self.freedom.view(-1, *[1] * (prior.ndim - 1))
-            value[name] = prior + freedom * change
+        value = {name: getattr(self.prior, name) + self._change(name) for name in FIELDS}
         value["log_scales"] = value["log_scales"].clamp(_SMALLEST, _LARGEST)
         return Gaussians(**value)
 
     def strain(self) -> Tensor:
         """Pull towards the prior: squares of shifts over 5 cm, of scales, of degree one."""
-        moved = (self.freedom[:, None] * self.changes["means"] / 0.05).square().mean()
-        grown = (self.freedom[:, None] * self.changes["log_scales"]).square().mean()
-        turned = (self.freedom[:, None, None] * self.changes["sh"][:, 1:]).square().mean()
+        moved = (self._change("means") / 0.05).square().mean()
+        grown = self._change("log_scales").square().mean()
+        turned = self._change("sh")[:, 1:].square().mean()
         return 0.02 * moved + 0.005 * grown + 0.02 * turned
 
 

@@ -9,7 +9,6 @@ it.
 from __future__ import annotations
 
 import hashlib
-import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -27,7 +26,6 @@ from recast.actors.refine.layers import make_layers
 from recast.actors.refine.paint import follow_paint
 from recast.actors.refine.shape import Bend, PoseOffsets
 from recast.actors.refine.visibility import visibility_of
-from recast.actors.shares import Shares
 from recast.logs import Trajectory
 from recast.scene import StreetScene
 from recast.scene.mirror import DEFORMABLE
@@ -40,7 +38,7 @@ Array = NDArray[np.float64]
 LEAST_IMAGES = 5
 """Fewer images than this cannot both teach and judge."""
 _HOLD_BACK = 10
-_SPLIT = 20.0  # pixels of its patch over all images from which on a Gaussian is split
+_SPLIT = 0.5  # trusted share of a Gaussian from which on it is split
 _SURFACE_OPACITY = 0.3
 
 
@@ -90,14 +88,15 @@ def refine(
         bent = bend(actor.gaussians.detach())
     visible = visibility_of(bent, actor.low_pass, views, symmetric)
     loss_before, loss_bent = task.judged(actor.gaussians, None), task.judged(bent, poses)
-    source = split_rows(bent, visible.shown & (visible.own + visible.twin > _SPLIT))
+    known = visible.trusted.seen + visible.trusted.mirrored
+    source = split_rows(bent, visible.shown & (known > _SPLIT))
     finer, visible = split(bent, *source), visible.select(torch.cat(source))
     shares = visible.shares
     free = FreeGaussians(finer, visible.freedom(finer))
     descent = FreeDescent(task, free, poses)
     _descend(descent, _identity(actor, evidence, seed), checkpoint, counter)
 
-    refined = follow_paint(free.prior, descent.best, shares)
+    refined = follow_paint(free.prior, descent.best, visible.trusted)
     loss_after = task.judged(refined, poses)
     better = loss_after < loss_before
     report = Refinement(
@@ -113,7 +112,8 @@ def refine(
         turned=float(bend.turn.detach()),
         grew=_triple(bend.grow.exp()),
         pose_correction=_correction(poses, times),
-        **_surface_shares(refined, shares),
+        seen=_surface_share(refined, shares.seen),
+        mirrored=_surface_share(refined, shares.mirrored),
     )
     if not better:
         return _reported(actor, report)
@@ -196,12 +196,8 @@ def _corrected(trajectory: Trajectory, poses: PoseOffsets) -> Trajectory:
     return Trajectory(trajectory.timestamps_us, trajectory.poses @ np.stack(offsets))
 
 
-def _surface_shares(gaussians: Gaussians, shares: Shares) -> dict[str, float]:
-    """Seen and mirrored share of the opaque Gaussians, by the area of their discs."""
-    scales = gaussians.log_scales.sort(dim=1).values[:, 1:].sum(dim=1).exp()
-    area = scales * (gaussians.logit_opacities.sigmoid() > _SURFACE_OPACITY)
-    total = float(area.sum()) or math.inf
-    return {
-        "seen": float((area * shares.seen).sum()) / total,
-        "mirrored": float((area * shares.mirrored).sum()) / total,
-    }
+def _surface_share(gaussians: Gaussians, share: torch.Tensor) -> float:
+    """Mean share (N,) over the opaque Gaussians, by the area of their discs."""
+    area = gaussians.log_scales.sort(dim=1).values[:, 1:].sum(dim=1).exp()
+    area = area * (gaussians.logit_opacities.sigmoid() > _SURFACE_OPACITY)
+    return float((area * share).sum()) / max(float(area.sum()), 1e-12)

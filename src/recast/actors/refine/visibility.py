@@ -23,7 +23,7 @@ from recast.splats.sh import C0
 _PATCH = 0.06  # metres around a Gaussian that are seen or not seen together
 _SHOWN = 0.5  # pixels of a Gaussian's own over all images that put it in the picture
 _SEEN = 20.0  # pixels of a patch over all images that make it two thirds seen
-_TRUSTED = 400.0  # and that let two thirds of it follow them: few images are followed too far
+_TRUSTED = 200.0  # and that let two thirds of it follow them
 _NEIGHBOURS = 8
 _MIRRORED = 0.6  # of the freedom, for what only the other side's images show
 
@@ -45,13 +45,20 @@ class Visibility:
     @property
     def shares(self) -> Shares:
         """Where each comes from."""
-        seen = 1 - torch.exp(-self.own / _SEEN)
-        return Shares(seen, (1 - seen) * (1 - torch.exp(-self.twin / _SEEN)))
+        return self._shares(_SEEN)
+
+    @property
+    def trusted(self) -> Shares:
+        """The same where few images do not count much: they would be followed too far."""
+        return self._shares(_TRUSTED)
+
+    def _shares(self, pixels: float) -> Shares:
+        seen = 1 - torch.exp(-self.own / pixels)
+        return Shares(seen, (1 - seen) * (1 - torch.exp(-self.twin / pixels)))
 
     def freedom(self, gaussians: Gaussians) -> Tensor:
-        """(N,) in [0, 1] how far each may leave the prior, smooth over its neighbours."""
-        own = 1 - torch.exp(-self.own / _TRUSTED)
-        own = own + _MIRRORED * (1 - own) * (1 - torch.exp(-self.twin / _TRUSTED))
+        """(N,) in [0, 1] how far each of `gaussians` may leave the prior, smoothly over them."""
+        own = self.trusted.seen + _MIRRORED * self.trusted.mirrored
         points = gaussians.means.detach().numpy()
         _, near = cKDTree(points).query(points, k=min(_NEIGHBOURS, len(points)))
         around = own[torch.from_numpy(near.reshape(len(points), -1))].mean(dim=1)
