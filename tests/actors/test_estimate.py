@@ -42,7 +42,8 @@ def photographed(
     colour = shade(albedo, cloud.gloss * factor, cloud.normals, heights, views, light)
     colour += np.random.default_rng(1).normal(0.0, 0.01, colour.shape)
     facing = np.sum(cloud.normals * views, axis=1)
-    return SurfaceView(np.clip(colour, 0, 1), (facing > 0.3).astype(float), views)
+    sharpness = np.full(len(facing), 40.0)
+    return SurfaceView(np.clip(colour, 0, 1), (facing > 0.3).astype(float), views, sharpness)
 
 
 def under(observation: Observation, level: float) -> Observation:
@@ -61,7 +62,7 @@ def test_unseen_parts_continue_the_brightness(
     """In the shade and in daylight the flank that nobody saw is as bright as it was."""
     true = Daylight(level, np.full(3, level))
     seen = photographed(cloud, PAINTS[name], true)
-    light, paint = estimate_light(cloud, seen, under(observation, level))
+    light, paint = estimate_light(cloud, [seen], under(observation, level))
     unseen = (cloud.paint > 0.9) & (cloud.normals[:, 1] < -0.8)
     views = np.array([[0.3, -0.95, 0.1]]) / np.linalg.norm([0.3, -0.95, 0.1])
     args = cloud.gloss[unseen], cloud.normals[unseen], cloud.points[unseen, 2], views
@@ -74,7 +75,7 @@ def test_unseen_parts_continue_the_brightness(
 def test_white_in_the_shade_is_not_grey(cloud: SurfaceCloud, observation: Observation) -> None:
     dim = Daylight(0.4, np.full(3, 0.4))
     seen = photographed(cloud, PAINTS["white"], dim)
-    light, paint = estimate_light(cloud, seen, under(observation, 0.4))
+    light, paint = estimate_light(cloud, [seen], under(observation, 0.4))
     assert light.level < 0.75
     assert to_display(paint).min() > 0.68
 
@@ -89,12 +90,12 @@ def test_road_tells_the_light(observation: Observation) -> None:
 
 def test_windows_and_rims_are_as_dark_as_seen(cloud: SurfaceCloud) -> None:
     day = Daylight(1.0, np.ones(3))
-    assert estimate_rims(cloud, photographed(cloud, 0.4, day), day) > 0.8
-    assert estimate_rims(cloud, photographed(cloud, 0.4, day, rims=0.3), day) < 0.45
-    assert estimate_windows(cloud, photographed(cloud, 0.4, day), day) > 0.9
-    assert estimate_windows(cloud, photographed(cloud, 0.4, day, windows=0.6), day) < 0.75
+    assert estimate_rims(cloud, [photographed(cloud, 0.4, day)], day) > 0.8
+    assert estimate_rims(cloud, [photographed(cloud, 0.4, day, rims=0.3)], day) < 0.45
+    assert estimate_windows(cloud, [photographed(cloud, 0.4, day)], day) > 0.9
+    assert estimate_windows(cloud, [photographed(cloud, 0.4, day, windows=0.6)], day) < 0.75
     blind = replace(photographed(cloud, 0.4, day), weight=np.zeros(len(cloud.points)))
-    assert estimate_rims(cloud, blind, day) == 0.4
+    assert estimate_rims(cloud, [blind], day) == 0.4
 
 
 def test_a_distant_slanted_side_is_left_to_the_model(

@@ -1,10 +1,12 @@
-"""What the photograph tells of light and materials: level, sky, paint, windows, wheels.
+"""What the photographs tell of light and materials: level, sky, paint, windows, wheels.
 
 One photograph cannot tell a white car in the shade from a grey one in the sun. The road beside it
 says how much light there is; how bright the painted parts are is kept whatever the split.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,22 +33,22 @@ _FEW = 50
 
 
 def estimate_light(
-    cloud: SurfaceCloud, seen: SurfaceView, observation: Observation
+    cloud: SurfaceCloud, seen: Sequence[SurfaceView], observation: Observation
 ) -> tuple[Daylight, Array]:
-    """The photograph's light, and the linear reflectance (3,) of the body paint under it.
+    """The photographs' light, and the linear reflectance (3,) of the body paint under it.
 
     Painted patches obey `found = radiance * diffuse + factor * mirrored`, per channel. The
     factors of the mirrored light are held at the level of the light as far as the paint's own
     brightness drowns them: on a white car nothing can be seen of them, on a black one nothing else.
     """
-    level = road_level(observation)
-    painted = (cloud.paint > 0.9) & (seen.weight > 0.5)
-    if painted.sum() < _FEW:
+    level = road_level(observation, [view.gain for view in seen])
+    painted, colour, views = _shown(seen, cloud.paint > 0.9)
+    if len(painted) < _FEW:
         return Daylight(level, np.full(3, level)), to_linear(SRGB[Material.PAINT])
     normals, heights = cloud.normals[painted], cloud.points[painted, 2]
-    found = to_linear(seen.colour[painted])
+    found = to_linear(colour)
     across = diffuse(normals, heights)[:, 0]
-    sky = mirrored(normals, seen.views[painted], cloud.gloss[painted])
+    sky = mirrored(normals, views, cloud.gloss[painted])
     fits = [_split(found[:, c], across, sky[:, c], level) for c in range(3)]
     radiance, factors = np.array(fits).T
     level = max(level, float(radiance.mean()) / _WHITEST)
@@ -71,8 +73,23 @@ def _split(found: Array, across: Array, sky: Array, level: float) -> tuple[float
     return max(float(rest), 0.0), factor
 
 
-def road_level(observation: Observation) -> float:
-    """Level of the light by the brightness of the road around the vehicle, 1 on a clear day."""
+def road_level(observation: Observation, gains: Sequence[float] = ()) -> float:
+    """Level of the light by the brightness of the road around the vehicle, 1 on a clear day.
+
+    Args:
+        observation: with its further views.
+        gains: on the linear light of each view, 1 if none are given.
+    """
+    gains = gains or [1.0] * len(observation.views)
+    levels = [_road(view) * gain for view, gain in zip(observation.views, gains, strict=True)]
+    bright = np.array([level for level in levels if np.isfinite(level)])
+    if len(bright) == 0:
+        return 1.0
+    return float(np.clip((np.median(bright) / _ROAD) ** _ROAD_TRUST, *_LEVEL))
+
+
+def _road(observation: Observation) -> float:
+    """Linear light of the road around the vehicle in one view; nan where too little is seen."""
     half = observation.size / 2
     x, y = np.meshgrid(
         np.linspace(-half[0] - 3, half[0] + 3, 60), np.linspace(-half[1] - 3, half[1] + 3, 50)
@@ -87,18 +104,17 @@ def road_level(observation: Observation) -> float:
     # where the background was cut out, black stands for nothing seen
     road = road[(road[:, 3] == 0) & road[:, :3].any(axis=1)]
     if len(road) < _FEW:
-        return 1.0
-    bright = float(np.median(to_linear(road[:, :3] / 255.0).mean(axis=1)))
-    return float(np.clip((bright / _ROAD) ** _ROAD_TRUST, *_LEVEL))
+        return float("nan")
+    return float(np.median(to_linear(road[:, :3] / 255.0).mean(axis=1)))
 
 
-def estimate_windows(cloud: SurfaceCloud, seen: SurfaceView, light: Daylight) -> float:
+def estimate_windows(cloud: SurfaceCloud, seen: Sequence[SurfaceView], light: Daylight) -> float:
     """Brightness of the windows seen over the model's, 0.5 to 1; 0.7 where none is seen."""
     ratio = _ratio(cloud, seen, light, cloud.glass > 0.9, quantile=0.5, usual=0.7)
     return float(np.clip(ratio, 0.5, 1.0))
 
 
-def estimate_rims(cloud: SurfaceCloud, seen: SurfaceView, light: Daylight) -> float:
+def estimate_rims(cloud: SurfaceCloud, seen: Sequence[SurfaceView], light: Daylight) -> float:
     """Brightness of the wheels' metal over the model's, 0.3 to 1.2; 0.4 where none is seen.
 
     The photographed spokes are not where the model has its own: the brightest fifth counts.
@@ -109,21 +125,31 @@ def estimate_rims(cloud: SurfaceCloud, seen: SurfaceView, light: Daylight) -> fl
 
 def _ratio(
     cloud: SurfaceCloud,
-    seen: SurfaceView,
+    seen: Sequence[SurfaceView],
     light: Daylight,
     where: NDArray[np.bool_],
     quantile: float,
     usual: float,
 ) -> float:
     """Quantile of found over median modelled light, near the usual one where few are seen."""
-    chosen = where & (seen.weight > 0.5)
-    count = int(chosen.sum())
+    chosen, colour, views = _shown(seen, where)
+    count = len(chosen)
     if count == 0:
         return usual
     modelled = to_linear(
         shade(cloud.albedo[chosen], cloud.gloss[chosen], cloud.normals[chosen],
-              cloud.points[chosen, 2], seen.views[chosen], light)
+              cloud.points[chosen, 2], views, light)
     ).mean(axis=1)  # fmt: skip
-    found = to_linear(seen.colour[chosen]).mean(axis=1)
+    found = to_linear(colour).mean(axis=1)
     ratio = float(np.quantile(found, quantile)) / max(float(np.median(modelled)), 1e-3)
     return (count * ratio + _FEW * usual) / (count + _FEW)
+
+
+def _shown(
+    seen: Sequence[SurfaceView], where: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Patches (M,) of `where` (N,) that a view shows, once a view; colours, view directions."""
+    chosen = [np.flatnonzero(where & (view.weight > 0.5)) for view in seen]
+    colours = [view.colour[one] for view, one in zip(seen, chosen, strict=True)]
+    views = [view.views[one] for view, one in zip(seen, chosen, strict=True)]
+    return np.concatenate(chosen), np.concatenate(colours), np.concatenate(views)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,7 @@ from recast.actors.generate import Asset
 from recast.actors.observation import Observation
 from recast.actors.template.body import Body
 from recast.actors.template.cloud import SurfaceCloud, build_cloud, tangents
+from recast.actors.template.contours import contour
 from recast.actors.template.estimate import estimate_light, estimate_rims, estimate_windows
 from recast.actors.template.fit import fit_shape
 from recast.actors.template.lighting import (
@@ -23,15 +26,22 @@ from recast.actors.template.lighting import (
     to_display,
 )
 from recast.actors.template.merge import flat_gaussians, group_means, group_patches, shell_groups
-from recast.actors.template.outline import style_by_outline
 from recast.actors.template.placement import find_axles, place
-from recast.actors.template.texture import Texture, mirrored_texture, view_surface
+from recast.actors.template.proportions import candidate_styles
+from recast.actors.template.texture import (
+    Texture,
+    balanced,
+    blended,
+    mirrored_texture,
+    view_surface,
+)
 from recast.splats.gaussians import Gaussians, concatenate
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _OPACITY = 0.99
+_STYLES = 2  # beside the fitted one
 _SKETCH_SPACING = 0.024  # metres: enough for a silhouette
 _CELLS = (0.055, 0.03)  # metres: patches that look alike are merged in voxels of these edges
 _TOLERANCE = 0.03  # display values
@@ -59,24 +69,39 @@ class TemplateGenerator:
         self.spacing = spacing
         self.style = style
 
+    def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
+        """The body style that fits best, and the likeliest others for the class and box."""
+        if self.style is not None:
+            return [partial(self.generate, observation, seed)]
+        priors = candidate_styles(observation.category, observation.size)
+        styles = [None, *sorted(priors, key=lambda style: priors[style])[:_STYLES]]
+        return [
+            partial(TemplateGenerator(self.spacing, style).generate, observation, seed)
+            for style in styles
+        ]
+
     def generate(self, observation: Observation, seed: int) -> Asset:
         """Build the vehicle; it fills the logged box. See `ActorGenerator.generate`."""
         rng = np.random.default_rng(seed)
         size = observation.size
-        style = self.style
-        if style is None and len(observation.points) == 0:
-            style = style_by_outline(observation, rng)
-        fit = fit_shape(observation.category, size, observation.points, rng, style)
+        contours = [contour(view) for view in observation.views]
+        fit = fit_shape(observation.category, size, observation.points, rng, self.style, contours)
         body = Body(size, fit.proportions)
         coarse = max(self.spacing, _SKETCH_SPACING)
         sketch = build_cloud(body, coarse, rng).points
         lidar = np.asarray(observation.points, np.float64)
-        placement = place(body, sketch, coarse, observation, lidar[:: max(1, len(lidar) // 1200)])
-        body = Body(size, find_axles(body, observation, placement))
+        placements = place(body, sketch, coarse, observation, lidar[:: max(1, len(lidar) // 1200)])
+        body = Body(size, find_axles(body, observation, placements))
         cloud = build_cloud(body, self.spacing, rng)
-        seen = view_surface(cloud, observation, placement)
-        light, paint = estimate_light(cloud, seen, observation)
-        windows, rims = estimate_windows(cloud, seen, light), estimate_rims(cloud, seen, light)
+        views = balanced(
+            [
+                view_surface(cloud, view, placement)
+                for view, placement in zip(observation.views, placements, strict=True)
+            ]
+        )
+        seen = blended(views)
+        light, paint = estimate_light(cloud, views, observation)
+        windows, rims = estimate_windows(cloud, views, light), estimate_rims(cloud, views, light)
         dyed = cloud.albedo * (1 - cloud.glass * (1 - windows) - cloud.rim * (1 - rims))[:, None]
         cloud = replace(cloud, albedo=dyed, gloss=cloud.gloss * (1 - cloud.glass * (1 - windows)))
         gaussians = _gaussians(body, cloud, paint, mirrored_texture(cloud, seen), light)
@@ -96,7 +121,7 @@ class TemplateGenerator:
                 "windows": round(windows, 3),
                 "rims": round(rims, 3),
                 **measured,
-                "silhouette_overlap": round(placement.overlap, 4),
+                "silhouette_overlap": round(float(np.mean([one.overlap for one in placements])), 4),
                 "seen_share": round(float((seen.weight > 0.5).mean()), 4),
             },
         )

@@ -6,6 +6,7 @@ nearby. The mask and the LiDAR points tell better; colours are then read from th
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,6 +25,7 @@ Mask = NDArray[np.bool_]
 
 _NOISE = 0.04  # metres, see fit.py
 _SHIFT_SPREAD = np.array([0.12, 0.10, 0.05])  # metres along, across, up
+_VIEW_SPREAD = 0.06  # metres across one view, see fit.py
 _STRETCH_SPREAD = np.array([0.06, 0.07, 0.04])
 _OVERLAP_WEIGHT = 60.0
 _LIDAR_WEIGHT = 3.0
@@ -55,22 +57,23 @@ class Placement:
 
 def place(
     body: Body, surface: Array, spacing: float, observation: Observation, lidar: Array
-) -> Placement:
-    """Move and stretch the model onto mask and LiDAR points, with the logged box as prior.
+) -> tuple[Placement, ...]:
+    """Move and stretch the model onto masks and LiDAR points, with the logged box as prior.
+
+    The stretch is that of the vehicle. Labels are off differently in every frame, so with several
+    views each has a shift of its own across the view.
 
     Args:
         body: the model.
         surface: (N, 3) points on it and its wheels, ground at z = 0.
         spacing: metres between them.
-        observation: mask, camera and box.
+        observation: masks, cameras and box.
         lidar: (M, 3) points in the box frame.
+
+    Returns:
+        The placement for each of the observation's views.
     """
-    mask = observation.rgba[..., 3] > 127
-    # coarser than the points, or the silhouette has holes
-    pixels_per_metre = observation.camera.fx / np.linalg.norm(observation.eye)
-    cell = max(1, round(0.9 * spacing * pixels_per_metre))
-    shape = (mask.shape[0] // cell, mask.shape[1] // cell)
-    small = cv2.resize(mask.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA) > 0.5
+    outlines = [_Outline(view, surface, spacing) for view in observation.views]
     base = np.array([0.0, 0.0, -observation.size[2] / 2])
 
     def unpack(x: Array) -> tuple[Array, Array]:
@@ -78,26 +81,60 @@ def place(
 
     def cost(x: Array) -> float:
         stretch, shift = unpack(x)
-        pixels, _ = observation.camera.project(
-            se3.apply(observation.camera_from_object, surface * stretch + shift)
-        )
-        drawn = silhouette(pixels / cell, shape)
-        total = _OVERLAP_WEIGHT * (1 - overlap(drawn, small)) + 0.5 * float(x @ x)
+        missed = np.mean([1 - one.overlap(stretch, shift) for one in outlines])
+        total = _OVERLAP_WEIGHT * float(missed) + 0.5 * float(x @ x)
         if len(lidar):
             distance = body.distance((lidar - shift) / stretch)
             total += _LIDAR_WEIGHT * float(np.mean(np.log1p((distance / _NOISE) ** 2)))
         return total
 
-    simplex = np.concatenate([np.zeros((1, 6)), 0.6 * np.eye(6)])
-    result = minimize(
-        cost, np.zeros(6), method="Nelder-Mead",
-        options={"initial_simplex": simplex, "maxfev": 400, "xatol": 0.02, "fatol": 0.01},
-    )  # fmt: skip
-    stretch, shift = unpack(result.x)
-    pixels, _ = observation.camera.project(
-        se3.apply(observation.camera_from_object, surface * stretch + shift)
-    )
-    return Placement(stretch, shift, overlap(silhouette(pixels / cell, shape), small))
+    stretch, shift = unpack(_minimum(cost, 6, 400))
+    if len(outlines) == 1:
+        return (Placement(stretch, shift, outlines[0].overlap(stretch, shift)),)
+    return tuple(one.placement(stretch, shift) for one in outlines)
+
+
+def _minimum(cost: Callable[[Array], float], count: int, evaluations: int) -> Array:
+    """Where a function of `count` numbers is least, near 0; one is a usual deviation."""
+    simplex = np.concatenate([np.zeros((1, count)), 0.6 * np.eye(count)])
+    found: Array = minimize(
+        cost, np.zeros(count), method="Nelder-Mead",
+        options={
+            "initial_simplex": simplex, "maxfev": evaluations, "xatol": 0.02, "fatol": 0.01,
+        },
+    ).x  # fmt: skip
+    return found
+
+
+class _Outline:
+    """The silhouette of the model against the mask of one view."""
+
+    def __init__(self, view: Observation, surface: Array, spacing: float) -> None:
+        self._view, self._surface = view, surface
+        mask = view.rgba[..., 3] > 127
+        # coarser than the points, or the silhouette has holes
+        pixels_per_metre = view.camera.fx / np.linalg.norm(view.eye)
+        self._cell = max(1, round(0.9 * spacing * pixels_per_metre))
+        shape = (mask.shape[0] // self._cell, mask.shape[1] // self._cell)
+        area = cv2.resize(mask.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA)
+        self._mask: Mask = area > 0.5
+
+    def overlap(self, stretch: Array, shift: Array) -> float:
+        """Intersection over union of the placed model's silhouette with the mask."""
+        placed = se3.apply(self._view.camera_from_object, self._surface * stretch + shift)
+        pixels, _ = self._view.camera.project(placed)
+        return overlap(silhouette(pixels / self._cell, self._mask.shape), self._mask)
+
+    def placement(self, stretch: Array, shift: Array) -> Placement:
+        """The model shifted further across this view, to the right and down in the image."""
+        across = self._view.camera_from_object[:2, :3]
+
+        def cost(x: Array) -> float:
+            moved = shift + _VIEW_SPREAD * x @ across
+            return _OVERLAP_WEIGHT * (1 - self.overlap(stretch, moved)) + 0.5 * float(x @ x)
+
+        shift = shift + _VIEW_SPREAD * _minimum(cost, 2, 60) @ across
+        return Placement(stretch, shift, self.overlap(stretch, shift))
 
 
 def silhouette(pixels: Array, shape: tuple[int, int]) -> Mask:
@@ -114,41 +151,52 @@ def overlap(first: Mask, second: Mask) -> float:
     return float((first & second).sum() / max(int((first | second).sum()), 1))
 
 
-def find_axles(body: Body, observation: Observation, placement: Placement) -> Proportions:
-    """Proportions with the axles where the photograph shows wheels on the side it sees.
+def find_axles(
+    body: Body, observation: Observation, placements: Sequence[Placement]
+) -> Proportions:
+    """Proportions with the axles where the photographs show wheels.
 
     A wheel is a bright rim in a dark tyre: the place along the side, within 0.07 lengths of the
-    usual one, where rim and tyre differ most. Unclear or hidden wheels keep their place.
+    usual one, where rim and tyre differ most, in the view that shows it most clearly. Unclear or
+    hidden wheels keep their place.
     """
-    side = np.sign(observation.eye[1])
-    eye_across = abs(observation.eye[1]) - observation.size[1] / 2
-    if eye_across / np.linalg.norm(observation.eye) < 0.15:
-        return body.proportions
-    grey = cv2.cvtColor(observation.rgba[..., :3], cv2.COLOR_RGB2GRAY).astype(np.float32)
+    found: dict[str, Any] = {}
+    for name in ("front_axle_x", "rear_axle_x"):
+        usual = getattr(body.proportions, name)
+        seen = [
+            _clearest(body, view, placement, usual)
+            for view, placement in zip(observation.views, placements, strict=True)
+        ]
+        contrast, place = max(seen)
+        found[name] = place if contrast > 0.8 else usual
+    return replace(body.proportions, **found)
+
+
+def _clearest(
+    body: Body, view: Observation, placement: Placement, usual: float
+) -> tuple[float, float]:
+    """Contrast of rim and tyre where one view shows a wheel best, and where: see `find_axles`."""
+    side = np.sign(view.eye[1])
+    eye_across = abs(view.eye[1]) - view.size[1] / 2
+    if eye_across / np.linalg.norm(view.eye) < 0.15:
+        return 0.0, usual
+    grey = cv2.cvtColor(view.rgba[..., :3], cv2.COLOR_RGB2GRAY).astype(np.float32)
     angle, radius = np.meshgrid(
         np.linspace(0, 2 * np.pi, 48, endpoint=False), np.linspace(0.1, 0.97, 14)
     )
     rim, tyre = radius.ravel() < 0.62, radius.ravel() > 0.76
-    found: dict[str, Any] = {}
-    for name in ("front_axle_x", "rear_axle_x"):
-        usual = getattr(body.proportions, name)
-        candidates = usual + np.linspace(-0.07, 0.07, 29)
-        scores = []
-        for fraction in candidates:
-            disc = np.stack(
-                [body.x_at(fraction) + body.wheel_radius * (radius * np.cos(angle)).ravel(),
-                 np.full(radius.size, side * body.width / 2),
-                 body.wheel_radius * (1 + (radius * np.sin(angle)).ravel())], -1
-            )  # fmt: skip
-            pixels, _ = observation.camera.project(
-                se3.apply(observation.camera_from_object, placement.points(disc))
-            )
-            u, v = (pixels - 0.5).astype(np.float32).T
-            values = cv2.remap(grey, u[None], v[None], cv2.INTER_LINEAR)[0]
-            contrast = values[rim].mean() - values[tyre].mean()
-            scores.append(
-                contrast / (values[tyre].std() + 12.0) - 0.3 * abs(fraction - usual) / 0.07
-            )
-        best = int(np.argmax(scores))
-        found[name] = float(candidates[best]) if scores[best] > 0.8 else usual
-    return replace(body.proportions, **found)
+    candidates = usual + np.linspace(-0.07, 0.07, 29)
+    scores = []
+    for fraction in candidates:
+        disc = np.stack(
+            [body.x_at(fraction) + body.wheel_radius * (radius * np.cos(angle)).ravel(),
+             np.full(radius.size, side * body.width / 2),
+             body.wheel_radius * (1 + (radius * np.sin(angle)).ravel())], -1
+        )  # fmt: skip
+        pixels, _ = view.camera.project(se3.apply(view.camera_from_object, placement.points(disc)))
+        u, v = (pixels - 0.5).astype(np.float32).T
+        values = cv2.remap(grey, u[None], v[None], cv2.INTER_LINEAR)[0]
+        contrast = values[rim].mean() - values[tyre].mean()
+        scores.append(contrast / (values[tyre].std() + 12.0) - 0.3 * abs(fraction - usual) / 0.07)
+    best = int(np.argmax(scores))
+    return float(scores[best]), float(candidates[best])

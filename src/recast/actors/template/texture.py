@@ -1,8 +1,9 @@
-"""Colours from the one photograph: which patches it shows, and how they look there."""
+"""Colours from the photographs: which patches they show, and how these look there."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -10,11 +11,16 @@ from numpy.typing import NDArray
 
 from recast.actors.observation import Observation
 from recast.actors.template.cloud import SurfaceCloud
+from recast.actors.template.lighting import to_display, to_linear
 from recast.actors.template.placement import Placement
 from recast.geometry import se3
 
 Array = NDArray[np.float64]
 
+_FEW = 50  # patches
+_GAIN = (0.4, 2.5)
+_DISAGREEMENT = 0.15  # display values
+_STEEPNESS = 4
 _COARSE = (0.010, 0.028)  # metres per pixel: from fine enough for slanted sides, to too coarse
 
 
@@ -26,11 +32,15 @@ class SurfaceView:
         colour: (N, 3) display values; meaningless where `weight` is 0.
         weight: (N,) 0 unseen to 1 seen squarely and well inside the mask.
         views: (N, 3) unit directions from the patch to the camera, vehicle frame.
+        sharpness: (N,) pixels a metre on the patch, foreshortened.
+        gain: that `colour` was given, on linear light.
     """
 
     colour: Array
     weight: Array
     views: Array
+    sharpness: Array
+    gain: float = 1.0
 
 
 def view_surface(
@@ -58,7 +68,8 @@ def view_surface(
     slant = _ramp(facing, 0.12 + 0.20 * coarse, 0.35 + 0.25 * coarse)
     weight = slant * _ramp(inside, 1.0, 3.5) * front
     colour = _sample(_calm_chroma(observation.rgba[..., :3]).astype(np.float32) / 255, pixels)
-    return SurfaceView(colour, weight, views)
+    sharpness = observation.camera.fx / np.maximum(depth, 0.1) * np.clip(facing, 0.0, 1.0)
+    return SurfaceView(colour, weight, views, sharpness)
 
 
 def _frontmost(
@@ -105,6 +116,56 @@ def _sample(image: NDArray[np.floating], pixels: Array) -> Array:
 def _ramp(x: Array, low: float | Array, high: float | Array) -> Array:
     t = np.clip((x - low) / (high - low), 0.0, 1.0)
     return t * t * (3 - 2 * t)
+
+
+def balanced(views: Sequence[SurfaceView]) -> list[SurfaceView]:
+    """The views at the exposure of the first, by the patches that each shares with those before.
+
+    Cameras expose differently, and a vehicle drives through shade. A view that shares few patches
+    keeps its brightness nearly.
+    """
+    done = [views[0]]
+    for view in views[1:]:
+        known = blended(done)
+        shared = np.minimum(known.weight, view.weight) > 0.5
+        here, there = (to_linear(v.colour[shared]).mean(axis=1) + 0.002 for v in (view, known))
+        count = int(shared.sum())
+        ratio = float(np.median(np.log(there / here))) if count else 0.0
+        gain = float(np.exp(np.clip(ratio * count / (count + _FEW), *np.log(_GAIN))))
+        done.append(replace(view, colour=to_display(gain * to_linear(view.colour)), gain=gain))
+    return done
+
+
+def blended(views: Sequence[SurfaceView]) -> SurfaceView:
+    """One view of all that was seen: each patch mostly as it looks where it was seen best.
+
+    Weights rise steeply with facing, resolution and distance from the mask's border, so that a
+    sharp picture is not blurred by a coarse one. A colour far from the others' mean counts less.
+    """
+    if len(views) == 1:
+        return views[0]
+    colour, weight, towards, sharpness = (
+        np.stack([getattr(view, name) for view in views])
+        for name in ("colour", "weight", "views", "sharpness")
+    )
+    merit = weight * sharpness
+    mean = _mix(merit, colour)
+    apart = np.linalg.norm(colour - mean, axis=-1) / _DISAGREEMENT
+    merit = (merit / np.maximum(merit.max(axis=0), 1e-9)) ** _STEEPNESS / (1 + apart**2)
+    direction = _mix(merit, towards)
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
+    return SurfaceView(
+        _mix(merit, colour), 1 - np.prod(1 - weight, axis=0), direction,
+        _mix(merit, sharpness[..., None])[:, 0],
+    )  # fmt: skip
+
+
+def _mix(weights: Array, values: Array) -> Array:
+    """Weighted means (N, C) of values (V, N, C) over the views, the first's where none counts."""
+    total = weights.sum(axis=0)
+    weights = np.where(total > 1e-9, weights, np.arange(len(weights))[:, None] == 0)
+    mixed: Array = np.einsum("vn,vnc->nc", weights / weights.sum(axis=0), values)
+    return mixed
 
 
 @dataclass(frozen=True)
