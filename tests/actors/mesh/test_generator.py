@@ -10,8 +10,9 @@ import torch
 
 from actors.mesh.made import CAR, HALVES, SQUARE, Glb, box, car
 from recast.actors import MeshGenerator, Observation, register
+from recast.actors.mesh.outside import Outside, outside
 from recast.actors.mesh.sample import sample
-from recast.actors.mesh.surfels import facing_out, surfels
+from recast.actors.mesh.surfels import surfels
 from recast.actors.mesh.triangles import Material, Triangles
 from recast.actors.template.lighting import CLEAR_DAY, SH_C0
 from recast.errors import InputError
@@ -32,8 +33,8 @@ def colours(gaussians: Gaussians) -> np.ndarray:
     return 0.5 + SH_C0 * gaussians.sh[:, 0].numpy()
 
 
-def alpha_through(gaussians: Gaussians, pixels: int = 40) -> np.ndarray:
-    """Alpha of the middle of a picture from 10 m above, a pixel a centimetre."""
+def picture_from_above(gaussians: Gaussians, pixels: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    """Colours and alpha of the middle, seen from 10 m above, a pixel a centimetre."""
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[2, 3] = 10.0
     camera = torch.tensor([[1000.0, 0, pixels / 2], [0, 1000.0, pixels / 2], [0, 0, 1]])
@@ -41,7 +42,11 @@ def alpha_through(gaussians: Gaussians, pixels: int = 40) -> np.ndarray:
         gaussians, torch.from_numpy(pose).float(), camera, pixels, pixels,
         eps2d=MIP.variance, antialiased=MIP.antialiased,
     )  # fmt: skip
-    return picture.alpha.numpy()
+    return picture.rgb.numpy(), picture.alpha.numpy()
+
+
+def alpha_through(gaussians: Gaussians) -> np.ndarray:
+    return picture_from_above(gaussians)[1]
 
 
 @pytest.mark.parametrize("alpha", [0.1, 0.35, 0.6, 0.9])
@@ -50,23 +55,24 @@ def test_a_pane_lets_through_what_its_alpha_says(alpha: float) -> None:
     pane = of_box([-1, -1, 0], [1, 1, 0.004], (0.5, 0.5, 0.5, alpha))
     body = of_box([-1, -1, -9.0], [1, 1, -8.9], (0.5, 0.5, 0.5, 1.0))
     samples, _ = sample([pane, body], 0.01)
-    outer = facing_out(samples)
-    glass = surfels(outer.select(outer.alpha < 1), CLEAR_DAY)
-    seen = alpha_through(glass)
-    assert float(seen.min()) == pytest.approx(alpha, abs=0.02 + 0.02 * alpha)
-    assert float(seen.max()) == pytest.approx(alpha, abs=0.02 + 0.02 * alpha)
+    seen = outside(samples)
+    glass = seen.samples.alpha < 1
+    pane_alone = Outside(seen.samples.select(glass), seen.closed[glass])
+    drawn = alpha_through(surfels(pane_alone, CLEAR_DAY))
+    assert float(drawn.min()) == pytest.approx(alpha, abs=0.02 + 0.02 * alpha)
+    assert float(drawn.max()) == pytest.approx(alpha, abs=0.02 + 0.02 * alpha)
 
 
 def test_what_is_opaque_has_no_holes() -> None:
     samples, _ = sample([of_box([-1, -1, -1], [1, 1, 0], (0.5, 0.5, 0.5, 1.0))], 0.01)
-    assert alpha_through(surfels(facing_out(samples), CLEAR_DAY)).min() > 0.97
+    assert alpha_through(surfels(outside(samples), CLEAR_DAY)).min() > 0.97
 
 
 def test_how_the_file_winds_its_triangles_does_not_matter() -> None:
     made = []
     for flipped in (False, True):
         samples, _ = sample([of_box([0, 0, 0], [2, 1, 1], (0.5, 0.1, 0.1, 1.0), flipped)], 0.02)
-        made.append(facing_out(samples))
+        made.append(outside(samples).samples)
     for one in made:  # at an edge, both sides of a face are seen: 1.5 cells of 3.6 cm
         edges = np.sort(np.minimum(one.points, [2, 1, 1] - one.points), axis=1)[:, 1]
         away = edges > 0.06
@@ -79,13 +85,40 @@ def test_what_is_inside_is_left_out_unless_glass_shows_it() -> None:
     for alpha, kept in ((1.0, False), (0.3, True)):
         shell = of_box([0, 0, 0], [2, 1, 1], (1.0, 0.0, 0.0, alpha))
         base = of_box([0, 0, -0.1], [2, 1, -0.05], (1.0, 0.0, 0.0, 1.0))
-        samples = facing_out(sample([engine, shell, base], 0.02)[0])
-        assert bool((samples.albedo[:, 1] > 0.5).any()) is kept
+        samples = outside(sample([engine, shell, base], 0.02)[0]).samples
+        assert bool((samples.albedo[:, 1] > 0.2).any()) is kept
+
+
+def open_box() -> list[Triangles]:
+    """White walls a millimetre thin, and a lid of glass."""
+    white = Material(np.ones(4))
+    corners, faces = box([-1, -1, -1], [1, 1, 0])
+    walls = np.array([f for f in faces if corners[f][:, 2].min() < 0])
+    lid = of_box([-1, -1, 0], [1, 1, 0.01], (1.0, 1.0, 1.0, 0.1))
+    return [Triangles(corners[walls].astype(np.float64), None, None, white), lid]
+
+
+def test_it_is_dark_inside() -> None:
+    """Seen through the lid from above, the floor is not the white of its underside."""
+    made = surfels(outside(sample(open_box(), 0.01)[0]), CLEAR_DAY)
+    rgb, alpha = picture_from_above(made)
+    assert alpha.min() > 0.9
+    assert rgb.mean() < 0.5
+
+
+def test_a_mirror_has_no_inside() -> None:
+    plate = of_box([3, -0.2, 0], [3.02, 0.2, 0.4], (1.0, 0.0, 0.0, 1.0))
+    body = of_box([-2, -1, 0], [2, 1, 1], (0.3, 0.3, 0.3, 1.0))
+    seen = outside(sample([plate, body], 0.01)[0])
+    of_plate = seen.samples.points[:, 0] > 2.5
+    assert not seen.closed[of_plate].any()
+    middle = np.abs(seen.samples.points[:, 1]) < 0.8
+    assert seen.closed[~of_plate & middle].mean() > 0.9
 
 
 def test_the_top_is_lighter_than_the_flank() -> None:
     samples, _ = sample([of_box([-2, -1, 0], [2, 1, 1], (0.3, 0.3, 0.3, 1.0))], 0.02)
-    made = surfels(facing_out(samples), CLEAR_DAY)
+    made = surfels(outside(samples), CLEAR_DAY)
     up = made.means[:, 2] > 0.995
     flank = (made.means[:, 1].abs() > 0.995) & (made.means[:, 2] < 0.5)
     assert colours(made)[up].mean() > colours(made)[flank].mean() + 0.05

@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 
 from recast.actors.axes import AUTO, AxisConvention, axes_of
 from recast.actors.generate import Asset
+from recast.actors.mesh.outside import outside
 from recast.actors.mesh.read import read_triangles
 from recast.actors.mesh.sample import Samples, sample
-from recast.actors.mesh.surfels import facing_out, surfels
+from recast.actors.mesh.surfels import surfels
 from recast.actors.mesh.triangles import Triangles
 from recast.actors.observation import Observation
 from recast.actors.template.estimate import road_level
@@ -64,25 +65,26 @@ class MeshGenerator:
             "file": self.path.name, "triangles": sum(map(len, parts)),
         }  # fmt: skip
         try:
-            samples = facing_out(samples)
+            seen = outside(samples)
         except ValueError as error:
             raise InputError(self.path, "mesh", str(error), "export it again") from None
         if isinstance(self.axes, AxisConvention):
             axes = self.axes
         else:
-            found = upright(samples.points[samples.alpha >= 1], observation.size, self.path)
+            opaque = seen.samples.alpha >= 1
+            found = upright(seen.samples.points[opaque], observation.size, self.path)
             axes, details["axes"] = found.axes, f"told from the shape: {found.explain()}"
         turn = axes.rotation()
         standing = replace(
-            samples, points=samples.points @ turn.T, normals=samples.normals @ turn.T
+            seen.samples, points=seen.samples.points @ turn.T, normals=seen.samples.normals @ turn.T
         )
         level = road_level(observation)
-        made = surfels(standing, Daylight(level, np.full(3, level)))
+        made = surfels(replace(seen, samples=standing), Daylight(level, np.full(3, level)))
         extent = " x ".join(f"{side / unit:.4g}" for side in np.ptp(standing.points, axis=0))
         details |= {
             "scale": f"{extent} units, z up; {unit:.4g} m a unit makes it as long as the box",
             "spacing_m": round(spacing, 4),
-            "glass_share": round(float((samples.alpha < 1).mean()), 4),
+            "glass_share": round(float((standing.alpha < 1).mean()), 4),
             "light": round(level, 3),
         }
         back = se3.from_rotation_translation(turn.T, np.zeros(3))
