@@ -34,7 +34,7 @@ def test_everything_is_there(finished: Path) -> None:
     assert metrics["actor"]["registration"]["after"]["median"] < 0.15
     assert metrics["scene"]["psnr"] > 15
     page = (finished / "report" / "index.html").read_text()
-    assert "recorded road" in page
+    assert "recorded road" in page and "Of what the cameras showed of the replaced actor" in page
     for method in ("native", "replaced"):
         film = finished / "rollouts" / "advancing-a" / method / "image_02.mp4"
         frames, fps = read_video(film)
@@ -46,6 +46,12 @@ def test_everything_is_there(finished: Path) -> None:
 def test_the_methods_differ_in_the_picture_and_not_in_the_motion(finished: Path) -> None:
     metrics = json.loads((finished / "metrics.json").read_text())
     native, replaced = ({**r, "method": "", "name": ""} for r in metrics["rollouts"])
+    assert native.pop("coverage") is None
+    coverage = replaced.pop("coverage")
+    assert coverage["planner"] is None  # it looks at no images
+    shown = coverage["all"]
+    assert (shown["images"], shown["visible"]) == (2, 2)
+    assert shown["seen"] + shown["mirrored"] + shown["invented"] == pytest.approx(1)
     assert native == replaced
     films = [
         read_video(finished / "rollouts" / "advancing-a" / method / "image_02.mp4")[0]
