@@ -25,11 +25,12 @@ class Make:
     generator: str = "auto"
     """What makes the vehicle: auto (template and recast-mini, of which the log's evidence takes the
     best), recast-mini (the image-to-3D model of the package), template, an installed generator's
-    name, a model folder, or the path of a PLY."""
+    name, a model folder, the path of a PLY, GLB or OBJ, or library:FOLDER (the best of the files
+    and actors in it)."""
     axes: str = "auto"
-    """Axes of a PLY or a model folder: which one points up, such as z-up, y-up or minus-y-up (a
-    splat viewer's), or forward and up, such as x,z (write --axes=-y,z with a minus). auto tells a
-    PLY's from its shape, and takes models for z-up."""
+    """Axes of vehicle files or a model folder: which one points up, such as z-up, y-up or
+    minus-y-up (a splat viewer's), or forward and up, such as x,z (write --axes=-y,z with a minus).
+    auto tells a file's from its shape, and takes models for z-up."""
     segmenter: str = "box-lidar"
     """What cuts the vehicle out: box-lidar, an installed segmenter's name, or a folder that holds
     grounding-dino and sam (see docs/actors.md)."""

@@ -24,7 +24,8 @@ class Demo:
     generator: str = "auto"
     """What makes the vehicle: auto (the better one of template and recast-mini for
     this vehicle), recast-mini (the image-to-3D model of the package), template, an
-    installed generator's name, a model folder, or the path of a PLY."""
+    installed generator's name, a model folder, the path of a PLY, GLB or OBJ, or
+    library:FOLDER."""
     planner: str | None = None
     """Planner under test, as for recast run. Default: gtrs-mini (the package's, which looks at
     three cameras); with --quick, which has one camera, idm-follower."""

@@ -41,11 +41,12 @@ class Run:
     generator: str | None = None
     """What makes the actor: auto (the better one of template and recast-mini for
     this vehicle), recast-mini (the image-to-3D model of the package), template, an
-    installed generator's name, a model folder, or the path of a PLY."""
+    installed generator's name, a model folder, the path of a PLY, GLB or OBJ, or library:FOLDER
+    (the best of the files and actors in it)."""
     axes: str | None = None
-    """Axes of a PLY or a model folder: which one points up, such as z-up, y-up or minus-y-up (a
-    splat viewer's), or forward and up, such as x,z (write --axes=-y,z with a minus). auto tells a
-    PLY's from its shape, and takes models for z-up. Default: auto."""
+    """Axes of vehicle files or a model folder: which one points up, such as z-up, y-up or
+    minus-y-up (a splat viewer's), or forward and up, such as x,z (write --axes=-y,z with a minus).
+    auto tells a file's from its shape, and takes models for z-up. Default: auto."""
     refine: bool | None = None
     """Whether the actor follows all images of the log, which takes a minute. Default: yes."""
     segmenter: str | None = None

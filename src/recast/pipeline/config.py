@@ -41,9 +41,10 @@ class RunConfig(Record):
         default="auto", pattern=f"^({DEVICE_PATTERN})$", description="where the planner computes"
     )
     generator: str = Field(
-        default=DEFAULT_GENERATOR, description="name of a generator, model folder, or PLY"
+        default=DEFAULT_GENERATOR,
+        description="generator, model folder, vehicle file or library:FOLDER",
     )
-    axes: str = Field(default=AUTO, description="axis convention of a PLY or model folder")
+    axes: str = Field(default=AUTO, description="axis convention of vehicle files or a model")
     refine: bool = Field(default=True, description="follow all images of the log with the actor")
     segmenter: str = Field(
         default=DEFAULT_SEGMENTER, description="name of a segmenter, or folder of its networks"
