@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+import recast.actors.mesh.surfels as making
 from actors.mesh.made import CAR, HALVES, SQUARE, Glb, box, car
 from recast.actors import MeshGenerator, Observation, register
 from recast.actors.mesh.outside import Outside, outside
@@ -87,6 +89,17 @@ def test_what_is_inside_is_left_out_unless_glass_shows_it() -> None:
         base = of_box([0, 0, -0.1], [2, 1, -0.05], (1.0, 0.0, 0.0, 1.0))
         samples = outside(sample([engine, shell, base], 0.02)[0]).samples
         assert bool((samples.albedo[:, 1] > 0.2).any()) is kept
+
+
+def test_a_noisy_texture_does_not_make_a_gaussian_of_every_texel(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    samples, _ = sample([of_box([0, 0, 0], [1, 1, 1], (1.0, 1.0, 1.0, 1.0))], 0.02)
+    noise = np.random.default_rng(0).normal(0.5, 0.05, samples.albedo.shape)
+    vehicle = outside(replace(samples, albedo=noise))
+    many = len(surfels(vehicle, CLEAR_DAY))
+    monkeypatch.setattr(making, "MOST_GAUSSIANS", many // 2)
+    assert len(surfels(vehicle, CLEAR_DAY)) <= many // 2
 
 
 def open_box() -> list[Triangles]:

@@ -27,11 +27,13 @@ from recast.splats.gaussians import concatenate
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+MOST_GAUSSIANS = 120_000
+"""Of a surface, if merging can bring it down to that: a rollout pays for each."""
 _OPACITY = 0.99
 _OPACITIES = np.linspace(0.001, _OPACITY, 1000)
 _TAKEN = spence(1 - _OPACITIES)  # the dilogarithm Li2 of them
 _CELLS = (0.04, 0.02)  # metres: points that look alike are merged in voxels of these edges
-_TOLERANCE = 0.03  # display values
+_TOLERANCES = (0.03, 0.06, 0.12, 0.25, 0.5)  # display values
 _SHELL_CELL = 0.10  # metres
 _SHELL_DEPTHS = (0.04, 0.10)  # metres behind the surface: of its own colour, and the dark inside
 _MARGIN, _NEAR = 0.13, 0.065  # metres: so far beside a wide Gaussian, the surface is so near
@@ -49,8 +51,7 @@ def surfels(vehicle: Outside, light: Daylight) -> Gaussians:
     glass o solves n Li2(o) = -log(1 - alpha).
     """
     samples = vehicle.samples
-    look = np.c_[to_display(samples.albedo), 0.1 * samples.gloss, samples.alpha]
-    group = group_patches(samples.points, samples.normals, look, _CELLS, _TOLERANCE)
+    group = _groups(samples)
     floor = float(samples.points[:, 2].min())
     surface = _lit(samples, group, floor, light)
     (alpha,) = group_means(group, samples.alpha)
@@ -63,6 +64,16 @@ def surfels(vehicle: Outside, light: Daylight) -> Gaussians:
     if vehicle.closed.any():
         parts += _shells(samples.select(vehicle.closed), floor, light, bool((alpha < 1).any()))
     return concatenate(parts)
+
+
+def _groups(samples: Samples) -> Ints:
+    """(N,) the Gaussian of each sample; what is less alike is merged if there are too many."""
+    look = np.c_[to_display(samples.albedo), 0.1 * samples.gloss, samples.alpha]
+    for tolerance in _TOLERANCES:
+        group = group_patches(samples.points, samples.normals, look, _CELLS, tolerance)
+        if int(group.max()) < MOST_GAUSSIANS:
+            break
+    return group
 
 
 def _lit(samples: Samples, group: Ints, floor: float, light: Daylight) -> Gaussians:
@@ -88,7 +99,7 @@ def _shells(closed: Samples, floor: float, light: Daylight, windows: bool) -> li
         group, closed.points, closed.normals, look, look**2
     )
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    inner = (square - mean**2).max(axis=1) < _TOLERANCE**2
+    inner = (square - mean**2).max(axis=1) < _TOLERANCES[0] ** 2
     tree = cKDTree(closed.points)
     behind = centres - _SHELL_DEPTHS[0] * normals
     for way in tangents(normals):
