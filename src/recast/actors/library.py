@@ -116,7 +116,7 @@ class LibraryGenerator:
             InputError: see `generate`.
         """
         ranking, left_out = self.rank(observation)
-        told = {
+        told: dict[str, str | int] = {
             "ranking": "; ".join(one.explain() for one in ranking[:_NAMED]),
             "vehicles": len(self.vehicles),
         }

@@ -57,7 +57,7 @@ def _read(path: Path, changed_ns: int, size: int) -> Summary | str:
         return str(error)
     if len(points) == 0:
         return f"{path}: nothing of it is opaque"
-    extent = np.sort(np.subtract(*bounds(points)[::-1]))
+    extent: Array = np.sort(np.subtract(*bounds(points)[::-1]))
     if not extent[0] > 0:
         return f"{path}: has no volume"
     return Summary(extent[1::-1] / extent[2], colours.mean(axis=0))
@@ -84,12 +84,13 @@ def seen_paint(observation: Observation) -> Array:
 
 def size_apart(summary: Summary, size: ArrayLike) -> float:
     """Sum of the logs by which the proportions differ from those of a box (3,)."""
-    sides = np.sort(np.asarray(size, np.float64))
+    sides: Array = np.sort(np.asarray(size, np.float64))
     return float(np.abs(np.log(summary.proportions / (sides[1::-1] / sides[2]))).sum())
 
 
 def paint_apart(summary: Summary, seen: Array) -> float:
     """Mean difference in display values to a linear colour (3,), after the light's best gain."""
-    gain = np.clip(summary.paint @ seen / max(summary.paint @ summary.paint, 1e-9), *_GAINS)
+    power = max(float(summary.paint @ summary.paint), 1e-9)
+    gain = np.clip(float(summary.paint @ seen) / power, *_GAINS)
     shown, wanted = (np.clip(one, 0, 1) ** (1 / 2.2) for one in (gain * summary.paint, seen))
     return float(np.abs(shown - wanted).mean())

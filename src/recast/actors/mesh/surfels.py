@@ -114,8 +114,8 @@ def _shells(closed: Samples, floor: float, light: Daylight, windows: bool) -> li
     group = np.unique(group[inner[group]], return_inverse=True)[1]
     (inwards,) = group_means(group, -kept.normals)
     sheet = _lit(kept, group, floor, light)
-    way = torch.from_numpy(inwards).float()
-    near, far = (replace(sheet, means=sheet.means + depth * way) for depth in _SHELL_DEPTHS)
+    step = torch.from_numpy(inwards).float()
+    near, far = (replace(sheet, means=sheet.means + depth * step) for depth in _SHELL_DEPTHS)
     dark = torch.zeros_like(far.sh)
     dark[:, 0] = (_DARK - 0.5) / SH_C0
     return [near, replace(far, sh=dark)] if windows else [near]
