@@ -167,6 +167,7 @@ class Refinement(Record):
         steps: of the free stage until it stopped.
         moved: (3,) metres; turned: radians; grew: (3,) factors along, across, up.
         pose_correction: root mean square of the track's corrections at the images, metres.
+        shadow: factor of the contact shadow's opacity.
         seen, mirrored: shares of the vehicle's surface (by area of its Gaussians' discs).
         notes: what was not done, and why.
     """
@@ -183,6 +184,7 @@ class Refinement(Record):
     turned: float
     grew: tuple[float, float, float]
     pose_correction: float
+    shadow: float
     seen: float
     mirrored: float
     notes: tuple[str, ...] = ()

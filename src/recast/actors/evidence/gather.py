@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 LEAST_HEIGHT = 14.0
 """Pixels of the projected box: in a smaller one nothing is told apart."""
-_LEAST_IN_IMAGE = 0.4
+_LEAST_IN_IMAGE = 0.15
 _LEAST_VISIBLE = 0.35
 _MOST = 120  # images; more of a slow drive show the same again
 _MARGIN = 0.22  # share of the box's longer side left around it

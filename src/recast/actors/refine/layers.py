@@ -6,7 +6,8 @@ these two layers, which costs a fifth of drawing the whole street.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -19,6 +20,7 @@ from recast.scene import StreetScene
 from recast.scene.sky import composite, pixel_coordinates
 from recast.splats import CLASSIC, Gaussians, concatenate, rasterize, refiltered
 
+_DARKNESS, _DARKNESS_PRIOR = (0.2, 1.3), 2.0
 _GAINS = (0.8, 1.25)
 _GAIN_PRIOR = 40.0  # pixels' worth of evidence for a gain of one
 
@@ -30,7 +32,8 @@ class Layers:
     Attributes:
         sighting: the image, its mask and cameras.
         target: (H, W, 3) float32, the image with the gain of its exposure undone.
-        back: (H, W, 3) float32, everything behind the vehicle, sky included.
+        street: (H, W, 3) float32, everything behind the vehicle but its shadow, sky included.
+        shade: (H, W) float32, opacity of the vehicle's shadow on it.
         front: (H, W, 3) float32, what is nearer, weighted by its own opacity.
         through: (H, W) float32, share of light that passes what is nearer.
         mask, trust: (H, W) float32, see `Sighting`.
@@ -40,7 +43,8 @@ class Layers:
 
     sighting: Sighting
     target: Tensor
-    back: Tensor
+    street: Tensor
+    shade: Tensor
     front: Tensor
     through: Tensor
     mask: Tensor
@@ -52,7 +56,8 @@ class Layers:
 
     def around(self, rgb: Tensor, alpha: Tensor) -> Tensor:
         """The picture (H, W, 3) of a vehicle drawn alone as rgb (H, W, 3) and alpha (H, W)."""
-        inner = rgb + (1 - alpha)[..., None] * self.back
+        back = self.street * (1 - self.shade)[..., None]
+        inner = rgb + (1 - alpha)[..., None] * back
         return self.front + self.through[..., None] * inner
 
 
@@ -78,7 +83,7 @@ def _layers(
             actor = scene.actors[track_id].coloured_at(sighting.timestamp_us)
             posed = actor.gaussians.transformed(torch.from_numpy(pose))
             parts.append(refiltered(posed, actor.low_pass, CLASSIC, view, K))
-    parts.append(shadow.transformed(torch.from_numpy(sighting.world_from_object)))
+    cast = shadow.transformed(torch.from_numpy(sighting.world_from_object))
     street = concatenate(parts).detach()
     nearer = _nearer(street, evidence, sighting)
     with torch.no_grad():
@@ -89,6 +94,7 @@ def _layers(
             )
             for chosen in (nearer, ~nearer)
         )  # fmt: skip
+        shade = rasterize(cast, view, K, camera.width, camera.height).alpha
         behind = composite(
             back.rgb, back.alpha, scene.sky.colours,
             pixel_coordinates(camera, sighting.camera_from_world),
@@ -96,12 +102,14 @@ def _layers(
     image = torch.from_numpy(sighting.image).float() / 255
     mask, trust = torch.from_numpy(sighting.mask), torch.from_numpy(sighting.trust)
     through = 1 - front.alpha
-    gain = _gain(image, front.rgb + through[..., None] * behind, mask, trust)
+    shaded = behind * (1 - shade)[..., None]
+    gain = _gain(image, front.rgb + through[..., None] * shaded, mask, trust)
     reach = cv2.dilate((sighting.mask > 0.05).astype(np.uint8), np.ones((3, 3), np.uint8))
     return Layers(
         sighting=sighting,
         target=(image / gain).clamp(0, 1),
-        back=behind,
+        street=behind,
+        shade=shade,
         front=front.rgb,
         through=through,
         mask=mask,
@@ -130,3 +138,25 @@ def _gain(image: Tensor, street: Tensor, mask: Tensor, trust: Tensor) -> Tensor:
     prior = _GAIN_PRIOR * 0.25
     gain = ((shown * wanted).sum(0) + prior) / ((shown * shown).sum(0) + prior)
     return gain.clamp(*_GAINS)
+
+
+def shadow_darkness(views: Sequence[Layers]) -> float:
+    """Factor of the shadow's opacity that explains the road about the vehicle best; near one.
+
+    Least squares of target = street (1 - factor x shade) where the shadow falls beside the mask.
+    """
+    found, square = _DARKNESS_PRIOR, _DARKNESS_PRIOR
+    for view in views:
+        beside = (view.compared == 0) & (view.trust > 0) & (view.through > 0.5)
+        weight = view.sighting.weight * beside
+        shaded = (view.street * view.shade[..., None]).mean(dim=-1)
+        missing = (view.street - view.target).mean(dim=-1)
+        found += float((weight * shaded * missing).sum())
+        square += float((weight * shaded * shaded).sum())
+    return min(max(found / square, _DARKNESS[0]), _DARKNESS[1])
+
+
+def darkened(shadow: Gaussians, factor: float) -> Gaussians:
+    """A shadow with its opacities times a factor."""
+    opacities = (shadow.logit_opacities.sigmoid() * factor).clamp(1e-6, 1 - 1e-4)
+    return replace(shadow, logit_opacities=opacities.logit())

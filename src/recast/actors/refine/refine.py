@@ -22,7 +22,7 @@ from recast.actors.actor import Actor, Refinement
 from recast.actors.evidence import Evidence
 from recast.actors.refine.descent import FreeDescent, Steps, Task, fit_shape
 from recast.actors.refine.free import FreeGaussians, split, split_rows
-from recast.actors.refine.layers import make_layers
+from recast.actors.refine.layers import darkened, make_layers, shadow_darkness
 from recast.actors.refine.paint import follow_paint
 from recast.actors.refine.shape import Bend, PoseOffsets
 from recast.actors.refine.visibility import visibility_of
@@ -75,6 +75,8 @@ def refine(
         note = f"not refined: {count} usable images, at least {LEAST_IMAGES} are needed"
         return _unrefined(actor, evidence, note)
     views = make_layers(scene, evidence, actor.shadow)
+    darkness = shadow_darkness(views)
+    views = [replace(view, shade=darkness * view.shade) for view in views]
     held = views[_HOLD_BACK // 2 :: _HOLD_BACK] or [views[count // 2]]
     kept = [view for view in views if view not in held]
     symmetric = actor.category not in DEFORMABLE
@@ -112,6 +114,7 @@ def refine(
         turned=float(bend.turn.detach()),
         grew=_triple(bend.grow.exp()),
         pose_correction=_correction(poses, times),
+        shadow=darkness,
         seen=_surface_share(refined, shares.seen),
         mirrored=_surface_share(refined, shares.mirrored),
     )
@@ -119,7 +122,14 @@ def refine(
         return _reported(actor, report)
     trajectory = _corrected(scene.actors[actor.track_id].trajectory, poses)
     return _reported(
-        replace(actor, gaussians=refined, shares=shares, trajectory=trajectory), report
+        replace(
+            actor,
+            gaussians=refined,
+            shares=shares,
+            trajectory=trajectory,
+            shadow=darkened(actor.shadow, darkness),
+        ),
+        report,
     )
 
 
@@ -169,7 +179,7 @@ def _unrefined(actor: Actor, evidence: Evidence, note: str) -> Actor:
     nothing = Refinement(
         images=len(evidence.sightings), held_back=0, left_out=dict(Counter(evidence.left_out)),
         loss_before=None, loss_bent=None, loss_after=None, kept=False, steps=0,
-        moved=(0.0, 0.0, 0.0), turned=0.0, grew=(1.0, 1.0, 1.0), pose_correction=0.0,
+        moved=(0.0, 0.0, 0.0), turned=0.0, grew=(1.0, 1.0, 1.0), pose_correction=0.0, shadow=1.0,
         seen=0.0, mirrored=0.0, notes=(note,),
     )  # fmt: skip
     return _reported(actor, nothing)
