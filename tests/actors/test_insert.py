@@ -40,7 +40,7 @@ def test_model_is_replaced_and_poses_kept(scene: StreetScene, actor: Actor) -> N
 
 def test_shadow_moves_with_the_vehicle(scene: StreetScene, actor: Actor) -> None:
     pose = se3.from_rotation_translation(se3.rotation_z(0.7), [5.0, -3.0, 1.0])
-    drawn = insert(scene, actor).at({"7": pose})
+    drawn = insert(scene, actor, relit=False).at({"7": pose})
     vehicle, shadow = len(actor.gaussians), len(actor.shadow)
     assert len(drawn) == 10 + vehicle + shadow
     local = se3.apply(se3.inverse(pose), drawn.means[-shadow:].numpy())
@@ -66,7 +66,7 @@ def test_a_scene_draws_an_actor_as_through_its_own_filter(
     camera_from_world = se3.inverse(made_up.RIG_FROM_CAMERA)
 
     def image(inserted: Actor) -> np.ndarray:
-        placed = insert(empty, inserted)
+        placed = insert(empty, inserted, relit=False)
         return render_scene(placed, made_up.CAMERA, camera_from_world, {"7": pose}).rgb
 
     camera = made_up.CAMERA

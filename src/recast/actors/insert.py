@@ -5,29 +5,38 @@ from __future__ import annotations
 from dataclasses import replace
 
 from recast.actors.actor import Actor
+from recast.actors.light import actor_light
 from recast.errors import InputError
 from recast.scene import StreetScene
+from recast.scene.light import SceneLight
 
 
-def insert(scene: StreetScene, actor: Actor) -> StreetScene:
+def insert(scene: StreetScene, actor: Actor, *, relit: bool = True) -> StreetScene:
     """The scene with the track's Gaussians replaced, and its poses if the actor has refined ones.
 
     Vehicle and contact shadow are both actor-local and so move under one transform.
 
+    Args:
+        relit: whether the actor gets the light of where it stands; if not, it keeps the light that
+            it was recorded in, wherever it goes.
+
     Raises:
         InputError: the scene has no model of the track.
+        ValueError: the actor is to be lit and has no surface, see `outer_surface`.
     """
     require_model(scene, actor.track_id)
     native = scene.actors[actor.track_id]
+    trajectory = actor.trajectory or native.trajectory
     return scene.with_actor(
         replace(
             native,
             gaussians=actor.gaussians,
             size=actor.size,
-            trajectory=actor.trajectory or native.trajectory,
+            trajectory=trajectory,
             shadow=actor.shadow,
             appearance=None,
             low_pass=actor.low_pass,
+            light=actor_light(SceneLight.of(scene), actor, trajectory) if relit else None,
         )
     )
 

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from recast.geometry import PinholeCamera
+from recast.scene.light.relight import rounded
 from recast.scene.sky import composite, pixel_coordinates
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.splats import (
@@ -24,6 +25,9 @@ from recast.splats import (
 
 Array = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
+
+Parts = list[tuple[Gaussians, LowPass]]
+"""Pieces of an actor, actor-local, each with the filter that it was made for."""
 
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 
@@ -60,9 +64,11 @@ class SceneRasterizer:
         self._actors, self._device = scene.actors, place
         self._sky = scene.sky.colours.to(place)
         self._parts = {track_id: _parts(actor, place) for track_id, actor in scene.actors.items()}
+        self._lit: dict[str, tuple[Array, Parts]] = {}
         local = [part for parts in self._parts.values() for part, _ in parts]
+        shadows = [actor.light.shadow_room for actor in scene.actors.values() if actor.light]
         first = len(scene.background)
-        room = first + sum(len(part) for part in local)
+        room = first + sum(len(part) for part in local) + sum(shadows)
         bases = max(g.sh.shape[1] for g in (scene.background, *local))
         self._first = first
         self._buffer = Gaussians(
@@ -84,6 +90,18 @@ class SceneRasterizer:
                 target = target[:, : value.shape[1]]
             target.copy_(value)
         return last
+
+    def _parts_at(self, track_id: str, pose: Array, colours_us: int | None) -> Parts:
+        """What is drawn of an actor at a pose; several cameras share the light of one place."""
+        actor = self._actors[track_id]
+        if actor.light is not None:
+            place = rounded(pose)
+            if track_id not in self._lit or not np.array_equal(self._lit[track_id][0], place):
+                self._lit[track_id] = place, _parts(actor.lit_at(place), self._device)
+            return self._lit[track_id][1]
+        if colours_us is not None and actor.appearance is not None:
+            return _parts(actor.coloured_at(colours_us), self._device)
+        return self._parts[track_id]
 
     def render(
         self,
@@ -117,10 +135,7 @@ class SceneRasterizer:
         view = torch.from_numpy(np.asarray(camera_from_world)).float()
         K = torch.from_numpy(camera.matrix).float()
         for track_id, pose in poses.items():
-            parts = self._parts[track_id]
-            if colours_us is not None and self._actors[track_id].appearance is not None:
-                parts = _parts(self._actors[track_id].coloured_at(colours_us), self._device)
-            for local, low_pass in parts:
+            for local, low_pass in self._parts_at(track_id, pose, colours_us):
                 posed = local.transformed(torch.from_numpy(pose))
                 last = self._write(refiltered(posed, low_pass, CLASSIC, view, K), last)
         drawn = Gaussians(*(getattr(self._buffer, name)[:last] for name in FIELDS))
@@ -143,7 +158,7 @@ class SceneRasterizer:
         return replace(result, rgb=rgb.clamp(0, 1))
 
 
-def _parts(actor: SceneActor, place: torch.device) -> list[tuple[Gaussians, LowPass]]:
+def _parts(actor: SceneActor, place: torch.device) -> Parts:
     """What is drawn of an actor, actor-local, each with the filter that it was made for."""
     parts = [(actor.gaussians.detach().to(place), actor.low_pass)]
     if actor.shadow is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -24,6 +25,17 @@ MOST_CORRECTED = 100.0
 """Largest learned correction of a camera, metres or radians."""
 
 
+class Lighting(Protocol):
+    """What lights an actor anew, wherever it stands; see `recast.scene.light`."""
+
+    @property
+    def shadow_room(self) -> int:
+        """Most Gaussians that the lit actor's shadow has."""
+
+    def lit(self, actor: SceneActor, pose: Array) -> SceneActor:
+        """The actor in the light of `pose` (4, 4) `world_from_actor`, its `light` taken off."""
+
+
 @dataclass(frozen=True)
 class SceneActor:
     """One moving object.
@@ -36,6 +48,8 @@ class SceneActor:
         shadow: actor-local Gaussians on the ground, drawn with the actor, or None.
         appearance: how the Gaussians' colours change over the trajectory's time, or None.
         low_pass: the filter that the Gaussians were made for, see `recast.splats.refiltered`.
+        light: what lights it anew where it stands, or None for an actor that keeps the light it was
+            recorded in. Not saved with a scene.
     """
 
     track_id: str
@@ -45,6 +59,7 @@ class SceneActor:
     shadow: Gaussians | None = None
     appearance: Appearance | None = None
     low_pass: LowPass = CLASSIC
+    light: Lighting | None = None
 
     def validate(self, where: str) -> None:
         """Raise ValueError naming the member of `where` at fault."""
@@ -64,6 +79,10 @@ class SceneActor:
             return self
         share = share_of(self.trajectory, timestamp_us)
         return replace(self, gaussians=self.appearance.at(self.gaussians, share), appearance=None)
+
+    def lit_at(self, pose: Array) -> SceneActor:
+        """The actor in the light of `pose` (4, 4) `world_from_actor`."""
+        return self if self.light is None else self.light.lit(self, pose)
 
     @property
     def drawn(self) -> Gaussians:
@@ -121,7 +140,8 @@ class StreetScene:
         """
         parts = [self.background]
         for track_id, pose in poses.items():
-            parts.append(self.actors[track_id].drawn.transformed(torch.from_numpy(pose)))
+            actor = self.actors[track_id].lit_at(pose)
+            parts.append(actor.drawn.transformed(torch.from_numpy(pose)))
         return concatenate(parts)
 
     def actor_poses(self, timestamp_us: int) -> dict[str, Array]:
