@@ -14,7 +14,7 @@ from recast.actors.refine import LEAST_IMAGES, Steps, refine
 from recast.errors import InputError
 from recast.geometry import se3
 from recast.scene import StreetScene
-from recast.splats import Gaussians
+from recast.splats import CLASSIC, Gaussians
 
 AROUND = np.linspace(0, 2 * np.pi, 13)[:-1]
 FEW = Steps(shape=40, paint=10, free=20, look_every=10)
@@ -38,7 +38,10 @@ def guess(actor: Actor) -> Actor:
     beside = se3.from_rotation_translation(np.eye(3), SHIFT)
     nothing = grey.select(torch.zeros(0, dtype=torch.int64))
     return dataclasses.replace(
-        actor, gaussians=grey.transformed(torch.from_numpy(beside)), shadow=nothing
+        actor,
+        gaussians=grey.transformed(torch.from_numpy(beside)),
+        shadow=nothing,
+        low_pass=CLASSIC,  # as the pictures were drawn
     )
 
 

@@ -35,7 +35,7 @@ from recast.actors.template.texture import (
     mirrored_texture,
     view_surface,
 )
-from recast.splats.gaussians import Gaussians, concatenate
+from recast.splats import MIP, Gaussians, concatenate
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -124,6 +124,7 @@ class TemplateGenerator:
                 "silhouette_overlap": round(float(np.mean([one.overlap for one in placements])), 4),
                 "seen_share": round(float((seen.weight > 0.5).mean()), 4),
             },
+            low_pass=MIP,  # far away, thousands of small discs would grow by the filter of 3DGS
         )
 
 
