@@ -22,10 +22,10 @@ RECIPES = {
     "refine": 1,
     "scene": 1,
     "evaluation": 1,
-    "truth": 1,
-    "rollout": 1,
-    "metrics": 1,
-    "report": 1,
+    "truth": 2,
+    "rollout": 2,
+    "metrics": 2,
+    "report": 2,
 }
 """Version of what recast's own code makes of the inputs of a step.
 
