@@ -263,7 +263,11 @@ WRONG: list[tuple[str, Callable[[Glb], None]]] = [
 ]
 
 
-@pytest.mark.parametrize(("named", "change"), WRONG, ids=lambda value: str(value)[:24])
+@pytest.mark.parametrize(
+    ("named", "change"),
+    WRONG,
+    ids=lambda value: value[:24] if isinstance(value, str) else value.__name__,
+)
 def test_what_is_wrong_is_named(tmp_path: Path, named: str, change: Callable[[Glb], None]) -> None:
     glb = textured_square(RED)
     change(glb)
