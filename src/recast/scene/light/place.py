@@ -21,7 +21,6 @@ from recast.splats.sh import basis, rotate
 Array = NDArray[np.float64]
 
 _LANE_M = 1.5  # from vehicles' paths: there it is road that is seen
-_SUNLIT = 0.8  # quantile of the road's brightness that counts as in the sun
 _ROAD_OVER_SKY = 0.35  # least brightness of sunlit road over that of the sky near the horizon
 _SHADED = 0.2  # brightness of shaded road under the open sky over that of sunlit road
 _PATCHY = (
@@ -117,8 +116,9 @@ class SceneLight:
         lanes = cKDTree(paths[:, :2]).query(road.points[:, :2])[0] < _LANE_M
         if lanes.sum() < _FEWEST:
             return light
-        bright = float(np.quantile(road.brightness[lanes], _SUNLIT))
-        light = replace(light, sunlit=max(bright, _ROAD_OVER_SKY * light.sky_radiance))
+        # Most road is in the sun, or it is far darker than the sky.
+        usual = float(np.median(road.brightness[lanes]))
+        light = replace(light, sunlit=max(usual, _ROAD_OVER_SKY * light.sky_radiance))
         poses = [(pose, actor.size) for actor in actors for pose in actor.trajectory.poses]
         places = [light.place(*each) for each in poses[:: -(-len(poses) // _POSES)]]
         seen = np.concatenate([place.seen for place in places])

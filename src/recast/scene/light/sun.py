@@ -24,9 +24,10 @@ Mask = NDArray[np.bool_]
 AZIMUTHS, ELEVATIONS = 24, np.radians([20.0, 30.0, 40.0, 50.0, 60.0, 70.0])
 SUN_OVER_SKY = 2.0
 """Light of the sun on what faces it over that of the sky on level ground, on a clear day."""
-_BRIGHTNESS, _WARMTH = 1.0, 0.25  # weights of the cues
-_GROUND, _WALLS = 25.0, 50.0
+_BRIGHTNESS, _WARMTH = 1.0, 0.2  # weights of the cues
+_GROUND, _WALLS = 50.0, 35.0
 """Independent measurements that ground and walls count for, however many patches they have."""
+_PLENTY = 500  # patches; fewer count for less
 _MOST, _FEWEST = 1000, 40  # patches of a kind
 _UPRIGHT = 0.35  # a normal with less of "up" is that of a wall
 _FLATTEST = 0.05  # deviation of the expected light below which a direction explains nothing
@@ -91,6 +92,7 @@ def find_sun(patches: Patches, occupancy: Occupancy) -> SunBelief:
         group = _some(patches.select(chosen))
         if len(group) < _FEWEST:
             continue
+        trust *= min(len(group) / _PLENTY, 1.0)
         bright, warmth = np.log(group.brightness), group.warmth
         grey = np.abs(warmth - np.median(warmth)) < _GREY
         for index, direction in enumerate(towards):
