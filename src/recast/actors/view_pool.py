@@ -18,6 +18,7 @@ LEAST_TURN = np.radians(15.0)
 """Angle between the azimuths of two views of one track, at least."""
 _FULL_TURN = np.radians(90.0)  # a view turned that much shows another side
 _LEAST_SHARE = 0.2  # of the best view's detail: smaller or more hidden ones tell too little
+_LEAST_GAIN = 0.1  # of the best view's detail
 _LEAST_IN_IMAGE = 1 / 3  # of the box: of less, neither the place nor the mask can be told
 _MIN_CHECKED = 4
 
@@ -70,20 +71,21 @@ class ViewPool:
         """The frame that adds most to those taken: by its detail times the turn to the nearest one.
 
         The turn counts in full from 90 degrees of azimuth on, and not at all below `LEAST_TURN`.
-        None if no frame is left that tells at least a fifth of what the first view does.
+        None if no frame is left that adds a tenth of what the first view tells.
 
         Args:
             taken: views so far, best first; at least one.
             left_out: views that turned out to be unusable.
         """
-        least = _LEAST_SHARE * taken[0].detail
+        first = taken[0].detail
         refused = {view.key for view in left_out}
 
         def gain(view: ViewScore) -> float:
-            if view.key in refused or view.detail < least or view.in_image < _LEAST_IN_IMAGE:
-                return 0.0
             turn = min(_turn(view, other) for other in taken)
-            return view.detail * min(turn / _FULL_TURN, 1.0) if turn >= LEAST_TURN else 0.0
+            adds = view.detail * min(turn / _FULL_TURN, 1.0)
+            enough = turn >= LEAST_TURN and adds >= _LEAST_GAIN * first
+            whole = view.in_image >= _LEAST_IN_IMAGE and view.detail >= _LEAST_SHARE * first
+            return adds if enough and whole and view.key not in refused else 0.0
 
         best = self._best(gain, 1)
         return best[0] if best else None

@@ -28,6 +28,7 @@ _SHIFT_SPREAD = np.array([0.12, 0.10, 0.05])  # metres along, across, up
 _VIEW_SPREAD = 0.06  # metres across one view, see fit.py
 _STRETCH_SPREAD = np.array([0.06, 0.07, 0.04])
 _OVERLAP_WEIGHT = 60.0
+_VIEW_OVERLAP_WEIGHT = 10.0  # masks are off by more than the last centimetres would gain
 _LIDAR_WEIGHT = 3.0
 
 
@@ -60,8 +61,8 @@ def place(
 ) -> tuple[Placement, ...]:
     """Move and stretch the model onto masks and LiDAR points, with the logged box as prior.
 
-    The stretch is that of the vehicle. Labels are off differently in every frame, so with several
-    views each has a shift of its own across the view.
+    The stretch is that of the vehicle. Labels are off differently in every frame, so each further
+    view has a shift of its own across the view.
 
     Args:
         body: the model.
@@ -74,6 +75,8 @@ def place(
         The placement for each of the observation's views.
     """
     outlines = [_Outline(view, surface, spacing) for view in observation.views]
+    sizes = np.array([view.view.size_px for view in observation.views])
+    shares = sizes**2 / np.sum(sizes**2)  # the finer a mask, the more its outline tells
     base = np.array([0.0, 0.0, -observation.size[2] / 2])
 
     def unpack(x: Array) -> tuple[Array, Array]:
@@ -81,7 +84,7 @@ def place(
 
     def cost(x: Array) -> float:
         stretch, shift = unpack(x)
-        missed = np.mean([1 - one.overlap(stretch, shift) for one in outlines])
+        missed = np.dot(shares, [1 - one.overlap(stretch, shift) for one in outlines])
         total = _OVERLAP_WEIGHT * float(missed) + 0.5 * float(x @ x)
         if len(lidar):
             distance = body.distance((lidar - shift) / stretch)
@@ -89,9 +92,8 @@ def place(
         return total
 
     stretch, shift = unpack(_minimum(cost, 6, 400))
-    if len(outlines) == 1:
-        return (Placement(stretch, shift, outlines[0].overlap(stretch, shift)),)
-    return tuple(one.placement(stretch, shift) for one in outlines)
+    first = Placement(stretch, shift, outlines[0].overlap(stretch, shift))
+    return (first, *(one.placement(stretch, shift) for one in outlines[1:]))
 
 
 def _minimum(cost: Callable[[Array], float], count: int, evaluations: int) -> Array:
@@ -131,7 +133,7 @@ class _Outline:
 
         def cost(x: Array) -> float:
             moved = shift + _VIEW_SPREAD * x @ across
-            return _OVERLAP_WEIGHT * (1 - self.overlap(stretch, moved)) + 0.5 * float(x @ x)
+            return _VIEW_OVERLAP_WEIGHT * (1 - self.overlap(stretch, moved)) + 0.5 * float(x @ x)
 
         shift = shift + _VIEW_SPREAD * _minimum(cost, 2, 60) @ across
         return Placement(stretch, shift, self.overlap(stretch, shift))
