@@ -35,6 +35,7 @@ def test_a_model_folder_is_a_generator(folder: Path, observation: Observation) -
     assert asset.details == {
         "model": "tiny-model",
         "voxels": len(asset.gaussians) // 8,
+        "views": 1,
     }
 
 
@@ -48,6 +49,21 @@ def test_the_crop_decides(folder: Path, observation: Observation) -> None:
     turned = replace(observation, rgba=observation.rgba[:, ::-1].copy())
     first, second = (generator.generate(o, seed=1).gaussians for o in (observation, turned))
     assert first.means.shape != second.means.shape or not torch.equal(first.means, second.means)
+
+
+def test_whole_further_views_count(folder: Path, observation: Observation) -> None:
+    """... and one that the image cuts off is left out."""
+    generator = ImageTo3DGenerator(folder, limits=GenerationLimits(max_voxels=4096))
+    turned = replace(observation, rgba=observation.rgba[:, ::-1].copy())
+    cut = replace(turned, view=replace(turned.view, in_image=0.5))
+    alone, whole, both = (
+        generator.generate(replace(observation, further=further), seed=1)
+        for further in ((), (turned,), (turned, cut))
+    )
+    assert [one.details["views"] for one in (alone, whole, both)] == [1, 2, 2]
+    first, second, third = (one.gaussians.means for one in (alone, whole, both))
+    assert first.shape != second.shape or not torch.equal(first, second)
+    assert torch.equal(second, third)
 
 
 def test_an_empty_mask_names_the_track(folder: Path, observation: Observation) -> None:

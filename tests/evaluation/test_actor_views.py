@@ -223,3 +223,17 @@ def test_a_sheet_shows_what_was_compared() -> None:
     assert (
         changed[60:200, 2 * quarter : 3 * quarter] != sheet[60:200, 2 * quarter : 3 * quarter]
     ).any()
+
+
+def test_further_inputs_show_other_sides(vehicle_set: Path) -> None:
+    for one, several in zip(read_cases(vehicle_set), read_cases(vehicle_set, views=4), strict=True):
+        assert several.inputs[0].name == one.inputs[0].name
+        names = [view.name for view in (*several.inputs, *several.targets)]
+        assert len(set(names)) == len(names) == 8
+        first, second = (view.azimuth_deg for view in several.inputs[:2])
+        # of twelve views those 90 degrees apart are targets: straight across is always free
+        assert abs(first - second) == pytest.approx(180.0)
+    everything = read_cases(vehicle_set, views=99)
+    assert {len(case.inputs) for case in everything} == {8}
+    with pytest.raises(InputError, match="--views: value: is 0"):
+        read_cases(vehicle_set, views=0)

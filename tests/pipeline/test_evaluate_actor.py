@@ -115,6 +115,19 @@ def test_a_vehicle_that_fails_is_recorded_and_the_rest_judged(crops: Path, tmp_p
     assert seen.rgba[..., :3][seen.rgba[..., 3] == 0].min() > 0
 
 
+def test_a_generator_is_given_further_views(tmp_path: Path) -> None:
+    """The real crops' further inputs; the names of those used stand in the record."""
+    folder = write_crops(tmp_path / "set", ("car-a",), inputs=((130.0, 4.0), (30.0, 4.0)))
+    for views, names in ((1, ()), (2, ("frame_01",)), (5, ("frame_01",))):
+        generator = Sometimes(())
+        result = evaluate_actors(generator, folder, tmp_path / f"out{views}", views=views)
+        (asked,) = generator.asked
+        assert result.vehicles[0].further == names
+        assert [round(np.degrees(one.azimuth)) for one in asked.views] == [130, 30][
+            : 1 + len(names)
+        ]
+
+
 def test_nothing_is_left_where_no_vehicle_could_be_made(crops: Path, tmp_path: Path) -> None:
     for folder, fails in ((crops, ("car-a", "car-b")), (crops / "car-a", ("car-a",))):
         with pytest.raises(InputError, match="structure: is empty"):

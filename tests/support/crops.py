@@ -96,11 +96,15 @@ def camera_record(views: tuple[tuple[float, float], ...]) -> dict[str, object]:
     }
 
 
-def write_crops(root: Path, ids: tuple[str, ...] = ("car-a",)) -> Path:
+def write_crops(
+    root: Path,
+    ids: tuple[str, ...] = ("car-a",),
+    inputs: tuple[tuple[float, float], ...] = INPUTS,
+) -> Path:
     """A folder of vehicles, all alike."""
     vehicle = two_coloured_box()
     for name in ids:
-        for part, views in (("input_views", INPUTS), ("reserved_views", RESERVED)):
+        for part, views in (("input_views", inputs), ("reserved_views", RESERVED)):
             folder = root / name / part
             folder.mkdir(parents=True)
             for index, view in enumerate(views):

@@ -11,14 +11,21 @@ import tyro
 
 @dataclass(frozen=True)
 class EvalActor:
-    """Make vehicles from one picture each and compare them with reserved ones."""
+    """Make vehicles from one or several pictures and compare them with reserved ones; or make and
+    refine those of a log's tracks and compare them with the images that its scene held out."""
 
     model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
     """What makes the vehicles: template, an installed generator, a PLY, or a folder of a model."""
     set: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SET")]
-    """Folder of real crops (ID/input_views, ID/reserved_views), or a vehicle set."""
+    """Folder of real crops (ID/input_views, ID/reserved_views), a vehicle set, or a log."""
     out: Path
     """Folder to write metrics.json and a picture of every vehicle to; must not exist."""
+    scene: Path | None = None
+    """With a log: its scene folder, with models of the tracks."""
+    track: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """With a log: a track to judge; give it again for each."""
+    segmenter: str = "box-lidar"
+    """With a log: what cuts the vehicles out, as for recast actor make."""
     axes: str = "auto"
     """Axes of a PLY or a model folder: which one points up, such as z-up, y-up or minus-y-up (a
     splat viewer's), or forward and up, such as x,z (write --axes=-y,z with a minus). auto tells a
@@ -27,6 +34,8 @@ class EvalActor:
     """Seed of everything random."""
     limit: int | None = None
     """Judge only this many vehicles, the first by id; all where not given."""
+    views: int = 1
+    """Number of input pictures to make each vehicle from, at most."""
     lpips_weights: Path | None = None
     """AlexNet or VGG-16 weights as torchvision saves them, for LPIPS."""
     clip: Path | None = None
@@ -40,9 +49,13 @@ class EvalActor:
         from rich.progress import Progress
 
         from recast.evaluation.perceptual import load_distances
+        from recast.logs.store import LOG_FILE
         from recast.pipeline.actor import generator_of
         from recast.pipeline.evaluate_actor import evaluate_actors, evaluation_table
 
+        if (self.set / LOG_FILE).is_file():
+            self._judge_tracks()
+            return
         distances = load_distances(self.lpips_weights, self.clip, self.dino)
         generator = generator_of(self.model, self.axes)
         console = Console()
@@ -54,12 +67,35 @@ class EvalActor:
                 self.out,
                 seed=self.seed,
                 limit=self.limit,
+                views=self.views,
                 distances=distances,
                 progress=lambda done, of: progress.update(task, completed=done, total=of),
             )
         console.print(evaluation_table(evaluation))
         for vehicle, reason in evaluation.failures.items():
             console.print(f"not made: {vehicle}: {reason}", markup=False)
+        console.print(f"wrote {self.out}", markup=False)
+
+    def _judge_tracks(self) -> None:
+        from rich.console import Console
+
+        from recast.errors import InputError
+        from recast.logs import read_log
+        from recast.pipeline.actor import ActorMakers
+        from recast.pipeline.display import SamplingProgress
+        from recast.pipeline.evaluate_tracks import evaluate_tracks, tracks_table
+        from recast.scene import load_scene, read_training_config
+
+        if self.scene is None:
+            raise InputError("--scene", "scene", "is not given", "name the scene of this log")
+        makers = ActorMakers.named(self.model, self.segmenter, self.axes)
+        console = Console()
+        with SamplingProgress(console) as progress:
+            results = evaluate_tracks(
+                read_log(self.set), load_scene(self.scene), read_training_config(self.scene),
+                self.track, makers, self.out, self.seed, progress,
+            )  # fmt: skip
+        console.print(tracks_table(results))
         console.print(f"wrote {self.out}", markup=False)
 
 

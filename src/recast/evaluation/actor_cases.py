@@ -68,30 +68,35 @@ class ActorCase:
     targets: tuple[ActorView, ...]
 
 
-def read_cases(folder: str | Path, seed: int = 0, limit: int | None = None) -> list[ActorCase]:
+def read_cases(
+    folder: str | Path, seed: int = 0, limit: int | None = None, views: int = 1
+) -> list[ActorCase]:
     """The vehicles of a folder of real crops, or the held-out ones of a vehicle set.
 
     Of a set, one view is the input, drawn by `seed` and identity among those that are no target;
-    targets are the views nearest to azimuth 0, 90, 180 and 270 degrees, the input left out.
+    further inputs are each as far as possible from those before. Targets are the views nearest to
+    azimuth 0, 90, 180 and 270 degrees, the input left out.
 
     Args:
         folder: see `recast.recar.read_real_crops`; the set in folders or in shards.
         seed: of the choice of input views.
         limit: take only the first vehicles, sorted by id.
+        views: number of inputs of a set's vehicle, at most.
 
     Raises:
-        InputError: the folder is neither, or holds nothing to judge; `limit` below 1; what the
-            readers refuse.
+        InputError: the folder is neither, or holds nothing to judge; `limit` or `views` below 1;
+            what the readers refuse.
     """
     folder = Path(folder)
-    if limit is not None and limit < 1:
-        raise InputError("--limit", "value", f"is {limit}", "give 1 or more")
+    for option, value in (("--limit", limit), ("--views", views)):
+        if value is not None and value < 1:
+            raise InputError(option, "value", f"is {value}", "give 1 or more")
     if not folder.is_dir():
         raise InputError(folder, "set", "is no folder", "check the path")
     if any((folder / name).exists() for name in (SET_FILE, INDEX_FILE)):
         vehicles: VehicleSource = open_set(folder)
         held_out = list(vehicles.of_split("held-out"))[:limit]
-        cases = [_case_of_identity(folder, identity, seed) for identity in held_out]
+        cases = [_case_of_identity(folder, identity, seed, views) for identity in held_out]
         if not cases:
             raise InputError(folder, "held-out", "has no identity", "take a larger set")
         return cases
@@ -116,7 +121,7 @@ def _view_of_crop(view: RealView) -> ActorView:
     return ActorView(view.image.stem, view.rgba, view.camera, se3.inverse(view.actor_from_camera))
 
 
-def _case_of_identity(folder: Path, identity: IdentitySource, seed: int) -> ActorCase:
+def _case_of_identity(folder: Path, identity: IdentitySource, seed: int, views: int) -> ActorCase:
     record, shared = identity.record, identity.set_record
     where = folder / record.id
     if record.size is None:
@@ -133,15 +138,32 @@ def _case_of_identity(folder: Path, identity: IdentitySource, seed: int) -> Acto
         id=record.id,
         category=record.category,
         size=np.array(record.size),
-        inputs=(_view_of_set(where, identity, chosen),),
+        inputs=tuple(
+            _view_of_set(where, identity, index)
+            for index in _spread(shared.azimuths_deg, chosen, others, views)
+        ),
         targets=tuple(_view_of_set(where, identity, index) for index in reserved),
     )
 
 
+def _spread(azimuths: tuple[float, ...], first: int, among: list[int], count: int) -> list[int]:
+    """`first`, then each the one farthest in azimuth from those before; of several, the first."""
+    taken = [first]
+    left = [index for index in among if index != first]
+    while left and len(taken) < count:
+        apart = [min(_apart(azimuths[index], azimuths[one]) for one in taken) for index in left]
+        taken.append(left.pop(int(np.argmax(np.round(apart, 6)))))
+    return taken
+
+
+def _apart(first: float, second: float) -> float:
+    """Degrees between two azimuths, in [0, 180]."""
+    return abs((first - second + 180.0) % 360.0 - 180.0)
+
+
 def _nearest(azimuths: tuple[float, ...], goal: float) -> int:
     """Index of the view nearest to an azimuth; of two, the first."""
-    apart = np.abs((np.array(azimuths) - goal + 180.0) % 360.0 - 180.0)
-    return int(np.argmin(np.round(apart, 6)))
+    return int(np.argmin(np.round([_apart(one, goal) for one in azimuths], 6)))
 
 
 def _view_of_set(where: Path, identity: IdentitySource, index: int) -> ActorView:

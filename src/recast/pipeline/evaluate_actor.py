@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,7 @@ class VehicleResult:
     Attributes:
         id: of the vehicle.
         input: name of the picture that it was made from, and `input_azimuth_deg` whence.
+        further: names of other pictures that it was made from.
         details: the asset's own facts.
         placement: how it was placed.
         views: of the reserved cameras.
@@ -56,6 +57,7 @@ class VehicleResult:
     id: str
     input: str
     input_azimuth_deg: float
+    further: tuple[str, ...]
     details: dict[str, str | float | int]
     placement: PlacementReport
     views: tuple[ViewResult, ...]
@@ -92,6 +94,7 @@ def evaluate_actors(
     *,
     seed: int = 0,
     limit: int | None = None,
+    views: int = 1,
     distances: Sequence[ImageDistance] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> ActorEvaluation:
@@ -107,20 +110,22 @@ def evaluate_actors(
         out: to be made.
         seed: of the generator, and of the choice of input views.
         limit: judge only the first vehicles.
+        views: input views that a vehicle is made from, at most.
         distances: further measures.
         progress: told the number of vehicles done, and of all.
 
     Raises:
         InputError: the set is at fault, no vehicle could be made, or `out` exists.
     """
-    cases = read_cases(folder, seed, limit)
+    cases = read_cases(folder, seed, limit, views)
     results, failures, seconds = [], {}, {}
     with atomic_folder(out) as partial:
         for index, case in enumerate(cases):
             observations = [_observation(case, view) for view in case.inputs]
             start = time.perf_counter()
             try:
-                asset = generator.generate(observations[0], seed)
+                first = replace(observations[0], further=tuple(observations[1:views]))
+                asset = generator.generate(first, seed)
                 made = time.perf_counter()
                 placed = place_asset(asset, case.size, observations)
             except InputError as error:
@@ -132,25 +137,26 @@ def evaluate_actors(
                 if progress is not None:
                     progress(index + 1, len(cases))
             seconds[case.id] = {"generate": made - start, "place": time.perf_counter() - made}
-            views, compared = [], []
+            judged, compared = [], []
             for view in case.targets:
                 truth, shown = (
                     photographed(view.load()),
                     drawn(placed.gaussians, asset.low_pass, view),
                 )
                 scores = score_view(shown, truth, distances)
-                views.append(ViewResult(view.name, view.azimuth_deg, scores))
+                judged.append(ViewResult(view.name, view.azimuth_deg, scores))
                 compared.append(ComparedView(_caption(view, scores), truth, shown))
-            first = case.inputs[0]
+            source = case.inputs[0]
             sheet = comparison_sheet(
-                f"{first.name}, azimuth {first.azimuth_deg:.0f}", photographed(first.load()),
+                f"{source.name}, azimuth {source.azimuth_deg:.0f}", photographed(source.load()),
                 compared,
             )  # fmt: skip
             Image.fromarray(sheet).save(partial / f"{case.id}.png", format="PNG")
             results.append(
                 VehicleResult(
-                    case.id, first.name, first.azimuth_deg, dict(asset.details), placed.report,
-                    tuple(views), mean_scores([view.scores for view in views]),
+                    case.id, source.name, source.azimuth_deg,
+                    tuple(view.name for view in case.inputs[1:views]), dict(asset.details),
+                    placed.report, tuple(judged), mean_scores([view.scores for view in judged]),
                 )
             )  # fmt: skip
         if not results:
