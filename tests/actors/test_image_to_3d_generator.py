@@ -64,6 +64,9 @@ def test_whole_further_views_count(folder: Path, observation: Observation) -> No
     first, second, third = (one.gaussians.means for one in (alone, whole, both))
     assert first.shape != second.shape or not torch.equal(first, second)
     assert torch.equal(second, third)
+    generator.offers = 2
+    seen = replace(observation, further=(turned,))
+    assert [make().details["views"] for make in generator.candidates(seen, 1)] == [2, 1]
 
 
 def test_an_empty_mask_names_the_track(folder: Path, observation: Observation) -> None:

@@ -180,6 +180,13 @@ def test_labels_that_are_off_differently_are_told(red_car: Gaussians) -> None:
     np.testing.assert_allclose(high - low, made_up.SIZE + mirrors, atol=0.06)
 
 
+def test_the_best_view_alone_is_offered_too(red_car: Gaussians) -> None:
+    generator = TemplateGenerator(spacing=0.15, style="estate")
+    seen = replace(seen_from(red_car, 120.0), further=(seen_from(red_car, 30.0),))
+    assert [make().details["views"] for make in generator.candidates(seen, 0)] == [2, 1]
+    assert len(generator.candidates(replace(seen, further=()), 0)) == 1
+
+
 def test_the_same_views_make_the_same_bytes(red_car: Gaussians) -> None:
     generator = TemplateGenerator(spacing=0.1, style="estate")
     seen = replace(seen_from(red_car, 120.0), further=(seen_from(red_car, 30.0),))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -59,9 +60,13 @@ class ImageTo3DGenerator:
         self.limits = limits or GenerationLimits(retries=3)
 
     def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
-        """Vehicles of `seed` and further ones; see `recast.actors.generate.OffersCandidates`."""
+        """Vehicles of `seed` and further ones; see `recast.actors.generate.OffersCandidates`.
+
+        Of several views, every second seed gets the best one alone.
+        """
+        seen = observation, replace(observation, further=())
         step = self.limits.retries + 1  # the seeds between are for structures that fail
-        return [partial(self.generate, observation, seed + i * step) for i in range(self.offers)]
+        return [partial(self.generate, seen[i % 2], seed + i * step) for i in range(self.offers)]
 
     def generate(self, observation: Observation, seed: int) -> Asset:
         """Generate from the crops.

@@ -1,4 +1,4 @@
-"""The generator `template`: a parametric vehicle painted from one photograph."""
+"""The generator `template`: a parametric vehicle painted from one or several photographs."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ _VIEW_DEPENDENCE = 0.3  # of the model's changing reflections, how much a photog
 
 
 class TemplateGenerator:
-    """Parametric vehicle in the style of AutoSplat's template: class shape, symmetry, one photo.
+    """Parametric vehicle in the style of AutoSplat's template: class shape, symmetry, photographs.
 
-    A body of the class, bent to the LiDAR points (where there are none, of the style that fits the
-    mask best), with wheels, windows, lamps and plates, covered with flat Gaussians. Colours come
-    from the crop where it shows the surface, from the mirror image where it shows the other side,
-    else from the template with the observed paint.
+    A body of the class, bent to the LiDAR points and the outlines of the masks, with wheels,
+    windows, lamps and plates, covered with flat Gaussians. Colours come from the crop that shows
+    the surface best, from the mirror image if only the other side is shown, else from the template
+    with the observed paint.
 
     Args:
         spacing: metres between surface patches before merging; larger is coarser and faster.
@@ -70,7 +70,16 @@ class TemplateGenerator:
         self.style = style
 
     def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
-        """The body style that fits best, and the likeliest others for the class and box."""
+        """The body style that fits best, and the likeliest others for the class and box.
+
+        Of several views, also what the best one gives alone.
+        """
+        if observation.further:
+            alone = partial(self.generate, replace(observation, further=()), seed)
+            return [*self._styles(observation, seed), alone]
+        return self._styles(observation, seed)
+
+    def _styles(self, observation: Observation, seed: int) -> list[Callable[[], Asset]]:
         if self.style is not None:
             return [partial(self.generate, observation, seed)]
         priors = candidate_styles(observation.category, observation.size)
@@ -115,6 +124,7 @@ class TemplateGenerator:
             seed=seed,
             details={
                 "style": fit.style,
+                "views": len(views),
                 "paint_srgb": " ".join(f"{v:.3f}" for v in to_display(paint)),
                 "light": round(light.level, 3),
                 "mirrored": " ".join(f"{v:.3f}" for v in light.mirrored),
