@@ -180,6 +180,15 @@ def test_labels_that_are_off_differently_are_told(red_car: Gaussians) -> None:
     np.testing.assert_allclose(high - low, made_up.SIZE + mirrors, atol=0.06)
 
 
+def test_the_styles_that_fit_best_are_offered() -> None:
+    """Each once, the best one first."""
+    generator = TemplateGenerator(spacing=0.3)
+    seen = seen_from(made_up.car(style="sedan"), 90.0)
+    styles = [make().details["style"] for make in generator.candidates(seen, 0)]
+    assert len(set(styles)) == len(styles) == 3
+    assert styles[0] == "sedan"
+
+
 def test_the_best_view_alone_is_offered_too(red_car: Gaussians) -> None:
     generator = TemplateGenerator(spacing=0.15, style="estate")
     seen = replace(seen_from(red_car, 120.0), further=(seen_from(red_car, 30.0),))

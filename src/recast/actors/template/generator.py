@@ -16,7 +16,7 @@ from recast.actors.template.body import Body
 from recast.actors.template.cloud import SurfaceCloud, build_cloud, tangents
 from recast.actors.template.contours import contour
 from recast.actors.template.estimate import estimate_light, estimate_rims, estimate_windows
-from recast.actors.template.fit import fit_shape
+from recast.actors.template.fit import ShapeFit, fit_shape
 from recast.actors.template.lighting import (
     CLEAR_DAY,
     SH_C0,
@@ -27,7 +27,6 @@ from recast.actors.template.lighting import (
 )
 from recast.actors.template.merge import flat_gaussians, group_means, group_patches, shell_groups
 from recast.actors.template.placement import find_axles, place
-from recast.actors.template.proportions import candidate_styles
 from recast.actors.template.texture import (
     Texture,
     balanced,
@@ -41,7 +40,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _OPACITY = 0.99
-_STYLES = 2  # beside the fitted one
+_STYLES = 3  # offered to choose from
 _SKETCH_SPACING = 0.024  # metres: enough for a silhouette
 _CELLS = (0.055, 0.03)  # metres: patches that look alike are merged in voxels of these edges
 _TOLERANCE = 0.03  # display values
@@ -70,7 +69,7 @@ class TemplateGenerator:
         self.style = style
 
     def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
-        """The body style that fits best, and the likeliest others for the class and box.
+        """The body styles that fit LiDAR and outlines best, best first.
 
         Of several views, also what the best one gives alone.
         """
@@ -82,19 +81,17 @@ class TemplateGenerator:
     def _styles(self, observation: Observation, seed: int) -> list[Callable[[], Asset]]:
         if self.style is not None:
             return [partial(self.generate, observation, seed)]
-        priors = candidate_styles(observation.category, observation.size)
-        styles = [None, *sorted(priors, key=lambda style: priors[style])[:_STYLES]]
+        costs = _fit(observation, np.random.default_rng(seed), None).costs
         return [
             partial(TemplateGenerator(self.spacing, style).generate, observation, seed)
-            for style in styles
+            for style in sorted(costs, key=lambda style: costs[style])[:_STYLES]
         ]
 
     def generate(self, observation: Observation, seed: int) -> Asset:
         """Build the vehicle; it fills the logged box. See `ActorGenerator.generate`."""
         rng = np.random.default_rng(seed)
         size = observation.size
-        contours = [contour(view) for view in observation.views]
-        fit = fit_shape(observation.category, size, observation.points, rng, self.style, contours)
+        fit = _fit(observation, rng, self.style)
         body = Body(size, fit.proportions)
         coarse = max(self.spacing, _SKETCH_SPACING)
         sketch = build_cloud(body, coarse, rng).points
@@ -136,6 +133,13 @@ class TemplateGenerator:
             },
             low_pass=MIP,  # far away, thousands of small discs would grow by the filter of 3DGS
         )
+
+
+def _fit(observation: Observation, rng: np.random.Generator, style: str | None) -> ShapeFit:
+    outlines = [contour(view) for view in observation.views]
+    return fit_shape(
+        observation.category, observation.size, observation.points, rng, style, outlines
+    )
 
 
 def _gaussians(
