@@ -23,6 +23,7 @@ _LOWEST_SUN = np.radians(25.0)  # the shadow of a lower one is drawn no longer
 _POINTS = 1500
 _BLUR = 1.2  # cells: closes the gaps between points, and a penumbra
 _HIT = 0.25  # blurred share of a cell's neighbourhood that points must hit to count as full
+_TOE = 1.5  # cameras darken shade: a shadow looks as if the sun that it lacks were stronger
 _THICKNESS_M = 0.003
 _FAINTEST, _DARKEST = 0.015, 0.97
 
@@ -35,7 +36,7 @@ class CastShadow:
 
     Args:
         points: (N, 3) on the outer surface of the vehicle, actor frame.
-        contact: shadow of the vehicle where there is no sun, a level sheet of black Gaussians.
+        contact: level sheet of Gaussians, as opaque as the share of the sky that the vehicle hides.
         size: (3,) of its box, metres.
     """
 
@@ -76,8 +77,8 @@ class CastShadow:
         """
         hidden = _turned(light.sun.probability, yaw).astype(np.float32) @ self._sun
         sky = self._stations @ place.sky
-        sun = light.sun_on_ground * (self._stations @ place.sun)
-        left = (sky * self._left + sun * (1 - hidden) * np.sqrt(self._left)) / (sky + sun)
+        sun = _TOE * light.sun_on_ground * (self._stations @ place.sun)
+        left = (sky * self._left + sun * (1 - hidden)) / (sky + sun)
         dark = 1 - left ** (1 / GAMMA)
         kept = np.flatnonzero(dark > _FAINTEST)
         opacity = 1 - (1 - np.minimum(dark[kept], _DARKEST)) ** (1 / _OVERLAP)
@@ -93,7 +94,7 @@ class CastShadow:
 
 
 def _light_left(sheet: Array, contact: Gaussians, grid: Array) -> Array:
-    """(G,) linear share of the sky's light that a sheet of Gaussians leaves to places (G, 2)."""
+    """(G,) share of the sky's light that a sheet of Gaussians leaves to places (G, 2)."""
     opacity = torch.sigmoid(contact.logit_opacities.detach()).numpy().astype(np.float64)
     width = np.exp(contact.log_scales.detach().numpy()[:, :2].astype(np.float64)).mean(axis=1)
     depth = np.zeros(len(grid))
@@ -103,7 +104,7 @@ def _light_left(sheet: Array, contact: Gaussians, grid: Array) -> Array:
     ):
         distance = ((grid[near] - centre) ** 2).sum(axis=1)
         depth[near] -= np.log1p(-alpha * np.exp(-distance / (2 * reach**2)))
-    left: Array = np.exp(-GAMMA * depth)
+    left: Array = np.exp(-depth)
     return left
 
 
