@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from recast.actors import Actor, Asset, Observation, register
-from recast.actors.axes import UNIT_CUBE_Y_UP, UNIT_CUBE_Z_UP, VEHICLE
 from recast.actors.agreement import heading_agreement
+from recast.actors.axes import UNIT_CUBE_Y_UP, UNIT_CUBE_Z_UP, VEHICLE
 from recast.actors.hull import outer_surface
 from recast.actors.register import lidar_by_side
 from recast.errors import InputError
