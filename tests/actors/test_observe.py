@@ -227,7 +227,6 @@ def test_no_view_at_all_is_refused(street: DrivingLog) -> None:
 def test_making_an_actor_counts_all_named_cameras(
     street: DrivingLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("recast.pipeline.actor.film_turntable", lambda actor, path: None)
     makers = ActorMakers(TemplateGenerator(spacing=0.1), BoxLidarSegmenter())
     log = with_more_cameras(street)
     actor = make_actor(log, "7", makers, 0, tmp_path, SceneConfig(cameras=("half", "most")))

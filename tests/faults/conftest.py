@@ -16,8 +16,9 @@ TIMES = ("timings.json", "times.json")
 """Say how long something took; all else must be the same bytes."""
 
 OUTPUTS = {
-    "actor": ("observation", "actor", "turntable.mp4"),
+    "actor": ("observation", "actor"),
     "scene": ("scene",),
+    "refine": ("refined", "turntable.mp4"),
     "evaluation": ("evaluation",),
     "rollout-advancing-a-replaced": ("rollouts/advancing-a/replaced",),
     "metrics": ("metrics.json",),

@@ -35,7 +35,6 @@ def test_an_impossible_number_is_one_line(views: int) -> None:
 def test_an_actor_of_several_views_names_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("recast.pipeline.actor.film_turntable", lambda actor, path: None)
     log = made_up.street_log(made_up.car(), made_up.turning_poses())
     makers = ActorMakers(TemplateGenerator(spacing=0.1), BoxLidarSegmenter())
     config = SceneConfig(holdout_every=2, holdout_offset=0)

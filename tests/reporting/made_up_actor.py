@@ -67,6 +67,7 @@ def _provenance() -> Provenance:
         images=9, held_back=1, left_out={f"too small {HOSTILE}": 2}, loss_before=0.2,
         loss_bent=0.15, loss_after=0.1, kept=True, steps=40, moved=(0.0, 0.0, 0.0), turned=0.0,
         grew=(1.0, 1.0, 1.0), pose_correction=0.01, seen=0.2, mirrored=0.1,
+        shadow=0.8,
     )  # fmt: skip
     return Provenance(
         generator=f"template {HOSTILE}", seed=0, details={"style": "estate"},

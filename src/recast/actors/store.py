@@ -83,7 +83,8 @@ def load_actor(folder: str | Path) -> Actor:
     folder = Path(folder)
     record = read_record(folder / ACTOR_FILE, ActorRecord, ACTOR_VERSION, _MEND)
     shares, trajectory = None, None
-    if record.provenance.refinement is not None:
+    refinement = record.provenance.refinement
+    if refinement is not None and refinement.kept:
         shares, trajectory = _read_refined(folder / REFINED_FILE)
     actor = Actor(
         track_id=record.track_id,

@@ -48,9 +48,15 @@ class Make:
 
         from recast.errors import InputError
         from recast.logs import read_log
-        from recast.pipeline.actor import ActorMakers, make_actor, refine_actor
+        from recast.pipeline.actor import (
+            ActorMakers,
+            film_turntable,
+            make_actor,
+            refine_actor,
+        )
         from recast.pipeline.config import MOST_VIEWS
         from recast.pipeline.display import SamplingProgress, print_actor
+        from recast.pipeline.layout import TURNTABLE_FILE
         from recast.scene import SceneConfig, load_scene, read_training_config
         from recast.storage import atomic_folder
 
@@ -69,6 +75,7 @@ class Make:
             )
             if scene is not None:
                 actor = refine_actor(folder, scene, self.seed, progress)
+            film_turntable(actor, folder / TURNTABLE_FILE)
         console.print(actor.provenance.observation, markup=False)
         print_actor(actor, console)
         if actor.provenance.refinement is not None:

@@ -45,7 +45,6 @@ from recast.pipeline.layout import (
     OBSERVATION_FOLDER,
     REFINED_FOLDER,
     REFINEMENT_CHECKPOINT,
-    TURNTABLE_FILE,
 )
 from recast.reporting.actor_sheet import turntable_frames
 from recast.reporting.video import write_video
@@ -114,7 +113,7 @@ def make_actor(
 ) -> Actor:
     """Observe, gather evidence, generate candidates, register and choose.
 
-    Writes `observation/` with the evidence, `actor/` and `turntable.mp4` below `out`.
+    Writes `observation/` with the evidence, and `actor/` below `out`.
 
     Args:
         config: of the street's scene: cameras, image scale, and the frames that are held out.
@@ -138,7 +137,6 @@ def make_actor(
     candidates = candidates_of(makers.generator, observation, seed)
     choice = choose(candidates, observation, log, evidence, _stage(progress, "vehicles"))
     save_actor(choice.actor, out / ACTOR_FOLDER)
-    film_turntable(choice.actor, out / TURNTABLE_FILE)
     return choice.actor
 
 
@@ -147,7 +145,7 @@ def refine_actor(
 ) -> Actor:
     """Refine the actor of a folder that `make_actor` wrote, against a street.
 
-    Writes `refined/`, and `turntable.mp4` anew; goes on where it was stopped.
+    Writes `refined/`; goes on where it was stopped.
 
     Raises:
         InputError: something of the folder is missing or broken; the scene has no such track.
@@ -161,8 +159,6 @@ def refine_actor(
         progress=_stage(progress, "refinement"),
     )  # fmt: skip
     save_actor(refined, run / REFINED_FOLDER)
-    (run / TURNTABLE_FILE).unlink(missing_ok=True)
-    film_turntable(refined, run / TURNTABLE_FILE)
     checkpoint.unlink(missing_ok=True)
     return refined
 

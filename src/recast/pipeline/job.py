@@ -12,7 +12,7 @@ from rich.console import Console
 from recast import storage
 from recast.errors import InputError, printable
 from recast.logs import DrivingLog, HdMap, map_of
-from recast.pipeline.actor import ActorMakers, make_actor, refine_actor
+from recast.pipeline.actor import ActorMakers, film_turntable, make_actor, refine_actor
 from recast.pipeline.config import RunConfig
 from recast.pipeline.display import FrameProgress, SamplingProgress, print_actor, results_table
 from recast.pipeline.layout import (
@@ -105,7 +105,7 @@ class Job:
         """The actor's folder; this and each of the next returns the hash of what it stands for."""
         return self._step(
             "actor", self._actor_inputs(), self._make_actor,
-            (OBSERVATION_FOLDER, ACTOR_FOLDER, TURNTABLE_FILE),
+            (OBSERVATION_FOLDER, ACTOR_FOLDER, *(() if self.config.refine else (TURNTABLE_FILE,))),
         )  # fmt: skip
 
     def make_scene(self) -> str:
@@ -121,7 +121,7 @@ class Job:
             return actor
         return self._step(
             "refine", {"scene": scene, "actor": actor, "seed": self.config.seed}, self._refine,
-            (REFINED_FOLDER,), keep_partial=True,
+            (REFINED_FOLDER, TURNTABLE_FILE), keep_partial=True,
         )  # fmt: skip
 
     def evaluate(self, scene: str) -> str:
@@ -187,6 +187,8 @@ class Job:
                 self.log, config.track, makers, config.seed, self.path, config.scene,
                 config.views, progress,
             )  # fmt: skip
+        if not self.config.refine:
+            film_turntable(actor, self.path / TURNTABLE_FILE)
         print_actor(actor, self.console)
 
     def _refine(self) -> None:
@@ -197,6 +199,7 @@ class Job:
             refined = refine_actor(
                 self.path, load_scene(self.path / SCENE_FOLDER), self.config.seed, progress
             )
+        film_turntable(refined, self.path / TURNTABLE_FILE)
         report = refined.provenance.refinement
         assert report is not None
         style = None if report.kept else "yellow"

@@ -182,3 +182,14 @@ def test_damaged_shares_are_one_line(
     save_file(tensors if value is None else {**tensors, name: value}, path)
     with pytest.raises(InputError, match=problem):
         load_actor(tmp_path / "actor")
+
+
+def test_an_actor_that_stayed_as_registered_is_read_back(
+    guess: Actor, evidence: Evidence, scene: StreetScene, tmp_path: Path
+) -> None:
+    few = dataclasses.replace(evidence, sightings=evidence.sightings[: LEAST_IMAGES - 1])
+    kept = refine(guess, few, scene)
+    save_actor(kept, tmp_path / "actor")
+    back = load_actor(tmp_path / "actor")
+    assert back.provenance == kept.provenance
+    assert back.shares is None and back.trajectory is None
