@@ -22,10 +22,8 @@ def test_tracks_of_a_log(
     tiny_log_folder: Path,
     scene: Path,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("recast.pipeline.actor._TURNTABLE_VIEWS", 2)
     out = tmp_path / "out"
     command = ["eval", "actor", "template", str(tiny_log_folder), "--scene", str(scene)]
     assert main([*command, "--track", "0", "--out", str(out)]) == 0

@@ -19,6 +19,7 @@ from recast.actors.observation import MaskQuality
 from recast.actors.shadow import contact_shadow
 from recast.actors.shares import Shares
 from recast.logs import Trajectory
+from recast.scene.light.sun import DIRECTIONS
 from recast.splats import CLASSIC
 from reporting.made_up_rollouts import HOSTILE
 
@@ -50,6 +51,7 @@ def refined_actor() -> Actor:
         low_pass=CLASSIC,
         shares=Shares(rear.float(), ((y > 0.3 * made_up.SIZE[1]) & ~rear).float()),
         trajectory=Trajectory(np.array([0, 1]), np.tile(np.eye(4), (2, 1, 1))),
+        sun=np.zeros(DIRECTIONS),
     )
 
 

@@ -14,6 +14,7 @@ from recast.actors.shares import Shares
 from recast.logs import Trajectory
 from recast.logs.checks import BOX_SIDE
 from recast.records import Record
+from recast.scene.light.sun import DIRECTIONS
 from recast.splats import Gaussians, LowPass
 
 Array = NDArray[np.float64]
@@ -274,6 +275,8 @@ class Actor:
         low_pass: the filter that the vehicle's Gaussians were made for.
         shares: where each Gaussian comes from; None for an actor that was only registered.
         trajectory: the track's poses as corrected with the actor, world frame; None likewise.
+        sun: (D,) what its shadow in the log says of the sun, see
+            `recast.actors.refine.road.ShadowEvidence`; None likewise.
     """
 
     track_id: str
@@ -286,6 +289,7 @@ class Actor:
     low_pass: LowPass
     shares: Shares | None = None
     trajectory: Trajectory | None = None
+    sun: Array | None = None
 
     def validate(self) -> None:
         """Raise ValueError naming the field at fault."""
@@ -301,6 +305,10 @@ class Actor:
             raise ValueError(f"Actor.shares.{fault[0]}: {fault[1]}")
         if self.trajectory is not None:
             self.trajectory.validate("Actor.trajectory")
+        if self.sun is not None and (
+            self.sun.shape != (DIRECTIONS,) or not np.isfinite(self.sun).all()
+        ):
+            raise ValueError(f"Actor.sun: {DIRECTIONS} finite numbers, got shape {self.sun.shape}")
         if self.source.ndim != 3 or self.source.shape[2] != 4 or self.source.dtype != np.uint8:
             raise ValueError(
                 f"Actor.source: (H, W, 4) uint8, got {self.source.shape} {self.source.dtype}"

@@ -36,9 +36,15 @@ def insert(scene: StreetScene, actor: Actor, *, relit: bool = True) -> StreetSce
             shadow=actor.shadow,
             appearance=None,
             low_pass=actor.low_pass,
-            light=actor_light(SceneLight.of(scene), actor, trajectory) if relit else None,
+            light=actor_light(_light(scene, actor), actor, trajectory) if relit else None,
         )
     )
+
+
+def _light(scene: StreetScene, actor: Actor) -> SceneLight:
+    """The light of the street, with what the actor's own shadow says of the sun."""
+    light = SceneLight.of(scene)
+    return light if actor.sun is None else replace(light, sun=light.sun.given(actor.sun))
 
 
 def require_model(scene: StreetScene, track_id: str) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from PIL import Image
 from safetensors.torch import save
 
@@ -66,7 +67,7 @@ def save_actor(actor: Actor, folder: str | Path) -> None:
         write_ply(partial / VEHICLE_FILE, actor.gaussians, actor.low_pass)
         shadow = {name: getattr(actor.shadow, name).contiguous() for name in _FIELDS}
         storage.write_bytes(partial / SHADOW_FILE, save(shadow))
-        if actor.shares is not None and actor.trajectory is not None:
+        if actor.shares is not None:
             storage.write_bytes(partial / REFINED_FILE, save(_refined(actor)))
         bgra = cv2.cvtColor(actor.source, cv2.COLOR_RGBA2BGRA)
         storage.write_bytes(partial / SOURCE_FILE, cv2.imencode(".png", bgra)[1].tobytes())
@@ -82,10 +83,10 @@ def load_actor(folder: str | Path) -> Actor:
     """
     folder = Path(folder)
     record = read_record(folder / ACTOR_FILE, ActorRecord, ACTOR_VERSION, _MEND)
-    shares, trajectory = None, None
+    shares, trajectory, sun = None, None, None
     refinement = record.provenance.refinement
     if refinement is not None and refinement.kept:
-        shares, trajectory = _read_refined(folder / REFINED_FILE)
+        shares, trajectory, sun = _read_refined(folder / REFINED_FILE)
     actor = Actor(
         track_id=record.track_id,
         category=record.category,
@@ -97,6 +98,7 @@ def load_actor(folder: str | Path) -> Actor:
         low_pass=record.low_pass,
         shares=shares,
         trajectory=trajectory,
+        sun=sun,
     )
     try:
         actor.validate()
@@ -119,19 +121,20 @@ def _read_shadow(path: Path) -> Gaussians:
 
 def _refined(actor: Actor) -> dict[str, torch.Tensor]:
     """What refinement adds to an actor, by name."""
-    assert actor.shares is not None and actor.trajectory is not None
+    assert actor.shares is not None and actor.trajectory is not None and actor.sun is not None
     return {
         "seen": actor.shares.seen.contiguous(),
         "mirrored": actor.shares.mirrored.contiguous(),
         "timestamps_us": torch.from_numpy(actor.trajectory.timestamps_us).contiguous(),
         "poses": torch.from_numpy(actor.trajectory.poses).contiguous(),
+        "sun": torch.from_numpy(actor.sun).contiguous(),
     }
 
 
-def _read_refined(path: Path) -> tuple[Shares, Trajectory]:
+def _read_refined(path: Path) -> tuple[Shares, Trajectory, NDArray[np.float64]]:
     tensors, _ = read_safetensors(path, "tensors", _MEND)
     types = dict.fromkeys(("seen", "mirrored"), torch.float32)
-    types |= {"timestamps_us": torch.int64, "poses": torch.float64}
+    types |= {"timestamps_us": torch.int64, "poses": torch.float64, "sun": torch.float64}
     for name, kind in types.items():
         if name not in tensors:
             raise InputError(path, name, "is missing", _MEND)
@@ -140,7 +143,8 @@ def _read_refined(path: Path) -> tuple[Shares, Trajectory]:
     times, poses = tensors["timestamps_us"].numpy(), tensors["poses"].numpy()
     if times.ndim != 1:
         raise InputError(path, "timestamps_us", f"has shape {times.shape}", _MEND)
-    return Shares(tensors["seen"], tensors["mirrored"]), Trajectory(times, poses)
+    shares = Shares(tensors["seen"], tensors["mirrored"])
+    return shares, Trajectory(times, poses), tensors["sun"].numpy()
 
 
 def _read_source(path: Path) -> np.ndarray:

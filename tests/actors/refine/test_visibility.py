@@ -63,7 +63,6 @@ def test_one_side_is_seen_the_other_mirrored_the_rest_invented(
     alone = visibility_of(red_car, CLASSIC, layers, symmetric=False).shares
     assert not bool(alone.mirrored.any())
     room = visible.freedom(red_car)
-    assert bool((visible.trusted.seen <= found.seen).all())
     assert float(room[left].mean()) > float(room[right].mean()) > float(room[under].mean())
 
 

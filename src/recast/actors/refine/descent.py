@@ -14,7 +14,7 @@ from torch import Tensor
 
 from recast.actors.actor import Actor
 from recast.actors.hull import outer_surface
-from recast.actors.refine.free import FreeGaussians
+from recast.actors.refine.free import FIELDS, FreeGaussians
 from recast.actors.refine.layers import Layers
 from recast.actors.refine.objective import mean_loss, view_loss
 from recast.actors.refine.shape import Bend, PoseOffsets
@@ -50,9 +50,9 @@ class Steps:
 
     shape: int = 120
     paint: int = 80
-    free: int = 400
+    free: int = 1200
     look_every: int = 50
-    patience: int = 3
+    patience: int = 4
 
 
 @dataclass(frozen=True)
@@ -75,12 +75,20 @@ class Task:
     seed: int
     steps: Steps
 
-    def image_loss(self, gaussians: Gaussians, poses: PoseOffsets, step: int) -> Tensor:
-        """Weighted loss of the image of a step, now and then of the mirrored vehicle."""
+    def image_loss(
+        self, gaussians: Gaussians, poses: PoseOffsets, step: int, seen: Tensor | None = None
+    ) -> Tensor:
+        """Weighted loss of the image of a step, now and then of the mirrored vehicle.
+
+        Args:
+            seen: (N,) in [0, 1], by how much the mirrored vehicle does not teach each Gaussian.
+        """
         view = self.views[picked_view(self.seed, step, len(self.views))]
         weight = view.sighting.weight
         chance = torch.rand((), generator=generator(self.seed, step, _MIRRORS))
         if self.symmetric and float(chance) < _MIRROR_CHANCE:
+            if seen is not None:
+                gaussians = _held(gaussians, seen)
             gaussians = mirrored(gaussians, torch.ones(len(gaussians), dtype=torch.bool))
             weight *= _MIRROR_WEIGHT
         offset = poses.at(view.sighting.timestamp_us)
@@ -133,14 +141,16 @@ class FreeDescent:
     Args:
         free: what is changed.
         poses: corrected on.
+        seen: (N,) in [0, 1], how much of each Gaussian images of its own side show: those of the
+            other side leave it as it is.
 
     Attributes:
         index: steps done.
         best, best_loss: the Gaussians with the least loss on the held-back images, and that loss.
     """
 
-    def __init__(self, task: Task, free: FreeGaussians, poses: PoseOffsets) -> None:
-        self.task, self.free, self.poses = task, free, poses
+    def __init__(self, task: Task, free: FreeGaussians, poses: PoseOffsets, seen: Tensor) -> None:
+        self.task, self.free, self.poses, self._seen = task, free, poses, seen
         self._parameters = {**free.changes, "poses": poses.values}
         self._optimiser = _adam(self._parameters, {**_FREE_RATES, "poses": 0.3 * _POSE_RATE})
         self.index, self._worse = 0, 0
@@ -158,7 +168,7 @@ class FreeDescent:
 
     def step(self) -> None:
         """One step: colours alone at first, then everything; a look now and then."""
-        loss = self.task.image_loss(self.free(), self.poses, self.index)
+        loss = self.task.image_loss(self.free(), self.poses, self.index, self._seen)
         loss = loss + self.free.strain() + _STRAIN * self.poses.roughness()
         moved = {"sh"} if self.index < self.task.steps.paint else set(self._parameters)
         _descend(self._optimiser, loss, self.index / self.steps, moved)
@@ -198,6 +208,16 @@ class FreeDescent:
         self.index, self._worse = int(numbers["index"]), int(numbers["worse"])
         self.best_loss = float(numbers["loss"])
         self.best = Gaussians(**{name: tensors[f"best.{name}"] for name in self.free.changes})
+
+
+def _held(gaussians: Gaussians, share: Tensor) -> Gaussians:
+    """The same Gaussians, whose derivatives are less by a share (N,)."""
+
+    def held(value: Tensor) -> Tensor:
+        rows = share.view(-1, *[1] * (value.ndim - 1))
+        return rows * value.detach() + (1 - rows) * value
+
+    return Gaussians(**{name: held(getattr(gaussians, name)) for name in FIELDS})
 
 
 def _adam(parameters: dict[str, Tensor], rates: dict[str, float]) -> torch.optim.Adam:

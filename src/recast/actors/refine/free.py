@@ -52,7 +52,7 @@ class FreeGaussians:
         moved = (self._change("means") / 0.05).square().mean()
         grown = self._change("log_scales").square().mean()
         turned = self._change("sh")[:, 1:].square().mean()
-        return 0.02 * moved + 0.005 * grown + 0.02 * turned
+        return 0.2 * moved + 0.05 * grown + 0.2 * turned
 
 
 def split_rows(gaussians: Gaussians, chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:

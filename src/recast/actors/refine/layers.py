@@ -6,8 +6,7 @@ these two layers, which costs a fifth of drawing the whole street.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -20,7 +19,6 @@ from recast.scene import StreetScene
 from recast.scene.sky import composite, pixel_coordinates
 from recast.splats import CLASSIC, Gaussians, concatenate, rasterize, refiltered
 
-_DARKNESS, _DARKNESS_PRIOR = (0.2, 1.3), 2.0
 _GAINS = (0.8, 1.25)
 _GAIN_PRIOR = 40.0  # pixels' worth of evidence for a gain of one
 
@@ -138,25 +136,3 @@ def _gain(image: Tensor, street: Tensor, mask: Tensor, trust: Tensor) -> Tensor:
     prior = _GAIN_PRIOR * 0.25
     gain = ((shown * wanted).sum(0) + prior) / ((shown * shown).sum(0) + prior)
     return gain.clamp(*_GAINS)
-
-
-def shadow_darkness(views: Sequence[Layers]) -> float:
-    """Factor of the shadow's opacity that explains the road about the vehicle best; near one.
-
-    Least squares of target = street (1 - factor x shade) where the shadow falls beside the mask.
-    """
-    found, square = _DARKNESS_PRIOR, _DARKNESS_PRIOR
-    for view in views:
-        beside = (view.compared == 0) & (view.trust > 0) & (view.through > 0.5)
-        weight = view.sighting.weight * beside
-        shaded = (view.street * view.shade[..., None]).mean(dim=-1)
-        missing = (view.street - view.target).mean(dim=-1)
-        found += float((weight * shaded * missing).sum())
-        square += float((weight * shaded * shaded).sum())
-    return min(max(found / square, _DARKNESS[0]), _DARKNESS[1])
-
-
-def darkened(shadow: Gaussians, factor: float) -> Gaussians:
-    """A shadow with its opacities times a factor."""
-    opacities = (shadow.logit_opacities.sigmoid() * factor).clamp(1e-6, 1 - 1e-4)
-    return replace(shadow, logit_opacities=opacities.logit())

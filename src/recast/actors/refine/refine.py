@@ -22,8 +22,9 @@ from recast.actors.actor import Actor, Refinement
 from recast.actors.evidence import Evidence
 from recast.actors.refine.descent import FreeDescent, Steps, Task, fit_shape
 from recast.actors.refine.free import FreeGaussians, split, split_rows
-from recast.actors.refine.layers import darkened, make_layers, shadow_darkness
+from recast.actors.refine.layers import make_layers
 from recast.actors.refine.paint import follow_paint
+from recast.actors.refine.road import darkened, shadow_evidence
 from recast.actors.refine.shape import Bend, PoseOffsets
 from recast.actors.refine.visibility import visibility_of
 from recast.logs import Trajectory
@@ -75,8 +76,8 @@ def refine(
         note = f"not refined: {count} usable images, at least {LEAST_IMAGES} are needed"
         return _unrefined(actor, evidence, note)
     views = make_layers(scene, evidence, actor.shadow)
-    darkness = shadow_darkness(views)
-    views = [replace(view, shade=darkness * view.shade) for view in views]
+    told = shadow_evidence(actor, scene, views)
+    views = [replace(view, shade=told.darkness * view.shade) for view in views]
     held = views[_HOLD_BACK // 2 :: _HOLD_BACK] or [views[count // 2]]
     kept = [view for view in views if view not in held]
     symmetric = actor.category not in DEFORMABLE
@@ -90,15 +91,15 @@ def refine(
         bent = bend(actor.gaussians.detach())
     visible = visibility_of(bent, actor.low_pass, views, symmetric)
     loss_before, loss_bent = task.judged(actor.gaussians, None), task.judged(bent, poses)
-    known = visible.trusted.seen + visible.trusted.mirrored
+    known = visible.shares.seen + visible.shares.mirrored
     source = split_rows(bent, visible.shown & (known > _SPLIT))
     finer, visible = split(bent, *source), visible.select(torch.cat(source))
     shares = visible.shares
     free = FreeGaussians(finer, visible.freedom(finer))
-    descent = FreeDescent(task, free, poses)
+    descent = FreeDescent(task, free, poses, shares.seen)
     _descend(descent, _identity(actor, evidence, seed), checkpoint, counter)
 
-    refined = follow_paint(free.prior, descent.best, visible.trusted)
+    refined = follow_paint(free.prior, descent.best, shares)
     loss_after = task.judged(refined, poses)
     better = loss_after < loss_before
     report = Refinement(
@@ -114,7 +115,7 @@ def refine(
         turned=float(bend.turn.detach()),
         grew=_triple(bend.grow.exp()),
         pose_correction=_correction(poses, times),
-        shadow=darkness,
+        shadow=told.darkness,
         seen=_surface_share(refined, shares.seen),
         mirrored=_surface_share(refined, shares.mirrored),
     )
@@ -127,7 +128,8 @@ def refine(
             gaussians=refined,
             shares=shares,
             trajectory=trajectory,
-            shadow=darkened(actor.shadow, darkness),
+            shadow=darkened(actor.shadow, told.darkness),
+            sun=told.sun,
         ),
         report,
     )

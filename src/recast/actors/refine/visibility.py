@@ -10,7 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -21,9 +23,9 @@ from recast.splats import Gaussians, LowPass, rasterize
 from recast.splats.sh import C0
 
 _PATCH = 0.06  # metres around a Gaussian that are seen or not seen together
+_PATCH_PX = 1.5  # pixels of the nearest image that a patch is at least: less cannot be told apart
 _SHOWN = 0.5  # pixels of a Gaussian's own over all images that put it in the picture
 _SEEN = 20.0  # pixels of a patch over all images that make it two thirds seen
-_TRUSTED = 200.0  # and that let two thirds of it follow them
 _NEIGHBOURS = 8
 _MIRRORED = 0.6  # of the freedom, for what only the other side's images show
 
@@ -45,20 +47,12 @@ class Visibility:
     @property
     def shares(self) -> Shares:
         """Where each comes from."""
-        return self._shares(_SEEN)
-
-    @property
-    def trusted(self) -> Shares:
-        """The same where few images do not count much: they would be followed too far."""
-        return self._shares(_TRUSTED)
-
-    def _shares(self, pixels: float) -> Shares:
-        seen = 1 - torch.exp(-self.own / pixels)
-        return Shares(seen, (1 - seen) * (1 - torch.exp(-self.twin / pixels)))
+        seen = 1 - torch.exp(-self.own / _SEEN)
+        return Shares(seen, (1 - seen) * (1 - torch.exp(-self.twin / _SEEN)))
 
     def freedom(self, gaussians: Gaussians) -> Tensor:
         """(N,) in [0, 1] how far each of `gaussians` may leave the prior, smoothly over them."""
-        own = self.trusted.seen + _MIRRORED * self.trusted.mirrored
+        own = self.shares.seen + _MIRRORED * self.shares.mirrored
         points = gaussians.means.detach().numpy()
         _, near = cKDTree(points).query(points, k=min(_NEIGHBOURS, len(points)))
         around = own[torch.from_numpy(near.reshape(len(points), -1))].mean(dim=1)
@@ -106,12 +100,36 @@ def visibility_of(
         own += pixel_weights(gaussians, low_pass, view, pixels)
         if symmetric:
             twin += pixel_weights(other, low_pass, view, pixels)
-    points = gaussians.means.detach().numpy()
-    near = cKDTree(points).sparse_distance_matrix(cKDTree(points), _PATCH, output_type="coo_matrix")
-    rows = torch.from_numpy(near.row.astype("int64"))
-    columns = torch.from_numpy(near.col.astype("int64"))
+    reach = max(_PATCH, _PATCH_PX * min((_metres_a_pixel(view) for view in views), default=0.0))
+    patches = _Patches(gaussians.means.detach().numpy(), reach)
+    return Visibility(patches.sum(own), patches.sum(twin), (own + twin) > _SHOWN)
 
-    def patches(pixels: Tensor) -> Tensor:
-        return torch.zeros_like(pixels).index_add(0, rows, pixels[columns])
 
-    return Visibility(patches(own), patches(twin), (own + twin) > _SHOWN)
+class _Patches:
+    """Sums over all points within `reach` of each of points (N, 3), up to half a `reach`.
+
+    Points are gathered in cells half as wide: the number of pairs does not grow with `reach`.
+    """
+
+    def __init__(self, points: NDArray[np.float32], reach: float) -> None:
+        places = np.floor(points / (reach / 2)).astype(np.int64)
+        _, found, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
+        cell = found.reshape(-1)
+        centres = np.stack([np.bincount(cell, one) for one in points.T], axis=-1) / count[:, None]
+        tree = cKDTree(centres)
+        pairs = tree.sparse_distance_matrix(tree, reach, output_type="coo_matrix")
+        self._cell, self._cells = torch.from_numpy(cell), len(centres)
+        self._rows = torch.from_numpy(pairs.row.astype(np.int64))
+        self._columns = torch.from_numpy(pairs.col.astype(np.int64))
+
+    def sum(self, pixels: Tensor) -> Tensor:
+        """(N,) around each point."""
+        own = pixels.new_zeros(self._cells).index_add(0, self._cell, pixels)
+        around = torch.zeros_like(own).index_add(0, self._rows, own[self._columns])
+        return around[self._cell]
+
+
+def _metres_a_pixel(view: Layers) -> float:
+    """At the vehicle's middle."""
+    depth = (view.camera_from_world @ view.world_from_object)[2, 3]
+    return float(depth / view.K[0, 0])

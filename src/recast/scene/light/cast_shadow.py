@@ -59,6 +59,7 @@ class CastShadow:
             hit = np.zeros(shape, np.float32)
             hit[tuple(cell.astype(np.int64).T)] = 1.0
             self._sun[index] = np.minimum(gaussian_filter(hit, _BLUR) / _HIT, 1.0).ravel()
+        self._low, self._shape = low, np.array(shape)
         grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
         self._centres = np.concatenate([grid, np.full((len(grid), 1), ground)], axis=1)
         self._stations = near_stations(grid[:, 0], size)
@@ -68,6 +69,25 @@ class CastShadow:
     def room(self) -> int:
         """Most Gaussians that a sheet has."""
         return len(self._centres)
+
+    def left(self, place: PlaceLight, yaw: float, at: Array) -> tuple[Array, Array]:
+        """Share (D, P) of the light that reaches places if the sun stands in each direction.
+
+        Args:
+            yaw: heading of the vehicle in the world, radians; directions are those of the world.
+            at: (P, 2) places on the ground, actor frame, metres.
+
+        Returns:
+            The share with the vehicle there, and that if it did not hide the sky.
+        """
+        found = np.rint((at - self._low) / _SPACING_M).astype(np.int64)
+        x, y = np.clip(found, 0, self._shape - 1).T
+        cells = x * self._shape[1] + y
+        hidden = _turned(self._sun[:, cells].astype(np.float64), -yaw)
+        sky = self._stations[cells] @ place.sky
+        sun = _TOE * directions()[0][:, 2:] * (self._stations[cells] @ place.sun)
+        lit = sun * (1 - hidden)
+        return (sky * self._left[cells] + lit) / (sky + sun), (sky + lit) / (sky + sun)
 
     def sheet(self, light: SceneLight, place: PlaceLight, yaw: float) -> Gaussians:
         """The shadow, actor frame.
@@ -108,13 +128,13 @@ def _light_left(sheet: Array, contact: Gaussians, grid: Array) -> Array:
     return left
 
 
-def _turned(probability: Array, yaw: float) -> Array:
-    """Probabilities (D,) of directions in the frame of a vehicle that heads along `yaw`."""
-    table = probability.reshape(-1, AZIMUTHS)
+def _turned(values: Array, yaw: float) -> Array:
+    """What directions have, (D, ...), for directions in a frame that is turned by `yaw`."""
+    table = values.reshape(-1, AZIMUTHS, *values.shape[1:])
     steps = yaw * AZIMUTHS / (2 * np.pi)
     whole = int(np.floor(steps))
     share = steps - whole
     turned: Array = (1 - share) * np.roll(table, -whole, axis=1) + share * np.roll(
         table, -whole - 1, axis=1
     )
-    return turned.ravel()
+    return turned.reshape(values.shape)

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 AZIMUTHS, ELEVATIONS = 24, np.radians([20.0, 30.0, 40.0, 50.0, 60.0, 70.0])
+DIRECTIONS = AZIMUTHS * len(ELEVATIONS)
 SUN_OVER_SKY = 2.0
 """Light of the sun on what faces it over that of the sky on level ground, on a clear day."""
 _BRIGHTNESS, _WARMTH = 1.0, 0.2  # weights of the cues
@@ -63,6 +64,11 @@ class SunBelief:
         coefficients: Array = _BANDS.numpy() * (self.probability @ values)
         return coefficients
 
+    def given(self, evidence: Array) -> SunBelief:
+        """With more evidence: (D,) logarithms of likelihoods, up to a constant."""
+        probability = self.probability * np.exp(evidence - evidence.max())
+        return SunBelief(probability / probability.sum())
+
     def explain(self) -> str:
         """One line for people."""
         if self.certainty < _VAGUE:
@@ -100,8 +106,7 @@ def find_sun(patches: Patches, occupancy: Occupancy) -> SunBelief:
             explained = _BRIGHTNESS * _explained(light, bright)
             explained += _WARMTH * _explained(light[grey], warmth[grey])
             evidence[index] += trust * explained
-    probability = prior * np.exp(evidence - evidence.max())
-    return SunBelief(probability / probability.sum())
+    return SunBelief(prior).given(evidence)
 
 
 def _some(patches: Patches) -> Patches:
