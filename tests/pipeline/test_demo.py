@@ -18,7 +18,8 @@ TINY = DemoSize(2.0, 192, 128, ("front",), 40, ("cut-in-a",), 10, "idm-follower"
 
 
 def run(out: Path, scene: str = SCENE, seed: int = 1, size: DemoSize = TINY) -> Path:
-    return demo(out, scene, seed, size, threads=1, console=Console(quiet=True))
+    console = Console(quiet=True)
+    return demo(out, scene, seed, size, threads=1, console=console, generator="template")
 
 
 @pytest.fixture(scope="module")

@@ -194,15 +194,17 @@ class Refinement(Record):
         """A few lines for people."""
         losses = [self.loss_before, self.loss_bent, self.loss_after]
         judged = " -> ".join(f"{loss:.3f}" for loss in losses if loss is not None)
-        lines = [
-            f"refined by {self.images} images in {self.steps} steps; loss on {self.held_back} "
-            f"others {judged} (registered, bent, refined)"
-            + ("" if self.kept else ": not better, so the registered actor stays"),
-            f"seen {self.seen:.0%}, mirrored {self.mirrored:.0%}, invented "
-            f"{max(1 - self.seen - self.mirrored, 0):.0%} of the surface",
-        ]
+        lines = list(self.notes)
+        if self.steps:
+            lines += [
+                f"refined by {self.images} images in {self.steps} steps; loss on {self.held_back} "
+                f"others {judged} (registered, bent, refined)"
+                + ("" if self.kept else ": not better, so the registered actor stays"),
+                f"seen {self.seen:.0%}, mirrored {self.mirrored:.0%}, invented "
+                f"{max(1 - self.seen - self.mirrored, 0):.0%} of the surface",
+            ]
         lines += [f"left out {count}: {reason}" for reason, count in self.left_out.items()]
-        return "\n".join([*lines, *self.notes])
+        return "\n".join(lines)
 
 
 class Provenance(Record):

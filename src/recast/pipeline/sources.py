@@ -19,7 +19,7 @@ from recast.trellis import RECAST_MINI, recast_mini
 
 RECIPES = {
     "actor": 4,
-    "refine": 1,
+    "refine": 2,
     "scene": 1,
     "evaluation": 1,
     "truth": 2,

@@ -87,6 +87,8 @@ class TrainingDisplay:
     ) -> None:
         """Stop drawing and leave the last state on the screen."""
         self._live.stop()
+        if not self._live.console.is_interactive:  # Live ends such a line only where it redraws
+            self._live.console.print()
 
 
 def describe(status: TrainingStatus) -> str:

@@ -80,6 +80,8 @@ def _border(mask: NDArray[np.bool_]) -> Array:
     """Places (N, 2) between pixels in and out of a mask (H, W), in order around its middle."""
     beside, below = (np.argwhere(np.diff(mask, axis=axis)) for axis in (1, 0))
     places = np.concatenate([beside[:, ::-1] + [1.0, 0.5], below[:, ::-1] + [0.5, 1.0]])
+    if len(places) == 0:  # the mask fills the crop
+        return places
     x, y = (places - places.mean(axis=0)).T
     return places[np.argsort(np.arctan2(y, x), kind="stable")]
 
