@@ -15,7 +15,7 @@ class EvalActor:
     refine those of a log's tracks and compare them with the images that its scene held out."""
 
     model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
-    """What makes the vehicles: template, an installed generator, a vehicle file, or a model folder."""
+    """What makes the vehicles: template, an installed generator, a vehicle file, a model folder."""
     set: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SET")]
     """Folder of real crops (ID/input_views, ID/reserved_views), a vehicle set, or a log."""
     out: Path
