@@ -90,7 +90,10 @@ def print_actor(actor: Actor, console: Console) -> None:
 
 def candidates_table(candidates: Sequence[CandidateRecord]) -> Table:
     """The vehicles that an actor was chosen from, with their scores; 80 columns wide."""
-    table = Table(title="candidates", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(
+        title="candidates", title_justify="left", box=SIMPLE_HEAD, collapse_padding=True,
+        pad_edge=False,
+    )  # fmt: skip
     for heading in ("", "generator", "which", "outline", "LiDAR", "free", "colour", "score"):
         table.add_column(heading)
     for one in candidates:
