@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from recast.actors import insert, load_actor
 from recast.geometry import se3
 from recast.logs import read_log
-from recast.pipeline.layout import ACTOR_FOLDER, REFINED_FOLDER, SCENE_FOLDER
+from recast.pipeline.layout import SCENE_FOLDER, final_actor
 from recast.scene import SceneRasterizer, load_scene
 from recast.scene.light import SceneLight
 from recast.simulation import camera_mounts
@@ -42,8 +42,7 @@ def main() -> None:
 
     log, run = read_log(chosen.folder / "log"), chosen.folder / "run"
     scene = load_scene(run / SCENE_FOLDER)
-    refined = run / REFINED_FOLDER
-    actor = load_actor(refined if refined.exists() else run / ACTOR_FOLDER)
+    actor = load_actor(final_actor(run))
     began = process_time()
     SceneLight.of(scene)
     street = process_time() - began

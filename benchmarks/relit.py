@@ -20,7 +20,7 @@ from recast.actors import insert, load_actor
 from recast.evaluation.oracle_draw import Painter
 from recast.evaluation.oracle_poses import ViewSettings, place_views
 from recast.logs import read_log
-from recast.pipeline.layout import ACTOR_FOLDER, REFINED_FOLDER, SCENE_FOLDER
+from recast.pipeline.layout import SCENE_FOLDER, final_actor
 from recast.scene import load_scene
 from recast.simulation import camera_mounts
 from recast.splats import set_threads
@@ -35,8 +35,7 @@ def scores(folder: Path, settings: ViewSettings) -> tuple[str, dict[str, tuple[f
     log, run = read_log(folder / "log"), folder / "run"
     world = world_of(log)
     scene = load_scene(run / SCENE_FOLDER)
-    refined = run / REFINED_FOLDER
-    actor = load_actor(refined if refined.exists() else run / ACTOR_FOLDER)
+    actor = load_actor(final_actor(run))
     models = (scene, insert(scene, actor, relit=False), insert(scene, actor))
     mounts = camera_mounts(log)
     track = log.tracks[actor.track_id]

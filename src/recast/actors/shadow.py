@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from recast.splats import Gaussians
+from recast.splats.sh import C0
 
 Array = NDArray[np.float64]
 
@@ -15,7 +18,6 @@ _DARKNESS = 0.45  # peak opacity of one; neighbours overlap to about 0.9
 _FADE = 0.32  # metres over which the shadow fades out around the footprint
 _LIFT = 0.06  # metres: splats of the road are thick and sort by centre, lower ones hide the shadow
 _THICKNESS = 0.003
-_SH_C0 = 0.28209479177387814
 
 
 def contact_shadow(low: Array, high: Array, floor: float) -> Gaussians:
@@ -56,5 +58,11 @@ def contact_shadow(low: Array, high: Array, floor: float) -> Gaussians:
         quats=tensor(np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))),
         log_scales=tensor(np.tile(deviations, (count, 1))),
         logit_opacities=tensor(np.log(probability / (1 - probability))),
-        sh=torch.full((count, 1, 3), -0.5 / _SH_C0, dtype=torch.float32),
+        sh=torch.full((count, 1, 3), -0.5 / C0, dtype=torch.float32),
     )
+
+
+def darkened(shadow: Gaussians, factor: float) -> Gaussians:
+    """A shadow with its opacities times a factor."""
+    opacities = (shadow.logit_opacities.sigmoid() * factor).clamp(1e-6, 1 - 1e-4)
+    return replace(shadow, logit_opacities=opacities.logit())

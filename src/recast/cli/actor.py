@@ -48,12 +48,7 @@ class Make:
 
         from recast.errors import InputError
         from recast.logs import read_log
-        from recast.pipeline.actor import (
-            ActorMakers,
-            film_turntable,
-            make_actor,
-            refine_actor,
-        )
+        from recast.pipeline.actor import ActorMakers, film_turntable, make_actor, refine_actor
         from recast.pipeline.config import MOST_VIEWS
         from recast.pipeline.display import SamplingProgress, print_actor
         from recast.pipeline.layout import TURNTABLE_FILE

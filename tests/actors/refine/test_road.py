@@ -12,8 +12,8 @@ from actors import made_up, made_up_evidence
 from recast.actors import Actor
 from recast.actors.hull import outer_surface
 from recast.actors.refine.layers import make_layers
-from recast.actors.refine.road import darkened, shadow_evidence
-from recast.actors.shadow import contact_shadow
+from recast.actors.refine.road import shadow_evidence
+from recast.actors.shadow import contact_shadow, darkened
 from recast.scene.light import CastShadow, SceneLight, SunBelief
 from recast.scene.light.sun import AZIMUTHS, DIRECTIONS, directions
 from recast.splats import CLASSIC, Gaussians, concatenate

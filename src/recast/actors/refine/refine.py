@@ -24,9 +24,10 @@ from recast.actors.refine.descent import FreeDescent, Steps, Task, fit_shape
 from recast.actors.refine.free import FreeGaussians, split, split_rows
 from recast.actors.refine.layers import make_layers
 from recast.actors.refine.paint import follow_paint
-from recast.actors.refine.road import darkened, shadow_evidence
+from recast.actors.refine.road import shadow_evidence
 from recast.actors.refine.shape import Bend, PoseOffsets
 from recast.actors.refine.visibility import visibility_of
+from recast.actors.shadow import darkened
 from recast.logs import Trajectory
 from recast.scene import StreetScene
 from recast.scene.mirror import DEFORMABLE
@@ -91,7 +92,8 @@ def refine(
         bent = bend(actor.gaussians.detach())
     visible = visibility_of(bent, actor.low_pass, views, symmetric)
     loss_before, loss_bent = task.judged(actor.gaussians, None), task.judged(bent, poses)
-    known = visible.shares.seen + visible.shares.mirrored
+    shares = visible.shares
+    known = shares.seen + shares.mirrored
     source = split_rows(bent, visible.shown & (known > _SPLIT))
     finer, visible = split(bent, *source), visible.select(torch.cat(source))
     shares = visible.shares

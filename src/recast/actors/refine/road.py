@@ -7,7 +7,7 @@ that got darker tell the direction of the sun better than all walls of a street.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -21,7 +21,6 @@ from recast.scene import StreetScene
 from recast.scene.light import CastShadow, SceneLight
 from recast.scene.light.sun import DIRECTIONS
 from recast.scene.light.surfaces import GAMMA
-from recast.splats import Gaussians
 
 Array = NDArray[np.float64]
 
@@ -42,7 +41,7 @@ class RoadPixels:
         image: (P,) display values, mean of the channels, the gain of the exposure undone.
         street: (P,) the same of the scene without the vehicle.
         pose: (4, 4) `world_from_actor`.
-        weight: of the image.
+        weight: what the image counts beside the others, see `recast.actors.evidence.Sighting`.
     """
 
     places: Array
@@ -96,7 +95,7 @@ def shadow_evidence(actor: Actor, scene: StreetScene, views: Sequence[Layers]) -
 
 
 def road_pixels(view: Layers, size: Array, floor: float) -> RoadPixels | None:
-    """Those of one image; None if there are only a few.
+    """The road pixels of one image; None if there are only a few.
 
     Args:
         size: (3,) of the vehicle's box, metres.
@@ -105,9 +104,8 @@ def road_pixels(view: Layers, size: Array, floor: float) -> RoadPixels | None:
     sighting = view.sighting
     around = cv2.dilate((sighting.mask > _ON_IT).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     beside = ~around & (sighting.trust > 0) & (view.through.numpy() > _CLEAR)
-    rows, columns = np.nonzero(beside)
     object_from_camera = se3.inverse(sighting.camera_from_object)
-    rays = sighting.camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
+    rays = sighting.camera.rays(sighting.camera.pixel_grid()[beside])
     rays = rays @ object_from_camera[:3, :3].T
     with np.errstate(divide="ignore"):
         distance = (floor - object_from_camera[2, 3]) / rays[:, 2]
@@ -118,7 +116,7 @@ def road_pixels(view: Layers, size: Array, floor: float) -> RoadPixels | None:
         return None
     near = near[:: -(-len(near) // _PIXELS)]
     image, street = (
-        layer.numpy()[rows[near], columns[near]].astype(np.float64).mean(axis=1)
+        layer.numpy()[beside][near].astype(np.float64).mean(axis=1)
         for layer in (view.target, view.street)
     )
     return RoadPixels(places[near], image, street, sighting.world_from_object, sighting.weight)
@@ -138,9 +136,3 @@ def _sun(roads: Sequence[RoadPixels], expected: Sequence[Array]) -> Array:
         total += share * float(wanted @ wanted)
     r = np.maximum(cross / np.sqrt(square * total), 0.0)
     return -0.5 * len(roads) * np.log(np.maximum(1 - r * r, 1e-6))
-
-
-def darkened(shadow: Gaussians, factor: float) -> Gaussians:
-    """A shadow with its opacities times a factor."""
-    opacities = (shadow.logit_opacities.sigmoid() * factor).clamp(1e-6, 1 - 1e-4)
-    return replace(shadow, logit_opacities=opacities.logit())

@@ -52,7 +52,8 @@ class Visibility:
 
     def freedom(self, gaussians: Gaussians) -> Tensor:
         """(N,) in [0, 1] how far each of `gaussians` may leave the prior, smoothly over them."""
-        own = self.shares.seen + _MIRRORED * self.shares.mirrored
+        shares = self.shares
+        own = shares.seen + _MIRRORED * shares.mirrored
         points = gaussians.means.detach().numpy()
         _, near = cKDTree(points).query(points, k=min(_NEIGHBOURS, len(points)))
         around = own[torch.from_numpy(near.reshape(len(points), -1))].mean(dim=1)
@@ -123,13 +124,13 @@ class _Patches:
         self._columns = torch.from_numpy(pairs.col.astype(np.int64))
 
     def sum(self, pixels: Tensor) -> Tensor:
-        """(N,) around each point."""
+        """Sums (N,) of `pixels` (N,) around each point."""
         own = pixels.new_zeros(self._cells).index_add(0, self._cell, pixels)
         around = torch.zeros_like(own).index_add(0, self._rows, own[self._columns])
         return around[self._cell]
 
 
 def _metres_a_pixel(view: Layers) -> float:
-    """At the vehicle's middle."""
+    """Size of a pixel at the vehicle's middle, metres."""
     depth = (view.camera_from_world @ view.world_from_object)[2, 3]
     return float(depth / view.K[0, 0])

@@ -86,8 +86,7 @@ class CastShadow:
         hidden = _turned(self._sun[:, cells].astype(np.float64), -yaw)
         sky = self._stations[cells] @ place.sky
         sun = _TOE * directions()[0][:, 2:] * (self._stations[cells] @ place.sun)
-        lit = sun * (1 - hidden)
-        return (sky * self._left[cells] + lit) / (sky + sun), (sky + lit) / (sky + sun)
+        return _left(sky, self._left[cells], sun, hidden), _left(sky, 1.0, sun, hidden)
 
     def sheet(self, light: SceneLight, place: PlaceLight, yaw: float) -> Gaussians:
         """The shadow, actor frame.
@@ -98,7 +97,7 @@ class CastShadow:
         hidden = _turned(light.sun.probability, yaw).astype(np.float32) @ self._sun
         sky = self._stations @ place.sky
         sun = _TOE * light.sun_on_ground * (self._stations @ place.sun)
-        left = (sky * self._left + sun * (1 - hidden)) / (sky + sun)
+        left = _left(sky, self._left, sun, hidden)
         dark = 1 - left ** (1 / GAMMA)
         kept = np.flatnonzero(dark > _FAINTEST)
         opacity = 1 - (1 - np.minimum(dark[kept], _DARKEST)) ** (1 / _OVERLAP)
@@ -111,6 +110,14 @@ class CastShadow:
             logit_opacities=torch.from_numpy(np.log(opacity / (1 - opacity))).float(),
             sh=torch.full((count, 1, 3), -0.5 / C0),
         )
+
+
+def _left(
+    sky: Array, sky_left: Array | float, sun: Array, sun_hidden: NDArray[np.floating]
+) -> Array:
+    """Share of the light of sky and sun that is left where both are hidden in part."""
+    left: Array = (sky * sky_left + sun * (1 - sun_hidden)) / (sky + sun)
+    return left
 
 
 def _light_left(sheet: Array, contact: Gaussians, grid: Array) -> Array:
@@ -129,7 +136,7 @@ def _light_left(sheet: Array, contact: Gaussians, grid: Array) -> Array:
 
 
 def _turned(values: Array, yaw: float) -> Array:
-    """What directions have, (D, ...), for directions in a frame that is turned by `yaw`."""
+    """Values (D, ...) by direction, for the directions of a frame that is turned by `yaw`."""
     table = values.reshape(-1, AZIMUTHS, *values.shape[1:])
     steps = yaw * AZIMUTHS / (2 * np.pi)
     whole = int(np.floor(steps))

@@ -65,7 +65,11 @@ class SunBelief:
         return coefficients
 
     def given(self, evidence: Array) -> SunBelief:
-        """With more evidence: (D,) logarithms of likelihoods, up to a constant."""
+        """The belief with more evidence.
+
+        Args:
+            evidence: (D,) logarithms of likelihoods, up to a constant.
+        """
         probability = self.probability * np.exp(evidence - evidence.max())
         return SunBelief(probability / probability.sum())
 
