@@ -89,6 +89,7 @@ bench: setup
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/synthetic.py
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/trellis.py sparse
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/trellis.py actor
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/vehicle_sets.py
 
 clean:
 	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache

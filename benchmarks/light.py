@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from recast.actors import insert, load_actor
 from recast.geometry import se3
 from recast.logs import read_log
-from recast.pipeline.layout import SCENE_FOLDER, final_actor
 from recast.scene import SceneRasterizer, load_scene
 from recast.scene.light import SceneLight
 from recast.simulation import camera_mounts
@@ -41,8 +40,8 @@ def main() -> None:
     set_threads(chosen.threads)
 
     log, run = read_log(chosen.folder / "log"), chosen.folder / "run"
-    scene = load_scene(run / SCENE_FOLDER)
-    actor = load_actor(final_actor(run))
+    scene = load_scene(run / "scenes" / "recast")
+    actor = load_actor(run / "actors" / "replaced" / "actor")
     began = process_time()
     SceneLight.of(scene)
     street = process_time() - began

@@ -20,7 +20,6 @@ from recast.actors import insert, load_actor
 from recast.evaluation.oracle_draw import Painter
 from recast.evaluation.oracle_poses import ViewSettings, place_views
 from recast.logs import read_log
-from recast.pipeline.layout import SCENE_FOLDER, final_actor
 from recast.scene import load_scene
 from recast.simulation import camera_mounts
 from recast.splats import set_threads
@@ -34,8 +33,8 @@ def scores(folder: Path, settings: ViewSettings) -> tuple[str, dict[str, tuple[f
     """Name of the drive, and mean PSNR and SSIM by name."""
     log, run = read_log(folder / "log"), folder / "run"
     world = world_of(log)
-    scene = load_scene(run / SCENE_FOLDER)
-    actor = load_actor(final_actor(run))
+    scene = load_scene(run / "scenes" / "recast")
+    actor = load_actor(run / "actors" / "replaced" / "actor")
     models = (scene, insert(scene, actor, relit=False), insert(scene, actor))
     mounts = camera_mounts(log)
     track = log.tracks[actor.track_id]

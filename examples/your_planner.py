@@ -17,7 +17,7 @@ class Careful:
 
     def plan(self, observation: PlannerInput) -> Plan:
         waypoints = np.zeros((40, 3))  # x forward, y left, heading; 0.1 s apart
-        waypoints[:, 0] = 0.8 * observation.ego[3] * self.times  # column 3: vx
+        waypoints[:, 0] = 0.8 * observation.ego.vx * self.times
         return Plan(waypoints)
 
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from uuid import uuid4
 
 import pytest
 import torch
+from upath import UPath
 
-from recast.logs import DrivingLog, read_log
-from recast.logs.importers.kitti import import_kitti
+from recast.logs import DrivingLog, read_log, write_log
+from recast.logs.importers.kitti import load_kitti
 from support.tiny_drive import DRIVE, TinyDrive, write_tiny_drive
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -54,7 +57,7 @@ def tiny_drive(tmp_path_factory: pytest.TempPathFactory) -> TinyDrive:
 def tiny_log_folder(tiny_drive: TinyDrive, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The tiny drive, imported."""
     out = tmp_path_factory.mktemp("tiny_log") / "log"
-    import_kitti(tiny_drive.root, DRIVE, out, tiny_drive.labels)
+    write_log(load_kitti(tiny_drive.root, DRIVE, tiny_drive.labels), out)
     return out
 
 
@@ -62,3 +65,25 @@ def tiny_log_folder(tiny_drive: TinyDrive, tmp_path_factory: pytest.TempPathFact
 def tiny_log(tiny_log_folder: Path) -> DrivingLog:
     """The tiny drive as a log, with images, sweeps, a moving ("0") and a parked ("1") track."""
     return read_log(tiny_log_folder)
+
+
+@pytest.fixture
+def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[UPath]:
+    """An empty bucket of an S3-compatible server on this machine."""
+    s3fs = pytest.importorskip("s3fs")
+    moto = pytest.importorskip("moto.server")
+    server = moto.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.setenv(name, "testing")
+    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
+    monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+    s3fs.S3FileSystem.clear_instance_cache()  # it remembers the endpoints of other tests
+    try:
+        root = UPath(f"s3://store-{uuid4().hex[:12]}")
+        root.mkdir()
+        yield root
+    finally:
+        s3fs.S3FileSystem.clear_instance_cache()
+        server.stop()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import runpy
+import shutil
 from pathlib import Path
 
 import pytest
@@ -11,27 +13,98 @@ import pytest
 from recast.planning import make_planner
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+PAGE = EXAMPLES.parent / "docs" / "examples.md"
+NUMBERED = sorted(path.name for path in EXAMPLES.glob("[0-9]*.py"))
+STEPS = "20"
+"""Training steps: a scene of which only the shape is right."""
+
+
+@pytest.fixture(scope="module")
+def folder(tiny_log_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the tiny log in it; the store comes to lie beside the log."""
+    found = tmp_path_factory.mktemp("examples")
+    shutil.copytree(tiny_log_folder, found / "log")
+    return found
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """Runs an example with arguments; returns what it printed."""
+
+    def run(name: str, *arguments: object) -> str:
+        monkeypatch.setattr("sys.argv", [name, *map(str, arguments)])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
+
+
+def test_1_shows_the_tracks(said, folder: Path) -> None:
+    out = said("1_log.py", folder / "log")
+    assert "track 0: car" in out and "track 1: van" in out and "(48, 160, 3)" in out
+
+
+def test_2_draws_the_street(said, folder: Path) -> None:
+    out = said("2_scene.py", folder / "log", folder / "image.png", STEPS)
+    assert "actors: 0" in out and (folder / "image.png").is_file()
+
+
+def test_3_makes_a_vehicle(said, folder: Path) -> None:
+    out = said("3_actor.py", folder / "log", "0", folder / "actor", "template", STEPS, "no")
+    assert "LiDAR to actor" in out and "refined by" not in out and "track 0 has" in out
+    assert (folder / "actor" / "actor.json").is_file()
+
+
+@pytest.mark.slow  # a minute of refinement
+def test_3_refines_the_vehicle(said, folder: Path) -> None:
+    out = said("3_actor.py", folder / "log", "0", folder / "refined", "template", STEPS)
+    assert "refined by" in out and "track 0 has" in out
+
+
+def test_4_drives_with_a_planner_of_its_own(said, folder: Path) -> None:
+    out = said("4_rollout.py", folder / "log", "0", "advancing-a", folder / "report", STEPS)
+    assert re.search(r"^ttc +[0-9.]+$", out, re.MULTILINE)
+    page = folder / "report" / "index.html"
+    assert out.splitlines()[-1] == str(page) and "careful" in page.read_text()
+
+
+def test_5_compares_arms_and_planners(said, folder: Path) -> None:
+    out = said("5_grid.py", folder / "grid", f"{folder / 'log'}:0", "advancing-a")
+    for planner in ("idm-follower", "constant-velocity"):
+        assert f"{planner} replaced advancing-a: TTC" in out
+        assert f"{planner}: replaced - native: +0.00 s TTC" in out  # neither looks at images
+    assert (folder / "grid" / "rollouts.parquet").is_file()
+
+
+def test_6_steps_four_environments(said, folder: Path) -> None:
+    out = said("6_gymnasium.py", folder / "log", "0", "advancing-a", "4")
+    assert {line.split(":")[0] for line in out.splitlines()} == {
+        f"environment {k}" for k in range(4)
+    }
+
+
+def test_there_are_six_and_each_is_short() -> None:
+    assert [name[0] for name in NUMBERED] == list("123456")
+    for name in NUMBERED:
+        assert len((EXAMPLES / name).read_text().splitlines()) < 40, name
+
+
+def test_the_page_shows_them_as_they_are() -> None:
+    page = PAGE.read_text()
+    for name in NUMBERED:
+        assert f'--8<-- "examples/{name}"' in page, name
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "word"),
     [
-        ("your_planner", "to "),
-        ("navsim_agent", "plans by coasting"),
+        ("your_planner.py", "to "),
+        ("navsim_agent.py", "plans by coasting"),
     ],
 )
-def test_an_example_runs(
-    name: str,
-    said: str,
-    tiny_log_folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    path = EXAMPLES / f"{name}.py"
-    monkeypatch.setattr("sys.argv", [str(path), str(tiny_log_folder), "advancing-a"])
-    runpy.run_path(str(path), run_name="__main__")
-    out = capsys.readouterr().out
-    assert said in out and int(out.split()[0]) >= 10
+def test_a_planner_drives_without_a_scene(name: str, word: str, said, folder: Path) -> None:
+    out = said(name, folder / "log", "advancing-a")
+    assert word in out and int(out.split()[0]) >= 10
 
 
 def test_plugging_in_a_planner_takes_less_than_thirty_lines() -> None:

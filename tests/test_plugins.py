@@ -1,102 +1,141 @@
-"""Which files stand behind a name: what a fingerprint of a user's own code is made of."""
+"""One rule for every kind of part: objects, prefixes, names, folders, files, `module:attribute`."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from dataclasses import replace
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from recast import plugins
-from recast.planning import PLANNERS
-from recast.plugins import source_files
+from recast.errors import InputError
+from recast.plugins import Registry
+
+MODULE = """
+class Cup:
+    def __init__(self, source="code", size=1, *, colour="white"):
+        self.source, self.size, self.colour = str(source), size, colour
+    def pour(self): ...
+def read_folder(path, size=1): return Cup(f"folder {path}", size)
+def read_file(path): return Cup(f"file {path}")
+def read_rest(text, size=1): return Cup(f"rest {text}", size)
+def empty(): return object()
+def itself(): return Cup
+def failing(): raise RuntimeError("out of\\nclay")
+def leaving(): raise SystemExit(3)
+value = 3
+"""
+
+CUPS = Registry(
+    "cup",
+    "recast.tests.cups",
+    {"plain": "cup_shelf:Cup"},
+    members=("pour", "size"),
+    protocol="cups.Cup",
+    folder="cup_shelf:read_folder",
+    files={".cup": "cup_shelf:read_file"},
+    prefixes={"shelf:": "cup_shelf:read_rest"},
+)
 
 
-@pytest.fixture
-def user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of the user's on the path."""
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder of the user's code, which is the working directory and holds a folder `mine`."""
+    (tmp_path / "cup_shelf.py").write_text(MODULE)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "plain").mkdir()
     monkeypatch.syspath_prepend(tmp_path)
-    return tmp_path
-
-
-def _write(folder: Path, **files: str) -> None:
-    for name, text in files.items():
-        path = folder / f"{name.replace('__SLASH__', '/')}.py"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-
-
-def _names(root: Path, files: tuple[Path, ...]) -> list[str]:
-    return [file.relative_to(root).as_posix() for file in files]
-
-
-def test_a_module_and_what_it_imports_from_beside_it(user: Path) -> None:
-    _write(
-        user,
-        lone_planner="import numpy, lone_a\ndef late():\n    from lone_pkg.deep import f\n",
-        lone_a="from lone_b import x\nimport lone_planner",  # in a circle
-        lone_b="raise SystemExit",  # not imported by looking
-        lone_unused="",
-        lone_pkg__SLASH____init__="",
-        lone_pkg__SLASH__deep="",
-    )
-    files = source_files("lone_planner:Planner")
-    expected = ["lone_a.py", "lone_b.py", "lone_pkg/__init__.py", "lone_pkg/deep.py"]
-    assert _names(user, files) == [*expected, "lone_planner.py"]
-    assert not {"lone_planner", "lone_a", "lone_b"} & sys.modules.keys()
-    assert source_files("lone_unused:Planner") == (user / "lone_unused.py",)
-
-
-def test_all_of_a_package_and_the_modules_beside_it(user: Path) -> None:
-    _write(
-        user,
-        whole__SLASH____init__="from . import part",
-        whole__SLASH__part="import helper_of_whole",
-        whole__SLASH__far__SLASH__unused="def broken(",
-        whole__SLASH__venv__SLASH__site_packages="",
-        helper_of_whole="",
-        other_module="",
-    )
-    _write(user / "whole" / ".venv", hidden="")
-    _write(user / "whole" / "site-packages", installed="")
-    (user / "whole" / "weights.bin").write_bytes(b"1")
-    names = _names(user, source_files("whole.part:Planner"))
-    assert names == [
-        "helper_of_whole.py", "whole/__init__.py", "whole/far/unused.py", "whole/part.py",
-        "whole/venv/site_packages.py",
-    ]  # fmt: skip
-    assert source_files("whole:Planner") == source_files("whole.far.unused:Planner")
-
-
-def test_a_folder_without_init_is_a_package(user: Path) -> None:
-    _write(user, bare_folder__SLASH__mine="")
-    assert _names(user, source_files("bare_folder.mine:P")) == ["bare_folder/mine.py"]
-
-
-def test_of_installed_packages_their_own_files_only(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    site = tmp_path / "lib" / "site-packages"
-    _write(site, their_planner__SLASH____init__="import their_library", their_library="")
-    monkeypatch.syspath_prepend(site)
-    found = EntryPoints([EntryPoint("theirs", "their_planner:P", PLANNERS.group)])
-    monkeypatch.setattr(plugins, "entry_points", lambda group: found.select(group=group))
-    assert _names(site, PLANNERS.source_files("theirs")) == ["their_planner/__init__.py"]
+    monkeypatch.chdir(tmp_path)
+    installed = EntryPoints([EntryPoint("theirs", "cup_shelf:Cup", CUPS.group)])
+    monkeypatch.setattr(plugins, "entry_points", lambda group: installed.select(group=group))
+    yield tmp_path
+    sys.modules.pop("cup_shelf", None)
 
 
 @pytest.mark.parametrize(
-    "name", ["recast.planning.probes:left_arc", "no_such_module:x", ".x:y", ""]
+    ("value", "source", "place"),
+    [
+        ("plain", "code", None),
+        ("theirs", "code", None),
+        ("cup_shelf:Cup", "code", None),
+        ("shelf:upper/left", "rest upper/left", None),
+        ("mine", "folder mine", "mine"),
+        ("./plain", "folder plain", "plain"),
+        (Path("plain"), "folder plain", "plain"),
+        ("far/away", "folder far/away", "far/away"),
+        ("a.CUP", "file a.CUP", "a.CUP"),
+        ("far/a.cup", "file far/a.cup", "far/a.cup"),
+    ],
 )
-def test_no_files(name: str) -> None:
-    assert source_files(name) == ()
+def test_what_a_value_stands_for(value: Any, source: str, place: str | None) -> None:
+    assert CUPS.resolve(value).source == source
+    assert CUPS.place(value) == (None if place is None else Path(place))
+    assert CUPS.resolve(value) is not CUPS.resolve(value), "made anew"
 
 
-def test_an_edit_is_seen_though_the_module_was_imported(user: Path) -> None:
-    _write(user, edited_planner="import numpy\nP = 1\n")
-    assert PLANNERS.load("edited_planner:P") == 1
-    _write(user, edited_planner="import edited_helper\nP = 2\n", edited_helper="")
-    assert _names(user, source_files("edited_planner:P")) == [
-        "edited_helper.py",
-        "edited_planner.py",
-    ]
+def test_an_object_is_returned_as_it_is() -> None:
+    cup = CUPS.resolve("plain")
+    assert CUPS.resolve(cup, size=2) is cup and cup.size == 1
+    assert not CUPS.takes(cup, "size")
+
+
+def test_options_are_given_to_code_that_takes_them() -> None:
+    for value, taken in {"plain": True, "shelf:x": True, "mine": True, "a.cup": False}.items():
+        assert CUPS.takes(value, "size") is taken
+        assert CUPS.resolve(value, size=5, unknown=0).size == (5 if taken else 1)
+    assert CUPS.resolve("cup_shelf:Cup", colour="red").colour == "red"
+    assert CUPS.make("plain", size=3).size == 3
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (
+            "plian",
+            "cup: plian: is not known; choose one of plain, theirs, install its package, or give a "
+            r"folder or a file \*.cup or shelf:... or a path module:attribute",
+        ),
+        ("", "is not known; choose one of plain"),
+        ("cup_shelf:empty", "made object, which lacks pour, size; return a cup; see cups.Cup for"),
+        ("cup_shelf:itself", "made the class Cup; return a cup"),
+        ("cup_shelf:failing", r"cannot be made \(RuntimeError: out of clay\)"),
+        ("cup_shelf:leaving", r"cannot be made \(SystemExit: 3\)"),
+        ("cup_shelf:value", "cannot be called; name a class or a function"),
+        ("cup_shelf:none", r"cannot be imported \(AttributeError"),
+        ("no_such_module:x", r"cannot be imported \(ModuleNotFoundError"),
+        (3, "cup: int: is int, which lacks pour, size; give a cup"),
+        (Registry, "cup: type: is the class Registry"),
+        (None, "is NoneType, which lacks"),
+    ],
+)
+def test_anything_else_is_one_line(value: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message) as error:
+        CUPS.resolve(value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_kind_that_reads_nothing_knows_no_places(here: Path) -> None:
+    cups = replace(CUPS, folder="", files={}, prefixes={})
+    for value in ("mine", here, "a.cup", "far/away", "shelf:x"):
+        assert cups.place(value) is None
+        with pytest.raises(InputError, match=r"is not known|cannot be imported"):
+            cups.resolve(value)
+
+
+def test_a_kind_whose_code_is_the_part() -> None:
+    pots = Registry("pot", CUPS.group, {"pour": "cup_shelf:read_rest"}, members=("__call__",),
+                    makes_parts=False)  # fmt: skip
+    assert pots.resolve("pour")("x").source == pots.resolve("cup_shelf:read_rest")("x").source
+    assert pots.resolve(len) is len
+    with pytest.raises(InputError, match="made int, which lacks __call__"):
+        pots.resolve("cup_shelf:value")
+
+
+def test_experimental_parts_are_marked() -> None:
+    cups = replace(CUPS, experimental=frozenset({"plain"}))
+    assert cups.labels() == ("plain (experimental)", "theirs")
+    assert cups.names() == ("plain", "theirs")

@@ -1,8 +1,86 @@
-"""recast: closed-loop driving simulation from recorded logs with view-complete actors."""
+"""recast: closed-loop driving simulation from recorded logs with view-complete actors.
 
-from importlib.metadata import PackageNotFoundError, version
+The way of the data, as functions and types; each is imported when it is first used:
 
-try:
-    __version__ = version("recast-sim")
-except PackageNotFoundError:  # run from a source tree that was never installed
-    __version__ = "0+unknown"
+    log = recast.load_log("runs/kitti/log")
+    scene = recast.reconstruct(log)
+    actor = recast.make_actor(log, track="0", scene=scene)
+    sim = recast.Simulator(log, scene.with_actor(actor), actors={"0": recast.motion("cut-in")})
+
+    my_planner.reset(sim.context)
+    observation = sim.reset()
+    while not sim.done:
+        observation = sim.step(my_planner.plan(observation))
+    print(recast.score(sim.rollout))
+    recast.write_report(sim.rollout, "runs/kitti/report")
+"""
+
+from __future__ import annotations
+
+TYPE_CHECKING = False  # typing's own costs 5 ms; type checkers know the name
+if TYPE_CHECKING:
+    from recast.actors import Actor as Actor
+    from recast.actors import load_actor as load_actor
+    from recast.core import Store as Store
+    from recast.errors import InputError as InputError
+    from recast.evaluation import RolloutMetrics as RolloutMetrics
+    from recast.logs import DrivingLog as DrivingLog
+    from recast.logs import load_log as load_log
+    from recast.logs import write_log as write_log
+    from recast.pipeline.arms import Arm as Arm
+    from recast.pipeline.face import evaluate as evaluate
+    from recast.pipeline.face import load_scene as load_scene
+    from recast.pipeline.face import make_actor as make_actor
+    from recast.pipeline.face import reconstruct as reconstruct
+    from recast.pipeline.face import run_grid as run_grid
+    from recast.pipeline.face import score as score
+    from recast.pipeline.face import write_report as write_report
+    from recast.planning import Plan as Plan
+    from recast.planning import Planner as Planner
+    from recast.planning import PlannerInput as PlannerInput
+    from recast.planning import make_planner as make_planner
+    from recast.scene import StreetScene as StreetScene
+    from recast.simulation import Rollout as Rollout
+    from recast.simulation import Simulator as Simulator
+    from recast.simulation import motion as motion
+
+    __version__: str
+
+_PLACES = {
+    "recast.actors": ("Actor", "load_actor"),
+    "recast.core": ("Store",),
+    "recast.errors": ("InputError",),
+    "recast.evaluation": ("RolloutMetrics",),
+    "recast.logs": ("DrivingLog", "load_log", "write_log"),
+    "recast.pipeline.arms": ("Arm",),
+    "recast.pipeline.face": (
+        "evaluate", "load_scene", "make_actor", "reconstruct", "run_grid", "score", "write_report",
+    ),
+    "recast.planning": ("Plan", "Planner", "PlannerInput", "make_planner"),
+    "recast.scene": ("StreetScene",),
+    "recast.simulation": ("Rollout", "Simulator", "motion"),
+}  # fmt: skip
+_WHERE = {name: module for module, names in _PLACES.items() for name in names}
+"""Public names by the module that has them; each is imported when it is first used."""
+
+
+def __getattr__(name: str) -> object:
+    if name == "__version__":
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            found: object = version("recast-sim")
+        except PackageNotFoundError:  # run from a source tree that was never installed
+            found = "0+unknown"
+    elif name in _WHERE:
+        from importlib import import_module
+
+        found = getattr(import_module(_WHERE[name]), name)
+    else:
+        raise AttributeError(f"module 'recast' has no attribute {name!r}")
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_WHERE, "__version__"})

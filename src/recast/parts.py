@@ -17,8 +17,14 @@ PLANNERS = Registry(
         "log-replay": "recast.planning.log_replay:LogReplay",
         "pdm-closed": "recast.planning.pdm:PdmClosedPlanner",
     },
+    members=("name", "needs_images", "reset", "plan"),
+    protocol="recast.planning.Planner",
+    folder="recast.planning.gtrs:load_gtrs",
+    prefixes={"navsim:": "recast.planning.registry:navsim_planner"},
 )
 """Each is a class or function that makes a `recast.planning.Planner`."""
+
+_VEHICLE_FILE = "recast.actors.vehicle_files:vehicle_generator"
 
 GENERATORS = Registry(
     "generator",
@@ -28,6 +34,11 @@ GENERATORS = Registry(
         "recast-mini": "recast.actors.image_to_3d_generator:recast_mini_generator",
         "template": "recast.actors.template:TemplateGenerator",
     },
+    members=("name", "generate"),
+    protocol="recast.actors.ActorGenerator",
+    folder="recast.actors.image_to_3d_generator:model_generator",
+    files={".ply": _VEHICLE_FILE, ".glb": _VEHICLE_FILE, ".obj": _VEHICLE_FILE},
+    prefixes={"library:": "recast.actors.library:LibraryGenerator"},
 )
 """Each is a class or function that makes a `recast.actors.ActorGenerator`."""
 
@@ -35,6 +46,9 @@ SEGMENTERS = Registry(
     "segmenter",
     "recast.segmenters",
     {"box-lidar": "recast.actors.box_lidar_segmenter:BoxLidarSegmenter"},
+    members=("segment",),
+    protocol="recast.actors.Segmenter",
+    folder="recast.actors.segmenters:grounded_segmenter",
 )
 """Each is a class or function that makes a `recast.actors.Segmenter`."""
 
@@ -42,14 +56,28 @@ IMPORTERS = Registry(
     "importer",
     "recast.importers",
     {
-        "argoverse2": "recast.logs.importers.argoverse2:import_argoverse2",
-        "drivestudio": "recast.logs.importers.drivestudio:import_drivestudio",
-        "kitti": "recast.logs.importers.kitti:import_kitti",
-        "nuscenes": "recast.logs.importers.nuscenes:import_nuscenes",
-        "py123d": "recast.logs.importers.py123d:import_py123d",
-        "street-gaussians": "recast.logs.importers.street_gaussians:import_street_gaussians",
-        "waymo": "recast.logs.importers.waymo:import_waymo",
-        "waymo-v2": "recast.logs.importers.waymo2:import_waymo2",
+        "argoverse2": "recast.logs.importers.argoverse2:load_argoverse2",
+        "drivestudio": "recast.logs.importers.drivestudio:load_drivestudio",
+        "kitti": "recast.logs.importers.kitti:load_kitti",
+        "nuscenes": "recast.logs.importers.nuscenes:load_nuscenes",
+        "py123d": "recast.logs.importers.py123d:load_py123d",
+        "street-gaussians": "recast.logs.importers.street_gaussians:load_street_gaussians",
+        "waymo": "recast.logs.importers.waymo:load_waymo",
+        "waymo-v2": "recast.logs.importers.waymo2:load_waymo2",
     },
+    members=("__call__",),
+    protocol="recast.logs.importers.LogImporter",
+    makes_parts=False,
+    experimental=frozenset({"drivestudio", "nuscenes", "py123d", "street-gaussians", "waymo-v2"}),
 )
 """Each is a `recast.logs.importers.LogImporter`."""
+
+SCENES = Registry(
+    "scene",
+    "recast.scenes",
+    {},
+    members=("background", "actors", "at"),
+    protocol="recast.scene.StreetScene",
+    folder="recast.scene.store:load_scene",
+)
+"""Each is a class or function that makes a `recast.scene.StreetScene`."""

@@ -251,9 +251,8 @@ def test_axes_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[
     generator = generator_of(str(tmp_path / "car.ply"), "-y,z")
     assert isinstance(generator, PlyGenerator)
     assert generator.axes == axes_of("-y,z") and generator.axes.declares_front
-    record = {"track": "7", "motions": ("cut-in-a",)}
-    assert "axes" not in RunConfig.model_validate(record).resolved()
-    assert RunConfig.model_validate(record | {"axes": "y-up"}).resolved()["axes"] == "y-up"
+    record = {"track": "7", "motions": ("cut-in-a",), "axes": "y-up"}
+    assert RunConfig.model_validate(record).arm("replaced").axes == "y-up"
 
 
 @pytest.mark.parametrize("low_pass", [CLASSIC, LowPass(0.2, antialiased=True)])

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import inspect
+import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from logs.small_log import small_log
 from recast.cli.main import main
-from recast.logs import read_log
+from recast.logs import DrivingLog, read_log
 from recast.logs.importers import IMPORTERS
 from support.tiny_drive import DRIVE, TinyDrive
+from support.tiny_nuscenes import SCENE, write_tiny_nuscenes
 
 
 @pytest.fixture
@@ -74,29 +77,76 @@ def test_unknown_cameras_are_refused_with_those_there_are(
     assert not (tmp_path / "log").exists()
 
 
+def own_importer(root: Path, drive: str) -> DrivingLog:
+    """An importer of another package, without any options."""
+    return small_log(np.random.default_rng(7))
+
+
 def old_importer(root: Path, drive: str, out: Path, labels: Path | None = None) -> None:
-    """An importer of another package, from before there were cameras."""
+    """One that writes the log itself, as importers once did."""
     out.mkdir()
+
+
+def silent_importer(root: Path, drive: str, labels: Path | None = None) -> None:
+    """One that returns nothing."""
 
 
 def test_options_that_an_importer_does_not_know_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def run(*options: str) -> int:
-        name = f"{old_importer.__module__}:old_importer"
-        words = [name, tmp_path, "--drive", "x", "--out", tmp_path / "log"]
-        return main(["log", "import", *map(str, words), *options])
-
-    assert run("--cameras", "front") == 2
-    assert "--cameras: " in capsys.readouterr().err
-    assert run("--no-refine") == 2
-    assert "--no-refine: " in capsys.readouterr().err
+    for *options, name in (
+        ("--cameras", "front", "cameras"),
+        ("--no-refine", "refine"),
+        ("--labels", "x", "labels"),
+    ):
+        assert _run_own("own_importer", tmp_path / "log", *options) == 2
+        assert f"own_importer: has no option {name}; leave it out" in _line(capsys)
     assert not (tmp_path / "log").exists()
-    assert run() == 0
-    assert (tmp_path / "log").is_dir()
+    assert _run_own("own_importer", tmp_path / "log") == 0
+    assert read_log(tmp_path / "log").name == small_log(np.random.default_rng(7)).name
 
 
-def test_every_importer_takes_cameras() -> None:
-    for name in IMPORTERS.built_in:
-        parameter = inspect.signature(IMPORTERS.load(name)).parameters["cameras"]
-        assert parameter.default == (), name
+def test_importers_of_older_releases_are_told_what_to_change(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _run_own("old_importer", tmp_path / "log") == 2
+    line = _line(capsys)
+    assert "takes `out`" in line and "(root, drive, labels=None, cameras=())" in line
+    assert _run_own("silent_importer", tmp_path / "log") == 2
+    assert "returned NoneType in place of a DrivingLog; return the log" in _line(capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_output_folder_is_refused_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "log").mkdir()
+    assert _run_own("silent_importer", tmp_path / "log") == 2
+    assert "output folder: exists already" in _line(capsys)
+
+
+def _run_own(name: str, out: Path, *options: str) -> int:
+    words = [f"{__name__}:{name}", out.parent, "--drive", "x", "--out", out]
+    return main(["log", "import", *map(str, words), *options])
+
+
+def _line(capsys: pytest.CaptureFixture[str]) -> str:
+    [line] = capsys.readouterr().err.splitlines()
+    return line
+
+
+def test_experimental_importers_say_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "1000")
+    with pytest.raises(SystemExit):
+        main(["log", "import", "--help"])
+    tried, _, untried = " ".join(capsys.readouterr().out.split()).partition("experimental,")
+    untried = untried.partition("or an installed importer")[0]
+    assert set(re.findall(r"[a-z0-9]+(?:-[a-z0-9]+)?", untried)) >= IMPORTERS.experimental
+    assert not any(f" {name} (" in tried for name in IMPORTERS.experimental)
+    write_tiny_nuscenes(tmp_path / "data")
+    out = tmp_path / "log"
+    words = ["log", "import", "nuscenes", tmp_path / "data", "--drive", SCENE, "--out", out]
+    assert main([*map(str, words)]) == 0
+    assert "note: nuscenes is experimental" in capsys.readouterr().out

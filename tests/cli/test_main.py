@@ -34,7 +34,6 @@ def quiet_again() -> Iterator[None]:
         ((*RUN, "--steps", "5.5"), "--steps"),
         ((*RUN, "--steps", "9" * 5000), "--steps"),
         ((*RUN, "--steps"), "--steps"),
-        ((*RUN, "--method", "warp"), "'warp' for argument '--method'"),
         ((*RUN, "--preset", "\x1b[2J\nomnire"), "--preset"),
         ((*RUN, "--stpes", "4"), "did you mean --steps? see recast run --help"),
         ((*RUN, "--scale", "0.5", "0.25"), "0.25"),

@@ -18,7 +18,7 @@ def straight_plans(count, speed):
 
 
 def make_rollout(
-    ego=None, actor=None, predictions=None, *, steps=160, speed=5.0, method="native", **changes
+    ego=None, actor=None, predictions=None, *, steps=160, speed=5.0, arm="native", **changes
 ):
     """An ego driving straight along x at `speed`; the actor stands 10 m to its left."""
     states = steps + 1
@@ -34,7 +34,7 @@ def make_rollout(
         predictions = straight_plans(len(plan_steps), speed)
     values = {
         "name": "made-up",
-        "method": method,
+        "arm": arm,
         "track_id": "7",
         "motion": "stationary",
         "setting": "a",

@@ -8,7 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import sqrtm
 
-from recast.evaluation.frechet import frechet_distance
+from recast.evaluation.frechet import (
+    FeatureStats,
+    frechet_between,
+    frechet_bootstrap,
+    frechet_distance,
+)
 
 
 def by_the_formula(first: np.ndarray, second: np.ndarray) -> float:
@@ -65,3 +70,76 @@ def test_what_is_refused() -> None:
     for bad in (np.zeros((1, 4)), np.zeros((3, 5)), np.zeros(4)):
         with pytest.raises(ValueError, match="frechet_distance"):
             frechet_distance(good, bad)
+
+
+def rounding(first: np.ndarray, second: np.ndarray) -> float:
+    """The bound that `frechet_between` states, with room for the eigenproblem's own constant."""
+    traces = np.trace(np.cov(first, rowvar=False)) * np.trace(np.cov(second, rowvar=False))
+    return 4 * first.shape[1] * float(np.sqrt(np.finfo(float).eps * traces))
+
+
+@given(st.integers(0, 10_000), st.integers(2, 40), st.integers(2, 60), st.integers(2, 60))
+@settings(max_examples=60, deadline=None)
+def test_statistics_are_enough(seed: int, dimensions: int, count: int, other: int) -> None:
+    """Any number of pictures, fewer or more than dimensions."""
+    rng = np.random.default_rng(seed)
+    first = 5 + rng.normal(size=(count, dimensions)) @ rng.normal(size=(dimensions, dimensions))
+    second = rng.normal(0.5, 2.0, size=(other, dimensions))
+    expected = frechet_distance(first, second)
+    stats = FeatureStats.of(first), FeatureStats.of(second)
+    bound = rounding(first, second)
+    assert frechet_between(*stats) == pytest.approx(expected, abs=bound)
+    assert frechet_between(*stats[::-1]) == pytest.approx(expected, abs=bound)
+    assert frechet_between(stats[0], stats[0]) == pytest.approx(0.0, abs=rounding(first, first))
+
+
+@given(st.integers(0, 10_000), st.lists(st.integers(0, 3), min_size=3, max_size=3))
+@settings(max_examples=30, deadline=None)
+def test_statistics_merge_as_their_pictures_do(seed: int, times: list[int]) -> None:
+    rng = np.random.default_rng(seed)
+    groups = [1e3 + rng.normal(rng.normal(), size=(n, 4)) for n in (1, 7, 12)] + [np.empty((0, 4))]
+    stats = [FeatureStats.of(one) for one in groups]
+    if not any(times):
+        with pytest.raises(ValueError, match="no picture"):
+            FeatureStats.merged(stats, [*times, 1])
+        return
+    rows = np.concatenate([one for one, many in zip(groups, times, strict=False)
+                           for _ in range(many)])  # fmt: skip
+    expected, found = FeatureStats.of(rows), FeatureStats.merged(stats, [*times, 1])
+    assert found.count == expected.count
+    np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-13)
+    np.testing.assert_allclose(found.scatter, expected.scatter, rtol=1e-9, atol=1e-9)
+
+
+def test_constant_features_of_low_rank() -> None:
+    constant = FeatureStats.of(np.ones((6, 30)))
+    assert frechet_between(constant, FeatureStats.of(np.full((4, 30), 1.5))) == pytest.approx(7.5)
+    with pytest.raises(ValueError, match="1 and 6 pictures, needs 2"):
+        frechet_between(FeatureStats.of(np.ones((1, 30))), constant)
+
+
+@pytest.mark.parametrize("counts", [(3, 2), (30, 9)])
+def test_the_bootstrap_redraws_pictures(counts: tuple[int, int]) -> None:
+    """Against `frechet_distance` of the features of the drawn scenes; both sets drawn together."""
+    rng = np.random.default_rng(3)
+    scenes = [f"scene-{index}" for index in (10, 2, 1, 0)]  # not in order
+    first, second = (
+        {scene: rng.normal(rng.normal(), 1.0, size=(count + index, 16))
+         for index, scene in enumerate(scenes)}
+        for count in counts
+    )  # fmt: skip
+    stats = [{scene: FeatureStats.of(rows) for scene, rows in one.items()}
+             for one in (first, second)]  # fmt: skip
+    draws = rng.integers(0, 4, (40, 4))
+    found = frechet_bootstrap(*stats, draws)
+    names = sorted(scenes)
+    for draw, distance in zip(draws, found, strict=True):
+        drawn = [np.concatenate([one[names[i]] for i in draw]) for one in (first, second)]
+        assert distance == pytest.approx(frechet_distance(*drawn), abs=rounding(*drawn))
+    assert np.array_equal(found[7:], frechet_bootstrap(*stats, draws[7:]))  # workers may share them
+    assert np.ptp(found) > 0.1
+    same = np.array([frechet_bootstrap(stats[0], stats[0], draws)])
+    assert same.max() == pytest.approx(0.0, abs=rounding(*drawn))
+    del stats[0]["scene-2"]
+    with pytest.raises(ValueError, match="frechet_bootstrap: scenes"):
+        frechet_bootstrap(*stats, draws)

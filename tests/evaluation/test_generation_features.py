@@ -126,6 +126,24 @@ def test_the_network_of_the_fid_pools_otherwise(
     assert network.features(IMAGE).mean() != pytest.approx(MEAN, rel=1e-3)
 
 
+def test_inception_of_many_against_one_by_one(
+    weights: dict[str, torch.Tensor], tmp_path: Path
+) -> None:
+    path = tmp_path / "fid.pth"
+    torch.save(weights | {"fc.weight": torch.zeros(1008, 2048)}, path)
+    network = load_inception(path).to("cpu")
+    assert network.fid
+    rng = np.random.default_rng(1)
+    pictures = [rng.integers(0, 256, size, dtype=np.uint8) for size in ((30, 60, 3), (320, 310, 3))]
+    found = network.embeddings(pictures, batch=2)
+    assert found.shape == (2, 2048)
+    expected = [network.features(picture / 255) for picture in pictures]
+    # float32 through about 48 layers, whatever the batch
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert np.abs(found[0] - found[1]).max() > 1e-3
+    assert network.embeddings([]).shape == (0, 2048)
+
+
 def test_inception_weights_that_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "weights.pth"
     for state, message in (

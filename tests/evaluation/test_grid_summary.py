@@ -12,17 +12,17 @@ import pytest
 from recast.evaluation import COLUMNS
 from recast.evaluation.grid_file import SCHEMA, write_rows
 from recast.evaluation.grid_row import GridRow
-from recast.evaluation.grid_summary import method_summaries, paired_summaries
+from recast.evaluation.grid_summary import arm_summaries, paired_summaries
 from recast.evaluation.same_script import script_difference
 from recast.evaluation.verdicts import agreements, verdicts
 
 from .rollouts import make_rollout
 
 
-def row(scene: str, method: str, setting: str, nc: float, ttc: float) -> GridRow:
+def row(scene: str, arm: str, setting: str, nc: float, ttc: float) -> GridRow:
     scores = {**dict.fromkeys(COLUMNS, 1.0), "nc": nc, "ttc": ttc}
     return GridRow(
-        scene, None, None, "cut-in", setting, method, "p", steps_run=160,
+        scene, None, None, "cut-in", setting, arm, "p", steps_run=160,
         plan_steps=tuple(range(0, 160, 5)), scores=scores,
     )  # fmt: skip
 
@@ -33,8 +33,8 @@ def cut(whole: GridRow, steps: int) -> GridRow:
     return replace(whole, steps_run=steps, plan_steps=plans, cut_reason="the log ends")
 
 
-def failed(scene: str, method: str, setting: str) -> GridRow:
-    return row(scene, method, setting, 1.0, 1.0).failed("ValueError", "NaN at waypoint 3")
+def failed(scene: str, arm: str, setting: str) -> GridRow:
+    return row(scene, arm, setting, 1.0, 1.0).failed("ValueError", "NaN at waypoint 3")
 
 
 ROWS = [
@@ -48,8 +48,8 @@ ROWS = [
 
 
 def test_means_are_over_what_was_scored_and_lie_in_their_intervals() -> None:
-    native, replaced, oracle = method_summaries(ROWS, 500, 0)
-    assert [x.row.method for x in (native, replaced, oracle)] == ["native", "replaced", "oracle"]
+    native, replaced, oracle = arm_summaries(ROWS, 500, 0)
+    assert [x.row.arm for x in (native, replaced, oracle)] == ["native", "replaced", "oracle"]
     assert (replaced.row.rollouts, replaced.row.failed) == (2, 1)
     assert native.row.means["nc"] == pytest.approx(100 / 3)
     assert (native.intervals["nc"].low, native.intervals["nc"].high) == (0.0, 100.0)
@@ -76,10 +76,10 @@ def test_too_many_scenes_to_enumerate_are_only_sampled() -> None:
 
 
 def test_verdicts_against_the_oracle() -> None:
-    found = verdicts(ROWS)
+    found = verdicts(ROWS, "oracle")
     assert [v is None for v in found] == [False, False, True, False, True, True, False, False, True]
     assert found[0] is not None and (found[0].agrees, found[0].ttc_error) == (False, -4.0)
-    native, replaced = agreements(ROWS, 500, 0)
+    native, replaced = agreements(ROWS, "oracle", 500, 0)
     assert (native.agreeing, native.pairs, native.scenes) == (2, 3, 2)
     assert (native.false_collisions, native.missed_collisions) == (1, 0)
     assert native.ttc_error is not None and native.ttc_error.point == pytest.approx(1.5)
@@ -94,9 +94,9 @@ def test_what_was_cut_is_compared_up_to_there() -> None:
     native = replace(row("one", "native", "a", 0.0, 0.5), shorter={60: early})
     replaced = cut(row("one", "replaced", "a", 1.0, 3.5), 60)
     rows = [native, replaced, oracle]
-    first, second = agreements(rows, 50, 0)
-    assert (first.method, first.agreeing, first.cut, first.plans) == ("native", 1, 0, 32)
-    assert (second.method, second.agreeing, second.cut, second.plans) == ("replaced", 1, 1, 12)
+    first, second = agreements(rows, "oracle", 50, 0)
+    assert (first.arm, first.agreeing, first.cut, first.plans) == ("native", 1, 0, 32)
+    assert (second.arm, second.agreeing, second.cut, second.plans) == ("replaced", 1, 1, 12)
     assert second.missed_collisions == 0
     assert second.ttc_error is not None and second.ttc_error.point == 0.5
     found = {(d.candidate, d.metric): d for d in paired_summaries(rows, "native", 50, 0)}
@@ -106,12 +106,12 @@ def test_what_was_cut_is_compared_up_to_there() -> None:
 
 def test_nothing_is_compared_where_the_oracle_failed() -> None:
     rows = [row("one", "native", "a", 0.0, 0.0), failed("one", "oracle", "a")]
-    assert agreements(rows, 50, 0) == []
+    assert agreements(rows, "oracle", 50, 0) == []
 
 
 def test_the_file_holds_every_column_and_is_the_same_twice(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        write_rows(ROWS, tmp_path / name)
+        write_rows(ROWS, tmp_path / name, "oracle")
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
     table = pq.read_table(tmp_path / "a")
     assert table.schema.names == SCHEMA.names

@@ -171,15 +171,15 @@ def test_the_actor_with_all_sides_wins_beyond_the_log(compared) -> None:
     assert len(result.views) == 8 and result.logged == 7
     for view in result.views:
         if view.angle > 60:
-            assert view.replaced.psnr > view.native.psnr + 3
-            assert view.replaced.mask_iou > 0.85 > view.native.mask_iou
+            assert view.candidate.psnr > view.baseline.psnr + 3
+            assert view.candidate.mask_iou > 0.85 > view.baseline.mask_iou
     near, *_, beyond, everything = result.summary
     assert beyond == result.beyond_60
     assert near.views + beyond.views <= everything.views == 8
-    assert near.native is not None and beyond.native is not None
-    assert near.native.mask_iou > beyond.native.mask_iou + 0.2  # it has what the log saw
+    assert near.baseline is not None and beyond.baseline is not None
+    assert near.baseline.mask_iou > beyond.baseline.mask_iou + 0.2  # it has what the log saw
     for measure in ("psnr", "ssim", "mask_iou"):
-        assert beyond.replaced_better[measure] == beyond.views
+        assert beyond.candidate_better[measure] == beyond.views
         assert 0 < beyond.difference[measure].low <= beyond.difference[measure].point
     assert sum(b.views for b in result.summary[:4]) == 8
 
@@ -190,13 +190,13 @@ def test_the_folder_holds_what_was_seen(compared) -> None:
     assert told == [(i + 1, 8) for i in range(8)]
     names = {path.name for path in out.iterdir()}
     pictures = {view.picture for view in result.views}
-    whole = {f"showcase_{side}.png" for side in ("native", "replaced", "truth")}
+    whole = {f"showcase_{side}.png" for side in ("baseline", "candidate", "truth")}
     assert names == {"oracle_views.json", *pictures, *whole}
     shown = result.views[result.showcase]
     assert shown.angle == max(view.angle for view in result.views)
     truth = np.asarray(Image.open(out / "showcase_truth.png"))
-    native = np.asarray(Image.open(out / "showcase_native.png"))
-    assert truth.shape == native.shape == (CAMERA.height, CAMERA.width, 3)
+    baseline = np.asarray(Image.open(out / "showcase_baseline.png"))
+    assert truth.shape == baseline.shape == (CAMERA.height, CAMERA.width, 3)
     beside = np.asarray(Image.open(out / shown.picture))
     height, width = beside.shape[:2]
     left, top, right, bottom = grown(shown.rectangle, 24, CAMERA.width, CAMERA.height)
@@ -243,7 +243,7 @@ def test_bad_input_names_what_is_wrong(compared, tmp_path: Path) -> None:
     whole, rng = scene(WHOLE, LOG), np.random.default_rng(0)
     with pytest.raises(InputError, match="track 8"):
         evaluate_oracle_views(LOG, whole, whole, BoxOracle(), "8", MOUNTS, rng=rng)
-    with pytest.raises(InputError, match=r"native scene.*has no model"):
+    with pytest.raises(InputError, match=r"baseline scene.*has no model"):
         evaluate_oracle_views(
             LOG, replace(whole, actors={}), whole, BoxOracle(), "7", MOUNTS, rng=rng
         )
@@ -264,15 +264,15 @@ def test_means_by_angle_and_pairs_by_hand() -> None:
     class View:
         def __init__(self, heading: float, angle: float, native: float, replaced: float) -> None:
             self.heading, self.angle = heading, angle
-            self.native = Agreement(native, native / 100, native / 50)
-            self.replaced = Agreement(replaced, replaced / 100, replaced / 50)
+            self.baseline = Agreement(native, native / 100, native / 50)
+            self.candidate = Agreement(replaced, replaced / 100, replaced / 50)
 
     views = [View(0.1, 10, 30, 28), View(1.0, 60, 10, 14), View(1.0, 75, 12, 18),
              View(3.0, 180, 10, 9)]  # fmt: skip
     first, second, third, last, beyond, everything = summarise(views, np.random.default_rng(0))
     assert [b.views for b in (first, second, third, last, beyond, everything)] == [1, 0, 2, 1, 3, 4]
-    assert second.native is None and second.difference == {}
-    assert third.native is not None and third.native.psnr == 11.0
+    assert second.baseline is None and second.difference == {}
+    assert third.baseline is not None and third.baseline.psnr == 11.0
     assert beyond.difference["psnr"].point == pytest.approx(3.0)
     assert (beyond.difference["psnr"].low, beyond.difference["psnr"].high) == (-1.0, 5.0)
-    assert beyond.replaced_better["psnr"] == 2
+    assert beyond.candidate_better["psnr"] == 2

@@ -22,10 +22,12 @@ from transformers import (
 )
 
 from recast.errors import InputError
+from recast.evaluation import perceptual_lpips
 from recast.evaluation.actor_scores import photographed, score_view
 from recast.evaluation.perceptual import load_distances
 from recast.evaluation.perceptual_features import FeatureDistance
 from recast.evaluation.perceptual_lpips import BACKBONES, Lpips, load_lpips
+from recast.pretrained import resized
 
 RNG = np.random.default_rng(0)
 IMAGE = RNG.uniform(size=(48, 64, 3))
@@ -110,6 +112,27 @@ def test_vgg_from_safetensors(tmp_path: Path) -> None:
     assert isinstance(distance, Lpips) and distance.backbone == "vgg"
     assert distance(IMAGE, IMAGE) == 0.0
     assert distance(FAR, IMAGE) > distance(NEAR, IMAGE) > 0
+
+
+@pytest.mark.parametrize("backbone", ["alex", "vgg"])
+def test_lpips_of_many_against_one_by_one(
+    backbone: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    side = {"alex": 256, "vgg": 64}[backbone]  # VGG takes a second for a picture of 256
+    monkeypatch.setattr(perceptual_lpips, "SIDE", side)
+    torch.save(conv_weights(backbone), tmp_path / "weights.pth")
+    lpips = load_lpips(tmp_path / "weights.pth")
+    rng = np.random.default_rng(1)
+    sizes = [(300, 300), (90, 90), (256, 200)]
+    pictures = [rng.integers(0, 256, (*size, 3), dtype=np.uint8) for size in sizes]
+    found = lpips.to("cpu").distances(pictures, pictures[:2], batch=2)
+    squares = resized(pictures, side, antialias=True).movedim(1, -1).double().numpy()
+    expected = [[lpips(one, other) for other in squares[:2]] for one in squares]
+    # float32 through up to 13 layers, whatever the batch
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-9)
+    assert found[2].min() > 0.01 and found[0, 0] <= 1e-9 and found[1, 1] <= 1e-9
+    assert lpips.distances(pictures, []).shape == (3, 0)
+    assert lpips.distances([], pictures[:1]).shape == (0, 1)
 
 
 class Malicious:

@@ -12,14 +12,14 @@ from recast.simulation.rollout import RolloutFailure
 from .rollouts import make_rollout, street
 
 
-def crash(method, ahead=6.0, **changes):
-    rollout = make_rollout(steps=20, method=method, **changes)
+def crash(arm, ahead=6.0, **changes):
+    rollout = make_rollout(steps=20, arm=arm, **changes)
     actor = np.tile([ahead, 0.0, 0.0, 0.0], (21, 1))
     return rollout_metrics(replace(rollout, actor=actor), street())
 
 
-def clean(method, **changes):
-    return rollout_metrics(make_rollout(steps=20, method=method, **changes), street())
+def clean(arm, **changes):
+    return rollout_metrics(make_rollout(steps=20, arm=arm, **changes), street())
 
 
 def test_columns_are_the_metrics():
@@ -34,9 +34,9 @@ def test_columns_are_the_metrics():
     ]
 
 
-def test_means_per_method():
+def test_means_per_arm():
     rows = table([clean("native"), crash("native"), clean("native"), clean("recast")])
-    assert [row.method for row in rows] == ["native", "recast"]
+    assert [row.arm for row in rows] == ["native", "recast"]
     assert (rows[0].rollouts, rows[0].cut, rows[0].plans) == (3, 0, 12)
     assert rows[0].means["nc"] == pytest.approx(200 / 3)
     assert rows[0].means["ttc"] == pytest.approx(8 / 3)
@@ -92,7 +92,7 @@ def test_a_pair_is_compared_up_to_the_end_of_the_shorter():
     whole = crash("native", ahead=14.0)
     step = whole.collision.first_step
     assert 10 < step < 20
-    cut = rollout_metrics(replace(whole.rollout.first(step - 1), method="recast"), street())
+    cut = rollout_metrics(replace(whole.rollout.first(step - 1), arm="recast"), street())
     assert (cut.values["nc"].value, whole.values["nc"].value) == (1.0, 0.0)
     pairs = matched_pairs({"s": [whole, cut]}, "recast", "native")
     for name, column in COLUMNS.items():

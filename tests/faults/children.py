@@ -15,10 +15,12 @@ import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from support.moments import REMOVING, changed
+from recast.errors import InputError
+from support.moments import REMOVING, Work, changed, forked
 
 KILL = -signal.SIGKILL
 _LOADED = (
@@ -80,16 +82,41 @@ def command(args: Sequence[str | Path], fault: Fault, notes: Path) -> Ended:
     return Ended(child.exitcode, tuple(json.loads(m) for m in moments), (notes / "err").read_text())
 
 
+def refused_from(change: int, kind: int, work: Work, folder: Path) -> bool:
+    """Run `work` in a copy of this process: the disk refuses from a change of `folder` on.
+
+    Args:
+        change: number of the first change that meets it, from 1.
+        kind: error number.
+
+    Returns:
+        Whether it came to that, and ended in one line.
+    """
+
+    def watched() -> None:
+        _Watch(Fault(folder, kind, change), os.open(os.devnull, os.O_WRONLY)).begin()
+        try:
+            work()
+        except InputError as error:
+            os._exit(2 if len(str(error).splitlines()) == 1 else 1)
+
+    code = os.waitstatus_to_exitcode(os.waitpid(forked(watched), 0)[1])
+    assert code in (0, 2)
+    return code == 2
+
+
 def _child(args: list[str], fault: Fault, notes: Path) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     os.dup2(os.open(notes / "err", os.O_WRONLY | os.O_CREAT), sys.stderr.fileno())
     import torch
 
     import recast.pipeline.actor as actor
+    from recast.actors.refine import Steps, refine
     from recast.cli.main import main
 
     torch.set_num_threads(1)
     actor._TURNTABLE_VIEWS, actor._TURNTABLE_SIZE = 2, (32, 32)  # type: ignore[misc]
+    actor.refine = partial(refine, steps=Steps(shape=4, paint=2, free=4, look_every=2))  # type: ignore[assignment]
     if fault.file_limit is not None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (fault.file_limit, resource.RLIM_INFINITY))
     _Watch(fault, os.open(notes / "moments", os.O_WRONLY | os.O_CREAT)).begin()

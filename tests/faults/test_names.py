@@ -11,13 +11,15 @@ import pytest
 from rich.console import Console
 
 import recast.pipeline.report
-import recast.pipeline.run
+import recast.pipeline.source_log
 from recast.logs import DrivingLog
+from recast.pipeline.arms import Arm
 from recast.pipeline.bench import parse_scenes
-from recast.pipeline.layout import rollout_folder
+from recast.pipeline.layout import use_name
 from recast.pipeline.options import resolve_config
 from recast.pipeline.rollouts import films
 from recast.pipeline.run import run
+from recast.pipeline.run_folder import RunFolder
 from recast.reporting.video import read_video
 
 HOSTILE = (
@@ -34,6 +36,10 @@ HOSTILE = (
     "con",
 )
 TRACK = "".join(HOSTILE)
+ARMS = (
+    Arm(name="../../x\0<script>alert(1)</script>[/bold]\x1b[2Jescape", vehicle="own"),
+    Arm(name="/absolute/../\nnew line\u202eright to left", vehicle="generated"),
+)
 
 
 @pytest.fixture
@@ -66,7 +72,7 @@ def test_a_run_with_hostile_names(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for module in (recast.pipeline.run, recast.pipeline.report):
+    for module in (recast.pipeline.source_log, recast.pipeline.report):
         monkeypatch.setattr(module, "read_log", lambda path: hostile)
     monkeypatch.setattr("recast.pipeline.actor._TURNTABLE_VIEWS", 2)
     config = resolve_config(
@@ -74,22 +80,34 @@ def test_a_run_with_hostile_names(
         {"generator": "faults.parts:Box", "steps": 10, "threads": 1},
         {"iterations": 4, "scale": 0.25, "threads": 1},
     )  # fmt: skip
+    config = config.model_copy(update={"arms": ARMS})
     out = tmp_path / "deep" / "run"
     with (tmp_path / "shown").open("w", encoding="utf-8") as shown:
         page = run(tiny_log_folder, out, config, Console(file=shown, width=120))
 
+    store = tmp_path / "deep" / "store"
     inside = {path for path in tmp_path.rglob("*") if path.is_file()}
-    assert all(out in path.parents or path.name == "shown" for path in inside)
+    assert all({out, store} & {*path.parents} or path.name == "shown" for path in inside)
+    links = [path for path in out.rglob("*") if path.is_symlink()]
+    artefacts = {path.parent / "data" for path in store.rglob("artefact.json")}
+    assert {link.resolve() for link in links} == {path.resolve() for path in artefacts}
+    assert not any(path.is_symlink() for path in store.rglob("*"))
     assert "\x1b" not in (tmp_path / "shown").read_text()
 
-    for method in ("native", "replaced"):
-        found = films(rollout_folder(out, "advancing-a", method))
+    folder = RunFolder.open(out)
+    assert len(folder.record.artefacts) == len(links) == 7
+    for arm in ARMS:
+        use = use_name("rollout", "advancing-a", "idm-follower", arm.name)
+        artefact = folder.artefact(folder.store(), use)
+        assert artefact is not None
+        found = films(artefact.path)
         assert tuple(found) == HOSTILE
         for film in found.values():
             assert len(read_video(film)[0]) == 10
 
     metrics = json.loads((out / "metrics.json").read_text())
     assert {one["track_id"] for one in metrics["rollouts"]} == {TRACK}
+    assert [one["arm"] for one in metrics["rollouts"]] == [arm.name for arm in ARMS]
     text = page.read_text(encoding="utf-8")
     parsed = Page()
     parsed.feed(text)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from logs.importing import import_drive
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, Trajectory, read_log, track_points
 from recast.logs.importers import IMPORTERS
@@ -26,7 +27,7 @@ def tiny_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def log(tiny_root: Path, tmp_path_factory: pytest.TempPathFactory) -> DrivingLog:
     out = tmp_path_factory.mktemp("out") / "log"
-    IMPORTERS.load("argoverse2")(tiny_root, tiny.LOG, out)
+    import_drive("argoverse2", tiny_root, tiny.LOG, out)
     return read_log(out)
 
 

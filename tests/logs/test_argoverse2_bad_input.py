@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from pyarrow import feather
 
+from logs.importing import import_drive
 from recast.errors import InputError
-from recast.logs.importers.argoverse2 import import_argoverse2
 from support import tiny_argoverse2 as tiny
 
 POSES = "city_SE3_egovehicle.feather"
@@ -198,7 +198,7 @@ def test_a_faulty_log_is_one_clear_line(tmp_path: Path, damage: Damage, message:
     folder = tiny.write_tiny_log(tmp_path / "root")
     damage(folder)
     with pytest.raises(InputError) as raised:
-        import_argoverse2(tmp_path / "root", tiny.LOG, tmp_path / "out" / "log")
+        import_drive("argoverse2", tmp_path / "root", tiny.LOG, tmp_path / "out" / "log")
     assert message in str(raised.value)
     assert "\n" not in str(raised.value)
     assert not (tmp_path / "out").exists() or list((tmp_path / "out").iterdir()) == []
@@ -207,8 +207,6 @@ def test_a_faulty_log_is_one_clear_line(tmp_path: Path, damage: Damage, message:
 def test_a_log_that_is_not_there_is_answered_with_those_that_are(tmp_path: Path) -> None:
     tiny.write_tiny_log(tmp_path)
     with pytest.raises(InputError, match=f"drive 7fab: does not exist; choose one of {tiny.LOG}"):
-        import_argoverse2(tmp_path, "7fab", tmp_path / "log")
+        import_drive("argoverse2", tmp_path, "7fab", tmp_path / "log")
     with pytest.raises(InputError, match="Argoverse 2 folder: does not exist"):
-        import_argoverse2(tmp_path / "nowhere", tiny.LOG, tmp_path / "log")
-    with pytest.raises(InputError, match="output folder: exists already"):
-        import_argoverse2(tmp_path, tiny.LOG, tmp_path / "val")
+        import_drive("argoverse2", tmp_path / "nowhere", tiny.LOG, tmp_path / "log")

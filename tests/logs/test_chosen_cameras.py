@@ -10,11 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from logs.importing import import_drive
 from recast.errors import InputError
 from recast.logs import read_log
-from recast.logs.importers import IMPORTERS
-from recast.logs.importers.drivestudio import import_drivestudio
-from recast.logs.importers.nuscenes import import_nuscenes
 from recast.logs.importers.waymo_schema import CAMERA_NAME, LASER_NAME, lidar_name
 from support import (
     tiny_argoverse2,
@@ -46,7 +44,7 @@ def test_the_cameras_named_are_imported(
     else:
         write, drive = WRITE[name]
         write(root)
-    importer = partial(IMPORTERS.load(name), root, drive)
+    importer = partial(import_drive, name, root, drive)
     importer(tmp_path / "all")
     whole = read_log(tmp_path / "all")
     *_, last = whole.cameras
@@ -70,16 +68,18 @@ def test_a_scenario_without_cameras_has_none_to_choose(shared: Path, tmp_path: P
     scenarios = shared / "data" / "waymo_v1"
     drive = "motion_data_one_scenario.tfrecord"
     with pytest.raises(InputError, match="has no camera 'FRONT'; leave the option out"):
-        IMPORTERS.load("waymo")(scenarios, drive, tmp_path / "log", cameras=["FRONT"])
+        import_drive("waymo", scenarios, drive, tmp_path / "log", cameras=["FRONT"])
 
 
 def test_files_of_other_cameras_need_not_be_there(tmp_path: Path) -> None:
     tiny_nuscenes.write_tiny_nuscenes(tmp_path)
     shutil.rmtree(tmp_path / "samples" / "CAM_FRONT")
     with pytest.raises(InputError, match="is missing under"):
-        import_nuscenes(tmp_path, tiny_nuscenes.SCENE, tmp_path / "log")
+        import_drive("nuscenes", tmp_path, tiny_nuscenes.SCENE, tmp_path / "log")
     with pytest.raises(InputError, match="has no camera 'CAM_BACK'; choose from CAM_FRONT"):
-        import_nuscenes(tmp_path, tiny_nuscenes.SCENE, tmp_path / "log", cameras=["CAM_BACK"])
+        import_drive(
+            "nuscenes", tmp_path, tiny_nuscenes.SCENE, tmp_path / "log", cameras=["CAM_BACK"]
+        )
 
 
 @pytest.mark.parametrize("name", WRITE)
@@ -92,7 +92,7 @@ def test_a_drive_is_a_name_and_no_path(name: str, drive: str, tmp_path: Path) ->
     with pytest.raises(
         InputError, match=r"drive.*: (does not exist|has no file|is no name)|drive"
     ) as raised:
-        IMPORTERS.load(name)(root, drive, tmp_path / "log")
+        import_drive(name, root, drive, tmp_path / "log")
     assert "\n" not in str(raised.value)
 
 
@@ -107,7 +107,7 @@ def test_a_front_lidar_leaves_the_front_camera_where_it_is(
     # Mountings are stored by name: a LiDAR called FRONT overwrote that of the camera.
     monkeypatch.setattr(tiny_processed, "LASERS", {0: (1.43, 0.0, 2.18), 1: (4.0, 0.0, 0.7)})
     tiny_processed.write_drivestudio(tmp_path)
-    import_drivestudio(tmp_path, tiny_processed.SCENE, tmp_path / "log")
+    import_drive("drivestudio", tmp_path, tiny_processed.SCENE, tmp_path / "log")
     log = read_log(tmp_path / "log")
     expected = tiny_processed.vehicle_from_waymo_camera(0)[:3, 3]
     np.testing.assert_allclose(log.cameras["FRONT"].rig_from_camera[:3, 3], expected, atol=1e-6)

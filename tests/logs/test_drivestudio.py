@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from logs.importing import import_drive
 from recast.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, read_log
-from recast.logs.importers import IMPORTERS
-from recast.logs.importers.drivestudio import import_drivestudio
 from support import tiny_processed as tiny
 from support.street_frame import street_from_world
 
@@ -29,7 +28,7 @@ def tiny_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def log(tiny_root: Path, tmp_path_factory: pytest.TempPathFactory) -> DrivingLog:
     out = tmp_path_factory.mktemp("out") / "log"
-    IMPORTERS.load("drivestudio")(tiny_root, tiny.SCENE, out)
+    import_drive("drivestudio", tiny_root, tiny.SCENE, out)
     return read_log(out)
 
 
@@ -194,7 +193,7 @@ def test_a_faulty_scene_is_one_clear_line(
     shutil.copytree(tiny_root / tiny.SCENE, scene)
     damage(scene)
     with pytest.raises(InputError) as raised:
-        import_drivestudio(tmp_path, tiny.SCENE, tmp_path / "out" / "log")
+        import_drive("drivestudio", tmp_path, tiny.SCENE, tmp_path / "out" / "log")
     assert message in str(raised.value)
     assert "\n" not in str(raised.value)
     assert not (tmp_path / "out").exists() or list((tmp_path / "out").iterdir()) == []

@@ -12,10 +12,10 @@ import pytest
 from ncore.data.v4 import SequenceComponentGroupsReader, SequenceLoaderV4
 from rich.console import Console
 
+from logs.importing import import_drive
 from logs.small_log import small_log
 from recast.errors import InputError
 from recast.logs import DrivingLog, Track, Trajectory, log_info, read_log, write_log
-from recast.logs.importers.kitti import import_kitti
 from recast.names import folder_name
 from recast.reporting.log_tables import log_info_tables
 from support.tiny_drive import DRIVE, TinyDrive
@@ -113,7 +113,7 @@ def test_an_import_looks_for_cameras_in_the_drive_only(
     name: str, tiny_drive: TinyDrive, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match="choose from image_02") as error:
-        import_kitti(tiny_drive.root, DRIVE, tmp_path / "log", cameras=[name])
+        import_drive("kitti", tiny_drive.root, DRIVE, tmp_path / "log", cameras=[name])
     assert str(error.value).isprintable()
     assert list(tmp_path.iterdir()) == []
 
@@ -123,5 +123,5 @@ def test_an_import_finds_only_drives_of_their_names(
     name: str, tiny_drive: TinyDrive, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match="does not exist") as error:
-        import_kitti(tiny_drive.root, name, tmp_path / "log")
+        import_drive("kitti", tiny_drive.root, name, tmp_path / "log")
     assert str(error.value).isprintable()

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from logs.importing import import_drive
 from recast.errors import InputError
-from recast.logs import read_log, watch_writing
+from recast.logs import read_log
 from recast.logs.importers import IMPORTERS
-from recast.logs.importers.kitti import import_kitti
 from support import (
     tiny_argoverse2,
     tiny_drive,
@@ -23,38 +23,35 @@ from support import (
     tiny_waymo2,
 )
 
-Import = Callable[[Path], None]
-"""Import into a folder."""
+Import = Callable[..., None]
+"""Import into a folder, with a progress callback."""
 
 
 def _prepared(name: str, root: Path, request: pytest.FixtureRequest) -> Import:
     """A written drive of the dataset, to be imported."""
-    load = partial(IMPORTERS.load, name)
     monkeypatch = request.getfixturevalue("monkeypatch")
     if name == "kitti":
         drive = request.getfixturevalue("tiny_drive")
         # Matching sweeps and finding the road take seconds, before anything is written.
-        monkeypatch.setattr("recast.logs.importers.kitti.ego_path", lambda _: None)
-        return lambda out: import_kitti(
-            drive.root, tiny_drive.DRIVE, out, drive.labels, refine=False
-        )
+        quick = {"labels": drive.labels, "refine": False, "with_map": False}
+        return partial(import_drive, name, drive.root, tiny_drive.DRIVE, **quick)
     if name == "argoverse2":
         tiny_argoverse2.write_tiny_log(root)
-        return lambda out: load()(root, tiny_argoverse2.LOG, out)
+        return partial(import_drive, name, root, tiny_argoverse2.LOG)
     if name == "nuscenes":
         tiny_nuscenes.write_tiny_nuscenes(root)
-        return lambda out: load()(root, tiny_nuscenes.SCENE, out)
+        return partial(import_drive, name, root, tiny_nuscenes.SCENE)
     if name == "py123d":
         tiny_py123d.install(monkeypatch, root, tiny_py123d.Scene())
-        return lambda out: load()(root, tiny_py123d.NAME, out)
+        return partial(import_drive, name, root, tiny_py123d.NAME)
     if name.startswith("waymo"):
         (tiny_waymo if name == "waymo" else tiny_waymo2).write_segment(root / "training")
-        return lambda out: load()(root, tiny_waymo.NAME, out)
+        return partial(import_drive, name, root, tiny_waymo.NAME)
     if name == "drivestudio":
         tiny_processed.write_drivestudio(root)
     else:
         tiny_processed.write_street_gaussians(root)
-    return lambda out: load()(root, tiny_processed.SCENE, out)
+    return partial(import_drive, name, root, tiny_processed.SCENE)
 
 
 @pytest.mark.parametrize("name", sorted(IMPORTERS.built_in))
@@ -75,8 +72,8 @@ def test_an_import_that_ends_midway_leaves_nothing(
         (0.5, RuntimeError("broken"), RuntimeError),
         (1.0, OSError(errno.ENOSPC, "No space left on device"), InputError),
     ):
-        with watch_writing(partial(end, share, error)), pytest.raises(seen):
-            run(folder / "log")
+        with pytest.raises(seen):
+            run(folder / "log", progress=partial(end, share, error))
         assert list(folder.iterdir()) == []
     assert len(totals) == 3 and totals[0] > 3
     # A killed import cannot clean up; the next one into the same folder does.

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from logs.importing import import_drive
 from logs.small_log import small_log
 from recast.errors import InputError
-from recast.logs import watch_writing, write_log
-from recast.logs.importers.kitti import import_kitti
+from recast.logs import write_log
 from support.moments import (
     changes_of,
     killed_before,
@@ -35,14 +35,9 @@ def _contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def _watched(work: Work, folder: Path) -> Work:
-    """`work` with a moment at every image and sweep, beside those of its files."""
-
-    def run() -> None:
-        with watch_writing(lambda done, total: sys.audit("os.truncate", folder, done)):
-            work()
-
-    return run
+def _moment_in(folder: Path) -> Callable[[int, int], None]:
+    """Progress that makes a moment of every image and sweep, beside those of the files."""
+    return lambda done, total: sys.audit("os.truncate", folder, done)
 
 
 @pytest.fixture
@@ -54,7 +49,7 @@ def out(tmp_path: Path) -> Path:
 @pytest.fixture
 def write(out: Path) -> Work:
     log = small_log(np.random.default_rng(7))
-    return _watched(lambda: write_log(log, out / "log"), out)
+    return lambda: write_log(log, out / "log", _moment_in(out))
 
 
 def _moments(work: Work, folder: Path) -> list[int]:
@@ -80,16 +75,16 @@ def test_a_write_killed_at_ten_moments_leaves_no_log_and_is_repeated_with_the_sa
 
 
 def test_an_import_killed_ten_times_is_repeated_over_what_the_kills_left(
-    tiny_drive: TinyDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tiny_drive: TinyDrive, tmp_path: Path
 ) -> None:
     # Matching sweeps and finding the road take seconds, before anything is written.
-    monkeypatch.setattr("recast.logs.importers.kitti.ego_path", lambda _: None)
+    quick = {"labels": tiny_drive.labels, "refine": False, "with_map": False}
     whole, out = tmp_path / "whole", tmp_path / "out"
-    root, labels = tiny_drive.root, tiny_drive.labels
 
     def importing(folder: Path) -> Work:
-        log = folder / "log"
-        return _watched(lambda: import_kitti(root, DRIVE, log, labels, refine=False), folder)
+        return lambda: import_drive(
+            "kitti", tiny_drive.root, DRIVE, folder / "log", _moment_in(folder), **quick
+        )
 
     for moment in _moments(importing(whole), whole):
         assert killed_before(moment, importing(out), out)
@@ -132,8 +127,8 @@ def test_a_full_disk_closes_the_stores(out: Path, monkeypatch: pytest.MonkeyPatc
         return [file for file in found if file.startswith(str(out))]
 
     for moment in range(frames + 1):
-        with watch_writing(_full_at(moment)), pytest.raises(InputError, match="no space left"):
-            write_log(log, out / "log")
+        with pytest.raises(InputError, match="no space left"):
+            write_log(log, out / "log", _full_at(moment))
         assert held() == []
     for record in ("ncore_write._write_sequence_file", "store.write_record"):
         monkeypatch.setattr(f"recast.logs.{record}", _full)

@@ -9,8 +9,7 @@ import pytest
 
 from recast.geometry import se3
 from recast.logs import DrivingLog, all_track_points
-from recast.logs.importers import IMPORTERS
-from recast.logs.importers.kitti import import_kitti, load_kitti
+from recast.logs.importers.kitti import load_kitti
 from support import tiny_drive as tiny
 from support import tiny_world
 
@@ -20,7 +19,7 @@ from .street import seconds, street_from_world
 @pytest.fixture(scope="module")
 def plain(tiny_drive: tiny.TinyDrive) -> DrivingLog:
     """Without pose refinement: what the files say, exactly."""
-    return load_kitti(tiny_drive.root, tiny.DRIVE, tiny_drive.labels, refine=False)
+    return load_kitti(tiny_drive.root, tiny.DRIVE, tiny_drive.labels, refine=False, with_map=False)
 
 
 def test_ego_poses_are_the_true_ones(plain: DrivingLog) -> None:
@@ -116,7 +115,7 @@ def test_tracklets_and_tracking_labels_agree(
 ) -> None:
     path = tmp_path / "tracklet_labels.xml"
     tiny.write_tracklets(path)
-    log = load_kitti(tiny_drive.root, tiny.DRIVE, path, refine=False)
+    log = load_kitti(tiny_drive.root, tiny.DRIVE, path, refine=False, with_map=False)
     mine, theirs = log.tracks["0"].trajectory, plain.tracks["0"].trajectory
     times = mine.timestamps_us[1:-1]
     np.testing.assert_array_equal(times, theirs.timestamps_us[1 : 1 + len(times)])
@@ -124,17 +123,18 @@ def test_tracklets_and_tracking_labels_agree(
 
 
 def test_without_labels_there_are_no_tracks(tiny_drive: tiny.TinyDrive) -> None:
-    log = load_kitti(tiny_drive.root, tiny.DRIVE + "_sync", refine=False)
+    log = load_kitti(tiny_drive.root, tiny.DRIVE + "_sync", refine=False, with_map=False)
     assert log.tracks == {}
 
 
-def test_the_importer_is_found_by_name() -> None:
-    assert IMPORTERS.load("kitti") is import_kitti
+def test_the_map_is_derived_unless_it_is_not_wanted(tiny_drive: tiny.TinyDrive) -> None:
+    log = load_kitti(tiny_drive.root, tiny.DRIVE, tiny_drive.labels, refine=False)
+    assert log.map is not None and log.map.derived and log.origin is None
 
 
 def test_a_real_drive(kitti_0013: Path) -> None:
     labels = kitti_0013 / "tracking_labels" / "0003.txt"
-    log = load_kitti(kitti_0013, "2011_09_26_drive_0013", labels, refine=False)
+    log = load_kitti(kitti_0013, "2011_09_26_drive_0013", labels, refine=False, with_map=False)
     log.validate()
     assert (len(log.cameras["image_02"].images), len(log.lidars["velodyne"].sweeps)) == (80, 40)
     assert [track.category for track in log.tracks.values()] == ["car"] * 5 + ["van"]

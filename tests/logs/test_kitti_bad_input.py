@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from logs.importing import import_drive
 from recast.errors import InputError
-from recast.logs.importers.kitti import import_kitti, load_kitti
+from recast.logs.importers.kitti import load_kitti
 from support import tiny_drive as tiny
 
 Damage = Callable[[tiny.TinyDrive], object]
@@ -315,18 +316,12 @@ def test_bad_input_is_one_clear_line(drive: tiny.TinyDrive, tmp_path: Path, case
     out = tmp_path / "out"
     out.mkdir()
     with pytest.raises(InputError) as error:
-        import_kitti(drive.root, tiny.DRIVE, out / "log", drive.labels, refine=False)
+        import_drive(
+            "kitti", drive.root, tiny.DRIVE, out / "log", labels=drive.labels, refine=False
+        )
     assert message in str(error.value)
     assert "\n" not in str(error.value)
     assert list(out.iterdir()) == []
-
-
-def test_an_existing_output_folder_is_refused_at_once(
-    drive: tiny.TinyDrive, tmp_path: Path
-) -> None:
-    (tmp_path / "log").mkdir()
-    with pytest.raises(InputError, match="output folder: exists already"):
-        import_kitti(drive.root, tiny.DRIVE, tmp_path / "log", drive.labels)
 
 
 def _field(name: str, value: str) -> tuple[str, str]:
@@ -365,7 +360,7 @@ def test_broken_tracklets(
     assert count == 1
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
     with pytest.raises(InputError) as error:
-        import_kitti(drive.root, tiny.DRIVE, tmp_path / "log", path, refine=False)
+        import_drive("kitti", drive.root, tiny.DRIVE, tmp_path / "log", labels=path, refine=False)
     assert message in str(error.value)
     assert not (tmp_path / "log").exists()
 
@@ -380,7 +375,9 @@ def test_a_full_disk_leaves_nothing(
     out = tmp_path / "out"
     out.mkdir()
     with pytest.raises(InputError, match="no space left"):
-        import_kitti(drive.root, tiny.DRIVE, out / "log", drive.labels, refine=False)
+        import_drive(
+            "kitti", drive.root, tiny.DRIVE, out / "log", labels=drive.labels, refine=False
+        )
     assert list(out.iterdir()) == []
 
 

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from logs.importing import import_drive
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, read_log, track_points
 from recast.logs.derive_map import map_of
-from recast.logs.importers import IMPORTERS
 from recast.logs.importers.nuscenes import load_nuscenes
 from recast.logs.importers.nuscenes_tables import stream_rows
 from support import tiny_nuscenes as tiny
@@ -30,7 +30,7 @@ def tiny_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def log(tiny_root: Path, tmp_path_factory: pytest.TempPathFactory) -> DrivingLog:
     out = tmp_path_factory.mktemp("out") / "log"
-    IMPORTERS.load("nuscenes")(tiny_root, tiny.SCENE, out)
+    import_drive("nuscenes", tiny_root, tiny.SCENE, out)
     return read_log(out)
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from logs.importing import import_drive
 from recast.errors import InputError
-from recast.logs.importers.nuscenes import import_nuscenes
 from support import tiny_nuscenes as tiny
 
 Damage = Callable[[Path], object]
@@ -195,7 +195,7 @@ def test_a_faulty_dataset_is_one_clear_line(
     shutil.copytree(whole, root)
     damage(root)
     with pytest.raises(InputError) as raised:
-        import_nuscenes(root, tiny.SCENE, tmp_path / "out" / "log")
+        import_drive("nuscenes", root, tiny.SCENE, tmp_path / "out" / "log")
     assert message in str(raised.value)
     assert "\n" not in str(raised.value)
     assert not (tmp_path / "out").exists() or list((tmp_path / "out").iterdir()) == []
@@ -203,10 +203,10 @@ def test_a_faulty_dataset_is_one_clear_line(
 
 def test_what_cannot_be_meant_is_refused_at_once(whole: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="drive scene-7: does not exist; choose one of scene-0061"):
-        import_nuscenes(whole, "scene-7", tmp_path / "log")
+        import_drive("nuscenes", whole, "scene-7", tmp_path / "log")
     with pytest.raises(InputError, match="nuScenes folder: does not exist"):
-        import_nuscenes(whole / "nowhere", tiny.SCENE, tmp_path / "log")
-    with pytest.raises(InputError, match="output folder: exists already"):
-        import_nuscenes(whole, tiny.SCENE, whole)
+        import_drive("nuscenes", whole / "nowhere", tiny.SCENE, tmp_path / "log")
     with pytest.raises(InputError, match="nuScenes tables hold the boxes"):
-        import_nuscenes(whole, tiny.SCENE, tmp_path / "log", tmp_path / "boxes.json")
+        import_drive(
+            "nuscenes", whole, tiny.SCENE, tmp_path / "log", labels=tmp_path / "boxes.json"
+        )

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from logs.importing import import_drive
 from recast.errors import InputError
 from recast.logs import DrivingLog, read_log
-from recast.logs.importers import IMPORTERS
 from recast.logs.importers.py123d import load_py123d
 from recast.logs.importers.py123d_tracks import category
 from support import tiny_py123d as tiny
@@ -21,7 +21,7 @@ from support import tiny_py123d as tiny
 
 def _imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scene: Any) -> DrivingLog:
     root = tiny.install(monkeypatch, tmp_path / "data", scene)
-    IMPORTERS.load("py123d")(root, tiny.NAME, tmp_path / "log")
+    import_drive("py123d", root, tiny.NAME, tmp_path / "log")
     return read_log(tmp_path / "log")
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import shapely
 
+from logs.importing import import_drive
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, read_log
-from recast.logs.importers import IMPORTERS
 from recast.logs.importers.waymo import load_waymo
 from recast.logs.importers.waymo_range_image import beams, range_image_points
 from recast.logs.importers.waymo_schema import lidar_name
@@ -24,7 +24,7 @@ from support import tiny_waymo as tiny
 def log(tmp_path_factory: pytest.TempPathFactory) -> DrivingLog:
     folder = tmp_path_factory.mktemp("waymo")
     tiny.write_segment(folder / "training")
-    IMPORTERS.load("waymo")(folder, tiny.NAME, folder / "log")
+    import_drive("waymo", folder, tiny.NAME, folder / "log")
     return read_log(folder / "log")
 
 
@@ -199,7 +199,7 @@ def test_the_ego_and_the_rest(log: DrivingLog, tmp_path: Path) -> None:
     # The same input gives the same bytes, and a segment may be named by its file.
     tiny.write_segment(tmp_path)
     for name in ("a", "b"):
-        IMPORTERS.load("waymo")(tmp_path, tiny.FILE, tmp_path / name)
+        import_drive("waymo", tmp_path, tiny.FILE, tmp_path / name)
     files = sorted(path.name for path in (tmp_path / "a").iterdir())
     for name in files:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
@@ -219,7 +219,7 @@ def test_a_turn_in_which_nothing_returned_has_no_points(tmp_path: Path) -> None:
         return tiny.matrix(np.full_like(image, -1.0)) if name == "REAR" else data
 
     tiny.write_segment(tmp_path, tiny.Parts(frames=1, range_image=nothing, second=False))
-    IMPORTERS.load("waymo")(tmp_path, tiny.NAME, tmp_path / "log")
+    import_drive("waymo", tmp_path, tiny.NAME, tmp_path / "log")
     log = read_log(tmp_path / "log")
     assert len(log.lidars["lidar_rear"].sweeps[0].points) == 0
     assert len(log.lidars["lidar_top"].sweeps[0].points) > 50

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from logs.importing import import_drive
 from recast.logs import DrivingLog, read_log
-from recast.logs.importers import IMPORTERS
 from recast.logs.importers.waymo2 import load_waymo2
 from recast.logs.importers.waymo2_cells import RowReader
 from support import tiny_waymo as tiny
@@ -23,7 +23,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[DrivingLog, DrivingL
     tiny.write_segment(folder / "v1", tiny.Parts(features=[]))
     tiny2.write_segment(folder / "v2" / "training")
     for name, version in (("waymo", "v1"), ("waymo-v2", "v2")):
-        IMPORTERS.load(name)(folder / version, tiny.NAME, folder / f"log-{version}")
+        import_drive(name, folder / version, tiny.NAME, folder / f"log-{version}")
     return read_log(folder / "log-v1"), read_log(folder / "log-v2")
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from logs.importing import import_drive
 from recast.errors import InputError
-from recast.logs.importers.waymo2 import import_waymo2
 from support import tiny_waymo as tiny
 from support import tiny_waymo2 as tiny2
 
@@ -27,7 +27,7 @@ def _file(root: Path, tag: str) -> Path:
 def _refused(root: Path, drive: str, message: str) -> None:
     out = root.parent / "out" / "log"
     with pytest.raises(InputError) as raised:
-        import_waymo2(root, drive, out)
+        import_drive("waymo-v2", root, drive, out)
     assert message in str(raised.value)
     assert "\n" not in str(raised.value)
     assert not out.parent.exists() or list(out.parent.iterdir()) == []
@@ -317,8 +317,6 @@ def test_what_is_not_there_is_answered_with_what_is(tmp_path: Path) -> None:
     message = f"{root}: drive 999: has no file in vehicle_pose; choose one of {tiny.NAME}"
     _refused(root, "999", message)
     with pytest.raises(InputError, match="labels: a segment holds its own"):
-        import_waymo2(root, tiny.NAME, tmp_path / "log", labels=root)
-    with pytest.raises(InputError, match="output folder: exists already"):
-        import_waymo2(root, tiny.NAME, root)
+        import_drive("waymo-v2", root, tiny.NAME, tmp_path / "log", labels=root)
     tiny2.write_segment(root / "validation")
     _refused(root, tiny.NAME, "is in training, validation; name the folder of one split")

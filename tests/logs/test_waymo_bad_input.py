@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from logs.importing import import_drive
 from recast.errors import InputError
-from recast.logs.importers.waymo import import_waymo
 from recast.logs.importers.waymo_schema import MATRIX_FLOAT
 from recast.logs.importers.waymo_wire import decode
 from support import tiny_waymo as tiny
@@ -184,7 +184,7 @@ def test_a_faulty_segment_is_one_clear_line(tmp_path: Path, parts: Parts, messag
 
 def _refused(tmp_path: Path, drive: str, message: str) -> None:
     with pytest.raises(InputError) as raised:
-        import_waymo(tmp_path / "root", drive, tmp_path / "out" / "log")
+        import_drive("waymo", tmp_path / "root", drive, tmp_path / "out" / "log")
     error = raised.value
     assert message in f"{error.where}: {error.field}: {error.problem}; {error.mend}"
     assert "\n" not in str(error)
@@ -229,10 +229,8 @@ def test_what_is_not_there_is_answered_with_what_is(tmp_path: Path) -> None:
     _refused(tmp_path, "1234", f"{root}: Waymo folder: does not exist")
     tiny.write_segment(root)
     _refused(tmp_path, "999", f"{root}: drive 999: does not exist; choose one of {tiny.FILE}")
-    with pytest.raises(InputError, match="output folder: exists already"):
-        import_waymo(root, tiny.NAME, root)
     with pytest.raises(InputError, match="labels: a segment holds its own"):
-        import_waymo(root, tiny.NAME, tmp_path / "log", labels=root / tiny.FILE)
+        import_drive("waymo", root, tiny.NAME, tmp_path / "log", labels=root / tiny.FILE)
     tiny.write_segment(root / "validation")
     _refused(tmp_path, tiny.NAME, f"may be {tiny.FILE}, validation/{tiny.FILE}")
 
@@ -258,7 +256,7 @@ def test_a_scenario_is_named_where_a_file_holds_several(tmp_path: Path) -> None:
     write_records(path, [_scenario("aa"), _scenario("bb")])
     _refused(tmp_path, "shard", f"{path}: scenario_id: 2 scenarios are in the file; name one")
     _refused(tmp_path, "shard:cc", f"{path}: scenario_id: cc is not in the file")
-    import_waymo(tmp_path / "root", "shard.tfrecord:bb", tmp_path / "log")
+    import_drive("waymo", tmp_path / "root", "shard.tfrecord:bb", tmp_path / "log")
     write_records(path, [_scenario("aa", packed_integers(6, []) + integer(6, 2))])
     _refused(tmp_path, "shard", f"{path}: record 0, sdc_track_index: has wire type 2, not 0")
     write_records(path, [_scenario("aa", integer(6, 2))])

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import shapely
 
+from logs.importing import import_drive
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, read_log
-from recast.logs.importers.waymo import import_waymo, load_waymo
+from recast.logs.importers.waymo import load_waymo
 from recast.logs.importers.waymo_schema import BOX, CAMERA_NAME, FRAME
 from recast.logs.importers.waymo_tfrecord import read_records
 from recast.logs.importers.waymo_wire import Kind, Schema, decode, many, one
@@ -41,7 +42,7 @@ def waymo(shared: Path) -> Path:
 @pytest.fixture(scope="module")
 def log(waymo: Path, tmp_path_factory: pytest.TempPathFactory) -> DrivingLog:
     out = tmp_path_factory.mktemp("waymo") / "log"
-    import_waymo(waymo, FRAME_FILE, out)
+    import_drive("waymo", waymo, FRAME_FILE, out)
     return read_log(out)
 
 

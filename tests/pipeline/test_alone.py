@@ -9,11 +9,11 @@ import pytest
 
 from recast import storage
 from recast.cli.main import main
+from recast.core.hashing import folder_hash
 from recast.errors import InputError
 from recast.logs import read_log
 from recast.pipeline.bench import resolve_bench
 from recast.pipeline.bench.settings import begin
-from recast.pipeline.fingerprint import folder_hash
 from recast.pipeline.options import resolve_config
 from recast.pipeline.run_folder import RunFolder
 from recast.scene import SceneConfig
@@ -35,9 +35,11 @@ def refused(capsys: pytest.CaptureFixture[str], out: Path, *command: str) -> Non
 
 def test_a_run(tiny_log_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = resolve_config("0", ["advancing-a"], None, None, {}, {})
-    log = str(tiny_log_folder)
-    RunFolder.create_or_resume(tmp_path, config.resolved(), log, folder_hash(log))
-    refused(capsys, tmp_path, "run", log, "--track", "0", "--motion", "advancing-a")
+    log, out = tiny_log_folder, tmp_path / "run"
+    store = str(tmp_path / "store")
+    RunFolder.create_or_resume(out, config.resolved(), log, folder_hash(log), store)
+    refused(capsys, out, "run", str(log), "--track", "0", "--motion", "advancing-a")
+    assert not Path(store).exists()
 
 
 def test_a_grid(tiny_log_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -47,7 +49,7 @@ def test_a_grid(tiny_log_folder: Path, tmp_path: Path, capsys: pytest.CaptureFix
         scene_config_file=None, samples=100, drive_options={}, run_options={"films": False},
         scene_options={},
     )  # fmt: skip
-    begin(tmp_path, settings)
+    begin(tmp_path, settings.record())
     command = ["bench", "closed-loop", "--scenes", *words, "--motions", "advancing-a"]
     refused(capsys, tmp_path, *command, "--samples", "100")
 

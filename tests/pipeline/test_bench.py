@@ -8,14 +8,15 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
 
 from recast.cli.main import main
+from recast.core import Store
 from recast.errors import InputError
-from recast.pipeline.bench import parse_scenes
-from recast.pipeline.sources import Sources
+from recast.pipeline.bench import BenchScene, parse_scenes
 
 TESTS = Path(__file__).parents[1]
 FILES = ("rollouts.parquet", "results.json", "bench.json")
@@ -47,7 +48,7 @@ def rows(out: Path) -> list[dict[str, object]]:
 def test_every_rollout_is_a_row_and_a_refused_one_says_why(finished: Path) -> None:
     found = rows(finished)
     assert len(found) == 2 * 2 * 2
-    assert [r["method"] for r in found[:2]] == ["native", "replaced"]
+    assert [r["arm"] for r in found[:2]] == ["native", "replaced"]
     refused = [r for r in found if r["failure"] is not None]
     assert {r["motion"] for r in refused} == {"stationary"}  # the recorded road is too short
     assert all("road" in str(r["failure_reason"]) for r in refused)
@@ -59,19 +60,21 @@ def test_every_rollout_is_a_row_and_a_refused_one_says_why(finished: Path) -> No
 
 def test_results_have_intervals_and_differences(finished: Path) -> None:
     results = json.loads((finished / "results.json").read_text())
-    assert [line["method"] for line in results["table"]] == ["native", "replaced"]
+    assert [line["arm"] for line in results["table"]] == ["native", "replaced"]
     assert all(line["intervals"]["nc"]["mean"] == 100.0 for line in results["table"])
     ttc = next(d for d in results["differences"] if d["metric"] == "ttc")
-    # nothing looks at the pictures, so the methods cannot differ
+    # nothing looks at the pictures, so the arms cannot differ
     assert (ttc["candidate"], ttc["baseline"]) == ("replaced", "native")
     assert (ttc["sampled"]["point"], ttc["exact"]["low"], ttc["exact"]["high"]) == (0.0, 0.0, 0.0)
     assert results["failed"] == len(results["failures"]) > 0
 
 
 def test_nothing_was_rendered_and_times_are_apart(finished: Path) -> None:
-    run = next((finished / "scenes").iterdir()) / "run"
-    assert not (run / "scene").exists() and not (run / "actor").exists()
-    assert (run / "metrics.json").exists()
+    run = next((finished / "scenes").iterdir())
+    assert sorted(path.name for path in run.iterdir()) == ["metrics.json", "rollouts", "run.json"]
+    assert sorted(path.name for path in (finished.parent / "store").iterdir()) == [
+        "rollouts", "store.json", "users",
+    ]  # fmt: skip
     times = json.loads((finished / "times.json").read_text())
     assert times["all"]["shares"]["render"] == 0.0
     assert times["all"]["rollouts"] == times["sessions"][0]["rollouts"] > 0
@@ -81,14 +84,35 @@ def test_nothing_was_rendered_and_times_are_apart(finished: Path) -> None:
 def test_a_second_time_makes_nothing_and_changes_nothing(
     finished: Path, logs: list[str], tmp_path: Path
 ) -> None:
+    for name in ("grid", "store"):
+        shutil.copytree(finished.parent / name, tmp_path / name, symlinks=True)
     copy = tmp_path / "grid"
-    shutil.copytree(finished, copy)
-    states = list(copy.rglob("rollout.parquet"))
+    states = list((tmp_path / "store").rglob("rollout.parquet"))
     before = {p: p.stat().st_mtime_ns for p in states}
     assert main(command(logs, copy)) == 0
     assert before == {p: p.stat().st_mtime_ns for p in states} != {}
     for name in FILES:
         assert (copy / name).read_bytes() == (finished / name).read_bytes(), name
+
+
+def test_another_grid_takes_what_the_store_has(finished: Path, logs: list[str]) -> None:
+    out = finished.parent / "other"
+    rollouts = finished.parent / "store" / "rollouts"
+    before = set(rollouts.iterdir())
+    more = ("--planner", "idm-follower", "--planner", "constant-velocity")
+    assert main(command(logs[:1], out, *more)) == 0
+    times = json.loads((out / "times.json").read_text())
+    assert times["all"]["rollouts"] == 2  # of constant-velocity, native and replaced
+    assert set(rollouts.iterdir()) > before
+    found = rows(out)
+    assert [r["planner"] for r in found[:4]] == ["idm-follower"] * 2 + ["constant-velocity"] * 2
+    results = json.loads((out / "results.json").read_text())
+    assert [(x["planner"], x["arm"]) for x in results["table"]][:2] == [
+        ("idm-follower", "native"), ("idm-follower", "replaced"),
+    ]  # fmt: skip
+    assert {one["planner"] for one in results["differences"]} == {
+        "idm-follower", "constant-velocity",
+    }  # fmt: skip
 
 
 def test_two_workers_give_the_same_bytes(finished: Path, logs: list[str], tmp_path: Path) -> None:
@@ -112,7 +136,7 @@ def test_a_killed_grid_goes_on(finished: Path, logs: list[str], tmp_path: Path) 
 
     assert go() == -9
     assert not (out / "results.json").exists()
-    kept = {p: p.stat().st_mtime_ns for p in out.rglob("rollout.parquet")}
+    kept = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("rollout.parquet")}
     assert kept
     assert go() == 0
     assert {p: p.stat().st_mtime_ns for p in kept} == kept
@@ -148,10 +172,10 @@ def test_a_scene_that_fails_is_rows_and_the_others_go_on(
 
     opened = worker.SceneRun
 
-    def only_the_first(path: Path, sources: Sources) -> object:
-        if path.parent.name.endswith("-1"):
+    def only_the_first(store: Store, scene: BenchScene, *more: Any) -> object:
+        if scene.id.endswith("-1"):
             raise RuntimeError("the disk forgot it")
-        return opened(path, sources)
+        return opened(store, scene, *more)
 
     monkeypatch.setattr(worker, "SceneRun", only_the_first)
     out = tmp_path / "grid"
@@ -159,7 +183,7 @@ def test_a_scene_that_fails_is_rows_and_the_others_go_on(
     found = rows(out)
     assert [r["failure_reason"] for r in found[4:]] == ["the disk forgot it"] * 4
     assert found[0]["failure"] is None
-    [note] = out.glob("scenes/*/failure.json")
+    [note] = out.glob("scenes/*.failure.json")
     assert "in only_the_first" in json.loads(note.read_text())["traceback"]
     monkeypatch.undo()
     assert main(command(logs, out)) == 0
@@ -170,7 +194,7 @@ BAD = [
     (["--scenes", "moonbase"], "moonbase"),
     (["--scenes", "urban-straight", "urban-straight:0"], "twice"),
     (["--scenes", "urban-straight:x"], "seed"),
-    (["--scenes", "underpass", "--methods", "warp"], "warp"),
+    (["--scenes", "underpass", "--arm", "warp"], "warp"),
     (["--scenes", "underpass", "--planner", "psychic"], "psychic"),
     (["--scenes", "underpass", "--workers", "0"], "workers"),
     (["--scenes", "underpass", "--seconds", "99"], "seconds"),
@@ -196,7 +220,7 @@ def test_bad_input_is_one_line_before_anything_is_written(
 def test_the_oracle_of_a_recorded_log_is_refused(
     logs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(command(logs, tmp_path / "grid", "--methods", "native", "oracle")) == 2
+    assert main(command(logs, tmp_path / "grid", "--arm", "native", "--arm", "oracle")) == 2
     assert "synthetic" in capsys.readouterr().err
     assert not (tmp_path / "grid").exists()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
@@ -10,20 +11,18 @@ from rich.table import Table
 
 from recast.evaluation import COLUMNS
 from recast.evaluation.grid_row import GridRow
-from recast.evaluation.grid_summary import method_summaries, paired_summaries
+from recast.evaluation.grid_summary import arm_summaries, paired_summaries
 from recast.evaluation.verdicts import agreements
 from recast.pipeline.bench.display import differences_table, grid_table, truth_table
-from recast.pipeline.display import results_table
+from recast.pipeline.display import results_tables
 
 STEPS = tuple(range(0, 160, 5))
 
 
-def row(
-    number: int, method: str, value: float, steps: int = 160, **scores: float | None
-) -> GridRow:
+def row(number: int, arm: str, value: float, steps: int = 160, **scores: float | None) -> GridRow:
     values = {**dict.fromkeys(COLUMNS, value), "ttc": 4.0 * value, **scores}
     return GridRow(
-        f"scene {number}", None, None, "cut-in", "a", method, "p", steps_run=steps,
+        f"scene {number}", None, None, "cut-in", "a", arm, "p", steps_run=steps,
         plan_steps=tuple(step for step in STEPS if step < steps),
         cut_reason=None if steps == 160 else "the log ends", scores=values, shorter={60: values},
     )  # fmt: skip
@@ -54,7 +53,7 @@ def line_of(lines: Sequence[str], *words: str) -> int:
 
 
 def test_the_table_says_what_was_scored_failed_and_cut() -> None:
-    lines = shown(grid_table(method_summaries(grid(), 100, 0), "a title of the table"))
+    lines = shown(grid_table(arm_summaries(grid(), 100, 0), "a title of the table"))
     first = line_of(lines, "replaced")
     assert [line.strip().split("  ")[0] for line in lines[first : first + 5]] == [
         "replaced", "11 of 12", "332 plans", "1 failed", "1 cut",
@@ -71,13 +70,25 @@ def test_differences_and_verdicts_say_how_many_pairs_and_plans() -> None:
     assert lines[at + 1].split() == ["1", "cut"]
     assert lines[line_of(lines, "oracle", "DAC")].split()[-2:] == ["11/12", "352"]
     assert line_of(lines, "replaced", "driven")
-    lines = shown(truth_table(agreements(grid(), 100, 0)))
+    lines = shown(truth_table(agreements(grid(), "oracle", 100, 0)))
     assert lines[line_of(lines, "replaced")].split()[-2:] == ["11/12", "332"]
 
 
+def test_long_names_of_arms_take_nothing_from_the_figures() -> None:
+    rows = [replace(one, arm=one.arm.replace("replaced", "omnire+a-long-name")) for one in grid()]
+    tables = [
+        grid_table(arm_summaries(rows, 100, 0), "a title"),
+        differences_table(paired_summaries(rows, "native", 100, 0)),
+        truth_table(agreements(rows, "oracle", 100, 0)),
+    ]
+    for table in tables:
+        assert line_of(shown(table), "omnire+")
+
+
 def test_a_run_s_table_does_too() -> None:
-    rows = [line.row.to_json() for line in method_summaries(grid(), 10, 0)]
-    lines = shown(results_table(rows))
+    rows = [line.row.to_json() for line in arm_summaries(grid(), 10, 0)]
+    [table] = results_tables(rows)
+    lines = shown(table)
     at = line_of(lines, "replaced")
     assert lines[at].split()[1:5] == ["11", "of", "12", "332"]
     assert [lines[at + i].split()[:2] for i in (1, 2)] == [["1", "failed"], ["1", "cut"]]

@@ -40,6 +40,11 @@ def test_it_lists_the_parts_and_the_kernel(capsys: pytest.CaptureFixture[str]) -
         assert word in shown
 
 
+def test_experimental_importers_are_marked() -> None:
+    [found] = [finding for finding in doctor.examine() if finding.part == "importers"]
+    assert "kitti, nuscenes (experimental)" in found.detail
+
+
 def test_the_names_of_built_in_parts_are_those_that_the_rest_uses() -> None:
     assert GTRS_MINI in PLANNERS.built_in
     assert DEFAULT_GENERATOR in GENERATORS.built_in

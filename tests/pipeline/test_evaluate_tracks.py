@@ -28,11 +28,11 @@ def test_tracks_of_a_log(
     command = ["eval", "actor", "template", str(tiny_log_folder), "--scene", str(scene)]
     assert main([*command, "--track", "0", "--out", str(out)]) == 0
     told = capsys.readouterr().out
-    assert "native" in told and "refined" in told
+    assert "reconstructed" in told and "refined" in told
     (track,) = json.loads((out / "metrics.json").read_text())["tracks"]
     assert track["track_id"] == "0" and track["images"] > 0
     for scores in (track["psnr"], track["ssim"]):
-        assert set(scores) == {"native", "registered", "refined"}
+        assert set(scores) == {"reconstructed", "registered", "refined"}
     assert track["provenance"]["refinement"] is not None
     assert (out / "track_0" / "held_out.png").is_file()
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from recast.errors import InputError
+from recast.pipeline.arms import Arm
 from recast.pipeline.config import RunConfig
 from recast.pipeline.options import resolve_config
 from recast.pipeline.run_folder import RunFolder
@@ -20,6 +22,11 @@ motion: stationary
 settings:
   a: {min_gap: 12, braking: 6.0, reserve: 2.0}
 """
+
+
+def start(out: Path, config: RunConfig) -> RunFolder:
+    log, store = out.parent / "log", str(out.parent / "store")
+    return RunFolder.create_or_resume(out, config.resolved(), log, "hash", store)
 
 
 def resolve(motions: list[str], config_file: Path | None = None) -> RunConfig:
@@ -41,17 +48,17 @@ def test_names_and_files_together(own: Path) -> None:
 
 
 def test_a_run_resumes_while_the_file_says_the_same(own: Path, tmp_path: Path) -> None:
-    RunFolder.create_or_resume(tmp_path / "run", resolve([str(own)]).resolved(), "log", "hash")
+    start(tmp_path / "run", resolve([str(own)]))
     own.write_text("# mine\n" + TEXT.replace("12", "12.0"))  # other words, same scenario
-    RunFolder.create_or_resume(tmp_path / "run", resolve([str(own)]).resolved(), "log", "hash")
+    start(tmp_path / "run", resolve([str(own)]))
     own.write_text(TEXT.replace("12", "13"))
     with pytest.raises(InputError, match=r"own_motions\.near-a\.settings\.a\.min_gap"):
-        RunFolder.create_or_resume(tmp_path / "run", resolve([str(own)]).resolved(), "log", "hash")
+        start(tmp_path / "run", resolve([str(own)]))
 
 
 def test_the_record_of_a_run_needs_no_file(own: Path, tmp_path: Path) -> None:
     config = resolve([str(own)])
-    RunFolder.create_or_resume(tmp_path / "run", config.resolved(), "log", "hash")
+    start(tmp_path / "run", config)
     own.unlink()
     assert resolve([], tmp_path / "run" / "run.json") == config
     assert resolve(["near-a"], tmp_path / "run" / "run.json").motions == ("near-a",)
@@ -66,8 +73,8 @@ def test_two_files_must_not_say_two_things_under_one_name(own: Path, tmp_path: P
         resolve([str(own), str(other)])
 
 
-def test_runs_without_own_scenarios_are_as_before() -> None:
-    assert "own_motions" not in resolve(["cut-in"]).resolved()
+def test_runs_without_own_scenarios_say_so() -> None:
+    assert resolve(["cut-in"]).resolved()["own_motions"] == {}
 
 
 def test_a_faulty_record_is_refused() -> None:
@@ -96,15 +103,20 @@ def test_the_name_of_an_own_scenario_is_the_one_it_describes(
 @pytest.mark.parametrize("motions", [["moonwalk-a"], ["../../victim"]])
 def test_a_motion_that_nothing_describes_is_refused(tmp_path: Path, motions: list[str]) -> None:
     file = tmp_path / "config.json"
-    file.write_text(json.dumps({"version": 1, "track": "0", "motions": motions}))
+    file.write_text(json.dumps({"version": 2, "track": "0", "motions": motions}))
     with pytest.raises(InputError, match="neither built in"):
         resolve([], file)
 
 
-@pytest.mark.parametrize("member", ["motions", "methods"])
+@pytest.mark.parametrize("member", ["motions", "planners", "arms"])
 def test_what_is_named_twice_is_refused(tmp_path: Path, member: str) -> None:
-    values = {"version": 1, "track": "0", "motions": ["cut-in-a"], "methods": ["native"]}
+    values: dict[str, Any] = {
+        "version": 2, "track": "0", "motions": ["cut-in-a"], "planners": ["idm-follower"],
+        "arms": [Arm.native().model_dump()],
+    }  # fmt: skip
     file = tmp_path / "config.json"
-    file.write_text(json.dumps({**values, member: values[member] * 2}))  # type: ignore[operator]
+    file.write_text(json.dumps(values))
+    assert resolve([], file).motions == ("cut-in-a",)
+    file.write_text(json.dumps({**values, member: values[member] * 2}))
     with pytest.raises(InputError, match="twice"):
         resolve([], file)

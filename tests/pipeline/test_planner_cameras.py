@@ -190,8 +190,8 @@ def test_a_device_that_is_not_there_is_one_line(
     assert not (tmp_path / "run").exists()
 
 
-def test_the_device_is_part_of_a_run_only_where_it_was_chosen(log: DrivingLog) -> None:
-    assert "planner_device" not in _config(log).resolved()
+def test_the_device_is_part_of_a_run(log: DrivingLog) -> None:
+    assert _config(log).resolved()["planner_device"] == "auto"
     assert _config(log, planner_device="cuda:1").resolved()["planner_device"] == "cuda:1"
     with pytest.raises(ValueError, match="planner_device"):
         _config(log, planner_device="cuda:one")
@@ -202,7 +202,7 @@ def test_a_grid_says_it_for_every_log_and_once_for_synthetic_scenes(tiny_log_fol
     settings = resolve_bench(
         words=["urban-straight", "industrial", f"{tiny_log_folder}:0"], track=None, motions=(),
         quick=False, config_file=None, scene_config_file=None, samples=100, drive_options={},
-        run_options={"planner": "gtrs-mini"}, scene_options={},
+        run_options={"planners": ("gtrs-mini",)}, scene_options={},
     )  # fmt: skip
     closed_loop._announce(settings, _planner(), console)
     assert isinstance(console.file, StringIO)

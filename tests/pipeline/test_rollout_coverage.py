@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,11 @@ import pytest
 from evaluation.box_world import FACES, MOUNTS, SKY, box_log, box_shares, scene
 from evaluation.rollouts import street
 from recast.actors.coverage import CoverageMeter
+from recast.core import Store
 from recast.errors import InputError
+from recast.pipeline.artefacts import rollout_name
 from recast.pipeline.config import RunConfig
-from recast.pipeline.layout import METRICS_FILE, rollout_folder
+from recast.pipeline.layout import METRICS_FILE
 from recast.pipeline.results_files import read_metrics
 from recast.pipeline.rollouts import make_rollout, read_coverage, read_rollout
 from recast.pipeline.scores import write_metrics
@@ -45,12 +48,13 @@ class Watcher(ProbePlanner):
         return super().plan(observation)
 
 
-def drive(folder: Path, planner: ProbePlanner, filmed: bool, motion: str = "stationary-a") -> None:
+def drive(folder: Path, planner: ProbePlanner, filmed: bool, arm: str = "replaced") -> None:
     setup = RolloutSetup(
-        LOG, "7", MOTIONS[motion], method="replaced", steps=20, camera_names=("front",)
+        LOG, "7", MOTIONS["stationary-a"], arm=arm, steps=20, camera_names=("front",)
     )
     renderer = SceneRenderer(WHOLE, MOUNTS, "cpu")
-    make_rollout(setup, planner, renderer, folder, filmed=filmed, meter=METER)
+    meter = METER if arm == "replaced" else None
+    make_rollout(setup, planner, renderer, folder, filmed=filmed, meter=meter)
 
 
 @pytest.mark.parametrize("filmed", [False, True])
@@ -74,18 +78,16 @@ def test_films_of_a_planner_that_looks_at_nothing(tmp_path: Path) -> None:
 
 
 def test_metrics_have_the_means(tmp_path: Path) -> None:
-    config = RunConfig(track="7", motions=("stationary-a",), methods=("native", "replaced"))
-    for method in config.methods:
-        folder = rollout_folder(tmp_path, "stationary-a", method)
-        drive(folder, Watcher(), False)
-        if method == "native":
-            (folder / "coverage.parquet").unlink()
-            header = folder / "states" / "rollout.json"
-            header.write_text(header.read_text().replace('"replaced"', '"native"'))
-    write_metrics(tmp_path, config, street())
+    config = RunConfig(track="7", motions=("stationary-a",), planners=("p",))
+    store, used = Store(tmp_path / "store"), {}
+    for arm in config.arms:
+        use = rollout_name("stationary-a", "p", arm.name)
+        make = partial(drive, planner=Watcher(), filmed=False, arm=arm.name)
+        used[use] = store.make("rollouts", {"use": use}, make, name=use)
+    write_metrics(tmp_path / METRICS_FILE, config, used, street())
     native, replaced = read_metrics(tmp_path / METRICS_FILE)["rollouts"]
     assert native["coverage"] is None
-    measured = read_coverage(rollout_folder(tmp_path, "stationary-a", "replaced"))
+    measured = read_coverage(used[rollout_name("stationary-a", "p", "replaced")].path)
     assert measured is not None
     assert replaced["coverage"]["planner"] == replaced["coverage"]["all"]
     assert replaced["coverage"]["all"]["invented"] == measured.mean.invented

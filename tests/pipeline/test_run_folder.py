@@ -1,23 +1,32 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from recast import storage
+from recast.core import Artefact
+from recast.core.hashing import folder_hash, value_hash
 from recast.errors import InputError
 from recast.pipeline.config import RunConfig
-from recast.pipeline.fingerprint import folder_hash, value_hash
+from recast.pipeline.layout import use_name, use_parts
 from recast.pipeline.options import resolve_config
 from recast.pipeline.run_folder import RunFolder
 from recast.scene import resolve_config as scene_config
 
 
-def start(path: Path, seed: int = 0, log_hash: str = "abc") -> RunFolder:
-    return RunFolder.create_or_resume(
-        path, {"seed": seed, "scene": {"scale": 0.5}}, "log", log_hash
+def start(path: Path, seed: int = 0, log_hash: str = "abc", store: str = "store") -> RunFolder:
+    config = {"seed": seed, "scene": {"scale": 0.5}}
+    beside = path.parent
+    return RunFolder.create_or_resume(path, config, beside / "log", log_hash, str(beside / store))
+
+
+def make(run: RunFolder, text: str = "whole", kind: str = "scenes") -> Artefact:
+    return run.store().make(
+        kind, {"text": text}, lambda out: storage.write_text(out / "file.txt", text), name=text
     )
 
 
@@ -50,23 +59,25 @@ def test_another_version_is_refused(tmp_path: Path) -> None:
         RunFolder.open(run.path)
 
 
-def test_a_finished_step_is_skipped_until_its_inputs_change(tmp_path: Path) -> None:
+def test_a_finished_file_is_left_until_what_it_was_made_from_changes(tmp_path: Path) -> None:
     run = start(tmp_path / "run")
-    made: list[int] = []
+    made: list[str] = []
 
-    def make() -> None:
-        made.append(1)
-        (run.path / "out.txt").write_text("result")
+    def finish(made_from: str) -> int:
+        def write() -> None:
+            made.append(made_from)
+            (run.path / "out.txt").write_text("result")
 
-    first = run.step("a", {"x": 1}, make, ("out.txt",))
-    assert first[1] and not run.step("a", {"x": 1}, make, ("out.txt",))[1]
-    assert run.step("a", {"x": 2}, make, ("out.txt",))[1]
+        RunFolder.open(run.path).finish("out.txt", made_from, write)
+        return len(made)
+
+    assert (finish("x"), finish("x"), finish("y"), finish("y")) == (1, 1, 2, 2)
     (run.path / "out.txt").unlink()
-    assert run.step("a", {"x": 2}, make, ("out.txt",))[1]
-    assert len(made) == 3
+    assert finish("y") == 3
+    assert start(run.path).record.finished == {"out.txt": "y"}
 
 
-def test_a_step_that_fails_leaves_no_marker_and_is_made_again(tmp_path: Path) -> None:
+def test_what_fails_is_not_finished(tmp_path: Path) -> None:
     run = start(tmp_path / "run")
 
     def fail() -> None:
@@ -74,25 +85,79 @@ def test_a_step_that_fails_leaves_no_marker_and_is_made_again(tmp_path: Path) ->
         raise RuntimeError("killed")
 
     with pytest.raises(RuntimeError):
-        run.step("a", {}, fail, ("half.txt",))
-
-    def make() -> None:
-        assert not (run.path / "half.txt").exists()
-        (run.path / "half.txt").write_text("whole")
-
-    assert run.step("a", {}, make, ("half.txt",))[1]
+        run.finish("half.txt", "x", fail)
+    made: list[int] = []
+    RunFolder.open(run.path).finish("half.txt", "x", lambda: made.append(1))
+    assert made == [1]
 
 
-def test_a_resuming_step_keeps_its_partial_output(tmp_path: Path) -> None:
+def test_artefacts_are_noted_in_the_run_in_the_store_and_as_links(tmp_path: Path) -> None:
     run = start(tmp_path / "run")
-    (run.path / "scene").mkdir()
-    (run.path / "scene" / "checkpoint").write_text("1000")
-    seen: list[bool] = []
-    run.step(
-        "scene", {}, lambda: seen.append((run.path / "scene" / "checkpoint").exists()), ("scene",),
-        keep_partial=True,
-    )  # fmt: skip
-    assert seen == [True]
+    store, scene = run.store(), make(run)
+    run.refer(store, {use_name("scene", "recast"): scene})
+    assert (run.path / "scenes" / "recast" / "file.txt").read_text() == "whole"
+    assert RunFolder.open(run.path).record.artefacts == {"scene/recast": scene.reference}
+    assert store.users() == {run.path: (scene.reference,)}
+    assert store.unused() == []
+    found = RunFolder.open(run.path).artefact(store, "scene/recast")
+    assert found is not None and found.path == scene.path
+    assert run.artefact(store, "scene/omnire") is None
+
+
+def test_a_run_that_goes_on_loses_nothing_before_its_end(tmp_path: Path) -> None:
+    """What a first try used stays noted while a second one is on its way."""
+    run = start(tmp_path / "run")
+    store = run.store()
+    one, two, three = (make(run, text) for text in ("one", "two", "three"))
+    run.refer(store, {"scene/recast": one, "actor/replaced": two}, whole=True)
+    again = start(run.path)
+    before = changes(tmp_path)
+    again.refer(store, {"scene/recast": one})
+    assert changes(tmp_path) == before, "nothing is new"
+    again.refer(store, {"scene/recast": three})
+    both = {"scene/recast": three.reference, "actor/replaced": two.reference}
+    assert RunFolder.open(run.path).record.artefacts == both
+    assert store.unused() == [store.open(one.reference)]
+    assert (run.path / "scenes" / "recast" / "file.txt").read_text() == "three"
+    again.refer(store, {"scene/recast": three}, whole=True)
+    assert [*RunFolder.open(run.path).record.artefacts] == ["scene/recast"]
+
+
+def changes(folder: Path) -> dict[str, int]:
+    return {str(path): path.lstat().st_mtime_ns for path in folder.rglob("*")}
+
+
+def test_a_run_and_its_store_are_moved_together(tmp_path: Path) -> None:
+    first = tmp_path / "first"
+    run = start(first / "run")
+    run.refer(run.store(), {"scene/recast": make(run)})
+    shutil.copytree(first, tmp_path / "second", symlinks=True)
+    shutil.rmtree(first)
+    moved = start(tmp_path / "second" / "run")
+    assert moved.record == run.record
+    assert moved.store().root == tmp_path / "second" / "store"
+    assert (moved.path / "scenes" / "recast" / "file.txt").read_text() == "whole"
+    assert moved.store().users() == {moved.path: (moved.record.artefacts["scene/recast"],)}
+
+
+def test_another_store_is_noted(tmp_path: Path) -> None:
+    start(tmp_path / "run")
+    assert start(tmp_path / "run", store="other").store().root == tmp_path / "other"
+    assert RunFolder.open(tmp_path / "run").record.store == "../other"
+
+
+def test_a_copy_without_links_goes_on_and_what_is_the_users_stays(tmp_path: Path) -> None:
+    run = start(tmp_path / "run")
+    scene, link = make(run), run.path / "scenes" / "recast"
+    run.refer(run.store(), {"scene/recast": scene})
+    link.unlink()
+    shutil.copytree(scene.path, link)
+    run.refer(run.store(), {"scene/recast": scene})
+    assert (link / "file.txt").read_text() == "whole"
+    (link / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="is a file or folder of something else"):
+        run.refer(run.store(), {"scene/recast": scene})
+    assert (link / "notes.txt").read_text() == "mine"
 
 
 def test_hashes_follow_the_content_and_not_the_order(tmp_path: Path) -> None:
@@ -114,21 +179,20 @@ def resolve(
 
 
 def begin(path: Path, config: RunConfig) -> RunFolder:
-    return RunFolder.create_or_resume(path, config.resolved(), "log", "abc")
+    log, store = path.parent / "log", str(path.parent / "store")
+    return RunFolder.create_or_resume(path, config.resolved(), log, "abc", store)
 
 
 def test_a_preset_sets_the_scene_as_it_does_when_a_scene_is_trained_alone(tmp_path: Path) -> None:
     options = {"iterations": 1000, "scale": 0.25}
-    alone = scene_config("omnire", None, {**options, "force_dynamic": ("0",)})
+    alone = scene_config("omnire", None, options)
     assert resolve("omnire", **options).scene == alone
 
     file = tmp_path / "scene.json"
     file.write_text(json.dumps({"version": 1, "sh_degree": 2, "iterations": 30_000}))
     scene = resolve("omnire", scene_file=file, iterations=3000).scene
     assert (scene.sh_degree, scene.densify_by, scene.iterations) == (2, "absolute_norm", 3000)
-    assert scene == scene_config(
-        "omnire", None, {"iterations": 3000, "sh_degree": 2, "force_dynamic": ("0",)}
-    )
+    assert scene == scene_config("omnire", None, {"iterations": 3000, "sh_degree": 2})
 
 
 @pytest.mark.parametrize(("first", "second"), [("omnire", "streetgs"), ("omnire", None)])
@@ -150,7 +214,7 @@ def test_the_record_keeps_what_was_chosen_against_the_preset(tmp_path: Path) -> 
     file = tmp_path / "config.json"
     scene = {"version": 1, "densify_pause": 0.0}  # as without a preset
     file.write_text(
-        json.dumps({"version": 1, "track": "0", "motions": [], "preset": "omnire", "scene": scene})
+        json.dumps({"version": 2, "track": "0", "motions": [], "preset": "omnire", "scene": scene})
     )
     with pytest.raises(InputError, match="motions"):
         resolve(file=file)
@@ -164,77 +228,103 @@ def test_the_record_keeps_what_was_chosen_against_the_preset(tmp_path: Path) -> 
 
 def test_a_preset_over_the_record_of_another_run_is_refused(tmp_path: Path) -> None:
     path = begin(tmp_path / "run", resolve()).path
-    assert "preset" not in storage.read_json(path / "run.json")["config"]
+    assert storage.read_json(path / "run.json")["config"]["preset"] is None
     with pytest.raises(InputError, match="omnire: changes nothing"):
         resolve("omnire", file=path / "run.json")
 
 
-def test_runs_begun_before_there_were_these_choices_go_on(tmp_path: Path) -> None:
+def test_the_record_of_a_run_is_a_whole_configuration(tmp_path: Path) -> None:
     config = resolve()
-    assert not {"densify_by", "densify_pause"} & config.resolved()["scene"].keys()
+    assert {"densify_by", "densify_pause"} <= config.resolved()["scene"].keys()
     folder = begin(tmp_path / "run", config)
+    assert folder.config == config
     assert resolve(file=folder.path / "run.json").resolved() == config.resolved()
 
 
-@pytest.mark.parametrize("output", ["../victim", "/victim", "a/../../victim", "", "a\\b"])
-def test_a_step_never_leaves_the_folder(tmp_path: Path, output: str) -> None:
-    victim = tmp_path / "victim"
-    victim.mkdir()
-    (victim / "years").write_text("of work")
-    run = start(tmp_path / "run")
-    with pytest.raises(InputError, match="no file inside of run/"):
-        run.step("a", {}, lambda: None, (output,))
-    assert (victim / "years").read_text() == "of work"
+HOSTILE = (
+    "..", "../../victim", "/victim", "a/../../victim", "", ".", "a\\b", "nul\0nul", "new\nline",
+    "l" * 300, "%2F", "\u202eright to left", "con", "\ud800", "7", "7/8",
+)  # fmt: skip
 
 
-def test_a_link_among_the_outputs_is_removed_and_not_what_it_leads_to(tmp_path: Path) -> None:
+@pytest.mark.parametrize("what", ["actor", "rollout"])
+def test_names_from_outside_never_become_paths(tmp_path: Path, what: str) -> None:
+    """Neither do two names share a link, nor does one lead into the artefact of another."""
+    (tmp_path / "victim").mkdir()
+    run = start(tmp_path / "deep" / "run")
+    names: list[tuple[str, ...]] = [(name,) for name in HOSTILE]
+    names += [(one, two) for one in HOSTILE for two in ("7", "..", "8")]
+    if what == "rollout":
+        names = [("advancing-a", *(two * 2)[:2]) for two in names]
+    uses = [use_name(what, *one) for one in dict.fromkeys(names)]
+    assert [use_parts(use) for use in uses] == [(what, *one) for one in dict.fromkeys(names)]
+    made = make(run, kind="actors")
+    run.refer(run.store(), dict.fromkeys(uses, made))
+
+    links = [path for path in run.path.rglob("*") if path.is_symlink()]
+    assert len(links) == len(set(uses)) == len(uses)
+    assert {link.resolve() for link in links} == {made.path.resolve()}
+    assert [path.name for path in made.path.iterdir()] == ["file.txt"]
+    assert not any(True for _ in (tmp_path / "victim").iterdir())
+    assert {path.name for path in (tmp_path / "deep").iterdir()} == {"run", "store"}
+
+
+def test_a_link_of_the_user_is_replaced_and_not_what_it_leads_to(tmp_path: Path) -> None:
     run = start(tmp_path / "run")
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     (elsewhere / "years").write_text("of work")
-    (run.path / "scene").symlink_to(elsewhere)
-    run.step("scene", {}, lambda: (run.path / "scene").mkdir(), ("scene",))
+    (run.path / "scenes").mkdir()
+    (run.path / "scenes" / "recast").symlink_to(elsewhere)
+    run.refer(run.store(), {"scene/recast": make(run)})
+    assert [path.name for path in elsewhere.iterdir()] == ["years"]
     assert (elsewhere / "years").read_text() == "of work"
-    assert not (run.path / "scene").is_symlink()
+    assert (run.path / "scenes" / "recast" / "file.txt").read_text() == "whole"
 
 
 DAMAGED = ["", "[]", "{}", "null", "[" * 5000, "1" * 5000, '{"version": 1}', "\x00", "NaN"]
 
 
 @pytest.mark.parametrize("text", DAMAGED)
-@pytest.mark.parametrize("name", ["run.json", "steps/a.json", "timings.json"])
+@pytest.mark.parametrize("name", ["run.json", "store.json", "artefact.json", "users"])
 def test_a_damaged_record_is_one_line_that_names_it(tmp_path: Path, name: str, text: str) -> None:
     run = start(tmp_path / "run")
-    run.step("a", {}, lambda: None)
-    assert run.timings().keys() == {"a"}
-    (run.path / name).write_text(text)
-    if (name, text) == ("timings.json", '{"version": 1}'):
-        assert run.timings() == {}  # which is what it says
-        return
+    made = make(run)
+    run.refer(run.store(), {"scene/recast": made})
+    [user] = (tmp_path / "store" / "users").iterdir()
+    path = {
+        "run.json": run.path / "run.json", "store.json": tmp_path / "store" / "store.json",
+        "artefact.json": made.folder / "artefact.json", "users": user,
+    }[name]  # fmt: skip
+    path.write_text(text)
     with pytest.raises(InputError) as caught:
         again = start(run.path)
-        again.step("a", {}, lambda: None)
-        again.timings()
-    assert caught.value.where == str(run.path / name)
+        again.artefact(again.store(), "scene/recast")
+        again.store().unused()
+    assert caught.value.where == str(path)
 
 
-@pytest.mark.parametrize("member", ["log", "config", "versions"])
+@pytest.mark.parametrize("reference", ["../../../victim", "scenes/..", "scenes/", "x/y", "", "\0"])
+def test_a_reference_never_leads_out_of_the_store(tmp_path: Path, reference: str) -> None:
+    run = start(tmp_path / "run")
+    run.refer(run.store(), {"scene/recast": make(run)})
+    record = storage.read_json(run.path / "run.json")
+    record["artefacts"]["scene/recast"] = reference
+    storage.write_json(run.path / "run.json", record)
+    with pytest.raises(InputError, match="reference: is none"):
+        again = start(run.path)
+        again.artefact(again.store(), "scene/recast")
+
+
+@pytest.mark.parametrize("member", ["log", "config", "store", "versions"])
 def test_a_record_that_lacks_a_member_says_which(tmp_path: Path, member: str) -> None:
     run = start(tmp_path / "run")
     record = run.record.model_dump()
-    for faulty in ({**record, member: 5}, {k: v for k, v in record.items() if k != member}):
+    for faulty in ({**record, member: [5]}, {k: v for k, v in record.items() if k != member}):
         (run.path / "run.json").write_text(json.dumps(faulty))
         with pytest.raises(InputError) as caught:
             start(run.path)
         assert caught.value.field == member
-
-
-def test_an_old_time_does_not_stand_in_the_way(tmp_path: Path) -> None:
-    run = start(tmp_path / "run")
-    run.step("a", {}, lambda: None)
-    run.step("b", {}, lambda: None)
-    run.step("a", {"x": 1}, lambda: None)
-    assert sorted(run.timings()) == ["a", "b"]
 
 
 def test_a_start_that_was_killed_at_once_is_begun_again(tmp_path: Path) -> None:

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from recast import storage
 from recast.cli.main import main
+from recast.core import Artefact, Store
 from recast.pipeline import sources
+from support.moments import forked
 
 PLANNER = """
 from beside_planner import SHARE
@@ -53,19 +59,49 @@ def code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str]
     return write
 
 
-def steps_made(out: Path, command: list[str]) -> Run:
-    """The steps that a command makes, by their markers, each time it is run."""
+def made_by(out: Path, command: list[str]) -> Run:
+    """What a command makes each time it is run: uses of new artefacts, and its own files."""
+    store = out.parent / "store"
+
+    def folders() -> set[str]:
+        return {path.parent.name for path in store.rglob("artefact.json")}
+
+    def files() -> dict[str, int]:
+        found = (*out.glob("metrics.json"), *out.glob("report/index.html"))
+        return {path.relative_to(out).parts[0]: path.stat().st_mtime_ns for path in found}
 
     def run() -> set[str]:
-        before = {path: path.stat().st_mtime_ns for path in out.rglob("steps/*.json")}
+        before, written = folders(), files()
         assert main(command) == 0
-        after = {path: path.stat().st_mtime_ns for path in out.rglob("steps/*.json")}
-        return {path.stem for path, time in after.items() if before.get(path) != time}
+        new = folders() - before
+        runs = [storage.read_json(path)["artefacts"] for path in out.rglob("run.json")]
+        uses = [(use, key.split("/")[1]) for artefacts in runs for use, key in artefacts.items()]
+        assert new <= {key for _, key in uses}, "all that was made is used"
+        return {use for use, key in uses if key in new} | {
+            name for name, time in files().items() if written.get(name) != time
+        }
 
     return run
 
 
-ROLLOUTS = {"rollout-advancing-a-native", "rollout-advancing-a-replaced"}
+def rollouts(planner: str, *motions: str) -> set[str]:
+    return {
+        f"rollout/{motion}/{planner}/{arm}"
+        for motion in motions or ("advancing-a",)
+        for arm in ("native", "replaced")
+    }
+
+
+MINE = rollouts("my_planner:Mine")
+SCENE = {"scene/recast", "evaluation/recast"}
+VEHICLE = {"registered/replaced", "actor/replaced", "turntable/replaced"}
+OWN = {"metrics.json", "report"}
+
+
+def options(log: Path, out: Path, *more: str, track: str = "0") -> list[str]:
+    command = ["run", str(log), "--track", track, "--out", str(out), "--threads", "1"]
+    command += ["--steps", "10", "--iterations", "4", "--scale", "1"]  # track 1 is seen well
+    return [*command, "--generator", "my_generator:Mine", *more]
 
 
 def test_a_run_makes_again_what_was_edited_and_what_follows(
@@ -74,31 +110,110 @@ def test_a_run_makes_again_what_was_edited_and_what_follows(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("recast.pipeline.actor._TURNTABLE_VIEWS", 2)
-    out = tmp_path / "run"
-    command = ["run", str(tiny_log_folder), "--track", "0", "--out", str(out), "--threads", "1"]
-    command += ["--motion", "advancing-a", "--steps", "10", "--iterations", "4", "--scale", "0.5"]
-    command += ["--planner", "my_planner:Mine", "--generator", "my_generator:Mine"]
-    run = steps_made(out, command)
-    assert run() == {"actor", "scene", "refine", "evaluation", "metrics", "report"} | ROLLOUTS
+    out, log = tmp_path / "run", tiny_log_folder
+    asked = ("--motion", "advancing-a", "--planner", "my_planner:Mine")
+    run = made_by(out, options(log, out, *asked))
+    assert run() == SCENE | VEHICLE | MINE | OWN
     assert run() == set()
     first = json.loads((out / "metrics.json").read_text())["rollouts"]
 
     code("my_planner", PLANNER + "# a remark\n")
-    assert run() == ROLLOUTS | {"metrics", "report"}
+    assert run() == MINE | OWN
     assert json.loads((out / "metrics.json").read_text())["rollouts"] == first
 
     code("beside_planner", "SHARE = 0.5\n")  # a module that the planner's imports
-    assert run() == ROLLOUTS | {"metrics", "report"}
+    assert run() == MINE | OWN
     slower = json.loads((out / "metrics.json").read_text())["rollouts"]
     assert slower != first, "the new planner drove"
 
+    code("beside_planner", "SHARE = 1.0\n")  # as before: what it made then is still there
+    assert run() == OWN
+    assert json.loads((out / "metrics.json").read_text())["rollouts"] == first
+
     code("my_generator", GENERATOR.replace("first", "second"))
-    assert run() == {"actor", "refine", "rollout-advancing-a-replaced", "metrics", "report"}
+    replaced = {use for use in MINE if use.endswith("/replaced")}
+    assert run() == VEHICLE | replaced | OWN
 
     monkeypatch.setitem(sources.RECIPES, "metrics", sources.RECIPES["metrics"] + 1)
-    assert run() == {"metrics", "report"}
+    assert run() == {"metrics.json"}
     assert run() == set()
+
+    # Other runs beside it train nothing, whatever they ask of the same street.
+    def other(name: str, *more: str, track: str = "0") -> set[str]:
+        made = made_by(tmp_path / name, options(log, tmp_path / name, *more, track=track))()
+        assert made >= OWN
+        return made - OWN
+
+    idm = rollouts("idm-follower")
+    assert other("planner", "--motion", "advancing-a") == idm
+    assert other("both", *asked, "--planner", "idm-follower") == set()
+    motions = rollouts("idm-follower", "advancing-b")
+    assert other("motion", "--motion", "advancing-a", "--motion", "advancing-b") == motions
+    assert other("track", "--motion", "advancing-a", track="1") == VEHICLE | idm
+    scene = ("--scene", str((out / "scenes" / "recast").resolve()))
+    taken = SCENE | VEHICLE - {"registered/replaced"} | idm
+    assert other("scene", "--motion", "advancing-a", *scene) == taken
+    trained = [one for one in Store(tmp_path / "store").artefacts() if one.record.kind == "scenes"]
+    assert sum("config" in one.record.inputs for one in trained) == 1
+
+
+def test_a_run_and_its_store_go_on_elsewhere(
+    code: Callable[[str, str], None],
+    tiny_log_folder: Path,
+    tmp_path: Path,
+) -> None:
+    """Copied together, with or without their links; the report is written there, too."""
+    first, log = tmp_path / "first" / "run", tiny_log_folder
+    asked = ("--motion", "advancing-a", "--arm", "native")
+    assert main(options(log, first, *asked)) == 0
+    page = (first / "report" / "index.html").read_bytes()
+    for number, symlinks in enumerate((True, False)):
+        folder = tmp_path / str(number)
+        shutil.copytree(first.parent, folder, symlinks=symlinks)
+        out = folder / "run"
+        shutil.rmtree(out / "report")
+        assert main(["report", str(out)]) == 0
+        assert (out / "report" / "index.html").read_bytes() == page
+        assert made_by(out, options(log, out, *asked))() == set()
+    shutil.rmtree(first.parent)
+    code("my_planner", PLANNER)
+    out = tmp_path / "0" / "other"
+    run = made_by(out, options(log, out, *asked, "--planner", "my_planner:Mine"))
+    assert run() == {"rollout/advancing-a/my_planner:Mine/native"} | OWN
+    shutil.rmtree(tmp_path / "1" / "store")
+    assert main(["report", str(tmp_path / "1" / "run")]) == 2
+
+
+def test_two_runs_at_once_make_nothing_twice(tiny_log_folder: Path, tmp_path: Path) -> None:
+    """One store, one process each: the slower waits for what the other is making."""
+    log, store = tiny_log_folder, tmp_path / "store"
+    numbers = []
+    for name in ("one", "two"):
+        command = options(log, tmp_path / name, "--motion", "advancing-a", "--store", str(store))
+        command += ["--generator", "faults.parts:Box"]
+        notes = tmp_path / f"{name}.notes"
+
+        def work(command: list[str] = command, notes: Path = notes) -> None:
+            made, make = [], Store._made
+
+            def noted(self: Store, kind: str, key: str, *more: Any) -> Artefact:
+                made.append(f"{kind}/{key}")
+                return make(self, kind, key, *more)
+
+            Store._made = noted  # type: ignore[method-assign]
+            assert main(command) == 0
+            notes.write_text("\n".join(made))
+
+        numbers.append(forked(work))
+    assert [os.waitpid(number, 0)[1] for number in numbers] == [0, 0]
+    made = [line for name in ("one", "two") for line in (tmp_path / f"{name}.notes").open()]
+    references = [line.strip() for line in made]
+    assert sorted(references) == sorted({one.reference for one in Store(store).artefacts()})
+    assert len(references) == 7
+    first, second = (storage.read_json(tmp_path / n / "run.json") for n in ("one", "two"))
+    assert first["artefacts"] == second["artefacts"]
+    for name in ("metrics.json", "report/index.html"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
 def test_a_grid_makes_the_rollouts_of_an_edited_planner_again(
@@ -107,16 +222,39 @@ def test_a_grid_makes_the_rollouts_of_an_edited_planner_again(
     out = tmp_path / "grid"
     command = ["bench", "closed-loop", "--scenes", f"{tiny_log_folder}:0", "--out", str(out)]
     command += ["--motions", "advancing-a", "--steps", "10", "--samples", "100"]
-    run = steps_made(out, [*command, "--planner", "my_planner:Mine"])
-    assert run() == ROLLOUTS | {"metrics"}
+    run = made_by(out, [*command, "--planner", "my_planner:Mine"])
+    assert run() == MINE
     assert run() == set()
     first = (out / "results.json").read_bytes()
     code("beside_planner", "SHARE = 0.5\n")
-    assert run() == ROLLOUTS | {"metrics"}
+    assert run() == MINE
     assert (out / "results.json").read_bytes() != first
     code("beside_planner", "SHARE = 1.0\n")
-    assert run() == ROLLOUTS | {"metrics"}
+    assert run() == set(), "these are still there"
     assert (out / "results.json").read_bytes() == first
+
+
+def test_a_planner_that_is_edited_while_a_grid_runs_counts_as_the_older_one(
+    code: Callable[[str, str], None], tiny_log_folder: Path, tmp_path: Path
+) -> None:
+    """The process goes on with the code that it loaded; the next grid uses the new one."""
+    edited = PLANNER + "# a remark\n"
+    file = tmp_path / "code" / "my_planner.py"
+    edits = (
+        f"    def plan(self, observation):\n        open({str(file)!r}, 'w').write({edited!r})\n"
+    )
+    code("my_planner", PLANNER.replace("    def plan(self, observation):\n", edits))
+    out = tmp_path / "grid"
+    scenes = [f"{tiny_log_folder}:{track}" for track in ("0", "1")]
+    command = ["bench", "closed-loop", "--scenes", *scenes, "--out", str(out)]
+    command += ["--motions", "advancing-a", "--steps", "10", "--samples", "100"]
+    run = made_by(out, [*command, "--planner", "my_planner:Mine"])
+    assert run() == MINE
+    assert file.read_text() == edited
+    code("my_planner", edited)
+    before = len(list((tmp_path / "store" / "rollouts").glob("[!.]*")))
+    assert run() == MINE
+    assert len(list((tmp_path / "store" / "rollouts").glob("[!.]*"))) == 2 * before == 8
 
 
 def test_names_of_built_in_parts_stand_for_themselves() -> None:

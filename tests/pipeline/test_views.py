@@ -20,9 +20,8 @@ def resolve(views: int | None) -> RunConfig:
     return resolve_config("0", (), None, None, {"views": views}, {})
 
 
-def test_runs_from_before_go_on() -> None:
-    assert resolve(None).views == 1
-    assert "views" not in resolve(None).resolved()
+def test_one_view_is_the_default_and_the_record_says_so() -> None:
+    assert resolve(None).resolved()["views"] == 1
     assert resolve(4).resolved()["views"] == 4
 
 

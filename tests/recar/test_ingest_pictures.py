@@ -22,8 +22,9 @@ from recast.actors.grounded_cutout import central_detection
 from recast.errors import InputError
 from recast.recar import read_set
 from recast.recar.ingest import DUPLICATE_BITS, ingest_photographs, perceptual_hash
-from recast.recar.ingest.perceptual_hash import SeenPictures, distances, ones, ones_by_table
+from recast.recar.ingest.perceptual_hash import distances, ones, ones_by_table
 from recast.recar.ingest.photograph import fit, natural_order, photograph_size, read_photograph
+from recast.recar.ingest.seen_pictures import SeenPictures
 
 from .photographs import SETTINGS, car_before_a_wall, over_wall, photograph, write_photos
 from .sets import write_set

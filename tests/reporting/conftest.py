@@ -48,28 +48,28 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> ReportInputs:
     folder = tmp_path_factory.mktemp("run")
     hd_map = straight_map()
     films = {}
-    for method in ("native", "recast"):
-        films[method] = folder / f"{method}.mp4"
-        write_video(films[method], [noise(48, 96, 3)] * 3)
+    for arm in ("native", "recast"):
+        films[arm] = folder / f"{arm}.mp4"
+        write_video(films[arm], [noise(48, 96, 3)] * 3)
     driven = {
         "native": cut_in("native", steps=STEPS),
         "recast": cut_in("recast", steps=STEPS, brake=1.5, cut=False),
     }
     parts = tuple(
         RolloutPart(
-            method,
+            arm,
             rollout,
             rollout_metrics(rollout, hd_map),
-            {f"front{HOSTILE}": films[method]},
-            COVERAGE if method == "recast" else None,
+            {f"front{HOSTILE}": films[arm]},
+            COVERAGE if arm == "recast" else None,
         )
-        for method, rollout in driven.items()
+        for arm, rollout in driven.items()
     )
     failure = RolloutFailure("s", "native", "0", "stationary", "a", "idm", "ValueError", HOSTILE)
     return ReportInputs(
         title=f"Track 0 {HOSTILE}",
         log=f"log {HOSTILE}",
-        methods={"native": "Native", "recast": f"Replaced {HOSTILE}"},
+        arms={"native": "Native", "recast": f"Replaced {HOSTILE}"},
         facts=(Fact(f"Planner {HOSTILE}", f"idm {HOSTILE}", f"help {HOSTILE}"),),
         actor=ActorPart(
             name=f"track 0 {HOSTILE}",

@@ -39,7 +39,7 @@ def straight_map(length: float = 160.0, lane_width: float = 3.6) -> HdMap:
 
 
 def cut_in(
-    method: str = "native", *, brake: float = 0.0, steps: int = 80, cut: bool = True
+    arm: str = "native", *, brake: float = 0.0, steps: int = 80, cut: bool = True
 ) -> Rollout:
     """An ego at 9 m/s that brakes by `brake` m/s^2; an actor ahead that moves into its lane."""
     dt = 0.1
@@ -66,8 +66,8 @@ def cut_in(
         t = np.minimum(ahead, stop)
         predictions[n, :, 0] = speed[k] * t - brake * t**2 / 2
     return Rollout(
-        name=f"cut-in-a-{method}",
-        method=method,
+        name=f"cut-in-a-{arm}",
+        arm=arm,
         track_id="0",
         motion="cut-in",
         setting="a",

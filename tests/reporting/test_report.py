@@ -85,7 +85,7 @@ def test_every_part_is_on_the_page(report: Path) -> None:
         assert words in page.text, words
     assert sum(tag == "svg" for tag, _ in page.tags) == 4 + 1  # curves, and what was shown
     films = [a for tag, a in page.tags if tag == "video"]
-    assert len(films) == 1 + 2 + 2  # turntable, a camera and a bird's-eye view a method
+    assert len(films) == 1 + 2 + 2  # turntable, a camera and a bird's-eye view an arm
 
 
 def test_the_folder_is_self_contained(report: Path) -> None:
@@ -182,7 +182,7 @@ def test_a_report_of_nothing_is_a_report(tmp_path: Path) -> None:
 def test_an_unknown_method_is_refused_before_anything_is_written(tmp_path: Path) -> None:
     part = RolloutPart("other", NotMade())
     run = ReportInputs("t", "log", {"native": "N"}, scenarios=(ScenarioPart("s", "", (part,)),))
-    with pytest.raises(ValueError, match=r"rollouts\[0\]\.method: 'other'"):
+    with pytest.raises(ValueError, match=r"rollouts\[0\]\.arm: 'other'"):
         write_report(run, tmp_path / "report")
     assert not (tmp_path / "report").exists()
 

@@ -15,7 +15,7 @@ from recast.reporting.summary import headline, outcomes, rollout_events
 from recast.simulation import RolloutFailure
 from reporting.made_up_rollouts import cut_in, straight_map
 
-METHODS = {"native": "Native", "recast": "Replaced"}
+ARMS = {"native": "Native", "recast": "Replaced"}
 
 
 def scenario(setting: str = "a") -> ScenarioPart:
@@ -23,7 +23,7 @@ def scenario(setting: str = "a") -> ScenarioPart:
     for rollout in (cut_in("native", steps=40), cut_in("recast", steps=40, brake=1.5, cut=False)):
         rollout = dataclasses.replace(rollout, setting=setting)
         metrics = rollout_metrics(rollout, straight_map())
-        parts.append(RolloutPart(rollout.method, rollout, metrics))
+        parts.append(RolloutPart(rollout.arm, rollout, metrics))
     return ScenarioPart("Cut-in", "", tuple(parts))
 
 
@@ -55,7 +55,7 @@ def test_without_a_map_dac_has_no_number_but_a_reason() -> None:
 
 def test_aggregate_counts_and_differences() -> None:
     scenarios = [scenario("a"), scenario("b")]
-    native, recast, difference = tables.aggregate_lines(scenarios, METHODS)
+    native, recast, difference = tables.aggregate_lines(scenarios, ARMS)
     assert cell(native, "nc").text == "0 of 2"
     assert cell(recast, "nc").text == "2 of 2"
     assert cell(difference, "nc").text == "+100.0\u00a0points"
@@ -73,7 +73,7 @@ def test_failed_and_cut_rollouts_are_told_and_pairs_end_together() -> None:
         ScenarioPart("b", "", (part("native", "b", 20), part("recast", "b", 40))),
         ScenarioPart("c", "", (RolloutPart("native", failure), part("recast", "c", 40))),
     ]
-    native, recast, difference = tables.aggregate_lines(scenarios, METHODS)
+    native, recast, difference = tables.aggregate_lines(scenarios, ARMS)
     assert (
         native.sub == "idm-lane-follower; 2 of 3 rollouts scored, 12 plans, 2 cut short, 1 failed"
     )
@@ -82,13 +82,13 @@ def test_failed_and_cut_rollouts_are_told_and_pairs_end_together() -> None:
     # a: +1; b: neither has a contact in the first 20 steps
     assert cell(difference, "nc").text == "+50.0\u00a0points"
     assert difference.sub == "mean over 2 of 3 pairs, 12 plans each, 1 up to where one was cut"
-    told = " ".join(headline(ReportInputs("t", "drive 13", METHODS, scenarios=tuple(scenarios))))
+    told = " ".join(headline(ReportInputs("t", "drive 13", ARMS, scenarios=tuple(scenarios))))
     assert "Native: 1 of 2 (2 cut short, 1 failed)" in told
 
 
-def part(method: str, setting: str, steps: int) -> RolloutPart:
-    rollout = dataclasses.replace(cut_in(method, steps=steps), setting=setting)
-    return RolloutPart(method, rollout, rollout_metrics(rollout, straight_map()))
+def part(arm: str, setting: str, steps: int) -> RolloutPart:
+    rollout = dataclasses.replace(cut_in(arm, steps=steps), setting=setting)
+    return RolloutPart(arm, rollout, rollout_metrics(rollout, straight_map()))
 
 
 def test_events_name_time_and_cause() -> None:
@@ -104,7 +104,7 @@ def test_events_name_time_and_cause() -> None:
 
 
 def test_outcomes_headline_and_checks() -> None:
-    run = ReportInputs("t", "drive 13", METHODS, scenarios=(scenario(),), hd_map=straight_map())
+    run = ReportInputs("t", "drive 13", ARMS, scenarios=(scenario(),), hd_map=straight_map())
     [(title, (native, recast))] = outcomes(run)
     assert title == "Cut-in"
     assert native.tone == "bad" and native.text == "contact at 2.3 s; cut at 4.0 s"
@@ -118,31 +118,31 @@ def test_outcomes_headline_and_checks() -> None:
 
 
 def with_truth() -> tuple[ReportInputs, ScenarioPart]:
-    """Both methods and a truth that drives as the second does, only a little harder."""
+    """Both arms and a truth that drives as the second does, only a little harder."""
     first = scenario()
     rollout = cut_in("oracle", steps=40, brake=1.6, cut=False)
     truth = RolloutPart("oracle", rollout, rollout_metrics(rollout, straight_map()))
     part = dataclasses.replace(first, rollouts=(*first.rollouts, truth))
-    methods = {**METHODS, "oracle": "truth"}
-    return ReportInputs("t", "l", methods, scenarios=(part,), truth_method="oracle"), part
+    arms = {**ARMS, "oracle": "truth"}
+    return ReportInputs("t", "l", arms, scenarios=(part,), truth_arm="oracle"), part
 
 
 def test_same_driving_is_noticed() -> None:
-    assert driving_note(scenario(), METHODS) is None
+    assert driving_note(scenario(), ARMS) is None
     first = scenario().rollouts[0]
-    twin = dataclasses.replace(first, method="recast")
-    note = driving_note(ScenarioPart("Cut-in", "", (first, twin)), METHODS)
-    assert note is not None and "exactly alike with all methods" in note
-    assert driving_note(ScenarioPart("Cut-in", "", (first,)), METHODS) is None
+    twin = dataclasses.replace(first, arm="recast")
+    note = driving_note(ScenarioPart("Cut-in", "", (first, twin)), ARMS)
+    assert note is not None and "exactly alike with all arms" in note
+    assert driving_note(ScenarioPart("Cut-in", "", (first,)), ARMS) is None
     run, part = with_truth()
-    alike = dataclasses.replace(part.rollouts[1], method="oracle")
+    alike = dataclasses.replace(part.rollouts[1], arm="oracle")
     some = dataclasses.replace(part, rollouts=(*part.rollouts[:2], alike))
-    assert driving_note(some, run.methods) == "The ego drove exactly alike with Replaced and truth."
+    assert driving_note(some, run.arms) == "The ego drove exactly alike with Replaced and truth."
 
 
 def test_the_truth_measures_and_is_not_judged() -> None:
     run, part = with_truth()
-    *_, between, native, recast = tables.aggregate_lines([part], run.methods, "oracle")
+    *_, between, native, recast = tables.aggregate_lines([part], run.arms, "oracle")
     assert between.label == "Replaced minus Native"
     assert native.label == "Native minus truth" and recast.label == "Replaced minus truth"
     assert (native.sub or "").startswith("gap to the truth")
@@ -164,13 +164,13 @@ def test_gap_to_the_truth_is_the_distance_between_the_egos() -> None:
     told = truth_gaps(run, part)
     assert told is not None
     assert f"Native {away.mean():.2f} m on average, {away.max():.2f} m at most" in told
-    assert truth_gaps(dataclasses.replace(run, truth_method=None), part) is None
+    assert truth_gaps(dataclasses.replace(run, truth_arm=None), part) is None
 
 
 def test_plots_are_the_same_twice_and_take_the_page_s_colours() -> None:
     curves = [
-        plots.Curves("Native", palette.method_colour(0), series(cut_in(steps=30)), np.full(6, 4.0)),
-        plots.Curves("Replaced", palette.method_colour(1), series(cut_in(steps=20)), None),
+        plots.Curves("Native", palette.arm_colour(0), series(cut_in(steps=30)), np.full(6, 4.0)),
+        plots.Curves("Replaced", palette.arm_colour(1), series(cut_in(steps=20)), None),
     ]
     first, second = (plots.rollout_plots("a", curves) for _ in range(2))
     assert first == second

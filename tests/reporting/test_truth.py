@@ -29,7 +29,8 @@ from recast.storage import write_json
 from reporting.made_up_rollouts import HOSTILE, cut_in, straight_map
 from reporting.test_report import Page
 
-METHODS = {"native": "native actor", "replaced": f"replaced {HOSTILE}", "oracle": "truth (oracle)"}
+SIDES = {"baseline": "native", "candidate": "replaced", "truth": "oracle"}
+ARMS = {"native": "native actor", "replaced": f"replaced {HOSTILE}", "oracle": "truth (oracle)"}
 
 
 def made_up_views() -> OracleViews:
@@ -52,24 +53,24 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     views = made_up_views()
     write_json(out / "oracle_views.json", views.to_json())
     names = [view.picture for view in views.views]
-    for i, name in enumerate([*names, *(f"showcase_{s}.png" for s in ("native", "replaced"))]):
+    for i, name in enumerate([*names, *(f"showcase_{s}.png" for s in ("baseline", "candidate"))]):
         Image.fromarray(np.full((20, 30, 3), 20 * i, np.uint8)).save(out / name)
     return out  # without showcase_truth.png
 
 
 @pytest.fixture(scope="module")
 def run(folder: Path) -> ReportInputs:
-    show, truth = truth_parts(folder, METHODS)
+    show, truth = truth_parts(folder, ARMS, **SIDES)
     film = folder / "film.mp4"
     write_video(film, [np.zeros((48, 96, 3), np.uint8)] * 3)
     parts = []
-    for method, brake in (("native", 0.0), ("replaced", 1.4), ("oracle", 1.5)):
-        rollout = cut_in(method, steps=30, brake=brake, cut=False)
+    for arm, brake in (("native", 0.0), ("replaced", 1.4), ("oracle", 1.5)):
+        rollout = cut_in(arm, steps=30, brake=brake, cut=False)
         metrics = rollout_metrics(rollout, straight_map())
-        parts.append(RolloutPart(method, rollout, metrics, {"front": film}))
+        parts.append(RolloutPart(arm, rollout, metrics, {"front": film}))
     return ReportInputs(
-        "t", "log", METHODS, scenarios=(ScenarioPart("Cut-in", "", tuple(parts)),),
-        truth_method="oracle", showcase=show, truth=truth,
+        "t", "log", ARMS, scenarios=(ScenarioPart("Cut-in", "", tuple(parts)),),
+        truth_arm="oracle", showcase=show, truth=truth,
     )  # fmt: skip
 
 
@@ -133,7 +134,9 @@ def test_the_checks_ask_for_the_replaced_actor_to_be_nearer(run: ReportInputs) -
     by_name = {check.name: check for check in checks(run)}
     assert by_name["Mask IoU, 60° and more from the log"].tone == "good"
     views = made_up_views()
-    worse = tuple(dataclasses.replace(v, native=v.replaced, replaced=v.native) for v in views.views)
+    worse = tuple(
+        dataclasses.replace(v, baseline=v.candidate, candidate=v.baseline) for v in views.views
+    )
     summary = summarise(worse, np.random.default_rng(0))
     truth = dataclasses.replace(run.truth, views=dataclasses.replace(views, summary=summary))
     by_name = {check.name: check for check in checks(dataclasses.replace(run, truth=truth))}
@@ -164,15 +167,15 @@ def test_a_showcase_of_one_s_own(tmp_path: Path) -> None:
 
 
 def test_an_unknown_truth_is_refused(tmp_path: Path) -> None:
-    run = ReportInputs("t", "log", {"native": "N"}, truth_method="oracle")
-    with pytest.raises(ValueError, match="truth_method: 'oracle'"):
+    run = ReportInputs("t", "log", {"native": "N"}, truth_arm="oracle")
+    with pytest.raises(ValueError, match="truth_arm: 'oracle'"):
         write_report(run, tmp_path / "report")
 
 
 def test_methods_that_were_not_driven_have_names_all_the_same(folder: Path) -> None:
-    show, truth = truth_parts(folder, {"replaced": "mine"})
-    assert list(show.pictures) == ["native actor", "mine", "truth"]
-    assert truth.colours == {"native": 1, "replaced": 0}
+    show, truth = truth_parts(folder, {"replaced": "mine"}, **SIDES)
+    assert list(show.pictures) == ["street's own actor", "mine", "truth"]
+    assert truth.colours == {"baseline": 1, "candidate": 0}
 
 
 def test_a_truth_alone_is_compared_with_nothing(tmp_path: Path) -> None:
@@ -180,7 +183,7 @@ def test_a_truth_alone_is_compared_with_nothing(tmp_path: Path) -> None:
     part = RolloutPart("oracle", rollout, rollout_metrics(rollout, straight_map()))
     run = ReportInputs(
         "t", "log", {"oracle": "truth"}, scenarios=(ScenarioPart("Cut-in", "", (part,)),),
-        truth_method="oracle",
+        truth_arm="oracle",
     )  # fmt: skip
     assert "minus" not in Page(write_report(run, tmp_path / "report")).text.split("What the")[0]
 

@@ -9,7 +9,7 @@ from recast.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, Trajectory
 from recast.scene.config import SceneConfig
-from recast.scene.dynamic import choose_actors, pose_at
+from recast.scene.dynamic import choose_actors, modelled_tracks, pose_at, stands
 from recast.scene.initialise import Initialisation, initialise
 from recast.scene.lidar import depth_samples, read_sweeps
 from recast.scene.views import View, read_views
@@ -126,13 +126,50 @@ def test_forced_and_excluded_tracks(tiny_log: DrivingLog, views: list[View]) -> 
     def ids(**fields: object) -> set[str]:
         return set(choose_actors(tiny_log, views, CONFIG.model_copy(update=fields)))
 
-    assert ids() == {"0"}
-    assert ids(force_dynamic=("1",)) == {"0", "1"}
-    assert ids(exclude_tracks=("0",)) == set()
+    assert ids() == {"0", "1"}
+    assert ids(exclude_tracks=("0",)) == {"1"}
+    assert ids(exclude_tracks=("0", "1")) == set()
     with pytest.raises(InputError, match="track 9"):
         ids(force_dynamic=("9",))
     with pytest.raises(InputError, match="track 8"):
         ids(exclude_tracks=("8",))
+
+
+def test_a_parked_vehicle_stands_at_the_median_of_its_labels(
+    tiny_log: DrivingLog, views: list[View]
+) -> None:
+    labels = tiny_log.tracks["1"].trajectory
+    noisy = labels.poses.copy()
+    noisy[:, 0, 3] += np.where(np.arange(len(noisy)) % 3 == 0, 0.3, 0.0)
+    track = replace(tiny_log.tracks["1"], trajectory=Trajectory(labels.timestamps_us, noisy))
+    log = replace(tiny_log, tracks={**tiny_log.tracks, "1": track})
+    standing = choose_actors(log, views, CONFIG)["1"].trajectory
+    assert stands(standing) and not stands(track.trajectory)
+    assert standing.timestamps_us.tolist() == log.world_from_rig.timestamps_us[[0, -1]].tolist()
+    assert np.allclose(standing.poses[0, :3, 3], np.median(noisy[:, :3, 3], axis=0))
+
+
+@pytest.mark.parametrize("fault", ["brief", "far", "hidden", "walks"])
+def test_what_was_not_seen_well_stays_background(
+    tiny_log: DrivingLog, views: list[View], fault: str
+) -> None:
+    track, lidars = tiny_log.tracks["1"], tiny_log.lidars
+    times, poses = track.trajectory.timestamps_us, track.trajectory.poses.copy()
+    if fault == "brief":
+        kept = times - times[0] < 900_000
+        times, poses = times[kept], poses[kept]
+    elif fault == "far":
+        poses[:, 0, 3] += 400.0
+    elif fault == "hidden":  # no LiDAR point in its box
+        poses[:, 2, 3] += 2.5
+    category = "pedestrian" if fault == "walks" else track.category
+    changed = replace(track, category=category, trajectory=Trajectory(times, poses))
+    log = replace(tiny_log, lidars=lidars, tracks={**tiny_log.tracks, "1": changed})
+    assert set(choose_actors(log, views, CONFIG)) == {"0"}
+    assert "1" not in modelled_tracks(log, CONFIG) and "1" in modelled_tracks(tiny_log, CONFIG)
+    forced = CONFIG.model_copy(update={"force_dynamic": ("1",)})
+    if fault != "far":
+        assert set(choose_actors(log, views, forced)) == {"0", "1"}
 
 
 def test_a_forced_track_that_is_never_visible(tiny_log: DrivingLog, views: list[View]) -> None:

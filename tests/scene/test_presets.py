@@ -8,7 +8,7 @@ import pytest
 
 from recast.errors import InputError
 from recast.scene import SceneConfig, read_config, resolve_config, write_config
-from recast.scene.presets import Preset, preset_values
+from recast.scene.presets import MOST_DEFORMATION_RATE, Preset, preset_values
 
 NAMES = get_args(Preset)
 
@@ -74,6 +74,15 @@ def test_files_and_options_go_before_the_preset(tmp_path: Path) -> None:
     assert config.fourier_terms == 5
     assert config.colours_lr == pytest.approx(2.5e-3)  # the file's number of steps counts
     assert resolve_config(None, read_config(path)).fourier_terms == 1
+
+
+def test_only_omnire_deforms_and_its_rate_rises_to_a_limit() -> None:
+    assert resolve_config("omnire").deformable and not SceneConfig().deformable
+    rates = [resolve_config("omnire", None, {"iterations": n}) for n in (30_000, 20_000, 1000)]
+    assert [one.deformation_lr for one in rates] == pytest.approx(
+        [8e-4, 8e-4 * 1.5**0.75, MOST_DEFORMATION_RATE]
+    )
+    assert not any(name.startswith("deform") for name in resolve_config("streetgs").resolved())
 
 
 def test_a_wrong_option_is_named() -> None:

@@ -37,7 +37,7 @@ def test_round_trip_is_exact(trained: TrainResult, tmp_path: Path) -> None:
     save_scene(scene, tmp_path / "scene")
     loaded = load_scene(tmp_path / "scene")
     assert same(loaded.background, scene.background)
-    assert list(loaded.actors) == ["0", "new/car"]
+    assert list(loaded.actors) == ["0", "1", "new/car"]
     for track_id, actor in loaded.actors.items():
         before = scene.actors[track_id]
         assert same(actor.gaussians, before.gaussians)

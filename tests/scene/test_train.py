@@ -10,7 +10,7 @@ import pytest
 
 from recast.errors import InputError
 from recast.logs import DrivingLog, ego_path, even_ground
-from recast.scene import TrainingStatus, TrainResult, train_scene
+from recast.scene import SceneRasterizer, TrainingStatus, TrainResult, train_scene
 from recast.scene.dynamic import choose_actors
 from recast.scene.ground_sheet import REACH_M, GroundSheet
 from recast.scene.lidar import read_sweeps
@@ -54,9 +54,32 @@ def test_training_raises_held_out_psnr(trained: TrainResult) -> None:
     assert held_out[-1] > 24.0
 
 
-def test_only_the_moving_track_becomes_an_actor(trained: TrainResult, tiny_log: DrivingLog) -> None:
-    assert set(tiny_log.tracks) == {"0", "1"}
-    assert set(trained.scene.actors) == {"0"}
+def test_moving_and_parked_tracks_become_actors(trained: TrainResult, tiny_log: DrivingLog) -> None:
+    assert set(trained.scene.actors) == set(tiny_log.tracks) == {"0", "1"}
+    parked = trained.scene.actors["1"].trajectory.poses
+    assert set(trained.scene.standing) == {"1"} and np.array_equal(parked[0], parked[1])
+
+
+def test_who_is_parked_is_drawn_unless_it_is_moved(
+    trained: TrainResult, tiny_log: DrivingLog
+) -> None:
+    view = read_views(tiny_log, TINY)[0]
+    scene = trained.scene
+    poses = scene.actor_poses(view.timestamp_us)
+    moving = {"0": poses["0"]}
+    rasterizer = SceneRasterizer(scene, "cpu")
+    drawn = [
+        rasterizer.render(view.camera, view.camera_from_world, named).rgb
+        for named in (poses, moving, {**moving, "1": poses["1"] + _aside(30.0)})
+    ]
+    assert np.array_equal(drawn[0], drawn[1]) and not np.array_equal(drawn[0], drawn[2])
+    assert len(scene.at(moving)) == len(scene.at(poses))
+
+
+def _aside(metres: float) -> np.ndarray:
+    shift = np.zeros((4, 4))
+    shift[1, 3] = metres
+    return shift
 
 
 def test_the_road_is_a_sheet(trained: TrainResult, tiny_log: DrivingLog) -> None:

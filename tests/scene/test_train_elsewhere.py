@@ -159,7 +159,9 @@ def test_a_scene_drawn_elsewhere_looks_the_same(trained: TrainResult, tiny_log: 
 
     mounts = {name: CameraMount(camera, stream.rig_from_camera)}
     track_id = next(iter(poses))
-    state: Any = SimpleNamespace(track_id=track_id, poses=poses, world_from_rig=rig)
+    state: Any = SimpleNamespace(
+        timestamp_us=time, actors={track_id: None}, poses=poses, world_from_rig=rig
+    )
     image = SceneRenderer(scene, mounts).render(state, [name])[name]
     assert image.dtype == np.uint8
     assert np.array_equal(image, np.rint(expected.rgb * 255).astype(np.uint8))

@@ -45,8 +45,8 @@ def test_failures_become_rows_and_the_rest_goes_on() -> None:
     assert "in plan\n" in failed.traceback
     assert failed.traceback.endswith("ZeroDivisionError: no road left\n")
     assert replace(failed, traceback="") == RolloutFailure(
-        name="cut-in-a-native",
-        method="native",
+        name="cut-in-a-scene",
+        arm="scene",
         track_id="7",
         motion="cut-in",
         setting="a",

@@ -15,7 +15,14 @@ from recast.planning import ConstantVelocity, Plan, PlannerInput
 from recast.planning.gtrs import nuplan_rig
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene
-from recast.simulation import MOTIONS, RolloutSetup, SimState, camera_mounts, run_rollout
+from recast.simulation import (
+    MOTIONS,
+    RolloutSetup,
+    SimActor,
+    SimState,
+    camera_mounts,
+    run_rollout,
+)
 from recast.simulation.lens_renderer import through_lenses
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.splats import Gaussians
@@ -121,6 +128,15 @@ def test_a_scene_without_the_actor_is_refused(scene: StreetScene) -> None:
     renderer = SceneRenderer(replace(scene, actors={}), camera_mounts(log_with_camera()))
     with pytest.raises(InputError, match="actor 7: has no model in the scene"):
         renderer.render(state(), ["front"])
+
+
+def test_further_controlled_actors_are_drawn_and_need_a_model(scene: StreetScene) -> None:
+    renderer = SceneRenderer(scene, camera_mounts(log_with_camera()))
+    further = SimActor(np.zeros(4), at(21.5, -4.0, 1.0))
+    both = replace(state(), further={"9": further})
+    assert renderer.render(both, ["front"])["front"][24, 48, 1] > 200
+    with pytest.raises(InputError, match="actor none: has no model in the scene; it has 7, 9"):
+        renderer.render(replace(state(), further={"none": further}), ["front"])
 
 
 def test_a_planner_that_names_nuplans_cameras_sees_the_scene_through_them(

@@ -23,7 +23,7 @@ def rollout() -> Rollout:
     actor[:, 3] = np.abs(actor[:, 3])
     return Rollout(
         name="cut-in-a",
-        method="native",
+        arm="native",
         track_id="0",
         motion="cut-in",
         setting="a",
@@ -122,7 +122,7 @@ def test_unfit_arrays_are_named(rollout: Rollout, field: str, value: object) -> 
 def test_another_version_is_refused(rollout: Rollout, tmp_path: Path) -> None:
     save_rollout(rollout, tmp_path / "r")
     header = json.loads((tmp_path / "r" / "rollout.json").read_text())
-    header["version"] = 2
+    header["version"] = 1
     (tmp_path / "r" / "rollout.json").write_text(json.dumps(header))
     with pytest.raises(InputError, match=r"rollout\.json: version"):
         load_rollout(tmp_path / "r")

@@ -181,10 +181,10 @@ def test_an_ego_at_the_end_of_the_road_is_refused() -> None:
 def test_the_actor_is_the_same_for_every_planner_method_and_controller() -> None:
     rollouts = [
         run_rollout(
-            RolloutSetup(drive(), "7", MOTIONS["cut-in-b"], method=method, controller=controller),
+            RolloutSetup(drive(), "7", MOTIONS["cut-in-b"], arm=arm, controller=controller),
             planner,
         )
-        for method, planner, controller in [
+        for arm, planner, controller in [
             ("native", LogReplay(), PerfectController()),
             (
                 "recast",
@@ -347,7 +347,7 @@ def test_what_is_no_plan(answer: object, message: str) -> None:
 
 def test_a_plan_that_takes_too_long_fails_the_rollout(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [0.0]
-    monkeypatch.setattr("recast.simulation.rollout_loop.perf_counter", lambda: clock[0])
+    monkeypatch.setattr("recast.simulation.plan_limit.perf_counter", lambda: clock[0])
 
     class Slow(Recorder):
         name = "slow"

@@ -9,7 +9,7 @@ from recast.simulation import MOTIONS, parse_motions, scenario_name
 
 
 def test_every_name_reads_back() -> None:
-    assert len(MOTIONS) == 12
+    assert len(MOTIONS) == 15
     for name, motion in MOTIONS.items():
         assert scenario_name(motion) == name
         assert parse_motions(name) == (motion,)

@@ -159,6 +159,9 @@ def test_the_built_in_numbers() -> None:
         "stationary-b": (35.0, 2.4, 6.0, 0.17, 0.3),
         "advancing-a": (5.0, 0.5),
         "advancing-b": (12.0, 0.65),
+        "log-replay-a": (),
+        "idm-a": (1.0, 1.5, 2.0, 0.0),
+        "idm-b": (0.7, 1.5, 2.0, 15.0, 0.0),
     }
 
 

@@ -68,9 +68,7 @@ def test_show_writes_what_can_run_and_names_what_cannot(tmp_path: Path) -> None:
     assert out.stat().st_size > 5000
     text = console.export_text()
     assert "oncoming-a" in text
-    assert (
-        "oncoming-b: refused: synthetic: rollout oncoming-b-native: the actor would leave" in text
-    )
+    assert "oncoming-b: refused: synthetic: rollout oncoming-b-scene: the actor would leave" in text
     with pytest.raises(InputError, match="the actor would leave"):
         show_scenarios(tmp_path / "log", ["oncoming-b"], "7", out, 50, console)
     with pytest.raises(InputError, match=r"is no PNG"):

@@ -20,6 +20,8 @@ from recast.errors import InputError
 Work = Callable[[], object]
 REMOVING = ("os.remove", "os.rmdir")
 _CHANGES = ("os.mkdir", "os.rename", "os.truncate", "os.link", "os.symlink", *REMOVING)
+_TWO_PATHS = ("os.rename", "os.link", "os.symlink")
+"""The second is the one that comes into being."""
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 
 
@@ -90,7 +92,7 @@ def changed(event: str, args: tuple[Any, ...], folder: Path) -> str | None:
         path, _, flags = args
         wanted = isinstance(flags, int) and flags & _WRITING
     elif event in _CHANGES:
-        path, wanted = args[1 if event == "os.rename" else 0], True
+        path, wanted = args[event in _TWO_PATHS], True
     else:
         return None
     if not wanted or not isinstance(path, str | bytes | os.PathLike):

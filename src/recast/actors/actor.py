@@ -14,6 +14,7 @@ from recast.actors.shares import Shares
 from recast.logs import Trajectory
 from recast.logs.checks import BOX_SIDE
 from recast.records import Record
+from recast.scene import StreetScene
 from recast.scene.light.sun import DIRECTIONS
 from recast.splats import Gaussians, LowPass
 
@@ -292,6 +293,12 @@ class Actor:
     shares: Shares | None = None
     trajectory: Trajectory | None = None
     sun: Array | None = None
+
+    def inserted_into(self, scene: StreetScene) -> StreetScene:
+        """The scene with this vehicle in its track's place; see `recast.actors.insert`."""
+        from recast.actors.insert import insert
+
+        return insert(scene, self)
 
     def validate(self) -> None:
         """Raise ValueError naming the field at fault."""

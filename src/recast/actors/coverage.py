@@ -84,6 +84,7 @@ class CoverageMeter:
         place = pick_device(device)
         vehicle = scene.actors[track_id]
         self._track_id, self._low_pass = track_id, vehicle.low_pass
+        self._standing = scene.standing
         coloured = ((shares.columns - 0.5) / C0)[:, None]
         self._vehicle = replace(vehicle.gaussians.detach(), sh=coloured).to(place)
         self._centre, self._size = _bounds(self._vehicle)
@@ -110,9 +111,11 @@ class CoverageMeter:
         Args:
             camera: rectified.
             camera_from_world: (4, 4).
-            poses: `world_from_actor` (4, 4) by track id of all that stand there.
+            poses: `world_from_actor` (4, 4) by track id; parked vehicles that it does not name
+                stand where they are.
             shown: (H, W), pixels that are not black whatever is there; all if None.
         """
+        poses = {**self._standing, **poses}
         camera_from_vehicle = np.asarray(camera_from_world) @ poses[self._track_id]
         box = camera_from_vehicle @ se3.from_rotation_translation(np.eye(3), self._centre)
         outline = boxes.project(self._size, box, camera)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from recast.actors.axes import AxisConvention
+from recast.actors.axes import AUTO, AxisConvention
 from recast.actors.observation import Observation
+from recast.errors import InputError
 from recast.parts import GENERATORS
 from recast.splats import CLASSIC, Gaussians, LowPass
 
@@ -61,11 +63,25 @@ def candidates_of(
     return [lambda: generator.generate(observation, seed)]
 
 
-def make_generator(name: str) -> ActorGenerator:
-    """Make the generator of that name.
+def make_generator(generator: str | Path | ActorGenerator, axes: str = AUTO) -> ActorGenerator:
+    """Make a generator, or return the one given.
+
+    Args:
+        generator: one of `GENERATORS.names()`; a PLY, GLB or OBJ file; "library:FOLDER"; the folder
+            of an image-to-3D model; "package.module:attribute"; or an `ActorGenerator`. See
+            `recast.plugins.Registry.resolve`.
+        axes: orientation of files or a model, see `recast.actors.axes_of`. With "auto", that of a
+            file is told from its shape, and models are z up with any heading.
 
     Raises:
-        InputError: there is no such generator.
+        InputError: no such generator, no such file, no such axes, or axes of a generator that knows
+            its own; or a model that cannot be loaded.
     """
-    generator: ActorGenerator = GENERATORS.load(name)()
-    return generator
+    options = {} if axes == AUTO else {"axes": axes}
+    if options and not GENERATORS.takes(generator, "axes"):
+        raise InputError(
+            "--axes", axes, f"is not for the generator {generator}, which knows its axes",
+            "leave it out",
+        )  # fmt: skip
+    made: ActorGenerator = GENERATORS.resolve(generator, **options)
+    return made

@@ -7,7 +7,13 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from recast.actors.axes import UNIT_CUBE_X_FORWARD, UNIT_CUBE_Z_UP, AxisConvention
+from recast.actors.axes import (
+    AUTO,
+    UNIT_CUBE_X_FORWARD,
+    UNIT_CUBE_Z_UP,
+    AxisConvention,
+    axes_of,
+)
 from recast.actors.generate import Asset
 from recast.actors.observation import Observation
 from recast.trellis import (
@@ -88,6 +94,19 @@ class ImageTo3DGenerator:
             },
             self.model.low_pass,
         )  # fmt: skip
+
+
+def model_generator(folder: str | Path, axes: str = AUTO) -> ImageTo3DGenerator:
+    """The generator of a model's folder.
+
+    Args:
+        folder: see `ImageTo3DGenerator`.
+        axes: orientation of what the model makes, see `axes_of`; "auto" for z up with any heading.
+
+    Raises:
+        InputError: there are no such axes, or the model cannot be loaded.
+    """
+    return ImageTo3DGenerator(folder, axes=UNIT_CUBE_Z_UP if axes == AUTO else axes_of(axes))
 
 
 def recast_mini_generator() -> ImageTo3DGenerator:

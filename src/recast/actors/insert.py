@@ -35,6 +35,7 @@ def insert(scene: StreetScene, actor: Actor, *, relit: bool = True) -> StreetSce
             trajectory=trajectory,
             shadow=actor.shadow,
             appearance=None,
+            deformation=None,
             low_pass=actor.low_pass,
             light=actor_light(_light(scene, actor), actor, trajectory) if relit else None,
         )

@@ -1,4 +1,4 @@
-"""Segmenters by name, or by the folder that holds their networks."""
+"""Segmenters by name, by the folder that holds their networks, or as objects."""
 
 from __future__ import annotations
 
@@ -12,28 +12,35 @@ from recast.parts import SEGMENTERS
 DEFAULT_SEGMENTER = "box-lidar"
 
 
-def segmenter_of(name_or_folder: str) -> Segmenter:
-    """A segmenter by its name, or Grounding DINO with SAM from a folder.
-
-    A name goes before a folder of the same name: write `./NAME` for that one.
+def segmenter_of(segmenter: str | Path | Segmenter) -> Segmenter:
+    """A segmenter by its name, Grounding DINO with SAM from a folder, or the object given.
 
     Args:
-        name_or_folder: see `SEGMENTERS` and `GroundedSamSegmenter`.
+        segmenter: see `recast.plugins.Registry.resolve`. A name goes before a folder of the same
+            name: write `./NAME` for that one.
 
     Raises:
-        InputError: no such segmenter or folder, or a folder without its networks.
+        InputError: no such segmenter or folder, a folder without its networks, or an object that is
+            not a segmenter.
     """
-    if is_segmenter_folder(name_or_folder):
-        return GroundedSamSegmenter(name_or_folder)
-    if "/" in name_or_folder and ":" not in name_or_folder:
+    found: Segmenter = SEGMENTERS.resolve(segmenter)
+    return found
+
+
+def grounded_segmenter(folder: Path) -> Segmenter:
+    """Grounding DINO with SAM from a folder.
+
+    Raises:
+        InputError: no such folder, or a network is missing.
+    """
+    if not folder.is_dir():
         raise InputError(
-            "--segmenter", name_or_folder, "is no folder",
+            "--segmenter", str(folder), "is no folder",
             "name the folder that holds grounding-dino and sam",
         )  # fmt: skip
-    segmenter: Segmenter = SEGMENTERS.load(name_or_folder)()
-    return segmenter
+    return GroundedSamSegmenter(folder)
 
 
 def is_segmenter_folder(name_or_folder: str) -> bool:
     """Whether `segmenter_of` would read a folder."""
-    return name_or_folder not in SEGMENTERS.names() and Path(name_or_folder).is_dir()
+    return SEGMENTERS.place(name_or_folder) is not None

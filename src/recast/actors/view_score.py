@@ -57,9 +57,7 @@ def score_frame(
 
 def _unoccluded(log: DrivingLog, track: Track, time: int, camera_from_world: Array) -> float:
     """Share of points of the track's box whose line of sight misses the other tracks' boxes."""
-    axes = [np.linspace(-0.9, 0.9, 5)] * 3
-    lattice = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3) * track.size / 2
-    targets = se3.apply(track.trajectory.at(time), lattice)
+    targets = boxes.lattice(track.size, track.trajectory.at(time))
     eye = se3.inverse(camera_from_world)[:3, 3]
     hidden = np.zeros(len(targets), bool)
     for other in log.tracks.values():

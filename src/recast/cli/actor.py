@@ -25,15 +25,15 @@ class Make:
     generator: str = "auto"
     """What makes the vehicle: auto (template and recast-mini, of which the log's evidence takes the
     best), recast-mini (the image-to-3D model of the package), template, an installed generator's
-    name, a model folder, the path of a PLY, GLB or OBJ, or library:FOLDER (the best of the files
-    and actors in it)."""
+    name, trellis (see recast weights), a model folder, the path of a PLY, GLB or OBJ, or
+    library:FOLDER (the best of the files and actors in it)."""
     axes: str = "auto"
     """Axes of vehicle files or a model folder: which one points up, such as z-up, y-up or
     minus-y-up (a splat viewer's), or forward and up, such as x,z (write --axes=-y,z with a minus).
     auto tells a file's from its shape, and takes models for z-up."""
     segmenter: str = "box-lidar"
-    """What cuts the vehicle out: box-lidar, an installed segmenter's name, or a folder that holds
-    grounding-dino and sam (see docs/actors.md)."""
+    """What cuts the vehicle out: box-lidar, an installed segmenter's name, grounded-sam (see recast
+    weights), or a folder that holds grounding-dino and sam (see docs/actors.md)."""
     cameras: tuple[str, ...] = ()
     """Cameras that the views may be taken from. Default: all of the log."""
     views: int = 1
@@ -49,7 +49,7 @@ class Make:
         from recast.errors import InputError
         from recast.logs import read_log
         from recast.pipeline.actor import ActorMakers, film_turntable, make_actor, refine_actor
-        from recast.pipeline.config import MOST_VIEWS
+        from recast.pipeline.arms import MOST_VIEWS
         from recast.pipeline.display import SamplingProgress, print_actor
         from recast.pipeline.layout import TURNTABLE_FILE
         from recast.scene import SceneConfig, load_scene, read_training_config
@@ -69,7 +69,7 @@ class Make:
                 log, self.track, makers, self.seed, folder, config, self.views, progress
             )
             if scene is not None:
-                actor = refine_actor(folder, scene, self.seed, progress)
+                actor = refine_actor(folder, scene, self.seed, folder / "refined", progress)
             film_turntable(actor, folder / TURNTABLE_FILE)
         console.print(actor.provenance.observation, markup=False)
         print_actor(actor, console)
@@ -85,7 +85,8 @@ class Generate:
     crop: tyro.conf.Positional[tuple[Path, ...]]
     """Pictures with alpha, each of another vehicle; several are generated in one batch."""
     model: Path
-    """Model folder in the published layout (pipeline.json, ckpts/)."""
+    """Model folder in the published layout (pipeline.json, ckpts/), or trellis (see recast
+    weights)."""
     out: Path
     """Folder to write to; must not exist."""
     views: tuple[Path, ...] = ()
@@ -104,7 +105,7 @@ class Generate:
     """Further seeds to try where a structure is empty or too large."""
     image_encoder: Path | None = None
     """Weights of the published image encoder (DINOv2 ViT-L/14 with registers), where the model
-    folder has none."""
+    folder has none; or dinov2 (see recast weights)."""
     device: str | None = None
     """Such as cpu or cuda:0; CUDA where there is some."""
     precision: Literal["float16", "bfloat16", "float32"] | None = None
@@ -121,12 +122,16 @@ class Generate:
             load_model,
         )
         from recast.trellis import GenerationLimits
+        from recast.weights import located
 
         request = GenerationRequest(
             self.crop, self.views, self.seed, self.multi_image, self.steps, self.cfg,
             GenerationLimits(self.max_voxels, self.retries),
         )  # fmt: skip
-        model = load_model(self.model, self.device, self.precision, self.image_encoder)
+        model = load_model(
+            located("--model", self.model), self.device, self.precision,
+            located("--image-encoder", self.image_encoder),
+        )  # fmt: skip
         console = Console()
         made = generate_actors(request, model, self.out, console)
         for line in (*cost_lines(made), f"wrote {self.out}"):
@@ -139,7 +144,7 @@ class Turntable:
     invented."""
 
     actor: tyro.conf.Positional[Path]
-    """Actor folder, such as RUN/actor."""
+    """Actor folder, such as RUN/actors/replaced/actor."""
     out: Path
     """Film to write, such as car.mp4."""
 
@@ -157,7 +162,7 @@ class Show:
     it was made."""
 
     actor: tyro.conf.Positional[Path]
-    """Actor folder, such as RUN/actor or RUN/refined."""
+    """Actor folder, such as RUN/actors/replaced/actor."""
     out: Path | None = None
     """Picture to write (PNG); must not exist. Default: ACTOR.png, beside the folder."""
 

@@ -2,43 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from recast.pipeline.layout import Method
+if TYPE_CHECKING:
+    from recast.pipeline.bench import BenchSettings
 
 
-@dataclass(frozen=True)
-class Bench:
-    """The paper's closed-loop protocol: scenes x motions x settings x methods, and its table.
+@dataclass(frozen=True, kw_only=True)
+class _Grid:
+    """Options of scenes, arms and motions."""
 
-    Finished rollouts are kept, so the same command resumes where it was stopped or killed.
-    """
-
-    experiment: tyro.conf.Positional[Literal["closed-loop"]]
-    """Which: closed-loop is the only one there is."""
     scenes: tuple[str, ...]
     """Synthetic scenes, each with :SEED if you like; the word synthetic for all nine; or log
     folders with the track to control, LOG:TRACK."""
     out: Path
     """Folder of the grid; new, or one of the same options, which is finished."""
-    methods: tuple[Method, ...] | None = None
-    """What renders the street: native (the vehicle as reconstructed), replaced (the generated one),
-    oracle (the truth, of synthetic logs). The others are compared with the first. Default: native
-    and replaced."""
-    planner: str | None = None
-    """Planner under test: a name, a folder, or package.module:attribute. Default: idm-follower."""
-    planner_device: str | None = None
-    """Where the planner computes: auto, cpu, cuda or cuda:1. Default: auto, a GPU where there is
-    one."""
-    motions: tuple[str, ...] = ()
-    """What the actor does: motions (all settings), scenarios such as cut-in-a, or scenario files.
-    Default: cut-in, oncoming and stationary."""
+    arm: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """What is compared, as for recast run; also assets:DIR, vehicles in DIR/SCENE.ply, .glb or
+    .obj. The others are compared with the first. Give it several times. Default: native and
+    replaced."""
     track: str | None = None
     """Track to control in log folders that are named without one."""
+    scene: Path | None = None
+    """Folder of a trained or imported scene, instead of training one; for one log folder."""
+    store: str | None = None
+    """Folder or address (s3://...) of the artefacts that runs share. Default: store, beside the
+    grid's folder."""
     workers: int = 1
     """Processes, one thread each; the results are the same for any number."""
     ray: str | None = None
@@ -49,12 +43,6 @@ class Bench:
     quick: bool = False
     """A small grid to try things: 8 s drives, one camera of 192x128, 300 training steps, rollouts
     of 40 steps. Other options override it."""
-    films: bool = False
-    """Render and film every step, not only what the planner sees."""
-    plan_timeout: float | None = None
-    """Seconds that one plan may take; a rollout with a slower one fails."""
-    retry_failures: bool = False
-    """Run rollouts again that failed in an earlier try."""
     seconds: float | None = None
     """Of synthetic drives, up to 20. Default: 20."""
     width: int | None = None
@@ -82,32 +70,27 @@ class Bench:
     samples: int = 200_000
     """Bootstrap samples of the intervals."""
 
-    def __call__(self) -> None:
-        """Run the command."""
-        from rich.console import Console
+    def _settings(self, motions: Sequence[str], **options: Any) -> BenchSettings:
+        from recast.pipeline.bench import resolve_bench
 
-        from recast.pipeline.bench import resolve_bench, run_closed_loop
-
-        settings = resolve_bench(
+        return resolve_bench(
             words=self.scenes,
             track=self.track,
-            motions=self.motions,
+            motions=motions,
             quick=self.quick,
             config_file=self.config,
             scene_config_file=self.scene_config,
             samples=self.samples,
             drive_options={"seconds": self.seconds, "width": self.width, "height": self.height},
             run_options={
-                "methods": self.methods,
-                "planner": self.planner,
-                "planner_device": self.planner_device,
+                "arms": self.arm or None,
+                "scene_folder": None if self.scene is None else str(self.scene.absolute()),
                 "generator": self.generator,
                 "refine": self.refine,
                 "segmenter": self.segmenter,
                 "steps": self.steps,
                 "seed": self.seed,
-                "plan_limit_s": self.plan_timeout,
-                "films": self.films,
+                **options,
             },
             scene_options={
                 "cameras": self.cameras,
@@ -116,7 +99,128 @@ class Bench:
                 "seed": self.seed,
             },
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClosedLoop(_Grid):
+    """The paper's closed-loop protocol: scenes x motions x settings x arms x planners,
+    and its table.
+
+    Finished rollouts are kept, so the same command resumes where it was stopped or killed.
+    """
+
+    planner: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Planner under test: a name, a folder, or package.module:attribute. Give it several times for
+    several. Default: idm-follower."""
+    planner_device: str | None = None
+    """Where the planner computes: auto, cpu, cuda or cuda:1. Default: auto, a GPU where there is
+    one."""
+    motions: tuple[str, ...] = ()
+    """What the actor does: motions (all settings), scenarios such as cut-in-a, or scenario files.
+    Default: cut-in, oncoming and stationary."""
+    films: bool = False
+    """Render and film every step, not only what the planner sees."""
+    plan_timeout: float | None = None
+    """Seconds that one plan may take; a rollout with a slower one fails."""
+    retry_failures: bool = False
+    """Run rollouts again that failed in an earlier try."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from rich.console import Console
+
+        from recast.pipeline.bench import run_closed_loop
+
+        settings = self._settings(
+            self.motions,
+            planners=self.planner or None,
+            planner_device=self.planner_device,
+            plan_limit_s=self.plan_timeout,
+            films=self.films,
+        )
         run_closed_loop(
             settings, self.out, Console(), workers=self.workers, ray=self.ray,
-            retry_failures=self.retry_failures,
+            retry_failures=self.retry_failures, store=self.store,
         )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneLevel(_Grid):
+    """How real and how complete the images of arms look: Frechet distances, CLIP, VQA and LPIPS
+    scores of whole frames and of vehicle crops.
+
+    pdm-closed drives each scene and motion once, and every arm renders the same states. Scores
+    whose weights are not given have no column.
+    """
+
+    motions: tuple[str, ...] = ()
+    """What the actor does: motions (all settings), scenarios such as cut-in-a, or scenario files.
+    Default: cut-in, oncoming, stationary and advancing."""
+    inception: Path | None = None
+    """Weights of the FID's Inception network, .pth or .safetensors; or inception (see recast
+    weights)."""
+    clip: Path | None = None
+    """Folder of a CLIP model; or clip-vit-l14 (see recast weights)."""
+    lpips_weights: Path | None = None
+    """AlexNet or VGG-16 weights as torchvision saves them, for LPIPS; or alexnet or vgg16 (see
+    recast weights)."""
+    vqa: str | None = None
+    """VQA scorer: clip-flant5-xl (see recast weights) or its folder, t2v_metrics:NAME, or
+    package.module:attribute."""
+    device: str = "cpu"
+    """Where the networks compute: cpu, cuda or cuda:1."""
+    every: int = 5
+    """Steps between the images of a rollout that are looked at."""
+    least_px: float = 32.0
+    """Least length of the shorter side of the vehicle's box in the image, in pixels."""
+    crop: Literal["boxed", "masked"] = "boxed"
+    """Crops: boxed keeps the background around the vehicle, masked takes away what lies outside of
+    the box's outline."""
+    references: int = 16
+    """Most logged crops of a scene that LPIPS and the CLIP image score compare with."""
+    frechet_samples: int = 2000
+    """Bootstrap samples of the intervals of Frechet distances."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from rich.console import Console
+
+        from recast.evaluation.scene_level.frames import FrameRule
+        from recast.pipeline.bench.scene_level import (
+            LEVEL_MOTIONS,
+            LevelSettings,
+            NetworkFiles,
+            run_scene_level,
+        )
+        from recast.weights import located
+
+        networks = NetworkFiles(
+            located("--inception", self.inception), located("--clip", self.clip),
+            located("--lpips-weights", self.lpips_weights), self.vqa, self.device,
+        )  # fmt: skip
+        settings = LevelSettings(
+            grid=self._settings(self.motions or LEVEL_MOTIONS, films=False),
+            rule=FrameRule(every=self.every, least_px=self.least_px),
+            crop=self.crop,
+            most_references=self.references,
+            networks=networks,
+            hashes=networks.hashes(),
+            frechet_samples=self.frechet_samples,
+        )
+        run_scene_level(
+            settings, self.out, Console(), workers=self.workers, ray=self.ray, store=self.store
+        )
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Whole experiments of the paper over scenes, motions and arms."""
+
+    command: (
+        Annotated[ClosedLoop, tyro.conf.subcommand("closed-loop")]
+        | Annotated[SceneLevel, tyro.conf.subcommand("scene-level")]
+    )
+
+    def __call__(self) -> None:
+        """Run the command."""
+        self.command()

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
-
-from recast.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -18,10 +14,11 @@ class Import:
     """Import a recorded drive into the log folder that everything else reads."""
 
     importer: tyro.conf.Positional[str]
-    """Kind of the dataset: argoverse2 (sensor logs), drivestudio and street-gaussians (Waymo scenes
-    they processed), kitti (raw, synced and rectified), nuscenes (JSON tables), py123d (logs it
-    converted; needs that package), waymo (v1 TFRecords and motion scenarios), waymo-v2 (parquet),
-    or an installed importer."""
+    """Kind of the dataset: argoverse2 (sensor logs), kitti (raw, synced and rectified), waymo (v1
+    TFRecords and motion scenarios); experimental, because they have not met real data: drivestudio
+    and street-gaussians (Waymo scenes they processed), nuscenes (JSON tables), py123d (logs it
+    converted; needs that package), waymo-v2 (parquet); or an installed importer, or
+    package.module:attribute."""
     root: tyro.conf.Positional[Path]
     """The dataset's folder; for kitti the one that holds the date folder, such as 2011_09_26, for
     argoverse2 the one that holds the splits or the log, for nuscenes the one that holds v1.0-mini
@@ -49,40 +46,34 @@ class Import:
         """Run the command."""
         from rich.console import Console
 
-        from recast.logs import watch_writing
-        from recast.logs.importers import IMPORTERS, LogImporter
+        from recast.logs import load_log, write_log
+        from recast.parts import IMPORTERS
         from recast.pipeline.display import FrameProgress
+        from recast.storage import require_new
 
-        importer: LogImporter = IMPORTERS.load(self.importer)
-        settings = self._settings(importer)
+        require_new(self.out)
+        options: dict[str, Any] = {} if self.refine else {"refine": False}
         console = Console()
-        with FrameProgress(console, None, "images and sweeps") as bar, watch_writing(bar.reach):
-            importer(self.root, self.drive, self.out, self.labels, **settings)
+        with FrameProgress(console, None, "images and sweeps") as bar:
+            log = load_log(
+                self.root, importer=self.importer, drive=self.drive, labels=self.labels,
+                cameras=self.cameras, **options,
+            )  # fmt: skip
+            write_log(log, self.out, bar.reach)
+        if self.importer in IMPORTERS.experimental:
+            told = (
+                f"note: {self.importer} is experimental, it has not met real data: look at the log"
+            )
+            console.print(told, markup=False)
         console.print(f"wrote {self.out}; next: recast log info {self.out}", markup=False)
-
-    def _settings(self, importer: Callable[..., None]) -> dict[str, Any]:
-        """The options that were given, if the importer knows them: installed ones may not."""
-        given: dict[str, Any] = {}
-        if self.cameras:
-            given["cameras"] = self.cameras
-        if not self.refine:
-            given["refine"] = False
-        known = inspect.signature(importer).parameters
-        for name in given:
-            if name not in known:
-                option = "--no-refine" if name == "refine" else f"--{name}"
-                raise InputError(
-                    option, self.importer, "has no such option", "leave the option out"
-                )
-        return given
 
 
 @dataclass(frozen=True)
 class Info:
     """Print sensors, duration, and tracks with the best candidates for replacing first."""
 
-    log: tyro.conf.Positional[Path]
-    """Log folder."""
+    log: tyro.conf.Positional[str]
+    """Log folder, or its address in object storage, such as s3://bucket/folder."""
     json: bool = False
     """Print everything as one JSON object instead, for programs."""
 
@@ -92,10 +83,10 @@ class Info:
 
         from rich.console import Console
 
-        from recast.logs import log_info, read_log
+        from recast.logs import load_log, log_info
         from recast.reporting.log_tables import log_info_tables
 
-        info = log_info(read_log(self.log))
+        info = log_info(load_log(self.log))
         if self.json:
             print(json.dumps(asdict(info), indent=2, allow_nan=False))
             return
@@ -108,27 +99,29 @@ class Synth:
     """Make the log of a synthetic drive, whose true look is known from anywhere."""
 
     scene: str
-    """Which street: urban-straight, suburban-curve, signalled-intersection, rural-two-lane,
+    """Name of the street: urban-straight, suburban-curve, signalled-intersection, rural-two-lane,
     arterial-median, parked-street, roundabout-approach, industrial or underpass."""
     out: Path
     """Log folder to write; must not exist."""
     seed: int = 0
-    """Decides everything random; the same seed gives the same bytes."""
+    """Seed of all random choices; the same seed gives the same bytes."""
     seconds: float = 8.0
     """Duration, up to 20."""
     width: int = 480
-    """Of the images, pixels."""
+    """Image width in pixels."""
     height: int = 320
-    """Of the images, pixels."""
+    """Image height in pixels."""
     workers: int = 0
-    """Processes that render side by side, 0 for one for each core."""
+    """Number of rendering processes, 0 for one for each core."""
     truth: bool = False
     """Also write exact depth and instance masks, into the folder truth."""
     light: Literal["standard", "mitsuba"] = "standard"
     """Light of the sky: standard, or mitsuba's path tracer (several times the cost; needs the
     extra mitsuba and LLVM)."""
     label_noise: float = 0.0
-    """Standard deviation of the boxes' places and sizes, metres."""
+    """Standard deviation of the error of box positions and sizes, in metres."""
+    people: bool = False
+    """Also walking pedestrians and riding cyclists."""
 
     def __call__(self) -> None:
         """Run the command."""
@@ -140,7 +133,7 @@ class Synth:
         console = Console()
         check_request(self.out, self.width, self.height, self.label_noise, light=self.light)
         with console.status(f"building {self.scene}"):
-            world = make_world(self.scene, self.seed, self.seconds, self.light)
+            world = make_world(self.scene, self.seed, self.seconds, self.light, self.people)
         frames = (len(CAMERAS) + 1) * (len(world.ego.timestamps_us) - 1)
         with FrameProgress(console, frames, "images and sweeps") as bar:
             synthesize_log(

@@ -15,7 +15,7 @@ from typing import Annotated, NoReturn
 
 import tyro
 
-from recast import __version__, diagnostics, storage
+from recast import diagnostics, storage
 from recast.cli.actor import Actor
 from recast.cli.bench import Bench
 from recast.cli.demo import Demo
@@ -28,11 +28,13 @@ from recast.cli.report import Report
 from recast.cli.run import Run
 from recast.cli.scenario import Scenario
 from recast.cli.scene import Scene
+from recast.cli.store import Store
 from recast.cli.trellis import Trellis
+from recast.cli.weights import Weights
 from recast.diagnostics import Diagnostics
 from recast.errors import InputError
 
-Command = (
+Command = Annotated[
     Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Log, tyro.conf.subcommand("log")]
     | Annotated[Scene, tyro.conf.subcommand("scene")]
@@ -45,8 +47,11 @@ Command = (
     | Annotated[Scenario, tyro.conf.subcommand("scenario")]
     | Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Report, tyro.conf.subcommand("report")]
-    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
-)
+    | Annotated[Store, tyro.conf.subcommand("store")]
+    | Annotated[Weights, tyro.conf.subcommand("weights")]
+    | Annotated[Doctor, tyro.conf.subcommand("doctor")],
+    tyro.conf.arg(help=""),  # else tyro parses its own source for one, in 50 ms
+]
 
 _DESCRIPTION = """Closed-loop driving simulation from recorded logs.
 
@@ -62,7 +67,10 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         where, words = _diagnostics(words)
         diagnostics.begin(where)
-        _LOG.debug("recast %s: %s", __version__, words)
+        if _LOG.isEnabledFor(logging.DEBUG):
+            from recast import __version__  # asks the installed package, in 40 ms
+
+            _LOG.debug("recast %s: %s", __version__, words)
         command = _command(words)
         with _system_errors():
             command()

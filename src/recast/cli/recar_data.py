@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import tyro
 
@@ -22,8 +23,15 @@ class Ingest:
     """Where they are from, in words."""
     table: Path | None = None
     """The table, where it does not lie beside the folders."""
+    layout: Literal["regular", "3drealcar", "mad-cars"] = "regular"
+    """How photographs lie: at regular azimuths; or walk-arounds with camera poses, of which views
+    near regular azimuths are taken. 3drealcar and mad-cars are experimental: they have not met real
+    data."""
     views: int = 30
-    """Photographs of each vehicle, at regular azimuths."""
+    """Views of each vehicle, at regular azimuths."""
+    azimuth_within: float | None = None
+    """With a walk-around: degrees by which a photograph may be off its azimuth; half of the step
+    between two views if not given."""
     width: int = 1200
     """Of the pictures in the set, pixels."""
     height: int = 800
@@ -54,15 +62,21 @@ class Ingest:
 
         from recast.actors.grounded_cutout import remover_of
         from recast.errors import InputError, printable
-        from recast.recar.ingest import IngestSettings, ingest_photographs
+        from recast.recar.ingest import EXPERIMENTAL, IngestSettings, ingest_photographs
         from recast.recar.progress import PictureProgress
 
         settings = IngestSettings(
             self.licence, self.source, self.views, self.width, self.height, self.clockwise,
             self.elevation, self.fov, self.split_seed, self.held_out, self.duplicate_bits,
+            self.layout, self.azimuth_within,
         )  # fmt: skip
         remover = None if self.remover == "none" else remover_of(self.remover)
         console = Console()
+        if self.layout in EXPERIMENTAL:
+            console.print(
+                f"note: {self.layout} is experimental, it has not met real data: look at the set",
+                markup=False,
+            )
 
         def show(name: str, error: InputError) -> None:
             console.print(f"{printable(name)}: {error}", markup=False, soft_wrap=True)

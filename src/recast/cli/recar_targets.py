@@ -19,7 +19,8 @@ class Targets:
     set: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SET")]
     """Vehicle set, in folders or shards."""
     model: Path
-    """Model folder in the published layout: pipeline.json and ckpts/."""
+    """Model folder in the published layout (pipeline.json and ckpts/), or trellis (see recast
+    weights)."""
     out: Path
     """Cache folder; new, or one of the same model and options, which is finished or grows."""
     seed: int = 0
@@ -31,7 +32,8 @@ class Targets:
     ray: str | None = None
     """Address of a Ray cluster (auto, ray://HOST:10001), or local. Needs the extra distributed."""
     image_encoder: Path | None = None
-    """Weights of the published image encoder, where the model folder has none."""
+    """Weights of the published image encoder, where the model folder has none; or dinov2 (see
+    recast weights)."""
     device: str | None = None
     """Such as cpu or cuda:1; CUDA where there is some, one device a process in turn."""
     multi_image: Literal["stochastic", "multidiffusion"] = "stochastic"
@@ -52,9 +54,11 @@ class Targets:
     """Least score of a target that is used, 4.5 of the aesthetic predictor and 0.6 of the
     agreement where not given; may be changed later without making targets anew."""
     predictor: Path | None = None
-    """Weights of the aesthetic predictor: sac+logos+ava1-l14-linearMSE.pth."""
+    """Weights of the aesthetic predictor: sac+logos+ava1-l14-linearMSE.pth, or aesthetic (see
+    recast weights)."""
     clip: Path | None = None
-    """Folder of CLIP ViT-L/14 as Hugging Face has it, for the aesthetic predictor."""
+    """Folder of CLIP ViT-L/14 as Hugging Face has it, for the aesthetic predictor; or clip-vit-l14
+    (see recast weights)."""
     retry_failures: bool = False
     """Try again what failed before."""
 
@@ -76,6 +80,7 @@ class Targets:
             target_table,
         )
         from recast.trellis.checkpoints import read_pipeline
+        from recast.weights import located
 
         for name, value, least in (
             ("seed", self.seed, 0), ("limit", self.limit, 1), ("retries", self.retries, 0),
@@ -84,7 +89,8 @@ class Targets:
             if value is not None and value < least:
                 raise InputError(f"--{name}", "value", f"is {value}", f"give {least} or more")
         vehicles = open_set(self.set)
-        pipeline = read_pipeline(self.model)
+        model = located("--model", self.model)
+        pipeline = read_pipeline(model)
         settings = TargetSettings(
             seed=self.seed,
             mode=self.multi_image,
@@ -94,14 +100,17 @@ class Targets:
             max_voxels=self.max_voxels,
             heading=self.heading,
             filter=FilterSettings(
-                kind=self.filter, threshold=self.threshold, predictor=self.predictor, clip=self.clip
+                kind=self.filter,
+                threshold=self.threshold,
+                predictor=located("--predictor", self.predictor),
+                clip=located("--clip", self.clip),
             ),
         )
         console = Console()
         with PictureProgress("targets", console) as progress:
             cache = build_targets(
                 vehicles,
-                ModelSource(self.model, self.image_encoder, self.device),
+                ModelSource(model, located("--image-encoder", self.image_encoder), self.device),
                 self.out,
                 settings,
                 workers=self.workers,

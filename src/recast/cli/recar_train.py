@@ -17,7 +17,7 @@ class Train:
     """
 
     model: Path
-    """Model folder to start from, in the published layout."""
+    """Model folder to start from, in the published layout, or trellis (see recast weights)."""
     targets: Path
     """Cache of pseudo-targets, of `recast recar targets`."""
     set: Path
@@ -35,7 +35,7 @@ class Train:
     is written when all flows of the stage are trained."""
     image_encoder: Path | None = None
     """Weights of the published image encoder (DINOv2 ViT-L/14 with registers), where the model
-    folder has none."""
+    folder has none; or dinov2 (see recast weights)."""
     device: str | None = None
     """Such as cpu or cuda:0; CUDA where there is some."""
     tensorboard: bool = False
@@ -49,11 +49,13 @@ class Train:
         from recast.recar.training.stage import train_stage
         from recast.recar.training.stage_parts import StageRequest
         from recast.recar.training.stage_presets import chosen_stage
+        from recast.weights import located
 
         config = chosen_stage(self.stage, self.config)
         request = StageRequest(
-            config, self.model, self.targets, self.set, self.out, self.image_encoder, self.device,
-            self.tensorboard, self.flow,
+            config, located("--model", self.model), self.targets, self.set, self.out,
+            located("--image-encoder", self.image_encoder), self.device, self.tensorboard,
+            self.flow,
         )  # fmt: skip
         processes = Processes.started()
         left = train_stage(request, processes=processes)

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
-
-from recast.pipeline.layout import Method
 
 
 @dataclass(frozen=True)
 class Run:
     """Everything from a log to a report: scene, actor, closed-loop rollouts, metrics.
 
-    Finished steps are kept, so the same command resumes where it was stopped or killed.
+    Scenes, actors and rollouts are kept in a store and found again, by this run and by others.
     """
 
-    log: tyro.conf.Positional[Path]
-    """Log folder."""
+    log: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="PATH")]]
+    """Log folder, or its address in object storage (s3://...)."""
     track: str
     """Track to replace and control; `recast log info LOG` lists them."""
     out: Path
@@ -28,13 +26,16 @@ class Run:
     """What the actor does: cut-in, oncoming, stationary, advancing (both settings), one setting
     such as cut-in-a, or a scenario file (.yaml). Give it several times for several. Default: cut-in
     and stationary."""
-    method: tyro.conf.UseAppendAction[tuple[Method, ...]] = ()
-    """What renders the street: native (the vehicle as reconstructed), replaced (the generated one),
-    oracle (the truth, of a synthetic log). Give it several times. Default: native and replaced."""
+    arm: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """What is compared: native (the vehicle as reconstructed), replaced (a generated one), oracle
+    (the truth, of a synthetic log), a generator such as recast-mini, a street such as omnire or a
+    scene's folder, both such as omnire+template, or a file of arms (see docs/runs.md). Give it
+    several times. Default: native and replaced."""
     config: Path | None = None
     """Configuration file (JSON, see docs/runs.md). The options override it."""
-    planner: str | None = None
-    """Planner under test: a name, a folder, or package.module:attribute. Default: idm-follower."""
+    planner: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Planner under test: a name, a folder, or package.module:attribute. Give it several times for
+    several. Default: idm-follower."""
     planner_device: str | None = None
     """Where the planner computes: auto, cpu, cuda or cuda:1. Default: auto, a GPU where there is
     one."""
@@ -55,6 +56,11 @@ class Run:
     views: int | None = None
     """Number of views of the target to make the actor from, at most: the best one and others that
     show other sides. Default: 1."""
+    scene: Path | None = None
+    """Folder of a trained or imported scene, instead of training one."""
+    store: str | None = None
+    """Folder or address (s3://...) of the artefacts that runs share. Default: store, beside the run
+    folder."""
     preset: Literal["streetgs", "omnire"] | None = None
     """Reconstruct by the method of Street Gaussians or of OmniRe; recast's own where none is named
     (see docs/scenes.md)."""
@@ -87,9 +93,10 @@ class Run:
             config_file=self.config,
             scene_config_file=self.scene_config,
             run_options={
-                "methods": self.method or None,
+                "arms": self.arm or None,
+                "scene_folder": None if self.scene is None else str(self.scene.absolute()),
                 "preset": self.preset,
-                "planner": self.planner,
+                "planners": self.planner or None,
                 "planner_device": self.planner_device,
                 "generator": self.generator,
                 "axes": self.axes,
@@ -108,4 +115,4 @@ class Run:
                 "threads": self.threads,
             },
         )
-        run(self.log, self.out, config, Console())
+        run(self.log, self.out, config, Console(), self.store)

@@ -70,7 +70,8 @@ class Eval:
     """Also look from 1, 2 and 3 m to either side and turned by 5 and 10 degrees: scored where the
     log is synthetic, so that the truth is known, and pictures alone where it is not."""
     lpips_weights: Annotated[Path | None, tyro.conf.arg(aliases=("--lpips",))] = None
-    """AlexNet or VGG-16 weights as torchvision saves them, for LPIPS."""
+    """AlexNet or VGG-16 weights as torchvision saves them, for LPIPS; or alexnet or vgg16 (see
+    recast weights)."""
     workers: int = 0
     """Processes that render the truth of shifted views; 0 for one for each core."""
 
@@ -78,13 +79,14 @@ class Eval:
         """Run the command."""
         from recast.logs import read_log
         from recast.pipeline.scene import evaluate_and_print
+        from recast.weights import located
 
         evaluate_and_print(
             self.scene,
             read_log(self.log),
             self.out or self.scene / "eval",
             shifts=self.shifts,
-            lpips=self.lpips_weights,
+            lpips=located("--lpips-weights", self.lpips_weights),
             workers=self.workers,
         )
 

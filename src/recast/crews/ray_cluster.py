@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Iterator
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from recast import diagnostics
@@ -15,8 +17,8 @@ from recast.errors import InputError
 def on_ray(address: str, workers: int, gpu: bool = False) -> Crew:
     """A crew of this many actors of a Ray cluster.
 
-    Jobs travel there and outcomes come back; paths in them must be the same on every machine. An
-    actor asks for one core, and for one GPU where it is to have one and the cluster has any. A
+    Jobs travel there and outcomes come back; the machines share no folder that jobs do not name.
+    An actor asks for one core, and for one GPU where it is to have one and the cluster has any. A
     connection that this process has already is used, and stays.
 
     Args:
@@ -71,6 +73,27 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> Crew:
                 ray.shutdown()
 
     return crew
+
+
+def send_parcel(parcel: bytes) -> object:
+    """Put bytes into the object store of the cluster; returns what `fetch_parcel` takes."""
+    ray: Any = import_module("ray")
+    return [ray.put(parcel)]  # in a list: Ray fetches bare arguments unasked
+
+
+def fetch_parcel(ticket: object) -> bytes:
+    """The bytes that were sent, from anywhere on the cluster."""
+    ray: Any = import_module("ray")
+    assert isinstance(ticket, list)
+    parcel: bytes = ray.get(ticket[0])
+    return parcel
+
+
+def node_folder() -> Path:
+    """A folder that the workers of one machine of the cluster share."""
+    ray: Any = import_module("ray")
+    node = ray.get_runtime_context().get_node_id()
+    return Path(tempfile.gettempdir()) / f"recast-{node[:16]}"
 
 
 class _RemoteWorker:

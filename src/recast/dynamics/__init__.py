@@ -2,6 +2,7 @@
 
 from recast.dynamics import state
 from recast.dynamics.bicycle import BicycleModel
+from recast.dynamics.ego_state import EgoState
 from recast.dynamics.idm import (
     IdmParameters,
     free_road_acceleration,
@@ -25,6 +26,7 @@ __all__ = [
     "PACIFICA",
     "PRESETS",
     "BicycleModel",
+    "EgoState",
     "IdmParameters",
     "LqrWeights",
     "Profile",

@@ -18,8 +18,10 @@ class IdmParameters:
         min_gap: bumper to bumper at a standstill, s0, metres.
         headway: desired time behind the lead, T, seconds.
         max_acceleration: a, m/s^2.
-        max_deceleration: comfortable and largest braking, b, m/s^2, positive.
+        max_deceleration: comfortable braking, b, m/s^2, positive; also the largest one unless
+            `emergency_deceleration` is given.
         exponent: delta of the free-road term.
+        emergency_deceleration: largest braking, m/s^2; None for `max_deceleration`.
     """
 
     min_gap: float = 1.0
@@ -27,6 +29,13 @@ class IdmParameters:
     max_acceleration: float = 1.0
     max_deceleration: float = 3.0
     exponent: float = 4.0
+    emergency_deceleration: float | None = None
+
+    @property
+    def hardest(self) -> float:
+        """Largest braking, m/s^2."""
+        emergency = self.emergency_deceleration
+        return self.max_deceleration if emergency is None else emergency
 
 
 NUPLAN_AGENT = IdmParameters(max_acceleration=1.0, max_deceleration=2.0)
@@ -52,7 +61,7 @@ def idm_acceleration(
     """Accelerations (...) in m/s^2 behind a lead.
 
     a (1 - (v / v_d)^delta - (s* / s)^2) with s* = s0 + v T + v (v - v_lead) / (2 sqrt(a b)),
-    limited to [-b, a]; gaps below s0 count as s0.
+    limited to [-hardest braking, a]; gaps below s0 count as s0.
 
     Args:
         speed, target_speed, lead_speed: (...) m/s, target positive.
@@ -67,7 +76,7 @@ def idm_acceleration(
     )
     gap = np.maximum(np.asarray(gap, np.float64), parameters.min_gap)
     free = (speed / np.asarray(target_speed, np.float64)) ** parameters.exponent
-    acceleration: Array = np.clip(a * (1 - free - (desired / gap) ** 2), -b, a)
+    acceleration: Array = np.clip(a * (1 - free - (desired / gap) ** 2), -parameters.hardest, a)
     return acceleration
 
 

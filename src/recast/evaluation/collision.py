@@ -1,7 +1,8 @@
-"""NC: whether the ego's box ever overlaps the controlled actor's."""
+"""NC: whether the ego's box ever overlaps that of a controlled actor."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +25,7 @@ class Collision:
 
     Attributes:
         nc: 1 without any overlap, else 0.
-        overlap: (S+1,) square metres common to both boxes.
+        overlap: (S+1,) square metres common to both boxes; with several actors the largest.
         first_step: first state with an overlap, or None.
     """
 
@@ -56,7 +57,12 @@ def overlap_areas(
 
 
 def no_collision(
-    ego_boxes: ArrayLike, ego_size: ArrayLike, actor: ArrayLike, actor_size: ArrayLike, dt: float
+    ego_boxes: ArrayLike,
+    ego_size: ArrayLike,
+    actor: ArrayLike,
+    actor_size: ArrayLike,
+    dt: float,
+    name: str = "the actor",
 ) -> Collision:
     """NC: 1 iff the boxes' overlap is at most 1e-9 m^2 in every state. No fault is assigned.
 
@@ -65,11 +71,25 @@ def no_collision(
         actor: (S+1, >=3) x, y, heading of the actor's box centre.
         ego_size, actor_size: (>=2,) length and width in metres.
         dt: seconds between states.
+        name: name of the actor, for the reason.
     """
     overlap = overlap_areas(ego_boxes, ego_size, np.asarray(actor, np.float64)[:, :3], actor_size)
     hits = np.flatnonzero(overlap > TOUCHING)
     if len(hits) == 0:
         return Collision(Metric(1.0), overlap, None)
     first = int(hits[0])
-    reason = f"overlaps the actor from step {first} ({first * dt:.1f} s)"
+    reason = f"overlaps {name} from step {first} ({first * dt:.1f} s)"
     return Collision(Metric(0.0, reason), overlap, first)
+
+
+def any_collision(collisions: Sequence[Collision]) -> Collision:
+    """NC over several actors: 1 iff the ego meets none of them; the first contact counts.
+
+    Args:
+        collisions: those of the same ego with each actor, at least one. Of contacts in one state
+            the first in this order gives the reason.
+    """
+    hit = [one for one in collisions if one.first_step is not None]
+    first = min(hit, key=lambda one: one.first_step or 0) if hit else collisions[0]
+    overlap: Array = np.max([one.overlap for one in collisions], axis=0)
+    return Collision(first.nc, overlap, first.first_step)

@@ -7,7 +7,7 @@ came from TensorFlow and differs in two poolings; it is told by its 1008 classes
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from torch import Tensor
 
 from recast.errors import InputError
 from recast.evaluation.weights_file import checked_weight
+from recast.pretrained import BATCH, Picture, in_batches, resized
 from recast.torch_file import read_tensors
 
 Array = NDArray[np.float64]
@@ -137,13 +138,27 @@ class Inception:
         self.fid = fid
         self._weights = weights
 
+    def to(self, device: str) -> Inception:
+        """The same on a torch device."""
+        weights = {name: (k.to(device), o.to(device)) for name, (k, o) in self._weights.items()}
+        return Inception(weights, self.fid)
+
     def features(self, image: Array) -> Array:
         """(2048,) of an image (H, W, 3) in [0, 1], brought to 299 x 299 bilinearly as the FID's."""
-        pixels = torch.from_numpy(np.ascontiguousarray(image, np.float32)).movedim(-1, 0)[None]
-        pixels = functional.interpolate(pixels, (_SIDE, _SIDE), mode="bilinear")
-        with torch.no_grad():
-            pooled: Array = self._trunk(2 * pixels - 1).mean(dim=(2, 3))[0].double().numpy()
-        return pooled
+        return self.embeddings([image])[0]
+
+    def embeddings(self, pictures: Sequence[Picture | Array], batch: int = BATCH) -> Array:
+        """(N, 2048) of N pictures (H, W, 3) of any sizes, uint8 or in [0, 1]; see `features`.
+
+        Args:
+            batch: pictures at a time; see `in_batches`.
+        """
+        device = self._weights["Conv2d_1a_3x3"][0].device
+
+        def pooled(some: Sequence[Picture | Array]) -> Tensor:
+            return self._trunk(2 * resized(some, _SIDE).to(device) - 1).mean(dim=(2, 3))
+
+        return in_batches(pooled, pictures, FEATURES, batch)
 
     def _trunk(self, x: Tensor) -> Tensor:
         x = self._conv("Conv2d_1a_3x3", x, stride=2, padded=False)

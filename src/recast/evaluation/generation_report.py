@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from rich.table import Table
 
 from recast.evaluation.bootstrap import Bootstrap
+from recast.evaluation.generation_published import PAPER_COLUMNS, published
 from recast.evaluation.generation_summary import (
     STUDY_COLUMNS,
     StudyBlock,
@@ -20,6 +21,12 @@ from recast.evaluation.rounding import rounded
 _PLACED = {
     "views": "by the clean conditioning view, as `recast eval actor` places them",
     "canonical": "by the model's own forward axis, scaled by the length of the box",
+}
+
+_SEEN = {
+    "set": "in the photographs' own cameras and size",
+    "orbit": "at 512 x 512 pixels and 40 degrees, twice the longest side of the box away, in the "
+    "direction of the photograph, which is scaled about its centre",
 }
 
 
@@ -35,6 +42,8 @@ class StudyFacts:
         perturbations: the configuration; None where all inputs were clean.
         measures: weights that were given, as `models`.
         samples: of the bootstrap.
+        targets: see `recast.evaluation.generation_targets`.
+        beside: rows of the paper by name of the row they stand beside.
     """
 
     set: str
@@ -44,6 +53,8 @@ class StudyFacts:
     perturbations: Mapping[str, Any] | None
     measures: Mapping[str, Mapping[str, str]]
     samples: int
+    targets: str = "set"
+    beside: Mapping[str, str] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -63,6 +74,8 @@ def study_markdown(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> str:
     lines = [f"# Generation study on {facts.set}", ""]
     for block in blocks:
         lines += _block_markdown(block)
+    if facts.beside:
+        lines += _paper_markdown(blocks[0], facts.beside)
     lines += ["## How to read it", ""]
     lines += [f"- {note}" for note in _notes(facts, blocks)]
     return "\n".join(lines) + "\n"
@@ -79,6 +92,18 @@ def study_table(block: StudyBlock) -> Table:
     for row in block.rows:
         cells = [STUDY_COLUMNS[key].shown(row.scores[key]) for key in keys]
         table.add_row(row.model, str(row.made), *cells)
+    return table
+
+
+def paper_table(block: StudyBlock, beside: Mapping[str, str]) -> Table:
+    """Scores in the paper's columns, and in brackets what the paper has."""
+    table = Table(title="Beside the paper: here (there)")
+    table.add_column("model")
+    table.add_column("paper's row")
+    for key in PAPER_COLUMNS:
+        table.add_column(_heading(key), justify="right")
+    for cells in _paper_cells(block, beside):
+        table.add_row(*cells)
     return table
 
 
@@ -159,14 +184,43 @@ def _block_markdown(block: StudyBlock) -> list[str]:
     return [*lines, ""] if lines[-1] else lines
 
 
+def _paper_markdown(block: StudyBlock, beside: Mapping[str, str]) -> list[str]:
+    lines = ["## Beside the paper: here (there)", ""]
+    headings = ["model", "paper's row", *map(_heading, PAPER_COLUMNS)]
+    lines += ["| " + " | ".join(headings) + " |", "|---|---|" + "---:|" * len(PAPER_COLUMNS)]
+    lines += ["| " + " | ".join(cells) + " |" for cells in _paper_cells(block, beside)]
+    return [
+        *lines, "", "The paper's figures are of its held-out RECAR vehicles and the published "
+        "weights, ours of the set above: compare the order of rows. A dash: not run or not "
+        "measured here.", "",
+    ]  # fmt: skip
+
+
+def _paper_cells(block: StudyBlock, beside: Mapping[str, str]) -> list[list[str]]:
+    """Name, the paper's row, and a cell for each of the paper's columns."""
+    ours = {row.model: row.scores for row in block.rows}
+    found = []
+    for name in [*beside, *(name for name in ours if name not in beside)]:
+        theirs = published(beside[name]) if name in beside else {}
+        scores = ours.get(name, {})
+        cells = [name, beside.get(name, "-")]
+        for key in PAPER_COLUMNS:
+            column = STUDY_COLUMNS[key]
+            here = column.shown(scores[key]) if key in scores else "-"
+            cells.append(f"{here} ({column.shown(theirs[key])})" if key in theirs else here)
+        found.append(cells)
+    return found
+
+
 def _notes(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> list[str]:
     keys = set(blocks[0].rows[0].scores)
     pictures = ", ".join(f"{block.views} {block.condition}" for block in blocks)
     notes = [
         "All models get the same picture of a vehicle, one view by seed that is no target; views "
-        "are compared before black at the set's own size. Scores are means over the vehicles that "
-        "every model made, each vehicle counting the same.",
-        f"Vehicles are placed {_PLACED[facts.placement]}.",
+        f"are compared before black {_SEEN[facts.targets]}. Scores are means over the vehicles "
+        "that every model made, each vehicle counting the same.",
+        f"Vehicles are placed {_PLACED[facts.placement]}; pictures that were drawn elsewhere are "
+        "taken as they are.",
         f"Intervals: percentile bootstrap over vehicles, {facts.samples} samples; `better` names "
         "the model that the interval favours, if it does not hold zero. They tell about other "
         "vehicles, not about other trainings or seeds.",

@@ -19,7 +19,7 @@ SCHEMA = pa.schema(
         ("seed", pa.int64()),
         *(
             (name, pa.string())
-            for name in ("log", "track_id", "method", "motion", "setting", "planner")
+            for name in ("log", "track_id", "arm", "motion", "setting", "planner")
         ),
         *(
             (name, pa.int64())
@@ -38,18 +38,22 @@ SCHEMA = pa.schema(
         ("failure_reason", pa.string()),
     ]
 )
-"""Columns and their types; any but scene, method, motion, setting and planner may be null."""
+"""Columns and their types; any but scene, arm, motion, setting and planner may be null."""
 
 _OF_ROW = (
-    "scene", "world", "seed", "log", "track_id", "method", "motion", "setting", "planner",
+    "scene", "world", "seed", "log", "track_id", "arm", "motion", "setting", "planner",
     "start_timestamp_us", "steps_requested", "steps_run", "cut_reason",
     "first_collision_step", "map_derived", "failure", "failure_reason",
 )  # fmt: skip
 
 
-def write_rows(rows: Sequence[GridRow], path: Path) -> None:
-    """Write rows, whole or not at all; the same rows give the same bytes."""
-    records = [_record(*pair) for pair in zip(rows, verdicts(rows), strict=True)]
+def write_rows(rows: Sequence[GridRow], path: Path, truth: str | None) -> None:
+    """Write rows, whole or not at all; the same rows give the same bytes.
+
+    Args:
+        truth: the arm that renders the truth; None if none does.
+    """
+    records = [_record(*pair) for pair in zip(rows, verdicts(rows, truth), strict=True)]
     with storage.atomic_file(path) as partial:
         pq.write_table(pa.Table.from_pylist(records, schema=SCHEMA), partial)
 

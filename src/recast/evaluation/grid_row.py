@@ -12,14 +12,14 @@ from recast.evaluation.table import COLUMNS
 
 @dataclass(frozen=True)
 class GridRow:
-    """A rollout of a grid of scenes, motions, settings and methods.
+    """A rollout of a grid of scenes, motions, settings and arms.
 
     Attributes:
         scene: its id in the grid.
         world, seed: of a synthetic scene, else None.
         log: name of the log; None where there is none.
         track_id: the controlled actor; None where the scene failed before it was known.
-        motion, setting, method, planner: as in `Rollout`.
+        motion, setting, arm, planner: as in `Rollout`.
         start_timestamp_us, steps_requested, steps_run, cut_reason: as in `RolloutMetrics`; None
             where the rollout failed.
         plan_steps: steps at which plans were made; empty where the rollout failed.
@@ -28,7 +28,7 @@ class GridRow:
         scores: by metric, keys of `COLUMNS`, plain values (shares between 0 and 1, seconds); None
             where a metric is not valid. Empty where the rollout failed.
         shorter: the same scores of the first steps alone, by how many steps: for each length at
-            which the rollout of another method in the scenario was cut.
+            which the rollout of another arm in the scenario was cut.
         failure: class of the error; None where the rollout was scored.
         failure_reason: its message.
     """
@@ -38,7 +38,7 @@ class GridRow:
     seed: int | None
     motion: str
     setting: str
-    method: str
+    arm: str
     planner: str
     log: str | None = None
     track_id: str | None = None
@@ -112,6 +112,6 @@ class GridRow:
         return None if nc is None else nc == 0.0
 
     @property
-    def scenario(self) -> tuple[str, str, str]:
-        """What rollouts have in common that differ in the method only."""
-        return self.scene, self.motion, self.setting
+    def scenario(self) -> tuple[str, str, str, str]:
+        """What rollouts have in common that differ in the arm only."""
+        return self.scene, self.motion, self.setting, self.planner

@@ -1,4 +1,4 @@
-"""The table of a grid with intervals, and how the methods differ on the same scenarios."""
+"""The table of a grid with intervals, and how the arms differ on the same scenarios."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class MethodSummary:
-    """A method's line.
+class ArmSummary:
+    """An arm's line.
 
     Attributes:
         row: means, see `TableRow`.
@@ -35,7 +35,8 @@ class PairedDifference:
     """Candidate minus baseline of a metric, in the column's unit, on the scenarios of both.
 
     Attributes:
-        candidate, baseline: methods.
+        planner: of all rollouts.
+        candidate, baseline: arms.
         metric: key of `COLUMNS`.
         scenes, pairs: how many both have a value for.
         plans, cut, asked: see `recast.evaluation.pairs.PairedMetric`.
@@ -43,6 +44,7 @@ class PairedDifference:
         exact: the same by enumeration; None where there are too many scenes.
     """
 
+    planner: str
     candidate: str
     baseline: str
     metric: str
@@ -55,59 +57,61 @@ class PairedDifference:
     exact: Bootstrap | None
 
 
-def method_summaries(rows: Sequence[GridRow], samples: int, seed: int) -> list[MethodSummary]:
-    """The table: a line for each method, in the order in which they first occur.
+def arm_summaries(rows: Sequence[GridRow], samples: int, seed: int) -> list[ArmSummary]:
+    """The table: a line for each arm, in the order in which they first occur.
 
     Args:
         samples, seed: of the bootstrap; every interval sees the same draws.
     """
     # By its first row, whether that failed or not: the order is that of the grid.
-    order = {key: i for i, key in enumerate(dict.fromkeys((r.planner, r.method) for r in rows))}
+    order = {key: i for i, key in enumerate(dict.fromkeys((r.planner, r.arm) for r in rows))}
     scored = [row for row in rows if row.failure is None]
     lines = table(scored, [row for row in rows if row.failure is not None])
-    lines.sort(key=lambda line: order[line.planner, line.method])
+    lines.sort(key=lambda line: order[line.planner, line.arm])
     summaries = []
     for line in lines:
-        mine = [r for r in scored if (r.planner, r.method) == (line.planner, line.method)]
+        mine = [r for r in scored if (r.planner, r.arm) == (line.planner, line.arm)]
         intervals = {
             name: cluster_bootstrap(scenes, np.random.default_rng(seed), samples)
             for name in COLUMNS
             if (scenes := _by_scene(mine, name))
         }
-        summaries.append(MethodSummary(line, intervals))
+        summaries.append(ArmSummary(line, intervals))
     return summaries
 
 
 def paired_summaries(
     rows: Sequence[GridRow], baseline: str, samples: int, seed: int
 ) -> list[PairedDifference]:
-    """Every other method against `baseline`, for every metric; nothing for one without a pair.
+    """Every other arm against `baseline`, for every planner and metric that has a pair.
 
     Each pair is compared over the steps that both its rollouts have.
 
     Args:
         samples, seed: of the bootstrap; every interval sees the same draws.
     """
-    scored: dict[str, list[GridRow]] = {}
-    failed: dict[str, list[GridRow]] = {}
-    for row in rows:
-        (scored if row.failure is None else failed).setdefault(row.scene, []).append(row)
     found = []
-    for candidate in dict.fromkeys(row.method for row in rows if row.method != baseline):
-        pairs = matched_pairs(scored, candidate, baseline, failed)
-        for name, column in COLUMNS.items():
-            one = pairs.of(name)
-            if one.pairs == 0:
-                continue
-            values = [column.scale * scene for scene in one.differences.values()]
-            found.append(
-                PairedDifference(
-                    candidate, baseline, name, len(values), one.pairs, one.plans, one.cut,
-                    one.asked,
-                    cluster_bootstrap(values, np.random.default_rng(seed), samples),
-                    exact_bootstrap(values) if len(values) <= MOST_EXACT else None,
-                )
-            )  # fmt: skip
+    for planner in dict.fromkeys(row.planner for row in rows):
+        mine = [row for row in rows if row.planner == planner]
+        scored: dict[str, list[GridRow]] = {}
+        failed: dict[str, list[GridRow]] = {}
+        for row in mine:
+            (scored if row.failure is None else failed).setdefault(row.scene, []).append(row)
+        for candidate in dict.fromkeys(row.arm for row in mine if row.arm != baseline):
+            pairs = matched_pairs(scored, candidate, baseline, failed)
+            for name, column in COLUMNS.items():
+                one = pairs.of(name)
+                if one.pairs == 0:
+                    continue
+                values = [column.scale * scene for scene in one.differences.values()]
+                found.append(
+                    PairedDifference(
+                        planner, candidate, baseline, name, len(values), one.pairs, one.plans,
+                        one.cut, one.asked,
+                        cluster_bootstrap(values, np.random.default_rng(seed), samples),
+                        exact_bootstrap(values) if len(values) <= MOST_EXACT else None,
+                    )
+                )  # fmt: skip
     return found
 
 

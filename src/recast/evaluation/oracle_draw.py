@@ -62,7 +62,7 @@ class Painter:
     """Draws a view with both actors and by the oracle.
 
     Args:
-        scenes: by method.
+        scenes: by arm.
         size: (3,) of the vehicle's box.
         mounts: cameras as they are rendered.
         exposures: of the truth's images, by camera; 1 where one is missing.
@@ -80,14 +80,14 @@ class Painter:
         mounts: Mapping[str, CameraMount],
         exposures: Mapping[str, float],
     ) -> None:
-        for method, scene in scenes.items():
+        for arm, scene in scenes.items():
             if track_id not in scene.actors:
                 raise InputError(
-                    f"{method} scene", f"track {track_id}", "has no model",
+                    f"{arm} scene", f"track {track_id}", "has no model",
                     "train the scene with the track in force_dynamic",
                 )  # fmt: skip
-        self._actors = {method: scene.actors[track_id] for method, scene in scenes.items()}
-        self._rasterizers = {method: SceneRasterizer(scene) for method, scene in scenes.items()}
+        self._actors = {arm: scene.actors[track_id] for arm, scene in scenes.items()}
+        self._rasterizers = {arm: SceneRasterizer(scene) for arm, scene in scenes.items()}
         self._oracle, self._track_id, self._size = oracle, track_id, size
         self._mounts, self._exposures = mounts, exposures
 
@@ -97,7 +97,7 @@ class Painter:
         return box_pixels(self._size, camera_from_actor, self._mounts[view.camera].camera)
 
     def compare(self, view: PlacedView, rectangle: Rectangle) -> tuple[dict[str, Agreement], Image]:
-        """Scores by method, and the pictures of the box side by side."""
+        """Scores by arm, and the pictures of the box side by side."""
         camera = self._mounts[view.camera].camera
         left, top, right, bottom = grown(rectangle, _MARGIN, camera.width, camera.height)
         # Only the box and a margin are ray-traced: the whole image would take three times as long.
@@ -110,23 +110,23 @@ class Painter:
         )  # fmt: skip
         camera_from_world = se3.inverse(view.world_from_camera)
         scores, pictures = {}, []
-        for method, actor in self._actors.items():
-            image = self._drawn(method, camera, view)[window]
+        for arm, actor in self._actors.items():
+            image = self._drawn(arm, camera, view)[window]
             mask = actor_mask(actor, camera, camera_from_world, view.world_from_actor)
-            scores[method] = agreement(image, truth.rgb, inner, mask, true_mask)
+            scores[arm] = agreement(image, truth.rgb, inner, mask, true_mask)
             pictures.append(image)
         gap = np.full((bottom - top, _GAP, 3), 255, np.uint8)
         return scores, np.concatenate([pictures[0], gap, pictures[1], gap, truth.rgb], axis=1)
 
     def whole(self, view: PlacedView) -> dict[str, Image]:
-        """Whole images: by method, then "truth"."""
+        """Whole images: by arm, then "truth"."""
         camera = self._mounts[view.camera].camera
-        images = {method: self._drawn(method, camera, view) for method in self._actors}
+        images = {arm: self._drawn(arm, camera, view) for arm in self._actors}
         return {**images, "truth": self._true(camera, view).rgb}
 
-    def _drawn(self, method: str, camera: PinholeCamera, view: PlacedView) -> Image:
+    def _drawn(self, arm: str, camera: PinholeCamera, view: PlacedView) -> Image:
         rgb = (
-            self._rasterizers[method]
+            self._rasterizers[arm]
             .render(
                 camera,
                 se3.inverse(view.world_from_camera),

@@ -11,7 +11,8 @@ from recast.evaluation.oracle_scores import Agreement, Rectangle
 from recast.evaluation.oracle_summary import AngleBin
 from recast.records import Record, read_record
 
-VERSION: Literal[1] = 1
+VERSION: Literal[2] = 2
+"""1 called the sides native and replaced."""
 RECORD_FILE = "oracle_views.json"
 
 
@@ -27,9 +28,9 @@ class OracleView:
         azimuth, elevation: degrees, of the camera seen from the vehicle; azimuth 0 is ahead of it.
         angle: degrees to the nearest logged view.
         rectangle: left, top, right, bottom of the box in the image, whole pixels.
-        native, replaced: scores.
-        coverage: how much of the replaced actor was seen by the log, mirrored or invented; None for
-            an actor without shares.
+        baseline, candidate: scores.
+        coverage: how much of the candidate was seen by the log, mirrored or invented; None for an
+            actor without shares.
     """
 
     index: int
@@ -42,13 +43,13 @@ class OracleView:
     elevation: float
     angle: float
     rectangle: Rectangle
-    native: Agreement
-    replaced: Agreement
+    baseline: Agreement
+    candidate: Agreement
     coverage: Coverage | None = None
 
     @property
     def picture(self) -> str:
-        """Name of the file with native, replaced and truth side by side, the box and a margin."""
+        """Name of the file with baseline, candidate and truth side by side."""
         return f"view_{self.index:03d}.png"
 
 
@@ -83,7 +84,7 @@ class OracleViews:
 
 class _Record(Record):
     format: Literal["recast-oracle-views"]
-    version: Literal[1]
+    version: Literal[2]
     track_id: str
     logged: int
     views: tuple[OracleView, ...]

@@ -25,7 +25,7 @@ PSNR_CAP = 100.0
 
 @dataclass(frozen=True)
 class Agreement:
-    """A method's image against the truth's.
+    """An arm's image against the truth's.
 
     Attributes:
         psnr: dB inside the rectangle, at most 100.

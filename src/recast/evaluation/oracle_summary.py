@@ -33,12 +33,12 @@ class ScoredView(Protocol):
         """Degrees."""
 
     @property
-    def native(self) -> Agreement:
-        """Score of the native actor."""
+    def baseline(self) -> Agreement:
+        """Score of the baseline actor."""
 
     @property
-    def replaced(self) -> Agreement:
-        """Score of the replaced actor."""
+    def candidate(self) -> Agreement:
+        """Score of the candidate actor."""
 
 
 @dataclass(frozen=True)
@@ -48,19 +48,19 @@ class AngleBin:
     Attributes:
         low, high: degrees from the nearest logged view, [low, high).
         views: how many.
-        native, replaced: means over them; None where there is none.
-        difference: by measure, replaced minus native of the same view: the mean and its interval,
+        baseline, candidate: means over them; None where there is none.
+        difference: by measure, candidate minus baseline of the same view: mean and interval,
             headings drawn with replacement with all their views. Empty where there is no view.
-        replaced_better: by measure, in how many views the replaced actor is the better one.
+        candidate_better: by measure, in how many views the candidate actor is the better one.
     """
 
     low: float
     high: float
     views: int
-    native: Agreement | None
-    replaced: Agreement | None
+    baseline: Agreement | None
+    candidate: Agreement | None
     difference: Mapping[str, Bootstrap]
-    replaced_better: Mapping[str, int]
+    candidate_better: Mapping[str, int]
 
 
 def summarise(views: Sequence[ScoredView], rng: np.random.Generator) -> tuple[AngleBin, ...]:
@@ -80,7 +80,7 @@ def _bin(
     for measure in MEASURES:
         by_heading: dict[float, list[float]] = {}
         for view in views:
-            change = getattr(view.replaced, measure) - getattr(view.native, measure)
+            change = getattr(view.candidate, measure) - getattr(view.baseline, measure)
             by_heading.setdefault(round(view.heading, 6), []).append(change)
         if by_heading:
             difference[measure] = cluster_bootstrap(list(by_heading.values()), rng, SAMPLES)
@@ -89,10 +89,10 @@ def _bin(
         low=low,
         high=high,
         views=len(views),
-        native=_mean([view.native for view in views]),
-        replaced=_mean([view.replaced for view in views]),
+        baseline=_mean([view.baseline for view in views]),
+        candidate=_mean([view.candidate for view in views]),
         difference=difference,
-        replaced_better=better,
+        candidate_better=better,
     )
 
 

@@ -1,4 +1,4 @@
-"""Native and replaced actors against the truth, seen from where the log never was."""
+"""Baseline and candidate actors against the truth, seen from where the log never was."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from recast.storage import atomic_folder, write_json
 
 def evaluate_oracle_views(
     log: DrivingLog,
-    native: StreetScene,
-    replaced: StreetScene,
+    baseline: StreetScene,
+    candidate: StreetScene,
     oracle: TrueWorld,
     track_id: str,
     mounts: Mapping[str, CameraMount],
@@ -53,17 +53,17 @@ def evaluate_oracle_views(
     of the vehicle with what the actor, drawn alone, covers by more than half (no shadow).
 
     Args:
-        native, replaced: scenes in the log's world frame, with a model of the track.
+        baseline, candidate: scenes in the log's world frame, with a model of the track.
         oracle: the world that the log was made from.
         mounts: cameras as they are rendered, see `camera_mounts`.
         out: folder to be made, whole or not at all: `oracle_views.json`, `view_000.png`, ... (the
-            box and a margin, from left to right native, replaced, truth), and the whole images
-            `showcase_native.png`, `showcase_replaced.png`, `showcase_truth.png` of one view.
+            box and a margin, from left to right baseline, candidate, truth), and the whole images
+            `showcase_baseline.png`, `showcase_candidate.png`, `showcase_truth.png` of one view.
         rng: for the intervals.
         settings: which views; the default draws 36.
         exposures: of the log's images, by camera, which the truth's are given too; 1 if missing.
-        shares: of the replaced actor, if it has some: each view then tells how much of what it
-            shows was seen, mirrored or invented.
+        shares: shares of the candidate actor that were seen, mirrored and invented, if they are
+            known; each view then tells them for what it shows.
         progress: told the number of views done, and of all.
 
     Raises:
@@ -82,7 +82,7 @@ def evaluate_oracle_views(
             log.name, f"track {track_id}", "is in no image of the log", "choose another track"
         )
     painter = Painter(
-        {"native": native, "replaced": replaced},
+        {"baseline": baseline, "candidate": candidate},
         oracle,
         track_id,
         track.size,
@@ -99,7 +99,7 @@ def evaluate_oracle_views(
             log.name, f"track {track_id}", "is in view at none of the places before the ego",
             "ask for other distances",
         )  # fmt: skip
-    meter = None if shares is None else CoverageMeter(replaced, track_id, shares)
+    meter = None if shares is None else CoverageMeter(candidate, track_id, shares)
     with nullcontext() if out is None else atomic_folder(out) as folder:
         views = []
         for index, (view, rectangle) in enumerate(placed):
@@ -118,8 +118,8 @@ def evaluate_oracle_views(
                     elevation=elevation,
                     angle=angle_to_nearest(direction, logged),
                     rectangle=rectangle,
-                    native=scores["native"],
-                    replaced=scores["replaced"],
+                    baseline=scores["baseline"],
+                    candidate=scores["candidate"],
                     coverage=None
                     if meter is None
                     else meter.measure(

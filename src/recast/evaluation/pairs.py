@@ -1,4 +1,4 @@
-"""The same scenario under two methods: every pair over the steps that both rollouts have."""
+"""The same scenario under two arms: every pair over the steps that both rollouts have."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class PairedMetric:
         pairs: number of these pairs.
         plans: how many plans each side made in them.
         cut: how many of the pairs end where one of the two rollouts was cut.
-        asked: scenarios that either method was asked for, failed rollouts among them.
+        asked: scenarios that either arm was asked for, failed rollouts among them.
     """
 
     differences: Mapping[str, Array]
@@ -54,7 +54,7 @@ class PairedMetric:
 
 @dataclass(frozen=True)
 class Pairs:
-    """All pairs of two methods.
+    """All pairs of two arms.
 
     Attributes:
         by_scene: pairs by name of the scene.
@@ -92,25 +92,25 @@ def matched_pairs(
     baseline: str,
     failed: Mapping[str, Sequence[Attempt]] | None = None,
 ) -> Pairs:
-    """Match rollouts of two methods by planner, track, motion and setting.
+    """Match rollouts of two arms by planner, track, motion and setting.
 
     A rollout that was cut had fewer chances to fail than one that was not: each pair is compared
     up to the end of its shorter rollout.
 
     Args:
-        scored: by name of the scene, its rollouts; those of other methods are ignored.
-        candidate, baseline: methods.
+        scored: by name of the scene, its rollouts; those of other arms are ignored.
+        candidate, baseline: arms.
         failed: rollouts that ended in an error: they have no pair, but were asked for.
     """
     by_scene: dict[str, tuple[Pair, ...]] = {}
     asked: set[tuple[str, _Key]] = set()
     for scene, attempts in (failed or {}).items():
-        asked |= {(scene, _key(a)) for a in attempts if a.method in (candidate, baseline)}
+        asked |= {(scene, _key(a)) for a in attempts if a.arm in (candidate, baseline)}
     for scene, rollouts in scored.items():
         found: dict[str, dict[_Key, Scored]] = {candidate: {}, baseline: {}}
         for rollout in rollouts:
-            if rollout.method in found:
-                found[rollout.method][_key(rollout)] = rollout
+            if rollout.arm in found:
+                found[rollout.arm][_key(rollout)] = rollout
                 asked.add((scene, _key(rollout)))
         shared = [key for key in found[candidate] if key in found[baseline]]
         if shared:

@@ -20,9 +20,13 @@ from torch import Tensor
 
 from recast.errors import InputError
 from recast.evaluation.weights_file import checked_weight
+from recast.pretrained import Picture, in_batches, resized
 from recast.torch_file import read_tensors
 
 Array = NDArray[np.float64]
+
+SIDE, BATCH = 256, 16
+"""Size of the pictures that `Lpips.distances` compares, and how many it looks at together."""
 
 # Mean and deviation of the inputs, which are in [-1, 1] (the published LPIPS scaling layer).
 _SHIFT = (-0.030, -0.088, -0.188)
@@ -96,6 +100,11 @@ class Lpips:
         self._weights = weights
         self._heads = heads
 
+    def to(self, device: str) -> Lpips:
+        """The same on a torch device."""
+        weights = {name: tensor.to(device) for name, tensor in self._weights.items()}
+        return Lpips(self.backbone, weights, [head.to(device) for head in self._heads])
+
     def __call__(self, image: Array, reference: Array) -> float:
         """Distance of two images (H, W, 3) in [0, 1], at least 32 pixels wide and high.
 
@@ -108,13 +117,57 @@ class Lpips:
         if min(image.shape[:2]) < 32:
             raise ValueError(f"Lpips: image of {image.shape[1]}x{image.shape[0]}, needs 32x32")
         with torch.no_grad():
-            pairs = zip(self.features(image), self.features(reference), self._heads, strict=True)
-            return float(sum(_distance(x, y, head) for x, y, head in pairs))
+            first, second = (self._unit(_pixels(one)) for one in (image, reference))
+            return float(self._distance(first, second))
+
+    def distances(
+        self, pictures: Sequence[Picture], references: Sequence[Picture], batch: int = BATCH
+    ) -> Array:
+        """(N, M) distance of each of N pictures to each of M references.
+
+        Pictures of any sizes are brought to 256 x 256 (bilinear, antialiased, the ratio of sides
+        lost). Features of all references are held at once: 2.6 MB each with AlexNet, 33 MB with
+        VGG-16.
+
+        Args:
+            batch: pictures at a time; see `in_batches`.
+        """
+
+        if not references:
+            return np.empty((len(pictures), 0))
+
+        def unit(some: Sequence[Picture]) -> list[Tensor]:
+            return self._unit(resized(some, SIDE, antialias=True))
+
+        with torch.no_grad():
+            known = [unit([one]) for one in references]
+
+        def row(some: Sequence[Picture]) -> Tensor:
+            seen = unit(some)
+            return torch.stack([self._distance(seen, other) for other in known], dim=1)
+
+        return in_batches(row, pictures, len(references), batch)
 
     def features(self, image: Array) -> list[Tensor]:
         """Outputs (C, h, w) of the tapped layers."""
-        x = torch.from_numpy(np.ascontiguousarray(image, np.float32)).movedim(-1, 0)[None] * 2 - 1
-        x = (x - torch.tensor(_SHIFT)[:, None, None]) / torch.tensor(_SCALE)[:, None, None]
+        return [tap[0] for tap in self._taps(_pixels(image))]
+
+    def _unit(self, pixels: Tensor) -> list[Tensor]:
+        """Outputs (N, C, h, w) of the tapped layers, of unit length at every pixel."""
+        return [tap / (tap.norm(dim=1, keepdim=True) + _EPSILON) for tap in self._taps(pixels)]
+
+    def _distance(self, first: Sequence[Tensor], second: Sequence[Tensor]) -> Tensor:
+        """(N,) distances of features as `_unit` gives them; those of one picture meet all."""
+        found = torch.zeros(len(first[0]), dtype=torch.float64, device=first[0].device)
+        for x, y, head in zip(first, second, self._heads, strict=True):
+            found += torch.einsum("c,nchw->nhw", head, (x - y).square()).double().mean(dim=(1, 2))
+        return found
+
+    def _taps(self, pixels: Tensor) -> list[Tensor]:
+        """Outputs (N, C, h, w) of the tapped layers for (N, 3, H, W) in [0, 1]."""
+        head = self._heads[0]
+        shift, scale = (head.new_tensor(v)[:, None, None] for v in (_SHIFT, _SCALE))
+        x = (pixels.to(head.device) * 2 - 1 - shift) / scale
         tapped = []
         for layer in self._layers:
             if layer.pool:
@@ -125,14 +178,13 @@ class Lpips:
                 stride=layer.stride, padding=layer.padding,
             ).relu()  # fmt: skip
             if layer.tapped:
-                tapped.append(x[0])
+                tapped.append(x)
         return tapped
 
 
-def _distance(x: Tensor, y: Tensor, head: Tensor) -> float:
-    x = x / (x.norm(dim=0, keepdim=True) + _EPSILON)
-    y = y / (y.norm(dim=0, keepdim=True) + _EPSILON)
-    return float(torch.einsum("c,chw->hw", head, (x - y).square()).double().mean())
+def _pixels(image: Array) -> Tensor:
+    """(1, 3, H, W) of an image (H, W, 3)."""
+    return torch.from_numpy(np.ascontiguousarray(image, np.float32)).movedim(-1, 0)[None]
 
 
 def load_lpips(path: Path) -> Lpips:

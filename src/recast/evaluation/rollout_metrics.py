@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from recast.evaluation.collision import TOUCHING, Collision, no_collision
+from recast.evaluation.collision import TOUCHING, Collision, any_collision, no_collision
 from recast.evaluation.comfort import (
     Comfort,
     com_4_13,
@@ -22,9 +24,11 @@ from recast.evaluation.drivable import (
 )
 from recast.evaluation.metric import Metric
 from recast.evaluation.progress import RouteCompletion, route_completion
+from recast.evaluation.table import COLUMNS
 from recast.evaluation.ttc import (
     TimeToCollision,
     constant_velocity_future,
+    least_time,
     realised_future,
     time_to_collision,
 )
@@ -32,18 +36,22 @@ from recast.logs.drivable_region import drivable_region
 from recast.logs.hdmap import HdMap
 from recast.simulation.rollout import Rollout
 
+Array = NDArray[Any]
+
 
 @dataclass(frozen=True)
 class RolloutMetrics:
     """What one rollout scored, and why.
 
     Attributes:
-        name, method, track_id, motion, setting, planner, start_timestamp_us, steps_requested,
+        name, arm, track_id, motion, setting, planner, start_timestamp_us, steps_requested,
             cut_reason: of the rollout.
         steps_run: executed steps S; C plans were made.
         plan_steps: (C,) steps at which they were made.
         map_derived: whether the map was made from the drive itself; None without a map.
-        collision, drivable, ttc, ttc_constant_velocity, progress: values with their arrays.
+        collision, drivable, ttc, ttc_constant_velocity, progress: values with their arrays; over
+            all controlled actors.
+        collisions: with each controlled actor, by track id, the target first.
         comfort, comfort_4_13, comfort_nuplan_savgol: three readings of COM; the first is the
             headline.
         driven: nuPlan's comfort of what was driven.
@@ -51,7 +59,7 @@ class RolloutMetrics:
     """
 
     name: str
-    method: str
+    arm: str
     track_id: str
     motion: str
     setting: str
@@ -63,6 +71,7 @@ class RolloutMetrics:
     plan_steps: tuple[int, ...]
     map_derived: bool | None
     collision: Collision
+    collisions: Mapping[str, Collision]
     drivable: DrivableArea
     ttc: TimeToCollision
     ttc_constant_velocity: TimeToCollision
@@ -71,8 +80,22 @@ class RolloutMetrics:
     comfort_4_13: Comfort
     comfort_nuplan_savgol: Comfort
     driven: Comfort
-    rollout: Rollout
-    hd_map: HdMap | None
+    rollout: Rollout = field(repr=False)
+    hd_map: HdMap | None = field(repr=False)
+
+    def __str__(self) -> str:
+        """The headline metrics, a line each, with their reasons."""
+        lines = [f"{self.name} by {self.planner}: {self.steps_run} of {self.steps_requested} steps"]
+        if self.cut_reason is not None:
+            lines[0] += f" ({self.cut_reason})"
+        for name, metric in self.values.items():
+            column = COLUMNS[name]
+            if not column.headline:
+                continue
+            shown = "n/a" if metric.value is None else f"{column.scale * metric.value:.2f}"
+            line = f"  {column.label:<11}{shown:>7} {column.unit:<2}"
+            lines.append(line if metric.reason is None else f"{line} {metric.reason}")
+        return "\n".join(lines)
 
     @property
     def plans(self) -> int:
@@ -107,9 +130,13 @@ class RolloutMetrics:
         outside: list[int] = []
         if distance is not None:
             outside = np.flatnonzero((distance > TOLERANCE).any(axis=1)).tolist()
+        several: dict[str, Any] = {}
+        if len(self.collisions) > 1:
+            steps = {track_id: one.first_step for track_id, one in self.collisions.items()}
+            several["first_collision_step_of"] = steps
         return {
             "name": self.name,
-            "method": self.method,
+            "arm": self.arm,
             "track_id": self.track_id,
             "motion": self.motion,
             "setting": self.setting,
@@ -128,6 +155,7 @@ class RolloutMetrics:
                 "map_derived": self.map_derived,
                 "route_length_m": self.progress.route_length,
                 "com_driven_failed": [name for one in self.driven.failed_checks() for name in one],
+                **several,
             },
             "per_cycle": {
                 "plan_steps": list(self.plan_steps),
@@ -149,25 +177,38 @@ def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
         rollout: validated.
         hd_map: of its log; without one DAC has no value.
     """
-    ego_boxes, actor, dt = rollout.ego_boxes, rollout.actor, rollout.dt
+    ego_boxes, dt = rollout.ego_boxes, rollout.dt
     steps = np.asarray(rollout.plan_steps, np.int64)
-    collision = no_collision(ego_boxes, rollout.ego_size, actor, rollout.actor_size, dt)
+    actors = _actors(rollout)
+    collisions = {
+        actor.track_id: no_collision(
+            ego_boxes, rollout.ego_size, actor.states, actor.size, dt, actor.name
+        )
+        for actor in actors
+    }
+    collision = any_collision(list(collisions.values()))
 
-    def ttc(future: np.ndarray) -> TimeToCollision:
-        return time_to_collision(
-            rollout.ego[steps, :3],
-            rollout.predictions,
-            rollout.ego_size,
-            rollout.ego_centre_offset,
-            future,
-            rollout.actor_size,
-            steps,
-            dt,
+    def ttc(future: Callable[[Array, Array, float], Array]) -> TimeToCollision:
+        return least_time(
+            [
+                time_to_collision(
+                    rollout.ego[steps, :3],
+                    rollout.predictions,
+                    rollout.ego_size,
+                    rollout.ego_centre_offset,
+                    future(actor.states, steps, dt),
+                    actor.size,
+                    steps,
+                    dt,
+                    actor.name,
+                )
+                for actor in actors
+            ]
         )
 
     return RolloutMetrics(
         name=rollout.name,
-        method=rollout.method,
+        arm=rollout.arm,
         track_id=rollout.track_id,
         motion=rollout.motion,
         setting=rollout.setting,
@@ -179,9 +220,10 @@ def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
         plan_steps=tuple(int(step) for step in steps),
         map_derived=None if hd_map is None else hd_map.derived,
         collision=collision,
+        collisions=collisions,
         drivable=drivable_area_compliance(ego_boxes, rollout.ego_size, drivable_region(hd_map), dt),
-        ttc=ttc(realised_future(actor, steps, dt)),
-        ttc_constant_velocity=ttc(constant_velocity_future(actor, steps, dt)),
+        ttc=ttc(realised_future),
+        ttc_constant_velocity=ttc(constant_velocity_future),
         progress=route_completion(rollout.ego, rollout.route, collision.first_step),
         comfort=com_hugsim(rollout.predictions, dt),
         comfort_4_13=com_4_13(rollout.predictions, dt),
@@ -190,3 +232,22 @@ def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
         rollout=rollout,
         hd_map=hd_map,
     )
+
+
+class _Actor(NamedTuple):
+    """A controlled actor as the metrics see it; `name` is for reasons."""
+
+    track_id: str
+    name: str
+    states: Array
+    size: Array
+
+
+def _actors(rollout: Rollout) -> list[_Actor]:
+    """All controlled ones, the target first."""
+    target = _Actor(rollout.track_id, "the actor", rollout.actor, rollout.actor_size)
+    further = (
+        _Actor(one.track_id, f"actor {one.track_id}", one.states, one.size)
+        for one in rollout.controlled
+    )
+    return [target, *further]

@@ -1,4 +1,4 @@
-"""The paper's table: means over rollouts by planner and method."""
+"""The paper's table: means over rollouts by planner and arm."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Attempt(Protocol):
         """Its name."""
 
     @property
-    def method(self) -> str:
+    def arm(self) -> str:
         """What rendered it."""
 
     @property
@@ -99,7 +99,7 @@ class Scored(Attempt, Protocol):
 
 @dataclass(frozen=True)
 class TableRow:
-    """One line: the rollouts of a planner under a rendering method.
+    """One line: the rollouts of a planner under a rendering arm.
 
     Attributes:
         rollouts: how many were scored; `failed` more ended in an error, `cut` of the scored ones
@@ -110,7 +110,7 @@ class TableRow:
     """
 
     planner: str
-    method: str
+    arm: str
     rollouts: int
     failed: int
     cut: int
@@ -127,7 +127,7 @@ class TableRow:
         """Plain data."""
         return {
             "planner": self.planner,
-            "method": self.method,
+            "arm": self.arm,
             "asked": self.asked,
             "rollouts": self.rollouts,
             "failed": self.failed,
@@ -139,7 +139,7 @@ class TableRow:
 
 
 def table(metrics: Sequence[Scored], failures: Sequence[Attempt] = ()) -> list[TableRow]:
-    """Rows in the order in which each planner and method first occurs.
+    """Rows in the order in which each planner and arm first occurs.
 
     A failed rollout has no metric, so it is in no mean: `TableRow` says how many there are. A cut
     one counts as it is; only pairs (see `recast.evaluation.pairs`) put that right. COM is the mean
@@ -147,18 +147,18 @@ def table(metrics: Sequence[Scored], failures: Sequence[Attempt] = ()) -> list[T
     that is the share over all plans.
     """
     keys = dict.fromkeys(
-        [(m.planner, m.method) for m in metrics] + [(f.planner, f.method) for f in failures]
+        [(m.planner, m.arm) for m in metrics] + [(f.planner, f.arm) for f in failures]
     )
-    return [_row(planner, method, metrics, failures) for planner, method in keys]
+    return [_row(planner, arm, metrics, failures) for planner, arm in keys]
 
 
 def _row(
     planner: str,
-    method: str,
+    arm: str,
     metrics: Sequence[Scored],
     failures: Sequence[Attempt],
 ) -> TableRow:
-    mine = [m for m in metrics if (m.planner, m.method) == (planner, method)]
+    mine = [m for m in metrics if (m.planner, m.arm) == (planner, arm)]
     means: dict[str, float | None] = {}
     counts: dict[str, int] = {}
     for name, column in COLUMNS.items():
@@ -167,9 +167,9 @@ def _row(
         means[name] = column.scale * float(np.mean(values)) if values else None
     return TableRow(
         planner=planner,
-        method=method,
+        arm=arm,
         rollouts=len(mine),
-        failed=sum((f.planner, f.method) == (planner, method) for f in failures),
+        failed=sum((f.planner, f.arm) == (planner, arm) for f in failures),
         cut=sum(m.cut_reason is not None for m in mine),
         plans=sum(m.plans for m in mine),
         means=means,

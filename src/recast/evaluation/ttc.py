@@ -1,8 +1,9 @@
-"""TTC: how soon each plan, if followed, would meet the actor."""
+"""TTC: how soon each plan, if followed, would meet a controlled actor."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,8 +39,9 @@ class TimeToCollision:
 def realised_future(actor: ArrayLike, steps: ArrayLike, dt: float = 0.1) -> Array:
     """Actor poses (C, N, 3) at 0, dt, ... below 4 s after each step, as the rollout went on.
 
-    The actor is scripted and ignores the ego, so its states are its future whatever the ego plans.
-    Past the last state it moves on at constant velocity. This is HUGSIM's reading.
+    A scripted actor ignores the ego, so its states are its future whatever the ego plans. Of an
+    actor that reacts they are what it did. Past the last state the actor moves on at constant
+    velocity. This is HUGSIM's reading.
 
     Args:
         actor: (S+1, 4) x, y, heading, speed of the box centre.
@@ -71,6 +73,7 @@ def time_to_collision(
     actor_size: ArrayLike,
     steps: ArrayLike,
     dt: float = 0.1,
+    name: str = "the actor",
 ) -> TimeToCollision:
     """TTC: first time at which a plan's ego box overlaps the actor's, least over the cycles.
 
@@ -85,6 +88,7 @@ def time_to_collision(
         actor_future: (C, N, 3) box centre at the same times.
         steps: (C,) of the plans, for the reason only.
         dt: seconds between waypoints.
+        name: name of the actor, for the reason.
     """
     predictions = np.asarray(predictions, np.float64)
     if len(predictions) == 0:
@@ -104,8 +108,22 @@ def time_to_collision(
     if value == CAP:
         return TimeToCollision(Metric(CAP), per_cycle)
     step = int(np.asarray(steps)[worst])
-    reason = f"the plan made at step {step} ({step * dt:.1f} s) meets the actor after {value:.1f} s"
+    reason = f"the plan made at step {step} ({step * dt:.1f} s) meets {name} after {value:.1f} s"
     return TimeToCollision(Metric(value, reason), per_cycle)
+
+
+def least_time(times: Sequence[TimeToCollision]) -> TimeToCollision:
+    """TTC over several actors: the least one.
+
+    Args:
+        times: of the same plans with each actor, at least one. Of equal ones the first in this
+            order gives the reason.
+    """
+    if any(one.ttc.value is None for one in times):
+        return next(one for one in times if one.ttc.value is None)
+    worst = min(times, key=lambda one: one.ttc.value or 0.0)
+    per_cycle: Array = np.min([one.per_cycle for one in times], axis=0)
+    return TimeToCollision(worst.ttc, per_cycle)
 
 
 def _instants(dt: float) -> int:

@@ -12,9 +12,6 @@ from recast.evaluation.bootstrap import Bootstrap, cluster_bootstrap
 from recast.evaluation.grid_row import GridRow
 from recast.evaluation.pairs import over_common_steps
 
-ORACLE = "oracle"
-"""The method that renders the truth."""
-
 
 @dataclass(frozen=True)
 class Verdict:
@@ -37,10 +34,10 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Agreement:
-    """A method's verdicts together.
+    """The verdicts of a planner under an arm.
 
     Attributes:
-        method: of the rollouts.
+        planner, arm: of the rollouts.
         asked: how many rollouts there should be; where it or the oracle's failed nothing is
             compared.
         pairs, scenes: how many were compared, and in how many scenes.
@@ -53,7 +50,8 @@ class Agreement:
         ttc_error: mean absolute TTC error in seconds, likewise; None without a pair.
     """
 
-    method: str
+    planner: str
+    arm: str
     asked: int
     pairs: int
     scenes: int
@@ -66,32 +64,43 @@ class Agreement:
     ttc_error: Bootstrap | None
 
 
-def verdicts(rows: Sequence[GridRow]) -> list[Verdict | None]:
-    """For each row, how it compares; None for the oracle's own and where either failed."""
-    truth = {row.scenario: row for row in rows if row.method == ORACLE and row.collided is not None}
-    return [_verdict(row, truth.get(row.scenario)) for row in rows]
-
-
-def agreements(rows: Sequence[GridRow], samples: int, seed: int) -> list[Agreement]:
-    """A line for each method that has a rollout to compare, in the order of the rows.
+def verdicts(rows: Sequence[GridRow], truth: str | None) -> list[Verdict | None]:
+    """For each row, how it compares with the same planner's in the truth.
 
     Args:
-        rows: of the whole grid, the oracle's among them.
+        truth: the arm that renders the truth; None if none does.
+
+    Returns:
+        None for the truth's own rows, and where either failed.
+    """
+    if truth is None:
+        return [None] * len(rows)
+    true = {row.scenario: row for row in rows if row.arm == truth and row.collided is not None}
+    return [None if r.arm == truth else _verdict(r, true.get(r.scenario)) for r in rows]
+
+
+def agreements(rows: Sequence[GridRow], truth: str, samples: int, seed: int) -> list[Agreement]:
+    """A line for each planner and arm with a rollout to compare, in the order of the rows.
+
+    Args:
+        rows: of the whole grid, those of the truth among them.
+        truth: the arm that renders the truth.
         samples: of the bootstrap over scenes.
         seed: of the bootstrap.
     """
-    compared = [(r, v) for r, v in zip(rows, verdicts(rows), strict=True) if v is not None]
-    asked = Counter(row.method for row in rows)
+    found = zip(rows, verdicts(rows, truth), strict=True)
+    compared = [(row, verdict) for row, verdict in found if verdict is not None]
+    asked = Counter((row.planner, row.arm) for row in rows)
     return [
         _agreement(
-            [(r, v) for r, v in compared if r.method == method], asked[method], samples, seed
+            [(r, v) for r, v in compared if (r.planner, r.arm) == key], asked[key], samples, seed
         )
-        for method in dict.fromkeys(row.method for row, _ in compared)
+        for key in dict.fromkeys((row.planner, row.arm) for row, _ in compared)
     ]
 
 
 def _verdict(row: GridRow, truth: GridRow | None) -> Verdict | None:
-    if truth is None or row.method == ORACLE or row.collided is None or truth.collided is None:
+    if truth is None or row.collided is None or truth.collided is None:
         return None
     cut = row.steps_run != truth.steps_run
     row, truth = over_common_steps(row, truth)
@@ -116,7 +125,8 @@ def _agreement(
 
     wrong = [verdict for _, verdict in compared if not verdict.agrees]
     return Agreement(
-        method=compared[0][0].method,
+        planner=compared[0][0].planner,
+        arm=compared[0][0].arm,
         asked=asked,
         pairs=len(compared),
         scenes=len(same),

@@ -4,7 +4,8 @@ from recast.logs.derive_map import derive_map, ego_path, map_of
 from recast.logs.ground import even_ground
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
 from recast.logs.info import LogInfo, TrackInfo, TrackVisibility, log_info
-from recast.logs.store import read_log, watch_writing, write_log
+from recast.logs.load import load_log
+from recast.logs.store import read_log, write_log
 from recast.logs.track_points import TrackPoints, all_track_points, track_points
 from recast.logs.types import (
     CameraStream,
@@ -33,10 +34,10 @@ __all__ = [
     "derive_map",
     "ego_path",
     "even_ground",
+    "load_log",
     "log_info",
     "map_of",
     "read_log",
     "track_points",
-    "watch_writing",
     "write_log",
 ]

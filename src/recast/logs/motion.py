@@ -68,3 +68,16 @@ def _continued(before: Array, at: Array, interval_us: int, ahead_us: int) -> Arr
     twist = se3.log(se3.inverse(before) @ at)
     moved: Array = at @ se3.exp(twist * (ahead_us / interval_us))
     return moved
+
+
+def logged_velocity(trajectory: Trajectory, timestamps_us: Int64Array | int, step_us: int) -> Array:
+    """Velocities (..., 2) in the world, m/s, at times (...) within a trajectory.
+
+    Differences over `step_us` to each side, less at its ends.
+    """
+    ends = trajectory.timestamps_us[[0, -1]]
+    around = np.clip([timestamps_us - step_us, timestamps_us + step_us], *ends)
+    before, after = trajectory.at(around)[..., :2, 3]
+    seconds: Array = np.maximum((around[1] - around[0]) * 1e-6, 1e-6)
+    velocity: Array = (after - before) / seconds[..., None]
+    return velocity

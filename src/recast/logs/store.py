@@ -1,10 +1,8 @@
-"""A log on disk: a folder with an NCore V4 store, log.json and, where there is a map, map.json."""
+"""A log on disk: a folder with an NCore V4 store, log.json and, if there is a map, map.json."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -26,40 +24,26 @@ WriteProgress = Callable[[int, int], None]
 """Called with the images and sweeps written so far, and with all there are."""
 
 
-def _unwatched(done: int, total: int) -> None:
-    pass
-
-
-_watcher: ContextVar[WriteProgress] = ContextVar("_watcher", default=_unwatched)
-
-
-@contextmanager
-def watch_writing(progress: WriteProgress) -> Iterator[None]:
-    """Have `progress` called by the `write_log` calls within the block.
-
-    It is no argument of `write_log`, so that importers, which end with it, need not hand it on.
-    """
-    token = _watcher.set(progress)
-    try:
-        yield
-    finally:
-        _watcher.reset(token)
-
-
-def write_log(log: DrivingLog, path: str | Path) -> None:
+def write_log(log: DrivingLog, path: str | Path, progress: WriteProgress | None = None) -> None:
     """Write `log` to the new folder `path`; it appears whole or not at all.
 
     One image or sweep at a time is in memory. Images that are PNG or JPEG files already keep their
     bytes, others become PNG. LiDAR points are stored as NCore wants them: rays in the sensor frame,
     as measured.
 
+    Args:
+        log: images and sweeps are read from their source now; its `origin` is not written.
+        path: the folder; the one above it is made if it is missing.
+        progress: called after each image or sweep, and once before the first.
+
     Raises:
-        InputError: the log is not valid, `path` exists, or the disk refuses.
+        InputError: the log is not valid, one of its images or sweeps cannot be read, `path` exists,
+            or the disk refuses.
     """
     with refused(f"log {log.name}", "correct the data that the log was made of"):
         log.validate()
     with storage.atomic_folder(path) as folder:
-        write_ncore(log, folder, _watcher.get())
+        write_ncore(log, folder, progress or _ignored)
         if log.map is not None:
             write_map(log.map, folder / MAP_FILE)
         x, y, z = (float(value) for value in log.world_offset)
@@ -76,6 +60,9 @@ def write_log(log: DrivingLog, path: str | Path) -> None:
 
 def read_log(path: str | Path) -> DrivingLog:
     """Read a log folder; images and sweeps are decoded when asked for.
+
+    Returns:
+        the log, with the folder's absolute path as its `origin`.
 
     Raises:
         InputError: no such folder, not a log, another version, or a file of it missing or broken.
@@ -106,4 +93,9 @@ def read_log(path: str | Path) -> DrivingLog:
     )
     with refused(path, "import the drive again"):
         log.validate()
+    object.__setattr__(log, "origin", folder)  # no argument, so that `replace` drops it
     return log
+
+
+def _ignored(done: int, total: int) -> None:
+    pass

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -195,6 +196,9 @@ class DrivingLog:
         map: lanes and drivable area, or None.
         world_offset: (3,) float64, dataset coordinates = world coordinates + offset.
         metadata: source dataset, licence and the like, plain strings.
+        origin: absolute path of the folder that `read_log` read it from, whose content it is; None
+            for any other log. It is not compared and not written. A log that is made from this one
+            (`dataclasses.replace`) has none, whatever was changed.
     """
 
     name: str
@@ -205,6 +209,7 @@ class DrivingLog:
     map: HdMap | None = None
     world_offset: Array = field(default_factory=lambda: np.zeros(3))
     metadata: Mapping[str, str] = field(default_factory=dict)
+    origin: Path | None = field(default=None, init=False, compare=False)
 
     def validate(self) -> None:
         """Raise ValueError naming the field at fault: shape, order, range, rotation, name.

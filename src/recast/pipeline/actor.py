@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -20,30 +21,24 @@ from recast.actors import (
     ActorGenerator,
     Observation,
     Segmenter,
-    axes_of,
     load_actor,
     make_generator,
     observe,
     save_actor,
     segmenter_of,
 )
-from recast.actors.axes import UNIT_CUBE_Z_UP
 from recast.actors.candidates import choose
 from recast.actors.evidence import gather_evidence, load_evidence, save_evidence
 from recast.actors.generate import candidates_of
 from recast.actors.insert import require_model
-from recast.actors.library import LIBRARY, LibraryGenerator
 from recast.actors.refine import refine
-from recast.actors.vehicle_files import is_vehicle_file, vehicle_generator
 from recast.actors.view_pool import Usable
-from recast.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog
 from recast.pipeline.layout import (
     ACTOR_FOLDER,
     EVIDENCE_FILE,
     OBSERVATION_FOLDER,
-    REFINED_FOLDER,
     REFINEMENT_CHECKPOINT,
 )
 from recast.reporting.actor_sheet import turntable_frames
@@ -58,30 +53,7 @@ _TURNTABLE_SIZE = (640, 360)
 _BOX_COLOUR = (255, 170, 0)
 
 
-def generator_of(name: str, axes: str = AUTO) -> ActorGenerator:
-    """A generator by its name, or one for the vehicle file, the library or the model of that path.
-
-    Args:
-        axes: orientation of files or a model, see `recast.actors.axes_of`. With "auto", that of a
-            file is told from its shape, and models are z up with any heading.
-
-    Raises:
-        InputError: no such generator, no such file, no such axes, or axes of a generator that knows
-            its own; or a model that cannot be loaded.
-    """
-    if name.startswith(LIBRARY):
-        return LibraryGenerator(name.removeprefix(LIBRARY), axes)
-    if is_vehicle_file(name):
-        return vehicle_generator(name, axes)
-    if Path(name).is_dir():
-        from recast.actors.image_to_3d_generator import ImageTo3DGenerator
-
-        return ImageTo3DGenerator(name, axes=UNIT_CUBE_Z_UP if axes == AUTO else axes_of(axes))
-    if axes != AUTO:
-        raise InputError(
-            "--axes", axes, f"is not for the generator {name}, which knows its axes", "leave it out"
-        )
-    return make_generator(name)
+generator_of = make_generator  # its old name
 
 
 @dataclass(frozen=True)
@@ -141,24 +113,30 @@ def make_actor(
 
 
 def refine_actor(
-    run: Path, scene: StreetScene, seed: int, progress: StageProgress | None = None
+    registered: Path,
+    scene: StreetScene,
+    seed: int,
+    out: Path,
+    progress: StageProgress | None = None,
 ) -> Actor:
     """Refine the actor of a folder that `make_actor` wrote, against a street.
 
-    Writes `refined/`; goes on where it was stopped.
+    Writes `actor/` below `out`, and goes on where it was stopped there.
 
     Raises:
         InputError: something of the folder is missing or broken; the scene has no such track.
     """
-    actor = load_actor(run / ACTOR_FOLDER)
+    actor = load_actor(registered / ACTOR_FOLDER)
     require_model(scene, actor.track_id)
-    evidence = load_evidence(run / EVIDENCE_FILE).posed_by(scene)
-    checkpoint = run / REFINEMENT_CHECKPOINT
+    evidence = load_evidence(registered / EVIDENCE_FILE).posed_by(scene)
+    checkpoint = out / REFINEMENT_CHECKPOINT
     refined = refine(
         actor, evidence, scene, seed, checkpoint=checkpoint,
         progress=_stage(progress, "refinement"),
     )  # fmt: skip
-    save_actor(refined, run / REFINED_FOLDER)
+    if (out / ACTOR_FOLDER).exists():  # a kill between the folder and the removal below
+        shutil.rmtree(out / ACTOR_FOLDER)
+    save_actor(refined, out / ACTOR_FOLDER)
     checkpoint.unlink(missing_ok=True)
     return refined
 

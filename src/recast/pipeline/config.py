@@ -8,35 +8,35 @@ from typing import Any, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from recast.actors import AUTO, DEFAULT_GENERATOR, DEFAULT_SEGMENTER
-from recast.pipeline.layout import Method
-from recast.pipeline.run_folder import RUN_FILE, RunFolder
+from recast.pipeline.arms import MOST_VIEWS, Arm, default_arms
 from recast.planning import DEVICE_PATTERN
 from recast.records import Record, parse_record
 from recast.scene import Preset, SceneConfig
 from recast.simulation import MOTIONS, ScriptedMotion, motion_of_record, scenario_name
 from recast.storage import read_json
 
-CONFIG_VERSION: Literal[1] = 1
-MOST_VIEWS = 24
-"""Of a target: one every 15 degrees all around."""
+CONFIG_VERSION: Literal[2] = 2
+"""1 had one planner, and methods instead of arms."""
 
 
 class RunConfig(Record):
     """The resolved configuration of a run, as written to `run.json`.
 
     `motions` are scenario names with their setting, such as "cut-in-a"; `own_motions` holds those
-    that came from scenario files, so that the run needs no file again. `methods` say what renders
-    the scene; the first is the baseline. "oracle" needs a synthetic log.
+    that came from scenario files, so that the run needs no file again. `arms` are what is compared,
+    the first is the baseline; `generator`, `axes`, `refine`, `segmenter` and `views` are those of
+    the arms that do not say otherwise. `streets` holds the settings of the streets that arms name
+    beside the run's own, which are `scene`.
     """
 
-    version: Literal[1] = CONFIG_VERSION
+    version: Literal[2] = CONFIG_VERSION
     track: str
     motions: tuple[str, ...] = Field(min_length=1)
     own_motions: dict[str, dict[str, Any]] = Field(
         default={}, description="contents of scenario files, by scenario name"
     )
-    methods: tuple[Method, ...] = Field(default=("native", "replaced"), min_length=1)
-    planner: str = "idm-follower"
+    arms: tuple[Arm, ...] = Field(default_factory=default_arms, min_length=1)
+    planners: tuple[str, ...] = Field(default=("idm-follower",), min_length=1)
     planner_device: str = Field(
         default="auto", pattern=f"^({DEVICE_PATTERN})$", description="where the planner computes"
     )
@@ -67,6 +67,12 @@ class RunConfig(Record):
         default=None, description="method of the scene: sets what `scene` does not name"
     )
     scene: SceneConfig = SceneConfig()
+    scene_folder: str | None = Field(
+        default=None, description="folder of a trained or imported scene, instead of training one"
+    )
+    streets: dict[str, SceneConfig] = Field(
+        default={}, description="scene settings of the presets that arms name"
+    )
 
     @field_validator("own_motions")
     @classmethod
@@ -77,11 +83,12 @@ class RunConfig(Record):
                 raise ValueError(f"{name!r} describes the scenario {described!r}")
         return value
 
-    @field_validator("motions", "methods")
+    @field_validator("motions", "planners", "arms")
     @classmethod
-    def _each_once(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        for name in value:
-            if value.count(name) > 1:
+    def _each_once(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
+        names = [one.name if isinstance(one, Arm) else one for one in value]
+        for name in names:
+            if names.count(name) > 1:
                 raise ValueError(f"names {name!r} twice")
         return value
 
@@ -100,38 +107,24 @@ class RunConfig(Record):
         record = self.own_motions.get(name)
         return MOTIONS[name] if record is None else motion_of_record(record)
 
+    def arm(self, name: str) -> Arm:
+        """One of `arms`, with the run's settings where it has none of its own."""
+        arm = next(arm for arm in self.arms if arm.name == name)
+        if not arm.generates:
+            return arm
+        missing = [key for key in _OF_THE_RUN if getattr(arm, key) is None]
+        return arm.model_copy(update={key: getattr(self, key) for key in missing})
+
+    def street(self, name: str) -> SceneConfig:
+        """The scene settings of a street that is to be trained."""
+        return self.streets.get(name, self.scene)
+
     def resolved(self) -> dict[str, Any]:
-        """JSON-able, every default filled in but those of the youngest members."""
-        values = self.model_dump(mode="json")
-        if self.preset is None:  # else a default may be a choice against the preset
-            del values["preset"]
-            values["scene"] = self.scene.resolved()
-        if not self.own_motions:
-            del values["own_motions"]  # runs begun before there were scenario files go on
-        if self.axes == AUTO:
-            del values["axes"]
-        if self.views == 1:
-            del values["views"]
-        if self.planner_device == "auto":
-            del values["planner_device"]
-        if self.plan_limit_s is None:
-            del values["plan_limit_s"]
-        for default in ("films", "refine"):
-            if values[default]:
-                del values[default]
-        return values
+        """JSON-able, every default filled in."""
+        return self.model_dump(mode="json")
 
 
-def config_of(folder: RunFolder) -> RunConfig:
-    """The configuration of a run folder.
-
-    Raises:
-        InputError: its record was damaged.
-    """
-    mend = "run again into a new folder"
-    return parse_record(
-        folder.path / RUN_FILE, folder.record.config, RunConfig, CONFIG_VERSION, mend
-    )
+_OF_THE_RUN = ("generator", "axes", "refine", "segmenter", "views")
 
 
 def read_run_config(path: str | Path) -> RunConfig:

@@ -11,9 +11,9 @@ from rich.console import Console
 from recast import storage
 from recast.actors import DEFAULT_GENERATOR
 from recast.pipeline.actor import generator_of
+from recast.pipeline.arms import Arm, default_arms
 from recast.pipeline.config import RunConfig
 from recast.pipeline.drive import drive_log
-from recast.pipeline.layout import METHODS
 from recast.pipeline.run import run
 from recast.planning import GTRS_MINI, make_planner
 from recast.records import validation_error
@@ -63,7 +63,7 @@ def demo(
     """Make a drive, reconstruct it, replace the target, and run it against the truth.
 
     Args:
-        out: gets `log/` and `run/`; what lies there of the same demo is used again.
+        out: gets `log/`, `run/` and `store/`; what lies there of the same demo is used again.
         scene: name of a synthetic scene.
         seed: of the scene and of everything after.
         size: `FULL` or `QUICK`.
@@ -85,8 +85,8 @@ def demo(
         config = RunConfig(
             track=world.target,
             motions=size.motions,
-            methods=tuple(METHODS),
-            planner=planner or size.planner,
+            arms=(*default_arms(), Arm.oracle()),
+            planners=(planner or size.planner,),
             generator=generator,
             steps=size.steps,
             seed=seed,
@@ -96,12 +96,11 @@ def demo(
                 iterations=size.iterations,
                 seed=seed,
                 threads=threads,
-                force_dynamic=(world.target,),
             ),
         )
     except ValidationError as error:
         raise validation_error("options", error, "give a value in range") from None
-    make_planner(config.planner)
+    make_planner(config.planners[0])
     generator_of(config.generator, config.axes)
     out = Path(out)
     with storage.disk_errors(out):

@@ -20,6 +20,7 @@ from rich.text import Text
 from recast.actors import Actor
 from recast.actors.actor import CandidateRecord
 from recast.bars import Bars
+from recast.errors import printable
 from recast.evaluation import COLUMNS, OracleViews
 
 
@@ -101,14 +102,24 @@ def candidates_table(candidates: Sequence[CandidateRecord]) -> Table:
     return table
 
 
-def results_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """The headline metrics by method, from the `table` member of metrics.json; 80 columns wide."""
+def results_tables(rows: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """For each planner the headline metrics by arm; 80 columns wide.
+
+    Args:
+        rows: the `table` member of metrics.json.
+    """
+    planners = dict.fromkeys(row["planner"] for row in rows)
+    return [_results(planner, [r for r in rows if r["planner"] == planner]) for planner in planners]
+
+
+def _results(planner: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     headline = {name: column for name, column in COLUMNS.items() if column.headline}
     table = Table(
-        title="closed loop", title_justify="left", box=SIMPLE_HEAD, collapse_padding=True,
-        pad_edge=False,
+        title=Text(f"{printable(planner)} in closed loop"), title_justify="left", box=SIMPLE_HEAD,
+        collapse_padding=True, pad_edge=False,
     )  # fmt: skip
-    for heading in ("method", "scored", "plans"):
+    table.add_column("arm", overflow="fold")
+    for heading in ("scored", "plans"):
         table.add_column(heading, no_wrap=True)
     for column in headline.values():
         table.add_column(column.heading, no_wrap=True)
@@ -116,12 +127,27 @@ def results_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         told = [f"{row['rollouts']} of {row['asked']}"]
         told += [f"{row[what]} {what}" for what in ("failed", "cut") if row[what]]
         table.add_row(
-            row["method"],
-            "\n".join(told),
-            str(row["plans"]),
+            Text(printable(row["arm"])), "\n".join(told), str(row["plans"]),
             *(_mean(row, name) for name in headline),
-        )
+        )  # fmt: skip
     return table
+
+
+def failure_lines(failures: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Why rollouts failed, each reason once with how many it is of.
+
+    Args:
+        failures: the `failures` member of metrics.json.
+    """
+    reasons: dict[str, list[str]] = {}
+    for one in failures:
+        # A refusal names the rollout, which is another one for every arm.
+        reason = str(one["reason"]).replace(f"rollout {one['name']}: ", "")
+        reasons.setdefault(reason, []).append(one["name"])
+    return [
+        f"{names[0]}{f' and {len(names) - 1} more' if names[1:] else ''}: {reason}"
+        for reason, names in reasons.items()
+    ]
 
 
 def _mean(row: Mapping[str, Any], name: str) -> str:
@@ -133,18 +159,18 @@ def _mean(row: Mapping[str, Any], name: str) -> str:
 
 
 def truth_table(views: OracleViews) -> Table:
-    """Native and replaced actor against the truth, by angle from the nearest logged view."""
+    """The vehicle against the truth, by angle from the nearest logged view."""
     table = Table(
-        title="actor's box against the truth, native → replaced", title_justify="left",
+        title="actor's box against the truth, street's own → generated", title_justify="left",
         box=SIMPLE_HEAD,
     )  # fmt: skip
     for heading in ("degrees from the log", "views", "PSNR dB", "SSIM", "mask IoU"):
         table.add_column(heading, no_wrap=True)
     for row in views.summary:
-        if row.native is None or row.replaced is None:
+        if row.baseline is None or row.candidate is None:
             continue
         values = (
-            f"{getattr(row.native, name):.{digits}f} → {getattr(row.replaced, name):.{digits}f}"
+            f"{getattr(row.baseline, name):.{digits}f} → {getattr(row.candidate, name):.{digits}f}"
             for name, digits in (("psnr", 2), ("ssim", 3), ("mask_iou", 2))
         )
         table.add_row(f"{row.low:.0f}-{row.high:.0f}", str(row.views), *values)

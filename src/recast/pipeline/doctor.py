@@ -15,6 +15,8 @@ from rich.table import Table
 from recast import __version__, kernel
 from recast.cores import usable_cores
 from recast.parts import GENERATORS, IMPORTERS, PLANNERS, SEGMENTERS
+from recast.weights import PUBLISHED, weights_folder
+from recast.weights.place import is_fetched
 
 _OPTIONAL = {
     "embreex": ("synthetic worlds, the demo", "pip install 'recast-sim[synthetic]'"),
@@ -46,7 +48,7 @@ class Finding:
 
 def examine() -> list[Finding]:
     """Look at everything recast can use."""
-    return [*_platform(), _kernel(), *_cuda(), *_optional(), *_seams()]
+    return [*_platform(), _kernel(), *_cuda(), *_optional(), *_seams(), _weights()]
 
 
 def findings_table(findings: list[Finding]) -> Table:
@@ -128,4 +130,9 @@ def _optional() -> list[Finding]:
 
 
 def _seams() -> list[Finding]:
-    return [Finding(f"{seam.kind}s", None, ", ".join(seam.names())) for seam in _SEAMS]
+    return [Finding(f"{seam.kind}s", None, ", ".join(seam.labels())) for seam in _SEAMS]
+
+
+def _weights() -> Finding:
+    here = ", ".join(name for name in PUBLISHED if is_fetched(name)) or "none"
+    return Finding("weights", None, f"{here} in {weights_folder()}", "recast weights list")

@@ -1,4 +1,4 @@
-"""Judge actors on a real drive: held-out images of logged vehicles, native, registered, refined."""
+"""Judge actors on a real drive by held-out images of logged vehicles."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from recast.pipeline.layout import ACTOR_FOLDER
 from recast.scene import SceneConfig, StreetScene
 from recast.storage import atomic_folder, write_json
 
-MODELS = ("native", "registered", "refined")
+MODELS = ("reconstructed", "registered", "refined")
 """The scene's own model of the track, the actor as registered, and as refined."""
 _TILE_WIDTH = 960
 _SHOWN = 6
@@ -62,7 +62,7 @@ def evaluate_tracks(
     """Make and refine the actor of every track, and compare it with held-out images.
 
     Writes `metrics.json`, and for every track a folder with its actor and `held_out.png` (each row
-    an image: recording, native, registered, refined) to `out`, whole or not at all.
+    an image: recording, reconstructed, registered, refined) to `out`, whole or not at all.
 
     Args:
         scene: reconstructed from the log, with models of the tracks.
@@ -83,9 +83,9 @@ def evaluate_tracks(
             place = folder / f"track_{number}"
             place.mkdir()
             make_actor(log, track_id, makers, seed, place, config, progress=progress)
-            refined = refine_actor(place, scene, seed, progress)
+            refined = refine_actor(place, scene, seed, place / "refined", progress)
             models = {
-                "native": scene,
+                "reconstructed": scene,
                 "registered": insert(scene, load_actor(place / ACTOR_FOLDER)),
                 "refined": insert(scene, refined),
             }

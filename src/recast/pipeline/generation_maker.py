@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.actors import ActorGenerator, Observation
+from recast.actors import ActorGenerator, Observation, make_generator
 from recast.actors.one_view import observation_of_view
 from recast.errors import InputError
 from recast.evaluation.actor_cases import ActorCase
@@ -21,8 +21,9 @@ from recast.evaluation.generation_cell import Cell, Features, write_cell
 from recast.evaluation.generation_features import Embedder, load_embedders
 from recast.evaluation.generation_pictures import strip, tile, tile_window
 from recast.evaluation.generation_placement import Placement, place
+from recast.evaluation.generation_targets import elevation_deg
 from recast.evaluation.perceptual import ImageDistance, load_distances
-from recast.pipeline.actor import generator_of
+from recast.pipeline.generation_results import VIEWS, StudyModel, read_views, vehicle_file
 from recast.recar.perturb import PerturbationConfig, perturb
 
 Image = NDArray[np.uint8]
@@ -54,7 +55,7 @@ class CellJob:
         case: the vehicle.
         key: see `Cell`.
         folder: of the cell.
-        model: what makes it, see `generator_of`; None for the photographs.
+        model: what makes it; None for the photographs.
         perturbed: what the input is put through; None for a clean one. Of the photographs' job:
             with what the perturbed input is shown.
     """
@@ -62,7 +63,7 @@ class CellJob:
     case: ActorCase
     key: str
     folder: Path
-    model: str | None
+    model: StudyModel | None
     perturbed: PerturbationConfig | None
 
 
@@ -85,7 +86,7 @@ class CellMaker:
         )
         self._seed = seed
         self._placement = placement
-        self._model: tuple[str, ActorGenerator] | None = None
+        self._model: tuple[StudyModel, ActorGenerator] | None = None
 
     def __call__(self, job: CellJob) -> dict[str, float]:
         """Make and write a cell; gives the seconds it took, by what was done.
@@ -96,12 +97,18 @@ class CellMaker:
         """
         if job.model is None:
             return self._photographs(job)
-        return self._generated(job, self._generator(job.model))
+        if job.model.source.startswith(VIEWS):
+            return self._pictured(job, job.model)
+        if job.model.folder is None:
+            self._generator(job.model)  # whose errors end the study
+        return self._generated(job, job.model)
 
-    def _generator(self, model: str) -> ActorGenerator:
+    def _generator(self, model: StudyModel, vehicle: str = "") -> ActorGenerator:
+        if model.folder is not None:
+            return make_generator(vehicle_file(model.folder, vehicle), model.axes)
         if self._model is None or self._model[0] != model:
             self._model = None  # first let go of the other one
-            self._model = (model, generator_of(model))
+            self._model = (model, make_generator(model.source, model.axes))
         return self._model[1]
 
     def _photographs(self, job: CellJob) -> dict[str, float]:
@@ -120,6 +127,7 @@ class CellMaker:
             "input": case.inputs[0].name,
             "input_azimuth_deg": case.inputs[0].azimuth_deg,
             "azimuths_deg": [view.azimuth_deg for view in case.targets],
+            "elevations_deg": [elevation_deg(view) for view in case.targets],
             "perturbations": applied,
         }
         features = self._features(truths, truths)
@@ -127,7 +135,23 @@ class CellMaker:
         write_cell(job.folder, Cell(job.key, case.id, facts, views, features=features), pictures)
         return {"measure": time.perf_counter() - start}
 
-    def _generated(self, job: CellJob, generator: ActorGenerator) -> dict[str, float]:
+    def _pictured(self, job: CellJob, model: StudyModel) -> dict[str, float]:
+        """Of pictures that were drawn elsewhere: neither made nor placed here."""
+        assert model.folder is not None
+        start = time.perf_counter()
+        try:
+            shown = [photographed(rgba) for rgba in read_views(model.folder, job.case)]
+        except InputError as error:
+            return self._failed(job, error, start)
+        facts = {"details": {"pictures": model.folder.name}, "placement": {"by": "pictures"}}
+        self._write(job, facts, shown)
+        return {"measure": time.perf_counter() - start}
+
+    def _failed(self, job: CellJob, error: InputError, start: float) -> dict[str, float]:
+        write_cell(job.folder, Cell(job.key, job.case.id, {}, failure=str(error)), {})
+        return {"generate": time.perf_counter() - start}
+
+    def _generated(self, job: CellJob, model: StudyModel) -> dict[str, float]:
         case = job.case
         clean = [_observation(case, index) for index in range(len(case.inputs))]
         seen = clean[0]
@@ -136,33 +160,37 @@ class CellMaker:
             seen = _observation(case, 0, rgba)
         start = time.perf_counter()
         try:
-            asset = generator.generate(seen, self._seed)
+            asset = self._generator(model, case.id).generate(seen, self._seed)
             made = time.perf_counter()
             # by clean views: how well the silhouette is found again is not the model's doing
             gaussians, placement = place(asset, case.size, clean, self._placement)
         except InputError as error:
-            write_cell(job.folder, Cell(job.key, case.id, {}, failure=str(error)), {})
-            return {"generate": time.perf_counter() - start}
+            return self._failed(job, error, start)
         placed = time.perf_counter()
-        truths = [photographed(view.load()) for view in case.targets]
         shown = [drawn(gaussians, asset.low_pass, view) for view in case.targets]
-        scores = [
-            score_view(one, truth, self._distances)
-            for one, truth in zip(shown, truths, strict=True)
-        ]
         facts = {
             "details": dict(asset.details), "seed": asset.seed, "placement": placement,
             "low_pass": asdict(asset.low_pass),
         }  # fmt: skip
-        views = tuple(view.name for view in case.targets)
-        features = self._features(shown, truths)
-        cell = Cell(job.key, case.id, facts, views, tuple(scores), features)
-        write_cell(job.folder, cell, {"strip": _strip(shown, truths)})
+        self._write(job, facts, shown)
         return {
             "generate": made - start,
             "place": placed - made,
             "measure": time.perf_counter() - placed,
         }
+
+    def _write(self, job: CellJob, facts: dict[str, Any], shown: Sequence[Cutout]) -> None:
+        """Compare a vehicle's views with the photographs, and write its cell."""
+        targets = job.case.targets
+        truths = [photographed(view.load()) for view in targets]
+        scores = [
+            score_view(one, truth, self._distances)
+            for one, truth in zip(shown, truths, strict=True)
+        ]
+        views = tuple(view.name for view in targets)
+        features = self._features(shown, truths)
+        cell = Cell(job.key, job.case.id, facts, views, tuple(scores), features)
+        write_cell(job.folder, cell, {"strip": _strip(shown, truths)})
 
     def _features(self, shown: Sequence[Cutout], truths: Sequence[Cutout]) -> dict[str, Features]:
         """Of every view, seen in the square around the photographed vehicle."""

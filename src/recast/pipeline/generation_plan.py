@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from recast.actors import make_generator
-from recast.actors.library import LIBRARY, LibraryGenerator
-from recast.actors.vehicle_files import is_vehicle_file
-from recast.errors import InputError
-from recast.evaluation.actor_cases import ActorCase, ActorView
+from recast.core.hashing import file_hash, folder_hash, value_hash
+from recast.evaluation.actor_cases import ActorCase, ActorView, read_cases
 from recast.evaluation.bootstrap import SAMPLES
 from recast.evaluation.generation_placement import Placement
-from recast.pipeline.fingerprint import file_hash, folder_hash, value_hash
+from recast.evaluation.generation_targets import Targets, target_case
 from recast.pipeline.generation_maker import CellJob, Measures
-from recast.pipeline.sources import generator_source
+from recast.pipeline.generation_results import CLEAN, PERTURBED, StudyModel, vehicle_hash
 from recast.recar.perturb import PerturbationConfig
-from recast.trellis import verify_checkpoint
-
-CLEAN, PERTURBED = "clean", "perturbed"
 
 RECIPE = 2
 """Changes when the same model and vehicle give other scores, so that older cells are made anew."""
-
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,39}")
 
 
 @dataclass(frozen=True)
@@ -34,8 +25,7 @@ class StudySettings:
     """What is studied.
 
     Attributes:
-        models: what makes vehicles, by the name it has in the tables, in their order; see
-            `recast.pipeline.actor.generator_of`.
+        models: what makes vehicles, by the name it has in the tables, in their order.
         folder: vehicle set or real crops, see `read_cases`.
         seed: of the input views, the models, the perturbations and the bootstrap.
         limit: only the first vehicles.
@@ -44,9 +34,11 @@ class StudySettings:
         measures: weights of scores.
         samples: of the bootstrap.
         shown: vehicles on sheets, the first ones.
+        targets: see `recast.evaluation.generation_targets`.
+        beside: rows of the paper to set beside those of these names, which need not be run.
     """
 
-    models: Mapping[str, str]
+    models: Mapping[str, StudyModel]
     folder: Path
     seed: int = 0
     limit: int | None = None
@@ -55,6 +47,8 @@ class StudySettings:
     measures: Measures = field(default_factory=Measures)
     samples: int = SAMPLES
     shown: int = 40
+    targets: Targets = "set"
+    beside: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -62,27 +56,14 @@ class StudySettings:
         return (CLEAN,) if self.perturbed is None else (CLEAN, PERTURBED)
 
 
-def parse_models(texts: Sequence[str]) -> dict[str, str]:
-    """NAME=WHAT of the command line as a table.
+def study_cases(settings: StudySettings) -> list[ActorCase]:
+    """The vehicles, with the views that they are compared in.
 
     Raises:
-        InputError: none, no name, a name that cannot be a folder's, or one twice.
+        InputError: see `read_cases` and `orbit_case`.
     """
-    if not texts:
-        raise InputError("--model", "models", "none given", "give NAME=FOLDER at least once")
-    models: dict[str, str] = {}
-    for text in texts:
-        name, equals, source = text.partition("=")
-        if not equals or not source or not _NAME.fullmatch(name):
-            raise InputError(
-                "--model", text, "is not NAME=WHAT",
-                "give a name of letters, digits, '.', '_' and '-', then = and a model folder, "
-                "a generator or a PLY",
-            )  # fmt: skip
-        if name in models:
-            raise InputError("--model", name, "is named twice", "name each model once")
-        models[name] = source
-    return models
+    cases = read_cases(settings.folder, settings.seed, settings.limit)
+    return [target_case(case, settings.targets) for case in cases]
 
 
 def truth_folder(out: Path, vehicle: str) -> Path:
@@ -93,28 +74,6 @@ def truth_folder(out: Path, vehicle: str) -> Path:
 def cell_folder(out: Path, condition: str, model: str, vehicle: str) -> Path:
     """Where the cell of a vehicle by a model lies."""
     return out / "cells" / condition / model / vehicle
-
-
-def model_hash(what: str) -> str:
-    """What stands for a model in keys; what could not be loaded later is refused here.
-
-    Raises:
-        InputError: no such generator or file, or a model folder at fault.
-    """
-    path = Path(what)
-    if path.is_dir():
-        for check in verify_checkpoint(path):
-            fault = check.fault(loading=True)
-            if fault is not None:
-                raise fault
-    elif is_vehicle_file(what):
-        if not path.is_file():
-            raise InputError(path, "file", "is missing", "check the path given as --model")
-    elif what.startswith(LIBRARY):
-        LibraryGenerator(what.removeprefix(LIBRARY))
-    else:
-        make_generator(what)
-    return generator_source(what)
 
 
 def plan_jobs(
@@ -137,16 +96,15 @@ def plan_jobs(
     for name, what in settings.models.items():
         for condition in settings.conditions:
             config = perturbed if condition == PERTURBED else None
-            with_all = [
-                shared, sources[name], settings.placement, befalls if config is not None else None
-            ]  # fmt: skip
-            jobs += [
-                CellJob(
-                    case, value_hash([with_all, keys[case.id]]),
-                    cell_folder(out, condition, name, case.id), what, config,
-                )
-                for case in cases
-            ]  # fmt: skip
+            model = what.on(condition)
+            befell = befalls if config is not None else None
+            for case in cases:
+                # results by vehicle are each their own: those of others may come later
+                source = sources[name] if model.folder is None else vehicle_hash(model, case)
+                with_all = [shared, source, settings.placement, befell]
+                key = value_hash([with_all, keys[case.id]])
+                folder = cell_folder(out, condition, name, case.id)
+                jobs.append(CellJob(case, key, folder, model, config))
     return jobs
 
 

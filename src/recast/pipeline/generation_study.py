@@ -17,7 +17,7 @@ from typing import Any
 from PIL import Image
 
 from recast.errors import InputError
-from recast.evaluation.actor_cases import ActorCase, read_cases
+from recast.evaluation.actor_cases import ActorCase
 from recast.evaluation.generation_cell import Cell, cell_is, read_cell, read_strip
 from recast.evaluation.generation_pictures import SheetRow, applied_caption, pages, sheet
 from recast.evaluation.generation_report import StudyFacts, study_json, study_markdown
@@ -25,16 +25,16 @@ from recast.evaluation.generation_summary import StudyBlock, summarize
 from recast.evaluation.rounding import rounded
 from recast.pipeline.generation_maker import CellJob
 from recast.pipeline.generation_plan import (
-    CLEAN,
-    PERTURBED,
     StudySettings,
     cell_folder,
     measure_hashes,
-    model_hash,
     plan_jobs,
+    study_cases,
     truth_folder,
 )
 from recast.pipeline.generation_pool import make_cells
+from recast.pipeline.generation_results import CLEAN, PERTURBED
+from recast.pipeline.generation_rows import model_hash
 from recast.storage import atomic_file, read_json, write_json, write_text
 
 STUDY_FILE, METRICS_FILE, MARKDOWN_FILE = "study.json", "metrics.json", "study.md"
@@ -72,8 +72,12 @@ def run_study(
         raise InputError("--workers", "value", f"is {workers}", "give 1 or more")
     if settings.samples < 1:
         raise InputError("--samples", "value", f"is {settings.samples}", "give 1 or more")
-    cases = read_cases(settings.folder, settings.seed, settings.limit)
-    sources = {name: model_hash(what) for name, what in settings.models.items()}
+    if not settings.models:
+        raise InputError("--model", "models", "none given", "give NAME=WHAT at least once")
+    cases = study_cases(settings)
+    sources = {
+        name: model_hash(what, cases, settings.conditions) for name, what in settings.models.items()
+    }
     jobs = plan_jobs(settings, cases, sources, out)
     _begin(out, settings, cases, sources)
     left = [job for job in jobs if not cell_is(job.folder, job.key)]
@@ -123,7 +127,7 @@ def _facts(settings: StudySettings, sources: Mapping[str, str]) -> StudyFacts:
     return StudyFacts(
         set=settings.folder.resolve().name,
         models={
-            name: {"source": Path(what).name, "hash": sources[name]}
+            name: {"source": what.label, "hash": sources[name]}
             for name, what in settings.models.items()
         },
         seed=settings.seed,
@@ -135,6 +139,8 @@ def _facts(settings: StudySettings, sources: Mapping[str, str]) -> StudyFacts:
             if path is not None
         },
         samples=settings.samples,
+        targets=settings.targets,
+        beside=dict(settings.beside),
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from rich.console import Console
 
+from recast.errors import InputError
 from recast.logs import DrivingLog
 from recast.pipeline.config import RunConfig
 from recast.planning import CameraMount, Planner, seen_lines, shown_views, virtual_mounts
@@ -36,6 +37,25 @@ def planner_mounts(
     rendered = {**mounts, **virtual_mounts(planner, mounts, nuplan_rig(config.scene.scale))}
     shown_views(planner, rendered)
     return rendered
+
+
+def require_distinct_planners(planners: Mapping[str, Planner]) -> None:
+    """Refuse planners that results could not tell apart.
+
+    Args:
+        planners: by the word that asks for each.
+
+    Raises:
+        InputError: two have the same name.
+    """
+    named: dict[str, str] = {}
+    for word, planner in planners.items():
+        other = named.setdefault(planner.name, word)
+        if other != word:
+            raise InputError(
+                "--planner", word, f"has the name of {other}: {planner.name}",
+                "give the planners different names",
+            )  # fmt: skip
 
 
 def announce_planner(

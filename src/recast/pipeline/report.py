@@ -3,33 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from recast.actors import Actor, load_actor
 from recast.actors.icp import INLIER_DISTANCE
+from recast.core import Artefact, Store
 from recast.errors import InputError
-from recast.evaluation import rollout_metrics
+from recast.evaluation import RolloutMetrics, rollout_metrics
 from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.names import member
-from recast.pipeline.config import RunConfig, config_of
+from recast.pipeline.arms import Arm, truth_of
+from recast.pipeline.artefacts import rollout_name
+from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import (
     ACTOR_FOLDER,
-    EVALUATION_FOLDER,
-    METHODS,
     OBSERVATION_FOLDER,
     REPORT_FOLDER,
-    SCENE_FOLDER,
-    TRUTH_FOLDER,
     TURNTABLE_FILE,
-    Method,
-    final_actor,
-    rollout_folder,
+    VIEWS_FOLDER,
+    use_name,
 )
 from recast.pipeline.results_files import read_evaluation
-from recast.pipeline.rollouts import films, read_coverage, read_rollout
+from recast.pipeline.rollouts import draw_films, films, read_coverage, read_rollout
 from recast.pipeline.run_folder import RUN_FILE, RunFolder
 from recast.reporting import (
     NOT_MADE,
@@ -52,7 +53,7 @@ from recast.reporting import (
 from recast.reporting.actor_sheet import draw_all_around
 from recast.reporting.scene_scores import depth_facts, score_lines
 from recast.scene import load_scene
-from recast.simulation import RolloutFailure
+from recast.simulation import Rollout, RolloutFailure
 
 REGISTRATION_LIMIT = 0.15
 """Metres; a larger median LiDAR-to-actor distance is flagged on the page."""
@@ -66,19 +67,49 @@ def report_run(run: str | Path, out: str | Path | None = None) -> Path:
         out: folder to write; RUN/report where none is named.
 
     Raises:
-        InputError: `run` is no run folder, its log is gone, or `out` holds something else.
+        InputError: `run` is no run folder, its log or an artefact is gone, or `out` holds something
+            else.
     """
     folder = RunFolder.open(run)
-    log_path = Path(folder.record.log.path)
+    log_path = folder.log_path
     if not log_path.is_dir():
         raise InputError(
             folder.path / RUN_FILE, "log.path", f"names {log_path}, which is not there",
-            "put the log back, or run from the folder that `recast run` was called in",
+            "put the log back, or move the run to where it was",
         )  # fmt: skip
     log = read_log(log_path)
-    _check_log(config_of(folder), log, folder.path / RUN_FILE)
-    inputs = gather(folder, log)
+    _check_log(folder.config, log, folder.path / RUN_FILE)
+    inputs = _Gathered(folder, folder.store(), log, folder.config).inputs()
     return write_report(inputs, folder.path / REPORT_FOLDER if out is None else Path(out))
+
+
+def report_rollout(rollout: Rollout, metrics: RolloutMetrics, out: Path) -> Path:
+    """Write the page of one rollout; return its `index.html`.
+
+    Args:
+        rollout: one that was run in this process has films, which are drawn now.
+        metrics: its scores.
+
+    Raises:
+        InputError: `out` holds something else, or the disk refuses.
+    """
+    with TemporaryDirectory(prefix="recast-") as folder:
+        found = NOT_MADE if rollout.origin is None else draw_films(rollout, Path(folder))
+        part = RolloutPart(rollout.arm, rollout, metrics, found)
+        title = f"{rollout.motion}, setting {rollout.setting}".capitalize()
+        facts = (
+            Fact("Planner", rollout.planner),
+            Fact("Length", f"{rollout.steps_run * rollout.dt:g} s", rollout.cut_reason or ""),
+        )
+        inputs = ReportInputs(
+            title=f"{rollout.name} by {rollout.planner}",
+            log="a log" if rollout.origin is None else rollout.origin.setup.log.name,
+            arms={rollout.arm: rollout.arm},
+            facts=facts,
+            scenarios=(ScenarioPart(title, "", (part,)),),
+            hd_map=NOT_MADE if rollout.origin is None else rollout.origin.setup.hdmap or NOT_MADE,
+        )
+        return write_report(inputs, out)
 
 
 def _check_log(config: RunConfig, log: DrivingLog, record: Path) -> None:
@@ -93,36 +124,112 @@ def _check_log(config: RunConfig, log: DrivingLog, record: Path) -> None:
                 )  # fmt: skip
 
 
-def gather(folder: RunFolder, log: DrivingLog) -> ReportInputs:
-    """Everything the page shows; what the run did not make yet says so."""
-    config = config_of(folder)
-    hd_map = map_of(log)
-    methods: dict[str, str] = {method: METHODS[method] for method in config.methods}
-    showcase, truth = _truth(folder.path, methods)
-    category = log.tracks[config.track].category
-    return ReportInputs(
-        title=f"{category} {config.track} of {log.name}",
-        log=log.name,
-        methods=methods,
-        truth_method="oracle" if "oracle" in methods else None,
-        showcase=showcase,
-        truth=truth,
-        facts=_facts(config, log),
-        actor=_actor(folder.path, config, log),
-        scenarios=tuple(
-            _scenario(folder.path, motion, config, hd_map) for motion in config.motions
-        ),
-        scene=_scene(folder.path),
-        hd_map=hd_map,
-        config=folder.record.config,
-        provenance=ProvenancePart(
-            versions=folder.record.versions,
-            seeds={"run": config.seed, "scene": config.scene.seed},
-            hashes={"log": folder.record.log.hash},
-        ),
-        timings=folder.timings() or NOT_MADE,
-        warnings=_warnings(hd_map),
-    )
+@dataclass(frozen=True)
+class _Gathered:
+    """A run with all that the page shows; what it did not make yet says so."""
+
+    folder: RunFolder
+    store: Store
+    log: DrivingLog
+    config: RunConfig
+
+    @cached_property
+    def map(self) -> HdMap:
+        return map_of(self.log)
+
+    def inputs(self) -> ReportInputs:
+        config, record = self.config, self.folder.record
+        arms = {arm.name: arm.label for arm in config.arms}
+        truth = truth_of(config.arms)
+        shown = next((arm for arm in config.arms if arm.generates), None)
+        street = next((arm for arm in config.arms if not arm.is_truth), None)
+        showcase, views = self._truth(shown, arms, truth)
+        return ReportInputs(
+            title=f"{self.log.tracks[config.track].category} {config.track} of {self.log.name}",
+            log=self.log.name,
+            arms=arms,
+            truth_arm=truth,
+            showcase=showcase,
+            truth=views,
+            facts=_facts(config, self.log),
+            actor=NOT_MADE if shown is None else self._actor(shown),
+            scenarios=tuple(
+                self._scenario(motion, planner)
+                for motion in config.motions
+                for planner in config.planners
+            ),
+            scene=NOT_MADE if street is None else self._scene(street),
+            hd_map=self.map,
+            config=record.config,
+            provenance=ProvenancePart(
+                versions=record.versions,
+                seeds={"run": config.seed, "scene": config.scene.seed},
+                hashes={"log": record.log.hash, **record.artefacts},
+            ),
+            timings=self._timings() or NOT_MADE,
+            warnings=_warnings(self.map),
+        )
+
+    def _find(self, use: str) -> Artefact | None:
+        return self.folder.artefact(self.store, use)
+
+    def _timings(self) -> dict[str, float]:
+        """Seconds that each artefact of the run took, whichever run made it."""
+        found = {use: self._find(use) for use in self.folder.record.artefacts}
+        return {use: one.record.seconds for use, one in found.items() if one is not None}
+
+    def _truth(
+        self, arm: Arm | None, arms: Mapping[str, str], truth: str | None
+    ) -> tuple[ShowcasePart | NotMade, TruthPart | NotMade]:
+        found = None if arm is None else self._find(use_name("truth", arm.name))
+        if found is None or truth is None or arm is None:
+            return NOT_MADE, NOT_MADE
+        own = next((a.name for a in self.config.arms if a.street == arm.street and a != arm), None)
+        return truth_parts(
+            found.path / VIEWS_FOLDER, arms, baseline=own, candidate=arm.name, truth=truth
+        )
+
+    def _actor(self, arm: Arm) -> ActorPart | NotMade:
+        final, registered, turntable = (
+            self._find(use_name(what, arm.name)) for what in ("actor", "registered", "turntable")
+        )
+        if final is None or registered is None:
+            return NOT_MADE
+        return _actor_part(
+            load_actor(final.path / ACTOR_FOLDER),
+            registered.path / OBSERVATION_FOLDER / "frame.png",
+            None if turntable is None else turntable.path / TURNTABLE_FILE,
+            self.log,
+        )
+
+    def _scenario(self, name: str, planner: str) -> ScenarioPart:
+        motion = self.config.motion(name)
+        title = f"{motion.name}, setting {motion.setting}".capitalize()
+        if len(self.config.planners) > 1:
+            title += f", {planner}"
+        return ScenarioPart(
+            title=title,
+            description=motion.description,
+            rollouts=tuple(self._rollout(name, planner, arm) for arm in self.config.arms),
+        )
+
+    def _rollout(self, motion: str, planner: str, arm: Arm) -> RolloutPart:
+        found = self._find(rollout_name(motion, planner, arm.name))
+        if found is None:
+            return RolloutPart(arm.name, NOT_MADE)
+        rollout = read_rollout(found.path)
+        if isinstance(rollout, RolloutFailure):
+            return RolloutPart(arm.name, rollout, NotMade(rollout.reason), NotMade(rollout.reason))
+        return RolloutPart(
+            arm.name, rollout, rollout_metrics(rollout, self.map), films(found.path),
+            read_coverage(found.path),
+        )  # fmt: skip
+
+    def _scene(self, arm: Arm) -> ScenePart | NotMade:
+        scene, scores = (self._find(use_name(what, arm.street)) for what in ("scene", "evaluation"))
+        if scores is None or scene is None:
+            return NotMade("no image was held out") if scene is not None else NOT_MADE
+        return _scene_part(scores.path / "eval.json", scene.path)
 
 
 def _facts(config: RunConfig, log: DrivingLog) -> tuple[Fact, ...]:
@@ -132,9 +239,9 @@ def _facts(config: RunConfig, log: DrivingLog) -> tuple[Fact, ...]:
         for camera in (log.cameras[name].camera for name in cameras)
     }
     return (
-        Fact("Planner", config.planner),
-        Fact("Generator", config.generator),
-        Fact("Segmenter", config.segmenter),
+        Fact("Planner" if len(config.planners) == 1 else "Planners", ", ".join(config.planners)),
+        Fact("Generator", ", ".join(_parts(config, "generator"))),
+        Fact("Segmenter", ", ".join(_parts(config, "segmenter"))),
         Fact("Cameras", ", ".join(cameras)),
         Fact("Image size", ", ".join(sorted(sizes)), "pixels, as rendered"),
         Fact("Length asked for", f"{config.steps * 0.1:g} s", "cut where log or road end"),
@@ -147,22 +254,15 @@ def _warnings(hd_map: HdMap) -> tuple[str, ...]:
     return ("The log has no HD map: lanes and drivable area were derived from the drive itself.",)
 
 
-def _truth(
-    run: Path, methods: Mapping[str, str]
-) -> tuple[ShowcasePart | NotMade, TruthPart | NotMade]:
-    if not (run / TRUTH_FOLDER).is_dir():
-        return NOT_MADE, NOT_MADE
-    return truth_parts(run / TRUTH_FOLDER, methods, truth="oracle")
+def _parts(config: RunConfig, name: str) -> list[str]:
+    """What the arms with generated vehicles name, each once."""
+    arms = [config.arm(arm.name) for arm in config.arms if arm.generates]
+    return list(dict.fromkeys(str(getattr(arm, name)) for arm in arms)) or ["none"]
 
 
-def _actor(run: Path, config: RunConfig, log: DrivingLog) -> ActorPart | NotMade:
-    if not (run / ACTOR_FOLDER).is_dir():
-        return NOT_MADE
-    actor = load_actor(final_actor(run))
+def _actor_part(actor: Actor, frame: Path, film: Path | None, log: DrivingLog) -> ActorPart:
     provenance = actor.provenance
     report = provenance.registration
-    frame = run / OBSERVATION_FOLDER / "frame.png"
-    film = run / TURNTABLE_FILE
     return ActorPart(
         name=f"track {actor.track_id} ({actor.category})",
         generator=provenance.generator,
@@ -180,7 +280,7 @@ def _actor(run: Path, config: RunConfig, log: DrivingLog) -> ActorPart | NotMade
                 *(Fact("Look at the mask", text) for text in provenance.mask.warnings()),
             ),
         ),
-        turntable=film if film.exists() else NOT_MADE,
+        turntable=NOT_MADE if film is None else film,
         registration=RegistrationPart(
             median_before=report.before.median,
             median_after=report.after.median,
@@ -198,7 +298,7 @@ def _actor(run: Path, config: RunConfig, log: DrivingLog) -> ActorPart | NotMade
                      "share of LiDAR points this near to the actor"),
             ),
         ),
-        log_path=log.tracks[config.track].trajectory.poses[:, :2, 3],
+        log_path=log.tracks[actor.track_id].trajectory.poses[:, :2, 3],
         source=_source(actor),
         all_around=draw_all_around(actor),
         candidates=provenance.candidates if len(provenance.candidates) > 1 else (),
@@ -222,34 +322,9 @@ def _shares(counts: dict[str, int]) -> dict[str, float]:
     return {side: count / total for side, count in counts.items()} if total else {}
 
 
-def _scenario(run: Path, name: str, config: RunConfig, hd_map: HdMap) -> ScenarioPart:
-    motion = config.motion(name)
-    return ScenarioPart(
-        title=f"{motion.name}, setting {motion.setting}".capitalize(),
-        description=motion.description,
-        rollouts=tuple(
-            _rollout(rollout_folder(run, name, method), method, hd_map) for method in config.methods
-        ),
-    )
-
-
-def _rollout(folder: Path, method: Method, hd_map: HdMap) -> RolloutPart:
-    if not folder.is_dir():
-        return RolloutPart(method, NOT_MADE)
-    rollout = read_rollout(folder)
-    if isinstance(rollout, RolloutFailure):
-        return RolloutPart(method, rollout, NotMade(rollout.reason), NotMade(rollout.reason))
-    return RolloutPart(
-        method, rollout, rollout_metrics(rollout, hd_map), films(folder), read_coverage(folder)
-    )
-
-
-def _scene(run: Path) -> ScenePart | NotMade:
-    path = run / EVALUATION_FOLDER / "eval.json"
-    if not path.exists():
-        return NotMade("no image was held out" if path.parent.exists() else NOT_MADE.reason)
+def _scene_part(path: Path, folder: Path) -> ScenePart:
     evaluation = read_evaluation(path)
-    scene = load_scene(run / SCENE_FOLDER)
+    scene = load_scene(folder)
     frames: list[dict[str, Any]] = evaluation["frames"]
     actors = sum(len(actor.gaussians) for actor in scene.actors.values())
     return ScenePart(

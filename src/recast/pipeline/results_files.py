@@ -12,8 +12,8 @@ from recast.evaluation import COLUMNS
 from recast.records import parse_record
 from recast.scene.evaluate_record import EVALUATION_VERSION
 
-METRICS_VERSION: Literal[2] = 2
-"""1 had no `com_driven`, and compared rollouts of different lengths as they were."""
+METRICS_VERSION: Literal[3] = 3
+"""2 had one scene, one actor and one comparison with the truth."""
 
 
 class _Open(BaseModel):
@@ -23,7 +23,8 @@ class _Open(BaseModel):
 
 
 class _Row(_Open):
-    method: str
+    planner: str
+    arm: str
     asked: int
     rollouts: int
     failed: int
@@ -44,7 +45,8 @@ class _Row(_Open):
 class _Named(_Open):
     motion: str
     setting: str
-    method: str
+    arm: str
+    planner: str
 
 
 class _Means(_Open):

@@ -16,7 +16,7 @@ from recast.errors import InputError
 from recast.names import folder_name, member
 from recast.planning import Planner, planner_cameras, seen_record
 from recast.records import Record, read_record
-from recast.reporting.video import VideoWriter
+from recast.reporting.video import VideoWriter, write_video
 from recast.simulation import (
     Rollout,
     RolloutFailure,
@@ -30,6 +30,7 @@ from recast.simulation import (
     save_rollout,
 )
 from recast.simulation.coverage import Meter, RolloutCoverage, rollout_coverage
+from recast.simulation.other_actors import other_poses
 from recast.simulation.rollout_files import load_coverage, save_coverage
 
 _FAILURE = "failure.json"
@@ -69,24 +70,24 @@ def make_rollout(
     timings: Timings | None = None,
     meter: Meter | None = None,
 ) -> None:
-    """Run one rollout and write it to a new folder, whole or not at all.
+    """Run one rollout and write it into a folder.
 
     A rollout that is refused, or whose planner fails, is written as `failure.json`: a row of the
     report, not the end of the run.
 
     Args:
         renderer: None where nothing looks: no film, and a planner that needs no images.
-        folder: gets `states/` (see `save_rollout`), `planner.json` (see `seen_record`), the films
-            and `films.json`, and with a meter `coverage.parquet`; or `failure.json`.
+        folder: empty; gets `states/` (see `save_rollout`), `planner.json` (see `seen_record`), the
+            films and `films.json`, and with a meter `coverage.parquet`; or `failure.json`.
         on_step: called after each filmed step.
         filmed: render every step, not only those that the planner sees.
         timings: is added to.
         meter: of the actor that the renderer draws; None for one without shares.
 
     Raises:
-        InputError: the folder exists already, or the disk refuses.
+        InputError: the disk refuses.
     """
-    with storage.atomic_folder(folder) as partial, ExitStack() as opened:
+    with ExitStack() as opened:
         files: dict[str, str] = {}
         writers: dict[str, VideoWriter] = {}
         disk_refuses = False
@@ -97,7 +98,7 @@ def make_rollout(
                 try:
                     if name not in writers:
                         files[name] = f"{folder_name(name)}.mp4"
-                        writer = VideoWriter(partial / files[name], fps=1 / setup.dt)
+                        writer = VideoWriter(folder / files[name], fps=1 / setup.dt)
                         writers[name] = opened.enter_context(writer)
                     writers[name].add(image)
                 except (OSError, InputError):
@@ -114,23 +115,48 @@ def make_rollout(
             _LOG.warning("rollout %s failed", setup.name, exc_info=True)
             opened.close()
             for name in files.values():
-                (partial / name).unlink(missing_ok=True)
-            _write_failure(failure(setup, planner.name, error), partial)
+                (folder / name).unlink(missing_ok=True)
+            write_failure(failure(setup, planner.name, error), folder)
             return
         opened.close()
-        save_rollout(rollout, partial / _STATES)
+        save_rollout(rollout, folder / _STATES)
         mounts = {} if renderer is None else renderer.mounts
-        storage.write_json(partial / _PLANNER, seen_record(planner, mounts))
+        storage.write_json(folder / _PLANNER, seen_record(planner, mounts))
         if meter is not None and mounts:
             names = tuple(setup.log.cameras if setup.camera_names is None else setup.camera_names)
             given = planner_cameras(planner, mounts, names)
             coverage = rollout_coverage(
                 rollout, setup, meter, mounts, names if filmed else (), given
             )
-            save_coverage(coverage, partial / _COVERAGE)
+            save_coverage(coverage, folder / _COVERAGE)
         if files:
             record = FilmsRecord(films=files)
-            storage.write_json(partial / _FILMS, record.model_dump(mode="json"))
+            storage.write_json(folder / _FILMS, record.model_dump(mode="json"))
+
+
+def draw_films(rollout: Rollout, folder: Path) -> dict[str, Path]:
+    """Films of a rollout that was run in this process, by camera; none without a renderer.
+
+    Raises:
+        ValueError: it was read from disk.
+        InputError: the disk refuses.
+    """
+    origin = rollout.origin
+    if origin is None:
+        raise ValueError("draw_films: the rollout was read from disk")
+    if origin.renderer is None:
+        return {}
+    found = {}
+    for name in origin.renderer.mounts:
+        found[name] = folder / f"{folder_name(name)}.mp4"
+        setup = origin.setup
+        states = (
+            rollout.state(step, other_poses(setup, rollout.timestamp_us(step)))
+            for step in range(rollout.steps_run)
+        )
+        images = (origin.renderer.render(state, (name,))[name] for state in states)
+        write_video(found[name], images, fps=1 / rollout.dt)
+    return found
 
 
 def read_rollout(folder: Path) -> Rollout | RolloutFailure:
@@ -169,16 +195,11 @@ def films(folder: Path) -> dict[str, Path]:
 
 
 def write_failure(row: RolloutFailure, folder: Path) -> None:
-    """Write why there is no rollout, as a new folder."""
-    with storage.atomic_folder(folder) as partial:
-        _write_failure(row, partial)
+    """Write why there is no rollout into a folder."""
+    record = FailureRecord(failure=row)
+    storage.write_json(folder / _FAILURE, record.model_dump(mode="json"))
 
 
 def is_failure(folder: Path) -> bool:
     """Whether the folder says why there is no rollout."""
     return (folder / _FAILURE).exists()
-
-
-def _write_failure(row: RolloutFailure, folder: Path) -> None:
-    record = FailureRecord(failure=row)
-    storage.write_json(folder / _FAILURE, record.model_dump(mode="json"))

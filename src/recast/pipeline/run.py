@@ -1,66 +1,151 @@
-"""`recast run`: from a log to a report, in steps that resume."""
+"""`recast run`: from a log to a report; what other runs made already is used again."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import torch
 from rich.console import Console
 
 from recast import storage
+from recast.core import Artefact, open_store, value_hash
 from recast.cores import usable_cores
-from recast.errors import InputError
-from recast.logs import read_log
-from recast.pipeline.actor import ActorMakers
+from recast.errors import InputError, printable
+from recast.pipeline.arms import truth_of
+from recast.pipeline.artefacts import Artefacts
 from recast.pipeline.config import RunConfig
-from recast.pipeline.fingerprint import folder_hash
-from recast.pipeline.job import Job
-from recast.pipeline.methods import Renderers
-from recast.pipeline.planner import announce_planner, run_mounts
+from recast.pipeline.display import failure_lines, results_tables
+from recast.pipeline.layout import METRICS_FILE, REPORT_FOLDER
+from recast.pipeline.planner import announce_planner, require_distinct_planners
+from recast.pipeline.report import report_run
+from recast.pipeline.results_files import read_metrics
 from recast.pipeline.run_folder import RunFolder
-from recast.pipeline.sources import Sources
-from recast.planning import make_planner
+from recast.pipeline.scores import write_metrics
+from recast.pipeline.source_log import SourceLog
+from recast.pipeline.sources import RECIPES, Sources
+from recast.simulation import prepare
 from recast.splats import set_threads
-from recast.synthetic import world_of
-from recast.synthetic.rendering import require_embree
+
+STORE_FOLDER = "store"
+"""Name of the store beside the run folders, where no other is named."""
 
 
-def run(log_path: str | Path, out: str | Path, config: RunConfig, console: Console) -> Path:
+def run(
+    log_path: str | Path,
+    out: str | Path,
+    config: RunConfig,
+    console: Console,
+    store: str | Path | None = None,
+) -> Path:
     """Do the whole job and return the report's `index.html`.
 
     Args:
-        log_path: log folder.
+        log_path: log folder, or its address in object storage.
         out: run folder; one that holds this run already is resumed.
         console: shows steps, progress and time left.
+        store: folder or address of the artefacts; beside `out` where none is named.
 
     Raises:
         InputError: bad log, track, planner, generator or segmenter, a camera that the planner wants
             and the log lacks, a folder that holds another run, or another process at work there.
     """
-    log_path, out = Path(log_path), Path(out)
-    log = read_log(log_path)
+    out = Path(out)
+    place = str(out.absolute().parent / STORE_FOLDER if store is None else store)
+    source = SourceLog.open(log_path)
     # What cannot work is refused before anything is written and before minutes of training.
-    if config.track not in log.tracks:
-        raise InputError(
-            log_path, f"track {config.track}", "is not in the log",
-            f"choose one of {', '.join(log.tracks)}",
-        )  # fmt: skip
-    world = None
-    if "oracle" in config.methods:
-        require_embree()
-        world = world_of(log)
-    sources = Sources.of(config)
-    planner = make_planner(config.planner, config.planner_device)
-    mounts = run_mounts(log, planner, config)
-    announce_planner(planner, mounts, console)
-    makers = ActorMakers.named(config.generator, config.segmenter, config.axes)
+    source.require(config.track)
+    if truth_of(config.arms) is not None:
+        _ = source.world
+    sources = Sources.of(config, source.log.name)
+    artefacts = Artefacts(open_store(place), source, config, sources, console, source.log.name)
+    require_distinct_planners({word: artefacts.planner(word) for word in config.planners})
+    for planner in config.planners:
+        announce_planner(artefacts.planner(planner), artefacts.mounts(planner), console)
+    for arm in artefacts.arms.values():
+        if arm.generates:
+            artefacts.makers(arm)
     threads = config.threads or usable_cores()
     torch.set_num_threads(threads)
     set_threads(threads)
     folder = RunFolder.create_or_resume(
-        out, config.resolved(), str(log_path), folder_hash(log_path)
+        out, config.resolved(), source.address or source.path, source.hash, place
     )
-    with storage.alone_in(folder.path), Renderers(folder.path, world, mounts) as renderers:
-        job = Job(log, world, folder, config, sources, planner, renderers, console, makers)
-        del makers  # the job lets go of the networks when the actor is made
-        return job.finish()
+    with storage.alone_in(folder.path):
+        try:
+            return _Run(artefacts, folder, console).finish()
+        finally:
+            artefacts.close()
+
+
+class _Run:
+    def __init__(self, artefacts: Artefacts, folder: RunFolder, console: Console) -> None:
+        self._artefacts, self._folder, self._console = artefacts, folder, console
+        self._config = artefacts.config
+
+    def finish(self) -> Path:
+        """Make what is not there yet; return the report's page."""
+        artefacts = self._artefacts
+        artefacts.on_use = lambda: self._folder.refer(artefacts.store, artefacts.used)
+        self._announce()
+        for arm in artefacts.arms.values():
+            artefacts.prepare(arm)
+        artefacts.forget_makers()
+        for motion in self._config.motions:
+            for planner in self._config.planners:
+                for arm in artefacts.arms.values():
+                    artefacts.rollout(motion, planner, arm)
+        self._folder.refer(artefacts.store, artefacts.used, whole=True)
+        return self._report()
+
+    def _report(self) -> Path:
+        path, used = self._folder.path, self._artefacts.used
+        made_from = _hash_of("metrics", used.values())
+        self._folder.finish(
+            METRICS_FILE, made_from,
+            lambda: write_metrics(
+                path / METRICS_FILE, self._config, used, self._artefacts.source.map
+            ),
+        )  # fmt: skip
+        with self._console.status("writing the report"):
+            self._folder.finish(
+                REPORT_FOLDER, _hash_of("report", used.values()), lambda: report_run(path)
+            )
+        metrics = read_metrics(path / METRICS_FILE)
+        for table in results_tables(metrics["table"]):
+            self._console.print(table)
+        for line in failure_lines(metrics["failures"]):
+            self._console.print(printable(line), markup=False, highlight=False, style="red")
+        page = path / REPORT_FOLDER / "index.html"
+        self._console.print(f"report: {page}", markup=False)
+        return page
+
+    def _announce(self) -> None:
+        """Say before the long steps how far each rollout can go.
+
+        Raises:
+            InputError: none of them can be run at all.
+        """
+        refusals = []
+        first = next(iter(self._artefacts.arms.values()))
+        for motion in self._config.motions:
+            try:
+                prepared = prepare(self._artefacts.setup(motion, first))
+            except InputError as error:  # becomes a row of the report
+                refusals.append(error)
+                self._artefacts.possible_steps[motion] = 0
+                self._console.print(f"{motion}: refused: {error}", markup=False, style="yellow")
+                continue
+            self._artefacts.possible_steps[motion] = prepared.steps
+            reason = f" ({prepared.cut_reason})" if prepared.cut_reason else ""
+            self._console.print(
+                f"{motion}: up to {prepared.steps} of {self._config.steps} steps{reason}",
+                markup=False,
+            )
+        if len(refusals) == len(self._config.motions):
+            raise refusals[0]
+
+
+def _hash_of(recipe: str, used: Iterable[Artefact]) -> str:
+    references = sorted({artefact.reference for artefact in used})
+    return value_hash({"artefacts": references, "recipe": RECIPES[recipe]})

@@ -1,72 +1,81 @@
-"""A run folder: its resolved configuration, and which steps are finished.
+"""A run folder: what was asked for, references to the artefacts that came of it, and the report.
 
-`run.json` says what the run is: the configuration, the content hash of the log, versions. A
-finished step leaves `steps/NAME.json` with the hash of everything it was made from; a rerun skips
-it while that hash stays the same, and makes it and all later steps anew where it changed.
+RUN/run.json         configuration, log, versions, and the reference of every artefact by its use
+RUN/metrics.json     what was measured
+RUN/report/          the page
+RUN/scenes, actors, evaluations, rollouts    links to the artefacts, for people
 """
 
 from __future__ import annotations
 
 import json
 import logging
+import os
 import platform
-import shutil
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, NonNegativeFloat
+from pydantic import Field
 
 from recast import __version__, storage
+from recast.core import Artefact, Store, open_store
+from recast.core.remote import remote_path
 from recast.errors import InputError
-from recast.names import member
-from recast.pipeline.fingerprint import value_hash
-from recast.records import Record, read_record
-
-RUN_FILE, TIMINGS_FILE = "run.json", "timings.json"
-RUN_FORMAT: Literal["recast-run"] = "recast-run"
-RUN_VERSION: Literal[2] = 2
-STEP_VERSION: Literal[1] = 1
+from recast.logs.remote import local_folder
+from recast.names import folder_name
+from recast.pipeline.config import CONFIG_VERSION, RunConfig
+from recast.pipeline.layout import use_parts
+from recast.records import Record, parse_record, read_record
 
 _LOG = logging.getLogger(__name__)
 
+RUN_FILE = "run.json"
+RUN_FORMAT: Literal["recast-run"] = "recast-run"
+RUN_VERSION: Literal[3] = 3
+_LINKS = {
+    "log": "log",
+    "scene": "scenes",
+    "actor": "actors",
+    "registered": "registered",
+    "turntable": "turntables",
+    "evaluation": "evaluations",
+    "truth": "truth",
+    "rollout": "rollouts",
+}
+"""Folder of the links to artefacts, by the first word of their use."""
+
 
 class LogSource(Record):
-    """The log of a run: where it was read from, for people, and its content hash."""
+    """The log of a run: its address or path, relative to the run if it can be, and its hash."""
 
     path: str
     hash: str
 
 
 class RunRecord(Record):
-    """run.json."""
+    """run.json.
+
+    Attributes:
+        store: address of the store, or its folder, relative to the run if it can be.
+        artefacts: reference by use, such as "scene/recast".
+        finished: by file that the run wrote itself, the hash of what it was made from.
+    """
 
     format: Literal["recast-run"] = RUN_FORMAT
-    version: Literal[2] = RUN_VERSION
+    version: Literal[3] = RUN_VERSION
     config: dict[str, Any]
     log: LogSource
+    store: str
     versions: dict[str, str]
+    artefacts: dict[str, str] = Field(default_factory=dict)
+    finished: dict[str, str] = Field(default_factory=dict)
 
 
-class StepRecord(Record):
-    """steps/NAME.json: the hash of a finished step's inputs, and the inputs."""
-
-    version: Literal[1] = STEP_VERSION
-    fingerprint: str
-    inputs: dict[str, Any]
-
-
-class TimingsRecord(Record):
-    """timings.json: seconds by step."""
-
-    version: Literal[1] = STEP_VERSION
-    seconds: dict[str, NonNegativeFloat] = Field(default_factory=dict)
-
-
-@dataclass(frozen=True)
+@dataclass
 class RunFolder:
     """An opened run folder.
 
@@ -80,27 +89,30 @@ class RunFolder:
 
     @classmethod
     def create_or_resume(
-        cls, path: str | Path, config: dict[str, Any], log_path: str, log_hash: str
+        cls, path: str | Path, config: dict[str, Any], log: str | Path, log_hash: str, store: str
     ) -> RunFolder:
         """Start a run, or resume the one that lies there.
 
         Args:
             path: the run folder; made where it is missing.
             config: the resolved configuration, JSON-able.
-            log_path: where the log was read from, for people.
+            log: folder or address of the log.
             log_hash: content hash of the log.
+            store: address or folder of the store.
 
         Raises:
             InputError: the folder holds something else: another log, another configuration,
                 another version, or files that are no run.
         """
         path = Path(path)
+        source = LogSource(path=_place(log, path), hash=log_hash)
+        place = _place(store, path)
         if not (path / RUN_FILE).exists():
             claim_empty(path, RUN_FILE)
-            source = LogSource(path=log_path, hash=log_hash)
-            record = RunRecord(config=config, log=source, versions=_versions())
-            storage.write_json(path / RUN_FILE, record.model_dump(mode="json"))
-            return cls(path, record)
+            record = RunRecord(config=config, log=source, store=place, versions=_versions())
+            folder = cls(path, record)
+            folder._write()
+            return folder
         existing = cls.open(path).record
         mend = "name another --out, or repeat the options of the run that lies there"
         if existing.log.hash != log_hash:
@@ -114,7 +126,10 @@ class RunFolder:
                 path / RUN_FILE, f"config.{differing}",
                 "this folder holds a run with another configuration", mend,
             )  # fmt: skip
-        return cls(path, existing)
+        folder = cls(path, existing.model_copy(update={"log": source, "store": place}))
+        if folder.record != existing:  # the run, the log or the store was moved
+            folder._write()
+        return folder
 
     @classmethod
     def open(cls, path: str | Path) -> RunFolder:
@@ -127,77 +142,108 @@ class RunFolder:
         mend = "name a folder that this version of `recast run` made"
         return cls(path, read_record(path / RUN_FILE, RunRecord, RUN_VERSION, mend, RUN_FORMAT))
 
-    def step(
-        self,
-        name: str,
-        inputs: dict[str, Any],
-        make: Callable[[], None],
-        outputs: tuple[str, ...] = (),
-        keep_partial: bool = False,
-    ) -> tuple[str, bool]:
-        """Make a step unless it is finished already with the same inputs.
+    @property
+    def config(self) -> RunConfig:
+        """The configuration of the run.
+
+        Raises:
+            InputError: its record was damaged.
+        """
+        return parse_record(
+            self.path / RUN_FILE, self.record.config, RunConfig, CONFIG_VERSION,
+            "run again into a new folder",
+        )  # fmt: skip
+
+    @property
+    def log_path(self) -> Path:
+        """The log's folder; of one elsewhere the folder of its copy.
+
+        Raises:
+            InputError: see `local_folder`.
+        """
+        place = self.record.log.path
+        if remote_path(place) is not None:
+            return local_folder(place)
+        return Path(os.path.normpath(self.path / place))
+
+    def store(self) -> Store:
+        """The store that the run refers to.
+
+        Raises:
+            InputError: see `open_store`.
+        """
+        place = self.record.store
+        return open_store(
+            place if remote_path(place) is not None else os.path.normpath(self.path / place)
+        )
+
+    def refer(self, store: Store, used: Mapping[str, Artefact], whole: bool = False) -> None:
+        """Note the artefacts of the run, in its record, in the store, and as links.
 
         Args:
-            name: the step's name.
-            inputs: JSON-able; everything the result depends on (settings, hashes of earlier steps).
-            make: does the work, writing below the run folder.
-            outputs: files or folders, relative to the run, that the step makes. They are removed
-                before it is made anew, and their absence means that it is not finished.
-            keep_partial: leave unfinished outputs in place, for a step that resumes by itself.
+            whole: whether these are all; else those that an earlier try used stay noted, so that a
+                run that is stopped while it goes on loses nothing.
+        """
+        names = {use: artefact.reference for use, artefact in used.items()}
+        names = dict(sorted((names if whole else {**self.record.artefacts, **names}).items()))
+        try:
+            store.refer(self.path, tuple(dict.fromkeys(names.values())))
+        except InputError as error:  # all that the run needs may lie in a store to read only
+            _LOG.warning("the store does not know of this run: %s", error)
+        for use, artefact in used.items():
+            self._link(use, artefact)
+        if names != self.record.artefacts:
+            self.record = self.record.model_copy(update={"artefacts": names})
+            self._write()
 
-        Returns:
-            the hash of the step's inputs, to be named in the inputs of later steps, and whether the
-            step was made now (False: it was found finished).
+    def artefact(self, store: Store, use: str) -> Artefact | None:
+        """The artefact of a use; None where the run has not made it yet.
 
         Raises:
-            InputError: an output lies outside of the run folder; or the step's record is damaged.
+            InputError: it is no longer in the store, or damaged.
         """
-        fingerprint = value_hash({"step": name, "inputs": inputs})
-        marker = member(self.path, f"steps/{name}.json", self.path, f"step {name}")
-        made = [member(self.path, output, self.path, f"step {name}") for output in outputs]
-        finished = None
-        if marker.exists():
-            mend = f"remove {marker.name}, and the step is made again"
-            finished = read_record(marker, StepRecord, STEP_VERSION, mend).fingerprint
-            if finished == fingerprint and all(output.exists() for output in made):
-                _LOG.debug("%s: finished before, %s", name, fingerprint)
-                return fingerprint, False
-        with storage.disk_errors(self.path):
-            marker.unlink(missing_ok=True)
-            if not keep_partial or (finished is not None and finished != fingerprint):
-                for output in made:
-                    _remove(output)
-        _LOG.debug("%s: begins, was %s, becomes %s", name, finished, fingerprint)
-        start = time.monotonic()
+        reference = self.record.artefacts.get(use)
+        return None if reference is None else store.open(reference)
+
+    def finish(self, name: str, made_from: str, make: Callable[[], object]) -> None:
+        """Write one of the run's own files or folders, unless it was made from the same before.
+
+        Args:
+            name: of the file or folder below the run.
+            made_from: hash of everything that it depends on.
+            make: writes it, whole or not at all.
+        """
+        if self.record.finished.get(name) == made_from and (self.path / name).exists():
+            return
         make()
-        seconds = time.monotonic() - start
-        self._note_time(name, seconds)
-        record = StepRecord(fingerprint=fingerprint, inputs=inputs)
-        storage.write_json(marker, record.model_dump(mode="json"))
-        _LOG.debug("%s: finished in %.1f s", name, seconds)
-        return fingerprint, True
+        finished = {**self.record.finished, name: made_from}
+        self.record = self.record.model_copy(update={"finished": finished})
+        self._write()
 
-    def timings(self) -> dict[str, float]:
-        """Seconds by step; {} where none was made.
+    def _write(self) -> None:
+        storage.write_json(self.path / RUN_FILE, self.record.model_dump(mode="json"))
 
-        Raises:
-            InputError: the file is damaged.
-        """
-        path = self.path / TIMINGS_FILE
-        if not path.exists():
-            return {}
-        return read_record(path, TimingsRecord, STEP_VERSION, "remove it").seconds
-
-    def _note_time(self, name: str, seconds: float) -> None:
-        # Kept apart from every result: two runs with the same seed must give the same bytes there.
-        # Rollouts of a run may be made by several workers at once, hence the lock; not on the run
-        # folder itself, which the whole run holds.
-        steps = self.path / "steps"
-        with storage.disk_errors(steps):
-            steps.mkdir(exist_ok=True)
-        with storage.alone_in(steps, wait=True):
-            record = TimingsRecord(seconds={**self.timings(), name: round(seconds, 2)})
-            storage.write_json(self.path / TIMINGS_FILE, record.model_dump(mode="json"))
+    def _link(self, use: str, artefact: Artefact) -> None:
+        what, *names = use_parts(use)
+        parts = [folder_name(name) for name in names]
+        # Only rollouts are nested: the link of an arm's target is no folder for its other vehicles.
+        parts = parts if what == "rollout" else ["~~".join(parts)]
+        link = self.path.joinpath(_LINKS[what], *parts)
+        target = _relative(artefact.path, link.parent)
+        with storage.disk_errors(link):
+            if link.is_symlink() and link.readlink().as_posix() == target:
+                return
+            if link.exists() and not link.is_symlink():
+                if _is_copy(link, artefact):  # the run was copied without its links
+                    return
+                raise InputError(
+                    link, "link", "is a file or folder of something else", "move it elsewhere"
+                )
+            link.parent.mkdir(parents=True, exist_ok=True)
+            with suppress(FileNotFoundError):
+                link.unlink()
+        with suppress(OSError, NotImplementedError):  # a file system without links
+            link.symlink_to(target, target_is_directory=True)
 
 
 def claim_empty(folder: Path, first: str) -> None:
@@ -219,11 +265,27 @@ def claim_empty(folder: Path, first: str) -> None:
         folder.mkdir(parents=True, exist_ok=True)
 
 
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+def _place(place: str | Path, folder: Path) -> str:
+    """An address as it is, a path as seen from a folder."""
+    return str(place) if remote_path(place) is not None else _relative(Path(place), folder)
+
+
+def _is_copy(folder: Path, artefact: Artefact) -> bool:
+    """Whether a folder has the files of an artefact, by their names and sizes."""
+    there = {
+        path.relative_to(folder).as_posix(): path.stat().st_size
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+    return there == {name: file.size for name, file in artefact.record.files.items()}
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """A path as seen from a folder: both may be moved together."""
+    try:
+        return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
+    except ValueError:  # on another drive, on Windows
+        return str(path.absolute())
 
 
 def _versions() -> dict[str, str]:

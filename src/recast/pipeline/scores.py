@@ -2,63 +2,63 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from recast import storage
 from recast.actors import load_actor
+from recast.core import Artefact
 from recast.evaluation import COLUMNS, RolloutMetrics, matched_pairs, rollout_metrics, table
 from recast.logs import HdMap
+from recast.pipeline.artefacts import rollout_name
 from recast.pipeline.config import RunConfig
-from recast.pipeline.layout import (
-    EVALUATION_FOLDER,
-    METRICS_FILE,
-    TRUTH_FOLDER,
-    final_actor,
-    rollout_folder,
-)
+from recast.pipeline.layout import ACTOR_FOLDER, VIEWS_FOLDER, use_parts
 from recast.pipeline.results_files import METRICS_VERSION
 from recast.pipeline.rollouts import read_coverage, read_rollout
 from recast.simulation import RolloutFailure
 from recast.simulation.coverage import RolloutCoverage
 
 
-def write_metrics(run: Path, config: RunConfig, hd_map: HdMap) -> None:
-    """Score all rollouts of a run and write them with what its other steps measured.
+def write_metrics(
+    path: Path, config: RunConfig, used: Mapping[str, Artefact], hd_map: HdMap
+) -> None:
+    """Score all rollouts of a run and write them with what its other artefacts measured.
 
     Each rollout's entry has, besides `RolloutMetrics.to_json`, a member `shorter`: by number of
     steps, its scores over the first steps alone, for each length at which the rollout of another
-    method was cut in the same scenario. And `coverage`: what its cameras showed of an actor with
+    arm was cut in the same scenario. And `coverage`: what its cameras showed of an actor with
     shares, see `RolloutCoverage.to_json`, or None.
 
     Args:
-        run: run folder with rollouts; actor, evaluation and truth where they were made.
+        used: the artefacts of the run by use, as far as they were made.
         hd_map: lanes and drivable area that the rollouts are judged by.
     """
     metrics: list[RolloutMetrics] = []
     coverages: list[RolloutCoverage | None] = []
     failures: list[RolloutFailure] = []
     for motion in config.motions:
-        for method in config.methods:
-            result = read_rollout(rollout_folder(run, motion, method))
-            if isinstance(result, RolloutFailure):
-                failures.append(result)
-                continue
-            metrics.append(rollout_metrics(result, hd_map))
-            coverages.append(read_coverage(rollout_folder(run, motion, method)))
-    evaluation = run / EVALUATION_FOLDER / "eval.json"
-    views = run / TRUTH_FOLDER / "oracle_views.json"
-    actor = final_actor(run)
+        for planner in config.planners:
+            for arm in config.arms:
+                found = used.get(rollout_name(motion, planner, arm.name))
+                if found is None:  # it could not begin
+                    continue
+                folder = found.path
+                result = read_rollout(folder)
+                if isinstance(result, RolloutFailure):
+                    failures.append(result)
+                    continue
+                metrics.append(rollout_metrics(result, hd_map))
+                coverages.append(read_coverage(folder))
     storage.write_json(
-        run / METRICS_FILE,
+        path,
         {
             "version": METRICS_VERSION,
             "table": [row.to_json() for row in table(metrics, failures)],
             "differences": [
                 one
-                for method in config.methods[1:]
-                for one in _differences(metrics, failures, method, config.methods[0])
+                for arm in config.arms[1:]
+                for one in _differences(metrics, failures, arm.name, config.arms[0].name)
             ],
             "rollouts": [
                 {
@@ -69,20 +69,33 @@ def write_metrics(run: Path, config: RunConfig, hd_map: HdMap) -> None:
                 for one, coverage in zip(metrics, coverages, strict=True)
             ],
             "failures": [vars(f) for f in failures],
-            "scene": storage.read_json(evaluation) if evaluation.exists() else None,
-            "truth": storage.read_json(views) if views.exists() else None,
-            "actor": load_actor(actor).provenance.model_dump(mode="json")
-            if actor.is_dir()
-            else None,
+            "scenes": {
+                name: storage.read_json(artefact.path / "eval.json")
+                for name, artefact in _of(used, "evaluation").items()
+            },
+            "truth": {
+                name: storage.read_json(artefact.path / VIEWS_FOLDER / "oracle_views.json")
+                for name, artefact in _of(used, "truth").items()
+            },
+            "actors": {
+                name: load_actor(artefact.path / ACTOR_FOLDER).provenance.model_dump(mode="json")
+                for name, artefact in _of(used, "actor").items()
+            },
         },
     )
+
+
+def _of(used: Mapping[str, Artefact], what: str) -> dict[str, Artefact]:
+    """The artefacts of a kind of use, by the names that follow it."""
+    found = {use_parts(use): one for use, one in used.items()}
+    return {"/".join(parts[1:]): one for parts, one in found.items() if parts[0] == what}
 
 
 def _shorter(one: RolloutMetrics, others: Sequence[RolloutMetrics]) -> dict[str, Any]:
     lengths = {
         other.steps_run
         for other in others
-        if (other.motion, other.setting) == (one.motion, one.setting)
+        if (other.motion, other.setting, other.planner) == (one.motion, one.setting, one.planner)
         and other.steps_run < one.steps_run
     }
     parts = {steps: one.over(steps).values for steps in sorted(lengths)}

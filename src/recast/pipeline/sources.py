@@ -1,65 +1,83 @@
-"""What makes the steps of a run: recipes and exchangeable parts, for their fingerprints."""
+"""What makes the steps of a run: recipes and exchangeable parts, for the keys of artefacts."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Self
 
-from recast.actors import DEFAULT_GENERATOR, GENERATORS, SEGMENTERS, is_segmenter_folder
+from recast.actors import DEFAULT_GENERATOR, GENERATORS, SEGMENTERS
 from recast.actors.library import LIBRARY
 from recast.actors.vehicle_files import files_of_vehicle, is_vehicle_file
+from recast.core.hashing import file_hash, files_hash, folder_hash
 from recast.pipeline.config import RunConfig
-from recast.pipeline.fingerprint import file_hash, files_hash, folder_hash
 from recast.planning import PLANNERS, planner_folder, planner_source_files
 from recast.plugins import Registry
+from recast.pretrained import VQA_SCORERS
 from recast.trellis import RECAST_MINI, recast_mini
 
 RECIPES = {
+    "log": 1,
     "actor": 4,
     "refine": 2,
-    "scene": 1,
+    "turntable": 1,
+    "scene": 2,
     "evaluation": 1,
     "truth": 2,
     "rollout": 2,
+    "scene-level": 1,
     "metrics": 2,
     "report": 2,
 }
 """Version of what recast's own code makes of the inputs of a step.
 
-Raise a step's number in the commit that changes what the step writes for the same inputs; runs that
-lie there then make it, and all that follows from it, again.
+Raise a step's number in the commit that changes what the step writes for the same inputs: it is
+then another artefact, and so is all that follows from it.
 """
 
 
 @dataclass(frozen=True)
 class Sources:
-    """What stands for the exchangeable parts of a run in fingerprints.
+    """What stands for the exchangeable parts of a run in keys.
 
     A built-in part is its name, since `RECIPES` count its changes; a file or a folder is its
     content; other code is its name with the content of its files.
     """
 
-    planner: str
-    generator: str
-    segmenter: str
+    planners: Mapping[str, str]
+    generators: Mapping[str, str]
+    segmenters: Mapping[str, str]
 
     @classmethod
-    def of(cls, config: RunConfig) -> Self:
-        """Those of a configuration; call it before anything of them is loaded.
+    def of(cls, config: RunConfig, scene: str, known: Sources | None = None) -> Self:
+        """Those of a configuration, by name; call it before anything of them is loaded.
 
         So a part that is edited meanwhile counts as the older one, and is used again next time.
+
+        Args:
+            scene: name of the scene, for generators that have a file for each.
+            known: of another scene of the same process; the parts among them may be loaded.
 
         Raises:
             InputError: a name is unknown.
         """
+        known = known or Sources({}, {}, {})
+        arms = [config.arm(arm.name).of_scene(scene) for arm in config.arms]
+        generated = [arm for arm in arms if arm.generates]
         return cls(
-            planner_source(config.planner),
-            generator_source(config.generator),
-            segmenter_source(config.segmenter),
+            _each(config.planners, planner_source, known.planners),
+            _each([str(arm.generator) for arm in generated], generator_source, known.generators),
+            _each([str(arm.segmenter) for arm in generated], segmenter_source, known.segmenters),
         )
+
+
+def _each(
+    names: Iterable[str], source: Callable[[str], str], known: Mapping[str, str]
+) -> dict[str, str]:
+    return {name: known[name] if name in known else source(name) for name in names}
 
 
 def planner_source(name: str) -> str:
@@ -81,16 +99,28 @@ def generator_source(name: str) -> str:
         return folder_hash(recast_mini())
     if name == DEFAULT_GENERATOR:  # offers the template and that model
         return f"{name} {folder_hash(recast_mini())}"
-    if Path(name).is_dir():
-        return folder_hash(name)
+    folder = GENERATORS.place(name)
+    if folder is not None:
+        return folder_hash(folder)
     return _code(GENERATORS, name, GENERATORS.source_files(name))
 
 
 def segmenter_source(name: str) -> str:
     """What stands for a segmenter; see `Sources`."""
-    if is_segmenter_folder(name):
-        return folder_hash(name)
+    folder = SEGMENTERS.place(name)
+    if folder is not None:
+        return folder_hash(folder)
     return _code(SEGMENTERS, name, SEGMENTERS.source_files(name))
+
+
+def vqa_source(name: str) -> str:
+    """What stands for a VQA scorer; see `Sources`."""
+    if name.startswith(tuple(VQA_SCORERS.prefixes)):
+        return name
+    folder = VQA_SCORERS.place(name)
+    if folder is not None:
+        return folder_hash(folder)
+    return _code(VQA_SCORERS, name, VQA_SCORERS.source_files(name))
 
 
 def _code(registry: Registry, name: str, files: tuple[Path, ...]) -> str:

@@ -1,4 +1,4 @@
-"""Native and replaced actor against the oracle, in views that the log does not have."""
+"""A street's own actor and a generated one against the oracle, in views that the log lacks."""
 
 from __future__ import annotations
 
@@ -7,43 +7,51 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from recast.actors import load_actor
+from recast.actors import Actor, insert
 from recast.evaluation import evaluate_oracle_views
-from recast.logs import DrivingLog
-from recast.pipeline.config import RunConfig
 from recast.pipeline.display import FrameProgress, truth_table
-from recast.pipeline.layout import TRUTH_FOLDER, final_actor
-from recast.pipeline.methods import method_scene
+from recast.pipeline.layout import VIEWS_FOLDER
+from recast.pipeline.source_log import SourceLog
+from recast.scene import SceneConfig, StreetScene
 from recast.simulation import camera_mounts
-from recast.synthetic import Oracle, World
+from recast.synthetic import Oracle
 from recast.synthetic.rig import exposure
 
 
 def compare_with_truth(
-    run: Path, log: DrivingLog, world: World, config: RunConfig, console: Console
+    scene: StreetScene,
+    actor: Actor,
+    source: SourceLog,
+    config: SceneConfig,
+    seed: int,
+    out: Path,
+    console: Console,
 ) -> None:
-    """Write the folder `truth` of a run and print the table.
+    """Write views and scores into a folder, see `evaluate_oracle_views`, and print the table.
 
     Args:
-        run: run folder with scene and actor.
-        world: what `log` was made from.
+        scene: with its own model of the track.
+        actor: to be inserted in its place.
+        source: a synthetic log.
+        config: of the street: cameras and image scale.
 
     Raises:
-        InputError: see `recast.evaluation.evaluate_oracle_views`.
+        InputError: see `evaluate_oracle_views`; or the log is not synthetic.
     """
-    mounts = camera_mounts(log, config.scene.cameras or None, config.scene.scale)
+    mounts = camera_mounts(source.log, config.cameras or None, config.scale)
+    world = source.world
     with FrameProgress(console, 1, "views") as progress:
         views = evaluate_oracle_views(
-            log,
-            method_scene("native", run),
-            method_scene("replaced", run),
+            source.log,
+            scene,
+            insert(scene, actor),
             Oracle(world),
-            config.track,
+            actor.track_id,
             mounts,
-            run / TRUTH_FOLDER,
-            rng=np.random.default_rng(config.seed),
+            out / VIEWS_FOLDER,
+            rng=np.random.default_rng(seed),
             exposures={name: exposure(world.seed, name) for name in mounts},
-            shares=load_actor(final_actor(run)).shares,
+            shares=actor.shares,
             progress=progress.reach,
         )
     console.print(truth_table(views))

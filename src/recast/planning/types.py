@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.dynamics import PACIFICA, VehicleParameters
+from recast.dynamics import PACIFICA, EgoState, VehicleParameters
 from recast.geometry import PinholeCamera
 from recast.logs.hdmap import HdMap
 from recast.logs.types import Trajectory
@@ -90,10 +90,11 @@ class PlannerInput:
     Attributes:
         step: simulation step, 0 at the start of the rollout.
         timestamp_us: log time of the step.
-        ego: (11,) current ego state, columns of `recast.dynamics.state`.
+        ego: (11,) current ego state, by name (`ego.vx`) or by the columns of
+            `recast.dynamics.state`; a plain array that is given becomes one.
         ego_history: (H, 11) past states `dt` apart, oldest first, the current one last; up to 2 s.
             States before the rollout's start are the log's.
-        actors: the other road users.
+        actors: the other road users: the target, further controlled actors, then logged ones.
         command: where the route leads.
         images: rendered camera images (H, W, 3) uint8 RGB by name; empty unless the planner has
             `needs_images`.
@@ -101,11 +102,14 @@ class PlannerInput:
 
     step: int
     timestamp_us: int
-    ego: Array
+    ego: EgoState
     ego_history: Array
     actors: tuple[ActorState, ...]
     command: DrivingCommand
     images: Mapping[str, Image] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ego", EgoState(self.ego))
 
 
 @dataclass(frozen=True)

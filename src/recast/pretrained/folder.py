@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,8 @@ _PROCESSOR_FILES = ("preprocessor_config.json", "processor_config.json")
 
 MOST_PIXELS = 8192
 """Edge of an image that a processor may make."""
-_SPARE = 1 << 20  # numbers of buffers that are computed, not stored
+SPARE = 1 << 20
+"""Numbers that a network may hold beyond the stored ones: buffers that are computed."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class PretrainedFolder:
                 return {name: file.get_slice(name).get_shape() for name in file.keys()}  # noqa: SIM118
         except Exception as error:  # of the parser, of torch, of the file system
             raise self._refusal(
-                WEIGHTS_FILE, f"is no whole safetensors file ({_first_line(error)})"
+                WEIGHTS_FILE, f"is no whole safetensors file ({first_line(error)})"
             ) from None
 
     def _bound(self, file: str, config: Any, names: tuple[str, ...], most: int, unit: str) -> None:
@@ -117,14 +118,14 @@ class PretrainedFolder:
 
         options = {"local_files_only": True}
         stored = sum(math.prod(shape) for shape in self._shapes().values())
-        with _quiet():
+        with quiet():
             try:
                 # Without memory first: what is asked for must be there before it is taken.
                 network = getattr(transformers, self.model_class)
                 with torch.device("meta"):
                     empty = network(network.config_class.from_pretrained(self.path, **options))
                 asked = sum(one.numel() for one in (*empty.parameters(), *empty.buffers()))
-                if asked > 2 * stored + _SPARE:  # smaller differences are told by name below
+                if asked > 2 * stored + SPARE:  # smaller differences are told by name below
                     raise ValueError(f"{CONFIG_FILE} asks for {asked} numbers, {stored} are stored")
                 processor = getattr(transformers, self.processor_class).from_pretrained(
                     self.path, **options
@@ -134,17 +135,11 @@ class PretrainedFolder:
                     ignore_mismatched_sizes=True, dtype=torch.float32, **options,
                 )  # fmt: skip
             except Exception as error:  # transformers raises whatever its parts raise
-                raise self._refusal("files", f"cannot be read ({_first_line(error)})") from error
+                raise self._refusal("files", f"cannot be read ({first_line(error)})") from error
         absent = sorted(loaded["missing_keys"])
         if absent:
             raise self._refusal(WEIGHTS_FILE, f"lacks {len(absent)} tensors, first {absent[0]}")
-        for name, theirs, ours in sorted(loaded["mismatched_keys"]):
-            raise self._refusal(
-                WEIGHTS_FILE, f"tensor {name} has shape {tuple(theirs)}, not {tuple(ours)}"
-            )
-        for name, tensor in model.state_dict().items():
-            if not torch.isfinite(tensor).all():
-                raise self._refusal(WEIGHTS_FILE, f"tensor {name} holds values that are not finite")
+        check_tensors(model, loaded, lambda problem: self._refusal(WEIGHTS_FILE, problem))
         return processor, model.to(device).eval().requires_grad_(False)
 
     def _refusal(self, field: str, problem: str) -> InputError:
@@ -163,8 +158,24 @@ def model_type(folder: Path) -> str | None:
     return config.get("model_type") if isinstance(config, dict) else None
 
 
+def check_tensors(
+    model: Any, told: Mapping[str, Any], refusal: Callable[[str], InputError]
+) -> None:
+    """Refuse a network whose tensors were stored in other shapes, or are not finite.
+
+    Args:
+        told: what transformers says of its loading.
+        refusal: makes the error of a problem.
+    """
+    for name, theirs, ours in sorted(told["mismatched_keys"]):
+        raise refusal(f"tensor {name} has shape {tuple(theirs)}, not {tuple(ours)}")
+    for name, tensor in model.state_dict().items():
+        if not torch.isfinite(tensor).all():
+            raise refusal(f"tensor {name} holds values that are not finite")
+
+
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """Keep transformers' progress bars and notices away from the user's screen."""
     from transformers.utils import logging
 
@@ -179,6 +190,7 @@ def _quiet() -> Iterator[None]:
             logging.enable_progress_bar()
 
 
-def _first_line(error: Exception) -> str:
+def first_line(error: Exception) -> str:
+    """The first line of an error's message, or its class where it has none."""
     lines = str(error).strip().splitlines()
     return lines[0][:160] if lines else type(error).__name__

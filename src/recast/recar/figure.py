@@ -82,19 +82,20 @@ def write_figure(vehicle_set: VehicleSource, statistics: SetStatistics, folder: 
 
 def representatives(vehicle_set: VehicleSource, count: int) -> list[IdentitySource]:
     """Up to `count` identities: all kinds in turn, the most frequent first, colours varied."""
-    by_kind: dict[str, list[IdentitySource]] = {}
-    for identity in vehicle_set.identities.values():
-        by_kind.setdefault(identity.record.kind, []).append(identity)
+    labels = [(one.id, one.kind, one.colour) for one, _ in vehicle_set.records()]
+    by_kind: dict[str, list[tuple[str, str | None]]] = {}
+    for id, kind, colour in sorted(labels, key=lambda label: label[0]):
+        by_kind.setdefault(kind, []).append((id, colour))
     queues = sorted(by_kind.values(), key=len, reverse=True)
     chosen: list[IdentitySource] = []
     shown: dict[str | None, int] = {}
-    while len(chosen) < min(count, len(vehicle_set.identities)):
+    while len(chosen) < min(count, len(labels)):
         for queue in queues:
             if queue and len(chosen) < count:
-                rarest = min(queue, key=lambda one: shown.get(one.record.colour, 0))
+                rarest = min(queue, key=lambda one: shown.get(one[1], 0))
                 queue.remove(rarest)
-                shown[rarest.record.colour] = shown.get(rarest.record.colour, 0) + 1
-                chosen.append(rarest)
+                shown[rarest[1]] = shown.get(rarest[1], 0) + 1
+                chosen.append(vehicle_set.identities[rarest[0]])
     return chosen
 
 

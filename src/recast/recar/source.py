@@ -56,6 +56,12 @@ class VehicleSource(Protocol):
     def of_split(self, split: Split) -> Iterator[IdentitySource]:
         """The identities of one split, sorted."""
 
+    def records(self) -> Iterator[tuple[IdentityRecord, int]]:
+        """Record and bytes of the pictures of every identity, in the order in which they lie.
+
+        Nothing is kept, so that statistics of a large set take little memory.
+        """
+
     def check_pictures(
         self, decode: bool = False, progress: Callable[[int, int], None] | None = None
     ) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,17 +40,25 @@ class SetStatistics:
 
 
 def set_statistics(vehicle_set: VehicleSource) -> SetStatistics:
-    """Count what is in a set."""
-    records = [identity.record for identity in vehicle_set.identities.values()]
-    splits = Counter(record.split for record in records)
-    sizes = np.array([record.size for record in records if record.size is not None])
+    """Count what is in a set, in one pass that keeps three numbers of each identity."""
+    splits, kinds, colours = Counter[str](), Counter[str](), Counter[str]()
+    identities = total_bytes = 0
+    metres = array("d")
+    for record, picture_bytes in vehicle_set.records():
+        identities += 1
+        total_bytes += picture_bytes
+        splits[record.split] += 1
+        kinds[record.kind] += 1
+        colours[record.colour or "unknown"] += 1
+        metres.extend(record.size or ())
+    sizes = np.array(metres).reshape(-1, 3)
     return SetStatistics(
-        identities=len(records),
-        pictures=len(records) * vehicle_set.record.views,
-        bytes=sum(identity.picture_bytes() for identity in vehicle_set.identities.values()),
+        identities=identities,
+        pictures=identities * vehicle_set.record.views,
+        bytes=total_bytes,
         splits={split: splits[split] for split in SPLITS},
-        kinds=_by_count(record.kind for record in records),
-        colours=_by_count(record.colour or "unknown" for record in records),
+        kinds=_by_count(kinds),
+        colours=_by_count(colours),
         sizes=tuple(
             (float(row[0]), float(row[1]), float(row[2]))
             for row in (sizes.min(axis=0), np.median(sizes, axis=0), sizes.max(axis=0))
@@ -93,8 +101,7 @@ def statistics_table(vehicle_set: VehicleSource, statistics: SetStatistics) -> G
     )
 
 
-def _by_count(names: Iterable[str]) -> dict[str, int]:
-    counts = Counter(names)
+def _by_count(counts: Counter[str]) -> dict[str, int]:
     return {name: counts[name] for name in sorted(counts, key=lambda name: (-counts[name], name))}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -129,11 +130,14 @@ def _make_in_processes(
     context = multiprocessing.get_context("spawn")
     finished_pictures = context.SimpleQueue()
     with ProcessPoolExecutor(workers, context, _set_up_worker, (finished_pictures,)) as pool:
-        pending: set[Future[None]] = {
-            pool.submit(_make_in_worker, out, record, settings, planned) for planned in left
-        }
+        waiting, pending = iter(left), set[Future[None]]()
         with worker_faults(pool, "finished identities"):
-            while pending:
+            while True:
+                # A few at a time: `wait` looks at every job that it is given.
+                for planned in islice(waiting, 2 * workers - len(pending)):
+                    pending.add(pool.submit(_make_in_worker, out, record, settings, planned))
+                if not pending:
+                    break
                 done, pending = wait(pending, timeout=0.2, return_when=FIRST_COMPLETED)
                 while not finished_pictures.empty():
                     counter.advance(finished_pictures.get())

@@ -132,10 +132,11 @@ def plan_identities(
         stem = re.sub(r"[^A-Za-z0-9_-]", "-", path.stem)[:60]
         name = f"mesh-{stem}-{digest}"
         plan.append(_planned(settings, "mesh", index, name, int(digest, 16), path, axes))
-    ids = [one.id for one in plan]
+    known: set[str] = set()
     for one in plan:
-        if ids.count(one.id) > 1:
+        if one.id in known:
             raise InputError(one.mesh or one.id, "mesh", "is named twice", "name it once")
+        known.add(one.id)
     return plan
 
 

@@ -30,7 +30,7 @@ from recast.recar.record import (
     view_file,
 )
 from recast.records import read_record
-from recast.storage import read_bytes
+from recast.storage import disk_errors, read_bytes
 
 Array = NDArray[np.float64]
 
@@ -70,7 +70,9 @@ class Identity:
 
     def picture_bytes(self) -> int:
         """Bytes of all its pictures."""
-        return sum(path.stat().st_size for path in self.folder.glob("view_*.png"))
+        names = [view_file(index) for index in range(self.set_record.views)]
+        with disk_errors(self.folder):
+            return sum((self.folder / name).stat().st_size for name in names)
 
     def camera(self, index: int) -> tuple[PinholeCamera, Array]:
         """The camera of a view and `actor_from_camera` (4, 4); see `view_camera`."""
@@ -94,6 +96,10 @@ class VehicleSet:
     def of_split(self, split: Split) -> Iterator[Identity]:
         """The identities of one split, sorted."""
         return (one for one in self.identities.values() if one.record.split == split)
+
+    def records(self) -> Iterator[tuple[IdentityRecord, int]]:
+        """Record and bytes of the pictures of every identity, sorted by id."""
+        return ((one.record, one.picture_bytes()) for one in self.identities.values())
 
     def check_pictures(
         self, decode: bool = False, progress: Callable[[int, int], None] | None = None

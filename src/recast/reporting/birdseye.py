@@ -24,6 +24,8 @@ _FILM_SPAN = 90.0  # metres across the film: an oncoming car 55 m ahead must be 
 _EGO_AT = 0.28  # share of the film's width behind the ego
 _DASH = 1.5  # metres
 _STAMP = 1.0  # seconds between the ghost boxes of the still
+_FURTHER = 0.6
+"""Of the target's colour: controlled actors beside it."""
 _DOT = 0.5  # seconds between the dots of a plan
 
 
@@ -75,6 +77,8 @@ def draw_frames(
             _draw_plan(canvas, plans[current], rollout.dt)
         canvas.line(rollout.ego_boxes[: step + 1, :2], palette.dimmed(palette.EGO, 0.7), 2)
         canvas.line(rollout.actor[: step + 1, :2], palette.dimmed(palette.ACTOR, 0.7), 2)
+        for one in rollout.controlled:
+            canvas.line(one.states[: step + 1, :2], palette.dimmed(palette.ACTOR, 0.4), 2)
         _draw_cars(canvas, rollout, step, touching=bool(curves.contact[step]))
         _draw_readout(canvas, curves, step)
         _draw_legend(canvas, rollout, actor_log_path is not None)
@@ -104,7 +108,11 @@ def draw_still(
         canvas.line(plan, palette.dimmed(palette.PLAN, 0.55), 1)
     hit = curves.collision_step
     last = len(rollout.ego) - 1 if hit is None else hit
+    further = [
+        (one.states[:, :2], palette.dimmed(palette.ACTOR, _FURTHER)) for one in rollout.controlled
+    ]
     for path, colour in (
+        *further,
         (rollout.ego_boxes[:, :2], palette.EGO),
         (rollout.actor[:, :2], palette.ACTOR),
     ):
@@ -135,6 +143,7 @@ def _whole_view(rollout: Rollout, style: BirdseyeStyle) -> View:
         [
             boxes.bev_corners(rollout.ego_boxes, *rollout.ego_size).reshape(-1, 2),
             boxes.bev_corners(rollout.actor[:, :3], *rollout.actor_size[:2]).reshape(-1, 2),
+            *(one.states[:, :2] for one in rollout.controlled),
             rollout.log_ego[:, :2],
         ]
     )
@@ -176,6 +185,9 @@ def _draw_cars(canvas: Canvas, rollout: Rollout, step: int, touching: bool) -> N
     log_pose = rollout.log_ego[step, :3].copy()
     log_pose[:2] += rollout.ego_centre_offset * np.array([np.cos(log_pose[2]), np.sin(log_pose[2])])
     canvas.line(boxes.bev_corners(log_pose, *rollout.ego_size), palette.LOGGED, 1, closed=True)
+    for one in rollout.controlled:
+        colour = palette.dimmed(palette.ACTOR, _FURTHER)
+        draw_car(canvas, one.states[step, :3], one.size[:2], colour, palette.GROUND, 1)
     for pose, size, colour in (
         (rollout.actor[step, :3], rollout.actor_size[:2], palette.ACTOR),
         (rollout.ego_boxes[step], rollout.ego_size, palette.EGO),
@@ -222,6 +234,9 @@ def _draw_readout(canvas: Canvas, curves: Series, step: int) -> None:
 
 def _draw_legend(canvas: Canvas, rollout: Rollout, has_actor_log: bool, size: int = 17) -> None:
     entries = [("ego", palette.EGO), (f"actor {rollout.track_id}", palette.ACTOR)]
+    if rollout.controlled:
+        names = ", ".join(one.track_id for one in rollout.controlled)
+        entries.append((f"further {names}"[:40], palette.dimmed(palette.ACTOR, _FURTHER)))
     if len(rollout.plan_steps):
         entries.append(("plan", palette.PLAN))
     entries.append(("ego as recorded", palette.LOGGED))

@@ -59,7 +59,7 @@ def checks(run: ReportInputs) -> tuple[Check, ...]:
     if isinstance(run.truth, TruthPart):
         found.extend(_beyond_the_log(run.truth))
     if not isinstance(run.scenarios, NotMade):
-        found.extend(_invented(coverage_lines(run.scenarios, run.methods)))
+        found.extend(_invented(coverage_lines(run.scenarios, run.arms)))
     if not isinstance(run.hd_map, NotMade):
         derived = run.hd_map.derived
         found.append(
@@ -79,15 +79,16 @@ def checks(run: ReportInputs) -> tuple[Check, ...]:
 
 def _beyond_the_log(truth: TruthPart) -> tuple[Check, ...]:
     beyond = truth.views.beyond_60
-    if beyond.native is None or beyond.replaced is None:
+    if beyond.baseline is None or beyond.candidate is None:
         return ()
     found = []
+    own, made = truth.names["baseline"], truth.names["candidate"]
     for label, before, after, digits, unit in (
-        ("Mask IoU", beyond.native.mask_iou, beyond.replaced.mask_iou, 2, ""),
-        ("PSNR", beyond.native.psnr, beyond.replaced.psnr, 1, " dB"),
+        ("Mask IoU", beyond.baseline.mask_iou, beyond.candidate.mask_iou, 2, ""),
+        ("PSNR", beyond.baseline.psnr, beyond.candidate.psnr, 1, " dB"),
     ):
-        text = f"{before:.{digits}f}{unit} native, {after:.{digits}f}{unit} replaced"
-        wanted = "the replaced actor nearer to the truth"
+        text = f"{own} {before:.{digits}f}{unit}, {made} {after:.{digits}f}{unit}"
+        wanted = f"the {made} nearer to the truth"
         tone: Tone = "good" if after > before else "bad"
         found.append(Check(f"{label}, 60° and more from the log", text, wanted, tone))
     return tuple(found)

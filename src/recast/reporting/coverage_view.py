@@ -16,14 +16,14 @@ class CoverageLine:
 
     Attributes:
         title, anchor: of its scenario, which is the `anchor`-th of the page.
-        method: name for people.
+        arm: name for people.
         planned: whether it is about the planner's images; else about all that were recorded.
         mean: over the images; `visible` of `images` show the vehicle.
     """
 
     title: str
     anchor: int
-    method: str
+    arm: str
     planned: bool
     mean: Coverage
     visible: int
@@ -36,14 +36,14 @@ def looked_at(coverage: RolloutCoverage) -> RolloutCoverage:
 
 
 def coverage_lines(
-    scenarios: Sequence[ScenarioPart], methods: Mapping[str, str]
+    scenarios: Sequence[ScenarioPart], arms: Mapping[str, str]
 ) -> tuple[CoverageLine, ...]:
     """A line for each rollout whose vehicle has shares, by scenario, then as they are given."""
     return tuple(
         CoverageLine(
             title=scenario.title,
             anchor=number,
-            method=methods[part.method],
+            arm=arms[part.arm],
             planned=part.coverage.of_planner is not None,
             mean=looked_at(part.coverage).mean,
             visible=looked_at(part.coverage).visible,
@@ -59,10 +59,10 @@ def coverage_note(line: CoverageLine) -> str:
     """The line as a sentence."""
     who = "the planner saw" if line.planned else "the cameras showed"
     if line.visible == 0:
-        return f"None of the {line.images} images that {who} shows the {line.method}."
+        return f"None of the {line.images} images that {who} shows the {line.arm}."
     mean = line.mean
     return (
-        f"Of what {who} of the {line.method}, {mean.invented:.0%} was invented, "
+        f"Of what {who} of the {line.arm}, {mean.invented:.0%} was invented, "
         f"{mean.mirrored:.0%} mirrored and {mean.seen:.0%} seen in the log "
         f"(visible in {line.visible} of {line.images} images)."
     )

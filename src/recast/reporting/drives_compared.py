@@ -1,4 +1,4 @@
-"""How the methods' drives compare with each other and with the truth's, in sentences."""
+"""How the arms' drives compare with each other and with the truth's, in sentences."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from recast.reporting.inputs import NotMade, ReportInputs, RolloutPart, Scenario
 from recast.simulation.rollout import Rollout
 
 
-def driving_note(scenario: ScenarioPart, methods: Mapping[str, str]) -> str | None:
-    """Which methods led to exactly the same driving, in words; None where none did."""
+def driving_note(scenario: ScenarioPart, arms: Mapping[str, str]) -> str | None:
+    """Which arms led to exactly the same driving, in words; None where none did."""
     groups: list[list[RolloutPart]] = []
-    for part in sorted(scenario.rollouts, key=lambda part: list(methods).index(part.method)):
+    for part in sorted(scenario.rollouts, key=lambda part: list(arms).index(part.arm)):
         rollout = part.rollout
         if not isinstance(rollout, Rollout):
             continue
@@ -29,23 +29,23 @@ def driving_note(scenario: ScenarioPart, methods: Mapping[str, str]) -> str | No
             groups.append([part])
     if len(groups) == 1 and len(groups[0]) > 1:
         return (
-            "The ego drove exactly alike with all methods: to this planner, or in this scenario, "
+            "The ego drove exactly alike with all arms: to this planner, or in this scenario, "
             "the pictures made no difference."
         )
-    alike = [listed([methods[part.method] for part in group]) for group in groups if group[1:]]
+    alike = [listed([arms[part.arm] for part in group]) for group in groups if group[1:]]
     return f"The ego drove exactly alike with {'; and with '.join(alike)}." if alike else None
 
 
 def truth_gaps(run: ReportInputs, scenario: ScenarioPart) -> str | None:
-    """How far from the truth's path each method led the ego, in words; None without a truth."""
-    parts = {part.method: part.rollout for part in scenario.rollouts}
-    truth = parts.get(run.truth_method or "")
+    """How far from the truth's path each arm led the ego, in words; None without a truth."""
+    parts = {part.arm: part.rollout for part in scenario.rollouts}
+    truth = parts.get(run.truth_arm or "")
     if not isinstance(truth, Rollout):
         return None
     told = []
-    for method, title in run.methods.items():
-        rollout = parts.get(method)
-        if method == run.truth_method or not isinstance(rollout, Rollout):
+    for arm, title in run.arms.items():
+        rollout = parts.get(arm)
+        if arm == run.truth_arm or not isinstance(rollout, Rollout):
             continue
         steps = min(len(rollout.ego), len(truth.ego))
         away = np.hypot(*(rollout.ego[:steps, :2] - truth.ego[:steps, :2]).T)
@@ -58,18 +58,18 @@ def truth_gaps(run: ReportInputs, scenario: ScenarioPart) -> str | None:
 def same_endings(
     run: ReportInputs, scenarios: Sequence[ScenarioPart], truth: str
 ) -> tuple[str, ...]:
-    """In how many scenarios each method ended as the truth did, contact or none.
+    """In how many scenarios each arm ended as the truth did, contact or none.
 
     Where one of the two rollouts was cut, both are looked at up to there.
     """
     told = []
-    for method, title in run.methods.items():
+    for arm, title in run.arms.items():
         pairs = [
-            over_common_steps(scored[method], scored[truth])
+            over_common_steps(scored[arm], scored[truth])
             for scenario in scenarios
-            if {method, truth} <= (scored := _scored(scenario)).keys()
+            if {arm, truth} <= (scored := _scored(scenario)).keys()
         ]
-        if method != truth and pairs:
+        if arm != truth and pairs:
             same = sum(a.collision.nc.value == b.collision.nc.value for a, b in pairs)
             told.append(f"{title}: {same} of {len(pairs)}")
     return (f"Ended as with the truth, in contact or without: {'; '.join(told)}.",) if told else ()
@@ -77,7 +77,7 @@ def same_endings(
 
 def _scored(scenario: ScenarioPart) -> dict[str, RolloutMetrics]:
     return {
-        part.method: part.metrics
+        part.arm: part.metrics
         for part in scenario.rollouts
         if not isinstance(part.metrics, NotMade)
     }

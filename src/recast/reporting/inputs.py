@@ -98,17 +98,17 @@ class ActorPart:
 
 @dataclass(frozen=True)
 class RolloutPart:
-    """One rollout of one method.
+    """One rollout of one arm.
 
     Attributes:
-        method: a key of `ReportInputs.methods`.
+        arm: a key of `ReportInputs.arms`.
         rollout: its states, the failure that ended it, or why there is none.
         metrics: its scores.
         films: camera name to film of what the planner saw, one frame a step.
         coverage: what of the actor its cameras showed; None for an actor without shares.
     """
 
-    method: str
+    arm: str
     rollout: Rollout | RolloutFailure | NotMade
     metrics: RolloutMetrics | NotMade = NOT_MADE
     films: Mapping[str, Path] | NotMade = NOT_MADE
@@ -117,12 +117,12 @@ class RolloutPart:
 
 @dataclass(frozen=True)
 class ScenarioPart:
-    """The same motion of the actor under each method.
+    """The same motion of the actor under each arm.
 
     Attributes:
         title: for example "Cut-in, setting A".
         description: what the actor does, in a sentence.
-        rollouts: one a method, in the order of `ReportInputs.methods`.
+        rollouts: one an arm, in the order of `ReportInputs.arms`.
     """
 
     title: str
@@ -202,9 +202,9 @@ class ReportInputs:
     Attributes:
         title: of the page.
         log: name of the log.
-        methods: method to its name for people, in the order of the columns; the first is the
+        arms: arm to its name for people, in the order of the columns; the first is the
             baseline.
-        truth_method: the one of `methods` that the others are measured against because it shows
+        truth_arm: the one of `arms` that the others are measured against because it shows
             what is really there, or None.
         showcase: the first screen; without one the page begins with the overview.
         truth: views beyond the log against the truth; left out of the page where nothing is given.
@@ -216,7 +216,7 @@ class ReportInputs:
 
     title: str
     log: str
-    methods: Mapping[str, str]
+    arms: Mapping[str, str]
     facts: tuple[Fact, ...] = ()
     actor: ActorPart | NotMade = NOT_MADE
     scenarios: tuple[ScenarioPart, ...] | NotMade = NOT_MADE
@@ -226,21 +226,21 @@ class ReportInputs:
     provenance: ProvenancePart | NotMade = NOT_MADE
     timings: Mapping[str, float] | NotMade = NOT_MADE
     warnings: tuple[str, ...] = ()
-    truth_method: str | None = None
+    truth_arm: str | None = None
     showcase: ShowcasePart | NotMade = NOT_MADE
     truth: TruthPart | NotMade = NOT_MADE
 
     def validate(self) -> None:
         """Raise ValueError naming the field at fault."""
-        if self.truth_method is not None and self.truth_method not in self.methods:
-            raise ValueError(f"truth_method: {self.truth_method!r} is not in methods")
+        if self.truth_arm is not None and self.truth_arm not in self.arms:
+            raise ValueError(f"truth_arm: {self.truth_arm!r} is not in arms")
         if isinstance(self.scenarios, NotMade):
             return
         for scenario in self.scenarios:
             for i, part in enumerate(scenario.rollouts):
                 where = f"scenarios[{scenario.title!r}].rollouts[{i}]"
-                if part.method not in self.methods:
-                    raise ValueError(f"{where}.method: {part.method!r} is not in methods")
-            methods = [part.method for part in scenario.rollouts]
-            if len(set(methods)) != len(methods):
-                raise ValueError(f"scenarios[{scenario.title!r}].rollouts: a method occurs twice")
+                if part.arm not in self.arms:
+                    raise ValueError(f"{where}.arm: {part.arm!r} is not in arms")
+            arms = [part.arm for part in scenario.rollouts]
+            if len(set(arms)) != len(arms):
+                raise ValueError(f"scenarios[{scenario.title!r}].rollouts: an arm occurs twice")

@@ -1,6 +1,6 @@
 """One colour for one thing, in every drawing of the report (RGB, 0..255).
 
-The map is dark, so that it reads alike on light and dark pages; the colours of methods are of
+The map is dark, so that it reads alike on light and dark pages; the colours of arms are of
 middle lightness, so that their lines do too.
 """
 
@@ -31,7 +31,7 @@ SHARES: Mapping[str, Colour] = {
 }
 """Where a vehicle's looks come from; told apart by people who cannot tell red, green or blue."""
 
-METHODS: tuple[Colour, ...] = (
+ARMS: tuple[Colour, ...] = (
     (133, 104, 224),
     (16, 150, 140),
     (206, 72, 126),
@@ -40,9 +40,9 @@ METHODS: tuple[Colour, ...] = (
 )
 
 
-def method_colour(index: int) -> Colour:
-    """Colour of the `index`-th method of a report; repeats after the last."""
-    return METHODS[index % len(METHODS)]
+def arm_colour(index: int) -> Colour:
+    """Colour of the `index`-th arm of a report; repeats after the last."""
+    return ARMS[index % len(ARMS)]
 
 
 def css(colour: Colour) -> str:

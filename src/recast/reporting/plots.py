@@ -20,10 +20,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Curves:
-    """One method's curves.
+    """One arm's curves.
 
     Attributes:
-        label: the method's name.
+        label: the arm's name.
         colour: its colour in all plots of a report.
         series: per state.
         ttc: (C,) seconds for each plan, or None.
@@ -35,29 +35,29 @@ class Curves:
     ttc: Array | None
 
 
-def rollout_plots(name: str, methods: Sequence[Curves]) -> tuple[Plot, ...]:
-    """Plots of one scenario: speed, gap, TTC and acceleration, the methods together.
+def rollout_plots(name: str, arms: Sequence[Curves]) -> tuple[Plot, ...]:
+    """Plots of one scenario: speed, gap, TTC and acceleration, the arms together.
 
     Args:
         name: unique in the page; SVG ids are made from it.
-        methods: at least one; the actor's and the recorded speed are those of the longest.
+        arms: at least one; the actor's and the recorded speed are those of the longest.
     """
-    longest = max(methods, key=lambda m: len(m.series.time)).series
+    longest = max(arms, key=lambda m: len(m.series.time)).series
     end = float(longest.time[-1])
     return (
-        _speed(f"{name}-speed", methods, longest, end),
-        _gap(f"{name}-gap", methods, end),
-        _ttc(f"{name}-ttc", methods, end),
-        _acceleration(f"{name}-acceleration", methods, end),
+        _speed(f"{name}-speed", arms, longest, end),
+        _gap(f"{name}-gap", arms, end),
+        _ttc(f"{name}-ttc", arms, end),
+        _acceleration(f"{name}-acceleration", arms, end),
     )
 
 
-def coverage_plot(name: str, method: str, coverage: RolloutCoverage, dt: float, end: float) -> Plot:
+def coverage_plot(name: str, arm: str, coverage: RolloutCoverage, dt: float, end: float) -> Plot:
     """Shares of the vehicle in the images of each plan step; nothing where none shows it.
 
     Args:
         name: unique in the page.
-        method: its name for people.
+        arm: its name for people.
         dt: seconds between steps; the axis ends after `end` seconds.
     """
     figure, axes = blank_axes(end)
@@ -76,17 +76,17 @@ def coverage_plot(name: str, method: str, coverage: RolloutCoverage, dt: float, 
     axes.set_axisbelow(True)
     axes.set_ylim(0.0, 100.0)
     told = ", ".join(f"{key} {getattr(coverage.mean, key):.0%}" for key in palette.SHARES)
-    title = f"What was shown of the {method} [%]"
+    title = f"What was shown of the {arm} [%]"
     return finish(name, title, f"over all images: {told}", figure, end)
 
 
-def _speed(name: str, methods: Sequence[Curves], longest: Series, end: float) -> Plot:
+def _speed(name: str, arms: Sequence[Curves], longest: Series, end: float) -> Plot:
     figure, axes = blank_axes(end)
-    for method, width in _with_widths(methods):
+    for arm, width in _with_widths(arms):
         axes.plot(
-            method.series.time,
-            method.series.ego_speed,
-            color=palette.css(method.colour),
+            arm.series.time,
+            arm.series.ego_speed,
+            color=palette.css(arm.colour),
             lw=width,
         )
     axes.plot(longest.time, longest.actor_speed, color=palette.css(palette.ACTOR), lw=1.6)
@@ -95,15 +95,15 @@ def _speed(name: str, methods: Sequence[Curves], longest: Series, end: float) ->
     alt = "; ".join(
         f"ego with {m.label}: {m.series.ego_speed[0]:.1f} m/s at the start, "
         f"{m.series.ego_speed[-1]:.1f} m/s at the end"
-        for m in methods
+        for m in arms
     )
     return finish(name, "Speed [m/s]", alt, figure, end)
 
 
-def _gap(name: str, methods: Sequence[Curves], end: float) -> Plot:
+def _gap(name: str, arms: Sequence[Curves], end: float) -> Plot:
     figure, axes = blank_axes(end)
-    for method, width in _with_widths(methods):
-        colour, curves = palette.css(method.colour), method.series
+    for arm, width in _with_widths(arms):
+        colour, curves = palette.css(arm.colour), arm.series
         axes.plot(curves.time, curves.gap, color=colour, lw=width)
         hit = curves.collision_step
         if hit is not None:
@@ -114,27 +114,27 @@ def _gap(name: str, methods: Sequence[Curves], end: float) -> Plot:
     alt = "; ".join(
         f"{m.label}: smallest gap {m.series.gap.min():.1f} m"
         + ("" if m.series.collision_step is None else ", contact (marked with a cross)")
-        for m in methods
+        for m in arms
     )
     return finish(name, "Gap between the boxes [m]", alt, figure, end)
 
 
-def _ttc(name: str, methods: Sequence[Curves], end: float) -> Plot:
+def _ttc(name: str, arms: Sequence[Curves], end: float) -> Plot:
     figure, axes = blank_axes(end)
     axes.axhline(CAP, color=FAINT, lw=1, ls="--")
     told = []
-    for method, width in _with_widths(methods):
-        if method.ttc is None or len(method.ttc) == 0:
+    for arm, width in _with_widths(arms):
+        if arm.ttc is None or len(arm.ttc) == 0:
             continue
         axes.plot(
-            method.series.plan_time,
-            method.ttc,
+            arm.series.plan_time,
+            arm.ttc,
             "o-",
-            color=palette.css(method.colour),
+            color=palette.css(arm.colour),
             lw=width,
             ms=width + 2,
         )
-        told.append(f"{method.label}: least {method.ttc.min():.1f} s")
+        told.append(f"{arm.label}: least {arm.ttc.min():.1f} s")
     axes.set_ylim(-0.1, CAP + 0.3)
     return finish(
         name, f"Time to collision of each plan [s], capped at {CAP:g}",
@@ -142,27 +142,27 @@ def _ttc(name: str, methods: Sequence[Curves], end: float) -> Plot:
     )  # fmt: skip
 
 
-def _acceleration(name: str, methods: Sequence[Curves], end: float) -> Plot:
+def _acceleration(name: str, arms: Sequence[Curves], end: float) -> Plot:
     figure, axes = blank_axes(end)
     low, high = LIMITS["lon_accel"]
     for limit in (low, high):
         axes.axhline(limit, color=INK, lw=0.8, ls="--", alpha=0.5)
-    for method, width in _with_widths(methods):
+    for arm, width in _with_widths(arms):
         axes.plot(
-            method.series.time,
-            method.series.acceleration,
-            color=palette.css(method.colour),
+            arm.series.time,
+            arm.series.acceleration,
+            color=palette.css(arm.colour),
             lw=width,
         )
     alt = "; ".join(
         f"{m.label}: between {m.series.acceleration.min():.1f} and "
         f"{m.series.acceleration.max():.1f} m/s²"
-        for m in methods
+        for m in arms
     )
     title = f"Ego acceleration, driven [m/s²]; dashed: comfort {low:g} to {high:g}"
     return finish(name, title, alt, figure, end)
 
 
-def _with_widths(methods: Sequence[Curves]) -> list[tuple[Curves, float]]:
-    # Methods often drive alike: the earlier ones are wider, so that they show under the later.
-    return [(m, 1.6 + 1.8 * (len(methods) - 1 - i)) for i, m in enumerate(methods)]
+def _with_widths(arms: Sequence[Curves]) -> list[tuple[Curves, float]]:
+    # Arms often drive alike: the earlier ones are wider, so that they show under the later.
+    return [(m, 1.6 + 1.8 * (len(arms) - 1 - i)) for i, m in enumerate(arms)]

@@ -85,7 +85,7 @@ def _render(run: ReportInputs, assets: Assets) -> str:
     environment.globals["share_colours"] = {
         name: palette.css(colour) for name, colour in palette.SHARES.items()
     }
-    environment.filters["method_colour"] = lambda i: palette.css(palette.method_colour(i))
+    environment.filters["arm_colour"] = lambda i: palette.css(palette.arm_colour(i))
     environment.filters["coverage_note"] = coverage_note
     environment.globals["zip"] = zip
     loader = environment.loader
@@ -103,7 +103,7 @@ def _render(run: ReportInputs, assets: Assets) -> str:
             scenario_view(run, part, f"scenario-{i + 1}", assets)
             for i, part in enumerate(run.scenarios)
         )
-        aggregate = tables.aggregate_lines(run.scenarios, run.methods, run.truth_method)
+        aggregate = tables.aggregate_lines(run.scenarios, run.arms, run.truth_arm)
     return environment.get_template("report.html").render(
         run=run,
         generator=f"{_GENERATOR} {__version__}",
@@ -117,7 +117,7 @@ def _render(run: ReportInputs, assets: Assets) -> str:
         actor=_actor(run.actor, assets),
         coverage=()
         if isinstance(run.scenarios, NotMade)
-        else coverage_lines(run.scenarios, run.methods),
+        else coverage_lines(run.scenarios, run.arms),
         scenarios=scenarios,
         scene=_scene(run.scene, assets),
         showcase=_showcase(run.showcase, assets),

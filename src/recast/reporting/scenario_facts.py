@@ -15,7 +15,7 @@ from recast.errors import printable
 from recast.evaluation.collision import TOUCHING, overlap_areas
 from recast.simulation import PreparedRollout, RolloutSetup, ScriptedMotion, ego_centre
 from recast.simulation.scenario import scenario_name
-from recast.simulation.scenario_schema import MOTION_SCHEMAS
+from recast.simulation.scenario_schema import scenario_numbers
 from recast.simulation.start_checks import ON_ROAD, on_road_shares, surveyed_road
 
 
@@ -108,13 +108,7 @@ def motions_table(motions: Sequence[ScriptedMotion]) -> Table:
     for heading in ("scenario", "numbers", "what happens"):
         table.add_column(heading)
     for motion in motions:
-        schema = next(s for s in MOTION_SCHEMAS.values() if type(motion) is s.make)
-        values = {key: getattr(motion, key) for key in schema.quantities}
-        numbers = [
-            f"{key} {value:g} {schema.quantities[key].unit}"
-            for key, value in values.items()
-            if value is not None
-        ]
+        numbers = scenario_numbers(motion)
         # as text: a description is no markup
         table.add_row(
             scenario_name(motion), "\n".join(numbers), Text(printable(motion.description))

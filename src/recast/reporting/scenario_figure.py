@@ -52,6 +52,7 @@ def _panel(setup: RolloutSetup, prepared: PreparedRollout, facts: ScenarioFacts)
         [
             boxes.bev_corners(ego[[0, -1]], *ego_size).reshape(-1, 2),
             boxes.bev_corners(prepared.actor[:, :3], *size[:2]).reshape(-1, 2),
+            *(one.states[:, :2] for one in prepared.further),
             ego[:, :2],
         ]
     )
@@ -70,6 +71,11 @@ def _panel(setup: RolloutSetup, prepared: PreparedRollout, facts: ScenarioFacts)
         colour = _colour(step, prepared)
         canvas.polygon(outline, palette.dimmed(colour, 0.3))
         canvas.line(outline, colour, 2, closed=True)
+    for one in prepared.further:
+        length, width = setup.track_of(one.track_id).size[:2]
+        outlines = boxes.bev_corners(one.states[stamps, :3], length, width)
+        for step, outline in zip(stamps[::-1], outlines[::-1], strict=True):
+            canvas.line(outline, palette.dimmed(_colour(step, prepared), 0.7), 1, closed=True)
     for step in stamps[1:]:
         canvas.dots(ego[[step], :2], _colour(step, prepared), 4)
     draw_car(canvas, prepared.actor[0, :3], size[:2], _RAMP[0])

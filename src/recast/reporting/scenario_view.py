@@ -1,4 +1,4 @@
-"""One scenario as the page shows it: films, pictures, curves and numbers of every method."""
+"""One scenario as the page shows it: films, pictures, curves and numbers of every arm."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Drawn:
 
 @dataclass(frozen=True)
 class MethodColumn:
-    """One method's part of a player; `method` is the index of its colour."""
+    """One arm's part of a player; `arm` is the index of its colour."""
 
     title: str
-    method: int
+    arm: int
     drawn: Drawn | NotMade
 
 
@@ -40,13 +40,13 @@ class ScenarioView:
     Attributes:
         part: its title and description.
         anchor: its id in the page.
-        columns: one a method.
-        cameras: all that some method has a film of.
-        joined: camera and methods in words, and the film with the two side by side.
-        lines: of the metric table, one a method.
+        columns: one an arm.
+        cameras: all that some arm has a film of.
+        joined: camera and arms in words, and the film with the two side by side.
+        lines: of the metric table, one an arm.
         legend: colour and meaning of the curves in `plots`, and of their areas.
         seconds: the length of the longest rollout; `dt` between states.
-        notes: sentences on how the methods compare: who drove alike, and how far from the truth;
+        notes: sentences on how the arms compare: who drove alike, and how far from the truth;
             and on what was shown of the actor.
     """
 
@@ -67,33 +67,33 @@ def scenario_view(
     run: ReportInputs, part: ScenarioPart, anchor: str, assets: Assets
 ) -> ScenarioView:
     """Write a scenario's films and pictures and gather what the page says about it."""
-    order = {method: i for i, method in enumerate(run.methods)}
-    parts = sorted(part.rollouts, key=lambda rollout: order[rollout.method])
-    driven = {p.method: series(p.rollout) for p in parts if isinstance(p.rollout, Rollout)}
+    order = {arm: i for i, arm in enumerate(run.arms)}
+    parts = sorted(part.rollouts, key=lambda rollout: order[rollout.arm])
+    driven = {p.arm: series(p.rollout) for p in parts if isinstance(p.rollout, Rollout)}
     columns = tuple(
         MethodColumn(
-            run.methods[p.method],
-            order[p.method],
-            _draw(run, part, p, driven[p.method], assets)
-            if p.method in driven
+            run.arms[p.arm],
+            order[p.arm],
+            _draw(run, part, p, driven[p.arm], assets)
+            if p.arm in driven
             else NotMade(summary.why_missing(p.rollout)),
         )
         for p in parts
     )
     curves = [
         plots.Curves(
-            run.methods[p.method],
-            palette.method_colour(order[p.method]),
-            driven[p.method],
+            run.arms[p.arm],
+            palette.arm_colour(order[p.arm]),
+            driven[p.arm],
             None if isinstance(p.metrics, NotMade) else p.metrics.ttc.per_cycle,
         )
         for p in parts
-        if p.method in driven
+        if p.arm in driven
     ]
     cameras = dict.fromkeys(
         name for p in parts if not isinstance(p.films, NotMade) for name in p.films
     )
-    covered = [p for p in parts if p.coverage is not None and p.method in driven]
+    covered = [p for p in parts if p.coverage is not None and p.arm in driven]
     steps = [p.rollout.dt for p in parts if isinstance(p.rollout, Rollout)]
     return ScenarioView(
         part=part,
@@ -101,7 +101,7 @@ def scenario_view(
         columns=columns,
         cameras=tuple(cameras),
         joined=_joined(run, part, columns, tuple(cameras), assets),
-        lines=tuple(_line(run, p, order[p.method]) for p in parts),
+        lines=tuple(_line(run, p, order[p.arm]) for p in parts),
         plots=(
             *(plots.rollout_plots(anchor, curves) if curves else ()),
             *(_coverage_plot(run, anchor, p, driven) for p in covered),
@@ -117,12 +117,12 @@ def scenario_view(
         notes=tuple(
             note
             for note in (
-                drives_compared.driving_note(part, run.methods),
+                drives_compared.driving_note(part, run.arms),
                 drives_compared.truth_gaps(run, part),
             )
             if note is not None
         )
-        + tuple(coverage_note(line) for line in coverage_lines([part], run.methods)),
+        + tuple(coverage_note(line) for line in coverage_lines([part], run.arms)),
     )
 
 
@@ -132,7 +132,7 @@ def _coverage_plot(
     assert part.coverage is not None and isinstance(part.rollout, Rollout)
     end = max(float(curves.time[-1]) for curves in driven.values())
     return plots.coverage_plot(
-        f"{anchor}-coverage-{part.method}", run.methods[part.method], looked_at(part.coverage),
+        f"{anchor}-coverage-{part.arm}", run.arms[part.arm], looked_at(part.coverage),
         part.rollout.dt, end,
     )  # fmt: skip
 
@@ -142,7 +142,7 @@ def _draw(
 ) -> Drawn | NotMade:
     rollout = part.rollout
     assert isinstance(rollout, Rollout)
-    name = f"{scenario.title}-{part.method}"
+    name = f"{scenario.title}-{part.arm}"
     hd_map = run.hd_map if isinstance(run.hd_map, HdMap) else None
     log_path = run.actor.log_path if isinstance(run.actor, ActorPart) else None
     films = part.films
@@ -158,15 +158,15 @@ def _draw(
     )
 
 
-def _line(run: ReportInputs, part: RolloutPart, method: int) -> tables.Line:
-    title = run.methods[part.method]
+def _line(run: ReportInputs, part: RolloutPart, arm: int) -> tables.Line:
+    title = run.arms[part.arm]
     if not isinstance(part.metrics, NotMade):
-        line = tables.rollout_line(title, method, part.metrics)
-        return tables.untoned(line) if part.method == run.truth_method else line
+        line = tables.rollout_line(title, arm, part.metrics)
+        return tables.untoned(line) if part.arm == run.truth_arm else line
     reason = part.metrics.reason
     if not isinstance(part.rollout, Rollout):
         reason = summary.why_missing(part.rollout)
-    return tables.missing_line(title, method, reason)
+    return tables.missing_line(title, arm, reason)
 
 
 def _joined(
@@ -176,9 +176,9 @@ def _joined(
     cameras: tuple[str, ...],
     assets: Assets,
 ) -> tuple[tuple[str, Media | NotMade], ...]:
-    """For each camera, each method beside the first one, and beside the truth where there is one:
+    """For each camera, each arm beside the first one, and beside the truth where there is one:
     films to pass on outside of the page."""
-    truth = None if run.truth_method is None else run.methods[run.truth_method]
+    truth = None if run.truth_arm is None else run.arms[run.truth_arm]
     joined = []
     for camera in cameras:
         found = {

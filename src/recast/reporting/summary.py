@@ -84,18 +84,18 @@ def rollout_events(part: RolloutPart, curves: Series) -> tuple[Event, ...]:
 
 
 def outcomes(run: ReportInputs) -> tuple[tuple[str, tuple[Outcome, ...]], ...]:
-    """By scenario, its title and how it ended under each method, in the order of the methods."""
+    """By scenario, its title and how it ended under each arm, in the order of the arms."""
     if isinstance(run.scenarios, NotMade):
         return ()
     rows = []
     for scenario in run.scenarios:
-        parts = {part.method: part for part in scenario.rollouts}
+        parts = {part.arm: part for part in scenario.rollouts}
         cells = [
-            _outcome(parts[method]) if method in parts else Outcome("not driven", "warn")
-            for method in run.methods
+            _outcome(parts[arm]) if arm in parts else Outcome("not driven", "warn")
+            for arm in run.arms
         ]
-        if run.truth_method is not None:  # it is not judged: the others are judged by it
-            truth = list(run.methods).index(run.truth_method)
+        if run.truth_arm is not None:  # it is not judged: the others are judged by it
+            truth = list(run.arms).index(run.truth_arm)
             cells[truth] = replace(cells[truth], tone="plain")
         rows.append((scenario.title, tuple(cells)))
     return tuple(rows)
@@ -113,24 +113,22 @@ def headline(run: ReportInputs) -> tuple[str, ...]:
     if isinstance(run.scenarios, NotMade) or not run.scenarios:
         return ("No rollouts were made.",)
     actor = run.actor.name if isinstance(run.actor, ActorPart) else "the chosen vehicle"
-    names = [title for method, title in run.methods.items() if method != run.truth_method]
+    names = [title for arm, title in run.arms.items() if arm != run.truth_arm]
     parts = [part for scenario in run.scenarios for part in scenario.rollouts]
     rollouts = [part.rollout for part in parts if isinstance(part.rollout, Rollout)]
     planners = sorted({r.planner for r in rollouts})
     motions = "; ".join(scenario.title for scenario in run.scenarios)
     first = f"On the log {run.log}, {actor} was made to do what it did not do there: {motions}. "
-    driven = names or list(run.methods.values())
+    driven = names or list(run.arms.values())
     first += f"Each was driven with {listed(driven)}" if driven[1:] else f"Driven with {driven[0]}"
-    if run.truth_method is not None and names:
-        first += f", and with the {run.methods[run.truth_method]}, which tells what is right"
+    if run.truth_arm is not None and names:
+        first += f", and with the {run.arms[run.truth_arm]}, which tells what is right"
     first += f"; planner: {listed(planners)}." if planners else "."
     lines = [first]
-    outcomes = [
-        f"{title}: {_contacts(run.scenarios, method)}" for method, title in run.methods.items()
-    ]
+    outcomes = [f"{title}: {_contacts(run.scenarios, arm)}" for arm, title in run.arms.items()]
     lines.append("Rollouts that ended without contact: " + "; ".join(outcomes) + ".")
-    if run.truth_method is not None:
-        lines.extend(same_endings(run, run.scenarios, run.truth_method))
+    if run.truth_arm is not None:
+        lines.extend(same_endings(run, run.scenarios, run.truth_arm))
     failed = [part for part in parts if not isinstance(part.rollout, Rollout)]
     if failed:
         lines.append(f"{len(failed)} of {len(parts)} rollouts did not come about; see below.")
@@ -155,8 +153,8 @@ def _outcome(part: RolloutPart) -> Outcome:
     return Outcome("; ".join(words), tone)
 
 
-def _contacts(scenarios: Sequence[ScenarioPart], method: str) -> str:
-    parts = [part for one in scenarios for part in one.rollouts if part.method == method]
+def _contacts(scenarios: Sequence[ScenarioPart], arm: str) -> str:
+    parts = [part for one in scenarios for part in one.rollouts if part.arm == arm]
     scored = [part.metrics for part in parts if not isinstance(part.metrics, NotMade)]
     if not scored:
         return "not scored"

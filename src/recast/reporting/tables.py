@@ -67,10 +67,10 @@ class Heading:
 
 @dataclass(frozen=True)
 class Line:
-    """One line: what it is about, an index of the method's colour or None, and the cells."""
+    """One line: what it is about, an index of the arm's colour or None, and the cells."""
 
     label: str
-    method: int | None
+    arm: int | None
     cells: tuple[Cell, ...]
     sub: str | None = None
 
@@ -82,30 +82,30 @@ def headings() -> tuple[Heading, ...]:
     )
 
 
-def rollout_line(label: str, method: int | None, metrics: RolloutMetrics) -> Line:
+def rollout_line(label: str, arm: int | None, metrics: RolloutMetrics) -> Line:
     """One rollout's metrics, each with the reason for its value."""
     return Line(
-        label, method, tuple(_rollout_cell(key, metric) for key, metric in metrics.values.items())
+        label, arm, tuple(_rollout_cell(key, metric) for key, metric in metrics.values.items())
     )
 
 
 def untoned(line: Line) -> Line:
-    """The line of a method that is not judged."""
+    """The line of an arm that is not judged."""
     return replace(line, cells=tuple(replace(cell, tone="plain") for cell in line.cells))
 
 
-def missing_line(label: str, method: int | None, reason: str) -> Line:
+def missing_line(label: str, arm: int | None, reason: str) -> Line:
     """A rollout without metrics."""
     cells = tuple(Cell("-") for _ in COLUMNS)
-    return Line(label, method, cells, reason)
+    return Line(label, arm, cells, reason)
 
 
 def aggregate_lines(
-    scenarios: Sequence[ScenarioPart], methods: Mapping[str, str], truth: str | None = None
+    scenarios: Sequence[ScenarioPart], arms: Mapping[str, str], truth: str | None = None
 ) -> tuple[Line, ...]:
-    """Means by planner and method, then differences over pairs of rollouts.
+    """Means by planner and arm, then differences over pairs of rollouts.
 
-    Each method minus the first; and, where one of them is the truth, each minus the truth: the gap
+    Each arm minus the first; and, where one of them is the truth, each minus the truth: the gap
     to it, marked where it is the smallest. Pairs are compared over the steps that both have.
     """
     scored = [
@@ -120,14 +120,14 @@ def aggregate_lines(
         for part in scenario.rollouts
         if isinstance(part.rollout, RolloutFailure)
     ]
-    order = {method: i for i, method in enumerate(methods)}
-    rows = sorted(table(scored, failures), key=lambda row: order.get(row.method, len(order)))
-    lines = [_aggregate_line(row, methods, order) for row in rows]
-    judged = [method for method in methods if method != truth]
-    found = [_difference_line(scored, failures, methods, m, judged[0]) for m in judged[1:]]
+    order = {arm: i for i, arm in enumerate(arms)}
+    rows = sorted(table(scored, failures), key=lambda row: order.get(row.arm, len(order)))
+    lines = [_aggregate_line(row, arms, order) for row in rows]
+    judged = [arm for arm in arms if arm != truth]
+    found = [_difference_line(scored, failures, arms, m, judged[0]) for m in judged[1:]]
     lines += [line for line in found if line is not None]
     if truth is not None:
-        gaps = [_difference_line(scored, failures, methods, method, truth) for method in judged]
+        gaps = [_difference_line(scored, failures, arms, arm, truth) for arm in judged]
         lines += _nearest_marked([line for line in gaps if line is not None])
     return tuple(lines)
 
@@ -159,7 +159,7 @@ def _rollout_cell(key: str, metric: Metric) -> Cell:
     return Cell(_number(key, COLUMNS[key].scale * metric.value), tone, metric.reason)
 
 
-def _aggregate_line(row: TableRow, methods: Mapping[str, str], order: Mapping[str, int]) -> Line:
+def _aggregate_line(row: TableRow, arms: Mapping[str, str], order: Mapping[str, int]) -> Line:
     cells = []
     for key in COLUMNS:
         mean, count = row.means[key], row.counts[key]
@@ -175,13 +175,13 @@ def _aggregate_line(row: TableRow, methods: Mapping[str, str], order: Mapping[st
     sub += f", {_counted(row.plans, 'plan')}"
     sub += f", {row.cut} cut short" if row.cut else ""
     sub += f", {row.failed} failed" if row.failed else ""
-    return Line(methods.get(row.method, row.method), order.get(row.method), tuple(cells), sub)
+    return Line(arms.get(row.arm, row.arm), order.get(row.arm), tuple(cells), sub)
 
 
 def _difference_line(
     scored: Sequence[RolloutMetrics],
     failures: Sequence[RolloutFailure],
-    methods: Mapping[str, str],
+    arms: Mapping[str, str],
     candidate: str,
     baseline: str,
 ) -> Line | None:
@@ -204,7 +204,7 @@ def _difference_line(
     sub += f", {_counted(sum(pair.plans for pair in compared), 'plan')} each"
     cut = sum(pair.cut for pair in compared)
     sub += f", {cut} up to where one was cut" if cut else ""
-    return Line(f"{methods[candidate]} minus {methods[baseline]}", None, tuple(cells), sub)
+    return Line(f"{arms[candidate]} minus {arms[baseline]}", None, tuple(cells), sub)
 
 
 def _number(key: str, value: float) -> str:

@@ -22,7 +22,7 @@ _MEASURES: Mapping[str, tuple[str, int, str]] = {
 """Field of `Agreement` to label, digits and unit."""
 
 
-_NAMES = {"native": "native actor", "replaced": "replaced actor", "truth": "truth"}
+_NAMES = {"baseline": "street's own actor", "candidate": "generated actor", "truth": "truth"}
 """Where the run did not drive with one of them."""
 
 
@@ -37,7 +37,7 @@ class TruthCell:
 
 @dataclass(frozen=True)
 class TruthLine:
-    """One range of angles: how many views, and for each measure a cell a method."""
+    """One range of angles: how many views, and for each measure a cell an arm."""
 
     label: str
     views: int
@@ -63,23 +63,33 @@ class TruthView:
 
 
 def truth_parts(
-    folder: str | Path, methods: Mapping[str, str], truth: str = "oracle"
+    folder: str | Path,
+    arms: Mapping[str, str],
+    *,
+    baseline: str | None,
+    candidate: str,
+    truth: str,
 ) -> tuple[ShowcasePart, TruthPart]:
     """First screen and section from the folder that `evaluate_oracle_views` wrote.
 
     Args:
-        methods: as in `ReportInputs`; "native", "replaced" and the one named `truth` give names
-            and colours where they are among them.
+        arms: as in `ReportInputs`, for names and colours.
+        baseline: the one of `arms` that shows the street's own actor; None where none does.
+        candidate: the one with the generated actor.
+        truth: the one that shows the truth.
 
     Raises:
         InputError: the folder's record is missing or broken.
     """
     folder = Path(folder)
     views = read_oracle_views(folder)
-    keys = {"native": "native", "replaced": "replaced", "truth": truth}
-    names = {side: methods.get(key, _NAMES[side]) for side, key in keys.items()}
-    order = list(dict.fromkeys([*methods, "native", "replaced"]))
-    colours = {method: order.index(method) for method in ("native", "replaced")}
+    keys = {"baseline": baseline, "candidate": candidate, "truth": truth}
+    names = {side: arms.get(key or "", _NAMES[side]) for side, key in keys.items()}
+    order = [*arms]
+    colours = {
+        side: order.index(key) if (key := keys[side]) in order else len(order)
+        for side in ("baseline", "candidate")
+    }
     pictures = {view.index: folder / view.picture for view in views.views}
     return _showcase(folder, views, names), TruthPart(views, names, colours, pictures)
 
@@ -111,12 +121,12 @@ def _showcase(folder: Path, views: OracleViews, names: Mapping[str, str]) -> Sho
     side = SIDES[round(view.azimuth / 45) % 8]
     beyond = views.beyond_60
     numbers = ""
-    if beyond.native is not None and beyond.replaced is not None:
+    if beyond.baseline is not None and beyond.candidate is not None:
         change = beyond.difference["mask_iou"]
-        before, after = beyond.native, beyond.replaced
+        before, after = beyond.baseline, beyond.candidate
         numbers = (
-            f"Over all {beyond.views} views 60° or more from the log, {names['native']} → "
-            f"{names['replaced']}: PSNR {before.psnr:.1f} → {after.psnr:.1f}\u00a0dB, "
+            f"Over all {beyond.views} views 60° or more from the log, {names['baseline']} → "
+            f"{names['candidate']}: PSNR {before.psnr:.1f} → {after.psnr:.1f}\u00a0dB, "
             f"mask IoU {before.mask_iou:.2f} → {after.mask_iou:.2f} ({change.point:+.2f}, "
             f"{100 * change.level:.0f} % interval {change.low:+.2f} to {change.high:+.2f})."
         )
@@ -126,8 +136,8 @@ def _showcase(folder: Path, views: OracleViews, names: Mapping[str, str]) -> Sho
         f"it. Camera and street are those of frame {view.frame} of the log.",
         pictures={name: folder / f"showcase_{key}.png" for key, name in names.items()},
         notes={
-            names["native"]: _scores(view.native),
-            names["replaced"]: _scores(view.replaced),
+            names["baseline"]: _scores(view.baseline),
+            names["candidate"]: _scores(view.candidate),
             names["truth"]: "rendered from the world that the log was made in",
         },
         best=_better(view, names),
@@ -136,29 +146,32 @@ def _showcase(folder: Path, views: OracleViews, names: Mapping[str, str]) -> Sho
 
 
 def _better(view: OracleView, names: Mapping[str, str]) -> str | None:
-    """The method that is nearer to the truth in both PSNR and mask IoU."""
-    native, replaced = view.native, view.replaced
-    if replaced.psnr > native.psnr and replaced.mask_iou > native.mask_iou:
-        return names["replaced"]
-    if native.psnr > replaced.psnr and native.mask_iou > replaced.mask_iou:
-        return names["native"]
+    """The arm that is nearer to the truth in both PSNR and mask IoU."""
+    baseline, candidate = view.baseline, view.candidate
+    if candidate.psnr > baseline.psnr and candidate.mask_iou > baseline.mask_iou:
+        return names["candidate"]
+    if baseline.psnr > candidate.psnr and baseline.mask_iou > candidate.mask_iou:
+        return names["baseline"]
     return None
 
 
 def _line(angle_bin: AngleBin) -> TruthLine:
     cells: list[TruthCell] = []
-    assert angle_bin.native is not None and angle_bin.replaced is not None
+    assert angle_bin.baseline is not None and angle_bin.candidate is not None
     for measure, (_, digits, unit) in _MEASURES.items():
-        native, replaced = getattr(angle_bin.native, measure), getattr(angle_bin.replaced, measure)
-        change, better = angle_bin.difference[measure], angle_bin.replaced_better[measure]
+        baseline, candidate = (
+            getattr(angle_bin.baseline, measure),
+            getattr(angle_bin.candidate, measure),
+        )
+        change, better = angle_bin.difference[measure], angle_bin.candidate_better[measure]
         note = f"{change.point:+.{digits}f} ({change.low:+.{digits}f} to {change.high:+.{digits}f})"
         note += f", better in {better} of {angle_bin.views}"
         cells.append(
-            TruthCell(f"{native:.{digits}f}{unit}", "good" if native > replaced else "plain")
+            TruthCell(f"{baseline:.{digits}f}{unit}", "good" if baseline > candidate else "plain")
         )
         cells.append(
             TruthCell(
-                f"{replaced:.{digits}f}{unit}", "good" if replaced > native else "plain", note
+                f"{candidate:.{digits}f}{unit}", "good" if candidate > baseline else "plain", note
             )
         )
     low, high = angle_bin.low, angle_bin.high
@@ -171,8 +184,8 @@ def _caption(view: OracleView) -> str:
     known = "" if view.coverage is None else f", {view.coverage.invented:.0%} of it invented"
     return (
         f"{view.angle:.0f}° from the log, {side} at {view.distance:.0f} m{known}: "
-        f"mask IoU {view.native.mask_iou:.2f} and {view.replaced.mask_iou:.2f}, "
-        f"PSNR {view.native.psnr:.1f} and {view.replaced.psnr:.1f} dB"
+        f"mask IoU {view.baseline.mask_iou:.2f} and {view.candidate.mask_iou:.2f}, "
+        f"PSNR {view.baseline.psnr:.1f} and {view.candidate.psnr:.1f} dB"
     )
 
 

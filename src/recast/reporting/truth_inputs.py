@@ -38,13 +38,13 @@ class ShowcasePart:
 
 @dataclass(frozen=True)
 class TruthPart:
-    """Native and replaced actor against the truth, over the angle from the log.
+    """Baseline and candidate actor against the truth, over the angle from the log.
 
     Attributes:
         views: the comparison.
-        names: "native", "replaced" and "truth" to their names for people.
-        colours: "native" and "replaced" to the indices of their methods' colours.
-        pictures: index of a view to its picture: native, replaced and truth side by side.
+        names: "baseline", "candidate" and "truth" to their names for people.
+        colours: "baseline" and "candidate" to the indices of their arms' colours.
+        pictures: index of a view to its picture: baseline, candidate and truth side by side.
     """
 
     views: OracleViews

@@ -25,18 +25,16 @@ def _plot(part: TruthPart, measure: str, title: str) -> Plot:
     axes.set_xticks(range(0, 181, 30))
     angles = np.array([view.angle for view in part.views.views])
     told = []
-    for method, index in part.colours.items():
-        colour = palette.css(palette.method_colour(index))
-        values = np.array([getattr(getattr(v, method), measure) for v in part.views.views])
+    for arm, index in part.colours.items():
+        colour = palette.css(palette.arm_colour(index))
+        values = np.array([getattr(getattr(v, arm), measure) for v in part.views.views])
         axes.plot(angles, values, "o", color=colour, ms=4, alpha=0.55, mew=0)
         members = [(angles >= low) & (angles < high) for low, high in _BINS]
         means = [(angles[m].mean(), values[m].mean()) for m in members if m.any()]
         axes.plot(*np.array(means).T, "-", color=colour, lw=2.2)
         beyond = values[angles >= _LIMIT]
         if len(beyond):
-            told.append(
-                f"{part.names[method]}: mean {beyond.mean():.2f} beyond {_LIMIT:.0f} degrees"
-            )
+            told.append(f"{part.names[arm]}: mean {beyond.mean():.2f} beyond {_LIMIT:.0f} degrees")
     if measure == "mask_iou":
         axes.set_ylim(0.0, 1.02)
     return finish(f"truth-{measure}", title, "; ".join(told) or title, figure, 180.0)

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import torch
+from scipy.spatial import cKDTree
 
 from recast.geometry import se3
 from recast.logs import Track
 from recast.scene.background_points import COLOUR_LIMIT_US, pixel_colours, usable_pixels
+from recast.scene.bodies import Body
 from recast.scene.config import SceneConfig
-from recast.scene.dynamic import pose_at
+from recast.scene.dynamic import deforms, pose_at
 from recast.scene.lidar import OwnedSweep, project_visible
 from recast.scene.mirror import DEFORMABLE, with_other_side
 from recast.scene.point_cloud import (
@@ -21,6 +24,7 @@ from recast.scene.point_cloud import (
 )
 from recast.scene.views import View, nearest_view
 from recast.splats import Gaussians
+from recast.splats.sh import C0
 
 FEW_POINTS = 200
 GRID_SPACING_M = 0.15
@@ -55,9 +59,27 @@ def actor_gaussians(track: Track, cloud: PointCloud, config: SceneConfig) -> Gau
     return with_other_side(gaussians) if has_other_side(track, config) else gaussians
 
 
+def body_gaussians(track: Track, body: Body, cloud: PointCloud, config: SceneConfig) -> Gaussians:
+    """First Gaussians of a body at rest, one a vertex and in their order.
+
+    Their colours are those of the points nearest to where they are in the middle of their time.
+    """
+    vertices = body.vertices.astype(np.float32)
+    never = np.full(len(vertices), np.inf, np.float32)
+    grey = PointCloud(vertices, np.full((len(vertices), 3), 0.5, np.float32), never)
+    gaussians = gaussians_from_points(grey, config.sh_degree, sigma_range=(0.01, 0.3))
+    times = body.skinning.timestamps_us
+    middle = int(times[0] + times[-1]) // 2
+    placed = body.skinning.at(gaussians, track.trajectory, middle).means.numpy()
+    _, nearest = cKDTree(cloud.points).query(placed)
+    gaussians.sh[:, 0] = (torch.from_numpy(cloud.colours[nearest]) - 0.5) / C0
+    return gaussians
+
+
 def has_other_side(track: Track, config: SceneConfig) -> bool:
     """Whether an actor begins with twice as many Gaussians as points."""
-    return config.flip_probability > 0 and track.category not in DEFORMABLE
+    symmetric = track.category not in DEFORMABLE and not deforms(track, config)
+    return config.flip_probability > 0 and symmetric
 
 
 def _box_grid(track: Track, cloud: PointCloud) -> PointCloud:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-FLIPS = 1
-"""Stream of what a step sees mirrored; density control has the one without a number."""
+FLIPS, DEFORMATION = 1, 2
+"""Streams of what a step sees mirrored, and of the first weights of the deformation network;
+density control has the one without a number."""
 
 
 def generator(seed: int, iteration: int, *stream: int) -> torch.Generator:

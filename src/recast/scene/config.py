@@ -12,7 +12,12 @@ from recast.scene.method_config import MethodConfig
 from recast.storage import read_json, write_json
 
 CONFIG_VERSION = 1
-_YOUNGEST = ("densify_by", "actor_densify_by", "actor_densify_gradient", "densify_pause")
+_YOUNGEST = (
+    "densify_by", "actor_densify_by", "actor_densify_gradient", "densify_pause",
+    "deformable", "deformation_layers", "deformation_width", "deformation_bands",
+    "deformation_time_bands", "deformation_code", "deformation_lr", "deformation_from",
+    "smpl_model", "smpl_poses",
+)  # fmt: skip
 
 
 class SceneConfig(MethodConfig):

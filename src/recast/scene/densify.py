@@ -99,6 +99,7 @@ def plan_change(
     min_opacity: float,
     generator: torch.Generator,
     doomed: Tensor | None = None,
+    settled: Tensor | None = None,
 ) -> Change:
     """Decide on clones, splits and prunes.
 
@@ -110,12 +111,15 @@ def plan_change(
         min_opacity: rows below it are taken away.
         generator: places the halves of split rows.
         doomed: (N,) bool, rows to take away besides those.
+        settled: (N,) bool, rows that are neither taken away nor added to.
     """
     sigma = gaussians.log_scales.detach().amax(dim=1).exp()
     gone = torch.sigmoid(gaussians.logit_opacities.detach()) < min_opacity
     if doomed is not None:
         gone = gone | doomed
     wanted = torch.where(gone, 0.0, mean_gradient)
+    if settled is not None:
+        gone, wanted = gone & ~settled, torch.where(settled, 0.0, wanted)
     candidates = int((wanted > threshold).sum())
     count = min(candidates, max(most_new, 0))
     chosen = wanted.topk(count).indices.sort().values

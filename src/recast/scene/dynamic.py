@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from recast.errors import InputError
 from recast.geometry import boxes
-from recast.logs import DrivingLog, Track, Trajectory
+from recast.logs import DrivingLog, Track, Trajectory, all_track_points
 from recast.scene.config import SceneConfig
-from recast.scene.views import View
+from recast.scene.mirror import ARTICULATED, DEFORMABLE
+from recast.scene.views import View, read_places
 
 Array = NDArray[np.float64]
 
 MOVED_M = 2.0
 SPREAD_M = 0.5
+PARKED_US = 1_000_000
+"""Microseconds of labels, without which standing still cannot be told from moving slowly."""
+PARKED_VIEWS, PARKED_PIXELS, PARKED_POINTS = 3, 16, 50
 CLOCK_TOLERANCE_US = 60_000
 """Sensors of one frame fire up to half a period of 10 Hz (and a little) apart."""
 
@@ -30,6 +36,17 @@ def moves(trajectory: Trajectory) -> bool:
     positions = trajectory.poses[:, :3, 3]
     travelled = float(np.linalg.norm(positions[-1] - positions[0]))
     return travelled > MOVED_M or bool(np.any(positions.std(axis=0) > SPREAD_M))
+
+
+def stands(trajectory: Trajectory) -> bool:
+    """Whether every pose is the same, as `choose_actors` makes those of parked vehicles."""
+    return bool(np.all(trajectory.poses == trajectory.poses[:1]))
+
+
+def deforms(track: Track, config: SceneConfig) -> bool:
+    """Whether an actor is a deformable node: with `deformable`, people and cyclists that move."""
+    moving = not stands(track.trajectory)
+    return config.deformable and track.category in ARTICULATED and moving
 
 
 def pose_at(trajectory: Trajectory, timestamp_us: int) -> Array | None:
@@ -60,7 +77,13 @@ def box_rectangle(size: Array, world_from_box: Array, view: View) -> Array | Non
 def choose_actors(
     log: DrivingLog, views: Sequence[View], config: SceneConfig
 ) -> Mapping[str, Track]:
-    """Tracks that get a model of their own: moving or forced, and seen in at least one view.
+    """Tracks that get a model of their own: moving, parked or forced ones.
+
+    A moving or forced track is one that is seen in at least one view. A parked vehicle is one that
+    was labelled for `PARKED_US` and seen well enough: by `PARKED_VIEWS` views in which its box is
+    `PARKED_PIXELS` wide and high, and where there is a LiDAR, by `PARKED_POINTS` points. It stands
+    at the median of its labels from the log's first pose to its last, since labels of what stands
+    still differ by their noise alone.
 
     Raises:
         InputError: a forced or excluded track is not in the log, or a forced one is never visible.
@@ -74,12 +97,17 @@ def choose_actors(
                     "is not in the log",
                     f"choose of {', '.join(sorted(log.tracks)) or 'none'}",
                 )
+    parked = _parked(log, views, config)
     chosen = {}
     for track_id, track in log.tracks.items():
-        forced = track_id in config.force_dynamic
-        if track_id in config.exclude_tracks or not (forced or moves(track.trajectory)):
+        if track_id in config.exclude_tracks:
             continue
-        if any(_visible(track, view) for view in views):
+        forced = track_id in config.force_dynamic
+        if track_id in parked:
+            chosen[track_id] = parked[track_id]
+        elif not (forced or moves(track.trajectory)):
+            continue
+        elif any(_rectangle(track, view) is not None for view in views):
             chosen[track_id] = track
         elif forced:
             raise InputError(
@@ -91,6 +119,44 @@ def choose_actors(
     return chosen
 
 
-def _visible(track: Track, view: View) -> bool:
+def modelled_tracks(log: DrivingLog, config: SceneConfig) -> frozenset[str]:
+    """Ids of the tracks that a scene of this configuration models, see `choose_actors`."""
+    return frozenset(choose_actors(log, read_places(log, config), config))
+
+
+def _parked(log: DrivingLog, views: Sequence[View], config: SceneConfig) -> dict[str, Track]:
+    candidates = {
+        track_id: track
+        for track_id, track in log.tracks.items()
+        if track.category not in DEFORMABLE
+        and not moves(track.trajectory)
+        and np.ptp(track.trajectory.timestamps_us) >= PARKED_US
+        and _seen_well(track, views)
+    }
+    if log.lidars and candidates:
+        points = all_track_points(log, candidates)
+        candidates = {k: t for k, t in candidates.items() if len(points[k].points) >= PARKED_POINTS}
+    ends = log.world_from_rig.timestamps_us[[0, -1]]
+    return {
+        key: replace(track, trajectory=_standing(track.trajectory, ends))
+        for key, track in candidates.items()
+    }
+
+
+def _standing(trajectory: Trajectory, ends: NDArray[np.int64]) -> Trajectory:
+    """The median pose, at the first and the last time."""
+    pose = trajectory.poses[0].copy()
+    pose[:3, 3] = np.median(trajectory.poses[:, :3, 3], axis=0)
+    pose[:3, :3] = Rotation.from_matrix(trajectory.poses[:, :3, :3]).mean().as_matrix()
+    return Trajectory(ends.copy(), np.stack([pose, pose]))
+
+
+def _seen_well(track: Track, views: Sequence[View]) -> bool:
+    rectangles = (_rectangle(track, view) for view in views if not view.held_out)
+    sides = [np.ptp(one.reshape(2, 2), axis=0) for one in rectangles if one is not None]
+    return sum(bool(np.all(side >= PARKED_PIXELS)) for side in sides) >= PARKED_VIEWS
+
+
+def _rectangle(track: Track, view: View) -> Array | None:
     pose = pose_at(track.trajectory, view.timestamp_us)
-    return pose is not None and box_rectangle(track.size, pose, view) is not None
+    return None if pose is None else box_rectangle(track.size, pose, view)

@@ -88,7 +88,8 @@ def draw_view(rasterizer: SceneRasterizer, scene: StreetScene, view: View) -> Sc
     """A view redrawn: camera corrected, actors where they were; unusable pixels as recorded."""
     pose = scene.corrected_camera(view.camera_from_world, view.camera_name, view.timestamp_us)
     poses = scene.actor_poses(view.timestamp_us)
-    image = rasterizer.render(view.camera, pose, poses, colours_us=view.timestamp_us)
+    time = view.timestamp_us
+    image = rasterizer.render(view.camera, pose, poses, colours_us=time, shapes_us=time)
     if view.mask is None:
         return image
     recorded = view.image.astype(np.float32) / 255

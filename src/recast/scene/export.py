@@ -40,7 +40,8 @@ CONVENTIONS = {
 def export_scene(scene: StreetScene, folder: str | Path) -> None:
     """Write background.ply, actors/ID.ply (actor frame), sky.png and scene.json with the poses.
 
-    An actor's shadow is shadows/ID.ply, in the actor's frame too, and goes where the actor goes.
+    An actor's shadow is shadows/ID.ply, in the actor's frame too, and goes where the actor goes. A
+    deformable actor has the shape of the middle of its time.
 
     Raises:
         InputError: `folder` exists, or the disk is full.
@@ -51,7 +52,8 @@ def export_scene(scene: StreetScene, folder: str | Path) -> None:
         actors = []
         for track_id, actor in scene.actors.items():
             files = {"gaussians": f"actors/{names[track_id]}.ply"}
-            write_ply(partial / files["gaussians"], actor.gaussians, actor.low_pass)
+            shaped = actor.shaped_at(None).gaussians
+            write_ply(partial / files["gaussians"], shaped, actor.low_pass)
             if actor.shadow is not None:
                 files["shadow"] = f"shadows/{names[track_id]}.ply"
                 write_ply(partial / files["shadow"], actor.shadow)
@@ -80,7 +82,7 @@ def export_scene_at(scene: StreetScene, folder: str | Path, seconds: float) -> i
     timestamp_us = first + round(seconds * 1e6)
     poses = scene.actor_poses(timestamp_us)
     with atomic_folder(folder) as partial:
-        write_ply(partial / MERGED_FILE, scene.at(poses))
+        write_ply(partial / MERGED_FILE, scene.at(poses, timestamp_us))
         actors = [
             {"track_id": track_id, "world_from_actor": pose.tolist()}
             for track_id, pose in poses.items()

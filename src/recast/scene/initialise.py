@@ -10,12 +10,18 @@ from numpy.typing import NDArray
 
 from recast.errors import InputError
 from recast.logs import DrivingLog, GroundHeight, Track, ego_path, even_ground
-from recast.scene.actor_points import actor_cloud, actor_gaussians, has_other_side
+from recast.scene.actor_points import (
+    actor_cloud,
+    actor_gaussians,
+    body_gaussians,
+    has_other_side,
+)
 from recast.scene.background_points import (
     coloured_background,
     plane_sweep_points,
     without_points_in_sky,
 )
+from recast.scene.bodies import Body
 from recast.scene.budget import FIRST_SHARE
 from recast.scene.config import SceneConfig
 from recast.scene.lidar import DepthSamples, OwnedSweep, depth_samples, read_sweeps
@@ -70,6 +76,7 @@ def initialise(
     config: SceneConfig,
     rng: np.random.Generator,
     threads: int = 1,
+    bodies: Mapping[str, Body] | None = None,
 ) -> Initialisation:
     """Build the first scene from the training views and the sweeps not taken with held-out ones.
 
@@ -77,6 +84,7 @@ def initialise(
         views: all views; held-out ones lend their timestamps only.
         rng: thins the plane-sweep points, and all points where they are too many for
             `max_gaussians`.
+        bodies: actors that begin as the vertices of a body, all of them.
 
     Raises:
         InputError: LiDAR and images together give next to no points.
@@ -104,14 +112,20 @@ def initialise(
     clouds_of = {
         name: actor_cloud(track, sweeps, training, config) for name, track in actors.items()
     }
+    bodies = bodies or {}
     found = len(cloud) + sum(
-        len(own) * (1 + has_other_side(actors[name], config)) for name, own in clouds_of.items()
+        len(own) * (1 + has_other_side(actors[name], config))
+        for name, own in clouds_of.items()
+        if name not in bodies
     )
     share = 1.0 if config.max_gaussians is None else FIRST_SHARE * config.max_gaussians / found
+    found += sum(len(body.vertices) for body in bodies.values())
     return Initialisation(
         background=gaussians_from_points(thinned(cloud, share, rng), config.sh_degree),
         actors={
-            name: actor_gaussians(actors[name], thinned(own, share, rng), config)
+            name: body_gaussians(actors[name], bodies[name], own, config)
+            if name in bodies
+            else actor_gaussians(actors[name], thinned(own, share, rng), config)
             for name, own in clouds_of.items()
         },
         sky=_first_sky(training, skies),

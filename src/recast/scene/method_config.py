@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from recast.records import Record
+from recast.scene.deformation import MOST_BANDS, MOST_CODE, MOST_LAYERS, MOST_WIDTH
 from recast.scene.densify import Measure
 
 
@@ -27,6 +28,36 @@ class MethodConfig(Record):
     appearance_share: float = Field(
         default=0.5, ge=0, le=1, description="of an actor's time, whose colours simulations have"
     )
+    deformable: bool = Field(
+        default=False, description="whether people and cyclists deform over time, else rigid"
+    )
+    deformation_layers: int = Field(
+        default=8, ge=1, le=MOST_LAYERS, description="hidden layers of the deformation network"
+    )
+    deformation_width: int = Field(
+        default=256, ge=1, le=MOST_WIDTH, description="width of these layers"
+    )
+    deformation_bands: int = Field(
+        default=10, ge=0, le=MOST_BANDS, description="octaves of a Gaussian's encoded place"
+    )
+    deformation_time_bands: int = Field(
+        default=10, ge=0, le=MOST_BANDS, description="octaves of the encoded time"
+    )
+    deformation_code: int = Field(
+        default=16, ge=1, le=MOST_CODE, description="length of each deformable actor's code"
+    )
+    deformation_lr: float = Field(
+        default=8e-4, ge=0, description="of the deformation network and the codes"
+    )
+    deformation_from: float = Field(
+        default=0.1, ge=0, le=1, description="share of the run after which actors deform"
+    )
+
+    smpl_model: str = Field(
+        default="", description="body model of SMPL nodes, an .npz file of the user's"
+    )
+    smpl_poses: str = Field(default="", description="poses of SMPL nodes, an .npz file")
+
     flip_probability: float = Field(
         default=0.0, ge=0, le=1, description="that a step sees an actor's Gaussian mirrored, 0: off"
     )

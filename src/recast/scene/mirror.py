@@ -17,6 +17,8 @@ from recast.splats import Gaussians, concatenate
 
 DEFORMABLE = frozenset({"pedestrian"})
 """Categories that are not symmetric at every moment."""
+ARTICULATED = frozenset({"pedestrian", "cyclist"})
+"""Categories that have limbs: what deformable nodes are for."""
 
 
 def mirrored(gaussians: Gaussians, chosen: Tensor) -> Gaussians:

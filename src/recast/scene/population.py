@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import torch
 from torch import Tensor
@@ -26,6 +26,7 @@ def change_population(
     config: SceneConfig,
     generator: torch.Generator,
     oversize: bool = False,
+    bodies: Collection[str] = (),
 ) -> bool:
     """Clone, split and prune; background rows are put back into Morton order.
 
@@ -34,6 +35,7 @@ def change_population(
 
     Args:
         oversize: whether rows above `prune_above_m` and `actor_prune_above_m` go as well.
+        bodies: actors whose rows stay as many as their vertices are.
 
     Returns:
         Whether `max_gaussians` kept rows from being added.
@@ -63,6 +65,7 @@ def change_population(
         min_opacity=config.prune_opacity,
         generator=generator,
         doomed=~inside_boxes(model, tracks) | _larger(model.local, actor_limit),
+        settled=_rows_of(model, bodies),
     )
     new_background = _merge(model.background, background)
     order = morton_order(new_background.means)
@@ -91,6 +94,14 @@ def reset_opacities(model: TrainableScene) -> None:
         with torch.no_grad():
             gaussians.logit_opacities.clamp_(max=limit)
         adam.forget("logit_opacities")
+
+
+def _rows_of(model: TrainableScene, names: Collection[str]) -> Tensor | None:
+    """(A,) bool: actor rows of some actors; None for no actors."""
+    if not names:
+        return None
+    chosen = torch.tensor([name in names for name in model.track_ids])
+    return chosen[model.owner].to(model.local.means.device)
 
 
 def _larger(gaussians: Gaussians, limit: float) -> Tensor:

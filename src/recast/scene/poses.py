@@ -15,7 +15,7 @@ from torch import Tensor
 
 from recast.logs import Track, Trajectory
 from recast.scene.adam_table import AdamTable
-from recast.scene.dynamic import pose_at
+from recast.scene.dynamic import pose_at, stands
 from recast.scene.views import View
 
 Array = NDArray[np.float64]
@@ -96,7 +96,8 @@ class TrackPoses:
     world_from_object(t) = translate(d) rotate_z(dyaw) about the box centre, applied to the logged
     pose at t. Knots are the labels that a training view is nearest to. Labels that only a held-out
     image could correct are dropped, but for the first and the last: what their neighbours have
-    learned, carried over a fifth of a second, is nearer to the truth than a raw label.
+    learned, carried over a fifth of a second, is nearer to the truth than a raw label. What stands
+    still has no knots: the median of its labels is good enough (docs/scenes.md).
     """
 
     def __init__(self, tracks: Mapping[str, Track], views: Sequence[View]) -> None:
@@ -107,6 +108,8 @@ class TrackPoses:
         for track_id, track in tracks.items():
             trained = _trained_labels(track.trajectory, views)
             knots = track.trajectory.timestamps_us[trained]
+            if stands(track.trajectory):
+                knots, trained[:] = knots[:0], True
             self._knots[track_id], self._first_row[track_id] = knots, rows
             rows += len(knots)
             trained[[0, -1]] = True

@@ -62,9 +62,11 @@ class SceneRasterizer:
     def __init__(self, scene: StreetScene, device: str = "auto") -> None:
         place = pick_device(device)
         self._actors, self._device = scene.actors, place
+        self._standing = scene.standing
         self._sky = scene.sky.colours.to(place)
         self._parts = {track_id: _parts(actor, place) for track_id, actor in scene.actors.items()}
         self._lit: dict[str, tuple[Array, Parts]] = {}
+        self._shaped: dict[str, tuple[int | None, int | None, Parts]] = {}
         local = [part for parts in self._parts.values() for part, _ in parts]
         shadows = [actor.light.shadow_room for actor in scene.actors.values() if actor.light]
         first = len(scene.background)
@@ -91,9 +93,20 @@ class SceneRasterizer:
             target.copy_(value)
         return last
 
-    def _parts_at(self, track_id: str, pose: Array, colours_us: int | None) -> Parts:
-        """What is drawn of an actor at a pose; several cameras share the light of one place."""
+    def _parts_at(
+        self, track_id: str, pose: Array, colours_us: int | None, shapes_us: int | None
+    ) -> Parts:
+        """What is drawn of an actor at a pose; several cameras share light and shape of one place
+        and time."""
         actor = self._actors[track_id]
+        if actor.deformation is not None:
+            kept = self._shaped.get(track_id)
+            if kept is None or kept[:2] != (colours_us, shapes_us):
+                if colours_us is not None:
+                    actor = actor.coloured_at(colours_us)
+                parts = _parts(actor.shaped_at(shapes_us), self._device)
+                kept = self._shaped[track_id] = colours_us, shapes_us, parts
+            return kept[2]
         if actor.light is not None:
             place = rounded(pose)
             if track_id not in self._lit or not np.array_equal(self._lit[track_id][0], place):
@@ -109,9 +122,10 @@ class SceneRasterizer:
         camera_from_world: Array,
         poses: Mapping[str, Array],
         colours_us: int | None = None,
+        shapes_us: int | None = None,
     ) -> SceneImage:
         """Draw one view; see `render_scene` and `draw`."""
-        drawn = self.draw(camera, camera_from_world, poses, colours_us)
+        drawn = self.draw(camera, camera_from_world, poses, colours_us, shapes_us)
         return SceneImage(
             rgb=drawn.rgb.cpu().numpy(),
             depth=drawn.depth.cpu().numpy(),
@@ -124,18 +138,21 @@ class SceneRasterizer:
         camera_from_world: Array,
         poses: Mapping[str, Array],
         colours_us: int | None = None,
+        shapes_us: int | None = None,
     ) -> Rasterization:
         """Draw one view and leave it where it was drawn, sky included, rgb in [0, 1].
 
         Args:
             colours_us: time of the recording whose colours the actors have, where they change; None
                 for those that they are stored with.
+            shapes_us: time of the recording whose shapes deformable actors have, see
+                `SceneActor.shaped_at`.
         """
         last = self._first
         view = torch.from_numpy(np.asarray(camera_from_world)).float()
         K = torch.from_numpy(camera.matrix).float()
-        for track_id, pose in poses.items():
-            for local, low_pass in self._parts_at(track_id, pose, colours_us):
+        for track_id, pose in {**self._standing, **poses}.items():
+            for local, low_pass in self._parts_at(track_id, pose, colours_us, shapes_us):
                 posed = local.transformed(torch.from_numpy(pose))
                 last = self._write(refiltered(posed, low_pass, CLASSIC, view, K), last)
         drawn = Gaussians(*(getattr(self._buffer, name)[:last] for name in FIELDS))
@@ -177,7 +194,8 @@ def render_scene(
     Args:
         camera: rectified intrinsics.
         camera_from_world: (4, 4).
-        poses: `world_from_actor` (4, 4) by track id; actors not named are not drawn.
+        poses: `world_from_actor` (4, 4) by track id. Parked vehicles that it does not name are
+            drawn where they stand; other actors that it does not name are not drawn.
 
     Raises:
         ValueError: the camera has distortion.

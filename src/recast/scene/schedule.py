@@ -29,6 +29,11 @@ def exposure_rate(config: SceneConfig, u: float) -> float:
     return config.exposure_lr * 0.1**u
 
 
+def deformation_rate(config: SceneConfig, u: float) -> float:
+    """Learning rate of the deformation network and of the actors' codes."""
+    return config.deformation_lr * 0.01**u
+
+
 def pose_factor(u: float) -> float:
     """Factor on the learning rates of poses: none at first, then falling to a twentieth."""
     return 0.0 if u < POSES_FROM else 1 - 0.95 * u

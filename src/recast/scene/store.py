@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,8 +17,18 @@ from recast.logs import Trajectory
 from recast.names import folder_name, member
 from recast.records import Record, read_record
 from recast.scene.appearance import Appearance
+from recast.scene.deformation import Deformation
+from recast.scene.deformation_file import (
+    BODIES_FILE,
+    DEFORMATION_FILE,
+    read_bodies_file,
+    read_deformations,
+    write_bodies,
+    write_deformations,
+)
+from recast.scene.skinning import Skinning
 from recast.scene.sky import SkyMap
-from recast.scene.street_scene import SceneActor, StreetScene
+from recast.scene.street_scene import Deforming, SceneActor, StreetScene
 from recast.scene.tensor_file import read_tensors, write_tensors
 from recast.splats import CLASSIC, Gaussians, LowPass, read_ply, write_ply
 from recast.storage import write_json
@@ -46,6 +59,8 @@ class SceneRecord(Record):
     tensors: str = TENSOR_FILE
     actors: list[ActorRecord]
     cameras: list[str]
+    deformation: str | None = None
+    bodies: str | None = None
 
 
 def save_scene(scene: StreetScene, folder: str | Path) -> None:
@@ -87,14 +102,24 @@ def save_scene(scene: StreetScene, folder: str | Path) -> None:
         tensors[f"camera/{name}/timestamps_us"] = torch.from_numpy(times)
         tensors[f"camera/{name}/twists"] = torch.from_numpy(twists)
     write_tensors(folder / TENSOR_FILE, tensors, {"version": SCENE_VERSION})
+    shaped = {track_id: actor.deformation for track_id, actor in scene.actors.items()}
+    deformations = {k: v for k, v in shaped.items() if isinstance(v, Deformation)}
+    bodies = {k: v for k, v in shaped.items() if isinstance(v, Skinning)}
+    if deformations:
+        write_deformations(folder / DEFORMATION_FILE, deformations)
+    if bodies:
+        write_bodies(folder / BODIES_FILE, bodies)
     record = SceneRecord(
         log_name=scene.log_name,
         world_offset=_triple(scene.world_offset),
         background="background.ply",
         actors=records,
         cameras=list(scene.camera_corrections),
+        deformation=DEFORMATION_FILE if deformations else None,
+        bodies=BODIES_FILE if bodies else None,
     )
-    write_json(folder / SCENE_FILE, record.model_dump(mode="json"))
+    # What no actor has is not mentioned: earlier releases read it then.
+    write_json(folder / SCENE_FILE, _mentioned(record))
 
 
 def load_scene(folder: str | Path) -> StreetScene:
@@ -110,9 +135,15 @@ def load_scene(folder: str | Path) -> StreetScene:
     if len({entry.track_id for entry in record.actors}) < len(record.actors):
         raise InputError(path, "actors", "name a track twice", _MEND)
     tensors = _Tensors(member(folder, record.tensors, path, "tensors"))
+    shapes = _read_shapes(folder, record)
     scene = StreetScene(
         background=_read_part(folder, record.background, "background"),
-        actors={entry.track_id: _read_actor(folder, entry, tensors) for entry in record.actors},
+        actors={
+            entry.track_id: replace(
+                _read_actor(folder, entry, tensors), deformation=shapes.get(entry.track_id)
+            )
+            for entry in record.actors
+        },
         sky=SkyMap(tensors.get("sky", torch.float32)),
         world_offset=np.array(record.world_offset),
         camera_corrections={
@@ -128,7 +159,35 @@ def load_scene(folder: str | Path) -> StreetScene:
         scene.validate()
     except ValueError as error:
         raise InputError(folder, "scene", str(error), _MEND) from None
+    object.__setattr__(scene, "origin", folder.absolute())
     return scene
+
+
+def _mentioned(record: SceneRecord) -> dict[str, Any]:
+    values = record.model_dump(mode="json")
+    return {k: v for k, v in values.items() if v is not None or k not in ("deformation", "bodies")}
+
+
+def _read_shapes(folder: Path, record: SceneRecord) -> dict[str, Deforming]:
+    """What changes the actors' shapes, by track id."""
+    left = {entry.track_id for entry in record.actors}
+    found: dict[str, Deforming] = {}
+    files: tuple[tuple[str, str | None, Callable[[Path, str], Mapping[str, Deforming]]], ...] = (
+        ("deformation", record.deformation, read_deformations),
+        ("bodies", record.bodies, read_bodies_file),
+    )
+    for field, name, read in files:
+        if name is None:
+            continue
+        path = member(folder, name, folder / SCENE_FILE, field)
+        shapes = read(path, _MEND)
+        strangers = sorted(shapes.keys() - left)
+        if strangers:
+            problem = f"names track {strangers[0]}, which the scene lacks or shapes twice"
+            raise InputError(path, "actors", problem, _MEND)
+        left -= shapes.keys()
+        found |= shapes
+    return found
 
 
 class _Tensors:

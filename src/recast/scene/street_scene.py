@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from recast.logs import Trajectory
 from recast.logs.checks import BOX_SIDE, check_times
 from recast.scene.appearance import Appearance, share_of
-from recast.scene.dynamic import pose_at
+from recast.scene.dynamic import pose_at, stands
 from recast.scene.poses import corrected
 from recast.scene.sky import SkyMap
 from recast.splats import CLASSIC, Gaussians, LowPass, concatenate
@@ -36,6 +37,23 @@ class Lighting(Protocol):
         """The actor in the light of `pose` (4, 4) `world_from_actor`, its `light` taken off."""
 
 
+class Deforming(Protocol):
+    """What moves the Gaussians of an actor within its box; see `recast.scene.deformation`."""
+
+    def validate(self, where: str, count: int) -> None:
+        """Raise ValueError naming the member at fault of an actor `where` of `count` Gaussians."""
+
+    def at(self, gaussians: Gaussians, trajectory: Trajectory, timestamp_us: int) -> Gaussians:
+        """The Gaussians as they are at a time of the recording; outside of it, at its end."""
+
+
+class Insertable(Protocol):
+    """What can take an actor's place in a scene, such as `recast.actors.Actor`."""
+
+    def inserted_into(self, scene: StreetScene) -> StreetScene:
+        """The scene with it in the place of the actor with its track id."""
+
+
 @dataclass(frozen=True)
 class SceneActor:
     """One moving object.
@@ -47,6 +65,8 @@ class SceneActor:
         trajectory: refined `world_from_actor` as logged.
         shadow: actor-local Gaussians on the ground, drawn with the actor, or None.
         appearance: how the Gaussians' colours change over the trajectory's time, or None.
+        deformation: how the Gaussians move within the box over the trajectory's time, or None for a
+            rigid actor.
         low_pass: the filter that the Gaussians were made for, see `recast.splats.refiltered`.
         light: what lights it anew where it stands, or None for an actor that keeps the light it was
             recorded in. Not saved with a scene.
@@ -58,6 +78,7 @@ class SceneActor:
     trajectory: Trajectory
     shadow: Gaussians | None = None
     appearance: Appearance | None = None
+    deformation: Deforming | None = None
     low_pass: LowPass = CLASSIC
     light: Lighting | None = None
 
@@ -72,6 +93,8 @@ class SceneActor:
             _validate(f"{where}.shadow", self.shadow)
         if self.appearance is not None:
             self.appearance.validate(where, len(self.gaussians))
+        if self.deformation is not None:
+            self.deformation.validate(f"{where}.deformation", len(self.gaussians))
 
     def coloured_at(self, timestamp_us: int) -> SceneActor:
         """The actor with the colours that it had at a time of the recording."""
@@ -80,14 +103,29 @@ class SceneActor:
         share = share_of(self.trajectory, timestamp_us)
         return replace(self, gaussians=self.appearance.at(self.gaussians, share), appearance=None)
 
+    def shaped_at(self, timestamp_us: int | None) -> SceneActor:
+        """The actor with the shape that it had at a time of the recording, and rigid.
+
+        Args:
+            timestamp_us: None for the middle of its time.
+        """
+        if self.deformation is None:
+            return self
+        first, last = (int(time) for time in self.trajectory.timestamps_us[[0, -1]])
+        time = (first + last) // 2 if timestamp_us is None else timestamp_us
+        with torch.no_grad():
+            shaped = self.deformation.at(self.gaussians, self.trajectory, time)
+        return replace(self, gaussians=shaped, deformation=None)
+
     def lit_at(self, pose: Array) -> SceneActor:
         """The actor in the light of `pose` (4, 4) `world_from_actor`."""
         return self if self.light is None else self.light.lit(self, pose)
 
     @property
     def drawn(self) -> Gaussians:
-        """Gaussians and shadow together, actor-local."""
-        return self.gaussians if self.shadow is None else concatenate([self.gaussians, self.shadow])
+        """Gaussians and shadow together, actor-local; a deformable actor as `shaped_at(None)`."""
+        gaussians = self.shaped_at(None).gaussians
+        return gaussians if self.shadow is None else concatenate([gaussians, self.shadow])
 
 
 @dataclass(frozen=True)
@@ -102,6 +140,7 @@ class StreetScene:
         camera_corrections: by camera name, times (F,) int64 and twists (F, 6) of the learned
             camera pose corrections (see `recast.scene.poses.corrected`).
         log_name: the log it was made from.
+        origin: the folder that it was read from; None for one that was changed or never saved.
     """
 
     background: Gaussians
@@ -110,6 +149,7 @@ class StreetScene:
     world_offset: Array = field(default_factory=lambda: np.zeros(3))
     camera_corrections: Mapping[str, tuple[Int64Array, Array]] = field(default_factory=dict)
     log_name: str = ""
+    origin: Path | None = field(default=None, init=False, compare=False, repr=False)
 
     def validate(self) -> None:
         """Raise ValueError naming the member at fault: shape, range, order, or not finite."""
@@ -129,18 +169,21 @@ class StreetScene:
             if not np.all(np.abs(twists) <= MOST_CORRECTED):  # also NaN
                 raise ValueError(f"{where}: a twist is not finite, or beyond {MOST_CORRECTED:g}")
 
-    def at(self, poses: Mapping[str, Array]) -> Gaussians:
+    def at(self, poses: Mapping[str, Array], timestamp_us: int | None = None) -> Gaussians:
         """Everything drawn when the actors stand at `poses`, in the world frame.
 
         Args:
-            poses: `world_from_actor` (4, 4) by track id; actors not named are absent.
+            poses: `world_from_actor` (4, 4) by track id. Parked vehicles that it does not name
+                stand where they are; other actors that it does not name are absent.
+            timestamp_us: time of the recording whose shapes deformable actors have, see
+                `SceneActor.shaped_at`.
 
         Raises:
             KeyError: a pose for an actor that the scene does not have.
         """
         parts = [self.background]
-        for track_id, pose in poses.items():
-            actor = self.actors[track_id].lit_at(pose)
+        for track_id, pose in {**self.standing, **poses}.items():
+            actor = self.actors[track_id].shaped_at(timestamp_us).lit_at(pose)
             parts.append(actor.drawn.transformed(torch.from_numpy(pose)))
         return concatenate(parts)
 
@@ -152,8 +195,24 @@ class StreetScene:
         }
         return {track_id: pose for track_id, pose in poses.items() if pose is not None}
 
-    def with_actor(self, actor: SceneActor) -> StreetScene:
-        """The scene with an actor added, or put in the place of the one with its track id."""
+    @property
+    def standing(self) -> dict[str, Array]:
+        """Poses of the parked vehicles, which are part of the street: who does not move one draws
+        it where it stands."""
+        return {
+            track_id: actor.trajectory.poses[0]
+            for track_id, actor in self.actors.items()
+            if stands(actor.trajectory)
+        }
+
+    def with_actor(self, actor: SceneActor | Insertable) -> StreetScene:
+        """The scene with an actor added, or put in the place of the one with its track id.
+
+        Args:
+            actor: one of a scene; or a generated vehicle, see `recast.actors.insert`.
+        """
+        if not isinstance(actor, SceneActor):
+            return actor.inserted_into(self)
         return replace(self, actors={**self.actors, actor.track_id: actor})
 
     def corrected_camera(

@@ -16,6 +16,7 @@ from recast.cores import usable_cores
 from recast.errors import InputError
 from recast.logs import DrivingLog
 from recast.records import read_record
+from recast.scene.bodies import read_bodies
 from recast.scene.budget import BUDGET_FILE, BUDGET_VERSION, Budget, gaussian_budget, write_budget
 from recast.scene.checkpoint import (
     load_checkpoint,
@@ -182,14 +183,16 @@ class _Run:
     def _trainer(self, views: list[View]) -> tuple[Initialisation, Trainer]:
         config = self._config
         tracks = choose_actors(self._log, views, config)
+        bodies = read_bodies(config, tracks)
         path = self._work / "initialisation.safetensors"
         if path.is_file():
             start = load_initialisation(path)
         else:
             rng = np.random.default_rng(config.seed)
-            start = initialise(self._log, views, tracks, config, rng, self._threads)
+            start = initialise(self._log, views, tracks, config, rng, self._threads, bodies)
             save_initialisation(start, path)
-        return start, Trainer(config, views, tracks, start, self._threads, self._device)
+        trainer = Trainer(config, views, tracks, start, self._threads, self._device, bodies)
+        return start, trainer
 
     def _evaluate(self, trainer: Trainer, held_out: list[View]) -> dict[str, float]:
         losses, psnrs = zip(*self._recent, strict=True)

@@ -8,7 +8,7 @@ written anew for every view from their own parameters in the box frame.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import torch
 from torch import Tensor
@@ -19,6 +19,8 @@ from recast.scene.drawn import Drawn, Span
 from recast.scene.mirror import mirrored
 from recast.splats import Gaussians, RasterMeta, RowAdam, concatenate
 from recast.splats.sh import C0
+
+Shape = Callable[[Gaussians], Gaussians]
 
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 MIN_LOG_SCALE = -4.8
@@ -92,12 +94,14 @@ class TrainableScene:
         poses: Mapping[str, Tensor],
         shares: Mapping[str, float] | None = None,
         flipped: Tensor | None = None,
+        shapes: Mapping[str, Shape] | None = None,
     ) -> Drawn:
         """Put the actors at `world_from_actor` poses (4, 4) behind the background.
 
         Args:
             shares: of each actor's time, where colours change with it.
             flipped: (A,) bool, rows of actors to draw mirrored; see `recast.scene.mirror`.
+            shapes: what moves the Gaussians of an actor within its box, differentiable.
         """
         first = len(self.background)
         spans = []
@@ -108,6 +112,8 @@ class TrainableScene:
                 own = coloured(own, self.waves[start:stop], shares[track_id])
             if flipped is not None:
                 own = mirrored(own, flipped[start:stop])
+            if shapes is not None and track_id in shapes:
+                own = shapes[track_id](own)
             posed = own.transformed(pose)
             last = first + stop - start
             for name in FIELDS:

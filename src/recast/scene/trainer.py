@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -12,10 +13,13 @@ from torch import Tensor
 from recast.logs import DrivingLog, Track
 from recast.scene.adam_table import AdamTable
 from recast.scene.appearance import frozen, share_of
+from recast.scene.bodies import Body
 from recast.scene.chance import FLIPS, generator, picked_view
 from recast.scene.config import SceneConfig
+from recast.scene.deformable_nodes import DeformableNodes
 from recast.scene.density import DensitySchedule
 from recast.scene.drawn import Drawn
+from recast.scene.dynamic import box_rectangle
 from recast.scene.exposure import Exposures, exposed_scene
 from recast.scene.ground_sheet import SETTLE_EVERY, GroundSheet
 from recast.scene.initialise import Initialisation
@@ -33,14 +37,20 @@ from recast.scene.schedule import (
     pose_factor,
     sky_rate,
 )
-from recast.scene.street_scene import SceneActor, StreetScene
+from recast.scene.street_scene import Deforming, SceneActor, StreetScene
 from recast.scene.trainable import TrainableScene, copy
 from recast.scene.trainable_sky import make_sky
 from recast.scene.views import View
-from recast.splats import rasterize
+from recast.splats import Gaussians, rasterize
 
 RADIANS_PER_METRE = 0.1
 """Learning rate of a camera's rotation in radians to that of its translation in metres."""
+
+REST_FROM = 3000
+"""Steps that canonical centres of deformable actors learn for, as in OmniRe, however short a run:
+they are where the LiDAR put them at first."""
+DEFORMING_ROOM = 1.5
+"""Factor of a deformable actor's box, outside of whose projection nothing of it is seen."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +68,7 @@ class Trainer:
         iteration: steps done.
         device: where the Gaussians, the sky and the view at hand lie; poses stay on the CPU.
         model: the Gaussians.
+        deformable: the network that deforms actors.
         camera_poses, track_poses: pose corrections.
         exposures: changes of the images' colours.
         sky: the sky's colours.
@@ -73,6 +84,7 @@ class Trainer:
         start: Initialisation,
         threads: int,
         device: torch.device | str = "cpu",
+        bodies: Mapping[str, Body] | None = None,
     ) -> None:
         self.config = config
         self.iteration = 0
@@ -87,7 +99,13 @@ class Trainer:
             {name: part.to(self.device) for name, part in start.actors.items()},
             config.fourier_terms,
         )
+        self._bodies = dict(bodies or {})
+        free = {name: track for name, track in tracks.items() if name not in self._bodies}
+        self.deformable = DeformableNodes(config, free, self.device)
         self._symmetric = symmetric_tracks(tracks[name] for name in self.model.track_ids)
+        self._symmetric &= ~torch.tensor(
+            [self._is_deformed(name) for name in self.model.track_ids], dtype=torch.bool
+        )
         self.camera_poses = CameraPoses(self._views)
         self.track_poses = TrackPoses(tracks, views)
         self._smoothness = TrackSmoothness(self.track_poses)
@@ -112,7 +130,8 @@ class Trainer:
         if self._density.changes(self.iteration):
             oversize = self._density.prunes_oversize(self.iteration)
             chance = generator(config.seed, self.iteration)
-            if change_population(self.model, self._tracks, config, chance, oversize):
+            bodies = self._bodies.keys()
+            if change_population(self.model, self._tracks, config, chance, oversize, bodies):
                 self.limited_changes += 1
                 self.limited_from = self.limited_from or self.iteration
         if self._density.resets(self.iteration):
@@ -130,6 +149,7 @@ class Trainer:
             "sky": self.sky.table,
             "camera_poses": self.camera_poses.table,
             "track_poses": self.track_poses.table,
+            **self.deformable.tables(),
         }
         return {**found, "exposures": self.exposures.table} if self._exposes() else found
 
@@ -144,9 +164,42 @@ class Trainer:
         }
         return {track_id: pose for track_id, pose in found.items() if pose is not None}
 
-    def _draw(self, poses: Mapping[str, Tensor], timestamp_us: int) -> Drawn:
-        shares = {name: share_of(self._tracks[name].trajectory, timestamp_us) for name in poses}
-        return self.model.draw(poses, shares, self._flipped())
+    def _draw(self, poses: Mapping[str, Tensor], view: View, u: float) -> Drawn:
+        time = view.timestamp_us
+        shares = {name: share_of(self._tracks[name].trajectory, time) for name in poses}
+        shapes = {
+            name: partial(self._shaped, name, time) for name in self._deformed(poses, view, u)
+        }
+        return self.model.draw(poses, shares, self._flipped(), shapes)
+
+    def _deformed(self, poses: Mapping[str, Tensor], view: View, u: float) -> list[str]:
+        """Actors to deform: bodies, and others whose box, with some room, is in the image."""
+        found = [name for name in poses if name in self._bodies]
+        if not self.deformable.begun(u):
+            return found
+        for name, pose in poses.items():
+            size = DEFORMING_ROOM * self._tracks[name].size
+            if name in self.deformable:
+                seen = box_rectangle(size, pose.detach().double().numpy(), view)
+                found += [] if seen is None else [name]
+        return found
+
+    def _is_deformed(self, track_id: str) -> bool:
+        return track_id in self.deformable or track_id in self._bodies
+
+    def _shaped(self, track_id: str, timestamp_us: int, gaussians: Gaussians) -> Gaussians:
+        """Deformed; canonical centres rest from `REST_FROM` on, as in OmniRe. A body's do not."""
+        if track_id in self._bodies:
+            skinning, trajectory = (
+                self._bodies[track_id].skinning,
+                self._tracks[track_id].trajectory,
+            )
+            return skinning.at(gaussians, trajectory, timestamp_us)
+        resting = gaussians
+        if self.iteration >= REST_FROM:
+            resting = replace(gaussians, means=gaussians.means.detach())
+        trajectory = self._tracks[track_id].trajectory
+        return self.deformable.deformation(track_id).at(resting, trajectory, timestamp_us)
 
     def _flipped(self) -> Tensor | None:
         """Rows of actors that this step sees mirrored, drawn anew for every step."""
@@ -161,7 +214,7 @@ class Trainer:
     def _fit(self, view: View, level: Level, u: float) -> StepReport:
         config, camera = self.config, level.camera
         poses = self.poses(view.timestamp_us)
-        drawn = self._draw(poses, view.timestamp_us)
+        drawn = self._draw(poses, view, u)
         pose = self.camera_poses.camera_from_world(view)
         result = rasterize(
             drawn.gaussians,
@@ -205,6 +258,7 @@ class Trainer:
         with torch.no_grad():
             self.sky.table.value.clamp_(0, 1)
         self.exposures.table.step(exposure_rate(config, u))
+        self.deformable.step(u)
         factor = pose_factor(u)
         self.track_poses.table.step(factor * config.actor_pose_lr)
         metres = factor * config.camera_pose_lr
@@ -213,9 +267,10 @@ class Trainer:
 
     def scene(self, log: DrivingLog) -> StreetScene:
         """The scene as it stands, copied to the CPU; colours are those of the mean exposure."""
+        shapes = self.deformable.learned() | {k: v.skinning for k, v in self._bodies.items()}
         scene = StreetScene(
             background=copy(self.model.background).to("cpu"),
-            actors={track_id: self._actor(track_id) for track_id in self.model.track_ids},
+            actors={name: self._actor(name, shapes.get(name)) for name in self.model.track_ids},
             sky=self.sky.sky_map(),
             world_offset=log.world_offset,
             camera_corrections=self.camera_poses.corrections(self._views),
@@ -223,7 +278,7 @@ class Trainer:
         )
         return exposed_scene(scene, self.exposures.mean()) if self._exposes() else scene
 
-    def _actor(self, track_id: str) -> SceneActor:
+    def _actor(self, track_id: str, deformation: Deforming | None) -> SceneActor:
         learned, waves = self.model.actor(track_id)
         share = self.config.appearance_share
         gaussians, appearance = frozen(learned.to("cpu"), waves.cpu(), share)
@@ -233,4 +288,5 @@ class Trainer:
             size=self._tracks[track_id].size,
             trajectory=self.track_poses.refined(track_id),
             appearance=appearance,
+            deformation=deformation,
         )

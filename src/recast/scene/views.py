@@ -30,7 +30,7 @@ class View:
         timestamp_us: of the exposure.
         camera: intrinsics of `image`, rectified.
         world_from_camera: (4, 4) as logged.
-        image: (H, W, 3) uint8 RGB.
+        image: (H, W, 3) uint8 RGB; (0, 0, 3) where it was not read.
         mask: (H, W) bool, False where the image is never usable, or None.
         held_out: kept from training and from everything that leads to it.
     """
@@ -78,6 +78,15 @@ def is_held_out(frame: int, config: SceneConfig) -> bool:
     return every > 0 and frame % every == config.holdout_offset % every
 
 
+def read_places(log: DrivingLog, config: SceneConfig) -> list[View]:
+    """`read_views` without the images: where and when each was taken."""
+    return [
+        _place(log, log.cameras[name], frame, config.scale, is_held_out(frame, config))
+        for name in camera_names(log, config)
+        for frame in range(len(log.cameras[name].timestamps_us))
+    ]
+
+
 def read_views(log: DrivingLog, config: SceneConfig) -> list[View]:
     """All views of the chosen cameras, camera by camera, in order of time.
 
@@ -103,21 +112,25 @@ def read_view(
     mask = stream.mask
     if not full.is_rectified:
         image, mask = _rectify(full, image, mask)
-    camera = scaled_camera(full, scale)
-    size = (camera.width, camera.height)
+    place = _place(log, stream, frame, scale, held_out)
+    size = (place.camera.width, place.camera.height)
     if scale != 1.0:
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
         if mask is not None:
             mask = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    return replace(place, image=image, mask=mask)
+
+
+def _place(log: DrivingLog, stream: CameraStream, frame: int, scale: float, held_out: bool) -> View:
     timestamp_us = int(stream.timestamps_us[frame])
     return View(
         camera_name=stream.name,
         frame=frame,
         timestamp_us=timestamp_us,
-        camera=camera,
+        camera=scaled_camera(stream.camera, scale),
         world_from_camera=log.world_from_rig.at(timestamp_us) @ stream.rig_from_camera,
-        image=image,
-        mask=mask,
+        image=np.zeros((0, 0, 3), np.uint8),
+        mask=None,
         held_out=held_out,
     )
 

@@ -1,23 +1,20 @@
-"""Scenarios, actor motions, the ego controller, the rollout loop and what it leaves behind.
+"""The simulator, scenarios and actor motions, ego controllers, and what a rollout leaves behind.
 
 The renderer over a reconstructed scene is in `recast.simulation.scene_renderer`: everything here
 works without torch.
 """
 
+from recast.simulation.actor_motion import ActorMotion, AnyMotion, MotionInput, ScriptMotion
 from recast.simulation.batch import RolloutJob, error_fields, failure, run_batch
+from recast.simulation.controlled_actor import ControlledActor, RolloutOrigin
 from recast.simulation.ego_controller import EgoController, LqrController, PerfectController
+from recast.simulation.idm_motion import Idm
 from recast.simulation.lift import RoadSurface
-from recast.simulation.motions import (
-    ActorMotion,
-    Advancing,
-    CutIn,
-    Oncoming,
-    ScriptedMotion,
-    StartSituation,
-    Stationary,
-)
-from recast.simulation.prepare import PreparedRollout, prepare
+from recast.simulation.log_replay import LogReplay
+from recast.simulation.motions import Advancing, CutIn, Oncoming, Stationary
+from recast.simulation.prepare import PreparedActor, PreparedRollout, prepare
 from recast.simulation.probe_path import probe_path
+from recast.simulation.recorded_road import Ending
 from recast.simulation.renderer import NullRenderer, SensorRenderer, camera_mount, camera_mounts
 from recast.simulation.rollout import (
     EGO_COLUMNS,
@@ -27,11 +24,23 @@ from recast.simulation.rollout import (
     ego_centre,
 )
 from recast.simulation.rollout_files import load_rollout, save_rollout
-from recast.simulation.rollout_loop import OnFrame, Timings, run_rollout
-from recast.simulation.scenario import MOTIONS, parse_motions, scenario_name
+from recast.simulation.rollout_loop import OnFrame, run_rollout
+from recast.simulation.scenario import MOTIONS, motion, parse_motions, scenario_name
 from recast.simulation.scenario_file import motion_of_record, read_scenario, scenario_record
-from recast.simulation.setup import RolloutSetup
-from recast.simulation.state import SimState
+from recast.simulation.scenario_parts import (
+    BuiltInMotion,
+    Scenario,
+    ScenarioActor,
+    ScriptedMotion,
+    further_actors,
+    replaced_tracks,
+    target_motion,
+)
+from recast.simulation.scenario_schema import scenario_numbers
+from recast.simulation.setup import RolloutSettings, RolloutSetup
+from recast.simulation.simulator import Observation, Simulator, Timings
+from recast.simulation.situation import StartSituation
+from recast.simulation.state import SimActor, SimState
 
 __all__ = [
     "EGO_COLUMNS",
@@ -39,22 +48,38 @@ __all__ = [
     "PATH_COLUMNS",
     "ActorMotion",
     "Advancing",
+    "AnyMotion",
+    "BuiltInMotion",
+    "ControlledActor",
     "CutIn",
     "EgoController",
+    "Ending",
+    "Idm",
+    "LogReplay",
     "LqrController",
+    "MotionInput",
     "NullRenderer",
+    "Observation",
     "OnFrame",
     "Oncoming",
     "PerfectController",
+    "PreparedActor",
     "PreparedRollout",
     "RoadSurface",
     "Rollout",
     "RolloutFailure",
     "RolloutJob",
+    "RolloutOrigin",
+    "RolloutSettings",
     "RolloutSetup",
+    "Scenario",
+    "ScenarioActor",
+    "ScriptMotion",
     "ScriptedMotion",
     "SensorRenderer",
+    "SimActor",
     "SimState",
+    "Simulator",
     "StartSituation",
     "Stationary",
     "Timings",
@@ -63,15 +88,20 @@ __all__ = [
     "ego_centre",
     "error_fields",
     "failure",
+    "further_actors",
     "load_rollout",
+    "motion",
     "motion_of_record",
     "parse_motions",
     "prepare",
     "probe_path",
     "read_scenario",
+    "replaced_tracks",
     "run_batch",
     "run_rollout",
     "save_rollout",
     "scenario_name",
+    "scenario_numbers",
     "scenario_record",
+    "target_motion",
 ]

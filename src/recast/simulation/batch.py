@@ -59,7 +59,7 @@ def failure(setup: RolloutSetup, planner: str, error: Exception) -> RolloutFailu
     """The report row of a rollout that raised `error`."""
     return RolloutFailure(
         name=setup.name,
-        method=setup.method,
+        arm=setup.arm,
         track_id=setup.track_id,
         motion=setup.motion.name,
         setting=setup.motion.setting,

@@ -128,6 +128,7 @@ def rollout_coverage(
     images = []
     for step in rollout.plan_steps.tolist():
         poses = other_poses(setup, rollout.timestamp_us(step))
+        poses |= {one.track_id: one.world_from_actor[step] for one in rollout.controlled}
         poses[rollout.track_id] = rollout.world_from_actor[step]
         for name in dict.fromkeys((*recorded, *given)):
             mount = mounts[name]

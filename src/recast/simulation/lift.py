@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 _SLOPE_SPAN = 5.0
 """Metres before and behind a point over which the road's slope is measured."""
-_SMOOTHING = 5
+SMOOTHING = 5
 """Steps before and behind over which an actor's height is averaged: grids have cell edges."""
 
 
@@ -92,8 +92,8 @@ class RoadSurface:
         if self.ground is not None:
             known = self._ground_under(poses, size)
             z = np.where(np.isnan(known), z, known)
-            padded = np.pad(z, _SMOOTHING, mode="edge")
-            z = np.convolve(padded, np.full(2 * _SMOOTHING + 1, 1 / (2 * _SMOOTHING + 1)), "valid")
+            padded = np.pad(z, SMOOTHING, mode="edge")
+            z = np.convolve(padded, np.full(2 * SMOOTHING + 1, 1 / (2 * SMOOTHING + 1)), "valid")
         behind, ahead = np.clip([s - _SLOPE_SPAN, s + _SLOPE_SPAN], self.s[0], self.s[-1])
         rise = np.interp(ahead, self.s, self.z) - np.interp(behind, self.s, self.z)
         slope = rise / np.maximum(ahead - behind, 1e-6)

@@ -1,88 +1,39 @@
 """What the controlled actor does: the paper's motions.
 
-A motion is scripted ahead of time from the situation at the start: the actor does not react to the
-ego, so its states are the same for every planner and every renderer. Frenet coordinates are those
-of the ego's reference route; gaps are from bumper to bumper. Their settings are in
-`scenarios/*.yaml`. All have, besides what `ActorMotion` asks for, a `description` for people:
-one sentence.
+These motions are scripted from the situation at the start. The actor does not react to the ego, so
+its states are the same for every planner and every renderer. Frenet coordinates are those of the
+ego's reference route; gaps are from bumper to bumper. Their settings are in `scenarios/*.yaml`.
+All have, besides what `ActorMotion` asks for, a `description` for people: one sentence.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recast.dynamics import free_road_step
 from recast.geometry import se2
-from recast.planning import ReferenceRoute
+from recast.simulation.actor_motion import ActorMotion, Scripted, ScriptMotion
+from recast.simulation.situation import DEFAULT_LANE_OFFSET, StartSituation
+
+__all__ = [
+    "DEFAULT_LANE_OFFSET",
+    "ActorMotion",
+    "Advancing",
+    "CutIn",
+    "Oncoming",
+    "ScriptMotion",
+    "StartSituation",
+    "Stationary",
+]
 
 Array = NDArray[np.float64]
 
-DEFAULT_LANE_OFFSET = 3.5
-"""Metres to the neighbouring lane where the map knows none."""
-
 
 @dataclass(frozen=True)
-class StartSituation:
-    """Where everything is when a rollout starts.
-
-    Attributes:
-        route: the ego's reference route.
-        ego_s: route coordinate of the ego's box centre, metres.
-        ego_speed: m/s.
-        ego_length: metres.
-        actor_size: (3,) length, width, height of the actor's box, metres.
-        neighbour_lateral: offset in metres, left positive, of the neighbouring lane of the same
-            direction; None where there is none.
-    """
-
-    route: ReferenceRoute
-    ego_s: float
-    ego_speed: float
-    ego_length: float
-    actor_size: Array
-    neighbour_lateral: float | None = None
-
-    @property
-    def reference_speed(self) -> float:
-        """v_r: the ego's speed within [4, 12] m/s, which scales the moving motions."""
-        return float(np.clip(self.ego_speed, 4.0, 12.0))
-
-    @property
-    def beside(self) -> float:
-        """Lateral offset of a car in the next lane: the neighbour's, or 3.5 m to the left."""
-        return DEFAULT_LANE_OFFSET if self.neighbour_lateral is None else self.neighbour_lateral
-
-    def ahead(self, gap: float) -> float:
-        """Route coordinate of the actor's centre, `gap` metres from the ego's front bumper."""
-        return self.ego_s + gap + (self.ego_length + float(self.actor_size[0])) / 2
-
-
-class ActorMotion(Protocol):
-    """Scripts the actor. Implement this for a motion of your own.
-
-    Attributes:
-        name: for tables and file names, such as "cut-in".
-        setting: which parameters, such as "a".
-    """
-
-    @property
-    def name(self) -> str:
-        """Name of the motion."""
-
-    @property
-    def setting(self) -> str:
-        """Name of the setting."""
-
-    def script(self, start: StartSituation, steps: int, dt: float) -> Array:
-        """States (steps + 1, 4): x, y, heading of the box centre, speed >= 0; world, SI units."""
-
-
-@dataclass(frozen=True)
-class CutIn:
+class CutIn(Scripted):
     """Drives beside and ahead of the ego, then moves into its lane while slowing down.
 
     Attributes:
@@ -125,7 +76,7 @@ class CutIn:
 
 
 @dataclass(frozen=True)
-class Oncoming:
+class Oncoming(Scripted):
     """Comes towards the ego in its lane.
 
     Attributes:
@@ -154,7 +105,7 @@ class Oncoming:
 
 
 @dataclass(frozen=True)
-class Stationary:
+class Stationary(Scripted):
     """Stands in the ego's lane, facing it.
 
     The gap is the larger of `min_gap` and what the ego needs to stop, v^2 / `braking` + `reserve`.
@@ -185,7 +136,7 @@ class Stationary:
 
 
 @dataclass(frozen=True)
-class Advancing:
+class Advancing(Scripted):
     """Drives slowly in the next lane, so that the ego passes it.
 
     Attributes:
@@ -204,10 +155,6 @@ class Advancing:
         target = self.speed * start.reference_speed
         s, speed = _drive(start.ahead(self.gap), target, target, steps, dt)
         return _states(start.route.pose(s, start.beside), speed)
-
-
-ScriptedMotion = CutIn | Oncoming | Stationary | Advancing
-"""A motion of this package, which a scenario file can describe."""
 
 
 def _drive(

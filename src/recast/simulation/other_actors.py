@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.geometry import se2
+from recast.logs.motion import logged_velocity
 from recast.planning import ActorState
 from recast.simulation.setup import RolloutSetup
 
@@ -16,7 +17,8 @@ def other_ids(setup: RolloutSetup) -> tuple[str, ...]:
     """Ids of the logged tracks that stay; none by default."""
     if not setup.keep_other_actors:
         return ()
-    return tuple(key for key in setup.log.tracks if key != setup.track_id)
+    controlled = setup.controlled
+    return tuple(key for key in setup.log.tracks if key not in controlled)
 
 
 def other_poses(setup: RolloutSetup, timestamp_us: int) -> dict[str, Array]:
@@ -31,9 +33,6 @@ def other_actors(setup: RolloutSetup, timestamp_us: int) -> list[ActorState]:
     actors = []
     for key, pose in other_poses(setup, timestamp_us).items():
         track = setup.log.tracks[key]
-        times = track.trajectory.timestamps_us
-        around = np.clip([timestamp_us - step, timestamp_us + step], times[0], times[-1])
-        moved = np.diff(track.trajectory.at(around)[:, :2, 3], axis=0)[0]
-        velocity = moved / max((around[1] - around[0]) * 1e-6, 1e-6)
+        velocity = logged_velocity(track.trajectory, timestamp_us, step)
         actors.append(ActorState(key, track.category, se2.from_se3(pose), velocity, track.size))
     return actors

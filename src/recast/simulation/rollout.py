@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.dynamics import EgoState
 from recast.dynamics.state import COLUMNS
 from recast.logs.checks import BOX_SIDE, LATEST_US, WORLD_REACH, check_poses, check_text
 from recast.planning import WAYPOINTS
+from recast.simulation.controlled_actor import ControlledActor, RolloutOrigin
+from recast.simulation.state import SimActor, SimState
 
 Array = NDArray[np.float64]
 Int64Array = NDArray[np.int64]
@@ -28,7 +33,7 @@ _RANGES = {
     "ego_size": BOX_SIDE,
     "ego_centre_offset": (-BOX_SIDE[1], BOX_SIDE[1]),
 }
-_TEXTS = ("name", "method", "track_id", "motion", "setting", "planner", "cut_reason")
+_TEXTS = ("name", "arm", "track_id", "motion", "setting", "planner", "cut_reason")
 _LONGEST_TEXT = 4000
 """Names are shorter (`NAME_LIMIT`); a rollout's joins two, and a reason may quote some."""
 
@@ -39,9 +44,9 @@ class Rollout:
 
     Attributes:
         name: of the rollout, unique within a batch.
-        method: what rendered the actor ("native", "recast", ...); the actor's states do not depend
-            on it.
-        track_id: the controlled vehicle.
+        arm: what rendered the actor ("native", "recast", ...); the states of a scripted actor do
+            not depend on it.
+        track_id: the target, the first controlled vehicle.
         motion, setting: as in `recast.simulation.motions`, for example "cut-in" and "a".
         planner: the planner's name.
         start_timestamp_us: log time of state 0.
@@ -50,7 +55,7 @@ class Rollout:
         cut_reason: why `steps_run` is less, in words; None where nothing was cut.
         ego: (S+1, 11) simulated ego, see `EGO_COLUMNS`.
         log_ego: (S+1, 4) logged ego at the same times, see `PATH_COLUMNS`.
-        actor: (S+1, 4) controlled actor, see `PATH_COLUMNS`; speed is along its motion, >= 0.
+        actor: (S+1, 4) the target, see `PATH_COLUMNS`; speed is along its motion, >= 0.
         world_from_rig: (S+1, 4, 4) the simulated ego in space: with height, pitch and roll.
         world_from_actor: (S+1, 4, 4) the actor's box centre in space.
         actor_size: (3,) length, width, height of the logged box, metres.
@@ -61,10 +66,14 @@ class Rollout:
         plan_steps: (C,) int64, the step at which each plan was made.
         route: (R, 2) the reference route: the logged ego path, smoothed, rear axle.
         other_actors: ids of logged tracks that kept their logged motion.
+        controlled: controlled actors beside the target, in order.
+        reactive: ids of controlled actors that react: their states depend on the ego's.
+        origin: what this process ran it with; None for a rollout that was read. It is not saved,
+            compared or pickled.
     """
 
     name: str
-    method: str
+    arm: str
     track_id: str
     motion: str
     setting: str
@@ -85,6 +94,13 @@ class Rollout:
     plan_steps: Int64Array
     route: Array
     other_actors: tuple[str, ...] = ()
+    controlled: tuple[ControlledActor, ...] = ()
+    reactive: tuple[str, ...] = ()
+    origin: RolloutOrigin | None = field(default=None, compare=False, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Another process neither needs the log nor can use the renderer.
+        return {**self.__dict__, "origin": None}
 
     @property
     def steps_run(self) -> int:
@@ -100,6 +116,28 @@ class Rollout:
         """Log time of state `step`."""
         return self.start_timestamp_us + round(step * self.dt * 1e6)
 
+    def state(self, step: int, others: Mapping[str, Array] | None = None) -> SimState:
+        """The world at a step, to be rendered again.
+
+        Args:
+            others: `world_from_actor` (4, 4) by track id of logged actors that are drawn too.
+        """
+        return SimState(
+            step=step,
+            timestamp_us=self.timestamp_us(step),
+            ego=EgoState(self.ego[step]),
+            log_ego=self.log_ego[step],
+            world_from_rig=self.world_from_rig[step],
+            track_id=self.track_id,
+            actor=self.actor[step],
+            world_from_actor=self.world_from_actor[step],
+            others={} if others is None else others,
+            further={
+                one.track_id: SimActor(one.states[step], one.world_from_actor[step])
+                for one in self.controlled
+            },
+        )
+
     def first(self, steps: int) -> Rollout:
         """The same rollout, ended after `steps`, 1 to S."""
         if not 1 <= steps <= self.steps_run:
@@ -114,27 +152,34 @@ class Rollout:
             **states,
             predictions=self.predictions[:plans],
             plan_steps=self.plan_steps[:plans],
+            controlled=tuple(actor.first(steps) for actor in self.controlled),
         )
 
     def validate(self) -> None:
         """Raise ValueError naming the field at fault, and its shape or value."""
         states, plans = len(self.ego), len(self.plan_steps)
-        for field, shape in _shapes(states, plans).items():
-            _check_array(field, getattr(self, field), shape)
+        for name, shape in _shapes(states, plans).items():
+            _check_array(name, getattr(self, name), shape)
         if states < 2:
             raise ValueError(f"Rollout.ego: needs two states or more, got {states}")
-        for field, (low, high) in _RANGES.items():
-            values = np.asarray(getattr(self, field), np.float64)
+        for name, (low, high) in _RANGES.items():
+            values = np.asarray(getattr(self, name), np.float64)
             if not np.all((values >= low) & (values <= high)):
-                raise ValueError(f"Rollout.{field}: is {values}, not within {low:g} and {high:g}")
-        for field in _TEXTS:
-            _check_text(field, getattr(self, field))
-        for track_id in self.other_actors:
-            _check_text("other_actors", track_id)
+                raise ValueError(f"Rollout.{name}: is {values}, not within {low:g} and {high:g}")
+        for name in _TEXTS:
+            _check_text(name, getattr(self, name))
+        for name in ("other_actors", "reactive"):
+            for track_id in getattr(self, name):
+                _check_text(name, track_id)
+        for actor in self.controlled:
+            actor.validate(states)
+        ids = [self.track_id, *(actor.track_id for actor in self.controlled)]
+        if len(set(ids)) < len(ids):
+            raise ValueError(f"Rollout.controlled: has a track twice: {', '.join(ids)}")
         if np.any(self.actor[:, 3] < 0):
             raise ValueError("Rollout.actor: has a negative speed")
-        for field in ("world_from_rig", "world_from_actor"):
-            check_poses(f"Rollout.{field}", getattr(self, field), WORLD_REACH)
+        for name in ("world_from_rig", "world_from_actor"):
+            check_poses(f"Rollout.{name}", getattr(self, name), WORLD_REACH)
         if self.steps_run > self.steps_requested:
             raise ValueError(
                 f"Rollout.steps_requested: {self.steps_requested}, but {self.steps_run} were run"
@@ -153,7 +198,7 @@ class RolloutFailure:
     """A rollout that ended in an error: a row of the report, not the end of the batch.
 
     Attributes:
-        name, method, track_id, motion, setting, planner: as in `Rollout`.
+        name, arm, track_id, motion, setting, planner: as in `Rollout`.
         error: the exception's class.
         reason: its message.
         traceback: where it was raised, the last `batch.TRACEBACK_LIMIT` characters; "" in records
@@ -161,7 +206,7 @@ class RolloutFailure:
     """
 
     name: str
-    method: str
+    arm: str
     track_id: str
     motion: str
     setting: str

@@ -4,6 +4,8 @@
   as lists of 16 numbers, row by row.
 - `plans.parquet`: one row a plan, `plan_step` and `waypoints`, 120 numbers x0, y0, h0, x1, ...
 - `route.parquet`: the reference route, `x` and `y`.
+- `actors.parquet`, only with several controlled actors: one row a state of a further one, `actor`
+  (its number in `rollout.json`, from 0) and columns as for the target.
 
 Beside them, for a refined actor, `coverage.parquet`: one row an image, see `save_coverage`.
 
@@ -13,39 +15,57 @@ No timings are stored: the same setup gives the same bytes.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from recast.actors.coverage import Coverage
 from recast.errors import InputError
 from recast.planning import WAYPOINTS
 from recast.records import Record, read_record
-from recast.simulation.coverage import SHARES, ImageCoverage, RolloutCoverage
 from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, Rollout
+from recast.simulation.rollout_tables import (
+    ACTOR_COLUMNS,
+    MEND,
+    ActorHeader,
+    actors_table,
+    list_column,
+    number_columns,
+    prefixed,
+    read_actors,
+    read_numbers,
+    read_whole,
+)
 from recast.storage import atomic_file, atomic_folder, write_json
-from recast.tables import Table, read_parquet
+from recast.tables import read_parquet
 
 Array = NDArray[np.float64]
 
-_MEND = "write the rollout anew with this recast"
+if TYPE_CHECKING:
+    from recast.simulation.coverage import RolloutCoverage
 
-VERSION: Literal[1] = 1
+VERSION: Literal[2] = 2
+"""1 called the arm a method."""
+
+_STATE_COLUMNS = (
+    *prefixed("ego", EGO_COLUMNS),
+    *prefixed("log_ego", PATH_COLUMNS),
+    *ACTOR_COLUMNS,
+    "world_from_rig",
+)
 
 
 class RolloutHeader(Record):
     """The scalars of a `Rollout`, whose `validate` has their ranges; `version` guards against
-    readers of another layout."""
+    readers of another layout. Empty `controlled` and `reactive` are not written."""
 
     format: Literal["recast-rollout"] = "recast-rollout"
-    version: Literal[1] = VERSION
+    version: Literal[2] = VERSION
     name: str
-    method: str
+    arm: str
     track_id: str
     motion: str
     setting: str
@@ -59,6 +79,8 @@ class RolloutHeader(Record):
     ego_size: tuple[float, float]
     ego_centre_offset: float
     other_actors: tuple[str, ...]
+    controlled: tuple[ActorHeader, ...] = ()
+    reactive: tuple[str, ...] = ()
 
 
 def save_rollout(rollout: Rollout, folder: str | Path) -> None:
@@ -71,7 +93,7 @@ def save_rollout(rollout: Rollout, folder: str | Path) -> None:
     rollout.validate()
     header = RolloutHeader(
         name=rollout.name,
-        method=rollout.method,
+        arm=rollout.arm,
         track_id=rollout.track_id,
         motion=rollout.motion,
         setting=rollout.setting,
@@ -85,21 +107,38 @@ def save_rollout(rollout: Rollout, folder: str | Path) -> None:
         ego_size=tuple(rollout.ego_size.tolist()),
         ego_centre_offset=rollout.ego_centre_offset,
         other_actors=rollout.other_actors,
+        controlled=tuple(
+            ActorHeader(
+                track_id=actor.track_id,
+                category=actor.category,
+                motion=actor.motion,
+                setting=actor.setting,
+                size=tuple(actor.size.tolist()),
+            )
+            for actor in rollout.controlled
+        ),
+        reactive=rollout.reactive,
     )
+    empty = {name for name in ("controlled", "reactive") if not getattr(header, name)}
     states = {
-        **_columns("ego", EGO_COLUMNS, rollout.ego),
-        **_columns("log_ego", PATH_COLUMNS, rollout.log_ego),
-        **_columns("actor", PATH_COLUMNS, rollout.actor),
-        "world_from_rig": _lists(rollout.world_from_rig),
-        "world_from_actor": _lists(rollout.world_from_actor),
+        **number_columns("ego", EGO_COLUMNS, rollout.ego),
+        **number_columns("log_ego", PATH_COLUMNS, rollout.log_ego),
+        **number_columns("actor", PATH_COLUMNS, rollout.actor),
+        "world_from_rig": list_column(rollout.world_from_rig),
+        "world_from_actor": list_column(rollout.world_from_actor),
     }
-    plans = {"plan_step": pa.array(rollout.plan_steps), "waypoints": _lists(rollout.predictions)}
+    plans = {
+        "plan_step": pa.array(rollout.plan_steps),
+        "waypoints": list_column(rollout.predictions),
+    }
     route = {"x": pa.array(rollout.route[:, 0]), "y": pa.array(rollout.route[:, 1])}
     with atomic_folder(folder) as partial:
-        write_json(partial / "rollout.json", json.loads(header.model_dump_json()))
+        write_json(partial / "rollout.json", json.loads(header.model_dump_json(exclude=empty)))
         pq.write_table(pa.table(states), partial / "rollout.parquet")
         pq.write_table(pa.table(plans), partial / "plans.parquet")
         pq.write_table(pa.table(route), partial / "route.parquet")
+        if rollout.controlled:
+            pq.write_table(actors_table(rollout.controlled), partial / "actors.parquet")
 
 
 def load_rollout(folder: str | Path) -> Rollout:
@@ -110,13 +149,13 @@ def load_rollout(folder: str | Path) -> Rollout:
             they hold is no rollout, see `Rollout.validate`.
     """
     folder = Path(folder)
-    header = read_record(folder / "rollout.json", RolloutHeader, VERSION, _MEND, "recast-rollout")
-    states = read_parquet(folder / "rollout.parquet", _STATE_COLUMNS, _MEND)
-    plans = read_parquet(folder / "plans.parquet", ("plan_step", "waypoints"), _MEND)
-    route = read_parquet(folder / "route.parquet", ("x", "y"), _MEND)
+    header = read_record(folder / "rollout.json", RolloutHeader, VERSION, MEND, "recast-rollout")
+    states = read_parquet(folder / "rollout.parquet", _STATE_COLUMNS, MEND)
+    plans = read_parquet(folder / "plans.parquet", ("plan_step", "waypoints"), MEND)
+    route = read_parquet(folder / "route.parquet", ("x", "y"), MEND)
     rollout = Rollout(
         name=header.name,
-        method=header.method,
+        arm=header.arm,
         track_id=header.track_id,
         motion=header.motion,
         setting=header.setting,
@@ -125,25 +164,27 @@ def load_rollout(folder: str | Path) -> Rollout:
         dt=header.dt,
         steps_requested=header.steps_requested,
         cut_reason=header.cut_reason,
-        ego=_numbers(states, "ego", EGO_COLUMNS),
-        log_ego=_numbers(states, "log_ego", PATH_COLUMNS),
-        actor=_numbers(states, "actor", PATH_COLUMNS),
+        ego=read_numbers(states, "ego", EGO_COLUMNS),
+        log_ego=read_numbers(states, "log_ego", PATH_COLUMNS),
+        actor=read_numbers(states, "actor", PATH_COLUMNS),
         world_from_rig=states.lists("world_from_rig", 16).reshape(-1, 4, 4),
         world_from_actor=states.lists("world_from_actor", 16).reshape(-1, 4, 4),
         actor_size=np.array(header.actor_size),
         ego_size=np.array(header.ego_size),
         ego_centre_offset=header.ego_centre_offset,
         predictions=plans.lists("waypoints", 3 * WAYPOINTS).reshape(-1, WAYPOINTS, 3),
-        plan_steps=_whole(plans, "plan_step"),
+        plan_steps=read_whole(plans, "plan_step"),
         route=np.stack([route.numbers("x"), route.numbers("y")], axis=1).astype(np.float64),
         other_actors=header.other_actors,
+        controlled=read_actors(folder, header.controlled),
+        reactive=header.reactive,
     )
     try:
         rollout.validate()
         if rollout.steps_run != header.steps_run:
             raise ValueError(f"steps_run is {header.steps_run}, the table has {rollout.steps_run}")
     except ValueError as error:
-        raise InputError(folder, "rollout", str(error), _MEND) from None
+        raise InputError(folder, "rollout", str(error), MEND) from None
     return rollout
 
 
@@ -155,6 +196,8 @@ def save_coverage(coverage: RolloutCoverage, path: str | Path) -> None:
         ValueError: the coverage is not valid.
         InputError: the disk refuses.
     """
+    from recast.simulation.coverage import SHARES  # needs torch
+
     coverage.validate()
     images = coverage.images
     columns = {
@@ -175,12 +218,15 @@ def load_coverage(path: str | Path) -> RolloutCoverage:
     Raises:
         InputError: the file or a column is missing or broken, or holds what is no coverage.
     """
+    from recast.actors.coverage import Coverage  # needs torch
+    from recast.simulation.coverage import SHARES, ImageCoverage, RolloutCoverage
+
     names = ("pixels", *SHARES)
-    table = read_parquet(Path(path), ("camera", "step", "planned", *names), _MEND)
+    table = read_parquet(Path(path), ("camera", "step", "planned", *names), MEND)
     shares = np.stack([table.numbers(name) for name in names], axis=1).astype(np.float64)
     rows = zip(
-        table.words("camera").tolist(), _whole(table, "step").tolist(),
-        _whole(table, "planned").tolist(), shares.tolist(), strict=True,
+        table.words("camera").tolist(), read_whole(table, "step").tolist(),
+        read_whole(table, "planned").tolist(), shares.tolist(), strict=True,
     )  # fmt: skip
     coverage = RolloutCoverage(
         tuple(ImageCoverage(name, k, bool(told), Coverage(*row)) for name, k, told, row in rows)
@@ -188,42 +234,5 @@ def load_coverage(path: str | Path) -> RolloutCoverage:
     try:
         coverage.validate()
     except ValueError as error:
-        raise InputError(path, "coverage", str(error), _MEND) from None
+        raise InputError(path, "coverage", str(error), MEND) from None
     return coverage
-
-
-def _columns(prefix: str, names: Sequence[str], values: Array) -> dict[str, pa.Array]:
-    return {
-        name: pa.array(np.ascontiguousarray(values[:, i]))
-        for i, name in enumerate(_names(prefix, names))
-    }
-
-
-def _lists(values: Array) -> pa.Array:
-    flat = np.ascontiguousarray(values, np.float64).reshape(
-        len(values), int(np.prod(values.shape[1:]))
-    )
-    return pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), flat.shape[1])
-
-
-def _names(prefix: str, names: Sequence[str]) -> list[str]:
-    return [f"{prefix}_{name}" for name in names]
-
-
-_STATE_COLUMNS = (
-    *_names("ego", EGO_COLUMNS), *_names("log_ego", PATH_COLUMNS), *_names("actor", PATH_COLUMNS),
-    "world_from_rig", "world_from_actor",
-)  # fmt: skip
-
-
-def _numbers(table: Table, prefix: str, names: Sequence[str]) -> Array:
-    columns = [table.numbers(name) for name in _names(prefix, names)]
-    return np.stack(columns, axis=1).astype(np.float64)
-
-
-def _whole(table: Table, name: str) -> NDArray[np.int64]:
-    values = table.numbers(name)
-    if values.dtype.kind not in "iu" or (values > np.iinfo(np.int64).max).any():
-        problem = f"holds {values.dtype}, not whole numbers"
-        raise InputError(table.path, f"column {name}", problem, _MEND)
-    return values.astype(np.int64)

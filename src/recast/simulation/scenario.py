@@ -6,16 +6,18 @@ from importlib.resources import as_file, files
 from pathlib import Path
 
 from recast.errors import InputError
-from recast.simulation.motions import ActorMotion, ScriptedMotion
+from recast.simulation.actor_motion import AnyMotion, is_motion
 from recast.simulation.scenario_file import read_scenario
+from recast.simulation.scenario_parts import Scenario, ScriptedMotion
 
 _BUILT_IN = (
     "cut-in", "cut-in-stop", "oncoming", "oncoming-through", "stationary", "advancing",
+    "log-replay", "idm",
 )  # fmt: skip
 _SUFFIXES = (".yaml", ".yml")
 
 
-def scenario_name(motion: ActorMotion) -> str:
+def scenario_name(motion: AnyMotion | Scenario) -> str:
     """Name such as "cut-in-a"; `parse_motions` reads it back where the motion is built in."""
     return f"{motion.name}-{motion.setting}"
 
@@ -27,7 +29,7 @@ def _built_in() -> dict[str, ScriptedMotion]:
 
 
 MOTIONS: dict[str, ScriptedMotion] = _built_in()
-"""The motions with their two settings each, by scenario name."""
+"""The motions with their settings, by scenario name."""
 
 
 def parse_motions(name: str) -> tuple[ScriptedMotion, ...]:
@@ -62,3 +64,28 @@ def parse_motions(name: str) -> tuple[ScriptedMotion, ...]:
                 "choose another name, so that results tell them apart",
             )
     return own
+
+
+def motion(name: str | Path | AnyMotion | Scenario) -> AnyMotion | Scenario:
+    """What an actor shall do, by name.
+
+    Args:
+        name: a scenario such as "cut-in-b"; a motion such as "cut-in", which stands for its first
+            setting; the path of a scenario file, likewise; or a motion, which is returned as it is.
+
+    Raises:
+        InputError: no such motion, a faulty file, or an object that is no motion.
+
+    >>> motion("cut-in").setting
+    'a'
+    """
+    if isinstance(name, str | Path):
+        return parse_motions(str(name))[0]
+    if isinstance(name, Scenario) or is_motion(name):
+        return name
+    raise InputError(
+        "motion",
+        type(name).__name__,
+        "is no motion: it needs name, setting, and start and step, or script",
+        "see docs/scenarios.md",
+    )

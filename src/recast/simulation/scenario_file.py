@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from recast import storage
 from recast.errors import InputError
-from recast.simulation.motions import ScriptedMotion
-from recast.simulation.scenario_schema import MOTION_SCHEMAS, VERSION, MotionSchema
+from recast.simulation.actor_motion import AnyMotion
+from recast.simulation.scenario_actors import read_actors, read_motion, read_schema
+from recast.simulation.scenario_nodes import known_only, required, shown, word
+from recast.simulation.scenario_parts import (
+    Scenario,
+    ScriptedMotion,
+    further_actors,
+    target_motion,
+)
+from recast.simulation.scenario_schema import VERSION, kind_of, motion_numbers
 from recast.simulation.yaml_lines import Node, located, place, read_yaml
 
-_MEMBERS = ("version", "name", "motion", "description", "settings")
-_WORD = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
-_LONGEST_WORD = 40  # names become folder names
+_MEMBERS = ("version", "name", "motion", "description", "settings", "actors")
 _LARGEST_FILE = 100_000  # bytes
 
 
@@ -30,27 +34,45 @@ def read_scenario(path: str | Path) -> tuple[ScriptedMotion, ...]:
 
 
 def scenario_record(motion: ScriptedMotion) -> dict[str, Any]:
-    """A motion as the data of a scenario file with one setting; JSON-able."""
-    kind, schema = next(
-        (kind, schema) for kind, schema in MOTION_SCHEMAS.items() if type(motion) is schema.make
-    )
-    values = {name: getattr(motion, name) for name in schema.quantities}
-    return {
+    """A motion or a `Scenario` as the data of a scenario file with one setting; JSON-able.
+
+    Raises:
+        InputError: a motion is none that a file can describe.
+    """
+    target = target_motion(motion)
+    record = {
         "version": VERSION,
         "name": motion.name,
-        "motion": kind,
+        "motion": _kind(target),
         "description": motion.description,
-        "settings": {motion.setting: {k: v for k, v in values.items() if v is not None}},
+        "settings": {motion.setting: motion_numbers(target)},
     }
+    actors = {
+        actor.track_id: {
+            "motion": _kind(actor.motion),
+            **({"replaced": True} if actor.replaced else {}),
+            "settings": {motion.setting: motion_numbers(actor.motion)},
+        }
+        for actor in further_actors(motion)
+    }
+    return {**record, "actors": actors} if actors else record
 
 
 def motion_of_record(record: Mapping[str, Any], where: str = "scenario") -> ScriptedMotion:
-    """The motion of a `scenario_record`.
+    """The motion, or the `Scenario`, of a `scenario_record`.
 
     Raises:
         InputError: it says something wrong.
     """
     return _motions(located(record, where), where)[0]
+
+
+def _kind(motion: AnyMotion) -> str:
+    kind = kind_of(motion)
+    if kind is None:
+        problem = f"is a {type(motion).__name__}, which no scenario file can describe"
+        raise InputError("scenario", f"motion {motion.name}", problem, "use a motion of recast")
+    return kind
 
 
 def _text(path: Path) -> str:
@@ -67,105 +89,31 @@ def _motions(root: Node, where: str) -> tuple[ScriptedMotion, ...]:
     if not isinstance(root.value, dict):
         mend = f"begin with version: {VERSION}, see docs/scenarios.md"
         raise InputError(place(where, root.line), "scenario", "is no list of keys", mend)
-    version = _required(root, "version", where, f"write version: {VERSION}")
+    version = required(root, "version", where, f"write version: {VERSION}")
     if isinstance(version.value, bool) or version.value != VERSION:
-        problem = f"is {_shown(version)}, this recast reads {VERSION}"
+        problem = f"is {shown(version)}, this recast reads {VERSION}"
         raise InputError(place(where, version.line), "version", problem, f"write {VERSION}")
-    _known_only(root, _MEMBERS, where)
-    kinds = ", ".join(MOTION_SCHEMAS)
-    kind = _required(root, "motion", where, f"choose one of {kinds}")
-    if not isinstance(kind.value, str) or kind.value not in MOTION_SCHEMAS:
-        raise InputError(
-            place(where, kind.line), "motion", f"is {_shown(kind)}", f"choose one of {kinds}"
-        )
-    name = _required(root, "name", where, "give one, such as hard-cut-in")
+    known_only(root, _MEMBERS, where)
+    schema = read_schema(root, where)
+    name = required(root, "name", where, "give one, such as hard-cut-in")
     described = root.value.get("description", Node(""))
     if not isinstance(described.value, str):
         raise InputError(
-            place(where, described.line), "description", f"is {_shown(described)}", "give a text"
+            place(where, described.line), "description", f"is {shown(described)}", "give a text"
         )
-    settings = _required(root, "settings", where, "give at least one, such as a")
+    settings = required(root, "settings", where, "give at least one, such as a")
     if not isinstance(settings.value, dict) or not settings.value:
-        problem = f"is {_shown(settings)}"
+        problem = f"is {shown(settings)}"
         mend = "give at least one, such as a, with its numbers below it"
         raise InputError(place(where, settings.line), "settings", problem, mend)
-    return tuple(
-        _motion(
-            MOTION_SCHEMAS[kind.value],
-            {
-                "name": _word(name.value, name, "name", where),
-                "setting": _word(key, setting, f"setting {key}", where),
-                "description": " ".join(described.value.split()),
-            },
-            setting,
-            where,
-        )
-        for key, setting in settings.value.items()
-    )
-
-
-def _motion(
-    schema: MotionSchema, names: Mapping[str, str], setting: Node, where: str
-) -> ScriptedMotion:
-    if not isinstance(setting.value, dict):
-        raise InputError(
-            place(where, setting.line),
-            f"setting {names['setting']}",
-            f"is {_shown(setting)}",
-            f"give {', '.join(schema.quantities)} below it",
-        )
-    _known_only(setting, tuple(schema.quantities), where)
-    values: dict[str, Any] = dict(names)
-    for key, quantity in schema.quantities.items():
-        if key not in setting.value and quantity.optional:
-            continue
-        mend = f"give {quantity.range}"
-        node = _required(setting, key, where, mend)
-        at = place(where, node.line)
-        if not isinstance(node.value, float):
-            raise InputError(at, key, f"is {_shown(node)}", mend)
-        fault = quantity.fault(node.value)
-        if fault is not None:
-            raise InputError(at, key, fault, mend)
-        values[key] = node.value
-    return schema.make(**values)
-
-
-def _required(node: Node, key: str, where: str, mend: str) -> Node:
-    if key not in node.value:
-        raise InputError(place(where, node.line), key, "is missing", mend)
-    found: Node = node.value[key]
-    return found
-
-
-def _known_only(node: Node, known: tuple[str, ...], where: str) -> None:
-    for key, member in node.value.items():
-        if key not in known:
-            near = get_close_matches(key, known, 1)
-            mend = f"did you mean {near[0]}?" if near else f"the keys are {', '.join(known)}"
-            raise InputError(place(where, member.line), key, "is not known", mend)
-
-
-def _word(text: Any, node: Node, field: str, where: str) -> str:
-    if not isinstance(text, str) or len(text) > _LONGEST_WORD or not _WORD.fullmatch(text):
-        problem = f"is {_shown(Node(text))}"
-        mend = "use small letters, digits and single hyphens, 40 at most, in quotes if all digits"
-        raise InputError(place(where, node.line), field, problem, mend)
-    return text
-
-
-def _shown(node: Node) -> str:
-    """A value as an error shows it."""
-    value = node.value
-    if value is None:
-        return "empty"
-    if isinstance(value, dict):
-        return "a list of keys"
-    if isinstance(value, list):
-        return "a list"
-    if isinstance(value, float):
-        return f"the number {value:g}"
-    if isinstance(value, bool):
-        return str(value).lower()
-    text = repr(str(value))
-    return text if len(text) <= 40 else f"{text[:36]}...'"
+    names = {
+        "name": word(name.value, name, "name", where),
+        "description": " ".join(described.value.split()),
+    }
+    made: list[ScriptedMotion] = []
+    for key, setting in settings.value.items():
+        named = {**names, "setting": word(key, setting, f"setting {key}", where)}
+        target = read_motion(schema, named, setting, where)
+        actors = read_actors(root, key, tuple(settings.value), where)
+        made.append(Scenario(motion=target, actors=actors, **named) if actors else target)
+    return tuple(made)

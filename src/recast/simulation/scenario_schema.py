@@ -6,7 +6,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from recast.simulation.motions import Advancing, CutIn, Oncoming, ScriptedMotion, Stationary
+from recast.simulation.idm_motion import Idm
+from recast.simulation.log_replay import LogReplay
+from recast.simulation.motions import Advancing, CutIn, Oncoming, Stationary
+from recast.simulation.scenario_parts import (
+    BuiltInMotion,
+    ScriptedMotion,
+    further_actors,
+    target_motion,
+)
 
 VERSION = 1
 
@@ -49,8 +57,13 @@ class Quantity:
 class MotionSchema:
     """One motion that files can set: what makes it, from which quantities."""
 
-    make: type[ScriptedMotion]
+    make: type[BuiltInMotion]
     quantities: Mapping[str, Quantity]
+
+    @property
+    def needs_numbers(self) -> bool:
+        """Whether some quantity has no default."""
+        return not all(quantity.optional for quantity in self.quantities.values())
 
 
 _GAP = Quantity("m", -50.0, 500.0)  # less than 0: beside or behind the ego
@@ -89,5 +102,45 @@ MOTION_SCHEMAS: Mapping[str, MotionSchema] = {
         },
     ),
     "advancing": MotionSchema(Advancing, {"gap": _GAP, "speed": _SHARE}),
+    "log-replay": MotionSchema(LogReplay, {}),
+    "idm": MotionSchema(
+        Idm,
+        {
+            "speed": Quantity("of v_r", 0.0, 5.0, positive=True, optional=True),
+            "headway": Quantity("s", 0.0, 60.0, optional=True),
+            "min_gap": Quantity("m", 0.0, 100.0, positive=True, optional=True),
+            "gap": Quantity("m", -50.0, 500.0, optional=True),
+            "lateral": _LATERAL,
+        },
+    ),
 }
 """By the word that a file's `motion` names."""
+
+
+def kind_of(motion: object) -> str | None:
+    """The word for a motion's type in a file; None for a motion of the user's own."""
+    return next((k for k, schema in MOTION_SCHEMAS.items() if type(motion) is schema.make), None)
+
+
+def motion_numbers(motion: object) -> dict[str, float]:
+    """The quantities of a built-in motion by name, without those that are None."""
+    kind = kind_of(motion)
+    names = () if kind is None else tuple(MOTION_SCHEMAS[kind].quantities)
+    values = {name: getattr(motion, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def scenario_numbers(motion: ScriptedMotion) -> list[str]:
+    """Lines for people: the target's numbers with units, and one line a further actor."""
+    lines = _lines(target_motion(motion))
+    for actor in further_actors(motion):
+        kind = kind_of(actor.motion) or actor.motion.name
+        lines.append(", ".join([f"track {actor.track_id}: {kind}", *_lines(actor.motion)]))
+    return lines
+
+
+def _lines(motion: object) -> list[str]:
+    kind = kind_of(motion)
+    quantities = {} if kind is None else MOTION_SCHEMAS[kind].quantities
+    numbers = motion_numbers(motion)
+    return [f"{name} {value:g} {quantities[name].unit}" for name, value in numbers.items()]

@@ -22,7 +22,7 @@ class SceneRenderer:
     """Renders a reconstructed street scene.
 
     Args:
-        scene: in the log's world frame; must hold the controlled actor.
+        scene: in the log's world frame; must hold the controlled actors.
         mounts: cameras to render, see `camera_mounts`.
         device: where to render, see `SceneRasterizer`.
     """
@@ -46,22 +46,26 @@ class SceneRenderer:
         """Render the scene with its actors at the poses of `state`.
 
         Raises:
-            InputError: the scene has no model of the controlled actor.
+            InputError: the scene has no model of a controlled actor.
         """
-        if state.track_id not in self.scene.actors:
-            raise InputError(
-                "scene",
-                f"actor {state.track_id}",
-                "has no model in the scene",
-                f"it has {', '.join(self.scene.actors) or 'none'}; reconstruct or insert it first",
-            )
+        for track_id in state.actors:
+            if track_id not in self.scene.actors:
+                there = ", ".join(self.scene.actors) or "none"
+                raise InputError(
+                    "scene",
+                    f"actor {track_id}",
+                    "has no model in the scene",
+                    f"it has {there}; reconstruct or insert it first",
+                )
         # Other tracks that the scene modelled as background cannot be moved or drawn apart.
         poses = {key: pose for key, pose in state.poses.items() if key in self.scene.actors}
         images = {}
         for name in camera_names:
             mount = self._mounts[name]
             camera_from_world = se3.inverse(state.world_from_rig @ mount.rig_from_camera)
-            drawn = self._rasterizer.draw(mount.camera, camera_from_world, poses)
+            drawn = self._rasterizer.draw(
+                mount.camera, camera_from_world, poses, shapes_us=state.timestamp_us
+            )
             # Quantised where it was drawn: a quarter of the bytes to bring over.
             images[name] = (drawn.rgb * 255).round().to(torch.uint8).cpu().numpy()
         return images

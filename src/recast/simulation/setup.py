@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TypedDict
 
 from recast.dynamics import PACIFICA, VehicleParameters
 from recast.errors import InputError
 from recast.logs.hdmap import HdMap
 from recast.logs.types import DrivingLog, Track
 from recast.planning import WAYPOINTS
+from recast.simulation.actor_motion import AnyMotion, is_motion
 from recast.simulation.ego_controller import EgoController, LqrController
-from recast.simulation.motions import ActorMotion
 from recast.simulation.scenario import scenario_name
+from recast.simulation.scenario_parts import (
+    Scenario,
+    further_actors,
+    replaced_tracks,
+    target_motion,
+)
 
 _DT = (0.05, 0.2)
 """Seconds per step, within which 40 waypoints reach 2 to 8 s: the tracker looks 1 s ahead, and no
@@ -26,9 +34,9 @@ class RolloutSetup:
 
     Attributes:
         log: the recorded drive; its map is used unless `map` is given.
-        track_id: the actor to control.
-        motion: what it does.
-        method: what renders it, for tables; has no influence on the motion.
+        track_id: the target, the actor to control.
+        motion: what it does; a `Scenario` also brings further actors.
+        arm: what renders it, for tables; has no influence on the motion.
         map: lanes, drivable area and ground, or None for the log's.
         start_timestamp_us: log time of state 0; None for the first ego pose with 3 m/s or more that
             leaves enough log for all steps, or else the first pose.
@@ -43,12 +51,13 @@ class RolloutSetup:
             (see `planner_cameras`); None for all of the log.
         plan_limit_s: seconds of wall-clock time that one plan may take; a planner that takes longer
             fails the rollout. None for no limit, on which no result may depend.
+        actors: further controlled actors beside the target, by track id, with their motions.
     """
 
     log: DrivingLog
     track_id: str
-    motion: ActorMotion
-    method: str = "native"
+    motion: AnyMotion | Scenario
+    arm: str = "scene"
     map: HdMap | None = None
     start_timestamp_us: int | None = None
     steps: int = 160
@@ -60,8 +69,10 @@ class RolloutSetup:
     road_margin: float = 2.0
     camera_names: tuple[str, ...] | None = None
     plan_limit_s: float | None = None
+    actors: Mapping[str, AnyMotion] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self._check_actors()
         for field_name, low, high in (("steps", 1, _MOST_STEPS), ("plan_every", 1, WAYPOINTS)):
             value = getattr(self, field_name)
             if not low <= value <= high:
@@ -71,13 +82,39 @@ class RolloutSetup:
         if not (whole and _DT[0] <= self.dt <= _DT[1]):
             mend = f"give whole microseconds, {_DT[0]:g} to {_DT[1]:g} s"
             raise _refused("dt", f"is {self.dt} s", mend)
+        if self.plan_limit_s is not None and not self.plan_limit_s > 0.0:
+            raise _refused("plan_limit_s", f"is {self.plan_limit_s} s", "give more than 0, or None")
         if not 0.0 <= self.road_margin < math.inf:
             raise _refused("road_margin", f"is {self.road_margin} m", "give 0 or more")
 
+    def _check_actors(self) -> None:
+        brought = [actor.track_id for actor in further_actors(self.motion)]
+        ids = [self.track_id, *brought, *self.actors]
+        for track_id in ids:
+            if ids.count(track_id) > 1:
+                problem = f"track {track_id} is given twice"
+                raise _refused("actors", problem, "give each track one motion")
+        for track_id, motion in self.controlled.items():
+            if not is_motion(motion):
+                problem = f"that of track {track_id} is a {type(motion).__name__}"
+                mend = "give a motion, such as recast.simulation.motion('cut-in')"
+                raise _refused("motion" if track_id == self.track_id else "actors", problem, mend)
+
     @property
     def name(self) -> str:
-        """Unique among the methods and scenarios of one track."""
-        return f"{scenario_name(self.motion)}-{self.method}"
+        """Unique among the arms and scenarios of one track."""
+        return f"{scenario_name(self.motion)}-{self.arm}"
+
+    @property
+    def controlled(self) -> dict[str, AnyMotion]:
+        """Motions of all controlled actors by track id, the target first."""
+        brought = {actor.track_id: actor.motion for actor in further_actors(self.motion)}
+        return {self.track_id: target_motion(self.motion), **brought, **self.actors}
+
+    @property
+    def replaced(self) -> tuple[str, ...]:
+        """Tracks beside the target whose vehicles the scenario wants replaced."""
+        return replaced_tracks(self.motion)
 
     @property
     def hdmap(self) -> HdMap | None:
@@ -91,14 +128,37 @@ class RolloutSetup:
         Raises:
             InputError: the log has no such track.
         """
-        if self.track_id not in self.log.tracks:
+        return self.track_of(self.track_id)
+
+    def track_of(self, track_id: str) -> Track:
+        """A track of the log.
+
+        Raises:
+            InputError: the log has no such track.
+        """
+        if track_id not in self.log.tracks:
             raise InputError(
                 self.log.name,
-                f"track {self.track_id}",
+                f"track {track_id}",
                 "is not in the log",
                 f"choose one of {', '.join(self.log.tracks)}",
             )
-        return self.log.tracks[self.track_id]
+        return self.log.tracks[track_id]
+
+
+class RolloutSettings(TypedDict, total=False):
+    """The settings of a `RolloutSetup` by name, as keyword arguments."""
+
+    arm: str
+    map: HdMap | None
+    start_timestamp_us: int | None
+    steps: int
+    plan_every: int
+    dt: float
+    vehicle: VehicleParameters
+    controller: EgoController
+    keep_other_actors: bool
+    road_margin: float
 
 
 def _refused(field_name: str, problem: str, mend: str) -> InputError:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from recast.errors import InputError
 from recast.geometry import boxes
 from recast.logs.drivable_region import drivable_region
 from recast.logs.hdmap import HdMap
+from recast.logs.types import Track
 from recast.planning import ReferenceRoute
+from recast.simulation.actor_motion import AnyMotion, follows_log
+from recast.simulation.rollout import ego_centre
+from recast.simulation.setup import RolloutSetup
 
 Array = NDArray[np.float64]
 
@@ -22,25 +28,61 @@ _TOLERANCE = 0.3
 _TOUCHING = 1e-9
 
 
-def refuse_overlap(
-    where: str, rollout: str, ego: Array, ego_size: Array, actor: Array, actor_size: Array
+def refuse_starts(
+    setup: RolloutSetup,
+    road: shapely.Geometry | None,
+    ego: Array,
+    actors: Sequence[tuple[Track, AnyMotion, Array]],
 ) -> None:
-    """Refuse an actor that stands in the ego.
+    """Refuse controlled actors that overlap the ego or each other, or stand beside the road.
 
     Args:
-        where, rollout: names for the error.
-        ego, actor: (3,) x, y, heading of the box centres.
-        ego_size, actor_size: (>=2,) length and width, metres.
+        road: from `surveyed_road`. An actor that follows its own logged path was recorded where it
+            stands, so it is not refused by a map.
+        ego: (11,) its first state.
+        actors: track, motion and (3,) first pose of the box centre, the target first.
+
+    Raises:
+        InputError: names the actors at fault.
+    """
+    where, rollout, vehicle = setup.log.name, f"rollout {setup.name}", setup.vehicle
+    placed = [("ego", ego_centre(ego[:3], vehicle.centre_offset), (vehicle.length, vehicle.width))]
+    for track, motion, pose in actors:
+        target = track.track_id == setup.track_id
+        name = "actor" if target else f"actor {track.track_id}"
+        for other, there, size in placed:
+            refuse_overlap(where, rollout, there, size, pose, track.size, f"{name} and {other}")
+        if not follows_log(motion):
+            who = "the actor" if target else name
+            refuse_off_road(where, rollout, road, pose, track.size, who)
+        placed.append((name, pose, tuple(track.size)))
+
+
+def refuse_overlap(
+    where: str,
+    rollout: str,
+    one: Array,
+    one_size: ArrayLike,
+    other: Array,
+    other_size: ArrayLike,
+    names: str = "actor and ego",
+) -> None:
+    """Refuse two road users that stand in each other.
+
+    Args:
+        where, rollout, names: for the error.
+        one, other: (3,) x, y, heading of the box centres.
+        one_size, other_size: (>=2,) length and width, metres.
 
     Raises:
         InputError: the boxes overlap.
     """
-    overlap = boxes.bev_overlap_area(ego, ego_size, actor, actor_size)
+    overlap = boxes.bev_overlap_area(one, one_size, other, other_size)
     if overlap > _TOUCHING:
         raise InputError(
             where,
             rollout,
-            f"actor and ego overlap by {overlap:.2f} m2 at the start",
+            f"{names} overlap by {overlap:.2f} m2 at the start",
             "choose another start, motion or setting",
         )
 
@@ -89,12 +131,17 @@ def refuse_off_map(
 
 
 def refuse_off_road(
-    where: str, rollout: str, road: shapely.Geometry | None, actor: Array, actor_size: Array
+    where: str,
+    rollout: str,
+    road: shapely.Geometry | None,
+    actor: Array,
+    actor_size: Array,
+    who: str = "the actor",
 ) -> None:
     """Refuse an actor that stands beside the road.
 
     Args:
-        where, rollout: names for the error.
+        where, rollout, who: names for the error.
         road: from `surveyed_road`; None refuses nothing.
         actor: (3,) x, y, heading of its box centre at the start.
         actor_size: (>=2,) length and width, metres.
@@ -107,7 +154,7 @@ def refuse_off_road(
         raise InputError(
             where,
             rollout,
-            f"the actor would start off the road: {share:.0%} of its box lies on the drivable area",
+            f"{who} would start off the road: {share:.0%} of its box lies on the drivable area",
             "choose another start, motion or setting",
         )
 

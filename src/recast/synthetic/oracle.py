@@ -21,7 +21,8 @@ class Oracle:
     """Renders a world by ray tracing.
 
     Parked vehicles are part of the street: they are always drawn, where they stand unless `poses`
-    says otherwise. Moving ones are drawn only where `poses` has them.
+    says otherwise. Moving ones are drawn only where `poses` has them. People walk and pedal by the
+    way that they have gone, so that their poses tell their shapes.
 
     Args:
         world: any `World`; see `world_of` for that of a log.
@@ -65,12 +66,13 @@ class Oracle:
             if timestamp_us is None:
                 raise ValueError("Oracle.render: give poses or a timestamp_us")
             poses = self.logged_poses(timestamp_us)
+        drawn = self.drawn(poses)
         return render_camera(
-            self.scene,
+            self.scene_at(drawn),
             self.world.street.sky,
             camera,
             world_from_camera,
-            self.drawn(poses),
+            drawn,
             rng=rng,
             exposure=exposure,
             quality=self.world.light,
@@ -91,6 +93,15 @@ class Oracle:
                     f"choose one of {', '.join(self.world.vehicles)}",
                 )
         return {**self._parked, **poses}
+
+    def scene_at(self, poses: Mapping[str, Array]) -> RayScene:
+        """The scene in which people have the shapes of their poses, see `Vehicle.surface_at`."""
+        shapes = {
+            key: self.world.vehicles[key].surface_at(pose)
+            for key, pose in poses.items()
+            if self.world.vehicles[key].model.articulation is not None
+        }
+        return self.scene.with_models(shapes) if shapes else self.scene
 
     def logged_poses(self, timestamp_us: int) -> dict[str, Array]:
         """Poses of all vehicles at a time of the log; ValueError outside it."""

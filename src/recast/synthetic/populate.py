@@ -16,6 +16,7 @@ from recast.logs import DrivingLog, Trajectory
 from recast.synthetic import rig
 from recast.synthetic.ego import ego_drive
 from recast.synthetic.others import Placed, Scene, near_spots, try_driving, try_parking
+from recast.synthetic.people import place_people
 from recast.synthetic.streets import SCENES, make_street
 from recast.synthetic.target import MANNERS, TARGET_KINDS, target_drive
 from recast.synthetic.vehicles import sample_vehicle
@@ -37,17 +38,22 @@ _SHORTEST_STREET = 20.0
 _PARKED_MOST, _PARKED_SHARE = 16, 0.75
 _DRIVING_LEAST, _DRIVING_MOST = 2, 5
 _TRIES = 60
-_STREET, _EGO, _TARGET, _DRIVING, _PARKED = range(5)
+_STREET, _EGO, _TARGET, _DRIVING, _PARKED, _PEOPLE = range(6)
 _PARKED_KINDS = ("hatchback", "sedan", "estate", "suv", "pickup", "van")
 
 
 def make_world(
-    name: str, seed: int = 0, seconds: float = 8.0, light: Quality = "standard"
+    name: str,
+    seed: int = 0,
+    seconds: float = 8.0,
+    light: Quality = "standard",
+    people: bool = False,
 ) -> World:
-    """The drive that `name`, `seed` and `seconds` stand for; always the same.
+    """The drive that `name`, `seed`, `seconds` and `people` stand for; always the same.
 
     Poses are at 10 Hz from 0 to `seconds`, rounded down to whole tenths. `light` is how cameras
-    are lit; all else is the same with either.
+    are lit; all else is the same with either. With `people` there are pedestrians and cyclists as
+    well; street and traffic are the same without them.
 
     Raises:
         InputError: see `check_drive`.
@@ -56,7 +62,7 @@ def make_world(
     street = make_street(
         name, _generator(name, seed, _STREET), max(_USUAL_SPEED * seconds, _SHORTEST_STREET)
     )
-    return replace(populate(street, name, seed, seconds), light=light)
+    return replace(populate(street, name, seed, seconds, people), light=light)
 
 
 def check_drive(name: str, seed: int, seconds: float) -> None:
@@ -74,7 +80,7 @@ def check_drive(name: str, seed: int, seconds: float) -> None:
         raise InputError("scene", "seconds", problem, "choose a duration between them")
 
 
-def populate(street: Street, name: str, seed: int, seconds: float) -> World:
+def populate(street: Street, name: str, seed: int, seconds: float, people: bool = False) -> World:
     """A street with the ego's drive, the target and other vehicles, see `make_world`."""
     count = int(np.floor(seconds * rig.RATE_HZ + 1e-6))
     times = np.arange(count + 1) / rig.RATE_HZ
@@ -93,13 +99,20 @@ def populate(street: Street, name: str, seed: int, seconds: float) -> World:
         vehicles[f"moving-{i}"] = _vehicle(f"moving-{i}", placed, False, times)
     for i, placed in enumerate(parked, 1):
         vehicles[f"parked-{i:02d}"] = _vehicle(f"parked-{i:02d}", placed, True, times)
+    if people:
+        rng = _generator(name, seed, _PEOPLE)
+        for key, person in place_people(scene, [*moving, *parked], rng).items():
+            vehicles[key] = _vehicle(key, person.placed, False, times, person.ground)
     trajectory = Trajectory(_stamps(times), se2.to_se3(ego.poses))
-    return World(name, seed, seconds, street, vehicles, trajectory, TARGET)
+    return World(name, seed, seconds, street, vehicles, trajectory, TARGET, people=people)
 
 
 def world_metadata(world: World) -> dict[str, str]:
-    """What a log says of the world it shows; `world_of` reads it back."""
-    return {
+    """What a log says of the world it shows; `world_of` reads it back.
+
+    A world without people does not mention them, so that its log is that of earlier releases.
+    """
+    metadata = {
         "dataset": DATASET,
         "licence": "Apache-2.0",
         "scene": world.name,
@@ -109,6 +122,7 @@ def world_metadata(world: World) -> dict[str, str]:
         "target": world.target,
         "light": world.light,
     }
+    return {**metadata, "people": "yes"} if world.people else metadata
 
 
 def is_synthetic(log: DrivingLog) -> bool:
@@ -140,11 +154,12 @@ def world_of(log: DrivingLog) -> World:
     try:
         name, seed, seconds = metadata["scene"], int(metadata["seed"]), float(metadata["seconds"])
         light = next(known for known in get_args(Quality) if known == metadata["light"])
+        people = {"no": False, "yes": True}[metadata.get("people", "no")]
     except (KeyError, ValueError, StopIteration) as error:
         raise InputError(
             log.name, "metadata", f"does not name a world ({error})", "make the log anew"
         ) from None
-    return make_world(name, seed, seconds, light)
+    return make_world(name, seed, seconds, light, people)
 
 
 def _driving(scene: Scene, name: str, seed: int) -> list[Placed]:
@@ -175,8 +190,10 @@ def _parked(scene: Scene, moving: list[Placed], name: str, seed: int) -> list[Pl
     return parked
 
 
-def _vehicle(track_id: str, placed: Placed, parked: bool, times: Array) -> Vehicle:
-    poses = se2.to_se3(placed.poses, placed.model.size[2] / 2)
+def _vehicle(
+    track_id: str, placed: Placed, parked: bool, times: Array, ground: Array | float = 0.0
+) -> Vehicle:
+    poses = se2.to_se3(placed.poses, ground + placed.model.size[2] / 2)
     return Vehicle(track_id, placed.model, Trajectory(_stamps(times), poses), parked)
 
 

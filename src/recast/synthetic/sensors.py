@@ -72,7 +72,8 @@ def _scan(oracle: Oracle, job: Measurement) -> tuple[int, ...]:
     world_from_lidar = oracle.world.ego.at(job.timestamp_us) @ job.rig.rig_from_lidar
     poses = oracle.logged_poses(job.timestamp_us)
     rng = _generator(oracle, _LIDAR_STREAM, job)
-    scan = scan_lidar(oracle.scene, WAYMO_TOP, world_from_lidar, oracle.drawn(poses), rng)
+    drawn = oracle.drawn(poses)
+    scan = scan_lidar(oracle.scene_at(drawn), WAYMO_TOP, world_from_lidar, drawn, rng)
     points = se3.apply(job.rig.rig_from_lidar, scan.points).astype(np.float32)
     path = _sweep_file(job.spool, job.frame)
     np.savez(path, points=points, intensity=scan.intensity.astype(np.float32))

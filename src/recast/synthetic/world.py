@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.geometry import Polyline
 from recast.logs import HdMap, Trajectory
 from recast.synthetic.surface import Surface
 
@@ -78,17 +80,26 @@ class Street:
     sky: Sky
 
 
+class Articulation(Protocol):
+    """How a shape changes with the way that it has gone: legs that walk, wheels that turn."""
+
+    def surface_at(self, travelled: float) -> Surface:
+        """Triangles in the actor-local frame after `travelled` metres, always the same number."""
+
+
 @dataclass(frozen=True)
 class VehicleModel:
-    """One vehicle as a shape.
+    """One vehicle or person as a shape.
 
     Attributes:
-        kind: "hatchback", "sedan", "estate", "suv", "pickup", "van", "box-truck" or "bus".
+        kind: "hatchback", "sedan", "estate", "suv", "pickup", "van", "box-truck" or "bus";
+            "pedestrian" or "cyclist".
         category: of the label, see `recast.logs.Track`.
         colour: name, such as "white".
         size: (3,) length, width, height of the box around it, metres; mirrors not counted.
         surface: triangles in the actor-local frame: origin at the box centre, x forward, y left,
-            z up, the tyres standing on z = -height / 2.
+            z up, the tyres or feet standing on z = -height / 2.
+        articulation: how the surface changes with the way; None for a rigid vehicle.
     """
 
     kind: str
@@ -96,11 +107,12 @@ class VehicleModel:
     colour: str
     size: Array
     surface: Surface
+    articulation: Articulation | None = None
 
 
 @dataclass(frozen=True)
 class Vehicle:
-    """One vehicle in the world.
+    """One vehicle or person in the world.
 
     Attributes:
         track_id: unique in the world.
@@ -114,18 +126,33 @@ class Vehicle:
     trajectory: Trajectory
     parked: bool
 
+    def surface_at(self, pose: Array) -> Surface:
+        """Triangles in the actor-local frame when it is at `pose` (4, 4) `world_from_actor`.
+
+        What is articulated has the shape of the place on its own way that is nearest to the pose.
+        """
+        if self.model.articulation is None:
+            return self.model.surface
+        travelled, _ = self._way.to_frenet(pose[:2, 3])
+        return self.model.articulation.surface_at(float(travelled))
+
+    @cached_property
+    def _way(self) -> Polyline:
+        return Polyline.from_points(self.trajectory.poses[:, :2, 3])
+
 
 @dataclass(frozen=True)
 class World:
     """A drive that can be looked at from anywhere.
 
     Attributes:
-        name, seed, seconds: give this world again, see `make_world`.
+        name, seed, seconds, people: give this world again, see `make_world`.
         street: what never moves.
-        vehicles: by track id, the ego not among them.
+        vehicles: vehicles and people by track id, the ego not among them.
         ego: `world_from_rig`.
         target: track id of the vehicle that the scene was made to ask about.
         light: how cameras are lit, in the log and by the oracle.
+        people: whether pedestrians and cyclists are among the vehicles.
     """
 
     name: str
@@ -136,3 +163,4 @@ class World:
     ego: Trajectory
     target: str
     light: Quality = "standard"
+    people: bool = False

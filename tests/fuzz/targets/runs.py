@@ -8,6 +8,7 @@ from evaluation.rollouts import make_rollout
 from fuzz.target import Target
 from recast.actors.coverage import NOTHING, Coverage
 from recast.pipeline.config import RunConfig, read_run_config
+from recast.pipeline.layout import use_name
 from recast.pipeline.run_folder import RunFolder
 from recast.simulation import MOTIONS, load_rollout, save_rollout, scenario_record
 from recast.simulation.coverage import ImageCoverage, RolloutCoverage
@@ -34,14 +35,33 @@ def _config() -> RunConfig:
 
 
 def _write_run(folder: Path) -> None:
-    RunFolder.create_or_resume(folder / "run", _config().resolved(), "log", "0" * 32)
+    run = RunFolder.create_or_resume(
+        folder / "run", _config().resolved(), folder / "log", "0" * 32, str(folder / "store")
+    )
+    store = run.store()
+    made = store.make("scenes", {"log": "0" * 32}, _write_artefact, name="street")
+    run.refer(store, {use_name("scene", "recast"): made}, whole=True)
+
+
+def _write_artefact(folder: Path) -> None:
+    (folder / "scene.json").write_text("{}")
+
+
+def _open_run(folder: Path) -> None:
+    """What `recast report` and `recast store` do with a run folder and its store."""
+    run = RunFolder.open(folder / "run")
+    assert run.config
+    store = run.store()
+    for use in run.record.artefacts:
+        run.artefact(store, use)
+    store.unused()
 
 
 TARGETS = (
     Target("scenario", _write_scenario, lambda f, out: read_scenario(f / "my.yaml"), weight=10.0),
     Target("run-config", lambda f: write_json(f / "config.json", _config().resolved()),
            lambda f, out: read_run_config(f / "config.json"), weight=10.0),
-    Target("run-folder", _write_run, lambda f, out: RunFolder.open(f / "run"), weight=6.0),
+    Target("run-folder", _write_run, lambda f, out: _open_run(f), weight=6.0),
     Target("coverage", lambda f: save_coverage(_COVERAGE, f / "coverage.parquet"),
            lambda f, out: load_coverage(f / "coverage.parquet"), weight=6.0),
     Target("rollout", lambda f: save_rollout(make_rollout(steps=20), f / "states"),

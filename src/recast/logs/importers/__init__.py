@@ -1,4 +1,4 @@
-"""Importers of other datasets' drives. Each writes the same log folder; see docs/data.md."""
+"""Importers of other datasets' drives: each returns a driving log; see docs/data.md."""
 
 from __future__ import annotations
 
@@ -6,28 +6,33 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
+from recast.logs.types import DrivingLog
 from recast.parts import IMPORTERS
 
 
 class LogImporter(Protocol):
-    """Turns one recorded drive of a dataset into a log folder."""
+    """Reads one recorded drive of a dataset as a driving log."""
 
     def __call__(
         self,
         root: Path,
         drive: str,
-        out: Path,
         labels: Path | None = None,
         cameras: Sequence[str] = (),
-    ) -> None:
-        """Import `drive` of the dataset under `root` into the new folder `out`.
+    ) -> DrivingLog:
+        """The log of `drive` in the dataset under `root`; nothing is written.
+
+        It may have further options, with defaults.
 
         Args:
             root: the dataset's folder.
             drive: the drive's name in the dataset.
-            out: log folder to write; it appears whole or not at all.
-            labels: box labels where they lie apart from the drive.
+            labels: box labels that lie apart from the drive.
             cameras: names of the cameras to import; all if empty.
+
+        Returns:
+            the log in recast's frames and units, see `DrivingLog`; images and sweeps are lazy
+            sequences, so that a long drive needs no more memory than a short one.
 
         Raises:
             InputError: the dataset's files are missing, broken or do not belong together.

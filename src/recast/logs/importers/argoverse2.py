@@ -1,4 +1,4 @@
-"""Argoverse 2 sensor logs: poses, boxes, LiDAR, cameras and HD map into a log folder.
+"""Argoverse 2 sensor logs: poses, boxes, LiDAR, cameras and HD map as a driving log.
 
 Source: Wilson et al., "Argoverse 2: Next Generation Datasets for Self-Driving Perception and
 Forecasting" (NeurIPS 2021), and the layout of the sensor dataset.
@@ -30,9 +30,7 @@ from recast.logs.importers.argoverse2_tables import POSE, TIME, poses, read_colu
 from recast.logs.importers.cameras import chosen_cameras
 from recast.logs.importers.image_files import ImageFiles
 from recast.logs.importers.valid import returns_valid
-from recast.logs.store import write_log
 from recast.logs.types import Array, CameraStream, DrivingLog, LidarStream, Trajectory
-from recast.storage import require_new
 
 LICENCE = "CC BY-NC-SA 4.0"
 
@@ -43,37 +41,20 @@ RIG_FROM_EGO = se3.from_rotation_translation(np.eye(3), [0.0, 0.0, AXLE_HEIGHT])
 LONGEST_GAP_US = 1_000_000
 
 
-def import_argoverse2(
-    root: Path,
-    drive: str,
-    out: Path,
-    labels: Path | None = None,
-    cameras: Sequence[str] = (),
-) -> None:
-    """Import one Argoverse 2 sensor log, with its map, into the new log folder `out`.
-
-    Args:
-        root: folder that holds the log, or the splits (train, val, test).
-        drive: the log's id.
-        out: log folder to write; it appears whole or not at all.
-        labels: annotations in the dataset's own format where they lie apart from the log.
-        cameras: names of the cameras to import, such as ring_front_center; all if empty.
-
-    Raises:
-        InputError: files are missing, broken or do not belong together; nothing is written then.
-    """
-    require_new(out)
-    write_log(load_argoverse2(root, drive, labels, cameras), out)
-
-
 @returns_valid
 def load_argoverse2(
     root: Path, drive: str, labels: Path | None = None, cameras: Sequence[str] = ()
 ) -> DrivingLog:
-    """Read an Argoverse 2 sensor log; images and sweeps stay in its files until asked for.
+    """Read an Argoverse 2 sensor log with its map; images and sweeps are decoded when asked for.
+
+    Args:
+        root: folder that holds the log, or the splits (train, val, test).
+        drive: the log's id.
+        labels: annotations in the dataset's own format, if they lie apart from the log.
+        cameras: names of the cameras to read, such as ring_front_center; all if empty.
 
     Raises:
-        InputError: see `import_argoverse2`.
+        InputError: files are missing, broken or do not belong together.
     """
     folder = find_log(Path(root), drive)
     calibration = _calibration(folder)

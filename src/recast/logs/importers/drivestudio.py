@@ -1,4 +1,4 @@
-"""DriveStudio's processed Waymo scenes: poses, boxes, LiDAR and images into a log folder.
+"""DriveStudio's processed Waymo scenes: poses, boxes, LiDAR and images as a driving log.
 
 Source: Chen et al., "OmniRe: Omni Urban Scene Reconstruction" (ICLR 2025), and the layout that its
 framework's preprocessing writes.
@@ -27,47 +27,28 @@ from recast.logs.importers.processed_folder import (
 from recast.logs.importers.valid import returns_valid
 from recast.logs.importers.waymo_schema import LICENCE
 from recast.logs.importers.waymo_values import WAYMO_FROM_OPENCV
-from recast.logs.store import write_log
 from recast.logs.types import CameraStream, DrivingLog, Trajectory
-from recast.storage import require_new
 
 FRAME_US = 100_000
 """The folder has no times; Waymo's frames are ten a second."""
 _MEND = "process the scene again"
 
 
-def import_drivestudio(
-    root: Path,
-    drive: str,
-    out: Path,
-    labels: Path | None = None,
-    cameras: Sequence[str] = (),
-) -> None:
-    """Import one processed Waymo scene into the new log folder `out`; it has no map.
-
-    Args:
-        root: folder that holds the scenes, or the scene itself.
-        drive: the scene's folder, such as 023.
-        out: log folder to write; it appears whole or not at all.
-        labels: another file in the format of instances/instances_info.json.
-        cameras: names of the cameras to import, Waymo's, such as FRONT; all if empty.
-
-    Raises:
-        InputError: files are missing, broken or do not belong together, or the scene is not
-            Waymo's; nothing is written then.
-    """
-    require_new(out)
-    write_log(load_drivestudio(root, drive, labels, cameras), out)
-
-
 @returns_valid
 def load_drivestudio(
     root: Path, drive: str, labels: Path | None = None, cameras: Sequence[str] = ()
 ) -> DrivingLog:
-    """Read a processed scene; images and sweeps stay in its files until asked for.
+    """Read a processed Waymo scene, without a map; images and sweeps are decoded when asked for.
+
+    Args:
+        root: folder that holds the scenes, or the scene itself.
+        drive: the scene's folder, such as 023.
+        labels: another file in the format of instances/instances_info.json.
+        cameras: Waymo's names of the cameras to read, such as FRONT; all if empty.
 
     Raises:
-        InputError: see `import_drivestudio`.
+        InputError: files are missing, broken or do not belong together, or the scene is not
+            Waymo's.
     """
     scene = find_scene(Path(root), drive, "DriveStudio")
     _check_is_waymo(scene)

@@ -1,4 +1,4 @@
-"""KITTI raw: one synchronised and rectified drive into a log folder.
+"""KITTI raw: one synchronised and rectified drive as a driving log.
 
 Sensors keep their own timestamps, less the delay of the images. Sweeps as recorded are smeared by
 the ego motion of one turn: every point gets the time at which the scanner pointed at it, and the
@@ -34,7 +34,6 @@ from recast.logs.importers.kitti_velodyne import (
 from recast.logs.importers.pose_jumps import first_jump
 from recast.logs.importers.valid import returns_valid
 from recast.logs.refine_trajectory import heading_offset, refine_trajectory
-from recast.logs.store import write_log
 from recast.logs.types import (
     Array,
     CameraStream,
@@ -43,7 +42,6 @@ from recast.logs.types import (
     LidarStream,
     Trajectory,
 )
-from recast.storage import require_new
 
 VELODYNE = "velodyne"
 GREY = ("image_00", "image_01")
@@ -52,53 +50,41 @@ LONGEST_DELAY_US = 100_000  # a turn of the scanner
 LICENCE = "CC BY-NC-SA 3.0"
 
 
-def import_kitti(
-    root: Path,
-    drive: str,
-    out: Path,
-    labels: Path | None = None,
-    cameras: Sequence[str] = (),
-    refine: bool = True,
-) -> None:
-    """Import one KITTI raw drive, with a map derived from it, into the new log folder `out`.
-
-    Args:
-        root: folder that holds the day folders ("2011_09_26").
-        drive: "2011_09_26_drive_0013", with or without "_sync".
-        out: log folder to write; it appears whole or not at all.
-        labels: a KITTI tracking label file (.txt) or tracklet_labels.xml; without one, the drive's
-            own tracklet_labels.xml is taken where it exists.
-        cameras: image folders to take; none named means image_02 and image_03, as far as there
-            are, for a scene cannot learn colours from the grey images of image_00 and image_01.
-        refine: correct the GPS/IMU poses by matching sweeps; without it static things are smeared
-            by decimetres.
-
-    Raises:
-        InputError: files are missing, broken or do not belong together; nothing is written then.
-    """
-    require_new(out)
-    log = load_kitti(root, drive, labels, cameras, refine)
-    if ego_path(log.world_from_rig) is not None:
-        log = replace(log, map=derive_map(log))
-    write_log(log, out)
-
-
-@returns_valid
 def load_kitti(
     root: Path,
     drive: str,
     labels: Path | None = None,
     cameras: Sequence[str] = (),
     refine: bool = True,
+    with_map: bool = True,
 ) -> DrivingLog:
-    """Read a KITTI raw drive as a log; images and sweeps stay in its files until asked for.
+    """Read a KITTI raw drive; images and sweeps are decoded when asked for.
 
     Args:
-        refine: correct the GPS/IMU poses by matching sweeps.
+        root: folder that holds the day folders ("2011_09_26").
+        drive: "2011_09_26_drive_0013", with or without "_sync".
+        labels: a KITTI tracking label file (.txt) or tracklet_labels.xml; None for the drive's own
+            tracklet_labels.xml, if there is one.
+        cameras: image folders to read; if empty, image_02 and image_03, as far as they are there,
+            because a scene cannot learn colours from the grey images of image_00 and image_01.
+        refine: correct the GPS/IMU poses by matching sweeps; without it, static objects are smeared
+            by decimetres.
+        with_map: derive a map from the drive (see `derive_map`), which takes seconds.
 
     Raises:
-        InputError: see `import_kitti`.
+        InputError: files are missing, broken or do not belong together.
     """
+    log = _read(root, drive, labels, cameras, refine)
+    if with_map and ego_path(log.world_from_rig) is not None:
+        return replace(log, map=derive_map(log))
+    return log
+
+
+@returns_valid
+def _read(
+    root: Path, drive: str, labels: Path | None, cameras: Sequence[str], refine: bool
+) -> DrivingLog:
+    """The drive without a map."""
     files = kitti_files.find_drive(Path(root), drive)
     taken = _cameras(files, cameras)
     calibration = read_calibration(files.calibration, taken)

@@ -1,4 +1,4 @@
-"""nuScenes scenes: poses, boxes, LiDAR and cameras of the JSON tables into a log folder.
+"""nuScenes scenes: poses, boxes, LiDAR and cameras of the JSON tables as a driving log.
 
 Source: Caesar et al., "nuScenes: A multimodal dataset for autonomous driving" (CVPR 2020), and the
 dataset's published schema.
@@ -20,50 +20,32 @@ from recast.logs.importers.nuscenes_labels import read_tracks
 from recast.logs.importers.nuscenes_sensors import NuScenesSweeps, camera_of, pose_of
 from recast.logs.importers.nuscenes_tables import LogRow, SampleRow, SceneRow, linked, select
 from recast.logs.importers.valid import returns_valid
-from recast.logs.store import write_log
 from recast.logs.types import CameraStream, DrivingLog, LidarStream
-from recast.storage import require_new
 
 LICENCE = "CC BY-NC-SA 4.0"
 _LISTED = 5
 """Names of other scenes in a message; a split has hundreds."""
 
 
-def import_nuscenes(
-    root: Path,
-    drive: str,
-    out: Path,
-    labels: Path | None = None,
-    cameras: Sequence[str] = (),
-) -> None:
-    """Import one nuScenes scene into the new log folder `out`; it has no map.
+@returns_valid
+def load_nuscenes(
+    root: Path, drive: str, labels: Path | None = None, cameras: Sequence[str] = ()
+) -> DrivingLog:
+    """Read a nuScenes scene, without a map; images and sweeps are decoded when asked for.
 
     Args:
         root: the dataset's folder, which holds v1.0-mini, v1.0-trainval or v1.0-test, samples and
-            sweeps. Without the folder sweeps, key frames alone are read.
+            sweeps. Without the folder sweeps, only key frames are read.
         drive: the scene's name, such as scene-0061.
-        out: log folder to write; it appears whole or not at all.
-        labels: must be None: the tables hold the boxes.
-        cameras: names of the cameras to import, such as CAM_FRONT; all if empty. The files of
+        labels: must be None, since the tables hold the boxes.
+        cameras: names of the cameras to read, such as CAM_FRONT; all if empty. The files of
             others need not be there.
 
     Raises:
-        InputError: tables or files are missing, broken or do not belong together; nothing is
-            written then.
+        InputError: tables or files are missing, broken or do not belong together.
     """
-    require_new(out)
     if labels is not None:
         raise InputError(labels, "labels", "nuScenes tables hold the boxes", "leave the option out")
-    write_log(load_nuscenes(root, drive, cameras), out)
-
-
-@returns_valid
-def load_nuscenes(root: Path, drive: str, cameras: Sequence[str] = ()) -> DrivingLog:
-    """Read a nuScenes scene; images and sweeps stay in its files until asked for.
-
-    Raises:
-        InputError: see `import_nuscenes`.
-    """
     root = Path(root)
     tables, scene = _find_scene(root, drive)
     recording = linked(tables, "log", LogRow, [scene], "scene", "log_token")[scene.log_token]

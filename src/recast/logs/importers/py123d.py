@@ -22,9 +22,7 @@ from recast.logs.importers.py123d_map import read_map
 from recast.logs.importers.py123d_sensors import matrix, read_cameras, read_lidars, reading
 from recast.logs.importers.py123d_tracks import read_tracks
 from recast.logs.importers.valid import returns_valid
-from recast.logs.store import write_log
 from recast.logs.types import Array, DrivingLog, Trajectory
-from recast.storage import require_new
 from recast.tables import check_batches
 
 SYNC = "sync.arrow"
@@ -33,39 +31,24 @@ _LARGEST_BATCH = 1 << 30
 """Bytes in memory."""
 
 
-def import_py123d(
-    root: Path,
-    drive: str,
-    out: Path,
-    labels: Path | None = None,
-    cameras: Sequence[str] = (),
-) -> None:
-    """Import one log, with its map where it has one, into the new log folder `out`.
+@returns_valid
+def load_py123d(
+    root: Path, drive: str, labels: Path | None = None, cameras: Sequence[str] = ()
+) -> DrivingLog:
+    """Read a log, with its map if it has one; images and sweeps are decoded when asked for.
 
     Args:
         root: py123d's data folder, which holds `logs` and `maps`.
         drive: the log's name.
-        out: log folder to write; it appears whole or not at all.
-        labels: not known for this format.
-        cameras: names of the cameras to import, as py123d has them; all if empty.
+        labels: must be None, since a log holds its own.
+        cameras: py123d's names of the cameras to read; all if empty.
 
     Raises:
         InputError: py123d is not installed or cannot read the log, or the log lacks what is
-            needed; nothing is written then.
+            needed.
     """
     if labels is not None:
         raise InputError(labels, "labels", "a log holds its own", "leave the option out")
-    require_new(out)
-    write_log(load_py123d(root, drive, cameras), out)
-
-
-@returns_valid
-def load_py123d(root: Path, drive: str, cameras: Sequence[str] = ()) -> DrivingLog:
-    """Read a log; images and sweeps stay in its files until asked for.
-
-    Raises:
-        InputError: see `import_py123d`.
-    """
     folder = find_log(Path(root), drive)
     scene_type = _scene_type()
     for path in sorted(folder.glob("*.arrow")):  # py123d maps them into memory as they are

@@ -1,4 +1,4 @@
-"""Street Gaussians' processed Waymo scenes: poses, boxes, points and images into a log folder.
+"""Street Gaussians' processed Waymo scenes: poses, boxes, points and images as a driving log.
 
 Source: Yan et al., "Street Gaussians: Modeling Dynamic Urban Scenes with Gaussian Splatting" (ECCV
 2024), and the layout that its preprocessing writes.
@@ -20,43 +20,23 @@ from recast.logs.importers.street_gaussians_points import read_lidar
 from recast.logs.importers.street_gaussians_tracks import read_tracks
 from recast.logs.importers.valid import returns_valid
 from recast.logs.importers.waymo_schema import LICENCE
-from recast.logs.store import write_log
 from recast.logs.types import CameraStream, DrivingLog
-from recast.storage import require_new
-
-
-def import_street_gaussians(
-    root: Path,
-    drive: str,
-    out: Path,
-    labels: Path | None = None,
-    cameras: Sequence[str] = (),
-) -> None:
-    """Import one processed scene into the new log folder `out`; it has no map.
-
-    Args:
-        root: folder that holds the scenes, or the scene itself.
-        drive: the scene's folder, such as 002.
-        out: log folder to write; it appears whole or not at all.
-        labels: another file in the format of track/track_info.txt, such as a tracker's.
-        cameras: names of the cameras to import, Waymo's, such as FRONT; all if empty.
-
-    Raises:
-        InputError: files are missing, broken, hold pickled objects or do not belong together;
-            nothing is written then.
-    """
-    require_new(out)
-    write_log(load_street_gaussians(root, drive, labels, cameras), out)
 
 
 @returns_valid
 def load_street_gaussians(
     root: Path, drive: str, labels: Path | None = None, cameras: Sequence[str] = ()
 ) -> DrivingLog:
-    """Read a processed scene; images and sweeps stay in its files until asked for.
+    """Read a processed Waymo scene, without a map; images and sweeps are decoded when asked for.
+
+    Args:
+        root: folder that holds the scenes, or the scene itself.
+        drive: the scene's folder, such as 002.
+        labels: another file in the format of track/track_info.txt, such as a tracker's.
+        cameras: Waymo's names of the cameras to read, such as FRONT; all if empty.
 
     Raises:
-        InputError: see `import_street_gaussians`.
+        InputError: files are missing, broken, hold pickled objects or do not belong together.
     """
     scene = find_scene(Path(root), drive, "Street Gaussians")
     mounted = {camera.name: camera for camera in read_cameras(scene)}

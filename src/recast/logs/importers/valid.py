@@ -1,4 +1,4 @@
-"""What every importer's `load_*` promises of the log that it returns."""
+"""What every importer promises of the log that it returns."""
 
 from __future__ import annotations
 

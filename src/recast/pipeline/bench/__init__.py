@@ -1,4 +1,4 @@
-"""The paper's closed-loop protocol: scenes x motions x settings x methods, as one command."""
+"""The paper's closed-loop protocol: scenes x motions x settings x arms, as one command."""
 
 from recast.pipeline.bench.closed_loop import run_closed_loop
 from recast.pipeline.bench.options import resolve_bench

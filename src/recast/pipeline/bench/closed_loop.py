@@ -1,8 +1,7 @@
 """`recast bench closed-loop`: the whole grid, from scenes to the paper's table.
 
 OUT/bench.json         what the grid is
-OUT/scenes/ID/log      a synthetic scene's log
-OUT/scenes/ID/run      an ordinary run (docs/runs.md)
+OUT/scenes/ID          an ordinary run folder (docs/runs.md)
 OUT/rollouts.parquet   one row a rollout (docs/bench.md)
 OUT/results.json       tables, paired differences, agreement with the truth
 OUT/times.json         where the time went
@@ -11,7 +10,7 @@ OUT/times.json         where the time went
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,27 +19,36 @@ from rich.markup import escape
 
 from recast import storage
 from recast.actors import segmenter_of
+from recast.core import Store, open_store
 from recast.crews import Crew, crew_of
 from recast.errors import InputError, printable
 from recast.evaluation.grid_file import write_rows
 from recast.logs import read_log
 from recast.pipeline.actor import generator_of
+from recast.pipeline.arms import truth_of
+from recast.pipeline.bench.courier import Courier, work_off
+from recast.pipeline.bench.desk import SceneDesk
 from recast.pipeline.bench.display import differences_table, grid_table, times_line, truth_table
 from recast.pipeline.bench.results import GridResults, results_json, summarise
 from recast.pipeline.bench.schedule import Schedule
 from recast.pipeline.bench.settings import RESULTS_FILE, ROLLOUTS_FILE, BenchSettings, begin
-from recast.pipeline.bench.tasks import RolloutTask
+from recast.pipeline.bench.tasks import Outcome, RolloutTask, Task
 from recast.pipeline.bench.times import Times
-from recast.pipeline.bench.worker import start_worker
-from recast.pipeline.display import FrameProgress
-from recast.pipeline.planner import announce_planner, planner_mounts, run_mounts
+from recast.pipeline.bench.worker import BenchWorker, start_worker
+from recast.pipeline.display import FrameProgress, failure_lines
+from recast.pipeline.planner import (
+    announce_planner,
+    planner_mounts,
+    require_distinct_planners,
+    run_mounts,
+)
+from recast.pipeline.run import STORE_FOLDER
 from recast.planning import CameraMount, Planner, make_planner
 from recast.simulation import camera_mount
 from recast.synthetic import check_drive, world_of
 from recast.synthetic.rendering import require_embree
 from recast.synthetic.rig import make_rig
 
-_FINISHED = "finished rollouts"
 _SHOWN_FAILURES = 6
 
 
@@ -52,6 +60,7 @@ def run_closed_loop(
     workers: int = 1,
     ray: str | None = None,
     retry_failures: bool = False,
+    store: str | Path | None = None,
 ) -> GridResults:
     """Make what is not finished yet, score, compare, write and print it all.
 
@@ -63,26 +72,31 @@ def run_closed_loop(
         out: new, empty, or of this very grid.
         console: shows progress and tables.
         workers: processes of this machine, or actors of the cluster.
-        ray: address of a Ray cluster that shares this file system, or None for none.
+        ray: address of a Ray cluster, or None for none. Its machines need share no folder: logs
+            and artefacts travel through Ray. Planners, models, vehicles' files and scenes that are
+            named by their path must lie on every machine.
         retry_failures: run rollouts again that failed in an earlier try.
+        store: folder or address of the artefacts; beside `out` where none is named.
 
     Raises:
         InputError: bad settings, another grid in `out`, or another process at work there, before
             anything is written; or a worker was killed.
     """
     crew = crew_of(workers, ray)
-    planner = _check(settings)
-    begin(out, settings)
-    _announce(settings, planner, console)
-    if ray is not None:  # its workers have another working folder
-        logs = (scene.log for scene in settings.scenes)
-        scenes = tuple(
-            replace(scene, log=None if log is None else log.absolute())
-            for scene, log in zip(settings.scenes, logs, strict=True)
-        )
-        settings, out = replace(settings, scenes=scenes), out.absolute()
+    place = str(out.absolute().parent / STORE_FOLDER if store is None else store)
+    opened = open_store(place)
+    planners = check_grid(settings)
+    begin(out, settings.record())
+    for planner in planners.values():
+        _announce(settings, planner, console)
+    names = {word: planner.name for word, planner in planners.items()}
+    if ray is not None:
+        settings = settings.absolute()
     with storage.alone_in(out):  # for its workers, too, which ask for nothing
-        results, spent = _make(settings, out, console, crew, planner.name, workers, retry_failures)
+        results, spent = _make(
+            settings, out, console, crew, names, opened, place if ray is None else None, workers,
+            retry_failures,
+        )  # fmt: skip
     _print(results, settings, console)
     console.print(f"time: {times_line(spent)}", markup=False, highlight=False)
     console.print(f"wrote {out}", markup=False)
@@ -94,44 +108,70 @@ def _make(
     out: Path,
     console: Console,
     crew: Crew,
-    planner: str,
+    names: Mapping[str, str],
+    store: Store,
+    place: str | None,
     workers: int,
     retry_failures: bool,
 ) -> tuple[GridResults, dict[str, Any]]:
-    """Make and write everything; return the results and the contents of times.json."""
-    schedule, times = Schedule(settings, planner), Times(out, workers)
+    """Make and write everything; return the results and the contents of times.json.
+
+    Args:
+        names: planners' names in results, by the word that asks for them.
+        place: the store, for workers that can open it; None where artefacts travel with tasks.
+    """
+    desk = SceneDesk(settings, out, store, names)
+    schedule, times = Schedule(settings, names, desk.score), Times(out, workers)
     began = time.perf_counter()
-    arguments = (out, settings, retry_failures)
+    courier = None
+    if place is None:
+        courier = Courier(
+            store, settings, lambda finds: BenchWorker(finds, settings, retry_failures, None)
+        )
+    arguments = (place, settings, retry_failures, None if courier is None else courier.fetch)
+
+    def done(task: Task, outcome: Outcome) -> None:
+        desk.note(task, outcome)
+        schedule.note(task, outcome)
+        bar.reach(schedule.done, schedule.total)
+        if isinstance(task, RolloutTask) and outcome.times is not None:
+            times.note(task, outcome.times, time.perf_counter() - began)
+
     with FrameProgress(console, schedule.total, "scenes and rollouts") as bar:
-        for task, outcome in crew(start_worker, arguments, schedule.take, _FINISHED):
-            schedule.note(task, outcome)
-            bar.reach(schedule.done, schedule.total)
-            if isinstance(task, RolloutTask) and outcome.times is not None:
-                times.note(task, outcome.times, time.perf_counter() - began)
-    spent = times.write(time.perf_counter() - began, settings)
+        work_off(crew, start_worker, arguments, schedule, courier, done)
+    spent = times.write(time.perf_counter() - began, settings, desk.seconds())
     results = summarise(schedule.rows(), settings)
-    write_rows(results.rows, out / ROLLOUTS_FILE)
+    write_rows(results.rows, out / ROLLOUTS_FILE, truth_of(settings.run.arms))
     storage.write_json(out / RESULTS_FILE, results_json(results, settings))
     return results, spent
 
 
-def _check(settings: BenchSettings) -> Planner:
-    """Refuse what cannot work before anything is written; return the planner."""
+def check_grid(settings: BenchSettings) -> dict[str, Planner]:
+    """Refuse what cannot work before anything is written; return the planners by their words.
+
+    Raises:
+        InputError: an arm, a planner or a scene cannot be had.
+    """
     config, size = settings.run, settings.drive
-    planner = make_planner(config.planner, config.planner_device)
-    generator_of(config.generator, config.axes)
-    segmenter_of(config.segmenter)
+    planners = {word: make_planner(word, config.planner_device) for word in config.planners}
+    require_distinct_planners(planners)
+    for scene in settings.scenes:
+        for arm in (config.arm(arm.name).of_scene(scene.id) for arm in config.arms):
+            if arm.generates:
+                generator_of(str(arm.generator), str(arm.axes))
+                segmenter_of(str(arm.segmenter))
     synthetic = [scene for scene in settings.scenes if scene.log is None]
-    if synthetic or "oracle" in config.methods:
+    compares = truth_of(config.arms) is not None
+    if synthetic or compares:
         require_embree()
     for scene in settings.scenes:
-        if scene.log is not None and "oracle" in config.methods:
+        if scene.log is not None and compares:
             world_of(read_log(scene.log))
     if synthetic:
         make_rig(size.width, size.height, config.scene.cameras or None)
     for scene in synthetic:
         check_drive(str(scene.world), scene.seed or 0, size.seconds)
-    return planner
+    return planners
 
 
 def _announce(settings: BenchSettings, planner: Planner, console: Console) -> None:
@@ -157,19 +197,32 @@ def _synthetic_mounts(settings: BenchSettings) -> dict[str, CameraMount]:
 
 def _print(results: GridResults, settings: BenchSettings, console: Console) -> None:
     config = settings.run
-    title = (
-        f"{config.planner} in closed loop: {len(settings.scenes)} scenes x "
-        f"{len(config.motions)} motions and settings, {len(config.methods)} methods"
-    )
-    console.print(grid_table(results.table, escape(printable(title))))
-    if results.differences:
-        console.print(differences_table(results.differences))
-    if results.truth:
-        console.print(truth_table(results.truth))
-    failed = [row for row in results.rows if row.failure is not None]
-    for row in failed[:_SHOWN_FAILURES]:
-        where = f"{row.scene} {row.motion}-{row.setting} {row.method}"
-        console.print(printable(f"{where}: {row.failure_reason}"), markup=False, style="red")
-    if len(failed) > _SHOWN_FAILURES:
-        more = len(failed) - _SHOWN_FAILURES
-        console.print(f"and {more} more failures, see {RESULTS_FILE}", markup=False, style="red")
+    for planner in dict.fromkeys(row.planner for row in results.rows):
+        title = (
+            f"{planner} in closed loop: {len(settings.scenes)} scenes x "
+            f"{len(config.motions)} motions and settings, {len(config.arms)} arms"
+        )
+        table = [line for line in results.table if line.row.planner == planner]
+        console.print(grid_table(table, escape(printable(title))))
+        differences = [one for one in results.differences if one.planner == planner]
+        if differences:
+            console.print(differences_table(differences))
+        truth = [one for one in results.truth if one.planner == planner]
+        if truth:
+            console.print(truth_table(truth))
+    failed = [
+        {
+            "name": f"{row.scene} {row.motion}-{row.setting} {row.planner} {row.arm}",
+            "reason": str(row.failure_reason).replace(
+                f"rollout {row.motion}-{row.setting}-{row.arm}: ", ""
+            ),
+        }
+        for row in results.rows
+        if row.failure is not None
+    ]
+    lines = failure_lines(failed)
+    for line in lines[:_SHOWN_FAILURES]:
+        console.print(printable(line), markup=False, highlight=False, style="red")
+    if len(lines) > _SHOWN_FAILURES:
+        more = len(lines) - _SHOWN_FAILURES
+        console.print(f"and {more} more reasons, see {RESULTS_FILE}", markup=False, style="red")

@@ -10,7 +10,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from recast.evaluation.bootstrap import Bootstrap
-from recast.evaluation.grid_summary import MethodSummary, PairedDifference
+from recast.evaluation.grid_summary import ArmSummary, PairedDifference
 from recast.evaluation.table import COLUMNS
 from recast.evaluation.verdicts import Agreement
 
@@ -18,40 +18,38 @@ _HEADLINE = {name: column for name, column in COLUMNS.items() if column.headline
 _DIGITS = {"s": 2, "%": 1}
 
 
-def grid_table(lines: Sequence[MethodSummary], title: str) -> Table:
-    """A line for each method: means with their intervals over scenes.
+def grid_table(lines: Sequence[ArmSummary], title: str) -> Table:
+    """A line for each arm: means with their intervals over scenes.
 
-    Below its name stands how many rollouts were scored, of how many. A metric that not every one
+    Below the names stands how many rollouts were scored, of how many. A metric that not every one
     of them has says over how many it is.
     """
     table = _table(title)
-    table.add_column("method", no_wrap=True)
-    for column in _HEADLINE.values():
-        table.add_column(column.heading, no_wrap=True, justify="right")
+    _add_columns(table, ["arm"], [column.heading for column in _HEADLINE.values()])
     for line in lines:
         row = line.row
-        told = [row.method, f"{row.rollouts} of {row.asked}", f"{row.plans} plans"]
+        told = [broken_name(row.arm), f"{row.rollouts} of {row.asked}", f"{row.plans} plans"]
         told += [f"{n} {what}" for n, what in ((row.failed, "failed"), (row.cut, "cut")) if n]
         table.add_row("\n".join(told), *(_mean(line, name) for name in _HEADLINE))
     return table
 
 
 def differences_table(differences: Sequence[PairedDifference]) -> Table:
-    """A line for each headline metric of each method: its difference from the first method."""
+    """A line for each headline metric of each arm: its difference from the first arm."""
     level = 100 * differences[0].sampled.level
     scenes = max(one.scenes for one in differences)
-    baseline = f"minus\n{differences[0].baseline}"
+    baseline = f"minus\n{broken_name(differences[0].baseline)}"
     table = _table(f"paired differences, {scenes} scenes drawn whole")
-    for heading in (baseline, "metric", "mean", f"{level:g} % sampled", "exact", "pairs", "plans"):
-        left = heading in (baseline, "metric")
-        table.add_column(heading, no_wrap=True, justify="left" if left else "right")
+    figures = ["mean", f"{level:g} % sampled", "exact", "pairs", "plans"]
+    _add_columns(table, [baseline, "metric"], figures)
     for one in differences:
         if one.metric not in _HEADLINE:
             continue
         column = _HEADLINE[one.metric]
         digits = _DIGITS[column.unit]
         table.add_row(
-            one.candidate, f"{column.label} {column.unit}",
+            broken_name(one.candidate),
+            f"{column.label} {column.unit}",
             f"{one.sampled.point:+.{digits}f}", _signed(one.sampled, digits),
             "n/a" if one.exact is None else _signed(one.exact, digits),
             _pairs(one), str(one.plans),
@@ -60,21 +58,21 @@ def differences_table(differences: Sequence[PairedDifference]) -> Table:
 
 
 def truth_table(lines: Sequence[Agreement]) -> Table:
-    """A line for each method: whether its rollouts end as the oracle's do.
+    """A line for each arm: whether its rollouts end as the truth's do.
 
-    False are collisions that the oracle's rollouts do not have, missed are those that they have.
+    False are collisions that the truth's rollouts do not have, missed are those that they have.
     """
-    table = _table("against the truth (oracle)")
-    headings = ("method", "same verdict", "%", "false", "missed", "TTC error s", "pairs", "plans")
-    for heading in headings:
-        table.add_column(heading, no_wrap=True, justify="left" if heading == "method" else "right")
+    table = _table("against the truth")
+    figures = ["same verdict", "%", "false", "missed", "TTC error s", "pairs", "plans"]
+    _add_columns(table, ["arm"], figures)
     for one in lines:
         share = replace(
             one.share, point=100 * one.share.point, low=100 * one.share.low,
             high=100 * one.share.high,
         )  # fmt: skip
         table.add_row(
-            one.method, f"{one.agreeing}/{one.pairs}",
+            broken_name(one.arm),
+            f"{one.agreeing}/{one.pairs}",
             f"{share.point:.1f}\n{_range(share, 1)}",
             str(one.false_collisions), str(one.missed_collisions),
             "n/a" if one.ttc_error is None
@@ -105,7 +103,20 @@ def _table(title: str) -> Table:
     )
 
 
-def _mean(line: MethodSummary, name: str) -> str:
+def _add_columns(table: Table, words: Sequence[str], figures: Sequence[str]) -> None:
+    # Where a line is too long, only the first column, the arm's name, may give way.
+    for heading in words:
+        table.add_column(heading, overflow="fold", no_wrap=heading != words[0])
+    for heading in figures:
+        table.add_column(heading, no_wrap=True, justify="right")
+
+
+def broken_name(arm: str) -> str:
+    """The name of an arm as narrow columns break it."""
+    return arm.replace("+", "+\n")
+
+
+def _mean(line: ArmSummary, name: str) -> str:
     mean, digits = line.row.means[name], _DIGITS[COLUMNS[name].unit]
     if mean is None:
         return "n/a"

@@ -9,14 +9,15 @@ from typing import Any
 from recast.evaluation.bootstrap import Bootstrap
 from recast.evaluation.grid_row import GridRow
 from recast.evaluation.grid_summary import (
-    MethodSummary,
+    ArmSummary,
     PairedDifference,
-    method_summaries,
+    arm_summaries,
     paired_summaries,
 )
 from recast.evaluation.rounding import rounded
 from recast.evaluation.table import COLUMNS
-from recast.evaluation.verdicts import ORACLE, Agreement, agreements
+from recast.evaluation.verdicts import Agreement, agreements
+from recast.pipeline.arms import truth_of
 from recast.pipeline.bench.settings import BENCH_FORMAT, BENCH_VERSION, BenchSettings
 
 
@@ -26,25 +27,26 @@ class GridResults:
 
     Attributes:
         rows: of all rollouts.
-        table: a line for each method.
-        differences: of every method from the first.
-        truth: a line for each method that was compared with the oracle.
+        table: a line for each planner and arm.
+        differences: of every arm from the first, by planner.
+        truth: a line for each planner and arm that was compared with the truth.
     """
 
     rows: tuple[GridRow, ...]
-    table: tuple[MethodSummary, ...]
+    table: tuple[ArmSummary, ...]
     differences: tuple[PairedDifference, ...]
     truth: tuple[Agreement, ...]
 
 
 def summarise(rows: Sequence[GridRow], settings: BenchSettings) -> GridResults:
     """The results of all rows; the bootstrap draws by the grid's seed."""
-    samples, seed, methods = settings.samples, settings.run.seed, settings.run.methods
+    samples, seed, arms = settings.samples, settings.run.seed, settings.run.arms
+    truth = truth_of(arms)
     return GridResults(
         tuple(rows),
-        tuple(method_summaries(rows, samples, seed)),
-        tuple(paired_summaries(rows, methods[0], samples, seed)),
-        tuple(agreements(rows, samples, seed)) if ORACLE in methods else (),
+        tuple(arm_summaries(rows, samples, seed)),
+        tuple(paired_summaries(rows, arms[0].name, samples, seed)),
+        () if truth is None else tuple(agreements(rows, truth, samples, seed)),
     )
 
 
@@ -56,11 +58,11 @@ def results_json(results: GridResults, settings: BenchSettings) -> dict[str, Any
         {
             "format": BENCH_FORMAT,
             "version": BENCH_VERSION,
-            "planner": config.planner,
-            "baseline": config.methods[0],
+            "planners": list(config.planners),
+            "baseline": config.arms[0].name,
             "scenes": [scene.id for scene in settings.scenes],
             "motions": list(config.motions),
-            "methods": list(config.methods),
+            "arms": [arm.name for arm in config.arms],
             "steps": config.steps,
             "rollouts": len(results.rows),
             "failed": len(failed),
@@ -76,7 +78,7 @@ def results_json(results: GridResults, settings: BenchSettings) -> dict[str, Any
     return value
 
 
-def _line(line: MethodSummary) -> dict[str, Any]:
+def _line(line: ArmSummary) -> dict[str, Any]:
     return {
         **line.row.to_json(),
         "intervals": {name: _interval(one) for name, one in line.intervals.items()},
@@ -85,6 +87,7 @@ def _line(line: MethodSummary) -> dict[str, Any]:
 
 def _difference(one: PairedDifference) -> dict[str, Any]:
     return {
+        "planner": one.planner,
         "candidate": one.candidate,
         "baseline": one.baseline,
         "metric": one.metric,
@@ -115,7 +118,8 @@ def _failure(row: GridRow) -> dict[str, Any]:
         "scene": row.scene,
         "motion": row.motion,
         "setting": row.setting,
-        "method": row.method,
+        "planner": row.planner,
+        "arm": row.arm,
         "error": row.failure,
         "reason": row.failure_reason,
     }

@@ -1,4 +1,4 @@
-"""One scene of a grid: an ordinary run, of which each worker makes some of the rollouts."""
+"""One scene of a grid: its log, and the artefacts of an ordinary run on it."""
 
 from __future__ import annotations
 
@@ -6,63 +6,99 @@ from pathlib import Path
 
 from rich.console import Console
 
-from recast.logs import read_log
-from recast.pipeline.config import config_of
-from recast.pipeline.job import Job
-from recast.pipeline.layout import Method, rollout_folder
-from recast.pipeline.methods import Renderers
-from recast.pipeline.planner import run_mounts
-from recast.pipeline.run_folder import RunFolder
-from recast.pipeline.sources import Sources
-from recast.planning import make_planner
-from recast.simulation import Timings
-from recast.synthetic import world_of
+from recast.core import Artefact, Store, folder_hash
+from recast.pipeline.artefacts import Artefacts
+from recast.pipeline.bench.scenes import BenchScene
+from recast.pipeline.bench.settings import BenchSettings
+from recast.pipeline.drive import drive_log
+from recast.pipeline.making import copy_folder
+from recast.pipeline.source_log import SourceLog
+from recast.pipeline.sources import RECIPES, Sources
+from recast.synthetic import World, make_world, world_metadata
+
+LOG_FOLDER = "log"
+
+
+def log_artefact(store: Store, scene: BenchScene, settings: BenchSettings) -> Artefact:
+    """The log of a synthetic scene; or a copy of a recorded one, to travel to other machines.
+
+    Raises:
+        InputError: see `make_world` and `drive_log`.
+    """
+    if scene.log is not None:
+        path = scene.log
+        return store.make(
+            "logs", {"content": folder_hash(path)},
+            lambda out: copy_folder(path, out / LOG_FOLDER), name=scene.id,
+        )  # fmt: skip
+    assert scene.world is not None and scene.seed is not None
+    size, cameras = settings.drive, settings.run.scene.cameras
+    world = make_world(scene.world, scene.seed, size.seconds)
+    inputs = {
+        "world": world_metadata(world), "image_size": [size.width, size.height],
+        "cameras": list(cameras), "recipe": RECIPES["log"],
+    }  # fmt: skip
+    return store.make(
+        "logs", inputs,
+        lambda out: _drive(world, out / LOG_FOLDER, settings), name=scene.id,
+    )  # fmt: skip
+
+
+def _drive(world: World, path: Path, settings: BenchSettings) -> None:
+    size = settings.drive
+    image_size, cameras = (size.width, size.height), settings.run.scene.cameras
+    drive_log(world, path, image_size, cameras, 1, Console(quiet=True))
 
 
 class SceneRun:
-    """The run of a scene, opened; close it.
-
-    Opening makes actor, scene and evaluation where they are not finished, as far as anything is
-    rendered: a planner that reads states, without films, needs none of them.
+    """The artefacts of a scene; close it.
 
     Args:
-        path: run folder, begun with `RunFolder.create_or_resume`.
-        sources: what stands for the exchangeable parts, taken before any of them was loaded.
+        store: of the artefacts.
+        scene: which.
+        settings: of the grid.
+        log: the artefact of its log; None for one in a folder of its own.
+        known: see `Sources.of`.
 
     Raises:
-        InputError: a faulty log or folder, or a camera that the planner wants and the log lacks.
+        InputError: a faulty log, or a camera that a planner wants and the log lacks.
     """
 
-    def __init__(self, path: Path, sources: Sources) -> None:
-        folder = RunFolder.open(path)
-        config = config_of(folder)
-        log = read_log(folder.record.log.path)
-        planner = make_planner(config.planner, config.planner_device)
-        looks = config.films or planner.needs_images
-        methods = set(config.methods) if looks else set()
-        world = world_of(log) if "oracle" in methods else None
-        mounts = run_mounts(log, planner, config)
-        self._renderers = Renderers(path, world, mounts, oracle_workers=1)
+    def __init__(
+        self,
+        store: Store,
+        scene: BenchScene,
+        settings: BenchSettings,
+        log: Artefact | None,
+        known: Sources | None = None,
+    ) -> None:
+        self.log = log
+        path = scene.log if log is None else log.path / LOG_FOLDER
+        assert path is not None  # synthetic logs are artefacts
+        source = SourceLog.open(path)
+        track = source.log.metadata["target"] if scene.track is None else scene.track
+        config = settings.run_of(track)
+        sources = Sources.of(config, scene.id, known)
         console = Console(quiet=True)
-        self.job = Job(log, world, folder, config, sources, planner, self._renderers, console)
-        self._actor = self.job.make_actor() if "replaced" in methods else None
-        self._scene = self.job.make_scene() if methods - {"oracle"} else None
-        if self._actor is not None and self._scene is not None:
-            self._actor = self.job.refine_actor(self._scene, self._actor)
-        self._evaluation = None if self._scene is None else self.job.evaluate(self._scene)
+        self.artefacts = Artefacts(store, source, config, sources, console, scene.id, 1)
+        if log is not None:
+            self.artefacts.used["log"] = log
 
-    def rollout_folder(self, motion: str, method: Method) -> Path:
-        """Where a rollout lies."""
-        return rollout_folder(self.job.path, motion, method)
+    def prepare(self) -> None:
+        """Make streets and vehicles, as far as anything is rendered.
 
-    def make_rollout(self, motion: str, method: Method, timings: Timings) -> str:
-        """One rollout, see `Job.make_rollout`."""
-        return self.job.make_rollout(motion, method, self._scene, self._actor, timings)
+        A planner that reads states, without films, needs none of them.
+        """
+        for planner in self.artefacts.config.planners:
+            self.artefacts.mounts(planner)
+        for arm in self.artefacts.arms.values():
+            self.artefacts.prepare(arm, further=False)
 
-    def score(self, rollouts: dict[str, str]) -> str:
-        """metrics.json, see `Job.score`."""
-        return self.job.score(rollouts, self._evaluation, self._actor)
+    @property
+    def path(self) -> Path:
+        """The folder of the log."""
+        return self.artefacts.source.path
 
-    def close(self) -> None:
-        """Let go of the renderers."""
-        self._renderers.__exit__(None, None, None)
+    def used(self) -> dict[str, str]:
+        """References by use."""
+        return {use: one.reference for use, one in self.artefacts.used.items()}

@@ -10,6 +10,7 @@ from pathlib import Path
 from recast.errors import InputError
 from recast.logs import read_log
 from recast.names import folder_name
+from recast.pipeline.paper import AUTO_TRACK, choose_target
 from recast.synthetic import SCENES
 
 ALL_SYNTHETIC = "synthetic"
@@ -41,7 +42,8 @@ def parse_scenes(words: Sequence[str], seed: int, track: str | None = None) -> l
             word "synthetic", for all of them; a log folder with its target, LOG:TRACK; or a log
             folder alone, if `track` is given.
         seed: of synthetic scenes without one.
-        track: of log folders without one.
+        track: of log folders without one. The track `auto` is the one that `choose_target`
+            chooses.
 
     Raises:
         InputError: no scene; an unknown one; a log that cannot be read or lacks the track; the same
@@ -90,6 +92,8 @@ def _synthetic(name: str, seed: int) -> BenchScene:
 
 def _recorded(path: Path, track: str) -> BenchScene:
     log = read_log(path)
+    if track == AUTO_TRACK:
+        track = choose_target(log)
     if track not in log.tracks:
         raise InputError(
             path, f"track {track}", "is not in the log", f"choose one of {', '.join(log.tracks)}"

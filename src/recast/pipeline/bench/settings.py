@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from recast import storage
+from recast.core import folder_hash
 from recast.errors import InputError
 from recast.evaluation.bootstrap import SAMPLES
 from recast.pipeline.bench.scenes import BenchScene
 from recast.pipeline.config import RunConfig
-from recast.pipeline.fingerprint import folder_hash
 from recast.pipeline.run_folder import claim_empty
 
 RECORD_FILE, ROLLOUTS_FILE, RESULTS_FILE = "bench.json", "rollouts.parquet", "results.json"
 TIMES_FILE, SCENES_FOLDER = "times.json", "scenes"
-BENCH_FORMAT, BENCH_VERSION = "recast-closed-loop", 1
+BENCH_FORMAT, BENCH_VERSION = "recast-closed-loop", 2
 
 ANY_TRACK = "*"
 """Stands in `BenchSettings.run` for the track, which every scene has its own of."""
@@ -39,7 +39,7 @@ class BenchSettings:
 
     Attributes:
         scenes: at least one.
-        run: motions, methods (the first is the baseline), planner and all else, the same for every
+        run: motions, arms (the first is the baseline), planners and all else, the same for every
             scene; its track is `ANY_TRACK`.
         drive: size of synthetic scenes.
         samples: of the bootstrap.
@@ -52,11 +52,21 @@ class BenchSettings:
 
     def run_of(self, track: str) -> RunConfig:
         """The configuration of a scene whose target is `track`: on one thread, as all workers."""
-        scene = self.run.scene
-        others = (name for name in scene.force_dynamic if name != ANY_TRACK)
-        dynamic = tuple(dict.fromkeys((*others, track)))
-        scene = scene.model_copy(update={"force_dynamic": dynamic, "threads": 1})
-        return self.run.model_copy(update={"track": track, "threads": 1, "scene": scene})
+        scene = self.run.scene.model_copy(update={"threads": 1})
+        streets = {
+            name: street.model_copy(update={"threads": 1})
+            for name, street in self.run.streets.items()
+        }
+        update = {"track": track, "threads": 1, "scene": scene, "streets": streets}
+        return self.run.model_copy(update=update)
+
+    def absolute(self) -> Self:
+        """The same with absolute paths of logs, for workers with another working folder."""
+        scenes = (
+            scene if scene.log is None else replace(scene, log=scene.log.absolute())
+            for scene in self.scenes
+        )
+        return replace(self, scenes=tuple(scenes))
 
     def record(self) -> dict[str, Any]:
         """What makes this grid another than others: plain data, without where files lie.
@@ -73,16 +83,16 @@ class BenchSettings:
         }
 
 
-def begin(out: Path, settings: BenchSettings) -> None:
-    """Take `out` for this grid, or go on with it there.
+def begin(out: Path, record: Mapping[str, Any]) -> None:
+    """Take `out` for the grid of this record, or go on with it there.
 
     Raises:
         InputError: it holds something else; nothing is written then.
     """
-    record, path = settings.record(), out / RECORD_FILE
+    path = out / RECORD_FILE
     if path.is_file():
         found = storage.read_json(path)
-        if not isinstance(found, dict) or found.get("format") != BENCH_FORMAT:
+        if not isinstance(found, dict) or found.get("format") != record["format"]:
             raise InputError(path, "format", "is no grid's", "name another --out")
         for name, value in json.loads(json.dumps(record)).items():
             if found.get(name) != value:

@@ -2,47 +2,46 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
-from recast.evaluation.grid_row import GridRow
+from recast.pipeline.artefacts import rollout_name
 from recast.pipeline.bench.scenes import BenchScene
-from recast.pipeline.layout import Method
 
 
 @dataclass(frozen=True)
 class Task:
-    """A piece of work on a scene."""
+    """A piece of work on a scene.
+
+    Attributes:
+        scene: which.
+        log: reference of its log in the store; None while there is none, or where it lies in a
+            folder of its own.
+        tickets: of the artefacts that it needs, where workers share no folder with this process.
+    """
 
     scene: BenchScene
+    log: str | None = None
+    tickets: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class SceneTask(Task):
-    """From nothing to log, actor and trained scene, as far as the rollouts need them."""
+    """From nothing to log, streets and vehicles, as far as the rollouts need them."""
 
 
 @dataclass(frozen=True)
 class RolloutTask(Task):
     """One rollout of a scene that is there."""
 
-    motion: str
-    method: Method
+    motion: str = ""
+    planner: str = ""
+    arm: str = ""
 
     @property
-    def key(self) -> str:
-        """Its name in times.json and, below the scene's run, of its folder."""
-        return f"{self.scene.id}/{self.motion}/{self.method}"
-
-
-@dataclass(frozen=True)
-class ScoreTask(Task):
-    """metrics.json of a scene whose rollouts are all made.
-
-    Attributes:
-        rollouts: by MOTION/METHOD, the hash of each, see `Job.make_rollout`.
-    """
-
-    rollouts: tuple[tuple[str, str], ...]
+    def use(self) -> str:
+        """What the run of the scene calls the rollout."""
+        return rollout_name(self.motion, self.planner, self.arm)
 
 
 @dataclass(frozen=True)
@@ -67,14 +66,17 @@ class Outcome:
     """What came of a task.
 
     Attributes:
-        error, reason: class and message of what it raised; None if it is done.
-        hash: of a rollout.
+        used: references of the artefacts by use, see `Artefacts.used`.
+        log: reference of the log in the store, if it lies there.
+        error, reason, traceback: of what the task raised; None if it is done.
         times: of a rollout that was made now.
-        rows: of a score.
+        parcels: artefacts that were made, by reference, where no folder is shared.
     """
 
+    used: Mapping[str, str] = field(default_factory=dict)
+    log: str | None = None
     error: str | None = None
     reason: str | None = None
-    hash: str = ""
+    traceback: str | None = None
     times: RolloutTimes | None = None
-    rows: tuple[GridRow, ...] = ()
+    parcels: Mapping[str, bytes] = field(default_factory=dict)

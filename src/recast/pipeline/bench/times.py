@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, NonNegativeFloat, NonNegativeInt
 
 from recast import storage
-from recast.pipeline.bench.settings import SCENES_FOLDER, TIMES_FILE, BenchSettings
+from recast.pipeline.bench.settings import TIMES_FILE, BenchSettings
 from recast.pipeline.bench.tasks import RolloutTask, RolloutTimes
-from recast.pipeline.bench.worker import RUN_FOLDER
-from recast.pipeline.run_folder import RUN_FILE, RunFolder
+from recast.pipeline.layout import use_parts
 from recast.records import read_record
 
 PARTS = ("render", "plan", "control", "rest")
-TIMES_VERSION: Literal[1] = 1
-_SCENE_STEPS = ("actor", "scene", "evaluation")
+TIMES_VERSION: Literal[2] = 2
 
 
 class _Session(BaseModel):
@@ -57,17 +55,26 @@ class Times:
 
     def note(self, task: RolloutTask, times: RolloutTimes, seconds: float) -> None:
         """A rollout was made, `seconds` after the session began."""
-        self._rollouts[task.key] = times
+        self._rollouts[f"{task.scene.id}/{task.use}"] = times
         self._session.rollouts += 1
         self.write(seconds)
 
-    def write(self, seconds: float, settings: BenchSettings | None = None) -> dict[str, Any]:
-        """Write the file, with sums where the grid is finished; return its content."""
+    def write(
+        self,
+        seconds: float,
+        settings: BenchSettings | None = None,
+        scenes: Mapping[str, Mapping[str, float]] | None = None,
+    ) -> dict[str, Any]:
+        """Write the file, with sums where the grid is finished; return its content.
+
+        Args:
+            scenes: by scene, the seconds that its artefacts took.
+        """
         self._session.seconds = round(seconds, 2)
         sessions = [session.model_dump() for session in (*self._sessions, self._session)]
         value: dict[str, Any] = {"version": TIMES_VERSION, "sessions": sessions}
         if settings is not None:
-            value |= self._sums(settings)
+            value |= {**self._sums(settings), "scenes": scenes or {}}
         value["rollouts"] = {
             key: {name: round(one, 4) for name, one in vars(times).items()}
             for key, times in sorted(self._rollouts.items())
@@ -76,16 +83,11 @@ class Times:
         return value
 
     def _sums(self, settings: BenchSettings) -> dict[str, Any]:
-        by_method = {
-            method: _sum(v for k, v in self._rollouts.items() if k.endswith(f"/{method}"))
-            for method in settings.run.methods
+        by_arm = {
+            arm.name: _sum(v for k, v in self._rollouts.items() if use_parts(k)[-1] == arm.name)
+            for arm in settings.run.arms
         }
-        scenes = {}
-        for scene in settings.scenes:
-            path = self._path.parent / SCENES_FOLDER / scene.id / RUN_FOLDER
-            found = RunFolder.open(path).timings() if (path / RUN_FILE).is_file() else {}
-            scenes[scene.id] = {name: found[name] for name in _SCENE_STEPS if name in found}
-        return {"all": _sum(self._rollouts.values()), "methods": by_method, "scenes": scenes}
+        return {"all": _sum(self._rollouts.values()), "arms": by_arm}
 
 
 def _sum(rollouts: Iterable[RolloutTimes]) -> dict[str, Any]:

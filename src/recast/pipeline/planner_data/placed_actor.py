@@ -11,7 +11,7 @@ from recast.dynamics import PACIFICA
 from recast.pipeline.planner_data.stage import Stage
 from recast.planning.gtrs_training.collisions import FORESEEN, Obstacle
 from recast.simulation import Advancing, CutIn, Oncoming, StartSituation, Stationary
-from recast.simulation.motions import DEFAULT_LANE_OFFSET, ActorMotion
+from recast.simulation.motions import DEFAULT_LANE_OFFSET, ScriptMotion
 from recast.simulation.neighbour_lane import neighbour_lateral
 from recast.synthetic import clearance
 
@@ -120,7 +120,7 @@ def place_actor(stage: Stage, rng: np.random.Generator) -> PlacedActor | None:
     )
 
 
-def _random_motion(rng: np.random.Generator) -> ActorMotion:
+def _random_motion(rng: np.random.Generator) -> ScriptMotion:
     def between(low: float, high: float) -> float:
         return float(rng.uniform(low, high))
 

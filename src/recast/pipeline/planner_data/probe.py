@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from recast.core.hashing import value_hash
 from recast.errors import InputError
 from recast.evaluation.collision import no_collision
 from recast.logs import DrivingLog, Track
-from recast.pipeline.fingerprint import value_hash
 from recast.pipeline.sources import RECIPES, planner_source
 from recast.planning import CameraMount, Planner, make_planner
 from recast.planning.gtrs import GtrsPlanner
@@ -65,9 +65,9 @@ class ProbeRow:
 
     Attributes:
         scene, scenario: which.
-        collided: seconds of the first contact by method, None without any.
-        nearest: least metres between the boxes' centres, by method.
-        driven: metres, by method.
+        collided: seconds of the first contact by arm, None without any.
+        nearest: least metres between the boxes' centres, by arm.
+        driven: metres, by arm.
         problem: why there is no rollout; the rest is empty then.
     """
 
@@ -173,7 +173,7 @@ def _drive_twice(
     scenario = f"{motion.name}-{motion.setting}"
     for how, eyes in ((VISIBLE, renderer), (ERASED, ErasingRenderer(renderer))):
         setup = RolloutSetup(
-            log, world.target, motion, method=how, camera_names=tuple(renderer.mounts)
+            log, world.target, motion, arm=how, camera_names=tuple(renderer.mounts)
         )
         folder = rollout_folder(request, source, world, motion, how)
         try:

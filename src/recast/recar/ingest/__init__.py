@@ -3,16 +3,19 @@
     PHOTOS/vehicles.csv (or vehicles.json)
     PHOTOS/ID/001.jpg, 002.jpg, ...    in order of azimuth
 
-See docs/data.md.
+Or walk-arounds at irregular azimuths with poses, see `recast.recar.ingest.walkaround`. See
+docs/recar.md.
 """
 
 from recast.recar.ingest.background import BackgroundRemover, Cutout
 from recast.recar.ingest.ingest import IngestReport, ingest_photographs
 from recast.recar.ingest.perceptual_hash import DUPLICATE_BITS, perceptual_hash
-from recast.recar.ingest.settings import IngestSettings
+from recast.recar.ingest.settings import EXPERIMENTAL, LAYOUTS, IngestSettings
 
 __all__ = [
     "DUPLICATE_BITS",
+    "EXPERIMENTAL",
+    "LAYOUTS",
     "BackgroundRemover",
     "Cutout",
     "IngestReport",

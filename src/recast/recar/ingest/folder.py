@@ -40,7 +40,7 @@ def photographs_of(photos: Path, row: VehicleRow, settings: IngestSettings) -> t
     ordered = (
         _by_azimuth(folder, found, row) if row.azimuths_deg else _by_order(found, row, settings)
     )
-    _check_sizes(ordered, settings)
+    check_sizes(ordered, settings)
     return tuple(ordered)
 
 
@@ -72,7 +72,12 @@ def _by_azimuth(folder: Path, found: list[Path], row: VehicleRow) -> list[Path]:
     return [places[place] for place in range(len(found))]
 
 
-def _check_sizes(paths: list[Path], settings: IngestSettings) -> None:
+def check_sizes(paths: Sequence[Path], settings: IngestSettings) -> None:
+    """Look at the headers of the photographs of a vehicle.
+
+    Raises:
+        InputError: they have several sizes, or not the shape that an angle of view needs.
+    """
     width, height = photograph_size(paths[0])
     for path in paths:
         size = photograph_size(path)

@@ -9,13 +9,14 @@ from pathlib import Path
 from recast import storage
 from recast.errors import InputError
 from recast.recar.ingest.background import BackgroundRemover
-from recast.recar.ingest.folder import photographs_of
+from recast.recar.ingest.folder import check_sizes, photographs_of
 from recast.recar.ingest.journal import REPORT_FILE, read_entry, write_entry, write_report
-from recast.recar.ingest.perceptual_hash import SeenPictures
 from recast.recar.ingest.pool import prepare_all
 from recast.recar.ingest.prepare import Candidate, Prepared
-from recast.recar.ingest.settings import IngestSettings
+from recast.recar.ingest.seen_pictures import SeenPictures
+from recast.recar.ingest.settings import LAYOUTS, IngestSettings
 from recast.recar.ingest.table import VehicleRow, find_table, read_table
+from recast.recar.ingest.walkaround import pick_photographs
 from recast.recar.record import IDENTITY_FILE, IdentityRecord, SetRecord, view_file
 from recast.recar.split import split_of
 from recast.recar.vehicle_set import Identity, VehicleSet, read_identities, read_set
@@ -135,10 +136,21 @@ class _Ingest:
         candidates = []
         for row in rows:
             try:
-                candidates.append(Candidate(row, photographs_of(self.photos, row, self.settings)))
+                candidates.append(self._candidate(row))
             except InputError as error:
                 self.skip(row.id, error)
         return candidates
+
+    def _candidate(self, row: VehicleRow) -> Candidate:
+        settings = self.settings
+        layout = LAYOUTS[settings.layout]
+        if layout is None:
+            return Candidate(row, photographs_of(self.photos, row, settings))
+        picked = pick_photographs(
+            self.photos, row, settings.views, settings.azimuth_within, layout
+        )  # fmt: skip
+        check_sizes(picked.photographs, settings)
+        return Candidate(row, picked.photographs, picked.masks, picked.doubts)
 
     def already_there(self, candidates: list[Candidate], record: SetRecord) -> list[Candidate]:
         """Remember the pictures of finished vehicles; the others are left to do."""

@@ -64,44 +64,6 @@ def ones_by_table(words: Hashes) -> NDArray[np.uint8]:
     return np.asarray(_ONES[quarters].sum(axis=-1), np.uint8)
 
 
-class SeenPictures:
-    """The hashes of all pictures so far, to ask whether a new one is among them.
-
-    Every pair is compared, the first quarter of the hashes first: some 0.1 s for 30 pictures
-    against 600,000 with numpy 2.
-    """
-
-    def __init__(self, bits: int = DUPLICATE_BITS) -> None:
-        self.bits = bits
-        self._hashes = np.zeros((0, WORDS), np.uint64)
-        self._owners: list[str] = []  # of each `add`
-        self._ends: list[int] = []  # hashes after each `add`
-        self._filled = 0
-
-    def add(self, owner: str, hashes: Hashes) -> None:
-        """Remember the hashes (N, 4) of an identity."""
-        needed = self._filled + len(hashes)
-        if needed > len(self._hashes):
-            grown = np.zeros((max(2 * len(self._hashes), needed), WORDS), np.uint64)
-            grown[: self._filled] = self._hashes[: self._filled]
-            self._hashes = grown
-        self._hashes[self._filled : needed] = hashes
-        self._filled = needed
-        self._owners.append(owner)
-        self._ends.append(needed)
-
-    def matches(self, hashes: Hashes) -> dict[str, int]:
-        """How many of the pictures (N, 4) each identity has too, those with none left out."""
-        found: dict[str, int] = {}
-        known = self._hashes[: self._filled]
-        for one in hashes:
-            near = np.flatnonzero(ones(known[:, 0] ^ one[0]) <= self.bits)
-            near = near[distances(one, known[near]) <= self.bits]
-            for place in np.unique(np.searchsorted(self._ends, near, side="right")):
-                found[self._owners[place]] = found.get(self._owners[place], 0) + 1
-        return found
-
-
 def first_twice(hashes: Hashes, bits: int) -> tuple[int, int] | None:
     """The first two of the pictures (N, 4) of one identity that are the same."""
     for index in range(1, len(hashes)):

@@ -69,6 +69,22 @@ def read_photograph(path: Path) -> tuple[Image, NDArray[np.uint8] | None]:
     return np.ascontiguousarray(pixels[..., :3]), np.ascontiguousarray(pixels[..., 3])
 
 
+def read_mask(path: Path, size: tuple[int, ...]) -> NDArray[np.uint8]:
+    """A mask (H, W), grey, of a photograph of `size` (W, H): 255 on the vehicle.
+
+    Raises:
+        InputError: as `photograph_size`, or cut short, or of another size.
+    """
+    with _opened(path) as picture:
+        pixels = np.asarray(ImageOps.exif_transpose(picture).convert("L"))
+    if pixels.shape[::-1] != tuple(size):
+        raise InputError(
+            path, "size", f"is {pixels.shape[1]}x{pixels.shape[0]}, the photograph's "
+            f"{size[0]}x{size[1]}", "cut the mask like its photograph",
+        )  # fmt: skip
+    return np.ascontiguousarray(pixels)
+
+
 def fit(rgb: Image, alpha: NDArray[np.uint8], width: int, height: int) -> Image:
     """Scaled to fit `width` x `height` and centred there, transparent beside it: (H, W, 4).
 

@@ -10,7 +10,7 @@ import numpy as np
 from recast.errors import InputError
 from recast.recar.ingest.background import BackgroundRemover
 from recast.recar.ingest.perceptual_hash import Hashes, first_twice, perceptual_hash
-from recast.recar.ingest.photograph import fit, read_photograph
+from recast.recar.ingest.photograph import fit, read_mask, read_photograph
 from recast.recar.ingest.settings import IngestSettings
 from recast.recar.ingest.table import VehicleRow
 from recast.recar.picture import encode_picture
@@ -18,10 +18,19 @@ from recast.recar.picture import encode_picture
 
 @dataclass(frozen=True)
 class Candidate:
-    """A vehicle to bring in: its row, and its photographs by azimuth."""
+    """A vehicle to bring in.
+
+    Attributes:
+        row: of the table.
+        photographs: by azimuth.
+        masks: of each photograph, None where there is none; empty where there are none at all.
+        doubts: what a person should look at.
+    """
 
     row: VehicleRow
     photographs: tuple[Path, ...]
+    masks: tuple[Path | None, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -39,15 +48,18 @@ def prepare(
     """Remove backgrounds, bring to size, encode, and compare the views with each other.
 
     Raises:
-        InputError: a photograph is broken, without alpha where there is no remover, or transparent
-            everywhere; or two are the same.
+        InputError: a photograph or a mask is broken, a photograph without alpha where there is
+            neither a mask nor a remover, or transparent everywhere; or two are the same.
     """
     pictures: list[bytes] = []
     hashes: list[Hashes] = []
-    doubts: list[str] = []
-    for path in candidate.photographs:
+    doubts = list(candidate.doubts)
+    masks = candidate.masks or (None,) * len(candidate.photographs)
+    for path, mask in zip(candidate.photographs, masks, strict=True):
         rgb, alpha = read_photograph(path)
-        if alpha is None:
+        if mask is not None:
+            alpha = read_mask(mask, rgb.shape[1::-1])
+        elif alpha is None:
             if remover is None:
                 raise InputError(
                     path, "alpha", "is absent", "cut out the background, or name a --remover"

@@ -23,18 +23,22 @@ from recast.recar.shards.tar import END, member_header, padding
 from recast.records import parse_record
 from recast.storage import JSON_LIMIT, disk_errors, parse_json, read_bytes
 
-_LISTS_KEPT = 128  # of members, about 100 KB each
+_LISTS_KEPT = 128  # of members, of the paper's pictures about 1 MB each in memory
 
 
 def shard_members(
-    folder: Path, shard: ShardRecord, set_record: SetRecord
+    folder: Path, shard: ShardRecord, set_record: SetRecord, keep: bool = True
 ) -> Mapping[str, tuple[Member, ...]]:
     """The members of each identity of a shard, its record first, then its views.
+
+    Args:
+        keep: the list for the next time, in place of the one that was not asked for the longest.
 
     Raises:
         InputError: the list is missing, or not the one that index.json speaks of.
     """
-    return _members(folder / members_file(shard.file), shard, set_record.views)
+    read = _members if keep else _members.__wrapped__
+    return read(folder / members_file(shard.file), shard, set_record.views)
 
 
 @lru_cache(maxsize=_LISTS_KEPT)

@@ -21,7 +21,7 @@ from recast.recar.shards.layout import (
     ShardRecord,
     members_file,
 )
-from recast.recar.shards.plan import PlannedMember, PlannedShard, plan_shards
+from recast.recar.shards.plan import PlannedMember, PlannedShard, members_of, plan_shards
 from recast.recar.shards.tar import END, member_header, padding
 from recast.recar.vehicle_set import VehicleSet
 from recast.records import read_record
@@ -69,7 +69,7 @@ def pack_set(
     with storage.alone_in(out):
         for planned in plan:
             shards.append(_write_shard(out, planned, vehicle_set.record))
-            done += len(planned.members) * vehicle_set.record.views
+            done += len(planned.identities) * vehicle_set.record.views
             if progress is not None:
                 progress(done, pictures)
         _remove_strangers(out, {shard.file for shard in shards})
@@ -123,7 +123,7 @@ def _write_shard(out: Path, planned: PlannedShard, record: SetRecord) -> ShardRe
         bytes=writing.size,
         sha256=writing.digest.hexdigest(),
         members_sha256=hashlib.sha256(text.encode()).hexdigest(),
-        identities=tuple(planned.members),
+        identities=tuple(one.record.id for one in planned.identities),
     )
 
 
@@ -156,9 +156,9 @@ class _Shard:
         self.digest = hashlib.sha256()
 
     def pieces(self) -> Iterator[bytes]:
-        for identity, members in self._planned.members.items():
-            written: list[Member] = []
-            for member in members:
+        for identity, planned in zip(self._planned.identities, self._planned.sizes, strict=True):
+            start, written = self.size, list[Member]()
+            for member in members_of(identity):
                 data = _read(member, self._record)
                 yield self._counted(member_header(member.name, len(data)))
                 written.append(
@@ -170,7 +170,12 @@ class _Shard:
                     )
                 )
                 yield self._counted(data + padding(len(data)))
-            self.members[identity] = tuple(written)
+            if self.size - start != planned:
+                raise InputError(
+                    identity.folder, "files", "have changed while the set is being packed",
+                    "run again",
+                )  # fmt: skip
+            self.members[identity.record.id] = tuple(written)
         yield self._counted(END)
 
     def _counted(self, piece: bytes) -> bytes:
@@ -181,10 +186,6 @@ class _Shard:
 
 def _read(member: PlannedMember, record: SetRecord) -> bytes:
     data = storage.read_bytes(member.path, MOST_BYTES)
-    if len(data) != member.size:
-        raise InputError(
-            member.path, "file", "has changed while the set is being packed", "run again"
-        )
     if member.path.name != IDENTITY_FILE:
         check_encoded_header(data, member.path, record.width, record.height)
     return data

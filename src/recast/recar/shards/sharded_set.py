@@ -110,6 +110,21 @@ class ShardedSet:
         """The identities of one split, sorted; no shard is read."""
         return (one for one in self.identities.values() if one.shard.split == split)
 
+    def records(self) -> Iterator[tuple[IdentityRecord, int]]:
+        """Record and bytes of the pictures of every identity, one shard after the other.
+
+        Raises:
+            InputError: see `read_member` and `parse_identity`.
+        """
+        for shard in self.index.shards:
+            path = self.folder / shard.file
+            members = shard_members(self.folder, shard, self.record, keep=False)
+            for name in shard.identities:
+                if name in self.identities:  # not one that was left out when the set was opened
+                    first, *views = members[name]
+                    record = parse_identity(path, shard, first, read_member(path, first))
+                    yield record, sum(view.size for view in views)
+
     def check_pictures(
         self, decode: bool = False, progress: Callable[[int, int], None] | None = None
     ) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from copy import copy
 
 import numpy as np
 
@@ -32,3 +33,21 @@ class FaceAttributes:
             length = np.linalg.norm(cross, axis=1, keepdims=True)
             flat.append((cross / np.maximum(length, 1e-20)).astype(np.float32))
         self.flat_normals = np.concatenate(flat)
+
+    def with_surfaces(self, changed: Mapping[int, Surface]) -> FaceAttributes:
+        """The attributes with other surfaces, of as many faces, in the places of some.
+
+        Raises:
+            ValueError: a surface has another number of faces than the one in its place.
+        """
+        places, parts = list(changed), FaceAttributes([*changed.values()])
+        found = copy(self)
+        for name in ("corner_normals", "flat_normals", "colours", "materials"):
+            setattr(found, name, getattr(self, name).copy())
+        for k, place in enumerate(places):
+            own, new = slice(*self.first[[place, place + 1]]), slice(*parts.first[[k, k + 1]])
+            if own.stop - own.start != new.stop - new.start:
+                raise ValueError(f"surface {place}: {new.stop - new.start} faces, not as before")
+            for name in ("corner_normals", "flat_normals", "colours", "materials"):
+                getattr(found, name)[own] = getattr(parts, name)[new]
+        return found

@@ -15,9 +15,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from recast.geometry import se3
-from recast.synthetic.rendering.embree import Float32Array
+from recast.synthetic.rendering.embree import Float32Array, Mesh
 from recast.synthetic.rendering.mitsuba_probe import LIBRARY, VARIANT, working_llvm
-from recast.synthetic.rendering.ray_scene import PosedScene, RayScene
+from recast.synthetic.rendering.ray_scene import STREET, PosedScene
 from recast.synthetic.rendering.sampling import cosine_directions
 from recast.synthetic.rendering.sky_light import SkyLight
 from recast.synthetic.rendering.surface_points import SurfacePoints
@@ -30,7 +30,7 @@ BOUNCES = 4
 """Segments of a path, the one from the point included."""
 _ROWS = 256
 
-_streets: WeakKeyDictionary[RayScene, Any] = WeakKeyDictionary()
+_streets: WeakKeyDictionary[Mesh, Any] = WeakKeyDictionary()
 
 
 def path_light(
@@ -83,9 +83,11 @@ def _scene(mitsuba: Any, posed: PosedScene, light: SkyLight) -> dict[str, Any]:
     scene = posed.scene
     shapes: dict[str, Any] = {}
     if len(scene.static):
-        if scene not in _streets:
-            _streets[scene] = _mesh(mitsuba, scene.static, scene.static.vertices)
-        shapes["street"] = _streets[scene]
+        # By the street's hierarchy, which scenes with other shapes of the same people share.
+        street = scene.mesh(STREET)
+        if street not in _streets:
+            _streets[street] = _mesh(mitsuba, scene.static, scene.static.vertices)
+        shapes["street"] = _streets[street]
     for index, (name, pose) in enumerate(sorted(posed.poses.items())):
         model = scene.models[name]
         if len(model):

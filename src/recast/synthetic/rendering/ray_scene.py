@@ -76,6 +76,25 @@ class RayScene:
         scene.attributes = scene._attributes()
         return scene
 
+    def with_models(self, changed: Mapping[str, Surface]) -> RayScene:
+        """The same scene in which some models have another shape, of as many faces.
+
+        Raises:
+            ValueError: a name is not among the models, or a shape has another number of faces.
+        """
+        unknown = sorted(set(changed) - set(self.names))
+        if unknown:
+            raise ValueError(f"changed: {unknown} not among the models {list(self.names)}")
+        scene = RayScene.__new__(RayScene)
+        scene.static, scene.names = self.static, self.names
+        scene.models = {**self.models, **changed}
+        scene._meshes, scene.bounds = list(self._meshes), list(self.bounds)
+        places = {1 + self.names.index(name): surface for name, surface in changed.items()}
+        for place, surface in places.items():
+            scene._meshes[place], scene.bounds[place] = Mesh(surface), _bounds(surface)
+        scene.attributes = self.attributes.with_surfaces(places)
+        return scene
+
     def _attributes(self) -> FaceAttributes:
         return FaceAttributes([self.static, *(self.models[name] for name in self.names)])
 

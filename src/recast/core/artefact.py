@@ -1,0 +1,151 @@
+"""One artefact on disk: its record, and whether its bytes are still those that were written.
+
+KIND/KEY/artefact.json   what it was made from, and its files with sizes and hashes
+KIND/KEY/data/           the artefact
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, NonNegativeFloat, NonNegativeInt
+
+from recast import storage
+from recast.core.hashing import file_hash, value_hash
+from recast.errors import InputError
+from recast.names import member
+from recast.records import Record, read_record
+
+RECORD_FILE, DATA_FOLDER = "artefact.json", "data"
+ARTEFACT_FORMAT: Literal["recast-artefact"] = "recast-artefact"
+ARTEFACT_VERSION: Literal[1] = 1
+
+KINDS = ("logs", "scenes", "actors", "evaluations", "rollouts")
+"""Kinds of artefacts, in the order of the data's way."""
+_REFERENCE = re.compile(rf"({'|'.join(KINDS)})/[0-9a-f]{{32}}")
+
+
+class FileRecord(Record):
+    """A file of an artefact: bytes and their BLAKE2b-128."""
+
+    size: NonNegativeInt
+    hash: str
+
+
+class ArtefactRecord(Record):
+    """artefact.json."""
+
+    format: Literal["recast-artefact"] = ARTEFACT_FORMAT
+    version: Literal[1] = ARTEFACT_VERSION
+    kind: str
+    key: str
+    name: str
+    inputs: dict[str, Any]
+    files: dict[str, FileRecord]
+    seconds: NonNegativeFloat = Field(description="that making it took")
+    recast: str = Field(description="version of the package that made it")
+
+
+@dataclass(frozen=True)
+class Artefact:
+    """A finished artefact.
+
+    Attributes:
+        folder: of record and data.
+        record: see there.
+        fresh: whether it was made just now, not found.
+    """
+
+    folder: Path
+    record: ArtefactRecord
+    fresh: bool = False
+
+    @property
+    def path(self) -> Path:
+        """The folder of the data."""
+        return self.folder / DATA_FOLDER
+
+    @property
+    def reference(self) -> str:
+        """KIND/KEY: what stands for it in the inputs of others."""
+        return f"{self.record.kind}/{self.record.key}"
+
+    @property
+    def size(self) -> int:
+        """Bytes of the data."""
+        return sum(file.size for file in self.record.files.values())
+
+
+def artefact_key(kind: str, inputs: Mapping[str, Any]) -> str:
+    """The key of an artefact: BLAKE2b-128 of all that it depends on, as 32 hexadecimal digits.
+
+    Args:
+        kind: one of `KINDS`.
+        inputs: JSON-able: settings, content hashes, references of other artefacts, recipe version.
+    """
+    return value_hash({"kind": kind, "inputs": inputs})
+
+
+def references(inputs: Any) -> Iterator[str]:
+    """References of other artefacts that stand anywhere in an artefact's inputs."""
+    if isinstance(inputs, Mapping):
+        for value in inputs.values():
+            yield from references(value)
+    elif isinstance(inputs, list | tuple):
+        for value in inputs:
+            yield from references(value)
+    elif isinstance(inputs, str) and _REFERENCE.fullmatch(inputs):
+        yield inputs
+
+
+def read_artefact(folder: Path) -> Artefact:
+    """Read the record of a finished artefact; its files are not looked at.
+
+    Raises:
+        InputError: no record, a damaged one, or one of another version.
+    """
+    artefact = read_partial(folder)
+    if artefact.reference != f"{folder.parent.name}/{folder.name}":
+        problem = f"names {artefact.reference}"
+        mend = f"remove {folder}, and it is made again"
+        raise InputError(folder / RECORD_FILE, "key", problem, mend)
+    return artefact
+
+
+def read_partial(folder: Path) -> Artefact:
+    """As `read_artefact`, of a folder that does not have its name yet."""
+    mend = f"use the recast that wrote it, or remove {folder}, and it is made again"
+    path = folder / RECORD_FILE
+    record = read_record(path, ArtefactRecord, ARTEFACT_VERSION, mend, ARTEFACT_FORMAT)
+    return Artefact(folder, record)
+
+
+def written_files(data: Path) -> dict[str, FileRecord]:
+    """The files below a folder, by relative name, with sizes and hashes."""
+    files = sorted(path for path in data.rglob("*") if path.is_file())
+    return {
+        path.relative_to(data).as_posix(): FileRecord(
+            size=path.stat().st_size, hash=file_hash(path)
+        )
+        for path in files
+    }
+
+
+def verify(artefact: Artefact) -> None:
+    """Check that every file is there with the bytes that were written.
+
+    Raises:
+        InputError: names the first file at fault.
+    """
+    mend = f"remove {artefact.folder}, and it is made again"
+    for name, file in artefact.record.files.items():
+        path = member(artefact.path, name, artefact.folder / RECORD_FILE, "files")
+        with storage.disk_errors(path):
+            if not path.is_file():
+                raise InputError(path, "artefact", "lacks this file, which was deleted", mend)
+            if path.stat().st_size != file.size or file_hash(path) != file.hash:
+                raise InputError(path, "bytes", "changed after the artefact was made", mend)

@@ -1,0 +1,268 @@
+"""The simulator as a gymnasium environment."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Unpack
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.envs.actions import KINDS, ActionKind, HeldControls, action_space, checked_action
+from recast.envs.observations import history_length, observation, observation_space
+from recast.envs.rewards import NOTHING, ProgressReward, Reward, StepFacts, step_facts
+from recast.errors import InputError
+from recast.evaluation.rollout_metrics import rollout_metrics
+from recast.logs import DrivingLog, load_log
+from recast.logs.drivable_region import drivable_region
+from recast.planning import Plan
+from recast.simulation import (
+    AnyMotion,
+    Ending,
+    Rollout,
+    RolloutSettings,
+    Scenario,
+    SensorRenderer,
+    Simulator,
+)
+from recast.simulation.simulator_parts import as_renderer
+
+if TYPE_CHECKING:
+    from recast.scene.street_scene import StreetScene
+
+Image = NDArray[np.uint8]
+
+TERMINATIONS = ("collision", "off_road")
+_OPTIONS = ("scenario", "actors", "start_timestamp_us")
+
+
+class DrivingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
+    """One rollout an episode: the agent drives the ego.
+
+    A step of the environment is `plan_every` steps of the simulation, 0.5 s by default. The episode
+    terminates where the ego comes to the end of the route, and at what `terminate` names. It is
+    truncated where the log ends, all `steps` were run, or an actor leaves the recorded road. `info`
+    has every member of `StepFacts`, the terms of the reward if it has `parts`, and at the end
+    `ending`, `cut_reason` and `metrics`. See `recast.envs.observations.observation` for what the
+    agent sees, `recast.envs.actions` for what it does.
+
+    In a vector environment every process loads log and scene itself: memory is scene times workers.
+
+    Args:
+        log: a log, or its folder.
+        scene: as for `Simulator`, or the folder of a scene.
+        actors: controlled actors by track id, with motions or their names; the first is the target.
+        action: "waypoints" (40, 3), or "controls": acceleration and steering rate (2,).
+        cameras, scale, device: as for `Simulator`.
+        reward: a number for what happened; None for `ProgressReward()`.
+        terminate: which of "collision" and "off_road" end the episode.
+        most_actors: rows of `actors` in the observation; further road users are left out.
+        render_mode: "rgb_array" for `render`, which needs a scene, or None.
+        settings: as for `Simulator`.
+
+    Raises:
+        InputError: bad arguments, see `Simulator`.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 2}  # noqa: RUF012
+
+    def __init__(
+        self,
+        log: DrivingLog | str | Path,
+        scene: StreetScene | SensorRenderer | str | Path | None = None,
+        actors: Mapping[str, str | Path | AnyMotion | Scenario] | None = None,
+        *,
+        action: ActionKind = "waypoints",
+        cameras: Sequence[str] | None = None,
+        scale: float = 1.0,
+        device: str = "auto",
+        reward: Reward | None = None,
+        terminate: Collection[str] = TERMINATIONS,
+        most_actors: int = 16,
+        render_mode: str | None = None,
+        **settings: Unpack[RolloutSettings],
+    ) -> None:
+        _check(action, terminate, most_actors, render_mode, settings)
+        self._log = load_log(log) if isinstance(log, str | Path) else log
+        self._renderer = as_renderer(self._log, _scene(scene), cameras, scale, device)
+        self._actors, self._cameras, self._settings = dict(actors or {}), cameras, settings
+        self._kind, self._controls = action, HeldControls()
+        if action == "controls":
+            settings["controller"] = self._controls
+        self._reward = reward or ProgressReward()
+        self._terminate = frozenset(terminate)
+        self._most_actors, self.render_mode = most_actors, render_mode
+        self._simulator = self._make({})
+        self._options: Mapping[str, Any] = {}
+        self._over = True
+        setup = self._simulator.setup
+        self._history = history_length(setup.dt)
+        self._region = drivable_region(setup.hdmap)
+        self.action_space = action_space(action)
+        mounts = self._simulator.context.cameras
+        self.observation_space = observation_space(mounts, self._history, most_actors)
+        if not mounts:
+            self.metadata = {**self.metadata, "render_modes": []}
+            if render_mode is not None:
+                raise InputError("DrivingEnv", "render_mode", "needs cameras", "give a scene")
+
+    @property
+    def simulator(self) -> Simulator:
+        """The simulator of this episode."""
+        return self._simulator
+
+    @property
+    def rollout(self) -> Rollout:
+        """What was driven in this episode.
+
+        Raises:
+            ValueError: no step was executed yet.
+        """
+        return self._simulator.rollout
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin an episode.
+
+        Args:
+            seed: seed of the environment's random numbers. The same seed gives the same bytes.
+            options: "scenario", the target's motion in this episode; "actors", all of them; and
+                "start_timestamp_us".
+
+        Raises:
+            InputError: an unknown option, or see `Simulator`.
+        """
+        super().reset(seed=seed)
+        options = options or {}
+        for name in options:
+            if name not in _OPTIONS:
+                mend = f"the options are {', '.join(_OPTIONS)}"
+                raise InputError("DrivingEnv", f"option {name}", "is not known", mend)
+        if options != self._options:
+            self._simulator, self._options = self._make(options), dict(options)
+        seen = self._simulator.reset(seed=int(self.np_random.integers(2**31)))
+        self._over = False
+        return self._observation(seen), self._info(NOTHING)
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+        """Drive `plan_every` steps of the simulation.
+
+        Raises:
+            InputError: the action has another shape or is not finite, the episode is over, or a
+                motion returned no state.
+        """
+        if self._over:
+            raise InputError("DrivingEnv", "step", "the episode is over", "call reset")
+        simulator, first = self._simulator, self._simulator.step_number
+        simulator.advance(self._plan(checked_action(action, self._kind)))
+        route_end = simulator.ending is Ending.EGO
+        facts = NOTHING
+        if simulator.step_number > first:
+            route = simulator.context.route
+            facts = step_facts(simulator.rollout, first, route, self._region, route_end)
+        terminated = route_end or any(getattr(facts, name) for name in self._terminate)
+        truncated = simulator.done and not terminated
+        self._over = terminated or truncated
+        info = self._info(facts)
+        if self._over:
+            info |= self._last_info()
+        reward = float(self._reward(facts))
+        return self._observation(simulator.observe()), reward, terminated, truncated, info
+
+    def render(self) -> Image | None:
+        """The cameras side by side, (H, W, 3) uint8; None without a render mode."""
+        names = tuple(self._simulator.context.cameras)
+        if self.render_mode is None:
+            return None
+        images = self._simulator.render(names)
+        height = min(image.shape[0] for image in images.values())
+        return np.concatenate([images[name][:height] for name in names], axis=1)
+
+    def close(self) -> None:
+        """End what the renderer holds."""
+        close = getattr(self._renderer, "close", None)
+        if callable(close):
+            close()
+
+    def _make(self, options: Mapping[str, Any]) -> Simulator:
+        actors = dict(options.get("actors", self._actors))
+        if "scenario" in options and actors:
+            actors[next(iter(actors))] = options["scenario"]
+        settings: RolloutSettings = {**self._settings}
+        if "start_timestamp_us" in options:
+            settings["start_timestamp_us"] = options["start_timestamp_us"]
+        return Simulator(self._log, self._renderer, actors, cameras=self._cameras, **settings)
+
+    def _plan(self, action: NDArray[np.float64]) -> Plan:
+        if self._kind == "waypoints":
+            return Plan(action)
+        self._controls.command = action
+        setup, now = self._simulator.setup, self._simulator.state.ego
+        return self._controls.plan(now, setup.vehicle, setup.dt)
+
+    def _observation(self, seen: Any) -> dict[str, Any]:
+        route = self._simulator.context.route
+        return observation(seen, route, self._history, self._most_actors)
+
+    def _info(self, facts: StepFacts) -> dict[str, Any]:
+        simulator = self._simulator
+        parts = getattr(self._reward, "parts", None)
+        return {
+            **facts.to_info(),
+            "step": simulator.step_number,
+            "timestamp_us": simulator.state.timestamp_us,
+            "reward_parts": dict(parts(facts)) if callable(parts) else {},
+        }
+
+    def _last_info(self) -> dict[str, Any]:
+        simulator = self._simulator
+        metrics = {}
+        if simulator.step_number > 0:
+            found = rollout_metrics(simulator.rollout, simulator.setup.hdmap)
+            metrics = {
+                name: float("nan") if metric.value is None else metric.value
+                for name, metric in found.values.items()
+            }
+        ending = simulator.ending
+        return {
+            "ending": "terminated" if ending is None else str(ending),
+            "cut_reason": simulator.cut_reason or "",
+            "metrics": metrics,
+        }
+
+
+def _check(
+    action: str,
+    terminate: Collection[str],
+    most_actors: int,
+    render_mode: str | None,
+    settings: RolloutSettings,
+) -> None:
+    def refuse(field: str, value: object, mend: str) -> None:
+        raise InputError("DrivingEnv", field, f"is {value!r}", mend)
+
+    if action not in KINDS:
+        refuse("action", action, f"choose one of {', '.join(KINDS)}")
+    if action == "controls" and "controller" in settings:
+        refuse("controller", settings["controller"], "leave it out with action='controls'")
+    if isinstance(terminate, str) or not set(terminate) <= set(TERMINATIONS):
+        refuse("terminate", terminate, f"choose of {', '.join(TERMINATIONS)}")
+    if not 1 <= most_actors <= 1000:
+        refuse("most_actors", most_actors, "give 1 to 1000")
+    if render_mode not in (None, "rgb_array"):
+        refuse("render_mode", render_mode, "choose 'rgb_array' or None")
+
+
+def _scene(
+    scene: StreetScene | SensorRenderer | str | Path | None,
+) -> StreetScene | SensorRenderer | None:
+    if not isinstance(scene, str | Path):
+        return scene
+    from recast.scene.store import load_scene  # needs torch
+
+    return load_scene(scene)

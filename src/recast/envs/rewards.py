@@ -1,0 +1,122 @@
+"""What happened in a step of the environment, and what it is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import shapely
+
+from recast.evaluation.collision import TOUCHING, any_collision, no_collision
+from recast.evaluation.drivable import drivable_area_compliance
+from recast.planning import ReferenceRoute
+from recast.simulation import Rollout
+
+
+@dataclass(frozen=True)
+class StepFacts:
+    """What happened between two observations.
+
+    Attributes:
+        steps: simulation steps that were executed.
+        seconds: the same in time.
+        progress: metres that the ego advanced along the route.
+        lateral: metres from the route to the ego's rear axle now, left positive.
+        speed: m/s, now.
+        collision: whether the ego overlapped a controlled actor.
+        overlap: largest overlap, square metres.
+        off_road: whether a corner of the ego left the drivable area by more than 0.3 m; False
+            without a map.
+        off_road_distance: how far, metres; 0 without a map.
+        route_end: whether the ego came to the end of the route.
+    """
+
+    steps: int
+    seconds: float
+    progress: float
+    lateral: float
+    speed: float
+    collision: bool
+    overlap: float
+    off_road: bool
+    off_road_distance: float
+    route_end: bool
+
+    def to_info(self) -> dict[str, Any]:
+        """Plain values by name."""
+        return asdict(self)
+
+
+class Reward(Protocol):
+    """A number for what happened."""
+
+    def __call__(self, facts: StepFacts) -> float:
+        """The reward of one step."""
+
+
+@dataclass(frozen=True)
+class ProgressReward:
+    """Progress along the route, less a penalty in each step with a collision or off the road.
+
+    Attributes:
+        progress: per metre.
+        collision, off_road: penalties.
+    """
+
+    progress: float = 1.0
+    collision: float = 10.0
+    off_road: float = 10.0
+
+    def __call__(self, facts: StepFacts) -> float:
+        """The weighted sum."""
+        return float(sum(self.parts(facts).values()))
+
+    def parts(self, facts: StepFacts) -> Mapping[str, float]:
+        """The terms of the sum by name."""
+        return {
+            "progress": self.progress * facts.progress,
+            "collision": -self.collision * facts.collision,
+            "off_road": -self.off_road * facts.off_road,
+        }
+
+
+def step_facts(
+    rollout: Rollout,
+    first: int,
+    route: ReferenceRoute,
+    region: shapely.Geometry | None,
+    route_end: bool,
+) -> StepFacts:
+    """The facts of the states after `first`, by the metrics' own functions.
+
+    Args:
+        rollout: up to now.
+        first: step at the last observation.
+        region: drivable area, see `recast.logs.drivable_region`; None without a map.
+        route_end: whether the ego came to the end of the route.
+    """
+    new, dt = slice(first + 1, None), rollout.dt
+    boxes, size = rollout.ego_boxes[new], rollout.ego_size
+    actors = [(rollout.actor, rollout.actor_size)]
+    actors += [(actor.states, actor.size) for actor in rollout.controlled]
+    hit = any_collision([no_collision(boxes, size, states[new], box, dt) for states, box in actors])
+    distance = drivable_area_compliance(boxes, size, region, dt)
+    s, lateral = route.project(rollout.ego[[first, -1]])
+    return StepFacts(
+        steps=len(boxes),
+        seconds=len(boxes) * dt,
+        progress=float(s[1] - s[0]),
+        lateral=float(lateral[1]),
+        speed=float(rollout.ego[-1, 3]),
+        collision=bool(np.any(hit.overlap > TOUCHING)),
+        overlap=float(hit.overlap.max()),
+        off_road=distance.dac.value == 0.0,
+        off_road_distance=0.0 if distance.distance is None else float(distance.distance.max()),
+        route_end=route_end,
+    )
+
+
+NOTHING = StepFacts(0, 0.0, 0.0, 0.0, 0.0, False, 0.0, False, 0.0, False)
+"""The facts of a step in which nothing could be executed."""

@@ -1,0 +1,1 @@
+"""Rendering quality of whole scenes (RECAST, section 5, Q2): images, features, scores, table."""

@@ -1,0 +1,168 @@
+"""Which images of a rollout, and which logged images, the scene-level evaluation looks at.
+
+The rule looks at boxes and at what hides them in any of the streets, never at what an arm draws in
+the box, so that all arms are judged on the same images. The paper says neither how many images it
+takes nor which; the numbers here are settings of ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.actors.view_score import score_frame
+from recast.errors import InputError
+from recast.evaluation.oracle_scores import Rectangle, box_pixels
+from recast.geometry import PinholeCamera, boxes, se3
+from recast.logs import DrivingLog
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FrameRule:
+    """When an image counts.
+
+    Attributes:
+        every: steps between the images of a rollout.
+        least_px: least length in pixels of the shorter side of the box's rectangle, at least half
+            of which is in the image.
+        nearest, furthest: metres from the camera to the centre of the box.
+        least_visible: share of points of the box that nothing may hide.
+    """
+
+    every: int = 5
+    least_px: float = 32.0
+    nearest: float = 3.0
+    furthest: float = 60.0
+    least_visible: float = 0.5
+
+    def validate(self) -> None:
+        """Raise InputError naming the option at fault."""
+        checks = (
+            ("--every", self.every >= 1, self.every, "1 or more"),
+            ("--least-px", self.least_px >= 4, self.least_px, "4 or more"),
+        )
+        for option, fits, value, range_of in checks:
+            if not fits:
+                raise InputError(option, "value", f"is {value}", f"give {range_of}")
+
+    def rectangle(
+        self, size: Array, camera_from_actor: Array, camera: PinholeCamera
+    ) -> Rectangle | None:
+        """The box's rectangle in whole pixels, clipped to the image; None if it does not count.
+
+        Args:
+            size: (3,) of the logged box, metres.
+            camera_from_actor: (4, 4).
+            camera: intrinsics of the image as it is rendered.
+        """
+        if not self.nearest <= np.linalg.norm(camera_from_actor[:3, 3]) <= self.furthest:
+            return None
+        found = box_pixels(size, camera_from_actor, camera)
+        if found is None or min(found[2] - found[0], found[3] - found[1]) < self.least_px:
+            return None
+        return found
+
+
+@dataclass(frozen=True)
+class RolloutFrame:
+    """An image of a rollout that counts.
+
+    Attributes:
+        motion, setting: names of the rollout's motion and setting.
+        step: number of the step in the rollout.
+        camera: name of the camera.
+        rectangle: left, top, right, bottom of the logged box at the simulated pose, pixels.
+    """
+
+    motion: str
+    setting: str
+    step: int
+    camera: str
+    rectangle: Rectangle
+
+
+@dataclass(frozen=True)
+class LoggedFrame:
+    """A logged image that counts.
+
+    Attributes:
+        camera, frame: name, and number of the image in its stream.
+        timestamp_us: log time.
+        rectangle: as in `RolloutFrame`, of the logged box at its logged pose.
+        azimuth: radians, of the camera seen from the vehicle; 0 is ahead of it.
+    """
+
+    camera: str
+    frame: int
+    timestamp_us: int
+    rectangle: Rectangle
+    azimuth: float
+
+
+def visible_share(
+    depth: NDArray[np.float32], size: Array, camera_from_actor: Array, camera: PinholeCamera
+) -> float:
+    """Share of 5 x 5 x 5 points of a box that lie in the image and before what is drawn there.
+
+    Args:
+        depth: (H, W) metres along the camera's z axis of the street without the vehicle, inf for
+            the sky.
+        size: (3,) lengths of the box's sides, metres.
+        camera_from_actor: (4, 4).
+    """
+    points = boxes.lattice(size, camera_from_actor)
+    ahead = points[points[:, 2] > 0.1]
+    pixels, z = camera.project(ahead)
+    column, row = np.floor(pixels).astype(np.int64).T
+    inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+    before = z[inside] < depth[row[inside], column[inside]]
+    return float(before.sum() / len(points))
+
+
+def logged_frames(
+    log: DrivingLog,
+    track_id: str,
+    cameras: Iterable[tuple[str, PinholeCamera]],
+    rule: FrameRule,
+) -> Iterator[LoggedFrame]:
+    """Logged images in which a vehicle's box counts and no other labelled box hides it.
+
+    Args:
+        cameras: names with intrinsics as images are rendered.
+    """
+    track = log.tracks[track_id]
+    for name, camera in cameras:
+        stream = log.cameras[name]
+        for frame in range(len(stream.timestamps_us)):
+            score = score_frame(log, track, stream, frame)
+            if score is None or score.unoccluded < rule.least_visible:
+                continue
+            time = score.timestamp_us
+            world_from_camera = log.world_from_rig.at(time) @ stream.rig_from_camera
+            camera_from_actor = se3.inverse(world_from_camera) @ track.trajectory.at(time)
+            rectangle = rule.rectangle(track.size, camera_from_actor, camera)
+            if rectangle is not None:
+                yield LoggedFrame(name, frame, time, rectangle, score.azimuth)
+
+
+def spread_over_azimuth(frames: list[LoggedFrame], most: int) -> list[int]:
+    """Indices of at most `most` frames whose views of the vehicle differ most, in order.
+
+    Greedy: the first frame, then always the one whose azimuth is furthest from those chosen.
+    """
+    if len(frames) <= most:
+        return list(range(len(frames)))
+    angles = np.array([frame.azimuth for frame in frames])
+    chosen = [0]
+    apart = np.full(len(frames), np.inf)
+    while len(chosen) < most:
+        turn = np.abs((angles - angles[chosen[-1]] + np.pi) % (2 * np.pi) - np.pi)
+        apart = np.minimum(apart, turn)
+        apart[chosen] = -1.0
+        chosen.append(int(np.argmax(apart)))
+    return sorted(chosen)

@@ -1,0 +1,198 @@
+"""Arms: what is compared. Where the street comes from, and who stands in the target's place.
+
+| word | street | target |
+|---|---|---|
+| `native` | the run's own | as the street was reconstructed |
+| `replaced` | the run's own | what the run's generator makes |
+| `oracle` | the truth | the truth; of synthetic logs |
+| `recast-mini`, `car.glb`, `library:DIR` | the run's own | what that generator makes |
+| `assets:DIR` | the run's own | DIR/SCENE.ply, .glb or .obj, by name of the scene |
+| `omnire`, `streetgs`, a scene's folder | that one | as it was reconstructed there |
+| `omnire+template` | that preset's | what that generator makes |
+| `paper` | the seven arms of the paper, see `recast.pipeline.paper` | |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal, Self, get_args
+
+import yaml
+from pydantic import Field, ValidationError, model_validator
+
+from recast import storage
+from recast.actors.mesh import MESH_SUFFIXES
+from recast.errors import InputError
+from recast.pipeline.paper import PAPER, paper_arms
+from recast.records import Record, validation_error
+from recast.scene import Preset
+from recast.scene.store import SCENE_FILE
+
+OWN_STREET = "recast"
+"""The street that the run's own scene settings or --scene name."""
+PRESETS: tuple[Preset, ...] = get_args(Preset)
+ASSETS = "assets:"
+MOST_VIEWS = 24
+"""Of a target: one every 15 degrees all around."""
+_TRUTH = "truth"
+_LARGEST_FILE = 1_000_000  # bytes
+_MEND = "see docs/runs.md for what an arm is"
+
+
+class Arm(Record):
+    """What one column of a comparison shows.
+
+    Attributes:
+        name: in tables and file names.
+        street: `OWN_STREET`, a preset, the folder of a trained or imported scene, or "truth".
+        vehicle: who stands in the target's place: the street's own reconstruction, a generated
+            vehicle, or the truth.
+        generator, axes, refine, segmenter, views: of a generated vehicle; those of the run where
+            they are None.
+    """
+
+    name: str = Field(min_length=1, max_length=100)
+    street: str = OWN_STREET
+    vehicle: Literal["own", "generated", "truth"]
+    generator: str | None = None
+    axes: str | None = None
+    refine: bool | None = None
+    segmenter: str | None = None
+    views: int | None = Field(default=None, ge=1, le=MOST_VIEWS)
+
+    @classmethod
+    def native(cls, street: str = OWN_STREET) -> Self:
+        """A street with its own reconstruction of the target."""
+        name = "native" if street == OWN_STREET else _short(street)
+        return cls(name=name, street=street, vehicle="own")
+
+    @classmethod
+    def replaced(cls, generator: str | None = None, street: str = OWN_STREET) -> Self:
+        """A street with a generated vehicle in the target's place."""
+        name = "replaced" if generator is None else _short(generator)
+        if street != OWN_STREET:
+            name = f"{_short(street)}+{name}"
+        return cls(name=name, street=street, vehicle="generated", generator=generator)
+
+    @classmethod
+    def oracle(cls) -> Self:
+        """The truth, of a synthetic log."""
+        return cls(name="oracle", street=_TRUTH, vehicle="truth")
+
+    @model_validator(mode="after")
+    def _parts_fit(self) -> Self:
+        if (self.street == _TRUTH) != self.is_truth:
+            raise ValueError("street and vehicle are both the truth, or neither is")
+        given = (self.generator, self.axes, self.refine, self.segmenter, self.views)
+        if self.vehicle != "generated" and any(value is not None for value in given):
+            raise ValueError("only a generated vehicle has generator, axes, refine and the like")
+        return self
+
+    @property
+    def is_truth(self) -> bool:
+        """Whether it shows what is really there."""
+        return self.vehicle == "truth"
+
+    @property
+    def generates(self) -> bool:
+        """Whether a generated vehicle stands in the target's place."""
+        return self.vehicle == "generated"
+
+    @property
+    def label(self) -> str:
+        """Its name for people."""
+        if self.is_truth:
+            return f"truth ({self.name})"
+        return f"{self.name} actor" if self in (Arm.native(), Arm.replaced()) else self.name
+
+    def of_scene(self, scene: str) -> Arm:
+        """The arm with the file of a scene where its generator is `assets:DIR`.
+
+        Raises:
+            InputError: there is no such file.
+        """
+        if self.generator is None or not self.generator.startswith(ASSETS):
+            return self
+        folder = Path(self.generator.removeprefix(ASSETS))
+        names = [f"{scene}{suffix}" for suffix in (".ply", *MESH_SUFFIXES)]
+        found = next((folder / name for name in names if (folder / name).is_file()), None)
+        if found is None:
+            raise InputError(folder, f"scene {scene}", "has no file", f"add {' or '.join(names)}")
+        return self.model_copy(update={"generator": str(found)})
+
+
+def default_arms() -> tuple[Arm, ...]:
+    """The street's own reconstruction, which is the baseline, and a generated vehicle."""
+    return Arm.native(), Arm.replaced()
+
+
+def truth_of(arms: Sequence[Arm]) -> str | None:
+    """The name of the arm that shows the truth; None where none does."""
+    return next((arm.name for arm in arms if arm.is_truth), None)
+
+
+def parse_arms(words: Sequence[str]) -> tuple[Arm, ...]:
+    """The arms that words on the command line stand for, in their order.
+
+    Args:
+        words: see the top of this module; or files (.json, .yaml) with a list of `Arm` records.
+
+    Raises:
+        InputError: a word or file is wrong, or two arms have one name.
+    """
+    arms = [arm for word in words for arm in _arms_of(word)]
+    names = [arm.name for arm in arms]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError("--arm", name, "is named twice", "name each arm once")
+    return tuple(arms)
+
+
+def is_street(word: str) -> bool:
+    """Whether a word names a street: a preset, the run's own, or the folder of a scene."""
+    return word in (OWN_STREET, *PRESETS) or (Path(word) / SCENE_FILE).is_file()
+
+
+def _arms_of(word: str) -> Sequence[Arm]:
+    if word.lower().endswith((".json", ".yaml", ".yml")):
+        return _read_arms(Path(word))
+    if word == PAPER:
+        return _read_arms(paper_arms())
+    by_name = {arm.name: arm for arm in (*default_arms(), Arm.oracle())}
+    if word in by_name:
+        return [by_name[word]]
+    if is_street(word):
+        return [Arm.native(word)]
+    street, plus, vehicle = word.partition("+")
+    if not (plus and is_street(street)):
+        return [Arm.replaced(word)]
+    if vehicle not in by_name:
+        return [Arm.replaced(vehicle, street)]
+    if by_name[vehicle].is_truth:
+        raise InputError("--arm", word, "puts the truth into a reconstruction", _MEND)
+    arm = Arm.native(street) if vehicle == Arm.native().name else Arm.replaced(None, street)
+    return [arm]
+
+
+def _read_arms(path: Path) -> Sequence[Arm]:
+    text = storage.read_text(path, _LARGEST_FILE)
+    try:
+        values: Any = yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(path, "arms", f"cannot be read ({reason})", _MEND) from None
+    if not isinstance(values, list) or not values:
+        raise InputError(path, "arms", "are no list", _MEND)
+    try:
+        return [Arm.model_validate(value) for value in values]
+    except ValidationError as error:
+        raise validation_error(path, error, _MEND) from None
+
+
+def _short(word: str) -> str:
+    """A name for tables: of a path only its last part."""
+    prefix, colon, rest = word.partition(":")
+    if colon and "/" in rest:
+        return f"{prefix}:{Path(rest).name}"
+    return Path(word).name if "/" in word else word

@@ -1,0 +1,210 @@
+"""`recast bench scene-level`, from scenes to the paper's table of rendering quality.
+
+OUT/bench.json               what the evaluation is
+OUT/scene_level.parquet      one row an image of each arm
+OUT/features/ARM/SCENE.npz   features of its images
+OUT/results.json, table.md   the table, image counts, weights
+OUT/figure_MOTION.png        moments x arms
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from recast import storage
+from recast.core import Store, open_store
+from recast.crews import crew_of
+from recast.errors import printable
+from recast.evaluation.scene_level.features import FEATURES_FILE, Features, load_features
+from recast.evaluation.scene_level.files import (
+    cell,
+    results_json,
+    table_markdown,
+    warnings,
+    write_images,
+)
+from recast.evaluation.scene_level.records import read_frames, read_references
+from recast.evaluation.scene_level.scores import COLUMNS
+from recast.evaluation.scene_level.summary import LevelRow, MeasuredScene, summarise
+from recast.names import folder_name
+from recast.pipeline.bench.closed_loop import check_grid
+from recast.pipeline.bench.courier import Courier, work_off
+from recast.pipeline.bench.display import broken_name
+from recast.pipeline.bench.scene_level.figure import write_figures
+from recast.pipeline.bench.scene_level.scene import FEATURES, FRAMES, REFERENCES, REPLAY, shown_file
+from recast.pipeline.bench.scene_level.settings import LevelSettings
+from recast.pipeline.bench.scene_level.worker import (
+    LevelTasks,
+    LevelWorker,
+    measured,
+    start_level_worker,
+)
+from recast.pipeline.bench.settings import RESULTS_FILE, begin
+from recast.pipeline.bench.tasks import Outcome, Task
+from recast.pipeline.display import FrameProgress
+from recast.pipeline.layout import use_name
+from recast.pipeline.run import STORE_FOLDER
+
+IMAGES_FILE, TABLE_FILE = "scene_level.parquet", "table.md"
+
+
+def run_scene_level(
+    settings: LevelSettings,
+    out: Path,
+    console: Console,
+    *,
+    workers: int = 1,
+    ray: str | None = None,
+    store: str | Path | None = None,
+) -> list[LevelRow]:
+    """Drive, render, measure, and write and print the table.
+
+    A scene that fails, or has an arm that fails, is left out for all arms and listed. What a killed
+    command finished stays; all files are the same bytes for any number of workers.
+
+    Args:
+        settings: settings of the evaluation.
+        out: new, empty, or of this very evaluation.
+        console: shows progress and the table.
+        workers, ray, store: see `recast.pipeline.bench.run_closed_loop`.
+
+    Raises:
+        InputError: bad settings, another evaluation in `out`, no scene that counts, or a worker was
+            killed.
+    """
+    settings.validate()
+    crew = crew_of(workers, ray)
+    place = str(out.absolute().parent / STORE_FOLDER if store is None else store)
+    opened = open_store(place)
+    check_grid(settings.grid)
+    record = settings.record()
+    begin(out, record)
+    if ray is not None:
+        settings = settings.absolute()
+    tasks = LevelTasks(settings)
+    courier = None
+    if ray is not None:
+        courier = Courier(opened, settings.grid, lambda finds: LevelWorker(finds, settings, None))
+    arguments = (
+        None if courier else place, settings, None if courier is None else courier.fetch
+    )  # fmt: skip
+
+    def done(task: Task, outcome: Outcome) -> None:
+        tasks.note(task, outcome)
+        bar.reach(tasks.done, tasks.total)
+
+    with storage.alone_in(out):
+        with FrameProgress(console, tasks.total, "scenes and arms") as bar:
+            work_off(crew, start_level_worker, arguments, tasks, courier, done)
+        failures = {
+            (scene if not what else f"{scene}, {what}"): reason
+            for (scene, what), reason in sorted(tasks.failures.items())
+        }
+        found = _Found(settings, tasks, opened)
+        scenes = found.scenes(failures)
+        for told, reason in failures.items():
+            line = printable(f"{told}: {reason}")
+            console.print(line, markup=False, highlight=False, style="red")
+        rows = summarise(
+            scenes, REPLAY, settings.grid.samples, settings.frechet_samples, settings.grid.run.seed
+        )
+        warned = warnings(rows, scenes)
+        notes = [*warned, *(f"{told}: {why}" for told, why in failures.items())]
+        write_images(scenes, out / IMAGES_FILE)
+        for scene in scenes:
+            for name in measured(settings):
+                found.copy(scene, name, out)
+        write_figures(
+            {name: scene.frames for name, scene in scenes.items()},
+            [arm.name for arm in settings.grid.run.arms],
+            found.shown, out,
+        )  # fmt: skip
+        storage.write_json(out / RESULTS_FILE, results_json(rows, scenes, failures, record))
+        storage.write_text(out / TABLE_FILE, table_markdown(rows, notes))
+    for name in (name for name in COLUMNS if any(name in row.values for row in rows)):
+        console.print(_table(name, rows))
+    for note in warned:
+        console.print(note, markup=False, highlight=False, style="yellow")
+    console.print(f"wrote {out}", markup=False)
+    return rows
+
+
+class _Found:
+    """What the workers made, read from the store."""
+
+    def __init__(self, settings: LevelSettings, tasks: LevelTasks, store: Store) -> None:
+        self._settings, self._tasks, self._store = settings, tasks, store
+        self._arms = [arm.name for arm in settings.grid.run.arms]
+
+    def scenes(self, failures: dict[str, str]) -> dict[str, MeasuredScene]:
+        """The scenes that count; why others do not joins `failures`."""
+        found = {}
+        for scene in (one.id for one in self._settings.grid.scenes):
+            if any(name == scene for name, _ in self._tasks.failures):
+                continue
+            frames, logged = self._path(scene, FRAMES), self._path(scene, REFERENCES)
+            record, references = read_frames(frames), read_references(logged)
+            failures |= {f"{scene}, {motion}": why for motion, why in record.failures.items()}
+            replayed = REPLAY in measured(self._settings)
+            one = MeasuredScene(
+                frames=record.frames,
+                logged=references.frames,
+                compared=references.compared,
+                arms={arm: self._features(scene, arm) for arm in self._arms},
+                references=self._features(scene, REFERENCES),
+                replay=self._features(scene, REPLAY) if replayed else None,
+            )
+            problem = one.problem()
+            if problem is None:
+                found[scene] = one
+                for index in np.flatnonzero(~one.drawn()).tolist():
+                    lost = record.frames[index]
+                    where = f"{lost.motion}-{lost.setting} step {lost.step} {lost.camera}"
+                    failures[f"{scene}, {where}"] = "could not be rendered for every arm"
+            else:
+                failures[scene] = problem
+        return found
+
+    def copy(self, scene: str, name: str, out: Path) -> None:
+        """Put the features of an arm, or of the logged images, where users look for them."""
+        target = out / FEATURES / folder_name(name) / f"{scene}.npz"
+        path = self._path(scene, use_name(FEATURES, name)) / FEATURES_FILE
+        with storage.atomic_file(target) as partial:
+            shutil.copyfile(path, partial)
+
+    def shown(self, scene: str, arm: str) -> dict[int, Path]:
+        """Pictures of the images that stand in the figure, by number of the image."""
+        folder = self._path(scene, use_name(FEATURES, arm))
+        paths = {i: folder / shown_file(i) for i in read_frames(self._path(scene, FRAMES)).shown}
+        return {index: path for index, path in paths.items() if path.is_file()}
+
+    def _features(self, scene: str, name: str) -> Features:
+        return load_features(self._path(scene, use_name(FEATURES, name)) / FEATURES_FILE)
+
+    def _path(self, scene: str, use: str) -> Path:
+        return self._store.open(self._tasks.used[scene][use]).path
+
+
+def _table(name: str, rows: Sequence[LevelRow]) -> Table:
+    """One column of the table with intervals and differences, 80 characters wide."""
+    column = COLUMNS[name]
+    better = "higher" if column.higher_is_better else "lower"
+    table = Table(
+        title=f"{column.heading}, {better} is better", title_justify="left", box=SIMPLE_HEAD,
+        collapse_padding=True, pad_edge=False,
+    )  # fmt: skip
+    table.add_column("arm", overflow="fold")
+    for heading in ("images", "value", "95 % over scenes", f"minus {rows[0].arm}"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in rows:
+        told = [*cell(name, row.values.get(name)).split("\n"), "", "", ""][:3]
+        table.add_row(Text(broken_name(printable(row.arm))), str(row.images), *told)
+    return table

@@ -1,0 +1,196 @@
+"""A user's body model and poses: what SMPL nodes are made from. Neither is shipped with recast.
+
+Both are NumPy archives without pickled objects (docs/scenes.md). The body model: `v_template`
+(V, 3), `shapedirs` (V, 3, B), `J_regressor` (J, V), `weights` (V, J), and `parents` (J,) or
+`kintree_table` (2, J); other members are not read. The poses: for each track `ID/timestamps_us`
+(T,), `ID/betas` (at most B), `ID/global_orient` (T, 3), `ID/body_pose` (T, J - 1, 3) and
+`ID/transl` (T, 3).
+"""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from recast.errors import InputError
+from recast.logs import Track
+from recast.logs.checks import WORLD_REACH, check_times
+from recast.scene.config import SceneConfig
+from recast.scene.skinning import (
+    MOST_JOINTS,
+    MOST_POSES,
+    Skinning,
+    check_tree,
+    check_weights,
+    in_box_frame,
+)
+from recast.splats import morton_order
+
+Array = NDArray[np.float64]
+Members = Mapping[str, NDArray[Any]]
+
+MOST_VERTICES, MOST_SHAPES = 200_000, 1000
+MOST_BYTES = 2_000_000_000
+_MODEL_MEND = "save the members of docs/scenes.md with numpy.savez"
+_PARTS = ("timestamps_us", "betas", "global_orient", "body_pose", "transl")
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body at rest and its motion.
+
+    Attributes:
+        vertices: (V, 3) rest places, metres, in Morton order.
+        skinning: the motion of Gaussians at these vertices.
+    """
+
+    vertices: Array
+    skinning: Skinning
+
+
+def read_bodies(config: SceneConfig, tracks: Mapping[str, Track]) -> dict[str, Body]:
+    """Bodies by track id, as the configuration's files have them; none without files.
+
+    Args:
+        tracks: the actors of the scene.
+
+    Raises:
+        InputError: only one of the two files is named; one is missing, damaged, too large, or has
+            values that no body has; or it names a track that is no actor of the scene.
+    """
+    if not config.smpl_model and not config.smpl_poses:
+        return {}
+    if not config.smpl_model or not config.smpl_poses:
+        lacking = "smpl_poses" if config.smpl_model else "smpl_model"
+        raise InputError("configuration", lacking, "is not named", "name both files or none")
+    model_path, poses_path = Path(config.smpl_model), Path(config.smpl_poses)
+    model = _read_model(model_path)
+    poses = _read_archive(poses_path, None)
+    names = sorted({name.rpartition("/")[0] for name in poses})
+    found = {}
+    for track_id in names:
+        if track_id not in tracks:
+            raise InputError(
+                poses_path, f"track {track_id!r}", "is no actor of the scene",
+                "take it out, or name it in force_dynamic",
+            )  # fmt: skip
+        try:
+            found[track_id] = _body(model, poses, tracks[track_id])
+        except ValueError as error:
+            raise InputError(poses_path, f"track {track_id}", str(error), "correct it") from None
+    return found
+
+
+def _body(model: Members, poses: Members, track: Track) -> Body:
+    parts = {}
+    for part in _PARTS:
+        name = f"{track.track_id}/{part}"
+        if name not in poses:
+            raise ValueError(f"{part} is missing")
+        parts[part] = poses[name]
+    times, betas = parts["timestamps_us"], parts["betas"]
+    if times.ndim != 1 or not 1 <= len(times) <= MOST_POSES or times.dtype.kind not in "iu":
+        raise ValueError(f"timestamps_us: expected (T,) whole numbers, got {times.shape}")
+    stamps = times.astype(np.int64)
+    check_times("timestamps_us", stamps)
+    joints = len(model["parents"])
+    expected = {
+        "global_orient": (len(times), 3), "body_pose": (len(times), joints - 1, 3),
+        "transl": (len(times), 3),
+    }  # fmt: skip
+    for part, shape in expected.items():
+        if parts[part].shape != shape:
+            raise ValueError(f"{part}: expected {shape}, got {parts[part].shape}")
+        limit = WORLD_REACH if part == "transl" else 100.0
+        if not np.all(np.abs(parts[part]) <= limit):  # also NaN
+            raise ValueError(f"{part}: a value is not finite, or beyond {limit:g}")
+    shapes = model["shapedirs"]
+    if betas.ndim != 1 or len(betas) > shapes.shape[2] or not np.all(np.abs(betas) <= 100):
+        raise ValueError(f"betas: at most {shapes.shape[2]} finite numbers, got {betas.shape}")
+    vertices = model["v_template"] + shapes[:, :, : len(betas)] @ betas
+    places = model["J_regressor"] @ vertices
+    rotations = np.concatenate([parts["global_orient"][:, None], parts["body_pose"]], axis=1)
+    quats, shifts = in_box_frame(
+        rotations.astype(np.float64), parts["transl"].astype(np.float64), places[0],
+        track.trajectory, stamps,
+    )  # fmt: skip
+    # In the order that first Gaussians have.
+    order = morton_order(torch.from_numpy(vertices).float())
+    weights = torch.from_numpy(model["weights"]).float()[order]
+    parents = model["parents"].astype(np.int64)
+    skinning = Skinning(weights, places, parents, stamps, quats, shifts)
+    return Body(vertices[order.numpy()], skinning)
+
+
+def _read_model(path: Path) -> Members:
+    wanted = ("v_template", "shapedirs", "J_regressor", "weights", "parents", "kintree_table")
+    found = _read_archive(path, wanted)
+    if "parents" not in found and "kintree_table" in found:
+        found["parents"] = found["kintree_table"].reshape(-1, found["kintree_table"].shape[-1])[0]
+    for name in wanted[:5]:
+        if name not in found:
+            raise InputError(path, name, "is missing", _MODEL_MEND)
+    vertices, joints = found["v_template"].shape[0], found["parents"].size
+    shapes = found["shapedirs"].shape[-1]
+    counts = ((vertices, MOST_VERTICES), (joints, MOST_JOINTS), (shapes, MOST_SHAPES))
+    if not all(1 <= count <= most for count, most in counts):
+        problem = f"have {vertices} vertices, {joints} joints and {shapes} shapes"
+        raise InputError(path, "members", problem, _MODEL_MEND)
+    expected = {
+        "v_template": (vertices, 3), "shapedirs": (vertices, 3, shapes),
+        "J_regressor": (joints, vertices), "weights": (vertices, joints), "parents": (joints,),
+    }  # fmt: skip
+    for name, shape in expected.items():
+        if found[name].shape != shape:
+            problem = f"expected {shape}, got {found[name].shape}"
+            raise InputError(path, name, problem, _MODEL_MEND)
+        if not np.all(np.isfinite(found[name])):
+            raise InputError(path, name, "a value is not finite", _MODEL_MEND)
+    # SMPL's own tables mark the first joint's lack of a parent by the largest unsigned number.
+    parents = found["parents"].astype(np.float64)
+    tree = np.where(parents > MOST_JOINTS, -1, parents).astype(np.int64)
+    try:
+        check_tree("skeleton", tree)
+        check_weights("skin", found["weights"])
+    except ValueError as error:
+        raise InputError(path, "body model", str(error), _MODEL_MEND) from None
+    return {name: found[name].astype(np.float64) for name in expected} | {"parents": tree}
+
+
+def _read_archive(path: Path, wanted: tuple[str, ...] | None) -> dict[str, NDArray[Any]]:
+    """Numeric members of an .npz file; sizes are checked before memory is taken."""
+    mend = _MODEL_MEND
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = {
+                entry.filename.removesuffix(".npy"): entry
+                for entry in archive.infolist()
+                if wanted is None or entry.filename.removesuffix(".npy") in wanted
+            }
+            if sum(entry.file_size for entry in members.values()) > MOST_BYTES:
+                raise InputError(path, "members", f"have more than {MOST_BYTES} bytes", mend)
+            for name, entry in members.items():
+                with archive.open(entry) as stream:
+                    version = npy.read_magic(stream)
+                    first = version == (1, 0)
+                    read = npy.read_array_header_1_0 if first else npy.read_array_header_2_0
+                    shape, _, dtype = read(stream)
+                size = int(np.prod(shape, dtype=object)) * dtype.itemsize
+                if dtype.kind not in "fiu" or not 0 < size <= entry.file_size:
+                    raise InputError(path, name, f"holds {shape} of {dtype}, not numbers", mend)
+        with np.load(path, allow_pickle=False) as loaded:
+            return {name: np.asarray(loaded[name]) for name in members}
+    except FileNotFoundError:
+        raise InputError(path, "file", "is missing", "check the path") from None
+    except (OSError, zipfile.BadZipFile, ValueError, EOFError, KeyError, zlib.error) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(path, "file", f"is damaged, or no .npz ({reason})", mend) from None

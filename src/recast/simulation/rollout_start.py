@@ -1,0 +1,197 @@
+"""Everything about a rollout that is fixed before the planner speaks: start, scripts, cuts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.dynamics import initial_state
+from recast.dynamics import state as ego
+from recast.errors import InputError
+from recast.logs.types import Track
+from recast.planning import ReferenceRoute
+from recast.simulation.actor_motion import ActorMotion, AnyMotion, follows_log, is_scripted
+from recast.simulation.lift import RoadSurface
+from recast.simulation.motion_checks import checked_script, checked_state
+from recast.simulation.neighbour_lane import neighbour_lateral
+from recast.simulation.recorded_road import Ending, RecordedRoad, refuse_if_too_short, who
+from recast.simulation.setup import RolloutSetup
+from recast.simulation.situation import StartSituation
+from recast.simulation.start_checks import refuse_off_map, refuse_starts, surveyed_road
+
+Array = NDArray[np.float64]
+
+_MIN_START_SPEED = 3.0
+
+
+@dataclass(frozen=True)
+class StartingActor:
+    """A controlled actor before the first step.
+
+    Attributes:
+        track: of the log.
+        motion: what it does.
+        situation: what it does that from.
+        road: where it may be.
+        states: (S+1, 4) its script; (1, 4) its first state if it reacts.
+        world_from_actor: (S+1, 4, 4) or (1, 4, 4), the same in space.
+    """
+
+    track: Track
+    motion: AnyMotion
+    situation: StartSituation
+    road: RecordedRoad
+    states: Array
+    world_from_actor: Array
+
+    @property
+    def reacts(self) -> bool:
+        """Whether it has no script."""
+        return not is_scripted(self.motion)
+
+
+@dataclass(frozen=True)
+class RolloutStart:
+    """The start of a rollout; the same for every planner and arm.
+
+    Attributes:
+        route, surface: the road.
+        start_timestamp_us: log time of state 0.
+        ego: (S+1, 11) logged ego states; the first one is the simulated one's, too.
+        actors: the controlled ones, the target first.
+        steps: S, which log and scripts allow; the ego and actors that react may leave the road
+            earlier.
+        ending, cut_reason: why S is what it is; the reason is None if S is what was asked for.
+    """
+
+    route: ReferenceRoute
+    surface: RoadSurface
+    start_timestamp_us: int
+    ego: Array
+    actors: tuple[StartingActor, ...]
+    steps: int
+    ending: Ending
+    cut_reason: str | None
+
+
+def start_rollout(setup: RolloutSetup, seed: int = 0) -> RolloutStart:
+    """Find the start, script the actors, and cut what the recorded road does not carry.
+
+    Args:
+        seed: for motions that draw random numbers.
+
+    Raises:
+        InputError: no such track; no route; a start outside the log; a route off the map; a
+            controlled actor overlaps the ego or another one at the start, or stands off the
+            recorded road or the map's; less than two plan cycles remain; a motion's script is not
+            made of states.
+    """
+    tracks = {track_id: setup.track_of(track_id) for track_id in setup.controlled}
+    log, hdmap = setup.log.world_from_rig, setup.hdmap
+    route = ReferenceRoute.from_trajectory(log)
+    surface = RoadSurface.from_log(log, route, None if hdmap is None else hdmap.ground)
+    start_us = _start(setup)
+    state = initial_state(log.timestamps_us, log.poses, start_us, setup.vehicle)
+
+    recorded = int((log.timestamps_us[-1] - start_us) // round(setup.dt * 1e6))
+    steps, ending, reason = setup.steps, Ending.STEPS, None
+    if recorded < steps:
+        steps, ending = recorded, Ending.LOG
+        reason = f"the log ends {recorded * setup.dt:.1f} s after the start"
+    refuse_if_too_short(setup, steps, reason)
+
+    target = _situation(setup, route, state, start_us, seed)
+    road = surveyed_road(hdmap)
+    refuse_off_map(setup.log.name, f"rollout {setup.name}", road, route, target.ego_s)
+    actors = [
+        _begin(setup, setup.controlled[track_id], track, target)
+        for track_id, track in tracks.items()
+    ]
+    for actor in actors:
+        outside = actor.road.outside(actor.states[: steps + 1, :2])
+        if np.any(outside):
+            steps, ending = int(np.argmax(outside)) - 1, Ending.ACTOR
+            name = who(setup, actor.track.track_id)
+            reason = actor.road.reason(name, actor.states[steps + 1, :2])
+            refuse_if_too_short(setup, steps, reason)
+    refuse_starts(setup, road, state, [(a.track, a.motion, a.states[0, :3]) for a in actors])
+
+    times = start_us + round(setup.dt * 1e6) * np.arange(steps + 1)
+    logged = [initial_state(log.timestamps_us, log.poses, int(t), setup.vehicle) for t in times]
+    return RolloutStart(
+        route=route,
+        surface=surface,
+        start_timestamp_us=start_us,
+        ego=np.stack(logged),
+        actors=tuple(_lifted(actor, surface, steps) for actor in actors),
+        steps=steps,
+        ending=ending,
+        cut_reason=reason,
+    )
+
+
+def _begin(
+    setup: RolloutSetup, motion: AnyMotion, track: Track, target: StartSituation
+) -> StartingActor:
+    situation = replace(
+        target, actor_size=track.size, track_id=track.track_id, trajectory=track.trajectory
+    )
+    if is_scripted(motion):
+        # In full: a motion must not depend on where it is cut.
+        states = checked_script(motion, situation, setup.steps, setup.dt, setup.log.name)
+    else:
+        reacting = cast(ActorMotion, motion)
+        states = checked_state(reacting, reacting.start(situation), 0, setup.log.name)[None]
+    road = RecordedRoad.of_actor(
+        situation.route, setup.road_margin, follows_log(motion), track.trajectory
+    )
+    return StartingActor(track, motion, situation, road, states, np.zeros((0, 4, 4)))
+
+
+def _lifted(actor: StartingActor, surface: RoadSurface, steps: int) -> StartingActor:
+    states = actor.states[: steps + 1]
+    poses = surface.actor_poses(states[:, :3], actor.track.size)
+    return replace(actor, states=states, world_from_actor=poses)
+
+
+def _start(setup: RolloutSetup) -> int:
+    log = setup.log.world_from_rig
+    first, last = int(log.timestamps_us[0]), int(log.timestamps_us[-1])
+    if setup.start_timestamp_us is not None:
+        if not first <= setup.start_timestamp_us <= last:
+            raise InputError(
+                setup.log.name,
+                "start_timestamp_us",
+                f"{setup.start_timestamp_us} lies outside the log",
+                f"choose one within [{first}, {last}]",
+            )
+        return setup.start_timestamp_us
+    latest = last - round(setup.steps * setup.dt * 1e6)
+    for timestamp in log.timestamps_us[log.timestamps_us <= latest]:
+        state = initial_state(log.timestamps_us, log.poses, int(timestamp), setup.vehicle)
+        if state[ego.VX] >= _MIN_START_SPEED:
+            return int(timestamp)
+    return first
+
+
+def _situation(
+    setup: RolloutSetup, route: ReferenceRoute, state: Array, start_us: int, seed: int
+) -> StartSituation:
+    """Where everything is, as the target sees it."""
+    s = float(route.project(state)[0]) + setup.vehicle.centre_offset
+    track = setup.track
+    return StartSituation(
+        route=route,
+        ego_s=s,
+        ego_speed=float(state[ego.VX]),
+        ego_length=setup.vehicle.length,
+        actor_size=track.size,
+        neighbour_lateral=neighbour_lateral(setup.log, setup.hdmap, route, s),
+        track_id=track.track_id,
+        trajectory=track.trajectory,
+        start_timestamp_us=start_us,
+        seed=seed,
+    )

@@ -1,0 +1,322 @@
+"""The simulator: a rollout step by step, whoever plans."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Self, Unpack
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.dynamics import EgoState
+from recast.errors import InputError
+from recast.logs.checks import WORLD_REACH
+from recast.logs.types import DrivingLog
+from recast.planning import Plan, PlannerInput, PlanningContext
+from recast.planning.cameras import require_cameras
+from recast.simulation.actor_motion import AnyMotion
+from recast.simulation.controlled_actors import ControlledActors
+from recast.simulation.moments import history_steps, logged_past, sim_state, timestamp_us
+from recast.simulation.plan_limit import checked_plan
+from recast.simulation.recorded_road import Ending, RecordedRoad
+from recast.simulation.renderer import SensorRenderer
+from recast.simulation.rollout import Rollout
+from recast.simulation.rollout_made import make_rollout
+from recast.simulation.rollout_start import start_rollout
+from recast.simulation.scenario_parts import Scenario
+from recast.simulation.setup import RolloutSettings, RolloutSetup
+from recast.simulation.simulator_parts import as_renderer, as_setup
+from recast.simulation.state import SimState
+
+if TYPE_CHECKING:
+    from recast.scene.street_scene import StreetScene
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+Observation = PlannerInput
+"""What `Simulator.reset` and `Simulator.step` return, and what `Planner.plan` takes."""
+
+
+@dataclass
+class Timings:
+    """Wall-clock seconds; kept apart from the rollout, which is deterministic."""
+
+    render: float = 0.0
+    plan: float = 0.0
+    control: float = 0.0
+    frames: int = 0
+
+
+class Simulator:
+    """Runs one rollout, one plan at a time; `reset` begins it anew.
+
+    A collision never ends a rollout. Same inputs, same bytes.
+
+    Args:
+        log: the recorded drive.
+        scene: what the cameras see: a street scene, any renderer, or None for no images.
+        actors: controlled actors by track id: a motion, or its name such as "cut-in". The first
+            one is the target.
+        cameras: names of the cameras in the observations; None for all of the log, or all of the
+            given renderer. Without a scene there are none.
+        scale: of the images of a street scene, against the log's.
+        device: where a street scene is rendered: "auto", "cpu", "cuda" or "cuda:1".
+        planner: name of who plans, for the rollout.
+        timings: is added to; None for new ones.
+        settings: as for `RolloutSetup`: `steps`, `plan_every`, `dt`, `vehicle`, `controller`,
+            `map`, `start_timestamp_us`, `keep_other_actors`, `road_margin` and `arm`.
+
+    Raises:
+        InputError: bad settings, no such track, motion or camera; see also
+            `recast.simulation.rollout_start.start_rollout`.
+
+    >>> sim = Simulator(log, actors={"0": "advancing"}, steps=10)
+    >>> planner.reset(sim.context)
+    >>> observation = sim.reset()
+    >>> while not sim.done:
+    ...     observation = sim.step(planner.plan(observation))
+    >>> sim.rollout.steps_run
+    10
+    """
+
+    def __init__(
+        self,
+        log: DrivingLog,
+        scene: StreetScene | SensorRenderer | None = None,
+        actors: Mapping[str, str | Path | AnyMotion | Scenario] | None = None,
+        *,
+        cameras: Sequence[str] | None = None,
+        scale: float = 1.0,
+        device: str = "auto",
+        planner: str = "external",
+        timings: Timings | None = None,
+        **settings: Unpack[RolloutSettings],
+    ) -> None:
+        setup = as_setup(log, actors or {}, cameras, settings)
+        renderer = as_renderer(log, scene, cameras, scale, device)
+        self._open(setup, renderer, cameras, planner, timings)
+
+    @classmethod
+    def from_setup(
+        cls,
+        setup: RolloutSetup,
+        renderer: SensorRenderer | None = None,
+        *,
+        cameras: Sequence[str] | None = None,
+        planner: str = "external",
+        timings: Timings | None = None,
+    ) -> Self:
+        """A simulator of a rollout that is described already; see the class for the arguments."""
+        simulator = cls.__new__(cls)
+        simulator._open(setup, renderer, cameras, planner, timings)
+        return simulator
+
+    def _open(
+        self,
+        setup: RolloutSetup,
+        renderer: SensorRenderer | None,
+        cameras: Sequence[str] | None,
+        planner: str,
+        timings: Timings | None,
+    ) -> None:
+        self._setup, self._renderer, self.planner = setup, renderer, planner
+        self.timings = timings or Timings()
+        mounts = {} if renderer is None else renderer.mounts
+        self._cameras = tuple(mounts if cameras is None else cameras)
+        require_cameras(self._cameras, mounts, "Simulator")
+        self._begin(0)
+
+    def _begin(self, seed: int) -> None:
+        self._start, self._seed = start_rollout(self._setup, seed), seed
+        self._actors = ControlledActors(self._setup, self._start)
+        self._road = RecordedRoad(self._start.route, self._setup.road_margin)
+        self._past = logged_past(self._setup, self._start)
+        self._ego: list[Array] = [self._start.ego[0]]
+        self._predictions: list[Array] = []
+        self._plan_steps: list[int] = []
+        self._ending: Ending | None = None
+        self._reason = self._start.cut_reason
+
+    @property
+    def setup(self) -> RolloutSetup:
+        """What the rollout is asked to be."""
+        return self._setup
+
+    @property
+    def step_number(self) -> int:
+        """Steps executed up to now."""
+        return len(self._ego) - 1
+
+    @property
+    def done(self) -> bool:
+        """Whether the rollout is over."""
+        return self._ending is not None
+
+    @property
+    def ending(self) -> Ending | None:
+        """What ended the rollout; None while it runs."""
+        return self._ending
+
+    @property
+    def cut_reason(self) -> str | None:
+        """Why the rollout is, or will be, shorter than asked for; None if nothing is known yet."""
+        return self._reason
+
+    @property
+    def state(self) -> SimState:
+        """The world now."""
+        return self.state_at(self.step_number)
+
+    @property
+    def context(self) -> PlanningContext:
+        """What stays the same during the rollout: for `Planner.reset`."""
+        mounts = {} if self._renderer is None else self._renderer.mounts
+        return PlanningContext(
+            route=self._start.route,
+            log=self._setup.log.world_from_rig,
+            map=self._setup.hdmap,
+            vehicle=self._setup.vehicle,
+            cameras={name: mounts[name] for name in self._cameras},
+            dt=self._setup.dt,
+            plan_every=self._setup.plan_every,
+        )
+
+    @property
+    def rollout(self) -> Rollout:
+        """What was driven up to now.
+
+        Raises:
+            ValueError: no step was executed yet.
+        """
+        if self.step_number == 0:
+            why = f" ({self._reason})" if self.done else "; call step"
+            raise ValueError(f"Simulator.rollout: no step was executed{why}")
+        return make_rollout(
+            setup=self._setup,
+            start=self._start,
+            actors=self._actors,
+            planner=self.planner,
+            ego_states=np.array(self._ego),
+            predictions=self._predictions,
+            plan_steps=self._plan_steps,
+            cut_reason=self._reason if self.done else "stopped before its end",
+            renderer=self._renderer,
+        )
+
+    def reset(self, seed: int | None = None) -> Observation:
+        """Begin the rollout anew.
+
+        Args:
+            seed: for motions that draw random numbers (`StartSituation.seed`); None for 0.
+
+        Raises:
+            InputError: see the class.
+        """
+        self._begin(0 if seed is None else seed)
+        return self.observe()
+
+    def step(self, plan: Plan) -> Observation:
+        """Execute the first `plan_every` steps of a plan, and look again.
+
+        Args:
+            plan: 40 waypoints in the present ego frame.
+
+        Raises:
+            ValueError: the rollout is over, or the plan is none; nothing has moved then.
+            InputError: a motion returned no state.
+        """
+        self.advance(plan)
+        return self.observe()
+
+    def observe(self, images: Mapping[str, Image] | None = None) -> Observation:
+        """What a planner sees now.
+
+        Args:
+            images: of the cameras; None to render them.
+        """
+        step, now = self.step_number, self._ego[-1]
+        history = np.array([*self._past, *self._ego][-history_steps(self._setup) - 1 :])
+        return PlannerInput(
+            step=step,
+            timestamp_us=timestamp_us(self._setup, self._start, step),
+            ego=EgoState(now),
+            ego_history=history,
+            actors=self._actors.seen(step),
+            command=self._start.route.command(now),
+            images=self.render(self._cameras) if images is None else images,
+        )
+
+    def advance(self, plan: Plan) -> int:
+        """As `step`, without looking; returns how many steps were executed.
+
+        Raises:
+            ValueError, InputError: see `step`.
+        """
+        if self.done:
+            raise ValueError("Simulator.step: the rollout is over; call reset")
+        plan = checked_plan(plan, "Simulator.step", "got")
+        first, setup = self.step_number, self._setup
+        steps = min(setup.plan_every, self._start.steps - first)
+        executed = self._execute(plan, steps)
+        outside = self._road.outside(executed[:, :2])
+        kept = int(np.argmax(outside)) if outside.any() else steps
+        if kept < steps:
+            self._ending = self._road.ending(executed[kept, :2])
+            self._reason = self._road.reason("the ego", executed[kept, :2])
+        for k in range(kept):
+            reason = self._actors.advance(self._ego[-1])
+            if reason is not None:
+                kept, self._ending, self._reason = k, Ending.ACTOR, reason
+                break
+            self._ego.append(executed[k])
+        if kept > 0:
+            self._predictions.append(np.asarray(plan.waypoints, np.float64))
+            self._plan_steps.append(first)
+        if self._ending is None and self.step_number == self._start.steps:
+            self._ending = self._start.ending
+        return kept
+
+    def render(self, cameras: Sequence[str], step: int | None = None) -> dict[str, Image]:
+        """Images (H, W, 3) uint8 RGB by camera name at a step up to now; None for now.
+
+        Raises:
+            ValueError: there is no renderer.
+        """
+        if not cameras:
+            return {}
+        if self._renderer is None:
+            raise ValueError("Simulator.render: give the simulator a scene")
+        began = perf_counter()
+        state = self.state_at(self.step_number if step is None else step)
+        images = self._renderer.render(state, tuple(cameras))
+        self.timings.render += perf_counter() - began
+        self.timings.frames += len(images)
+        return images
+
+    def state_at(self, step: int) -> SimState:
+        """The world at a step up to now.
+
+        Raises:
+            ValueError: the rollout has not come there.
+        """
+        if not 0 <= step <= self.step_number:
+            raise ValueError(f"Simulator.state_at: {step}, but it is at step {self.step_number}")
+        return sim_state(self._setup, self._start, self._actors, self._ego[step], step)
+
+    def _execute(self, plan: Plan, steps: int) -> Array:
+        """Ego states (steps, 11) by the controller."""
+        setup, began = self._setup, perf_counter()
+        executed = setup.controller.execute(
+            self._ego[-1], plan.waypoints, steps, setup.vehicle, setup.dt
+        )[1:]
+        self.timings.control += perf_counter() - began
+        if not np.all(np.abs(executed) <= WORLD_REACH):  # also NaN
+            problem = "leads to ego states that are not finite or out of this world"
+            mend = "plan waypoints that a vehicle can reach"
+            where = f"planner {self.planner}"
+            raise InputError(where, f"plan at step {self.step_number}", problem, mend)
+        return executed

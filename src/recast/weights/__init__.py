@@ -1,0 +1,16 @@
+"""Published weights by name: fetched once, checked against a record, read offline afterwards."""
+
+from recast.weights.place import RECAST_WEIGHTS, located, place, weights_folder
+from recast.weights.table import PUBLISHED, Licence, Source, Weights, published
+
+__all__ = [
+    "PUBLISHED",
+    "RECAST_WEIGHTS",
+    "Licence",
+    "Source",
+    "Weights",
+    "located",
+    "place",
+    "published",
+    "weights_folder",
+]

@@ -1,0 +1,156 @@
+"""What was fetched: the record beside the weights, and whether the files are still those."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, NonNegativeInt
+
+from recast import storage
+from recast.errors import InputError
+from recast.names import member
+from recast.records import Record, read_record
+from recast.weights.table import Weights
+
+RECORD_FILE = "weights.json"
+_FORMAT: Literal["recast-weights"] = "recast-weights"
+
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+class FileRecord(Record):
+    """Size and hash of a file."""
+
+    size: NonNegativeInt
+    sha256: Sha256
+
+
+class WeightsRecord(Record):
+    """weights.json; the same on every machine, whichever mirror the bytes came from.
+
+    Attributes:
+        name: in the table.
+        revisions: repository on Hugging Face to the commit that was fetched.
+        fetched: what came over the network, by its address at the publisher.
+        converter: code that made `files` of it; empty if they are the same.
+        files: all files of the folder but this one, by relative name.
+    """
+
+    format: Literal["recast-weights"] = _FORMAT
+    version: Literal[1] = 1
+    name: str
+    revisions: dict[str, str]
+    fetched: dict[str, FileRecord]
+    converter: str = ""
+    files: dict[str, FileRecord]
+
+    @property
+    def size(self) -> int:
+        """Bytes of all files."""
+        return sum(file.size for file in self.files.values())
+
+    def is_of(self, weights: Weights) -> bool:
+        """Whether what was fetched is all of an entry, and what it pins."""
+        for source in weights.sources:
+            commit = self.revisions.get(source.where, "")
+            if source.revision not in (None, commit):
+                return False
+            for name in source.files:
+                file = self.fetched.get(source.address(name, commit))
+                if file is None and "*" not in name:
+                    return False
+                if file is not None and source.sha256.get(name, file.sha256) != file.sha256:
+                    return False
+        return True
+
+
+def read_weights_record(folder: Path) -> WeightsRecord:
+    """Read the record of fetched weights.
+
+    Raises:
+        InputError: there is none, or it is damaged or of another version.
+    """
+    return read_record(folder / RECORD_FILE, WeightsRecord, 1, _mend(folder), _FORMAT)
+
+
+def file_record(path: Path) -> FileRecord:
+    """Size and SHA-256 of a file, all of it read."""
+    with path.open("rb") as stream:
+        sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
+    return FileRecord(size=path.stat().st_size, sha256=sha256)
+
+
+def verify(folder: Path, record: WeightsRecord, every_byte: bool = True) -> None:
+    """Check that every file is there with the bytes that were fetched.
+
+    Args:
+        every_byte: read all files. If False, a file that the file system has not changed since it
+            was last read (size, inode, times of change and modification) is not read again.
+
+    Raises:
+        InputError: names the first file at fault.
+    """
+    seen, read = {} if every_byte else _read_stamps(folder), False
+    for name, file in record.files.items():
+        path = member(folder, name, folder / RECORD_FILE, "files")
+        with storage.disk_errors(path):
+            if not path.is_file():
+                raise InputError(path, "weights", "lack this file", _mend(folder))
+            if path.stat().st_size == file.size and seen.get(name) == _stamp(path):
+                continue
+            read = True
+            if file_record(path) != file:
+                problem = f"changed after {record.name} was fetched"
+                raise InputError(path, "bytes", problem, _mend(folder))
+    if read:
+        remember(folder, record)
+
+
+def remember(folder: Path, record: WeightsRecord) -> None:
+    """Note, beside a folder whose files were all read, how the file system describes them."""
+    with suppress(InputError, OSError):  # somebody else's folder: read again the next time then
+        stamps = {name: _stamp(folder / name) for name in record.files}
+        storage.write_json(_note(folder), stamps)
+
+
+def written_files(
+    folder: Path, leave: Collection[str], known: Mapping[str, FileRecord]
+) -> dict[str, FileRecord]:
+    """The files below a folder by relative name; those that begin with a dot are temporary.
+
+    Args:
+        leave: names of files that are left out.
+        known: files that were read already.
+    """
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        temporary = any(part.startswith(".") for part in name.split("/"))
+        if path.is_file() and not temporary and name not in leave:
+            found[name] = known.get(name) or file_record(path)
+    return found
+
+
+def _stamp(path: Path) -> list[int]:
+    # The time of change cannot be set back by a program, unlike that of modification.
+    stat = path.stat()
+    return [stat.st_size, stat.st_ino, stat.st_mtime_ns, stat.st_ctime_ns]
+
+
+def _note(folder: Path) -> Path:
+    return folder.with_name(f".{folder.name}.verified.json")
+
+
+def _read_stamps(folder: Path) -> dict[str, Any]:
+    with suppress(InputError):
+        found = storage.read_json(_note(folder))
+        return found if isinstance(found, dict) else {}
+    return {}
+
+
+def _mend(folder: Path) -> str:
+    return f"remove {folder}, then: recast weights get {folder.name}"

@@ -1,0 +1,102 @@
+"""The library's face: every name is there, costs nothing to import, and its doctest runs."""
+
+from __future__ import annotations
+
+import doctest
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import recast
+from faults.parts import Box
+from recast.errors import InputError
+from recast.splats import write_ply
+
+FUNCTIONS = (
+    "evaluate", "load_log", "load_scene", "make_actor", "motion", "reconstruct", "run_grid",
+    "score", "Simulator", "write_report",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def names(tiny_log_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What doctests may use: a log, its scene and actor, a planner and a rollout."""
+    folder = tmp_path_factory.mktemp("face")
+    shutil.copytree(tiny_log_folder, folder / "log")
+    write_ply(folder / "car.ply", Box().generate(None, 0).gaussians)  # type: ignore[arg-type]
+    log = recast.load_log(folder / "log")
+    scene = recast.reconstruct(log, iterations=20, scale=0.5)
+    planner = recast.make_planner("idm-follower")
+    sim = recast.Simulator(log, scene, {"0": "advancing"}, steps=10, scale=0.5)
+    planner.reset(sim.context)
+    observation = sim.reset()
+    while not sim.done:
+        observation = sim.step(planner.plan(observation))
+    return {
+        "folder": folder, "log": log, "scene": scene, "planner": planner, "rollout": sim.rollout,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_the_example_of_a_name_runs(name: str, names: dict[str, Any]) -> None:
+    module = sys.modules[getattr(recast, name).__module__]
+    found = doctest.DocTestFinder(recurse=False).find(
+        getattr(recast, name), name, module, extraglobs=names
+    )
+    assert len(found) == 1 and found[0].examples
+    said: list[str] = []
+    result = doctest.DocTestRunner().run(found[0], out=said.append)
+    assert result.failed == 0, "".join(said)
+
+
+def test_the_way_from_a_log_to_a_report(names: dict[str, Any], tmp_path: Path) -> None:
+    """DESIGN's example: what was made before is found again."""
+    log = recast.load_log(names["folder"] / "log")
+    scene = recast.reconstruct(log, iterations=20, scale=0.5)
+    store = names["folder"] / "store" / "scenes"
+    assert [path.name for path in store.glob("[0-9a-f]*")] == [scene.origin.parent.name]
+    actor = recast.make_actor(log, "0", generator=f"{names['folder']}/car.ply", axes="x,z")
+    sim = recast.Simulator(
+        log, scene.with_actor(actor), actors={"0": recast.motion("advancing")}, steps=10, scale=0.5
+    )
+    planner = recast.make_planner("constant-velocity")
+    observation = sim.reset()
+    while not sim.done:
+        observation = sim.step(planner.plan(observation))
+    told = str(recast.score(sim.rollout))
+    assert "NC" in told and "R_c" in told and len(told.splitlines()) >= 7
+    page = recast.write_report(sim.rollout, tmp_path / "report").read_text()
+    assert "Advancing" in page and list((tmp_path / "report").rglob("*.mp4"))
+
+
+def test_what_takes_no_place_says_so(names: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="track 9: is not in the log"):
+        recast.make_actor(names["log"], "9")
+    unknown = {**vars(names["rollout"]), "origin": None}
+    with pytest.raises(InputError, match="map: is not kept"):
+        recast.score(recast.Rollout(**unknown))
+    with pytest.raises(AttributeError, match="nonesuch"):
+        _ = recast.nonesuch
+
+
+def test_importing_imports_nothing() -> None:
+    code = "import sys, recast; print([m for m in ('numpy', 'torch', 'tyro') if m in sys.modules])"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "[]"
+    assert set(FUNCTIONS) <= set(dir(recast))
+
+
+def test_a_log_that_lies_nowhere_has_no_store(names: dict[str, Any], tmp_path: Path) -> None:
+    log = replace(names["log"])
+    assert log.origin is None
+    scene = recast.reconstruct(log, iterations=2, scale=0.5)
+    assert scene.origin is None
+    box = {"generator": "faults.parts:Box", "store": tmp_path / "store"}
+    assert recast.make_actor(log, "0", **box).track_id == "0"
+    assert recast.make_actor(log, "0", **box).track_id == "0"
+    assert [path.name for path in tmp_path.iterdir()] == ["store"]
