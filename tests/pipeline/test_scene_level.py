@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import torch
 from PIL import Image
 
 from recast.cli.main import main
@@ -116,10 +117,12 @@ def test_bad_input_is_one_line(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("RECAST_WEIGHTS", str(tmp_path / "weights"))
+    torch.save({"classifier.weight": torch.zeros(2, 2)}, tmp_path / "other.pth")
     cases = {
         ("--every", "0"): "--every: value: is 0",
         ("--references", "0"): "--references: value: is 0",
         ("--inception", str(tmp_path / "none.pth")): "inception: is missing",
+        ("--lpips-weights", str(tmp_path / "other.pth")): "other.pth: ",
         ("--vqa", "nothing"): "VQA scorer: nothing: is not known",
         ("--clip", "clip-vit-l14"): "run `recast weights get clip-vit-l14`",
         ("--arm", "oracle"): "synthetic",
@@ -129,6 +132,7 @@ def test_bad_input_is_one_line(
         out, store = tmp_path / "grid", str(finished.parent / "store")
         assert main(command(tiny_log_folder, out, vehicle, *words, "--store", store)) == 2
         assert said in capsys.readouterr().err
+        assert (out / "features").exists() is False
         shutil.rmtree(out, ignore_errors=True)
     other = command(tiny_log_folder, finished, vehicle, "--crop", "masked")
     assert main(other) == 2

@@ -12,11 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
 from recast import storage
 from recast.cli.main import main
 from recast.core import Artefact, Store
-from recast.pipeline import sources
+from recast.pipeline import making, sources
+from recast.pipeline.source_log import SourceLog
+from recast.scene import SceneConfig
 from support.moments import forked
 
 PLANNER = """
@@ -280,3 +283,21 @@ def test_the_same_code_elsewhere_is_the_same_code(
             found.append(sources.planner_source("navsim:mine_here.planner:Mine"))
     assert found[:3] == found[3:]
     assert len(set(found[:3])) == 3
+
+
+def test_a_street_is_trained_again_where_a_file_of_bodies_was_edited(
+    tiny_log_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        making, "train_with_display", lambda log, out, config, console: out.mkdir(exist_ok=True)
+    )
+    maker = making.Maker(Store(tmp_path / "store"), Console(quiet=True))
+    source = SourceLog.open(tiny_log_folder)
+    files = {name: str(tmp_path / f"{name}.npz") for name in ("smpl_model", "smpl_poses")}
+    config = SceneConfig(**files)
+    found = []
+    for content in (b"one", b"one", b"other"):
+        for path in files.values():
+            Path(path).write_bytes(content)
+        found.append(making.train_street(maker, source, config, "street").reference)
+    assert found[0] == found[1] != found[2]

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from recast.actors import load_actor
-from recast.core import Artefact, Store, folder_hash
+from recast.core import Artefact, Store, file_hash, folder_hash
 from recast.errors import printable
 from recast.pipeline.actor import ActorMakers, film_turntable, make_actor, refine_actor
 from recast.pipeline.display import SamplingProgress, print_actor
@@ -77,6 +77,9 @@ def train_street(maker: Maker, source: SourceLog, config: SceneConfig, name: str
         "config": config.model_dump(mode="json", exclude=set(FREE_FIELDS)),
         "recipe": RECIPES["scene"],
     }
+    bodies = [Path(path) for path in (config.smpl_model, config.smpl_poses) if path]
+    if bodies:  # a missing one ends the training
+        inputs["bodies"] = [file_hash(path) for path in bodies if path.is_file()]
     return maker.make(
         f"street {name}", "scenes", inputs,
         lambda out: train_with_display(source.log, out, config, maker.console),

@@ -78,7 +78,8 @@ def _layers(
     parts = [scene.background]
     for track_id, pose in poses.items():
         if track_id != evidence.track_id:
-            actor = scene.actors[track_id].coloured_at(sighting.timestamp_us)
+            time = sighting.timestamp_us
+            actor = scene.actors[track_id].coloured_at(time).shaped_at(time)
             posed = actor.gaussians.transformed(torch.from_numpy(pose))
             parts.append(refiltered(posed, actor.low_pass, CLASSIC, view, K))
     cast = shadow.transformed(torch.from_numpy(sighting.world_from_object))

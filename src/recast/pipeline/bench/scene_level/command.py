@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from recast.evaluation.scene_level.files import (
     warnings,
     write_images,
 )
+from recast.evaluation.scene_level.networks import Networks
 from recast.evaluation.scene_level.records import read_frames, read_references
 from recast.evaluation.scene_level.scores import COLUMNS
 from recast.evaluation.scene_level.summary import LevelRow, MeasuredScene, summarise
@@ -85,6 +87,8 @@ def run_scene_level(
     place = str(out.absolute().parent / STORE_FOLDER if store is None else store)
     opened = open_store(place)
     check_grid(settings.grid)
+    # Wrong weights end here, not after the first street; the VQA scorer's are too large for that.
+    Networks(**asdict(replace(settings.networks, vqa=None, device="cpu")))
     record = settings.record()
     begin(out, record)
     if ray is not None:
