@@ -24,7 +24,7 @@ endif
 TESTS ?= tests/geometry tests/dynamics tests/evaluation tests/splats tests/trellis tests/planning/pdm \
   tests/planning/gtrs
 
-.PHONY: help setup demo test test-portable $(LEVELS:%=test-at-%) lint types contracts docs unit fuzz bench clean
+.PHONY: help setup demo test test-portable $(LEVELS:%=test-at-%) lint types contracts docs unit fuzz bench wheel clean
 
 help:
 	@echo "make setup   install into $(VENV)"
@@ -33,6 +33,7 @@ help:
 	@echo "make test-portable   tests whose numbers may differ, as on lesser processors"
 	@echo "make fuzz    100,000 damaged files for every reader; goes on where it was stopped"
 	@echo "make bench   the benchmarks of rasterizer, ray tracer and image-to-3D model"
+	@echo "make wheel   a wheel for this machine, in dist/"
 	@echo "make clean   remove $(VENV) and build folders"
 
 setup: $(VENV)/.ready
@@ -90,6 +91,15 @@ bench: setup
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/trellis.py sparse
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/trellis.py actor
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/vehicle_sets.py
+
+# The build has its own environment; its packages are found as those of `setup` are.
+wheel: setup
+	rm -f dist/recast_sim-*.whl
+	if test -x $(BIN)/uv; then \
+	  UV_FIND_LINKS="$${UV_FIND_LINKS:-$${PIP_FIND_LINKS:-}}" $(BIN)/uv build --wheel --out-dir dist .; \
+	else \
+	  $(BIN)/python -m pip wheel -q --no-deps --wheel-dir dist .; \
+	fi
 
 clean:
 	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache

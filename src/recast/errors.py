@@ -23,23 +23,34 @@ class InputError(ValueError):
         field: the field, record or member inside it.
         problem: what is wrong, with the value found.
         mend: what the user can do about it.
+        page: page of the documentation that helps, such as "docs/weights.md#names"; None for the
+            page of the part of recast that raises the error (`recast.cli.pages`).
     """
 
-    def __init__(self, where: str | Path, field: str, problem: str, mend: str) -> None:
+    def __init__(
+        self, where: str | Path, field: str, problem: str, mend: str, page: str | None = None
+    ) -> None:
         self.where = str(where)
         self.field = field
         self.problem = problem
         self.mend = mend
-        names = printable(self.where), printable(field)
-        # Texts of libraries may span lines; names may not.
-        texts = (printable(" ".join(text.split())) for text in (problem, mend))
-        where, field, problem, mend = _fitted([*names, *texts], LINE_LIMIT - len(": : ; "))
-        super().__init__(f"{where}: {field}: {problem}; {mend}")
+        self.page = page
+        super().__init__(self.line(page))
 
-    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
+    def line(self, page: str | None) -> str:
+        """The whole message in one line; a page is named at its end."""
+        ending = "" if page is None else f"; see {page}"
+        names = printable(self.where), printable(self.field)
+        # Texts of libraries may span lines; names may not.
+        texts = (printable(" ".join(text.split())) for text in (self.problem, self.mend))
+        room = LINE_LIMIT - len(": : ; ") - len(ending)
+        where, field, problem, mend = _fitted([*names, *texts], room)
+        return f"{where}: {field}: {problem}; {mend}{ending}"
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str, str | None]]:
         # Exceptions pickle through `args`, which holds the joined line; worker processes need the
         # parts.
-        return (InputError, (self.where, self.field, self.problem, self.mend))
+        return (InputError, (self.where, self.field, self.problem, self.mend, self.page))
 
 
 def printable(text: str) -> str:

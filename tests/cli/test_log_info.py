@@ -84,11 +84,14 @@ def test_candidates_are_told_with_why(
 
 def test_json_holds_everything(tiny_log_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["log", "info", str(tiny_log_folder), "--json"]) == 0
-    info = json.loads(capsys.readouterr().out)
-    assert info["map_kind"] == "derived"
-    first, second = info["tracks"]
+    rows = json.loads(capsys.readouterr().out)
+    [log] = [row for row in rows if row["table"] == "log"]
+    assert log["map_kind"] == "derived" and log["duration_s"] > 1
+    first, second = (row for row in rows if row["table"] == "tracks")
     assert (first["track_id"], first["usable"]) == ("0", True)
-    assert first["visibility"]["frames"] == 24 and first["visibility"]["crop"][0] > 10
+    assert first["frames"] == 24 and first["crop_width_px"] > 10
+    [camera] = [row for row in rows if row["table"] == "sensors" and row["kind"] == "camera"]
+    assert camera["rate_hz"] > 1 and camera["width_px"] > 10
     assert second["track_id"] == "1" and "stands; " in second["why"]
 
 

@@ -51,3 +51,22 @@ def test_three_nodes_give_the_same_bytes(
     assert len(before) > 8
     assert main([*there, "--workers", "3"]) == 0  # nothing is made twice
     assert {path: path.stat().st_mtime_ns for path in made} == before
+
+
+@pytest.mark.slow
+def test_three_nodes_measure_the_same_images(
+    cluster: str, tiny_log_folder: Path, tmp_path: Path
+) -> None:
+    scenes = [f"{tiny_log_folder}:0", f"{tiny_log_folder}:1"]
+    command = [
+        "bench", "scene-level", "--scenes", *scenes, "--motions", "advancing-a", "--steps", "10",
+        "--samples", "200", "--frechet-samples", "20", "--iterations", "4", "--scale", "0.5",
+        "--arm", "native", "--arm", "template", "--refine", "False", "--least-px", "4",
+        "--every", "2",
+    ]  # fmt: skip
+    assert main([*command, "--out", str(tmp_path / "here" / "grid")]) == 0
+    there = [*command, "--out", str(tmp_path / "there" / "grid"), "--ray", cluster]
+    assert main([*there, "--workers", "3"]) == 0
+    for name in ("scene_level.parquet", "results.json", "table.md", "figure_advancing.png"):
+        here = (tmp_path / "here" / "grid" / name).read_bytes()
+        assert (tmp_path / "there" / "grid" / name).read_bytes() == here, name

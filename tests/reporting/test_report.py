@@ -78,7 +78,7 @@ def test_every_part_is_on_the_page(report: Path) -> None:
         "25% was invented, 25% mirrored and 50% seen in the log (visible in 1 of 2 images).",
         "contact at 2.3 s", "bird's-eye view", "Time to collision of each plan",
         "21.93 dB", "LiDAR depth", "0.061 m",
-        "Side-by-side films", "Resolved configuration", '"steps": 3000',
+        "Film with all arms side by side", "Resolved configuration", '"steps": 3000',
         "torch", "2.13.0", "9c1f0a7e", "312.4 s", "The map was derived.",
         "the rollout failed", "the recorded road ends", "Drivable-area compliance",
     ):  # fmt: skip
@@ -122,7 +122,7 @@ def test_films_have_a_frame_for_each_state(report: Path) -> None:
     [film] = report.glob("films/*native-birdseye.mp4")
     frames, fps = read_video(film)
     assert len(frames) == STEPS + 1 and fps == 10.0
-    [joined] = report.glob("films/*beside*.mp4")
+    [joined] = report.glob("films/*side-by-side.mp4")
     assert read_video(joined)[0].shape[2] == 96 + 4 + 96
 
 

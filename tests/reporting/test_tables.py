@@ -1,12 +1,11 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 
 import numpy as np
 
 from recast.evaluation import COLUMNS, rollout_metrics
-from recast.reporting import NotMade, RolloutPart, ScenarioPart, palette, plots, tables
+from recast.reporting import NotMade, RolloutPart, ScenarioPart, tables
 from recast.reporting.checks import checks
 from recast.reporting.drives_compared import driving_note, truth_gaps
 from recast.reporting.inputs import ReportInputs
@@ -165,21 +164,3 @@ def test_gap_to_the_truth_is_the_distance_between_the_egos() -> None:
     assert told is not None
     assert f"Native {away.mean():.2f} m on average, {away.max():.2f} m at most" in told
     assert truth_gaps(dataclasses.replace(run, truth_arm=None), part) is None
-
-
-def test_plots_are_the_same_twice_and_take_the_page_s_colours() -> None:
-    curves = [
-        plots.Curves("Native", palette.arm_colour(0), series(cut_in(steps=30)), np.full(6, 4.0)),
-        plots.Curves("Replaced", palette.arm_colour(1), series(cut_in(steps=20)), None),
-    ]
-    first, second = (plots.rollout_plots("a", curves) for _ in range(2))
-    assert first == second
-    for plot in first:
-        assert plot.svg.startswith("<svg") and plot.svg.rstrip().endswith("</svg>")
-        assert "currentColor" in plot.svg and "#010203" not in plot.svg
-        assert "http" not in plot.svg and "<style" not in plot.svg
-        assert plot.time_end == 3.0
-    other = plots.rollout_plots("b", curves)
-    ids = [set(re.findall(r' id="([^"]*)"', plot.svg)) for plot in (*first, *other)]
-    assert all(ids)
-    assert sum(map(len, ids)) == len(set.union(*ids)), "ids repeat within a page"

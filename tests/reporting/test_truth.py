@@ -124,9 +124,7 @@ def test_three_methods_leave_no_loose_ends(report: Path) -> None:
     assert len(ids) == len(set(ids))
     raw = report.read_text(encoding="utf-8")
     assert "<script>alert" not in raw and not re.search(r"https?:", raw)
-    joined = [link for link in linked if "beside" in link]
-    assert len(joined) == 2  # native beside replaced, replaced beside truth
-    assert sum("beside-truth-oracle" in link for link in joined) == 1
+    assert sum("side-by-side" in link for link in linked) == 1
     assert "Gap to the truth, distance of the ego" in page.text
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from recast.errors import InputError
 from recast.reporting import VideoWriter, draw_frames, read_video, side_by_side, write_video
+from recast.reporting.video import film_frames
 from reporting.made_up_rollouts import cut_in, straight_map
 
 
@@ -93,7 +94,8 @@ def test_reading_something_else_names_the_file(tmp_path: Path) -> None:
 def test_side_by_side_holds_the_last_frame_of_the_shorter(tmp_path: Path) -> None:
     write_video(tmp_path / "left.mp4", [np.full((40, 60, 3), v, np.uint8) for v in (10, 60, 110)])
     write_video(tmp_path / "right.mp4", [np.full((20, 30, 3), 200, np.uint8)])
-    side_by_side(tmp_path / "left.mp4", tmp_path / "right.mp4", tmp_path / "out.mp4", ("a", "b\nc"))
+    films = [tmp_path / "left.mp4", tmp_path / "right.mp4"]
+    side_by_side(films, tmp_path / "out.mp4", ("a", "b\nc"))
     back, _ = read_video(tmp_path / "out.mp4")
     assert len(back) == 3
     picture = back[:, -40:]
@@ -106,5 +108,26 @@ def test_side_by_side_refuses_different_rates(tmp_path: Path) -> None:
     write_video(tmp_path / "left.mp4", film(2), fps=10)
     write_video(tmp_path / "right.mp4", film(2), fps=20)
     with pytest.raises(InputError, match="frame rate"):
-        side_by_side(tmp_path / "left.mp4", tmp_path / "right.mp4", tmp_path / "o.mp4", ("a", "b"))
+        films = [tmp_path / "left.mp4", tmp_path / "right.mp4"]
+        side_by_side(films, tmp_path / "o.mp4", ("a", "b"))
     assert not (tmp_path / "o.mp4").exists()
+
+
+def test_side_by_side_begins_a_row_after_four_films(tmp_path: Path) -> None:
+    films = [tmp_path / f"{value}.mp4" for value in (20, 60, 100, 140, 180)]
+    for path in films:
+        write_video(path, [np.full((40, 60, 3), int(path.stem), np.uint8)])
+    side_by_side(films, tmp_path / "out.mp4", "abcde")
+    [picture] = read_video(tmp_path / "out.mp4")[0]
+    assert picture.shape == (2 * (28 + 40), 4 * 60 + 3 * 4, 3)
+    middles = [picture[48, 30 + 64 * i].mean() for i in range(4)]
+    np.testing.assert_allclose(middles, [20, 60, 100, 140], atol=4)
+    np.testing.assert_allclose([picture[116, 30].mean(), picture[116, 94].mean()], [180, 0], atol=4)
+
+
+def test_single_frames_are_those_of_the_film(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mp4", [np.full((40, 60, 3), v, np.uint8) for v in (10, 60, 110, 200)])
+    found = film_frames(tmp_path / "a.mp4", [2, 0, 9])
+    assert {step: round(float(frame.mean())) for step, frame in found.items()} == {
+        0: pytest.approx(10, abs=3), 2: pytest.approx(110, abs=3), 9: pytest.approx(200, abs=3),
+    }  # fmt: skip

@@ -8,44 +8,45 @@ from typing import Annotated, Literal
 
 import tyro
 
+from recast.cli import shared
+from recast.cli.output import JSON, console_for, print_json
+
+SAMPLING_STEPS = shared.option(
+    "Number of sampling steps of structure and latent.", "the model's", metavar="INT"
+)
+MAX_VOXELS = shared.option(
+    "Maximum number of active voxels of a structure.", "8 R^2, 32768 at R = 64", metavar="INT"
+)
+
 
 @dataclass(frozen=True)
 class Make:
-    """Generate vehicles from a track's best view, register them to box and LiDAR, and take the one
-    that fits the log best; with a scene, have it follow all images."""
+    """Generate vehicles from the best view of a track, register them to box and LiDAR, and keep
+    the vehicle that fits the log best; with a scene, refine it on all images."""
 
     log: tyro.conf.Positional[Path]
     """Log folder."""
-    track: str
-    """Track to make; `recast log info LOG` lists them."""
+    track: Annotated[str, shared.required(shared.TRACK_HELP)]
     out: Path
-    """Folder to write observation, actor and turntable to; must not exist."""
-    scene: Path | None = None
-    """Scene folder of the log, with a model of the track: the actor is refined against it."""
-    generator: str = "auto"
-    """What makes the vehicle: auto (template and recast-mini, of which the log's evidence takes the
-    best), recast-mini (the image-to-3D model of the package), template, an installed generator's
-    name, trellis (see recast weights), a model folder, the path of a PLY, GLB or OBJ, or
-    library:FOLDER (the best of the files and actors in it)."""
-    axes: str = "auto"
-    """Axes of vehicle files or a model folder: which one points up, such as z-up, y-up or
-    minus-y-up (a splat viewer's), or forward and up, such as x,z (write --axes=-y,z with a minus).
-    auto tells a file's from its shape, and takes models for z-up."""
-    segmenter: str = "box-lidar"
-    """What cuts the vehicle out: box-lidar, an installed segmenter's name, grounded-sam (see recast
-    weights), or a folder that holds grounding-dino and sam (see docs/actors.md)."""
-    cameras: tuple[str, ...] = ()
-    """Cameras that the views may be taken from. Default: all of the log."""
-    views: int = 1
-    """Number of views to use at most: the best one and others that show other sides. Frames that
-    scenes hold out by default (every eighth) are never used."""
-    seed: int = 0
-    """Seed of everything random."""
+    """New folder for observation, actor and turntable."""
+    scene: Annotated[
+        Path | None,
+        shared.option(
+            "Scene folder of the log, with a model of the track; the actor is refined on its "
+            "images.",
+            "no refinement", metavar="PATH",
+        ),
+    ] = None  # fmt: skip
+    generator: Annotated[str, shared.GENERATOR] = "auto"
+    axes: Annotated[str, shared.AXES] = "auto"
+    segmenter: Annotated[str, shared.SEGMENTER] = "box-lidar"
+    cameras: Annotated[tuple[str, ...], shared.CAMERAS] = ()
+    views: Annotated[int, shared.VIEWS] = 1
+    seed: Annotated[int, shared.SEED] = 0
+    json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.errors import InputError
         from recast.logs import read_log
         from recast.pipeline.actor import ActorMakers, film_turntable, make_actor, refine_actor
@@ -57,7 +58,7 @@ class Make:
 
         if not 1 <= self.views <= MOST_VIEWS:
             raise InputError("--views", "value", f"is {self.views}", f"give 1 to {MOST_VIEWS}")
-        console = Console()
+        console = console_for(self.json)
         with atomic_folder(self.out) as folder, SamplingProgress(console) as progress:
             makers = ActorMakers.named(self.generator, self.segmenter, self.axes)
             log = read_log(self.log)
@@ -76,6 +77,10 @@ class Make:
         if actor.provenance.refinement is not None:
             console.print(actor.provenance.refinement.explain(), markup=False, highlight=False)
         console.print(f"wrote {self.out}", markup=False)
+        if self.json:
+            from recast.cli.rows.vehicles import candidate_rows
+
+            print_json(candidate_rows(actor.provenance.candidates))
 
 
 @dataclass(frozen=True)
@@ -85,36 +90,39 @@ class Generate:
     crop: tyro.conf.Positional[tuple[Path, ...]]
     """Pictures with alpha, each of another vehicle; several are generated in one batch."""
     model: Path
-    """Model folder in the published layout (pipeline.json, ckpts/), or trellis (see recast
+    """Model folder in the published layout (pipeline.json, ckpts/), or trellis (recast
     weights)."""
     out: Path
-    """Folder to write to; must not exist."""
+    """New folder for the vehicles."""
     views: tuple[Path, ...] = ()
     """Further pictures of the same vehicle, in the order front, rear, left, right."""
-    seed: int = 0
-    """Seed of everything random."""
-    steps: int | None = None
-    """Sampling steps of structure and latent; the model's where not given."""
-    cfg: tuple[float, float] | None = None
-    """Guidance strengths of structure and latent, such as 7.5 3; the model's where not given."""
+    seed: Annotated[int, shared.SEED] = 0
+    steps: Annotated[int | None, SAMPLING_STEPS] = None
+    cfg: Annotated[
+        tuple[float, float] | None,
+        shared.option(
+            "Guidance strengths of structure and latent, such as 7.5 3.", "the model's",
+            metavar="STRUCTURE LATENT",
+        ),
+    ] = None  # fmt: skip
     multi_image: Literal["stochastic", "multidiffusion"] = "stochastic"
-    """How several views are used: one a step in turn, or the mean of all in each step."""
-    max_voxels: int | None = None
-    """Refuse a structure of more active voxels; 8 R^2 (32768 at R = 64) where not given."""
+    """Use of several views: stochastic (one view at each step, in turn) or multidiffusion (the
+    mean of all views at each step)."""
+    max_voxels: Annotated[int | None, MAX_VOXELS] = None
     retries: int = 0
-    """Further seeds to try where a structure is empty or too large."""
-    image_encoder: Path | None = None
-    """Weights of the published image encoder (DINOv2 ViT-L/14 with registers), where the model
-    folder has none; or dinov2 (see recast weights)."""
-    device: str | None = None
-    """Such as cpu or cuda:0; CUDA where there is some."""
-    precision: Literal["float16", "bfloat16", "float32"] | None = None
-    """Of the transformer blocks; float16 on CUDA, else float32."""
+    """Number of further seeds to try if a structure is empty or too large."""
+    image_encoder: Annotated[Path | None, shared.IMAGE_ENCODER] = None
+    device: Annotated[str | None, shared.DEVICE] = None
+    precision: Annotated[
+        Literal["float16", "bfloat16", "float32"] | None,
+        shared.option(
+            "Number format of the transformer blocks.", "float16 on CUDA, else float32",
+            metavar="{float16,bfloat16,float32}",
+        ),
+    ] = None  # fmt: skip
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.pipeline.generate_actor import (
             GenerationRequest,
             cost_lines,
@@ -132,7 +140,7 @@ class Generate:
             located("--model", self.model), self.device, self.precision,
             located("--image-encoder", self.image_encoder),
         )  # fmt: skip
-        console = Console()
+        console = console_for(False)
         made = generate_actors(request, model, self.out, console)
         for line in (*cost_lines(made), f"wrote {self.out}"):
             console.print(line, markup=False)
@@ -140,8 +148,8 @@ class Generate:
 
 @dataclass(frozen=True)
 class Turntable:
-    """Film an actor turning once; below it, what of a refined one was seen, mirrored or
-    invented."""
+    """Film one turn of an actor; a refined actor's seen, mirrored and invented surfaces are shown
+    below."""
 
     actor: tyro.conf.Positional[Path]
     """Actor folder, such as RUN/actors/replaced/actor."""
@@ -158,26 +166,26 @@ class Turntable:
 
 @dataclass(frozen=True)
 class Show:
-    """Draw an actor on one sheet: source, eight views, what was seen, mirrored or invented, and how
-    it was made."""
+    """Draw an actor on one sheet: source image, eight views, seen, mirrored and invented surfaces,
+    and provenance."""
 
     actor: tyro.conf.Positional[Path]
     """Actor folder, such as RUN/actors/replaced/actor."""
-    out: Path | None = None
-    """Picture to write (PNG); must not exist. Default: ACTOR.png, beside the folder."""
+    out: Annotated[
+        Path | None,
+        shared.option("New picture (PNG).", "ACTOR.png, beside the folder", metavar="PATH"),
+    ] = None
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.pipeline.show_actor import show_actor
 
-        Console().print(f"wrote {show_actor(self.actor, self.out)}", markup=False)
+        console_for(False).print(f"wrote {show_actor(self.actor, self.out)}", markup=False)
 
 
 @dataclass(frozen=True)
 class Actor:
-    """A view-complete vehicle from a log."""
+    """Make, film or draw a view-complete vehicle."""
 
     command: (
         Annotated[Make, tyro.conf.subcommand("make")]

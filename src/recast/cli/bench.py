@@ -9,8 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from recast.cli import shared
+from recast.cli.output import JSON, console_for, print_json
+
 if TYPE_CHECKING:
     from recast.pipeline.bench import BenchSettings
+
+Names = tyro.conf.UseAppendAction[tuple[str, ...]]
+Lists = tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,57 +24,70 @@ class _Grid:
     """Options of scenes, arms and motions."""
 
     scenes: tuple[str, ...]
-    """Synthetic scenes, each with :SEED if you like; the word synthetic for all nine; or log
-    folders with the track to control, LOG:TRACK."""
+    """Synthetic scenes (NAME or NAME:SEED; the word synthetic for all nine), or log folders with
+    the track to control (LOG:TRACK)."""
     out: Path
-    """Folder of the grid; new, or one of the same options, which is finished."""
-    arm: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """What is compared, as for recast run; also assets:DIR, vehicles in DIR/SCENE.ply, .glb or
-    .obj. The others are compared with the first. Give it several times. Default: native and
-    replaced."""
-    track: str | None = None
-    """Track to control in log folders that are named without one."""
-    scene: Path | None = None
-    """Folder of a trained or imported scene, instead of training one; for one log folder."""
-    store: str | None = None
-    """Folder or address (s3://...) of the artefacts that runs share. Default: store, beside the
-    grid's folder."""
-    workers: int = 1
-    """Processes, one thread each; the results are the same for any number."""
-    ray: str | None = None
-    """Address of a Ray cluster (auto, ray://HOST:10001), or local. Needs the extra distributed."""
-    config: Path | None = None
-    """Configuration file (JSON, see docs/runs.md), or the bench.json of another grid. The options
-    override it; scenes and motions are those of the options."""
+    """Folder of the grid; the same command resumes a grid that was stopped."""
+    arm: Annotated[
+        Names,
+        shared.option(
+            f"{shared.ARM_HELP} Also assets:DIR: vehicles in DIR/SCENE.ply, .glb or .obj.",
+            shared.ARM_DEFAULT,
+        ),
+    ] = ()
+    track: Annotated[
+        str | None,
+        shared.option(f"{shared.TRACK_HELP} For log folders named without one.", metavar="STR"),
+    ] = None
+    scene: Annotated[Path | None, shared.SCENE] = None
+    store: Annotated[
+        str | None,
+        shared.option(shared.STORE_HELP, "store, beside the grid's folder", metavar="PATH"),
+    ] = None
+    workers: Annotated[int, shared.WORKERS] = 1
+    ray: Annotated[str | None, shared.RAY] = None
+    config: Annotated[
+        Path | None,
+        shared.option(
+            f"{shared.CONFIG_HELP} The bench.json of another grid works, too.", metavar="PATH"
+        ),
+    ] = None
     quick: bool = False
-    """A small grid to try things: 8 s drives, one camera of 192x128, 300 training steps, rollouts
+    """Use a small grid: drives of 8 s, one camera of 192x128 pixels, 300 training steps, rollouts
     of 40 steps. Other options override it."""
-    seconds: float | None = None
-    """Of synthetic drives, up to 20. Default: 20."""
-    width: int | None = None
-    """Of synthetic images, pixels. Default: 480."""
-    height: int | None = None
-    """Of synthetic images, pixels. Default: 320."""
-    generator: str | None = None
-    """What makes the actor, as for recast run."""
-    refine: bool | None = None
-    """Whether the actor follows all images of the log, which takes a minute. Default: yes."""
-    segmenter: str | None = None
-    """What cuts the actor's picture out, as for recast run."""
-    scene_config: Path | None = None
-    """Scene configuration file (JSON, see docs/scenes.md)."""
-    cameras: tuple[str, ...] | None = None
-    """Cameras to record, reconstruct and render; all where none is named."""
-    scale: float | None = None
-    """Image scale: 0.5 works at half the recorded width and height. Default: 1."""
-    iterations: int | None = None
-    """Training steps of every scene."""
-    steps: int | None = None
-    """Steps of 0.1 s a rollout; cut where log or road end. Default: 160."""
-    seed: int | None = None
-    """Seed of everything random, and of synthetic scenes without one of their own."""
-    samples: int = 200_000
-    """Bootstrap samples of the intervals."""
+    seconds: Annotated[
+        float | None,
+        shared.option(
+            "Duration of synthetic drives in seconds, at most 20.", "20", metavar="FLOAT"
+        ),
+    ] = None
+    width: Annotated[
+        int | None, shared.option("Width of synthetic images in pixels.", "480", metavar="INT")
+    ] = None
+    height: Annotated[
+        int | None, shared.option("Height of synthetic images in pixels.", "320", metavar="INT")
+    ] = None
+    generator: Annotated[str | None, shared.GENERATOR] = None
+    axes: Annotated[str | None, shared.AXES] = None
+    refine: Annotated[bool | None, shared.REFINE] = None
+    segmenter: Annotated[str | None, shared.SEGMENTER] = None
+    views: Annotated[int | None, shared.VIEWS] = None
+    preset: Annotated[Literal["streetgs", "omnire"] | None, shared.PRESET] = None
+    scene_config: Annotated[Path | None, shared.SCENE_CONFIG] = None
+    cameras: Annotated[tuple[str, ...] | None, shared.CAMERAS] = None
+    scale: Annotated[float | None, shared.option(shared.SCALE_HELP, "1", metavar="FLOAT")] = None
+    iterations: Annotated[
+        int | None, shared.option(shared.ITERATIONS_HELP, "2800", metavar="INT")
+    ] = None
+    steps: Annotated[int | None, shared.STEPS] = None
+    seed: Annotated[
+        int | None,
+        shared.option(
+            f"{shared.SEED_HELP} Synthetic scenes named without a seed use it.", "0", metavar="INT"
+        ),
+    ] = None
+    samples: Annotated[int, shared.SAMPLES] = 200_000
+    json: Annotated[bool, JSON] = False
 
     def _settings(self, motions: Sequence[str], **options: Any) -> BenchSettings:
         from recast.pipeline.bench import resolve_bench
@@ -82,109 +101,97 @@ class _Grid:
             scene_config_file=self.scene_config,
             samples=self.samples,
             drive_options={"seconds": self.seconds, "width": self.width, "height": self.height},
-            run_options={
-                "arms": self.arm or None,
-                "scene_folder": None if self.scene is None else str(self.scene.absolute()),
-                "generator": self.generator,
-                "refine": self.refine,
-                "segmenter": self.segmenter,
-                "steps": self.steps,
-                "seed": self.seed,
-                **options,
-            },
-            scene_options={
-                "cameras": self.cameras,
-                "scale": self.scale,
-                "iterations": self.iterations,
-                "seed": self.seed,
-            },
+            run_options={**shared.run_options(self), **options},
+            scene_options=shared.scene_options(self),
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClosedLoop(_Grid):
-    """The paper's closed-loop protocol: scenes x motions x settings x arms x planners,
-    and its table.
+    """Run the paper's closed-loop protocol (scenes x motions x arms x planners) and print its
+    table.
 
-    Finished rollouts are kept, so the same command resumes where it was stopped or killed.
+    Finished rollouts are kept, so the same command resumes a grid that was stopped or killed.
     """
 
-    planner: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """Planner under test: a name, a folder, or package.module:attribute. Give it several times for
-    several. Default: idm-follower."""
-    planner_device: str | None = None
-    """Where the planner computes: auto, cpu, cuda or cuda:1. Default: auto, a GPU where there is
-    one."""
-    motions: tuple[str, ...] = ()
-    """What the actor does: motions (all settings), scenarios such as cut-in-a, or scenario files.
-    Default: cut-in, oncoming and stationary."""
+    planner: Annotated[Names, shared.PLANNER] = ()
+    planner_device: Annotated[str | None, shared.PLANNER_DEVICE] = None
+    motion: Annotated[
+        Lists,
+        shared.option(
+            shared.MOTIONS_HELP, "cut-in, oncoming and stationary", metavar="NAME [NAME ...]",
+            aliases=("--motions",),
+        ),
+    ] = ()  # fmt: skip
     films: bool = False
-    """Render and film every step, not only what the planner sees."""
-    plan_timeout: float | None = None
-    """Seconds that one plan may take; a rollout with a slower one fails."""
+    """Render and film every step of all cameras, not only what the planner sees."""
+    plan_timeout: Annotated[
+        float | None,
+        shared.option(
+            "Time limit of one plan in seconds; a slower plan fails its rollout.", metavar="FLOAT"
+        ),
+    ] = None
     retry_failures: bool = False
-    """Run rollouts again that failed in an earlier try."""
+    """Run rollouts again that failed before."""
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.pipeline.bench import run_closed_loop
 
-        settings = self._settings(
-            self.motions,
-            planners=self.planner or None,
-            planner_device=self.planner_device,
-            plan_limit_s=self.plan_timeout,
-            films=self.films,
-        )
-        run_closed_loop(
-            settings, self.out, Console(), workers=self.workers, ray=self.ray,
+        settings = self._settings(tuple(name for names in self.motion for name in names))
+        results = run_closed_loop(
+            settings, self.out, console_for(self.json), workers=self.workers, ray=self.ray,
             retry_failures=self.retry_failures, store=self.store,
         )  # fmt: skip
+        if self.json:
+            from recast.cli.rows.grids import grid_rows
+
+            print_json(grid_rows(results))
 
 
 @dataclass(frozen=True, kw_only=True)
 class SceneLevel(_Grid):
-    """How real and how complete the images of arms look: Frechet distances, CLIP, VQA and LPIPS
-    scores of whole frames and of vehicle crops.
+    """Score how real and how complete the images of each arm look: Frechet distances, CLIP, VQA
+    and LPIPS scores of whole frames and of vehicle crops.
 
-    pdm-closed drives each scene and motion once, and every arm renders the same states. Scores
-    whose weights are not given have no column.
+    pdm-closed drives each scene and motion once, and every arm renders the same states. A score
+    without its weights has no column.
     """
 
-    motions: tuple[str, ...] = ()
-    """What the actor does: motions (all settings), scenarios such as cut-in-a, or scenario files.
-    Default: cut-in, oncoming, stationary and advancing."""
-    inception: Path | None = None
-    """Weights of the FID's Inception network, .pth or .safetensors; or inception (see recast
-    weights)."""
-    clip: Path | None = None
-    """Folder of a CLIP model; or clip-vit-l14 (see recast weights)."""
-    lpips_weights: Path | None = None
-    """AlexNet or VGG-16 weights as torchvision saves them, for LPIPS; or alexnet or vgg16 (see
-    recast weights)."""
-    vqa: str | None = None
-    """VQA scorer: clip-flant5-xl (see recast weights) or its folder, t2v_metrics:NAME, or
-    package.module:attribute."""
-    device: str = "cpu"
-    """Where the networks compute: cpu, cuda or cuda:1."""
+    motion: Annotated[
+        Lists,
+        shared.option(
+            shared.MOTIONS_HELP, "cut-in, oncoming, stationary and advancing",
+            metavar="NAME [NAME ...]", aliases=("--motions",),
+        ),
+    ] = ()  # fmt: skip
+    inception: Annotated[Path | None, shared.INCEPTION] = None
+    clip: Annotated[Path | None, shared.CLIP] = None
+    lpips_weights: Annotated[Path | None, shared.LPIPS_WEIGHTS] = None
+    vqa: Annotated[
+        str | None,
+        shared.option(
+            "VQA scorer: clip-flant5-xl (recast weights) or its folder, t2v_metrics:NAME, or "
+            "package.module:attribute.",
+            "no VQA score", metavar="NAME",
+        ),
+    ] = None  # fmt: skip
+    device: Annotated[str, shared.required("Device of the networks: cpu, cuda or cuda:1.")] = "cpu"
     every: int = 5
-    """Steps between the images of a rollout that are looked at."""
+    """Interval in steps between the images of a rollout that are scored."""
     least_px: float = 32.0
-    """Least length of the shorter side of the vehicle's box in the image, in pixels."""
+    """Minimum length in pixels of the shorter side of the vehicle's box in a scored image."""
     crop: Literal["boxed", "masked"] = "boxed"
-    """Crops: boxed keeps the background around the vehicle, masked takes away what lies outside of
-    the box's outline."""
+    """Vehicle crops: boxed keeps the background, masked removes everything outside the outline of
+    the box."""
     references: int = 16
-    """Most logged crops of a scene that LPIPS and the CLIP image score compare with."""
+    """Maximum number of logged crops of a scene that LPIPS and the CLIP image score compare
+    with."""
     frechet_samples: int = 2000
-    """Bootstrap samples of the intervals of Frechet distances."""
+    """Number of bootstrap samples of the intervals of Frechet distances."""
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.evaluation.scene_level.frames import FrameRule
         from recast.pipeline.bench.scene_level import (
             LEVEL_MOTIONS,
@@ -198,8 +205,9 @@ class SceneLevel(_Grid):
             located("--inception", self.inception), located("--clip", self.clip),
             located("--lpips-weights", self.lpips_weights), self.vqa, self.device,
         )  # fmt: skip
+        motions = tuple(name for names in self.motion for name in names)
         settings = LevelSettings(
-            grid=self._settings(self.motions or LEVEL_MOTIONS, films=False),
+            grid=self._settings(motions or LEVEL_MOTIONS, films=False),
             rule=FrameRule(every=self.every, least_px=self.least_px),
             crop=self.crop,
             most_references=self.references,
@@ -207,14 +215,19 @@ class SceneLevel(_Grid):
             hashes=networks.hashes(),
             frechet_samples=self.frechet_samples,
         )
-        run_scene_level(
-            settings, self.out, Console(), workers=self.workers, ray=self.ray, store=self.store
-        )
+        lines = run_scene_level(
+            settings, self.out, console_for(self.json), workers=self.workers, ray=self.ray,
+            store=self.store,
+        )  # fmt: skip
+        if self.json:
+            from recast.cli.rows.grids import level_rows
+
+            print_json(level_rows(lines))
 
 
 @dataclass(frozen=True)
 class Bench:
-    """Whole experiments of the paper over scenes, motions and arms."""
+    """Run a whole experiment of the paper over scenes, motions and arms."""
 
     command: (
         Annotated[ClosedLoop, tyro.conf.subcommand("closed-loop")]

@@ -4,42 +4,54 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from recast.cli import shared
+from recast.cli.output import JSON, console_for, print_json
 
 
 @dataclass(frozen=True)
 class Demo:
-    """Make a drive, reconstruct it, replace a vehicle, run it in closed loop against the truth.
+    """Make a synthetic drive, reconstruct it, replace a vehicle, and compare closed-loop rollouts
+    with the ground truth.
 
-    Needs nothing but this program. What an earlier demo left in the folder is used again.
+    The demo needs no data. It reuses the results of an earlier demo in the same folder.
     """
 
-    out: Path | None = None
-    """Folder for the log and the run. Default: runs/demo, with --quick runs/demo-quick."""
+    out: Annotated[
+        Path | None,
+        shared.option(
+            "Folder of the log and the run.", "runs/demo, with --quick runs/demo-quick",
+            metavar="PATH",
+        ),
+    ] = None  # fmt: skip
     quick: bool = False
-    """One short motion at low resolution, in less than two minutes."""
+    """Run one short motion at low resolution (about two minutes on two cores)."""
     scene: str = "urban-straight"
-    """Synthetic scene; `recast log synth --help` lists them."""
-    seed: int = 1
-    """Seed of everything random, the drive itself included."""
-    generator: str = "auto"
-    """What makes the vehicle: auto (the better one of template and recast-mini for
-    this vehicle), recast-mini (the image-to-3D model of the package), template, an
-    installed generator's name, a model folder, the path of a PLY, GLB or OBJ, or
-    library:FOLDER."""
-    planner: str | None = None
-    """Planner under test, as for recast run. Default: gtrs-mini (the package's, which looks at
-    three cameras); with --quick, which has one camera, idm-follower."""
-    threads: int = 0
-    """CPU threads, 0 for all."""
+    """Synthetic scene; `recast log synth --help` lists the names."""
+    seed: Annotated[int, shared.option(f"{shared.SEED_HELP} The drive depends on it, too.")] = 1
+    generator: Annotated[str | None, shared.GENERATOR] = None
+    planner: Annotated[
+        str | None,
+        shared.option(
+            shared.PLANNER_HELP, "gtrs-mini; with --quick, which has one camera, idm-follower",
+            metavar="NAME",
+        ),
+    ] = None  # fmt: skip
+    threads: Annotated[int | None, shared.THREADS] = None
+    json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
-        from recast.pipeline.demo import FULL, QUICK, demo
+        from recast.actors import DEFAULT_GENERATOR
+        from recast.pipeline.demo import FULL, QUICK, RUN_FOLDER, demo
 
         out = self.out or Path("runs/demo-quick" if self.quick else "runs/demo")
-        size = QUICK if self.quick else FULL
         demo(
-            out, self.scene, self.seed, size, self.threads, Console(), self.generator, self.planner
-        )
+            out, self.scene, self.seed, QUICK if self.quick else FULL, self.threads or 0,
+            console_for(self.json), self.generator or DEFAULT_GENERATOR, self.planner,
+        )  # fmt: skip
+        if self.json:
+            from recast.cli.rows.grids import run_rows
+
+            print_json(run_rows(out / RUN_FOLDER))

@@ -8,48 +8,51 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from recast.cli import shared
+from recast.cli.output import JSON, console_for, print_json
+
 if TYPE_CHECKING:
     from recast.recar.perturb import PerturbationConfig
 
 
+PERTURBED = shared.option(
+    "Perturbation file for perturbed input pictures, or the word default.", "clean pictures only",
+    metavar="PATH",
+)  # fmt: skip
+
+
 @dataclass(frozen=True)
 class EvalActor:
-    """Make vehicles from one or several pictures and compare them with reserved ones; or make and
-    refine those of a log's tracks and compare them with the images that its scene held out."""
+    """Make vehicles from one or several pictures and compare them with held-out pictures; or make
+    and refine the vehicles of a log's tracks and compare them with the log's held-out images."""
 
     model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
-    """What makes the vehicles: template, an installed generator, a vehicle file, a model folder."""
+    """Generator of the vehicles: template, an installed generator, a vehicle file or a model
+    folder."""
     set: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SET")]
-    """Folder of real crops (ID/input_views, ID/reserved_views), a vehicle set, or a log."""
+    """Folder of real crops (ID/input_views, ID/reserved_views), a vehicle set, or a log folder."""
     out: Path
-    """Folder to write metrics.json and a picture of every vehicle to; must not exist."""
-    scene: Path | None = None
-    """With a log: its scene folder, with models of the tracks."""
-    track: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """With a log: a track to judge; give it again for each."""
-    segmenter: str = "box-lidar"
-    """With a log: what cuts the vehicles out, as for recast actor make."""
-    axes: str = "auto"
-    """Axes of a PLY or a model folder: which one points up, such as z-up, y-up or minus-y-up (a
-    splat viewer's), or forward and up, such as x,z (write --axes=-y,z with a minus). auto tells a
-    PLY's from its shape, and takes models for z-up."""
-    seed: int = 0
-    """Seed of everything random."""
-    limit: int | None = None
-    """Judge only this many vehicles, the first by id; all where not given."""
-    views: int = 1
-    """Number of input pictures to make each vehicle from, at most."""
-    lpips_weights: Path | None = None
-    """AlexNet or VGG-16 weights as torchvision saves them, for LPIPS; or alexnet or vgg16 (see
-    recast weights)."""
-    clip: Path | None = None
-    """Folder of a CLIP model, for the image similarity; or clip-vit-l14 (see recast weights)."""
-    dino: Path | None = None
-    """Folder of a DINOv2 model, for the feature distance; or dinov2 (see recast weights)."""
+    """New folder for metrics.json and a picture of every vehicle."""
+    scene: Annotated[
+        Path | None,
+        shared.option("Scene folder of the log, with models of the tracks.", metavar="PATH"),
+    ] = None
+    track: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        shared.option("Id of a track of the log to evaluate. May be repeated."),
+    ] = ()
+    segmenter: Annotated[str, shared.SEGMENTER] = "box-lidar"
+    axes: Annotated[str, shared.AXES] = "auto"
+    seed: Annotated[int, shared.SEED] = 0
+    limit: Annotated[int | None, shared.LIMIT] = None
+    views: Annotated[int, shared.VIEWS] = 1
+    lpips_weights: Annotated[Path | None, shared.LPIPS_WEIGHTS] = None
+    clip: Annotated[Path | None, shared.CLIP] = None
+    dino: Annotated[Path | None, shared.DINO] = None
+    json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
         from rich.progress import Progress
 
         from recast.evaluation.perceptual import load_distances
@@ -66,7 +69,7 @@ class EvalActor:
             located("--dino", self.dino),
         )  # fmt: skip
         generator = generator_of(self.model, self.axes)
-        console = Console()
+        console = console_for(self.json)
         with Progress(console=console, transient=True) as progress:
             task = progress.add_task("vehicles", total=None)
             evaluation = evaluate_actors(
@@ -79,14 +82,17 @@ class EvalActor:
                 distances=distances,
                 progress=lambda done, of: progress.update(task, completed=done, total=of),
             )
+        console.print(f"wrote {self.out}", markup=False)
+        if self.json:
+            from recast.cli.rows.vehicles import actor_rows
+
+            print_json(actor_rows(evaluation))
+            return
         console.print(evaluation_table(evaluation))
         for vehicle, reason in evaluation.failures.items():
             console.print(f"not made: {vehicle}: {reason}", markup=False)
-        console.print(f"wrote {self.out}", markup=False)
 
     def _judge_tracks(self) -> None:
-        from rich.console import Console
-
         from recast.errors import InputError
         from recast.logs import read_log
         from recast.pipeline.actor import ActorMakers
@@ -97,65 +103,66 @@ class EvalActor:
         if self.scene is None:
             raise InputError("--scene", "scene", "is not given", "name the scene of this log")
         makers = ActorMakers.named(self.model, self.segmenter, self.axes)
-        console = Console()
+        console = console_for(self.json)
         with SamplingProgress(console) as progress:
             results = evaluate_tracks(
                 read_log(self.set), load_scene(self.scene), read_training_config(self.scene),
                 self.track, makers, self.out, self.seed, progress,
             )  # fmt: skip
-        console.print(tracks_table(results))
         console.print(f"wrote {self.out}", markup=False)
+        if self.json:
+            from recast.cli.rows.vehicles import track_rows
+
+            print_json(track_rows(results))
+            return
+        console.print(tracks_table(results))
 
 
 @dataclass(frozen=True)
 class EvalGeneration:
-    """Compare models that make vehicles from one picture, on clean and on perturbed pictures."""
+    """Compare models that make vehicles from one picture, on clean and perturbed pictures."""
 
     set: Path
-    """Vehicle set, of which the held-out identities are taken, or a folder of real crops."""
+    """Vehicle set (its held-out identities are used), or a folder of real crops."""
     out: Path
-    """Folder to write to; the same command resumes there, and models may be added."""
-    model: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """NAME=WHAT: a model's name in the tables, and a model folder, a generator or a PLY; or results
-    of another generator by vehicle, files:DIR (DIR/ID.ply or .glb) or views:DIR (DIR/ID/VIEW.png,
-    RGBA, see recast eval inputs). Give it again for each model, best from the oldest to the newest:
-    each is compared with the one before."""
-    study: Path | None = None
-    """Study file with rows, seed, target views and perturbations; recast eval inputs writes one."""
-    perturbed: str | None = None
-    """Also judge on perturbed pictures: a perturbation file, or the word default."""
+    """Folder of the results; the same command resumes, and models may be added."""
+    model: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        shared.option(
+            "NAME=WHAT: name of a model in the tables, and a model folder, a generator or a PLY; "
+            "or the results of another generator: files:DIR (DIR/ID.ply or .glb) or views:DIR "
+            "(DIR/ID/VIEW.png, RGBA). May be repeated; each model is compared with the one before.",
+        ),
+    ] = ()
+    study: Annotated[
+        Path | None,
+        shared.option(
+            "Study file with rows, seed, target views and perturbations, as `recast eval inputs` "
+            "writes it.",
+            metavar="PATH",
+        ),
+    ] = None  # fmt: skip
+    perturbed: Annotated[str | None, PERTURBED] = None
     targets: Literal["set", "orbit"] = "set"
-    """Views that are compared: the set's own cameras; or the paper's orbit, 512 x 512 pixels, 40
-    degrees, twice the longest side of the box away, photographs scaled to it."""
+    """Target views: set (the cameras of the set) or orbit (the paper's: 512 x 512 pixels, 40
+    degrees, at twice the longest side of the box)."""
     placement: Literal["views", "canonical"] = "views"
-    """How vehicles are placed in their box: by the conditioning view as `recast eval actor` does,
-    or by the models' own forward axis, which they then must have been taught."""
-    seed: int = 0
-    """Seed of everything random."""
-    limit: int | None = None
-    """Judge only this many vehicles, the first by id; all where not given."""
-    workers: int = 1
-    """Processes; the files are the same for any number."""
-    samples: int = 200_000
-    """Bootstrap samples of the intervals."""
+    """Placement of vehicles in their box: views (by the input view, as in `recast eval actor`) or
+    canonical (by the model's forward axis, which the model must have learnt)."""
+    seed: Annotated[int, shared.SEED] = 0
+    limit: Annotated[int | None, shared.LIMIT] = None
+    workers: Annotated[int, shared.WORKERS] = 1
+    samples: Annotated[int, shared.SAMPLES] = 200_000
     shown: int = 40
-    """Vehicles on the picture sheets, the first by id."""
-    lpips_weights: Path | None = None
-    """AlexNet or VGG-16 weights as torchvision saves them, for LPIPS; or alexnet or vgg16 (see
-    recast weights)."""
-    clip: Path | None = None
-    """Folder of a CLIP model, for the image similarity; or clip-vit-l14 (see recast weights)."""
-    dino: Path | None = None
-    """Folder of a DINOv2 model, for its feature and Frechet distances; or dinov2 (see recast
-    weights)."""
-    inception: Path | None = None
-    """Weights of the FID's Inception network or of torchvision's, for the Frechet distance; or
-    inception (see recast weights)."""
+    """Number of vehicles on the picture sheets, the first by id."""
+    lpips_weights: Annotated[Path | None, shared.LPIPS_WEIGHTS] = None
+    clip: Annotated[Path | None, shared.CLIP] = None
+    dino: Annotated[Path | None, shared.DINO] = None
+    inception: Annotated[Path | None, shared.INCEPTION] = None
+    json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.evaluation.generation_report import (
             differences_table,
             paper_table,
@@ -182,9 +189,15 @@ class EvalGeneration:
                 located("--dino", self.dino), located("--inception", self.inception),
             ), self.samples, self.shown, targets, beside,
         )  # fmt: skip
-        console = Console()
+        console = console_for(self.json)
         with PictureProgress("vehicles", console) as progress:
             blocks = run_study(settings, self.out, workers=self.workers, progress=progress)
+        console.print(f"wrote {self.out}", markup=False)
+        if self.json:
+            from recast.cli.rows.vehicles import study_rows
+
+            print_json(study_rows(blocks))
+            return
         for block in blocks:
             console.print(study_table(block))
             if block.differences:
@@ -194,7 +207,6 @@ class EvalGeneration:
                     console.print(f"not made by {model}: {vehicle}: {reason}", markup=False)
         if beside:
             console.print(paper_table(blocks[0], beside))
-        console.print(f"wrote {self.out}", markup=False)
 
     def _refuse_twice(self) -> None:
         from recast.errors import InputError
@@ -210,26 +222,21 @@ class EvalGeneration:
 
 @dataclass(frozen=True)
 class EvalInputs:
-    """Write what generators that run elsewhere need: the picture that each vehicle is made from,
-    the cameras of the views it is compared in, and a study file with the rows of the paper."""
+    """Write the inputs for generators that run elsewhere: the input picture of each vehicle, the
+    cameras of its target views, and a study file with the rows of the paper."""
 
     set: tyro.conf.Positional[Path]
-    """Vehicle set, of which the held-out identities are taken, or a folder of real crops."""
+    """Vehicle set (its held-out identities are used), or a folder of real crops."""
     out: Path
     """New folder to write to."""
-    perturbed: str | None = None
-    """Also write perturbed pictures: a perturbation file, or the word default."""
+    perturbed: Annotated[str | None, PERTURBED] = None
     targets: Literal["set", "orbit"] = "set"
-    """Views that are compared, as for recast eval generation."""
-    seed: int = 0
-    """Seed of the choice of the pictures, and of the perturbations."""
-    limit: int | None = None
-    """Only this many vehicles, the first by id; all where not given."""
+    """Target views, as for `recast eval generation`."""
+    seed: Annotated[int, shared.SEED] = 0
+    limit: Annotated[int | None, shared.LIMIT] = None
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.pipeline.generation_inputs import write_inputs
         from recast.pipeline.generation_plan import StudySettings
 
@@ -238,7 +245,7 @@ class EvalInputs:
             targets=self.targets,
         )  # fmt: skip
         cases = write_inputs(settings, self.out)
-        Console().print(f"wrote {self.out}: inputs of {len(cases)} vehicles", markup=False)
+        console_for(False).print(f"wrote {self.out}: inputs of {len(cases)} vehicles", markup=False)
 
 
 def _perturbations(what: str | None) -> PerturbationConfig | None:
@@ -251,7 +258,7 @@ def _perturbations(what: str | None) -> PerturbationConfig | None:
 
 @dataclass(frozen=True)
 class Eval:
-    """Judge what makes vehicles, by pictures of them that it has not seen."""
+    """Evaluate generators of vehicles on held-out pictures."""
 
     command: (
         Annotated[EvalActor, tyro.conf.subcommand("actor")]

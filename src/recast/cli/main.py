@@ -8,7 +8,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, suppress
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from io import StringIO
 from pathlib import Path
 from typing import Annotated, NoReturn
@@ -18,10 +18,12 @@ import tyro
 from recast import diagnostics, storage
 from recast.cli.actor import Actor
 from recast.cli.bench import Bench
+from recast.cli.completion import Completion
 from recast.cli.demo import Demo
 from recast.cli.doctor import Doctor
 from recast.cli.eval import Eval
 from recast.cli.log import Log
+from recast.cli.pages import page_of
 from recast.cli.planner import Planner
 from recast.cli.recar import Recar
 from recast.cli.report import Report
@@ -30,6 +32,7 @@ from recast.cli.scenario import Scenario
 from recast.cli.scene import Scene
 from recast.cli.store import Store
 from recast.cli.trellis import Trellis
+from recast.cli.view import View
 from recast.cli.weights import Weights
 from recast.diagnostics import Diagnostics
 from recast.errors import InputError
@@ -47,9 +50,11 @@ Command = Annotated[
     | Annotated[Scenario, tyro.conf.subcommand("scenario")]
     | Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Report, tyro.conf.subcommand("report")]
+    | Annotated[View, tyro.conf.subcommand("view")]
     | Annotated[Store, tyro.conf.subcommand("store")]
     | Annotated[Weights, tyro.conf.subcommand("weights")]
-    | Annotated[Doctor, tyro.conf.subcommand("doctor")],
+    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
+    | Annotated[Completion, tyro.conf.subcommand("completion")],
     tyro.conf.arg(help=""),  # else tyro parses its own source for one, in 50 ms
 ]
 
@@ -76,7 +81,7 @@ def main(args: Sequence[str] | None = None) -> int:
             command()
     except InputError as error:
         _LOG.debug("refused", exc_info=True)
-        print(f"recast: {error}", file=sys.stderr)
+        print(f"recast: {error.line(page_of(error))}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # whoever reads the output has enough
         with suppress(OSError, ValueError):
@@ -132,18 +137,34 @@ def _command(words: Sequence[str]) -> Callable[[], None]:
     shown = StringIO()
     try:
         with redirect_stderr(shown):
-            command: Callable[[], None] = tyro.cli(
-                Command,
-                prog="recast",
-                description=_DESCRIPTION,
-                config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
-                args=words,
-            )
+            command = _parsed(words)
     except SystemExit as ended:
         if not ended.code:
             raise
         raise _refusal(shown.getvalue()) from None
     return command
+
+
+def _parsed(words: Sequence[str]) -> Callable[[], None]:
+    command: Callable[[], None] = tyro.cli(
+        Command,
+        prog="recast",
+        description=_DESCRIPTION,
+        config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
+        args=words,
+    )
+    return command
+
+
+def completion_script(shell: str) -> str:
+    """The script with which a shell ("bash", "zsh" or "fish") completes `recast`.
+
+    In bash, arguments that are no option are completed as file names.
+    """
+    script = StringIO()
+    with redirect_stdout(script), suppress(SystemExit):
+        _parsed(["--tyro-write-completion", shell, "-"])
+    return script.getvalue().replace("complete -F ", "complete -o default -F ")
 
 
 def _refusal(boxed: str) -> InputError:

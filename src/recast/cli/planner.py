@@ -8,57 +8,53 @@ from typing import Annotated
 
 import tyro
 
+from recast.cli import shared
+from recast.cli.output import JSON, console_for, print_json
+
 
 @dataclass(frozen=True)
 class Vocabulary:
     """Cluster plausible driving into the trajectories that a planner chooses from."""
 
     out: Path
-    """File to write, .npy."""
+    """File to write (.npy)."""
     size: int = 512
     """Number of trajectories."""
-    seed: int = 0
-    """Seed of everything random."""
+    seed: Annotated[int, shared.SEED] = 0
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.planning.gtrs import write_vocabulary
         from recast.planning.gtrs_training.vocabulary import make_vocabulary
 
         write_vocabulary(self.out, make_vocabulary(self.size, self.seed))
-        Console().print(f"wrote {self.out}: {self.size} trajectories", markup=False)
+        console_for(False).print(f"wrote {self.out}: {self.size} trajectories", markup=False)
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """Render and score training samples in synthetic worlds; continues what was killed."""
+    """Render and score training samples in synthetic worlds; the same command resumes."""
 
     vocabulary: Path
-    """File of `recast planner vocabulary`; copied into the folder."""
+    """File of `recast planner vocabulary`; it is copied to the folder of the samples."""
     out: Path
-    """Folder; one of the same settings grows."""
+    """Folder of the samples; a folder of the same settings grows."""
     samples: int = 8000
-    """At least so many; whole worlds are made."""
-    seed: int = 0
-    """Seed of everything random."""
+    """Minimum number of samples; worlds are made whole."""
+    seed: Annotated[int, shared.SEED] = 0
     per_world: int = 32
-    """Samples of each world."""
-    workers: int = 1
-    """Processes; the files are the same for any number."""
+    """Number of samples of each world."""
+    workers: Annotated[int, shared.WORKERS] = 1
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.pipeline.planner_data.dataset import make_dataset
         from recast.planning.gtrs import read_vocabulary
         from recast.planning.gtrs_training.store import DatasetRecord
         from recast.recar.progress import PictureProgress
         from recast.synthetic import SCENES
 
-        console = Console()
+        console = console_for(False)
         record = DatasetRecord(seed=self.seed, per_world=self.per_world, scenes=SCENES)
         vocabulary = read_vocabulary(self.vocabulary)
         with PictureProgress("samples", console) as progress:
@@ -70,16 +66,16 @@ class Dataset:
 
 @dataclass(frozen=True)
 class Show:
-    """Draw samples of a dataset: pictures, and from above the trajectories that score best."""
+    """Draw samples of a dataset: their images, and their best trajectories from above."""
 
     dataset: tyro.conf.Positional[Path]
     """Folder of `recast planner dataset`."""
     out: Path
-    """PNG to write."""
+    """Picture to write (PNG)."""
     count: int = 12
-    """Samples."""
+    """Number of samples."""
     first: int = 0
-    """Index of the first one."""
+    """Index of the first sample."""
 
     def __call__(self) -> None:
         """Run the command."""
@@ -91,35 +87,43 @@ class Show:
 
 @dataclass(frozen=True)
 class Train:
-    """Train the small planner on samples; continues what was killed, to the same weights."""
+    """Train the small planner on samples; the same command resumes, with the same result."""
 
     dataset: Path
-    """Folder of `recast planner dataset`; its vocabulary is learnt. Every tenth world is held
-    out."""
+    """Folder of `recast planner dataset`. Every tenth world is held out."""
     out: Path
     """Folder of the training."""
-    config: Path | None = None
-    """JSON file with what differs from the shipped planner's training, such as
-    {"trainer": {"steps": 4000}}."""
-    start: Path | None = None
-    """Folder of a planner of the same sizes whose weights are the first; drawn where not given."""
-    seed: int = 0
-    """Seed of everything random."""
-    steps: int | None = None
-    """Of the optimiser; as for the shipped planner where not given."""
+    config: Annotated[
+        Path | None,
+        shared.option(
+            'JSON file with changes to the training, such as {"trainer": {"steps": 4000}}.',
+            "the shipped planner's training", metavar="PATH",
+        ),
+    ] = None  # fmt: skip
+    start: Annotated[
+        Path | None,
+        shared.option(
+            "Planner folder with the initial weights; its network must have the same sizes.",
+            "random weights", metavar="PATH",
+        ),
+    ] = None  # fmt: skip
+    seed: Annotated[int, shared.SEED] = 0
+    steps: Annotated[
+        int | None,
+        shared.option("Number of optimiser steps.", "the shipped planner's", metavar="INT"),
+    ] = None
     threads: int = 1
-    """Of torch; sums may round differently for another number."""
+    """Number of CPU threads; the result depends on it in the last digits."""
 
     def __call__(self) -> None:
         """Run the command."""
         import torch
-        from rich.console import Console
 
         from recast.planning.gtrs_training.settings import chosen_training
         from recast.planning.gtrs_training.train import train_planner
 
         torch.set_num_threads(self.threads)
-        console = Console()
+        console = console_for(False)
         config = chosen_training(self.config, self.seed, self.steps)
         reached = train_planner(self.dataset, self.out, config, console, self.start)
         for name, value in reached.means().items():
@@ -129,54 +133,51 @@ class Train:
 
 @dataclass(frozen=True)
 class Export:
-    """Write the planner of a training as a folder, which is then a planner's name."""
+    """Write a trained planner as a folder that `--planner` takes."""
 
     training: tyro.conf.Positional[Path]
-    """Folder of `recast planner train`; it need not be finished."""
+    """Folder of `recast planner train`; the training may be unfinished."""
     dataset: Path
-    """What it was trained on."""
+    """Folder of `recast planner dataset` that the planner was trained on."""
     out: Path
     """Folder to write; must not exist."""
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.planning.gtrs_training.train import export_planner
 
         export_planner(self.training, self.dataset, self.out)
         size = sum(path.stat().st_size for path in self.out.iterdir())
-        Console().print(f"wrote {self.out}: {size / 1e6:.1f} MB", markup=False)
+        console_for(False).print(f"wrote {self.out}: {size / 1e6:.1f} MB", markup=False)
 
 
 @dataclass(frozen=True)
 class Probe:
-    """Does it look? Drive with the target in the pictures, and with it erased from them."""
+    """Test whether a planner uses its images: drive with the target visible, and with it erased."""
 
     planner: tyro.conf.Positional[str]
-    """A planner that reads images: a name, or a folder of `recast planner export`."""
+    """Planner that reads images: a name, or a folder of `recast planner export`."""
     out: Path
-    """Folder; rollouts that the same planner left there are used again."""
-    scene: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """Synthetic scenes; all where not given."""
-    motion: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """Scenarios; stationary, oncoming and cut-in where not given."""
-    seed: int = 0
-    """Of the worlds."""
+    """Folder of the rollouts; finished rollouts of the same planner are reused."""
+    scene: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        shared.option("Synthetic scene. May be repeated.", "all scenes"),
+    ] = ()
+    motion: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        shared.option(shared.MOTION_HELP, "stationary, oncoming and cut-in"),
+    ] = ()
+    seed: Annotated[int, shared.SEED] = 0
     seconds: float = 18.0
-    """Of each world's drive; a rollout takes 16 s of it, or less where the road ends."""
+    """Duration of each drive in seconds; a rollout takes at most 16 s of it."""
     full_size: bool = False
-    """Render 480x320 as in runs. Else 240x160, at a quarter of the cost: what a small planner sees
-    is the same size."""
-    workers: int = 1
-    """Processes that render side by side."""
-    device: str = "auto"
-    """Where the planner computes: auto (a GPU where there is one), cpu, cuda or cuda:1."""
+    """Render images of 480x320 pixels as in runs, instead of 240x160 at a quarter of the cost."""
+    workers: Annotated[int, shared.WORKERS] = 1
+    device: Annotated[str, shared.PLANNER_DEVICE] = "auto"
+    json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.pipeline.planner_data.probe import ProbeRequest, probe, probe_table
         from recast.synthetic import SCENES
 
@@ -185,14 +186,19 @@ class Probe:
             self.motion or ("stationary", "oncoming", "cut-in"), self.seed, self.seconds,
             self.full_size, self.workers, self.device,
         )  # fmt: skip
-        console = Console()
+        console = console_for(self.json)
         rows = probe(request, lambda row: console.print(row.line, markup=False, highlight=False))
+        if self.json:
+            from recast.cli.rows.vehicles import probe_rows
+
+            print_json(probe_rows(rows))
+            return
         console.print(probe_table(rows))
 
 
 @dataclass(frozen=True)
 class Planner:
-    """Make a small image-conditioned planner: vocabulary, samples, training, proof."""
+    """Train a small image-conditioned planner: vocabulary, samples, training, test."""
 
     command: (
         Annotated[Vocabulary, tyro.conf.subcommand("vocabulary")]

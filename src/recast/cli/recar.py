@@ -8,6 +8,8 @@ from typing import Annotated
 
 import tyro
 
+from recast.cli import shared
+from recast.cli.output import JSON, console_for, print_json
 from recast.cli.recar_data import Ingest, Pack
 from recast.cli.recar_perturb import Perturb
 from recast.cli.recar_screen import Screen
@@ -18,40 +20,47 @@ from recast.cli.recar_train import Train
 
 @dataclass(frozen=True)
 class Synth:
-    """Render a set of parametric vehicles from all around, background-free, with labels."""
+    """Render a set of parametric vehicles from all sides, with labels and without background."""
 
     vehicles: int
     """Number of vehicles."""
     out: Path
-    """Set folder; new, or one of the same settings, which is finished or grows."""
-    seed: int = 0
-    """Seed of everything random."""
+    """Set folder; the same command resumes, and a set of the same settings grows."""
+    seed: Annotated[int, shared.SEED] = 0
     views: int = 30
-    """Pictures of each vehicle, at regular azimuths; the first one shows its front."""
+    """Number of pictures of each vehicle, at regular azimuths; the first shows its front."""
     width: int = 1200
-    """Of the pictures, pixels."""
+    """Width of the pictures in pixels."""
     height: int = 800
-    """Of the pictures, pixels."""
-    kinds: tuple[str, ...] = ()
-    """Only these kinds, evenly; all, as often as on the road, where none is named."""
+    """Height of the pictures in pixels."""
+    kinds: Annotated[
+        tuple[str, ...],
+        shared.option(
+            "Kinds of vehicles, each equally often.", "all, as often as on the road",
+            metavar="KIND [KIND ...]",
+        ),
+    ] = ()  # fmt: skip
     shapes: int = 0
-    """Number of other shapes: furniture, signs and the like."""
-    mesh: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
-    """A closed mesh of your own (glTF, OBJ, PLY, STL); may be given again."""
-    mesh_axes: str | None = None
-    """Forward and up axes of the meshes, such as x,z (write --mesh-axes=-y,z with a minus); by the
-    format where not given: z,y for glTF, x,z for all others."""
+    """Number of other shapes, such as furniture and signs."""
+    mesh: Annotated[
+        tyro.conf.UseAppendAction[tuple[Path, ...]],
+        shared.option("Closed mesh (glTF, OBJ, PLY, STL) to include. May be repeated."),
+    ] = ()
+    mesh_axes: Annotated[
+        str | None,
+        shared.option(
+            "Forward and up axes of the meshes, such as x,z (write --mesh-axes=-y,z with a minus).",
+            "z,y for glTF, x,z for other formats", metavar="AXES",
+        ),
+    ] = None  # fmt: skip
     licence: str = "CC0-1.0"
-    """Licence of the pictures, for set.json."""
+    """Licence of the pictures, written to set.json."""
     held_out: float = 0.05
-    """Share of the vehicles that is never trained on; the default is the paper's."""
-    workers: int = 1
-    """Processes; the files are the same for any number."""
+    """Share of the vehicles that is held out of training (0 to 1)."""
+    workers: Annotated[int, shared.WORKERS] = 1
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.recar import SynthesisSettings, synthesize_set
         from recast.recar.progress import PictureProgress
 
@@ -59,7 +68,7 @@ class Synth:
             self.seed, self.views, self.width, self.height, self.kinds, self.licence,
             self.held_out,
         )  # fmt: skip
-        console = Console()
+        console = console_for(False)
         with PictureProgress("pictures", console) as progress:
             made = synthesize_set(
                 self.out,
@@ -76,30 +85,39 @@ class Synth:
 
 @dataclass(frozen=True)
 class Stats:
-    """Count what is in a set, check its pictures, and draw its figure."""
+    """Count the vehicles of a set, check its pictures, and draw its figure."""
 
     set: tyro.conf.Positional[Path]
     """Set folder, or a folder of shards."""
-    out: Path | None = None
-    """Folder for dataset.png, views.png, colours.png and types.png."""
+    out: Annotated[
+        Path | None,
+        shared.option(
+            "Folder for dataset.png, views.png, colours.png and types.png.", "no pictures",
+            metavar="PATH",
+        ),
+    ] = None  # fmt: skip
     decode: bool = False
-    """Check every pixel instead of every header; minutes to hours."""
+    """Check every pixel instead of every header (minutes to hours)."""
+    json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.recar import set_statistics, statistics_table
         from recast.recar.figure import FIGURE_FILES, write_figure
         from recast.recar.progress import PictureProgress
         from recast.recar.shards import open_set
 
         vehicle_set = open_set(self.set)
-        console = Console()
+        console = console_for(self.json)
         with PictureProgress("checked", console) as progress:
             vehicle_set.check_pictures(self.decode, progress)
         statistics = set_statistics(vehicle_set)
-        console.print(statistics_table(vehicle_set, statistics))
+        if self.json:
+            from recast.cli.rows.models import set_rows
+
+            print_json(set_rows(statistics))
+        else:
+            console.print(statistics_table(vehicle_set, statistics))
         if self.out is not None:
             write_figure(vehicle_set, statistics, self.out)
             console.print(f"wrote {', '.join(FIGURE_FILES)} in {self.out}", markup=False)
@@ -107,7 +125,7 @@ class Stats:
 
 @dataclass(frozen=True)
 class Recar:
-    """Vehicle sets, and the adaptation of the image-to-3D model to vehicles."""
+    """Make vehicle sets, and adapt the image-to-3D model to vehicles."""
 
     command: (
         Annotated[Synth, tyro.conf.subcommand("synth")]

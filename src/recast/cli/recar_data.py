@@ -4,62 +4,77 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
+
+from recast.cli import shared
+from recast.cli.output import console_for
 
 
 @dataclass(frozen=True)
 class Ingest:
-    """Make a set of photographs: a folder for each vehicle, and a table about them."""
+    """Make a vehicle set from photographs: one folder for each vehicle, and a table."""
 
     photos: tyro.conf.Positional[Path]
     """Folder with vehicles.csv (or .json) and a folder of photographs for each vehicle."""
     out: Path
-    """Set folder; new, or one of the same options, which is finished or grows."""
+    """Set folder; the same command resumes, and a set of the same options grows."""
     licence: str
-    """Licence of the photographs, of vehicles whose row names none."""
+    """Licence of photographs whose row names no licence."""
     source: str = "photographs"
-    """Where they are from, in words."""
-    table: Path | None = None
-    """The table, where it does not lie beside the folders."""
+    """Source of the photographs, in words."""
+    table: Annotated[
+        Path | None,
+        shared.option(
+            "Table of the vehicles.", "vehicles.csv or .json in the folder", metavar="PATH"
+        ),
+    ] = None
     layout: Literal["regular", "3drealcar", "mad-cars"] = "regular"
-    """How photographs lie: at regular azimuths; or walk-arounds with camera poses, of which views
-    near regular azimuths are taken. 3drealcar and mad-cars are experimental: they have not met real
-    data."""
+    """Layout of the photographs: regular (at regular azimuths), 3drealcar or mad-cars (walk-arounds
+    with camera poses; experimental, never run on real data)."""
     views: int = 30
-    """Views of each vehicle, at regular azimuths."""
-    azimuth_within: float | None = None
-    """With a walk-around: degrees by which a photograph may be off its azimuth; half of the step
-    between two views if not given."""
+    """Number of views of each vehicle, at regular azimuths."""
+    azimuth_within: Annotated[
+        float | None,
+        shared.option(
+            "Maximum azimuth error of a walk-around's photograph in degrees.",
+            "half the step between two views", metavar="FLOAT",
+        ),
+    ] = None  # fmt: skip
     width: int = 1200
-    """Of the pictures in the set, pixels."""
+    """Width of the set's pictures in pixels."""
     height: int = 800
-    """Of the pictures in the set, pixels."""
+    """Height of the set's pictures in pixels."""
     clockwise: bool = False
-    """The photographs go around the vehicle clockwise, seen from above."""
-    elevation: float | None = None
-    """Degrees of the camera above the horizontal, where it was measured."""
-    fov: float | None = None
-    """Degrees across the width of a photograph, where it was measured."""
+    """Read the photographs as clockwise around the vehicle, seen from above."""
+    elevation: Annotated[
+        float | None,
+        shared.option(
+            "Measured angle of the camera above the horizontal in degrees.", "unknown",
+            metavar="FLOAT",
+        ),
+    ] = None  # fmt: skip
+    fov: Annotated[
+        float | None,
+        shared.option("Measured horizontal field of view in degrees.", "unknown", metavar="FLOAT"),
+    ] = None
     remover: str = "grabcut"
-    """What removes backgrounds where nothing is transparent: grabcut, a folder that holds
-    grounding-dino and sam, or none."""
+    """Method that removes the background of opaque pictures: grabcut, a folder with grounding-dino
+    and sam, or none."""
     duplicate_bits: int = 20
-    """Two pictures whose hashes differ in no more of 255 bits are the same one."""
+    """Maximum number of different hash bits (of 255) between two pictures that count as the
+    same."""
     split_seed: int = 0
-    """Of the split into train and held-out."""
+    """Seed of the split into training and held-out vehicles."""
     held_out: float = 0.05
-    """Share of vehicles that is held out of training."""
+    """Share of the vehicles that is held out of training (0 to 1)."""
     skip_bad: bool = False
-    """Leave bad vehicles out; they are listed in ingest.json."""
-    workers: int = 1
-    """Processes; the files are the same for any number."""
+    """Skip faulty vehicles and list them in ingest.json."""
+    workers: Annotated[int, shared.WORKERS] = 1
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.actors.grounded_cutout import remover_of
         from recast.errors import InputError, printable
         from recast.recar.ingest import EXPERIMENTAL, IngestSettings, ingest_photographs
@@ -71,7 +86,7 @@ class Ingest:
             self.layout, self.azimuth_within,
         )  # fmt: skip
         remover = None if self.remover == "none" else remover_of(self.remover)
-        console = Console()
+        console = console_for(False)
         if self.layout in EXPERIMENTAL:
             console.print(
                 f"note: {self.layout} is experimental, it has not met real data: look at the set",
@@ -98,26 +113,24 @@ class Ingest:
 
 @dataclass(frozen=True)
 class Pack:
-    """Pack a set into tar shards, which stream (WebDataset) and are read at any identity."""
+    """Pack a set into tar shards (WebDataset) for streaming and random access."""
 
     set: tyro.conf.Positional[Path]
     """Set folder."""
     out: Path
-    """Folder of the shards; new, or shards of the same set, which are finished or mended."""
+    """Folder of the shards; the same command resumes, and repairs damaged shards."""
     shard_bytes: str = "256MB"
-    """Size that no shard exceeds, such as 256MB or 1GiB."""
+    """Maximum size of a shard, such as 256MB or 1GiB."""
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.recar import read_set
         from recast.recar.progress import PictureProgress
         from recast.recar.shards import pack_set, parse_byte_size
 
         shard_bytes = parse_byte_size(self.shard_bytes, "--shard-bytes")
         vehicle_set = read_set(self.set)
-        console = Console()
+        console = console_for(False)
         with PictureProgress("pictures", console) as progress:
             index = pack_set(vehicle_set, self.out, shard_bytes, progress)
         console.print(

@@ -4,29 +4,34 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
+
+from recast.cli import shared
+from recast.cli.output import console_for
 
 
 @dataclass(frozen=True)
 class Perturb:
-    """Draw a sheet of all perturbations of Stage II, from weak to strong, on one picture."""
+    """Draw all perturbations of Stage II on one picture, from weak to strong."""
 
     crop: tyro.conf.Positional[Path]
     """Picture of one cut-out vehicle, PNG with alpha."""
     out: Path
-    """Sheet to write, PNG."""
-    config: Path | None = None
-    """Perturbations as JSON; what it leaves out, or all without it, is as in the defaults."""
-    write_config: Path | None = None
-    """Write the configuration with every figure to this JSON file, to edit it."""
-    seed: int = 0
-    """Seed of everything random."""
+    """Picture to write (PNG)."""
+    config: Annotated[
+        Path | None,
+        shared.option("JSON file with changes to the perturbations.", "none", metavar="PATH"),
+    ] = None
+    write_config: Annotated[
+        Path | None,
+        shared.option("JSON file to write the whole configuration to.", metavar="PATH"),
+    ] = None
+    seed: Annotated[int, shared.SEED] = 0
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.recar.perturb import (
             PerturbationConfig,
             read_perturbations,
@@ -37,7 +42,7 @@ class Perturb:
 
         config = PerturbationConfig() if self.config is None else read_perturbations(self.config)
         crop = read_crop(self.crop)
-        console = Console()
+        console = console_for(False)
         write_sheet(crop, config, self.seed, self.out)
         console.print(f"wrote {self.out}", markup=False)
         if self.write_config is not None:

@@ -5,29 +5,35 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
+
+from recast.cli import shared
+from recast.cli.output import console_for
 
 
 @dataclass(frozen=True)
 class Screen:
-    """Accept, reject or flip pseudo-targets on a page in the browser, by single keys.
+    """Accept, reject or flip pseudo-targets in the browser with single keys.
 
-    Every decision is in CACHE/screening.json at the key press; the same command goes on where it
-    was left.
+    Each decision is written to CACHE/screening.json at once; the same command resumes.
     """
 
     cache: tyro.conf.Positional[Path]
-    """Cache of pseudo-targets; may still be in the making."""
-    set: Path | None = None
-    """The set it was made from, in folders or shards, to show its pictures larger."""
+    """Cache of pseudo-targets; it may be unfinished."""
+    set: Annotated[
+        Path | None,
+        shared.option(
+            "Vehicle set of the cache, in folders or shards; its pictures are shown larger.",
+            metavar="PATH",
+        ),
+    ] = None  # fmt: skip
     port: int = 8765
-    """Of the page, which only this machine can open; 0 takes any that is free."""
+    """Port of the page, which only this machine can open; 0 takes a free port."""
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.recar.screening.server import ScreeningServer
         from recast.recar.screening.service import ScreeningService
         from recast.recar.shards import open_set
@@ -35,7 +41,7 @@ class Screen:
 
         cache = TargetCache.open(self.cache, complete=False)
         service = ScreeningService(cache, None if self.set is None else open_set(self.set))
-        console = Console()
+        console = console_for(False)
         with ScreeningServer(service, self.port) as server:
             console.print(f"{len(service.catalogue)} targets: open {server.url}", markup=False)
             console.print("Ctrl-C ends; every decision is saved when it is made", markup=False)

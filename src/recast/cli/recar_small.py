@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
+
+from recast.cli import shared
+from recast.cli.output import console_for
 
 
 @dataclass(frozen=True)
@@ -16,22 +19,18 @@ class Assets:
     count: int
     """Number of assets; a folder of the same settings grows."""
     out: Path
-    """Folder."""
-    seed: int = 0
-    """Seed of everything random."""
+    """Folder of the assets."""
+    seed: Annotated[int, shared.SEED] = 0
     shape_every: int = 4
-    """Every n-th asset is another shape: furniture, signs and the like; 0 for vehicles alone."""
-    workers: int = 1
-    """Processes; the files are the same for any number."""
+    """Interval of the assets that are other shapes, such as furniture and signs; 0 for none."""
+    workers: Annotated[int, shared.WORKERS] = 1
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.recar.assets.build import AssetsRecord, make_assets
         from recast.recar.progress import PictureProgress
 
-        console = Console()
+        console = console_for(False)
         record = AssetsRecord(seed=self.seed, shape_every=self.shape_every)
         with PictureProgress("assets", console) as progress:
             make_assets(self.out, self.count, record, workers=self.workers, progress=progress)
@@ -40,27 +39,32 @@ class Assets:
 
 @dataclass(frozen=True)
 class Autoencoder:
-    """Train the autoencoder of structures or of structured latents, or the image encoder."""
+    """Train an autoencoder (structures or structured latents) or the image encoder."""
 
     part: tyro.conf.Positional[Literal["structure", "latent", "image"]]
-    """Which."""
+    """Network to train."""
     assets: Path
     """Folder of `recast recar assets`."""
     out: Path
-    """Folder of the training; a killed one goes on. The networks are written to OUT/ckpts."""
-    structure: Path | None = None
-    """Folder of the trained structure autoencoder, for the image encoder."""
-    steps: int | None = None
-    """Of the optimiser; as for the shipped model where not given."""
-    seed: int = 0
-    """Seed of everything random."""
+    """Folder of the training; the same command resumes. Networks are written to OUT/ckpts."""
+    structure: Annotated[
+        Path | None,
+        shared.option(
+            "Folder of the trained structure autoencoder; the image encoder needs it.",
+            metavar="PATH",
+        ),
+    ] = None  # fmt: skip
+    steps: Annotated[
+        int | None,
+        shared.option("Number of optimiser steps.", "the shipped model's", metavar="INT"),
+    ] = None
+    seed: Annotated[int, shared.SEED] = 0
     threads: int = 1
-    """Of torch and of the rasterizer."""
+    """Number of CPU threads."""
 
     def __call__(self) -> None:
         """Run the command."""
         import torch
-        from rich.console import Console
 
         from recast.recar.autoencoders.train import train_part
         from recast.splats import set_threads
@@ -68,14 +72,14 @@ class Autoencoder:
         torch.set_num_threads(self.threads)
         set_threads(self.threads)
         train_part(
-            self.part, self.assets, self.out, Console(),
+            self.part, self.assets, self.out, console_for(False),
             structure=self.structure, steps=self.steps, seed=self.seed,
         )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Assemble:
-    """Put trained parts together: a model folder, and the cache its flows are trained on."""
+    """Combine trained parts to a model folder, and make the target cache for its flows."""
 
     assets: Path
     """Folder of `recast recar assets`."""
@@ -86,21 +90,18 @@ class Assemble:
     image: Path
     """Folder of the trained image encoder."""
     model: Path
-    """Model folder to write; must not exist."""
+    """New model folder."""
     cache: Path
-    """Target cache to write."""
-    seed: int = 0
-    """Of the latent flow's first weights."""
+    """New target cache."""
+    seed: Annotated[int, shared.SEED] = 0
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.recar.autoencoders.assemble import assemble
         from recast.recar.progress import PictureProgress
 
         parts = {"structure": self.structure, "latent": self.latent, "image": self.image}
-        console = Console()
+        console = console_for(False)
         with PictureProgress("assets", console) as progress:
             assemble(self.assets, parts, self.model, self.cache, seed=self.seed, progress=progress)
         console.print(f"wrote {self.model} and {self.cache}", markup=False)

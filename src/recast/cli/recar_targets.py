@@ -8,65 +8,72 @@ from typing import Annotated, Literal
 
 import tyro
 
+from recast.cli import shared
+from recast.cli.actor import MAX_VOXELS, SAMPLING_STEPS
+from recast.cli.output import JSON, console_for, print_json
+
 
 @dataclass(frozen=True)
 class Targets:
-    """Make the pseudo-target of every vehicle of a set from its front, rear, left and right view.
+    """Make a pseudo-target of every vehicle of a set from its front, rear, left and right view.
 
-    The command can be stopped and repeated at any time; finished targets stay.
+    The same command resumes; finished targets stay.
     """
 
     set: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SET")]
     """Vehicle set, in folders or shards."""
     model: Path
-    """Model folder in the published layout (pipeline.json and ckpts/), or trellis (see recast
+    """Model folder in the published layout (pipeline.json and ckpts/), or trellis (recast
     weights)."""
     out: Path
-    """Cache folder; new, or one of the same model and options, which is finished or grows."""
-    seed: int = 0
-    """From which the seed of every vehicle is derived."""
-    limit: int | None = None
-    """Only the first so many vehicles of the set."""
-    workers: int = 1
-    """Processes, or actors of the cluster; the files are the same for any number."""
-    ray: str | None = None
-    """Address of a Ray cluster (auto, ray://HOST:10001), or local. Needs the extra distributed."""
-    image_encoder: Path | None = None
-    """Weights of the published image encoder, where the model folder has none; or dinov2 (see
-    recast weights)."""
-    device: str | None = None
-    """Such as cpu or cuda:1; CUDA where there is some, one device a process in turn."""
+    """Cache folder; the same command resumes, and a larger set extends the cache."""
+    seed: Annotated[int, shared.SEED] = 0
+    limit: Annotated[int | None, shared.LIMIT] = None
+    workers: Annotated[int, shared.WORKERS] = 1
+    ray: Annotated[str | None, shared.RAY] = None
+    image_encoder: Annotated[Path | None, shared.IMAGE_ENCODER] = None
+    device: Annotated[str | None, shared.DEVICE] = None
     multi_image: Literal["stochastic", "multidiffusion"] = "stochastic"
-    """How the four views are used: one a sampling step in turn, as the paper; or the mean of all
-    at every step, at four times the cost."""
-    steps: int | None = None
-    """Sampling steps of both stages; as the model says where not given."""
+    """Use of the four views: stochastic (one view at each step, in turn, as in the paper) or
+    multidiffusion (the mean of all views at each step, at four times the cost)."""
+    steps: Annotated[int | None, SAMPLING_STEPS] = None
     retries: int = 3
-    """Further seeds for a structure that is empty or too large."""
-    max_voxels: int | None = None
-    """Most active voxels; 8 R^2 where not given, 32,768 of the published model."""
+    """Number of further seeds to try if a structure is empty or too large."""
+    max_voxels: Annotated[int | None, MAX_VOXELS] = None
     filter: Literal["agreement", "aesthetic", "none"] = "agreement"
-    """Quality filter: agreement with the pictures, or the Improved Aesthetic Predictor."""
+    """Quality filter: agreement with the pictures, the Improved Aesthetic Predictor, or none."""
     heading: Literal["any", "+x"] = "any"
-    """Where vehicles of the model look: any way, as those of the published models, found by the
-    pictures; or along +x, as those of small models that were trained so."""
-    threshold: float | None = None
-    """Least score of a target that is used, 4.5 of the aesthetic predictor and 0.6 of the
-    agreement where not given; may be changed later without making targets anew."""
-    predictor: Path | None = None
-    """Weights of the aesthetic predictor: sac+logos+ava1-l14-linearMSE.pth, or aesthetic (see
-    recast weights)."""
-    clip: Path | None = None
-    """Folder of CLIP ViT-L/14 as Hugging Face has it, for the aesthetic predictor; or clip-vit-l14
-    (see recast weights)."""
+    """Heading of the model's vehicles: any (found from the pictures) or +x (models trained so)."""
+    threshold: Annotated[
+        float | None,
+        shared.option(
+            "Minimum score of a target; may be changed later.",
+            "4.5 of the aesthetic predictor, 0.6 of the agreement", metavar="FLOAT",
+        ),
+    ] = None  # fmt: skip
+    predictor: Annotated[
+        Path | None,
+        shared.option(
+            "Weights of the aesthetic predictor (sac+logos+ava1-l14-linearMSE.pth), or aesthetic "
+            "(recast weights).",
+            metavar="PATH",
+        ),
+    ] = None  # fmt: skip
+    clip: Annotated[
+        Path | None,
+        shared.option(
+            "CLIP ViT-L/14 for the aesthetic predictor: a folder, or clip-vit-l14 (recast "
+            "weights).",
+            metavar="PATH",
+        ),
+    ] = None  # fmt: skip
     retry_failures: bool = False
-    """Try again what failed before."""
+    """Try again the vehicles that failed before."""
+    json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
         """Run the command."""
         from itertools import islice
-
-        from rich.console import Console
 
         from recast.errors import InputError
         from recast.recar.progress import PictureProgress
@@ -106,7 +113,7 @@ class Targets:
                 clip=located("--clip", self.clip),
             ),
         )
-        console = Console()
+        console = console_for(self.json)
         with PictureProgress("targets", console) as progress:
             cache = build_targets(
                 vehicles,
@@ -121,4 +128,9 @@ class Targets:
                 retry_failures=self.retry_failures,
                 progress=progress,
             )
+        if self.json:
+            from recast.cli.rows.models import target_rows
+
+            print_json(target_rows(cache, target_statistics(cache)))
+            return
         console.print(target_table(cache, target_statistics(cache)))

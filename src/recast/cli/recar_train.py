@@ -4,42 +4,55 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
+
+from recast.cli import shared
 
 
 @dataclass(frozen=True)
 class Train:
-    """Train the flows of an image-to-3D model towards pseudo-targets; continues what was killed.
+    """Train the flows of an image-to-3D model towards pseudo-targets; the same command resumes.
 
     On several GPUs: torchrun --nproc-per-node 2 -m recast.cli.main recar train ...
     """
 
     model: Path
-    """Model folder to start from, in the published layout, or trellis (see recast weights)."""
+    """Model folder to start from (published layout), or trellis (recast weights)."""
     targets: Path
-    """Cache of pseudo-targets, of `recast recar targets`."""
+    """Cache of pseudo-targets, from `recast recar targets`."""
     set: Path
     """Vehicle set with the pictures, in folders or shards; or a folder of training assets."""
     out: Path
-    """Folder of the new model; new, or one of the same training, which is continued."""
-    stage: Literal["1", "2", "base", "base-2", "mini-1", "mini-2"] | None = None
-    """The paper's stage 1 (vehicles) or 2 (perturbed pictures); of the small model its base, or the
-    two stages with its own figures."""
-    config: Path | None = None
-    """JSON file with every figure of a stage, or "preset" and what differs from it; instead of
-    --stage."""
-    flow: tyro.conf.UseAppendAction[tuple[Literal["structure", "latent"], ...]] = ()
-    """Train this flow only, the other in another process or later; both where not given. The model
-    is written when all flows of the stage are trained."""
-    image_encoder: Path | None = None
-    """Weights of the published image encoder (DINOv2 ViT-L/14 with registers), where the model
-    folder has none; or dinov2 (see recast weights)."""
-    device: str | None = None
-    """Such as cpu or cuda:0; CUDA where there is some."""
+    """Folder of the new model; the same command resumes."""
+    stage: Annotated[
+        Literal["1", "2", "base", "base-2", "mini-1", "mini-2"] | None,
+        shared.option(
+            "Stage of the paper: 1 (vehicles) or 2 (perturbed pictures); of the small model: base, "
+            "base-2, mini-1 or mini-2.",
+            metavar="{1,2,base,base-2,mini-1,mini-2}",
+        ),
+    ] = None  # fmt: skip
+    config: Annotated[
+        Path | None,
+        shared.option(
+            'JSON file with all settings of a stage, or "preset" and the changes; instead of '
+            "--stage.",
+            metavar="PATH",
+        ),
+    ] = None  # fmt: skip
+    flow: Annotated[
+        tyro.conf.UseAppendAction[tuple[Literal["structure", "latent"], ...]],
+        shared.option(
+            "Flow to train in this process; the model is written after the last flow.", "both",
+            metavar="{structure,latent}",
+        ),
+    ] = ()  # fmt: skip
+    image_encoder: Annotated[Path | None, shared.IMAGE_ENCODER] = None
+    device: Annotated[str | None, shared.DEVICE] = None
     tensorboard: bool = False
-    """Also write curves for TensorBoard into OUT/tensorboard."""
+    """Also write TensorBoard curves to OUT/tensorboard."""
 
     def __call__(self) -> None:
         """Run the command."""

@@ -8,53 +8,67 @@ from typing import Annotated
 
 import tyro
 
+from recast.cli import shared
+from recast.cli.output import JSON, console_for, print_json
+
 
 @dataclass(frozen=True)
 class List:
     """Print scenarios with their numbers, or check scenario files."""
 
     scenarios: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Scenarios such as cut-in-a, motions such as cut-in, or scenario files (.yaml); all that are
-    built in where none is named."""
+    """Scenarios such as cut-in-a, motions such as cut-in, or scenario files (.yaml); all built-in
+    scenarios if none is named."""
+    json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
+        if self.json:
+            from recast.cli.rows.scenarios import scenario_rows
 
+            print_json(scenario_rows(self.scenarios))
+            return
         from recast.pipeline.scenarios import list_scenarios
 
-        list_scenarios(self.scenarios, Console())
+        list_scenarios(self.scenarios, console_for(False))
 
 
 @dataclass(frozen=True)
 class Show:
-    """Draw scenarios on the map of a log: where the ego starts, what the actor does, where a
-    rollout would be cut."""
+    """Draw scenarios on the map of a log: start of the ego, path of the actor, end of the
+    rollout."""
 
     log: tyro.conf.Positional[Path]
     """Log folder."""
-    motion: tyro.conf.UseAppendAction[tuple[str, ...]]
-    """Scenario such as cut-in-a, motion such as cut-in, or scenario file (.yaml). Give it several
-    times for several, drawn below one another."""
+    motion: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]], shared.required(shared.MOTION_HELP)
+    ]
     out: Path = Path("scenario.png")
     """Picture to write (PNG)."""
-    track: str | None = None
-    """Track to control. Default: the target of a synthetic log, else the first track."""
-    steps: int = 160
-    """Steps of 0.1 s that a rollout would be asked for."""
+    track: Annotated[
+        str | None,
+        shared.option(
+            shared.TRACK_HELP, "target of a synthetic log, else the first track", metavar="STR"
+        ),
+    ] = None
+    steps: Annotated[int, shared.STEPS] = 160
+    json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.pipeline.scenarios import show_scenarios
 
-        show_scenarios(self.log, self.motion, self.track, self.out, self.steps, Console())
+        console = console_for(self.json)
+        show_scenarios(self.log, self.motion, self.track, self.out, self.steps, console)
+        if self.json:
+            from recast.cli.rows.scenarios import placed_rows
+
+            print_json(placed_rows(self.log, self.motion, self.track, self.steps))
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """What the controlled actor does, seen before anything runs."""
+    """List scenarios, or draw them on a log before a run."""
 
     command: (
         Annotated[List, tyro.conf.subcommand("list")]

@@ -8,36 +8,36 @@ from typing import Annotated, Literal
 
 import tyro
 
+from recast.cli import shared
+from recast.cli.output import JSON, console_for, print_json
 from recast.cli.scene_import import Import
 
 
 @dataclass(frozen=True)
 class Train:
-    """Reconstruct the street of a log; resumes from its last checkpoint when run again."""
+    """Reconstruct the street of a log; the same command resumes from the last checkpoint."""
 
     log: tyro.conf.Positional[Path]
     """Log folder."""
     out: Path
     """Scene folder to write."""
-    preset: Literal["streetgs", "omnire"] | None = None
-    """Train by the method of Street Gaussians or of OmniRe; recast's own where none is named."""
-    config: Path | None = None
-    """Configuration file (JSON, see docs/scenes.md): goes before the preset, and the options below
-    before both."""
-    cameras: tuple[str, ...] | None = None
-    """Cameras to train on; all of the log where none is named."""
-    scale: float | None = None
-    """Image scale: 0.5 trains at half the recorded width and height."""
-    iterations: int | None = None
-    """Training steps."""
-    force_dynamic: tuple[str, ...] | None = None
-    """Tracks to model as actors though they hardly move."""
-    seed: int | None = None
-    """Seed of everything random."""
-    threads: int | None = None
-    """CPU threads, 0 for all."""
+    preset: Annotated[Literal["streetgs", "omnire"] | None, shared.PRESET] = None
+    config: Annotated[Path | None, shared.SCENE_CONFIG] = None
+    cameras: Annotated[tuple[str, ...] | None, shared.CAMERAS] = None
+    scale: Annotated[float | None, shared.option(shared.SCALE_HELP, "0.5", metavar="FLOAT")] = None
+    iterations: Annotated[
+        int | None, shared.option(shared.ITERATIONS_HELP, "2800", metavar="INT")
+    ] = None
+    force_dynamic: Annotated[
+        tuple[str, ...] | None,
+        shared.option(
+            "Ids of slow tracks to model as actors all the same.", "none", metavar="ID [ID ...]"
+        ),
+    ] = None
+    seed: Annotated[int | None, shared.SEED] = None
+    threads: Annotated[int | None, shared.THREADS] = None
     device: str = "auto"
-    """auto, cpu, cuda or cuda:1; auto is CUDA where there are a GPU and gsplat."""
+    """Device of the training: auto (CUDA if there is a GPU and gsplat), cpu, cuda or cuda:1."""
 
     def __call__(self) -> None:
         """Run the command."""
@@ -54,26 +54,26 @@ class Train:
 
 @dataclass(frozen=True)
 class Eval:
-    """How well a scene redraws the images that were kept from its training, with pictures.
+    """Score a scene on its held-out images, and write pictures of them.
 
-    PSNR, SSIM and, with its weights, LPIPS of whole images and inside the boxes of what moves, and
-    depth against the LiDAR.
+    Scores: PSNR, SSIM and, with weights, LPIPS of whole images and inside the boxes of moving
+    objects; error of the depth at LiDAR points.
     """
 
     scene: tyro.conf.Positional[Path]
     """Scene folder."""
     log: Path
-    """Log folder the scene was made from."""
-    out: Path | None = None
-    """Folder to write to; SCENE/eval where none is named."""
+    """Log folder of the scene."""
+    out: Annotated[
+        Path | None, shared.option("Folder of the results.", "SCENE/eval", metavar="PATH")
+    ] = None
     shifts: bool = False
-    """Also look from 1, 2 and 3 m to either side and turned by 5 and 10 degrees: scored where the
-    log is synthetic, so that the truth is known, and pictures alone where it is not."""
-    lpips_weights: Annotated[Path | None, tyro.conf.arg(aliases=("--lpips",))] = None
-    """AlexNet or VGG-16 weights as torchvision saves them, for LPIPS; or alexnet or vgg16 (see
-    recast weights)."""
+    """Also render novel views: 1, 2 and 3 m to either side, and turned by 5 and 10 degrees. They
+    are scored if the log is synthetic."""
+    lpips_weights: Annotated[Path | None, shared.LPIPS_WEIGHTS] = None
     workers: int = 0
-    """Processes that render the truth of shifted views; 0 for one for each core."""
+    """Number of processes that render the ground truth of novel views; 0 uses all cores."""
+    json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
         """Run the command."""
@@ -81,14 +81,19 @@ class Eval:
         from recast.pipeline.scene import evaluate_and_print
         from recast.weights import located
 
-        evaluate_and_print(
+        evaluation = evaluate_and_print(
             self.scene,
             read_log(self.log),
             self.out or self.scene / "eval",
+            console_for(self.json),
             shifts=self.shifts,
             lpips=located("--lpips-weights", self.lpips_weights),
             workers=self.workers,
         )
+        if self.json:
+            from recast.cli.rows.scenes import evaluation_rows
+
+            print_json(evaluation_rows(evaluation))
 
 
 @dataclass(frozen=True)
@@ -99,14 +104,17 @@ class Export:
     """Scene folder."""
     out: Path
     """Folder to write; must not exist."""
-    time: float | None = None
-    """Seconds after the scene's first time: one PLY of all that is there then. Without it, one PLY
-    a part, actors in their own frames."""
+    time: Annotated[
+        float | None,
+        shared.option(
+            "Time in seconds after the scene's start: write one PLY of the street and all actors "
+            "at that time.",
+            "one PLY for each part, actors in their own frames", metavar="FLOAT",
+        ),
+    ] = None  # fmt: skip
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.scene import export_scene, export_scene_at, load_scene
 
         scene = load_scene(self.scene)
@@ -115,12 +123,12 @@ class Export:
             told = f"wrote {self.out}"
         else:
             told = f"wrote {self.out}, at {export_scene_at(scene, self.out, self.time)} us"
-        Console().print(told, markup=False)
+        console_for(False).print(told, markup=False)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Reconstruct a street, judge it, bring one in, take one out."""
+    """Reconstruct, evaluate, import or export a street."""
 
     command: (
         Annotated[Train, tyro.conf.subcommand("train")]

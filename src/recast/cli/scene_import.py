@@ -8,35 +8,58 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from recast.cli import shared
+from recast.cli.output import console_for
+
 if TYPE_CHECKING:
     from recast.scene.importers import ImportRecord
 
 
+WORLD_FROM_SCENE = shared.option(
+    "Text file with a 4x4 matrix or an offset from the scene's coordinates to the log's world.",
+    metavar="PATH",
+)
+
+
 @dataclass(frozen=True)
 class StreetGaussians:
-    """A checkpoint of Street Gaussians (trained_model/iteration_N.pth)."""
+    """Import a checkpoint of Street Gaussians (trained_model/iteration_N.pth)."""
 
     checkpoint: tyro.conf.Positional[Path]
-    """Checkpoint; no code in it is run."""
+    """Checkpoint file; code in it is not executed."""
     log: Path
-    """Log folder of the drive it was trained on."""
+    """Log folder of the drive that the scene was trained on."""
     out: Path
     """Scene folder to write; must not exist."""
-    processed: Path | None = None
-    """The processed folder it was trained on: places the scene exactly, and actors as learned.
-    Without it the scene's place is only near, and actors follow the log."""
-    frames: tuple[int, int] | None = None
-    """First and last frame of the training; all of the processed folder if not given."""
+    processed: Annotated[
+        Path | None,
+        shared.option(
+            "Processed folder of the training: gives the exact place of the scene and the learned "
+            "poses of the actors.",
+            "an approximate place, and the log's poses", metavar="PATH",
+        ),
+    ] = None  # fmt: skip
+    frames: Annotated[
+        tuple[int, int] | None,
+        shared.option(
+            "First and last frame of the training.", "all of the processed folder",
+            metavar="FIRST LAST",
+        ),
+    ] = None  # fmt: skip
     cameras: tuple[int, ...] = (0, 1, 2)
     """Numbers of the cameras of the training."""
-    world_from_scene: Path | None = None
-    """Text file with a 4x4 matrix or an offset from the scene's coordinates to the log's world."""
-    tracks: Path | None = None
-    """JSON file with the log's track ids by actor: {"obj_003": "..."}."""
+    world_from_scene: Annotated[Path | None, WORLD_FROM_SCENE] = None
+    tracks: Annotated[
+        Path | None,
+        shared.option(
+            'JSON file with the log\'s track id of each actor: {"obj_003": "..."}.', metavar="PATH"
+        ),
+    ] = None
     leave_out: tuple[str, ...] = ()
-    """Actors not wanted, such as obj_003."""
+    """Actors to leave out, such as obj_003."""
     share: float = 0.5
-    """Where in an actor's time, from 0 to 1, its changing colour is frozen."""
+    """Time at which the time-dependent colours of an actor are frozen, as a fraction (0 to 1) of
+    its track."""
 
     def __call__(self) -> None:
         """Run the command."""
@@ -54,30 +77,43 @@ class StreetGaussians:
 
 @dataclass(frozen=True)
 class DriveStudio:
-    """A checkpoint of DriveStudio (checkpoint_final.pth): OmniRe and others."""
+    """Import a checkpoint of DriveStudio (checkpoint_final.pth): OmniRe and others."""
 
     checkpoint: tyro.conf.Positional[Path]
-    """Checkpoint; no code in it is run."""
+    """Checkpoint file; code in it is not executed."""
     log: Path
-    """Log folder of the drive it was trained on."""
+    """Log folder of the drive that the scene was trained on."""
     out: Path
     """Scene folder to write; must not exist."""
-    processed: Path | None = None
-    """The processed folder it was trained on: its first pose places the scene. Without it, the
-    log's rig at the first frame does."""
+    processed: Annotated[
+        Path | None,
+        shared.option(
+            "Processed folder of the training: its first pose places the scene.",
+            "the log's pose at the first frame", metavar="PATH",
+        ),
+    ] = None  # fmt: skip
     first_frame: int = 0
     """First time step of the training."""
-    clock: str | None = None
-    """Sensor of the log whose frames are the checkpoint's; its LiDAR, else its camera, with most
-    frames if not given."""
-    world_from_scene: Path | None = None
-    """Text file with a 4x4 matrix or an offset from the scene's coordinates to the log's world."""
-    tracks: Path | None = None
-    """JSON file with the log's track ids by actor: {"0": "..."}. Others are told by place."""
+    clock: Annotated[
+        str | None,
+        shared.option(
+            "Sensor of the log whose frames are the time steps of the checkpoint.",
+            "the LiDAR, else the camera, with most frames", metavar="NAME",
+        ),
+    ] = None  # fmt: skip
+    world_from_scene: Annotated[Path | None, WORLD_FROM_SCENE] = None
+    tracks: Annotated[
+        Path | None,
+        shared.option(
+            'JSON file with the log\'s track id of each actor: {"0": "..."}.',
+            "the track at the same place", metavar="PATH",
+        ),
+    ] = None  # fmt: skip
     leave_out: tuple[str, ...] = ()
-    """Actors not wanted, by number."""
+    """Numbers of the actors to leave out."""
     share: float = 0.5
-    """Where in an actor's time, from 0 to 1, its view-dependent colour is kept."""
+    """Time at which the view-dependent colours of an actor are frozen, as a fraction (0 to 1) of
+    its track."""
 
     def __call__(self) -> None:
         """Run the command."""
@@ -95,7 +131,7 @@ class DriveStudio:
 
 @dataclass(frozen=True)
 class Ply:
-    """A PLY of 3D Gaussian splatting, as a static background."""
+    """Import a PLY of 3D Gaussian splatting as a static background."""
 
     background: tyro.conf.Positional[Path]
     """PLY file."""
@@ -103,11 +139,21 @@ class Ply:
     """Log folder of the drive."""
     out: Path
     """Scene folder to write; must not exist."""
-    world_from_ply: Path | None = None
-    """Text file with a 4x4 matrix, which may scale, or an offset from the PLY's coordinates to the
-    log's world. Without it they are the same."""
-    sky: Path | None = None
-    """Equirectangular sky image, as export writes it; black if not given."""
+    world_from_ply: Annotated[
+        Path | None,
+        shared.option(
+            "Text file with a 4x4 matrix (it may scale) or an offset from the PLY's coordinates to "
+            "the log's world.",
+            "the same coordinates", metavar="PATH",
+        ),
+    ] = None  # fmt: skip
+    sky: Annotated[
+        Path | None,
+        shared.option(
+            "Equirectangular sky image, as `recast scene export` writes it.", "a black sky",
+            metavar="PATH",
+        ),
+    ] = None  # fmt: skip
 
     def __call__(self) -> None:
         """Run the command."""
@@ -122,7 +168,7 @@ class Ply:
 
 @dataclass(frozen=True)
 class Import:
-    """Bring in a scene that another program trained; see docs/scenes.md."""
+    """Import a scene that another program trained (docs/scenes.md)."""
 
     command: (
         Annotated[StreetGaussians, tyro.conf.subcommand("street-gaussians")]
@@ -136,11 +182,9 @@ class Import:
 
 
 def _tell(record: ImportRecord, out: Path) -> None:
-    from rich.console import Console
-
     from recast.reporting.scene_tables import import_lines
 
-    console = Console()
+    console = console_for(False)
     for line, style in import_lines(record):
         console.print(line, style=style, markup=False, highlight=False)
     console.print(f"wrote {out}", markup=False)

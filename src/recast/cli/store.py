@@ -7,26 +7,32 @@ from typing import Annotated
 
 import tyro
 
+from recast.cli.output import JSON, console_for, print_json
+
 
 @dataclass(frozen=True)
 class List:
-    """List the artefacts of a store: what they are, how large, and how many runs use them."""
+    """List the artefacts of a store with their size, the time to make them, and their users."""
 
     store: tyro.conf.Positional[str]
     """Folder of the store, such as runs/store."""
+    json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.pipeline.show_store import list_store
 
-        list_store(self.store, Console())
+        list_store(self.store, console_for(self.json))
+        if self.json:
+            from recast.cli.rows.machine import store_rows
+            from recast.core import Store as Artefacts
+
+            print_json(store_rows(Artefacts(self.store)))
 
 
 @dataclass(frozen=True)
 class Why:
-    """Show what an artefact was made from, and what that was made from in turn."""
+    """Print the inputs of an artefact as a tree, with the inputs of these inputs."""
 
     store: tyro.conf.Positional[str]
     """Folder of the store."""
@@ -35,36 +41,32 @@ class Why:
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.pipeline.show_store import explain_artefact
 
-        explain_artefact(self.store, self.key, Console())
+        explain_artefact(self.store, self.key, console_for(False))
 
 
 @dataclass(frozen=True)
 class Prune:
-    """List what no run folder refers to and what killed commands left behind; --yes removes it."""
+    """List unused artefacts and the leftovers of killed commands; --yes removes them."""
 
     store: tyro.conf.Positional[str]
     """Folder of the store."""
     yes: bool = False
-    """Remove what is listed."""
+    """Remove the listed artefacts and leftovers."""
     older_than: float = 24.0
-    """Hours since an artefact was made; younger ones may belong to a run under way."""
+    """Minimum age of an artefact in hours; a younger one may belong to a run in progress."""
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.pipeline.show_store import prune_store
 
-        prune_store(self.store, self.yes, self.older_than, Console())
+        prune_store(self.store, self.yes, self.older_than, console_for(False))
 
 
 @dataclass(frozen=True)
 class Store:
-    """Look into the store of artefacts (scenes, actors, rollouts, ...) that runs share."""
+    """List, explain or remove the artefacts (scenes, actors, rollouts) that runs share."""
 
     command: (
         Annotated[List, tyro.conf.subcommand("list")]

@@ -8,20 +8,21 @@ from typing import Annotated
 
 import tyro
 
+from recast.cli.output import JSON, console_for, print_json
+
 
 @dataclass(frozen=True)
 class Verify:
-    """Check names, shapes, types and sizes of all models of a folder, without loading them."""
+    """Check names, shapes, types and sizes of the weights in a model folder."""
 
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
     """Folder in the published layout: pipeline.json and ckpts/."""
     values: bool = False
-    """Read every tensor too, and check that it is finite."""
+    """Read every tensor, and check that all values are finite."""
+    json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.trellis.checkpoints import (
             check_details,
             check_table,
@@ -30,8 +31,13 @@ class Verify:
         )
 
         checks = verify_checkpoint(self.folder, values=self.values)
-        console = Console()
-        console.print(check_table(checks, self.folder))
+        console = console_for(self.json)
+        if self.json:
+            from recast.cli.rows.models import check_rows
+
+            print_json(check_rows(checks))
+        else:
+            console.print(check_table(checks, self.folder))
         for check in checks:
             for line in check_details(check):
                 console.print(line, markup=False, highlight=False, soft_wrap=True)
@@ -42,27 +48,27 @@ class Verify:
 
 @dataclass(frozen=True)
 class Export:
-    """Write what generation needs of a model folder, in half precision, for handing on."""
+    """Write the weights that generation needs, in half precision, to a smaller model folder."""
 
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
     """Folder in the published layout: pipeline.json and ckpts/."""
     out: Path
-    """Folder to write; must not exist."""
+    """New model folder."""
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.trellis.checkpoints import export_model
 
         export_model(self.folder, self.out)
         size = sum(path.stat().st_size for path in self.out.rglob("*") if path.is_file())
-        Console().print(f"wrote {self.out}: {size / 1e6:.1f} MB", markup=False, soft_wrap=True)
+        console_for(False).print(
+            f"wrote {self.out}: {size / 1e6:.1f} MB", markup=False, soft_wrap=True
+        )
 
 
 @dataclass(frozen=True)
 class Trellis:
-    """Folders of image-to-3D models."""
+    """Check or export model folders of the image-to-3D model."""
 
     command: (
         Annotated[Verify, tyro.conf.subcommand("verify")]

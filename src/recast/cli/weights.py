@@ -7,42 +7,47 @@ from typing import Annotated
 
 import tyro
 
+from recast.cli.output import JSON, console_for, print_json
+
 _NAME = tyro.conf.arg(metavar="NAME")
 
 
 @dataclass(frozen=True)
 class List:
-    """List the weights that recast knows: what for, size, licence, who pins them, whether here."""
+    """List the published weights that recast can fetch: use, size, licence, commit."""
+
+    json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
+        if self.json:
+            from recast.cli.rows.machine import weights_rows
 
+            print_json(weights_rows())
+            return
         from recast.pipeline.show_weights import weights_table
 
-        Console().print(weights_table())
+        console_for(False).print(weights_table())
 
 
 @dataclass(frozen=True)
 class Get:
-    """Fetch weights, or find them: a second call asks nothing of the network.
+    """Fetch weights over the network; weights that are here already are not fetched again.
 
-    A transfer that was cut goes on where it stopped. RECAST_WEIGHTS names the folder,
+    An interrupted download resumes. The variable RECAST_WEIGHTS names the folder of the weights,
     RECAST_WEIGHTS_MIRROR or HF_ENDPOINT a mirror.
     """
 
     name: Annotated[tyro.conf.Positional[str], _NAME]
-    """Name, see recast weights list."""
+    """Name that `recast weights list` shows."""
     accept_licence: bool = False
-    """Accept the terms that are shown, where weights ask for it."""
+    """Accept the licence terms of restricted weights without a question."""
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.pipeline.show_weights import get_weights
 
-        get_weights(self.name, self.accept_licence, Console())
+        get_weights(self.name, self.accept_licence, console_for(False))
 
 
 @dataclass(frozen=True)
@@ -50,20 +55,18 @@ class Verify:
     """Read every byte of fetched weights and compare it with the record of the download."""
 
     name: Annotated[tyro.conf.Positional[str | None], _NAME] = None
-    """Name; all that are here where not given."""
+    """Name of fetched weights (default: all)."""
 
     def __call__(self) -> None:
         """Run the command."""
-        from rich.console import Console
-
         from recast.pipeline.show_weights import verify_weights
 
-        verify_weights(self.name, Console())
+        verify_weights(self.name, console_for(False))
 
 
 @dataclass(frozen=True)
 class Path:
-    """Print the folder or file that a name stands for."""
+    """Print the folder or file of fetched weights."""
 
     name: Annotated[tyro.conf.Positional[str], _NAME]
     """Name of fetched weights."""
@@ -78,7 +81,7 @@ class Path:
 
 @dataclass(frozen=True)
 class Weights:
-    """Fetch published weights by name; recast downloads nothing else."""
+    """List, fetch and check published weights; recast downloads nothing else."""
 
     command: (
         Annotated[List, tyro.conf.subcommand("list")]

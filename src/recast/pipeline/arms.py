@@ -52,14 +52,35 @@ class Arm(Record):
             they are None.
     """
 
-    name: str = Field(min_length=1, max_length=100)
-    street: str = OWN_STREET
-    vehicle: Literal["own", "generated", "truth"]
-    generator: str | None = None
-    axes: str | None = None
-    refine: bool | None = None
-    segmenter: str | None = None
-    views: int | None = Field(default=None, ge=1, le=MOST_VIEWS)
+    name: str = Field(min_length=1, max_length=100, description="name in tables and file names")
+    street: str = Field(
+        default=OWN_STREET,
+        description=("recast (the run's own street), a preset, the folder of a scene, or truth"),
+    )
+    vehicle: Literal["own", "generated", "truth"] = Field(
+        description=(
+            "vehicle in the target's place: the street's own reconstruction, a "
+            "generated one, or the truth"
+        )
+    )
+    generator: str | None = Field(
+        default=None, description="generator of a generated vehicle; null: the run's"
+    )
+    axes: str | None = Field(
+        default=None, description="axes of vehicle files or of a model folder; null: the run's"
+    )
+    refine: bool | None = Field(
+        default=None, description="whether the vehicle is refined; null: the run's choice"
+    )
+    segmenter: str | None = Field(
+        default=None, description="segmenter of the target; null: the run's"
+    )
+    views: int | None = Field(
+        default=None,
+        ge=1,
+        le=MOST_VIEWS,
+        description="maximum number of views that the vehicle is made from; null: the run's",
+    )
 
     @classmethod
     def native(cls, street: str = OWN_STREET) -> Self:

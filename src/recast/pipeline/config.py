@@ -29,49 +29,82 @@ class RunConfig(Record):
     beside the run's own, which are `scene`.
     """
 
-    version: Literal[2] = CONFIG_VERSION
-    track: str
-    motions: tuple[str, ...] = Field(min_length=1)
+    version: Literal[2] = Field(default=CONFIG_VERSION, description="version of this file's format")
+    track: str = Field(description="id of the track to replace and control")
+    motions: tuple[str, ...] = Field(
+        min_length=1, description="scenario names with their setting, such as cut-in-a"
+    )
     own_motions: dict[str, dict[str, Any]] = Field(
         default={}, description="contents of scenario files, by scenario name"
     )
-    arms: tuple[Arm, ...] = Field(default_factory=default_arms, min_length=1)
-    planners: tuple[str, ...] = Field(default=("idm-follower",), min_length=1)
+    arms: tuple[Arm, ...] = Field(
+        default_factory=default_arms,
+        min_length=1,
+        description="what is compared; the first is the baseline",
+    )
+    planners: tuple[str, ...] = Field(
+        default=("idm-follower",),
+        min_length=1,
+        description="planners under test: names, folders or package.module:attribute",
+    )
     planner_device: str = Field(
-        default="auto", pattern=f"^({DEVICE_PATTERN})$", description="where the planner computes"
+        default="auto",
+        pattern=f"^({DEVICE_PATTERN})$",
+        description="device of the planner: auto, cpu, cuda or cuda:1",
     )
     generator: str = Field(
         default=DEFAULT_GENERATOR,
-        description="generator, model folder, vehicle file or library:FOLDER",
+        description=(
+            "generator of vehicles: a name, a model folder, a vehicle file or library:FOLDER"
+        ),
     )
-    axes: str = Field(default=AUTO, description="axis convention of vehicle files or a model")
-    refine: bool = Field(default=True, description="follow all images of the log with the actor")
+    axes: str = Field(default=AUTO, description="axes of vehicle files or of a model folder")
+    refine: bool = Field(
+        default=True, description="whether actors are refined on all images of the log"
+    )
     segmenter: str = Field(
-        default=DEFAULT_SEGMENTER, description="name of a segmenter, or folder of its networks"
+        default=DEFAULT_SEGMENTER,
+        description="segmenter of the target: a name, or the folder of its networks",
     )
     views: int = Field(
-        default=1, ge=1, le=MOST_VIEWS, description="most views of the target an actor is made from"
+        default=1,
+        ge=1,
+        le=MOST_VIEWS,
+        description="maximum number of views that an actor is made from",
     )
-    steps: int = Field(default=160, ge=1, description="of 0.1 s; cut where log or road end")
-    plan_every: int = Field(default=5, ge=1)
-    keep_other_actors: bool = False
+    steps: int = Field(
+        default=160,
+        ge=1,
+        description="steps of 0.1 s for each rollout; fewer if the log or the road ends",
+    )
+    plan_every: int = Field(default=5, ge=1, description="steps between two plans")
+    keep_other_actors: bool = Field(
+        default=False, description="whether other recorded actors stay, with their recorded motion"
+    )
     plan_limit_s: float | None = Field(
-        default=None, gt=0, description="wall-clock seconds that a plan may take"
+        default=None,
+        gt=0,
+        description="maximum wall-clock time of one plan, seconds; null: no limit",
     )
     films: bool = Field(
-        default=True, description="of all cameras; without, only what the planner sees is rendered"
+        default=True,
+        description=(
+            "whether all cameras are rendered and filmed; otherwise only the planner's are rendered"
+        ),
     )
-    seed: int = 0
-    threads: int = Field(default=0, ge=0, le=1024, description="CPU threads, 0: all")
+    seed: int = Field(default=0, description="seed of everything random")
+    threads: int = Field(default=0, ge=0, le=1024, description="number of CPU threads; 0: all")
     preset: Preset | None = Field(
-        default=None, description="method of the scene: sets what `scene` does not name"
+        default=None, description="method of the scene; it sets what `scene` does not name"
     )
-    scene: SceneConfig = SceneConfig()
+    scene: SceneConfig = Field(
+        default=SceneConfig(), description="settings of the run's own street"
+    )
     scene_folder: str | None = Field(
-        default=None, description="folder of a trained or imported scene, instead of training one"
+        default=None, description="folder of a trained or imported scene; no scene is trained"
     )
     streets: dict[str, SceneConfig] = Field(
-        default={}, description="scene settings of the presets that arms name"
+        default={}, description="settings of the presets that arms name"
     )
 
     @field_validator("own_motions")

@@ -1,4 +1,4 @@
-"""`recast demo`: the whole way on a made-up drive, for which the truth is known."""
+"""`recast demo`: log, scene, actor and rollouts on a synthetic drive with ground truth."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ RUN_FOLDER = "run"
 
 @dataclass(frozen=True)
 class DemoSize:
-    """How much of everything.
+    """Size of a demo.
 
     Attributes:
-        seconds: of the drive.
-        width, height: of its images, pixels.
-        cameras: that are recorded; none named: all of the rig.
+        seconds: duration of the drive.
+        width, height: size of its images in pixels.
+        cameras: names of the recorded cameras; empty for all cameras of the rig.
         iterations: training steps of the scene.
-        motions: of the actor, with their settings.
-        steps: of 0.1 s, a rollout.
-        planner: under test, where no other is asked for.
+        motions: motions of the actor, with their settings.
+        steps: steps of 0.1 s of each rollout.
+        planner: planner under test unless the caller names another one.
     """
 
     seconds: float
@@ -60,24 +60,25 @@ def demo(
     out: str | Path, scene: str, seed: int, size: DemoSize, threads: int, console: Console,
     generator: str = DEFAULT_GENERATOR, planner: str | None = None,
 ) -> Path:  # fmt: skip
-    """Make a drive, reconstruct it, replace the target, and run it against the truth.
+    """Make a drive, reconstruct it, replace the target, and compare rollouts with the truth.
 
     Args:
-        out: gets `log/`, `run/` and `store/`; what lies there of the same demo is used again.
+        out: folder for `log/`, `run/` and `store/`; results of the same demo there are reused.
         scene: name of a synthetic scene.
-        seed: of the scene and of everything after.
+        seed: seed of the drive and of all later random choices.
         size: `FULL` or `QUICK`.
-        threads: CPU threads, 0 for all.
-        console: shows steps, progress and time left.
-        generator: what makes the vehicle, see `recast.pipeline.actor.generator_of`.
-        planner: under test, see `recast.planning.make_planner`; None for that of the size.
+        threads: number of CPU threads; 0 uses all cores.
+        console: console for steps, progress and the remaining time.
+        generator: generator of the vehicle, see `recast.pipeline.actor.generator_of`.
+        planner: planner under test, see `recast.planning.make_planner`; None for the planner of
+            `size`.
 
     Returns:
-        the report's `index.html`.
+        Path of the report's `index.html`.
 
     Raises:
-        InputError: no ray tracer, unknown scene, generator or planner, before anything is written;
-            or `out` holds something else, or another process is at work there.
+        InputError: embreex is missing, or scene, generator or planner is unknown; nothing is
+            written then. Or `out` holds other files, or another process works in it.
     """
     require_embree()  # the truth is ray-traced, and so is the log
     world = make_world(scene, seed, size.seconds)

@@ -1,4 +1,4 @@
-"""What `recast run` shows on the terminal."""
+"""Progress bars and tables of `recast run` for the terminal."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from recast.evaluation import COLUMNS, OracleViews
 
 
 class _CountingBars(Bars):
-    """Pieces of work done, of how many, and the time left."""
+    """Progress bars with the number of finished pieces and the remaining time."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(
@@ -38,12 +38,12 @@ class _CountingBars(Bars):
 
 
 class FrameProgress(_CountingBars):
-    """A bar over equal pieces of work, with the time left; call it after each.
+    """A progress bar over equal pieces of work; call it after each piece.
 
     Args:
-        console: where to.
-        total: pieces; None where `reach` will tell.
-        what: the pieces are.
+        console: console that shows the bar.
+        total: number of pieces; None if `reach` will set it.
+        what: name of the pieces, such as "steps".
     """
 
     def __init__(self, console: Console, total: int | None, what: str = "steps") -> None:
@@ -51,30 +51,30 @@ class FrameProgress(_CountingBars):
         self._task = self._bars.add_task(what, total=total)
 
     def __call__(self) -> None:
-        """One piece more is done."""
+        """Count one more finished piece."""
         self._bars.advance(self._task)
 
     def reach(self, done: int, total: int) -> None:
-        """`done` of `total` pieces are done."""
+        """Set the number of finished pieces and of all pieces."""
         self._bars.update(self._task, completed=done, total=total)
 
 
 class SamplingProgress(_CountingBars):
-    """A bar for each sampled stage; call it with stage, steps done and all steps."""
+    """One progress bar for each sampling stage; call it with stage, finished and all steps."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(console)
         self._tasks: dict[str, TaskID] = {}
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """`done` of `total` steps of a stage are done; a stage that is tried again starts anew."""
+        """Set the finished and all steps of a stage; a repeated stage starts again at zero."""
         if stage not in self._tasks:
             self._tasks[stage] = self._bars.add_task(stage, total=total)
         self._bars.update(self._tasks[stage], completed=done, total=total)
 
 
 def print_actor(actor: Actor, console: Console) -> None:
-    """Print which vehicle was chosen, how it was registered, and what a person should look at."""
+    """Print the chosen vehicle, its registration, and warnings that need a person's eye."""
     provenance = actor.provenance
     for warning in provenance.mask.warnings():
         console.print(f"warning: {warning}", markup=False, style="yellow")
@@ -90,7 +90,7 @@ def print_actor(actor: Actor, console: Console) -> None:
 
 
 def candidates_table(candidates: Sequence[CandidateRecord]) -> Table:
-    """The vehicles that an actor was chosen from, with their scores; 80 columns wide."""
+    """Table of the candidate vehicles of an actor with their scores; 80 columns wide."""
     table = Table(
         title="candidates", title_justify="left", box=SIMPLE_HEAD, collapse_padding=True,
         pad_edge=False,
@@ -103,7 +103,7 @@ def candidates_table(candidates: Sequence[CandidateRecord]) -> Table:
 
 
 def results_tables(rows: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """For each planner the headline metrics by arm; 80 columns wide.
+    """One table for each planner: headline metrics by arm; 80 columns wide.
 
     Args:
         rows: the `table` member of metrics.json.
@@ -134,7 +134,7 @@ def _results(planner: str, rows: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def failure_lines(failures: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Why rollouts failed, each reason once with how many it is of.
+    """One line for each reason of failure, with the number of its rollouts.
 
     Args:
         failures: the `failures` member of metrics.json.
@@ -151,7 +151,7 @@ def failure_lines(failures: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _mean(row: Mapping[str, Any], name: str) -> str:
-    """The mean; over how many rollouts, where not all that were scored have a value."""
+    """The mean of a metric, and the number of its rollouts if some have no value."""
     value, count = row["means"][name], row["counts"][name]
     if value is None:
         return "n/a"
@@ -159,7 +159,7 @@ def _mean(row: Mapping[str, Any], name: str) -> str:
 
 
 def truth_table(views: OracleViews) -> Table:
-    """The vehicle against the truth, by angle from the nearest logged view."""
+    """Table of the vehicle's scores against the truth, by angle from the nearest logged view."""
     table = Table(
         title="actor's box against the truth, street's own → generated", title_justify="left",
         box=SIMPLE_HEAD,

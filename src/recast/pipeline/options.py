@@ -1,4 +1,4 @@
-"""From a configuration file and options that override it to one resolved configuration."""
+"""Merge a configuration file and command-line options into one resolved configuration."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def resolve_config(
     run_options: Mapping[str, Any],
     scene_options: Mapping[str, Any],
 ) -> RunConfig:
-    """Merge files and options; an option that is None was not given.
+    """Merge files and options; the value None means that an option was not given.
 
     Args:
-        run_options: members of `RunConfig`; `arms` as words, see `parse_arms`.
-        scene_options: members of `SceneConfig`.
+        run_options: values of `RunConfig` by member; `arms` are words, see `parse_arms`.
+        scene_options: values of `SceneConfig` by member.
 
     Raises:
         InputError: a file or an option is wrong.
@@ -61,7 +61,7 @@ def _scenes(
     file: Path | None,
     options: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """`scene` and `streets`: the settings of the run's own street, and of the arms' presets."""
+    """`scene` (settings of the run's own street) and `streets` (settings of the arms' presets)."""
     folder = values.get("scene_folder")
     if folder is not None:
         scene = _of_folder(folder, options)
@@ -96,7 +96,7 @@ _SHARED = (
 
 
 def _of_folder(folder: str, options: Mapping[str, Any]) -> SceneConfig:
-    """The settings that a scene was trained with; of an imported one, the images to work with.
+    """The training settings of a scene; for an imported scene, the settings of its images.
 
     Raises:
         InputError: no scene lies there, or an option would need another training.
@@ -116,7 +116,7 @@ def _of_folder(folder: str, options: Mapping[str, Any]) -> SceneConfig:
 
 
 def _motions(names: Sequence[str], known: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-    """`motions` and `own_motions`; `known` are those that a configuration file brings along."""
+    """`motions` and `own_motions`; `known` are the motions of a configuration file."""
     found: dict[str, dict[str, Any] | None] = {}
     for name in names:
         if name in known:

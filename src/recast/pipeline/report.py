@@ -7,17 +7,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
-import numpy as np
-
-from recast.actors import Actor, load_actor
-from recast.actors.icp import INLIER_DISTANCE
+from recast.actors import load_actor
 from recast.core import Artefact, Store
 from recast.errors import InputError
 from recast.evaluation import RolloutMetrics, rollout_metrics
 from recast.logs import DrivingLog, HdMap, map_of, read_log
-from recast.names import member
 from recast.pipeline.arms import Arm, truth_of
 from recast.pipeline.artefacts import rollout_name
 from recast.pipeline.config import RunConfig
@@ -29,18 +24,15 @@ from recast.pipeline.layout import (
     VIEWS_FOLDER,
     use_name,
 )
-from recast.pipeline.results_files import read_evaluation
+from recast.pipeline.report_parts import actor_part, facts, headings, scene_part, warnings
 from recast.pipeline.rollouts import draw_films, films, read_coverage, read_rollout
 from recast.pipeline.run_folder import RUN_FILE, RunFolder
 from recast.reporting import (
     NOT_MADE,
     ActorPart,
-    Comparison,
     Fact,
     NotMade,
-    ObservationPart,
     ProvenancePart,
-    RegistrationPart,
     ReportInputs,
     RolloutPart,
     ScenarioPart,
@@ -50,13 +42,7 @@ from recast.reporting import (
     truth_parts,
     write_report,
 )
-from recast.reporting.actor_sheet import draw_all_around
-from recast.reporting.scene_scores import depth_facts, score_lines
-from recast.scene import load_scene
 from recast.simulation import Rollout, RolloutFailure
-
-REGISTRATION_LIMIT = 0.15
-"""Metres; a larger median LiDAR-to-actor distance is flagged on the page."""
 
 
 def report_run(run: str | Path, out: str | Path | None = None) -> Path:
@@ -70,6 +56,17 @@ def report_run(run: str | Path, out: str | Path | None = None) -> Path:
         InputError: `run` is no run folder, its log or an artefact is gone, or `out` holds something
             else.
     """
+    gathered = open_run(run)
+    folder = gathered.folder.path
+    return write_report(gathered.inputs(), folder / REPORT_FOLDER if out is None else Path(out))
+
+
+def open_run(run: str | Path) -> GatheredRun:
+    """A run folder with its log and its store.
+
+    Raises:
+        InputError: `run` is no run folder, or its log is gone.
+    """
     folder = RunFolder.open(run)
     log_path = folder.log_path
     if not log_path.is_dir():
@@ -79,8 +76,7 @@ def report_run(run: str | Path, out: str | Path | None = None) -> Path:
         )  # fmt: skip
     log = read_log(log_path)
     _check_log(folder.config, log, folder.path / RUN_FILE)
-    inputs = _Gathered(folder, folder.store(), log, folder.config).inputs()
-    return write_report(inputs, folder.path / REPORT_FOLDER if out is None else Path(out))
+    return GatheredRun(folder, folder.store(), log, folder.config)
 
 
 def report_rollout(rollout: Rollout, metrics: RolloutMetrics, out: Path) -> Path:
@@ -125,8 +121,8 @@ def _check_log(config: RunConfig, log: DrivingLog, record: Path) -> None:
 
 
 @dataclass(frozen=True)
-class _Gathered:
-    """A run with all that the page shows; what it did not make yet says so."""
+class GatheredRun:
+    """A run with all that a page shows; what it did not make yet says so."""
 
     folder: RunFolder
     store: Store
@@ -135,12 +131,18 @@ class _Gathered:
 
     @cached_property
     def map(self) -> HdMap:
+        """Lanes and drivable area that the rollouts are judged by."""
         return map_of(self.log)
 
+    @property
+    def arms(self) -> dict[str, str]:
+        """Arm to its name for people."""
+        return {arm.name: arm.label for arm in self.config.arms}
+
     def inputs(self) -> ReportInputs:
+        """Everything that the report shows."""
         config, record = self.config, self.folder.record
-        arms = {arm.name: arm.label for arm in config.arms}
-        truth = truth_of(config.arms)
+        arms, truth = self.arms, truth_of(config.arms)
         shown = next((arm for arm in config.arms if arm.generates), None)
         street = next((arm for arm in config.arms if not arm.is_truth), None)
         showcase, views = self._truth(shown, arms, truth)
@@ -151,10 +153,10 @@ class _Gathered:
             truth_arm=truth,
             showcase=showcase,
             truth=views,
-            facts=_facts(config, self.log),
+            facts=facts(config, self.log),
             actor=NOT_MADE if shown is None else self._actor(shown),
             scenarios=tuple(
-                self._scenario(motion, planner)
+                self.scenario(motion, planner)
                 for motion in config.motions
                 for planner in config.planners
             ),
@@ -167,7 +169,8 @@ class _Gathered:
                 hashes={"log": record.log.hash, **record.artefacts},
             ),
             timings=self._timings() or NOT_MADE,
-            warnings=_warnings(self.map),
+            warnings=warnings(self.map),
+            camera_headings=headings(self.log),
         )
 
     def _find(self, use: str) -> Artefact | None:
@@ -195,14 +198,15 @@ class _Gathered:
         )
         if final is None or registered is None:
             return NOT_MADE
-        return _actor_part(
+        return actor_part(
             load_actor(final.path / ACTOR_FOLDER),
             registered.path / OBSERVATION_FOLDER / "frame.png",
             None if turntable is None else turntable.path / TURNTABLE_FILE,
             self.log,
         )
 
-    def _scenario(self, name: str, planner: str) -> ScenarioPart:
+    def scenario(self, name: str, planner: str) -> ScenarioPart:
+        """The rollouts of a motion under each arm."""
         motion = self.config.motion(name)
         title = f"{motion.name}, setting {motion.setting}".capitalize()
         if len(self.config.planners) > 1:
@@ -229,121 +233,4 @@ class _Gathered:
         scene, scores = (self._find(use_name(what, arm.street)) for what in ("scene", "evaluation"))
         if scores is None or scene is None:
             return NotMade("no image was held out") if scene is not None else NOT_MADE
-        return _scene_part(scores.path / "eval.json", scene.path)
-
-
-def _facts(config: RunConfig, log: DrivingLog) -> tuple[Fact, ...]:
-    cameras = config.scene.cameras or tuple(log.cameras)
-    sizes = {
-        f"{round(camera.width * config.scene.scale)} x {round(camera.height * config.scene.scale)}"
-        for camera in (log.cameras[name].camera for name in cameras)
-    }
-    return (
-        Fact("Planner" if len(config.planners) == 1 else "Planners", ", ".join(config.planners)),
-        Fact("Generator", ", ".join(_parts(config, "generator"))),
-        Fact("Segmenter", ", ".join(_parts(config, "segmenter"))),
-        Fact("Cameras", ", ".join(cameras)),
-        Fact("Image size", ", ".join(sorted(sizes)), "pixels, as rendered"),
-        Fact("Length asked for", f"{config.steps * 0.1:g} s", "cut where log or road end"),
-    )
-
-
-def _warnings(hd_map: HdMap) -> tuple[str, ...]:
-    if not hd_map.derived:
-        return ()
-    return ("The log has no HD map: lanes and drivable area were derived from the drive itself.",)
-
-
-def _parts(config: RunConfig, name: str) -> list[str]:
-    """What the arms with generated vehicles name, each once."""
-    arms = [config.arm(arm.name) for arm in config.arms if arm.generates]
-    return list(dict.fromkeys(str(getattr(arm, name)) for arm in arms)) or ["none"]
-
-
-def _actor_part(actor: Actor, frame: Path, film: Path | None, log: DrivingLog) -> ActorPart:
-    provenance = actor.provenance
-    report = provenance.registration
-    return ActorPart(
-        name=f"track {actor.track_id} ({actor.category})",
-        generator=provenance.generator,
-        observation=ObservationPart(
-            crop=actor.source,
-            frame=frame if frame.exists() else NOT_MADE,
-            facts=(
-                Fact("View", f"{provenance.camera}, frame {provenance.frame}"),
-                Fact("Seen from", f"{np.degrees(provenance.azimuth):.0f} degrees",
-                     "azimuth of the camera about the vehicle: 0 ahead of it, 90 to its left"),
-                Fact("Sides seen", ", ".join(provenance.sides_seen)),
-                *(Fact("Why this view", line) for line in provenance.observation.splitlines()[:1]),
-                Fact("Mask", "; ".join(provenance.mask.explain().splitlines()),
-                     "by the logged box and the LiDAR"),
-                *(Fact("Look at the mask", text) for text in provenance.mask.warnings()),
-            ),
-        ),
-        turntable=NOT_MADE if film is None else film,
-        registration=RegistrationPart(
-            median_before=report.before.median,
-            median_after=report.after.median,
-            limit=REGISTRATION_LIMIT,
-            points=report.lidar_points,
-            scale=report.icp_scale,
-            yaw=report.icp_yaw,
-            translation=np.array(report.icp_translation),
-            size_misfit=np.array([report.width_over_box, report.height_over_box]),
-            sides=_shares(report.lidar_by_side),
-            facts=(
-                Fact("Front", ", ".join(f"{k} {v:+.1f}" for k, v in report.front.votes.items()),
-                     "evidence for the way the vehicle faces; negative speaks against it"),
-                Fact(f"Within {INLIER_DISTANCE:g} m", f"{report.after.inlier_share:.0%}",
-                     "share of LiDAR points this near to the actor"),
-            ),
-        ),
-        log_path=log.tracks[actor.track_id].trajectory.poses[:, :2, 3],
-        source=_source(actor),
-        all_around=draw_all_around(actor),
-        candidates=provenance.candidates if len(provenance.candidates) > 1 else (),
-        refinement=()
-        if provenance.refinement is None
-        else tuple(provenance.refinement.explain().splitlines()),
-    )  # fmt: skip
-
-
-def _source(actor: Actor) -> str:
-    """What an actor was made from, in words."""
-    views, refinement = 1 + len(actor.provenance.further), actor.provenance.refinement
-    words = "from one view in the log" if views == 1 else f"from {views} views in the log"
-    if refinement is not None and refinement.kept:
-        words += f", then refined by {refinement.images} images of it"
-    return words
-
-
-def _shares(counts: dict[str, int]) -> dict[str, float]:
-    total = sum(counts.values())
-    return {side: count / total for side, count in counts.items()} if total else {}
-
-
-def _scene_part(path: Path, folder: Path) -> ScenePart:
-    evaluation = read_evaluation(path)
-    scene = load_scene(folder)
-    frames: list[dict[str, Any]] = evaluation["frames"]
-    actors = sum(len(actor.gaussians) for actor in scene.actors.values())
-    return ScenePart(
-        scores=score_lines(evaluation),
-        comparisons=tuple(
-            Comparison(
-                f"{frame['camera']}, frame {frame['frame']}: {frame['psnr']:.1f} dB",
-                {"recorded, rendered, difference x 3": _picture(path, frame)},
-            )
-            for frame in frames
-        ),
-        facts=(
-            Fact("Gaussians of the background", f"{len(scene.background):,}"),
-            Fact("Gaussians of the actors", f"{actors:,}"),
-            Fact("Actors", ", ".join(scene.actors)),
-        ),
-        depth=depth_facts(evaluation),
-    )
-
-
-def _picture(evaluation: Path, frame: dict[str, Any]) -> Path:
-    return member(evaluation.parent, frame["picture"], evaluation, "picture")
+        return scene_part(scores.path / "eval.json", scene.path)

@@ -30,7 +30,7 @@ RECIPES = {
     "rollout": 2,
     "scene-level": 1,
     "metrics": 2,
-    "report": 2,
+    "report": 3,
 }
 """Version of what recast's own code makes of the inputs of a step.
 

@@ -1,6 +1,8 @@
 """Reports of runs: films, bird's-eye views, plots, tables, one self-contained page."""
 
 from recast.reporting.birdseye import BirdseyeStyle, draw_frames, draw_still
+from recast.reporting.compare import write_comparison
+from recast.reporting.compare_inputs import ComparedRun
 from recast.reporting.inputs import (
     NOT_MADE,
     ActorPart,
@@ -26,6 +28,7 @@ __all__ = [
     "NOT_MADE",
     "ActorPart",
     "BirdseyeStyle",
+    "ComparedRun",
     "Comparison",
     "Fact",
     "ImageScore",
@@ -46,6 +49,7 @@ __all__ = [
     "read_video",
     "side_by_side",
     "truth_parts",
+    "write_comparison",
     "write_report",
     "write_video",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import cv2
 import numpy as np
@@ -71,7 +71,10 @@ class Canvas:
 
     def __init__(self, view: View, ground: Colour = GROUND) -> None:
         self.view = view
-        self.image: Image = np.full((view.height, view.width, 3), ground, np.uint8)
+        # Filled row by row: numpy is slow to repeat three values, and films have many pictures.
+        rows = np.empty((view.height, 3 * view.width), np.uint8)
+        rows[:] = np.tile(np.array(ground, np.uint8), view.width)
+        self.image: Image = rows.reshape(view.height, view.width, 3)
 
     def polygon(self, points: ArrayLike, fill: Colour) -> None:
         """Fill the outline (N, 2)."""
@@ -106,21 +109,18 @@ class Canvas:
     ) -> int:
         """Write at a pixel, `anchor` as in Pillow ("la": left, ascender); return the width."""
         content = printable(" ".join(content.split()))  # names from outside may hold anything
-        font = _font(size)
-        left, top, right, bottom = (int(v) for v in font.getbbox(content, anchor=anchor))
-        # Draw only the patch under the text: converting the whole picture for each word is slow.
-        x0, y0 = int(pixel[0]) + left - 1, int(pixel[1]) + top - 1
-        x1, y1 = int(pixel[0]) + right + 2, int(pixel[1]) + bottom + 2
-        x0, y0 = max(x0, 0), max(y0, 0)
-        x1, y1 = min(x1, self.view.width), min(y1, self.view.height)
-        if x0 >= x1 or y0 >= y1:
-            return right - left
-        patch = PilImage.fromarray(self.image[y0:y1, x0:x1])
-        ImageDraw.Draw(patch).text(
-            (int(pixel[0]) - x0, int(pixel[1]) - y0), content, colour, font, anchor=anchor
-        )
-        self.image[y0:y1, x0:x1] = np.asarray(patch)
-        return right - left
+        left, top, advance, mask = _word(content, size, anchor)
+        x0, y0 = int(pixel[0]) + left, int(pixel[1]) + top
+        x1, y1 = x0 + mask.shape[1], y0 + mask.shape[0]
+        inside = np.s_[max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)]
+        patch = self.image[inside]
+        if patch.size:
+            rows, columns = patch.shape[:2]
+            row, column = max(-y0, 0), max(-x0, 0)
+            share = mask[row : row + rows, column : column + columns, None]
+            ink = np.array(colour, np.uint16)
+            self.image[inside] = (patch * (255 - share) + ink * share + 127) // 255
+        return advance
 
     def _fixed(self, points: ArrayLike) -> NDArray[np.int32]:
         # cv2 counts from pixel centres, the view from pixel corners.
@@ -132,6 +132,19 @@ class Canvas:
 @cache
 def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
+
+
+@lru_cache(maxsize=1024)
+def _word(content: str, size: int, anchor: str) -> tuple[int, int, int, NDArray[np.uint16]]:
+    """Text as a mask, 0 to 255: its left and top from the anchor, its width, and the mask.
+
+    A film repeats the same words in each picture; drawing them anew would take half of its time.
+    """
+    font = _font(size)
+    left, top, right, bottom = (int(v) for v in font.getbbox(content, anchor=anchor))
+    patch = PilImage.new("L", (right - left + 3, bottom - top + 3))
+    ImageDraw.Draw(patch).text((1 - left, 1 - top), content, 255, font, anchor=anchor)
+    return left - 1, top - 1, right - left, np.asarray(patch, np.uint16)
 
 
 def wrapped(content: str, size: int, width: float) -> list[str]:

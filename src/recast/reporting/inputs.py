@@ -212,6 +212,9 @@ class ReportInputs:
         actor, scenarios, scene, hd_map, config, provenance: see there.
         timings: step to seconds.
         warnings: what the reader has to know before trusting the page.
+        replay: a page of its own with the moving scene, which is copied and linked; or None.
+        camera_headings: radians by name of camera, 0 ahead, positive to the left; for the choice
+            of the images of a moment. Empty takes the first camera.
     """
 
     title: str
@@ -229,6 +232,8 @@ class ReportInputs:
     truth_arm: str | None = None
     showcase: ShowcasePart | NotMade = NOT_MADE
     truth: TruthPart | NotMade = NOT_MADE
+    replay: Path | None = None
+    camera_headings: Mapping[str, float] = field(default_factory=dict)
 
     def validate(self) -> None:
         """Raise ValueError naming the field at fault."""

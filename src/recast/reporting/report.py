@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
-
-from recast import __version__
-from recast.errors import InputError
-from recast.reporting import palette, summary, tables
+from recast.logs.hdmap import HdMap
+from recast.reporting import summary, tables
 from recast.reporting.assets import Assets
 from recast.reporting.checks import checks
-from recast.reporting.coverage_view import coverage_lines, coverage_note
+from recast.reporting.coverage_view import coverage_lines
+from recast.reporting.glance import glance
 from recast.reporting.inputs import (
     NOT_MADE,
     ActorPart,
@@ -25,12 +21,11 @@ from recast.reporting.inputs import (
     ReportInputs,
     ScenePart,
 )
+from recast.reporting.map_layer import MapLayer
+from recast.reporting.page import render_template, write_page
 from recast.reporting.scenario_view import ScenarioView, scenario_view
 from recast.reporting.truth import truth_view
 from recast.reporting.truth_inputs import ShowcasePart, TruthPart
-from recast.storage import atomic_folder, disk_errors, write_text
-
-_GENERATOR = "recast report"
 
 
 def write_report(run: ReportInputs, out: str | Path) -> Path:
@@ -48,71 +43,30 @@ def write_report(run: ReportInputs, out: str | Path) -> Path:
         ValueError: `run` contradicts itself.
     """
     run.validate()
-    out = Path(out)
-    if out.exists() and not _is_report(out):
-        raise InputError(
-            out, "report folder", "holds something that is no report", "name another folder"
-        )
-    fresh = out.with_name(f".{out.name}.fresh")
-    with disk_errors(out):
-        if fresh.exists():  # left behind by a kill
-            shutil.rmtree(fresh)
-    with atomic_folder(fresh) as folder:
-        write_text(folder / "index.html", _render(run, Assets(folder)))
-    with disk_errors(out):
-        if out.exists():
-            shutil.rmtree(out)
-        fresh.rename(out)
-    return out / "index.html"
-
-
-def _is_report(folder: Path) -> bool:
-    page = folder / "index.html"
-    if not page.is_file():
-        return folder.is_dir() and not any(folder.iterdir())
-    return f'content="{_GENERATOR}' in page.read_text(encoding="utf-8", errors="replace")[:2000]
+    return write_page(out, lambda assets: _render(run, assets))
 
 
 def _render(run: ReportInputs, assets: Assets) -> str:
-    environment = Environment(
-        loader=PackageLoader("recast.reporting"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.tests["missing"] = lambda value: isinstance(value, NotMade)
-    environment.globals["share_colours"] = {
-        name: palette.css(colour) for name, colour in palette.SHARES.items()
-    }
-    environment.filters["arm_colour"] = lambda i: palette.css(palette.arm_colour(i))
-    environment.filters["coverage_note"] = coverage_note
-    environment.globals["zip"] = zip
-    loader = environment.loader
-    assert loader is not None
-
-    def inline(name: str) -> Markup:
-        return Markup(loader.get_source(environment, name)[0])
-
     scenarios: tuple[ScenarioView, ...] | NotMade
     if isinstance(run.scenarios, NotMade):
         scenarios = run.scenarios
         aggregate: tuple[tables.Line, ...] = ()
     else:
+        layer = MapLayer(run.hd_map if isinstance(run.hd_map, HdMap) else None)
         scenarios = tuple(
-            scenario_view(run, part, f"scenario-{i + 1}", assets)
+            scenario_view(run, part, f"scenario-{i + 1}", assets, layer)
             for i, part in enumerate(run.scenarios)
         )
         aggregate = tables.aggregate_lines(run.scenarios, run.arms, run.truth_arm)
-    return environment.get_template("report.html").render(
+    made = checks(run)
+    return render_template(
+        "report.html",
         run=run,
-        generator=f"{_GENERATOR} {__version__}",
-        style=inline("report.css"),
-        script=inline("report.js"),
+        glance=glance(run, made),
+        replay=None if run.replay is None else assets.page("replay", run.replay),
         headline=summary.headline(run),
-        checks=checks(run),
+        checks=made,
         outcomes=summary.outcomes(run),
-        headings=tables.headings(),
         aggregate=aggregate,
         actor=_actor(run.actor, assets),
         coverage=()
@@ -124,7 +78,6 @@ def _render(run: ReportInputs, assets: Assets) -> str:
         truth=truth_view(run.truth, assets) if isinstance(run.truth, TruthPart) else run.truth,
         nothing_on_truth=run.truth == NOT_MADE,
         config=_config(run.config),
-        markup=Markup,
     )
 
 
@@ -147,10 +100,10 @@ def _actor(actor: ActorPart | NotMade, assets: Assets) -> dict[str, Any] | NotMa
     return {
         "part": actor,
         "crop": assets.picture("actor-crop", seen.crop),
-        "frame": assets.picture("actor-frame", seen.frame),
+        "frame": assets.photo("actor-frame", seen.frame),
         "facts": seen.facts,
         "turntable": assets.film("actor-turntable", actor.turntable),
-        "all_around": assets.picture("actor-all-around", actor.all_around),
+        "all_around": assets.photo("actor-all-around", actor.all_around),
         "registration": actor.registration,
     }
 
@@ -162,7 +115,7 @@ def _scene(scene: ScenePart | NotMade, assets: Assets) -> dict[str, Any] | NotMa
         (
             comparison.caption,
             [
-                (label, assets.picture(f"scene-{i + 1}-{label}", picture))
+                (label, assets.photo(f"scene-{i + 1}-{label}", picture))
                 for label, picture in comparison.pictures.items()
             ],
         )

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from recast.logs.hdmap import HdMap
-from recast.reporting import birdseye, drives_compared, palette, plots, summary, tables
+from recast.reporting import drives_compared, palette, plots, summary, tables
 from recast.reporting.assets import Assets, Media
+from recast.reporting.birdseye import Birdseye, BirdseyeStyle
+from recast.reporting.cameras import camera_towards, filmed_cameras
 from recast.reporting.coverage_view import coverage_lines, coverage_note, looked_at
 from recast.reporting.inputs import ActorPart, NotMade, ReportInputs, RolloutPart, ScenarioPart
-from recast.reporting.series import Series, series
+from recast.reporting.map_layer import MapLayer
+from recast.reporting.moment_strip import Strip, moment_strip
 from recast.simulation.rollout import Rollout
 
 
@@ -42,7 +44,8 @@ class ScenarioView:
         anchor: its id in the page.
         columns: one an arm.
         cameras: all that some arm has a film of.
-        joined: camera and arms in words, and the film with the two side by side.
+        joined: camera, and the film with all arms side by side; None if fewer than two have one.
+        strip: the moments at which the arms part.
         lines: of the metric table, one an arm.
         legend: colour and meaning of the curves in `plots`, and of their areas.
         seconds: the length of the longest rollout; `dt` between states.
@@ -54,7 +57,8 @@ class ScenarioView:
     anchor: str
     columns: tuple[MethodColumn, ...]
     cameras: tuple[str, ...]
-    joined: tuple[tuple[str, Media | NotMade], ...]
+    joined: tuple[str, Media | NotMade] | None
+    strip: Strip
     lines: tuple[tables.Line, ...]
     plots: tuple[plots.Plot, ...]
     legend: tuple[tuple[str, str], ...]
@@ -64,17 +68,24 @@ class ScenarioView:
 
 
 def scenario_view(
-    run: ReportInputs, part: ScenarioPart, anchor: str, assets: Assets
+    run: ReportInputs, part: ScenarioPart, anchor: str, assets: Assets, layer: MapLayer
 ) -> ScenarioView:
-    """Write a scenario's films and pictures and gather what the page says about it."""
+    """Write a scenario's films and pictures and gather what the page says about it.
+
+    Args:
+        layer: map of the log.
+    """
     order = {arm: i for i, arm in enumerate(run.arms)}
     parts = sorted(part.rollouts, key=lambda rollout: order[rollout.arm])
-    driven = {p.arm: series(p.rollout) for p in parts if isinstance(p.rollout, Rollout)}
+    log_path = run.actor.log_path if isinstance(run.actor, ActorPart) else None
+    driven = {
+        p.arm: Birdseye(p.rollout, layer, log_path) for p in parts if isinstance(p.rollout, Rollout)
+    }
     columns = tuple(
         MethodColumn(
             run.arms[p.arm],
             order[p.arm],
-            _draw(run, part, p, driven[p.arm], assets)
+            _draw(part.title, p, driven[p.arm], assets)
             if p.arm in driven
             else NotMade(summary.why_missing(p.rollout)),
         )
@@ -84,27 +95,28 @@ def scenario_view(
         plots.Curves(
             run.arms[p.arm],
             palette.arm_colour(order[p.arm]),
-            driven[p.arm],
+            driven[p.arm].curves,
             None if isinstance(p.metrics, NotMade) else p.metrics.ttc.per_cycle,
         )
         for p in parts
         if p.arm in driven
     ]
-    cameras = dict.fromkeys(
-        name for p in parts if not isinstance(p.films, NotMade) for name in p.films
-    )
+    cameras = filmed_cameras(parts)
     covered = [p for p in parts if p.coverage is not None and p.arm in driven]
-    steps = [p.rollout.dt for p in parts if isinstance(p.rollout, Rollout)]
+    end = max((float(one.curves.time[-1]) for one in driven.values()), default=0.0)
+    strip = moment_strip(run, part.title, parts, driven, assets)
+    times = [column.moment.time for column in strip.columns]
     return ScenarioView(
         part=part,
         anchor=anchor,
         columns=columns,
-        cameras=tuple(cameras),
-        joined=_joined(run, part, columns, tuple(cameras), assets),
+        cameras=cameras,
+        joined=_joined(run, part, columns, cameras, assets),
+        strip=strip,
         lines=tuple(_line(run, p, order[p.arm]) for p in parts),
         plots=(
-            *(plots.rollout_plots(anchor, curves) if curves else ()),
-            *(_coverage_plot(run, anchor, p, driven) for p in covered),
+            *(plots.rollout_plots(curves, times) if curves else ()),
+            *(_coverage_plot(run, p, end) for p in covered),
         ),
         legend=(
             *((palette.css(curve.colour), f"ego, {curve.label}") for curve in curves),
@@ -112,8 +124,8 @@ def scenario_view(
             ("currentColor", "ego as recorded (dotted)"),
             *((palette.css(colour), name) for name, colour in palette.SHARES.items() if covered),
         ),
-        seconds=max((float(c.time[-1]) for c in driven.values()), default=0.0),
-        dt=steps[0] if steps else 0.1,
+        seconds=end,
+        dt=next((one.rollout.dt for one in driven.values()), 0.1),
         notes=tuple(
             note
             for note in (
@@ -126,35 +138,22 @@ def scenario_view(
     )
 
 
-def _coverage_plot(
-    run: ReportInputs, anchor: str, part: RolloutPart, driven: Mapping[str, Series]
-) -> plots.Plot:
+def _coverage_plot(run: ReportInputs, part: RolloutPart, end: float) -> plots.Plot:
     assert part.coverage is not None and isinstance(part.rollout, Rollout)
-    end = max(float(curves.time[-1]) for curves in driven.values())
-    return plots.coverage_plot(
-        f"{anchor}-coverage-{part.arm}", run.arms[part.arm], looked_at(part.coverage),
-        part.rollout.dt, end,
-    )  # fmt: skip
+    return plots.coverage_plot(run.arms[part.arm], looked_at(part.coverage), part.rollout.dt, end)
 
 
-def _draw(
-    run: ReportInputs, scenario: ScenarioPart, part: RolloutPart, curves: Series, assets: Assets
-) -> Drawn | NotMade:
-    rollout = part.rollout
-    assert isinstance(rollout, Rollout)
-    name = f"{scenario.title}-{part.arm}"
-    hd_map = run.hd_map if isinstance(run.hd_map, HdMap) else None
-    log_path = run.actor.log_path if isinstance(run.actor, ActorPart) else None
-    films = part.films
+def _draw(title: str, part: RolloutPart, drawn: Birdseye, assets: Assets) -> Drawn:
+    name = f"{title}-{part.arm}"
+    films, style, rollout = part.films, BirdseyeStyle(), drawn.rollout
+    frames = (drawn.frame(step, style) for step in range(rollout.steps_run + 1))
     return Drawn(
         films=films
         if isinstance(films, NotMade)
         else {camera: assets.film(f"{name}-{camera}", film) for camera, film in films.items()},
-        birdseye=assets.draw_film(
-            f"{name}-birdseye", birdseye.draw_frames(rollout, hd_map, log_path), 1.0 / rollout.dt
-        ),
-        still=assets.picture(f"{name}-birdseye", birdseye.draw_still(rollout, hd_map, log_path)),
-        events=summary.rollout_events(part, curves),
+        birdseye=assets.draw_film(f"{name}-birdseye", frames, 1.0 / rollout.dt),
+        still=assets.picture(f"{name}-birdseye", drawn.still(style)),
+        events=summary.rollout_events(part, drawn.curves),
     )
 
 
@@ -175,25 +174,16 @@ def _joined(
     columns: tuple[MethodColumn, ...],
     cameras: tuple[str, ...],
     assets: Assets,
-) -> tuple[tuple[str, Media | NotMade], ...]:
-    """For each camera, each arm beside the first one, and beside the truth where there is one:
-    films to pass on outside of the page."""
-    truth = None if run.truth_arm is None else run.arms[run.truth_arm]
-    joined = []
-    for camera in cameras:
-        found = {
-            column.title: film
-            for column in columns
-            if isinstance(column.drawn, Drawn)
-            and not isinstance(column.drawn.films, NotMade)
-            and isinstance(film := column.drawn.films.get(camera), Media)
-        }
-        first, *others = [title for title in found if title != truth] or [""]
-        pairs = [(first, other) for other in others]
-        if truth in found:
-            pairs += [(other, truth) for other in (others or [first]) if other]
-        for left, right in pairs:
-            name = f"{part.title}-{camera}-{left}-beside-{right}"
-            film = assets.joined_film(name, found[left], found[right], (left, right))
-            joined.append((f"{camera}, {left} and {right}", film))
-    return tuple(joined)
+) -> tuple[str, Media | NotMade] | None:
+    """A film to pass on outside of the page: all arms beside each other, looking ahead."""
+    camera = camera_towards(cameras, run.camera_headings)
+    films = [
+        (column.title, film)
+        for column in columns
+        if isinstance(column.drawn, Drawn)
+        and not isinstance(column.drawn.films, NotMade)
+        and isinstance(film := column.drawn.films.get(camera or ""), Media)
+    ]
+    if camera is None or len(films) < 2:
+        return None
+    return camera, assets.joined_film(f"{part.title}-{camera}-side-by-side", films)

@@ -91,7 +91,7 @@ def outcomes(run: ReportInputs) -> tuple[tuple[str, tuple[Outcome, ...]], ...]:
     for scenario in run.scenarios:
         parts = {part.arm: part for part in scenario.rollouts}
         cells = [
-            _outcome(parts[arm]) if arm in parts else Outcome("not driven", "warn")
+            outcome(parts[arm]) if arm in parts else Outcome("not driven", "warn")
             for arm in run.arms
         ]
         if run.truth_arm is not None:  # it is not judged: the others are judged by it
@@ -135,7 +135,8 @@ def headline(run: ReportInputs) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _outcome(part: RolloutPart) -> Outcome:
+def outcome(part: RolloutPart) -> Outcome:
+    """How a rollout ended: contact, off the road, cut; or why there is none."""
     if not isinstance(part.rollout, Rollout):
         return Outcome(why_missing(part.rollout), "bad")
     curves = series(part.rollout)

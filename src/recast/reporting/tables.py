@@ -122,12 +122,12 @@ def aggregate_lines(
     ]
     order = {arm: i for i, arm in enumerate(arms)}
     rows = sorted(table(scored, failures), key=lambda row: order.get(row.arm, len(order)))
-    lines = [_aggregate_line(row, arms, order) for row in rows]
+    lines = [aggregate_line(row, arms, order) for row in rows]
     judged = [arm for arm in arms if arm != truth]
-    found = [_difference_line(scored, failures, arms, m, judged[0]) for m in judged[1:]]
+    found = [difference_line(scored, failures, arms, m, judged[0]) for m in judged[1:]]
     lines += [line for line in found if line is not None]
     if truth is not None:
-        gaps = [_difference_line(scored, failures, arms, arm, truth) for arm in judged]
+        gaps = [difference_line(scored, failures, arms, arm, truth) for arm in judged]
         lines += _nearest_marked([line for line in gaps if line is not None])
     return tuple(lines)
 
@@ -159,7 +159,13 @@ def _rollout_cell(key: str, metric: Metric) -> Cell:
     return Cell(_number(key, COLUMNS[key].scale * metric.value), tone, metric.reason)
 
 
-def _aggregate_line(row: TableRow, arms: Mapping[str, str], order: Mapping[str, int]) -> Line:
+def aggregate_line(row: TableRow, arms: Mapping[str, str], order: Mapping[str, int]) -> Line:
+    """Means of one planner and arm.
+
+    Args:
+        arms: arm to its name for people.
+        order: arm to the index of its colour.
+    """
     cells = []
     for key in COLUMNS:
         mean, count = row.means[key], row.counts[key]
@@ -178,13 +184,14 @@ def _aggregate_line(row: TableRow, arms: Mapping[str, str], order: Mapping[str, 
     return Line(arms.get(row.arm, row.arm), order.get(row.arm), tuple(cells), sub)
 
 
-def _difference_line(
+def difference_line(
     scored: Sequence[RolloutMetrics],
     failures: Sequence[RolloutFailure],
     arms: Mapping[str, str],
     candidate: str,
     baseline: str,
 ) -> Line | None:
+    """Mean difference over the pairs of two arms; None without a pair."""
     pairs = matched_pairs({"": scored}, candidate, baseline, {"": failures})
     if not pairs.by_scene:
         return None
@@ -196,9 +203,9 @@ def _difference_line(
             continue
         unit = "points" if column.unit == "%" else column.unit
         difference = column.scale * float(found.differences[""].mean())
-        text = f"{difference:+.{_digits(key)}f}\u00a0{unit}"
+        text = f"{difference:+.{digits(key)}f}\u00a0{unit}"
         note = f"over {found.pairs} of {_counted(most, 'pair')}" if found.pairs < most else None
-        cells.append(Cell(text, note=note, size=abs(round(difference, _digits(key)))))
+        cells.append(Cell(text, note=note, size=abs(round(difference, digits(key)))))
     compared = pairs.by_scene[""]
     sub = f"mean over {len(compared)} of {_counted(pairs.asked, 'pair')}"
     sub += f", {_counted(sum(pair.plans for pair in compared), 'plan')} each"
@@ -208,12 +215,13 @@ def _difference_line(
 
 
 def _number(key: str, value: float) -> str:
-    return f"{value:.{_digits(key)}f}\u00a0{COLUMNS[key].unit}"
+    return f"{value:.{digits(key)}f}\u00a0{COLUMNS[key].unit}"
 
 
 def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
-def _digits(key: str) -> int:
+def digits(key: str) -> int:
+    """Digits behind the point of a metric, a key of `COLUMNS`, in its column's unit."""
     return 2 if COLUMNS[key].unit == "s" else 1

@@ -102,7 +102,7 @@ def truth_view(part: TruthPart, assets: Assets) -> TruthView:
         lines=tuple(_line(b) for b in part.views.summary if b.views),
         plots=truth_plots(part),
         pictures=tuple(
-            (_caption(view), assets.picture(f"truth-{view.index:03d}", part.pictures[view.index]))
+            (_caption(view), assets.photo(f"truth-{view.index:03d}", part.pictures[view.index]))
             for view in furthest_first
             if view.index in part.pictures
         ),

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
 
@@ -26,7 +27,8 @@ _LIMITED_RANGE = 1
 _LABEL_HEIGHT = 28
 _LABEL_BACKGROUND = (24, 27, 33)
 _LABEL_TEXT = (236, 239, 244)
-_GAP = 4  # between the two halves of a side-by-side film, pixels
+_ACROSS = 4  # films in a row: decoders stop at about 4000 pixels
+_GAP = 4  # between the films of a side-by-side film, pixels
 
 
 class VideoWriter:
@@ -137,17 +139,50 @@ def iterate_video(path: str | Path) -> Iterator[Frame]:
     Raises:
         InputError: the file is missing or is no film.
     """
+    with _decoded(path) as frames:
+        for frame in frames:
+            yield _rgb(frame)
+
+
+@contextmanager
+def _decoded(path: str | Path) -> Iterator[Iterator[av.VideoFrame]]:
     path = Path(path)
     if not path.is_file():
         raise InputError(path, "file", "is missing", "check the path")
     try:
         with av.open(str(path)) as container:
-            for frame in container.decode(video=0):
-                yield np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+            yield container.decode(video=0)
     except (av.error.FFmpegError, IndexError) as error:
         raise InputError(
             path, "film", f"cannot be decoded ({error})", "write the film anew"
         ) from error
+
+
+def _rgb(frame: av.VideoFrame) -> Frame:
+    return np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+
+
+def film_frames(path: str | Path, steps: Iterable[int]) -> dict[int, Frame]:
+    """Decode some frames of a film: step to (H, W, 3) uint8 RGB.
+
+    A step beyond the end gives the last frame.
+
+    Raises:
+        InputError: the file is missing or is no film.
+    """
+    wanted, found = sorted(set(steps)), {}
+    with _decoded(path) as frames:
+        last = None
+        for number, frame in enumerate(frames):
+            last = frame
+            if number in wanted:
+                found[number] = _rgb(frame)
+            if wanted and number >= wanted[-1]:
+                break
+        if last is None:
+            raise InputError(path, "film", "has no frame", "write the film anew")
+        end = _rgb(last)
+    return {step: found.get(step, end) for step in wanted}
 
 
 def read_video(path: str | Path) -> tuple[NDArray[np.uint8], float]:
@@ -173,21 +208,23 @@ def video_fps(path: str | Path) -> float:
     return float(rate)
 
 
-def side_by_side(
-    left: str | Path, right: str | Path, out: str | Path, labels: tuple[str, str]
-) -> None:
-    """Join two films into one, each under its label.
+def side_by_side(films: Sequence[str | Path], out: str | Path, labels: Sequence[str]) -> None:
+    """Join films into one, beside each other, each under its label, four in a row at most.
 
-    The right one is scaled to the height of the left one. Where one ends first, its last frame
-    stays, and its label says so.
+    All are scaled to the height of the first. If one ends before the others, its last frame stays
+    and its label says so.
+
+    Args:
+        films: at least one.
+        labels: one for each film.
 
     Raises:
-        InputError: a film is missing or broken, or the two run at different rates.
+        InputError: a film is missing or broken, or the films run at different rates.
     """
-    halves = [iterate_video(left), iterate_video(right)]
-    current = [next(half) for half in halves]
-    fps = _common_fps(left, right)
-    ended = [False, False]
+    parts = [iterate_video(film) for film in films]
+    current = [next(part) for part in parts]
+    fps = _common_fps(films)
+    ended = [False] * len(parts)
     height = current[0].shape[0]
     with VideoWriter(out, fps) as writer:
         while not all(ended):
@@ -195,24 +232,38 @@ def side_by_side(
                 _labelled(_to_height(frame, height), label, done)
                 for frame, label, done in zip(current, labels, ended, strict=True)
             ]
-            bar = np.zeros((columns[0].shape[0], _GAP, 3), np.uint8)
-            writer.add(np.concatenate([columns[0], bar, columns[1]], axis=1))
-            for i, half in enumerate(halves):
-                following = next(half, None)
+            writer.add(_in_rows(columns))
+            for i, part in enumerate(parts):
+                following = next(part, None)
                 ended[i] = following is None
                 current[i] = current[i] if following is None else following
 
 
-def _common_fps(left: str | Path, right: str | Path) -> float:
-    rates = video_fps(left), video_fps(right)
-    if rates[0] != rates[1]:
-        raise InputError(
-            right,
-            "frame rate",
-            f"is {rates[1]:g}, the other film's {rates[0]:g}",
-            "render both alike",
-        )
-    return rates[0]
+def _in_rows(frames: Sequence[Frame]) -> Frame:
+    """Frames of one height beside each other, black where a row is not full."""
+    rows = []
+    for first in range(0, len(frames), _ACROSS):
+        parts = [part for frame in frames[first : first + _ACROSS] for part in (_bar(frame), frame)]
+        rows.append(np.concatenate(parts[1:], axis=1))
+    width = max(row.shape[1] for row in rows)
+    return np.concatenate(
+        [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows]
+    )
+
+
+def _bar(frame: Frame) -> Frame:
+    return np.zeros((frame.shape[0], _GAP, 3), np.uint8)
+
+
+def _common_fps(films: Sequence[str | Path]) -> float:
+    first, *others = [video_fps(film) for film in films]
+    for film, rate in zip(films[1:], others, strict=True):
+        if rate != first:
+            raise InputError(
+                film, "frame rate", f"is {rate:g}, that of the first film {first:g}",
+                "render both alike",
+            )  # fmt: skip
+    return first
 
 
 def _even(frame: Frame) -> Frame:
@@ -231,9 +282,14 @@ def _to_height(frame: Frame, height: int) -> Frame:
 
 
 def _labelled(frame: Frame, label: str, ended: bool) -> Frame:
-    strip = PilImage.new("RGB", (frame.shape[1], _LABEL_HEIGHT), _LABEL_BACKGROUND)
     text = " ".join(label.split()) + (" (ended)" if ended else "")
+    return np.concatenate([_strip(text, frame.shape[1]), frame], axis=0)
+
+
+@lru_cache(maxsize=16)
+def _strip(text: str, width: int) -> Frame:
+    strip = PilImage.new("RGB", (width, _LABEL_HEIGHT), _LABEL_BACKGROUND)
     ImageDraw.Draw(strip).text(
         (10, _LABEL_HEIGHT // 2), text, _LABEL_TEXT, ImageFont.load_default(15), anchor="lm"
     )
-    return np.concatenate([np.asarray(strip), frame], axis=0)
+    return np.asarray(strip)

@@ -1,0 +1,1 @@
+"""The tables of commands as rows for `recast.cli.output.print_json`."""

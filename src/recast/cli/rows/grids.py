@@ -1,0 +1,138 @@
+"""Rows of `recast run`, `recast demo` and `recast bench`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from recast.cli.output import Rows, with_unit
+from recast.evaluation import COLUMNS
+from recast.evaluation.bootstrap import Bootstrap
+from recast.evaluation.scene_level.summary import LevelRow
+from recast.evaluation.verdicts import Agreement
+from recast.pipeline.bench.results import GridResults
+from recast.pipeline.layout import METRICS_FILE
+from recast.pipeline.results_files import read_metrics
+
+
+def run_rows(folder: Path) -> Rows:
+    """The arms of a finished run, and its failed rollouts.
+
+    Raises:
+        InputError: the folder holds no metrics that this version reads.
+    """
+    metrics = read_metrics(folder / METRICS_FILE)
+    failures = [{"rollout": one["name"], "reason": one["reason"]} for one in metrics["failures"]]
+    return {"arms": [_arm(row) for row in metrics["table"]], "failures": failures}
+
+
+def grid_rows(results: GridResults) -> Rows:
+    """Arms with intervals over scenes, paired differences, verdicts, and failed rollouts."""
+    arms = [
+        {
+            **_arm(line.row.to_json()),
+            **{
+                with_unit(f"{name}_{end}", COLUMNS[name].unit): getattr(interval, end)
+                for name, interval in line.intervals.items()
+                for end in ("low", "high")
+            },
+        }
+        for line in results.table
+    ]
+    differences = [
+        {
+            "planner": one.planner,
+            "candidate": one.candidate,
+            "baseline": one.baseline,
+            "metric": one.metric,
+            "unit": COLUMNS[one.metric].unit,
+            "scenes": one.scenes,
+            "pairs": one.pairs,
+            "asked": one.asked,
+            "plans": one.plans,
+            "cut": one.cut,
+            "mean": one.sampled.point,
+            **_interval("sampled", one.sampled),
+            **_interval("exact", one.exact),
+        }
+        for one in results.differences
+    ]
+    failures = [
+        {
+            "scene": row.scene,
+            "motion": f"{row.motion}-{row.setting}",
+            "planner": row.planner,
+            "arm": row.arm,
+            "error": row.failure,
+            "reason": row.failure_reason,
+        }
+        for row in results.rows
+        if row.failure is not None
+    ]
+    return {
+        "arms": arms,
+        "differences": differences,
+        "against_the_truth": [_verdicts(one) for one in results.truth],
+        "failures": failures,
+    }
+
+
+def level_rows(lines: Sequence[LevelRow]) -> Rows:
+    """One row for each arm and score, with intervals over scenes; scores have no unit."""
+    rows = []
+    for line in lines:
+        for score, value in line.values.items():
+            difference = value.difference or (None, None, None)
+            rows.append(
+                {
+                    "arm": line.arm,
+                    "images": line.images,
+                    "score": score,
+                    "value": value.value,
+                    "low": value.low,
+                    "high": value.high,
+                    "scene_mean": value.scene_mean,
+                    "difference": difference[0],
+                    "difference_low": difference[1],
+                    "difference_high": difference[2],
+                }
+            )
+    return {"scores": rows}
+
+
+def _arm(row: Mapping[str, Any]) -> dict[str, Any]:
+    counted = ("planner", "arm", "asked", "rollouts", "failed", "cut", "plans")
+    known = [name for name in COLUMNS if name in row["means"]]
+    return {
+        **{name: row[name] for name in counted},
+        **{with_unit(name, COLUMNS[name].unit): row["means"][name] for name in known},
+        **{f"{name}_rollouts": row["counts"][name] for name in known},
+    }
+
+
+def _interval(name: str, interval: Bootstrap | None) -> dict[str, float | None]:
+    if interval is None:
+        return {f"{name}_low": None, f"{name}_high": None}
+    return {f"{name}_low": interval.low, f"{name}_high": interval.high}
+
+
+def _verdicts(one: Agreement) -> dict[str, Any]:
+    error = one.ttc_error
+    return {
+        "planner": one.planner,
+        "arm": one.arm,
+        "same_verdict": one.agreeing,
+        "pairs": one.pairs,
+        "asked": one.asked,
+        "same_verdict_percent": 100 * one.share.point,
+        "same_verdict_low_percent": 100 * one.share.low,
+        "same_verdict_high_percent": 100 * one.share.high,
+        "false_collisions": one.false_collisions,
+        "missed_collisions": one.missed_collisions,
+        "ttc_error_s": None if error is None else error.point,
+        "ttc_error_low_s": None if error is None else error.low,
+        "ttc_error_high_s": None if error is None else error.high,
+        "plans": one.plans,
+        "cut": one.cut,
+    }

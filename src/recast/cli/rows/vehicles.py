@@ -1,0 +1,145 @@
+"""Rows of the commands that make or judge vehicles, planners and models."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from recast.actors.actor import CandidateRecord
+from recast.cli.output import Rows, with_unit
+from recast.evaluation.generation_summary import STUDY_COLUMNS, StudyBlock
+from recast.pipeline.evaluate_actor import ActorEvaluation
+from recast.pipeline.evaluate_tracks import TrackResult
+from recast.pipeline.planner_data.probe import ProbeRow
+
+
+def candidate_rows(candidates: Sequence[CandidateRecord]) -> Rows:
+    """One row for each vehicle that an actor was chosen from; scores are null if it was not made.
+
+    Shares are fractions (0 to 1).
+    """
+    rows = []
+    for one in candidates:
+        score = one.score
+        rows.append(
+            {
+                "generator": one.generator,
+                "seed": one.seed,
+                "label": one.label,
+                "chosen": one.chosen,
+                "fits": None if score is None else score.fits,
+                "outline_iou": None if score is None else score.outline,
+                "lidar_share": None if score is None else score.lidar,
+                "lidar_median_m": None if score is None else score.lidar_median,
+                "free_space_share": None if score is None else score.free,
+                "colour_difference": None if score is None else score.colour,
+                "score": None if score is None else score.total,
+            }
+        )
+    return {"candidates": rows}
+
+
+def actor_rows(evaluation: ActorEvaluation) -> Rows:
+    """Mean scores of each vehicle and of all, and the vehicles that could not be made."""
+    vehicles = [
+        {"vehicle": one.id, "views": len(one.views), **_scores(one.mean)}
+        for one in evaluation.vehicles
+    ]
+    views = sum(len(one.views) for one in evaluation.vehicles)
+    failures = [{"vehicle": name, "reason": why} for name, why in evaluation.failures.items()]
+    return {
+        "vehicles": vehicles,
+        "mean": [
+            {
+                "generator": evaluation.generator,
+                "seed": evaluation.seed,
+                "vehicles": len(vehicles),
+                "views": views,
+                **_scores(evaluation.mean),
+            }
+        ],
+        "failures": failures,
+    }
+
+
+def track_rows(results: Sequence[TrackResult]) -> Rows:
+    """One row for each track and model."""
+    return {
+        "tracks": [
+            {
+                "track_id": one.track_id,
+                "model": model,
+                "images": one.images,
+                "psnr_db": one.psnr[model],
+                "ssim": one.ssim[model],
+            }
+            for one in results
+            for model in one.psnr
+        ]
+    }
+
+
+def study_rows(blocks: Sequence[StudyBlock]) -> Rows:
+    """Scores of each model by condition, paired differences, and vehicles that were not made."""
+    models, differences, failures = [], [], []
+    for block in blocks:
+        models += [
+            {
+                "condition": block.condition,
+                "model": row.model,
+                "made": row.made,
+                "vehicles": len(block.identities),
+                "views": block.views,
+                **_scores(row.scores),
+            }
+            for row in block.rows
+        ]
+        differences += [
+            {
+                "condition": block.condition,
+                "candidate": one.candidate,
+                "baseline": one.baseline,
+                "score": one.score,
+                "unit": STUDY_COLUMNS[one.score].unit,
+                "mean": one.interval.point,
+                "low": one.interval.low,
+                "high": one.interval.high,
+                "better": one.better,
+            }
+            for one in block.differences
+        ]
+        failures += [
+            {"condition": block.condition, "model": model, "vehicle": vehicle, "reason": why}
+            for model, failed in block.failures.items()
+            for vehicle, why in failed.items()
+        ]
+    return {"models": models, "differences": differences, "failures": failures}
+
+
+def probe_rows(rows: Sequence[ProbeRow]) -> Rows:
+    """One row for each scene, scenario and view of the target (visible or erased)."""
+    found: list[dict[str, Any]] = []
+    for row in rows:
+        for how in row.driven or ("",):
+            found.append(
+                {
+                    "scene": row.scene,
+                    "scenario": row.scenario,
+                    "target": how or None,
+                    "contact_s": row.collided.get(how),
+                    "nearest_m": row.nearest.get(how),
+                    "driven_m": row.driven.get(how),
+                    "problem": row.problem,
+                }
+            )
+    return {"rollouts": found}
+
+
+def _scores(scores: Mapping[str, float]) -> dict[str, float]:
+    return {_key(name): value for name, value in scores.items()}
+
+
+def _key(score: str) -> str:
+    """The key of a score; CLIP scores are cosines times 100, which is no unit."""
+    unit = STUDY_COLUMNS[score].unit
+    return with_unit(score, "" if unit == "x100" else unit)

@@ -1,0 +1,172 @@
+"""Options that several commands share: one help text, one place where it becomes a setting.
+
+A help text says what the option does, its unit and its default. `option` shows the default of an
+option that is None unless it is given.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import tyro
+
+
+def option(
+    text: str, default: str = "", *, metavar: str | None = None, aliases: tuple[str, ...] = ()
+) -> Any:
+    """Help of an option whose default is None, empty or a plain value.
+
+    Args:
+        text: what the option does, in sentences.
+        default: what None or an empty list stands for; empty for an option that may be left out.
+        metavar: name of the value in the help; the type if None.
+        aliases: other spellings, such as "--motions".
+    """
+
+    def shown(value: str) -> str:
+        if value not in ("None", ""):
+            return f"(default: {value})"
+        return f"(default: {default})" if default else "(optional)"
+
+    return tyro.conf.arg(help=text, metavar=metavar, help_behavior_hint=shown, aliases=aliases)
+
+
+def required(text: str, *, metavar: str | None = None) -> Any:
+    """Help of an option or argument that must be given."""
+    return tyro.conf.arg(help=text, metavar=metavar)
+
+
+# What is driven.
+TRACK_HELP = "Id of the track to replace and control; `recast log info LOG` lists the ids."
+MOTION_HELP = (
+    "Motion of the controlled actor: cut-in, oncoming, stationary or advancing (both settings), "
+    "one setting such as cut-in-a, or a scenario file (.yaml). May be repeated."
+)
+MOTIONS_HELP = MOTION_HELP.replace("May be repeated", "Takes several, and may be repeated")
+ARM_HELP = (
+    "Arm of the comparison; the first is the baseline: native (the vehicle as reconstructed), "
+    "replaced (a generated vehicle), oracle (the truth of a synthetic log), a generator such as "
+    "recast-mini, a street such as omnire or a scene folder, both such as omnire+template, or a "
+    "file of arms (docs/runs.md). May be repeated."
+)
+ARM_DEFAULT = "native and replaced"
+ARM = option(ARM_HELP, ARM_DEFAULT)
+PLANNER_HELP = (
+    "Planner under test: a name that `recast doctor` lists, a planner folder, or "
+    "package.module:attribute. May be repeated."
+)
+PLANNER = option(PLANNER_HELP, "idm-follower")
+PLANNER_DEVICE = option(
+    "Device of the planner: auto (a GPU if there is one), cpu, cuda or cuda:1.", "auto",
+    metavar="DEVICE",
+)  # fmt: skip
+STEPS = option(
+    "Steps of 0.1 s for each rollout; fewer if the log or the road ends.", "160", metavar="INT"
+)
+
+# What the actor is made from.
+GENERATOR = option(
+    "Generator of the actor: auto (the better of template and recast-mini), recast-mini (the "
+    "image-to-3D model in the package), template, the name of an installed generator, trellis "
+    "(recast weights), a model folder, a PLY, GLB or OBJ file, or library:FOLDER (the best vehicle "
+    "in that folder).",
+    "auto", metavar="NAME",
+)  # fmt: skip
+AXES = option(
+    "Axes of vehicle files or of a model folder: the axis that points up, such as z-up, y-up or "
+    "minus-y-up, or forward and up, such as x,z (write --axes=-y,z with a minus). auto finds a "
+    "file's axes from its shape and takes z-up for models.",
+    "auto", metavar="AXES",
+)  # fmt: skip
+REFINE = option("Refine the actor on all images of the log (about a minute).", "True")
+SEGMENTER = option(
+    "Segmenter that cuts the vehicle out of the images: box-lidar, the name of an installed "
+    "segmenter, grounded-sam (recast weights), or a folder with grounding-dino and sam "
+    "(docs/actors.md).",
+    "box-lidar", metavar="NAME",
+)  # fmt: skip
+VIEWS = option(
+    "Maximum number of images that the actor is made from: the best view, then other sides.", "1",
+    metavar="INT",
+)  # fmt: skip
+
+# Where the street comes from.
+SCENE = option("Folder of a trained or imported scene; no scene is trained.", metavar="PATH")
+STORE_HELP = "Folder or address (s3://...) of the artefacts that runs share."
+PRESET = option(
+    "Reconstruction method: streetgs (Street Gaussians) or omnire (OmniRe).", "recast's own",
+    metavar="{streetgs,omnire}",
+)  # fmt: skip
+CONFIG_HELP = "Configuration file (JSON, docs/runs.md); options override it."
+SCENE_CONFIG = option(
+    "Scene configuration file (JSON, docs/scenes.md); it overrides the preset, and options "
+    "override it.",
+    metavar="PATH",
+)  # fmt: skip
+CAMERAS = option(
+    "Names of the cameras to use.", "all cameras of the log", metavar="NAME [NAME ...]"
+)
+SCALE_HELP = "Image scale; 0.5 uses half the recorded width and height."
+ITERATIONS_HELP = "Training steps of the scene."
+
+# How it is computed.
+SEED_HELP = "Seed of all random choices."
+SEED = option(SEED_HELP, "0", metavar="INT")
+THREADS = option("Number of CPU threads; 0 uses all cores.", "0", metavar="INT")
+WORKERS = option("Number of worker processes; results do not depend on it.")
+RAY = option(
+    "Address of a Ray cluster (auto or ray://HOST:10001), or local; needs the extra distributed.",
+    metavar="ADDRESS",
+)  # fmt: skip
+DEVICE = option("Device: cpu, cuda or cuda:1.", "cuda if there is a GPU, else cpu", metavar="NAME")
+LIMIT = option("Number of vehicles to use, the first by id.", "all", metavar="INT")
+SAMPLES = option("Number of bootstrap samples of the confidence intervals.")
+
+# Networks that judge.
+LPIPS_WEIGHTS = option(
+    "Weights for LPIPS: an AlexNet or VGG-16 file of torchvision, or alexnet or vgg16 (recast "
+    "weights).",
+    "no LPIPS", metavar="PATH", aliases=("--lpips",),
+)  # fmt: skip
+CLIP = option(
+    "CLIP model for the image similarity: a folder, or clip-vit-l14 (recast weights).",
+    "no CLIP score", metavar="PATH",
+)  # fmt: skip
+DINO = option(
+    "DINOv2 model for the feature distance: a folder, or dinov2 (recast weights).",
+    "no DINO score", metavar="PATH",
+)  # fmt: skip
+INCEPTION = option(
+    "Inception weights for the Frechet distance: a file (.pth or .safetensors), or inception "
+    "(recast weights).",
+    "no Inception score", metavar="PATH",
+)  # fmt: skip
+IMAGE_ENCODER = option(
+    "Weights of the image encoder (DINOv2 ViT-L/14 with registers), or dinov2 (recast weights).",
+    "the model folder's", metavar="PATH",
+)  # fmt: skip
+
+_RUN_OPTIONS = {
+    "arms": "arm", "scene_folder": "scene", "preset": "preset", "planners": "planner",
+    "planner_device": "planner_device", "plan_limit_s": "plan_timeout", "films": "films",
+    "generator": "generator", "axes": "axes", "refine": "refine", "segmenter": "segmenter",
+    "views": "views", "steps": "steps", "seed": "seed", "threads": "threads",
+}  # fmt: skip
+_SCENE_OPTIONS = ("cameras", "scale", "iterations", "seed", "threads")
+
+
+def run_options(command: object) -> dict[str, Any]:
+    """The members of `RunConfig` that a command's options set; None for those not given."""
+    found: dict[str, Any] = {
+        member: getattr(command, name, None) for member, name in _RUN_OPTIONS.items()
+    }
+    for several in ("arms", "planners"):
+        found[several] = found[several] or None
+    if found["scene_folder"] is not None:
+        found["scene_folder"] = str(found["scene_folder"].absolute())
+    return found
+
+
+def scene_options(command: object) -> dict[str, Any]:
+    """The members of `SceneConfig` that a command's options set; None for those not given."""
+    return {name: getattr(command, name, None) for name in _SCENE_OPTIONS}

@@ -1,0 +1,149 @@
+"""A run folder for the viewer: its streets with the vehicles of each arm, rollouts and films."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from recast.actors import Actor, load_actor
+from recast.actors.insert import insert
+from recast.core import Artefact, Store
+from recast.errors import InputError
+from recast.evaluation import rollout_metrics
+from recast.logs import DrivingLog, HdMap, map_of, read_log
+from recast.names import folder_name
+from recast.pipeline.arms import Arm
+from recast.pipeline.artefacts import rollout_name
+from recast.pipeline.config import RunConfig
+from recast.pipeline.layout import ACTOR_FOLDER, use_name, use_parts
+from recast.pipeline.rollouts import films, read_rollout
+from recast.pipeline.run_folder import RunFolder
+from recast.pipeline.view_runner import run_runner
+from recast.scene import StreetScene, load_scene
+from recast.simulation import Rollout, RolloutFailure, camera_mounts
+from recast.viewer import Drive, FilmFile, ViewInputs, rollout_drive
+
+
+@dataclass(frozen=True)
+class RunView:
+    """Which rollouts of a run are shown.
+
+    Attributes:
+        path: the run folder.
+        only: folders of rollouts below it; none for all.
+    """
+
+    path: Path
+    only: list[Path]
+
+
+def open_run(view: RunView) -> ViewInputs:
+    """Load what a run made.
+
+    Raises:
+        InputError: it is no run, its log or an artefact is gone, or none of its rollouts can be
+            shown.
+    """
+    folder = RunFolder.open(view.path)
+    return _Opened(view, folder, folder.config, folder.store(), read_log(folder.log_path)).inputs()
+
+
+def named_place(path: Path) -> Path:
+    """A path from the root as it is named: links, which lead into the store, are not followed."""
+    return Path(os.path.normpath(path.absolute()))
+
+
+def drive_of(rollout: Rollout, folder: Path, log: DrivingLog, hdmap: HdMap | None) -> Drive:
+    """A rollout with the films that lie beside it.
+
+    Args:
+        folder: what `make_rollout` wrote.
+    """
+    found = {name: FilmFile(path, rollout.steps_run) for name, path in films(folder).items()}
+    mounts = camera_mounts(log, [name for name in found if name in log.cameras])
+    return rollout_drive(rollout, log, rollout_metrics(rollout, hdmap), mounts, found)
+
+
+@dataclass(frozen=True)
+class _Opened:
+    view: RunView
+    folder: RunFolder
+    config: RunConfig
+    store: Store
+    log: DrivingLog
+
+    @cached_property
+    def map(self) -> HdMap:
+        return map_of(self.log)
+
+    def inputs(self) -> ViewInputs:
+        config = self.config
+        scenarios: dict[str, dict[str, Drive]] = {}
+        arms: dict[str, Arm] = {}
+        for motion in config.motions:
+            for planner in config.planners:
+                for arm in config.arms:
+                    drive = self._drive(motion, planner, arm.name)
+                    if drive is not None:
+                        name = motion if len(config.planners) == 1 else f"{motion}, {planner}"
+                        scenarios.setdefault(name, {})[arm.name] = drive
+                        arms[arm.name] = arm
+        if not scenarios:
+            raise InputError(
+                self.view.path, "rollouts", "none of them was made",
+                "finish the run first: repeat its recast run",
+            )  # fmt: skip
+        streets: dict[str, StreetScene] = {}
+        actors = {name: self._actors(arm) for name, arm in arms.items() if arm.generates}
+        scenes = {name: self._scene(arm, actors, streets) for name, arm in arms.items()}
+        return ViewInputs(
+            title=f"{self.view.path.absolute().name}: track {config.track} of {self.log.name}",
+            scenes=scenes,
+            scenarios=scenarios,
+            log=self.log,
+            hdmap=self.map,
+            actors=actors,
+            runner=run_runner(self.log, self.map, config, scenes),
+        )
+
+    def _drive(self, motion: str, planner: str, arm: str) -> Drive | None:
+        link = named_place(self.view.path).joinpath(
+            "rollouts", *(folder_name(name) for name in (motion, planner, arm))
+        )
+        if self.view.only and link not in self.view.only:
+            return None
+        found = self._find(rollout_name(motion, planner, arm))
+        rollout = None if found is None else read_rollout(found.path)
+        if found is None or rollout is None or isinstance(rollout, RolloutFailure):
+            return None
+        return drive_of(rollout, found.path, self.log, self.map)
+
+    def _scene(
+        self, arm: Arm, actors: dict[str, dict[str, Actor]], streets: dict[str, StreetScene]
+    ) -> StreetScene | None:
+        found = self._find(use_name("scene", arm.street))
+        if found is None:  # the truth, or a run that rendered nothing
+            return None
+        if arm.street not in streets:
+            streets[arm.street] = load_scene(found.path)
+        scene = streets[arm.street]
+        for actor in actors.get(arm.name, {}).values():
+            scene = insert(scene, actor)
+        return scene
+
+    def _actors(self, arm: Arm) -> dict[str, Actor]:
+        """An arm's vehicles by track: its target, and those of further tracks."""
+        found: dict[str, Actor] = {}
+        for use in self.folder.record.artefacts:
+            what, *names = use_parts(use)
+            if what == "actor" and names[0] == arm.name:
+                artefact = self._find(use)
+                assert artefact is not None  # the record names it
+                actor = load_actor(artefact.path / ACTOR_FOLDER)
+                found[actor.track_id] = actor
+        return found
+
+    def _find(self, use: str) -> Artefact | None:
+        return self.folder.artefact(self.store, use)

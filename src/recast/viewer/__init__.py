@@ -1,0 +1,30 @@
+"""A page and a replay file that show scenes, actors and rollouts in three dimensions."""
+
+from recast.viewer.drives import recording, rollout_drive, scene_drive, still
+from recast.viewer.extra import require_viser
+from recast.viewer.films import FilmFile, FilmFrames, LogFilm
+from recast.viewer.inputs import Drive, Event, Film, Mounted, Runner, ViewInputs
+from recast.viewer.page import MOST_GAUSSIANS, Page
+from recast.viewer.replay import REPLAY_MB, ReplaySize, write_replay
+
+__all__ = [
+    "MOST_GAUSSIANS",
+    "REPLAY_MB",
+    "Drive",
+    "Event",
+    "Film",
+    "FilmFile",
+    "FilmFrames",
+    "LogFilm",
+    "Mounted",
+    "Page",
+    "ReplaySize",
+    "Runner",
+    "ViewInputs",
+    "recording",
+    "require_viser",
+    "rollout_drive",
+    "scene_drive",
+    "still",
+    "write_replay",
+]

@@ -1,0 +1,170 @@
+"""Drives of a log, a scene, an actor and a rollout."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.dynamics import PACIFICA
+from recast.evaluation import RolloutMetrics
+from recast.geometry import PinholeCamera, se3
+from recast.logs import DrivingLog, Trajectory
+from recast.planning import CameraMount
+from recast.scene import SceneActor, StreetScene
+from recast.simulation import Rollout
+from recast.viewer.films import LogFilm
+from recast.viewer.inputs import Drive, Event, Film, Mounted
+
+Array = NDArray[np.float64]
+
+DT = 0.1
+"""Seconds between the steps of a recording."""
+_EGO_HEIGHT = 1.6  # metres; a log does not say
+_ABOVE_ROAD = 0.3  # metres, at which paths are drawn
+
+
+def mounted(camera: PinholeCamera, rig_from_camera: Array, film: Film | None = None) -> Mounted:
+    """A camera on the rig with what it saw."""
+    fov = 2 * math.atan(camera.height / 2 / camera.fy)
+    aspect = camera.width / camera.fx * camera.fy / camera.height
+    return Mounted(rig_from_camera, fov, aspect, film)
+
+
+def recording(log: DrivingLog) -> Drive:
+    """The drive as recorded, with all tracks and the images of all cameras."""
+    first, last = (int(time) for time in log.world_from_rig.timestamps_us[[0, -1]])
+    times = np.arange(first, last + 1, round(DT * 1e6))
+    cameras = {
+        name: mounted(stream.camera, stream.rig_from_camera, LogFilm(stream, times))
+        for name, stream in log.cameras.items()
+    }
+    return Drive(
+        dt=DT,
+        times_us=times,
+        rig=log.world_from_rig.at(times),
+        poses={key: sampled(track.trajectory, times) for key, track in log.tracks.items()},
+        sizes={key: track.size for key, track in log.tracks.items()},
+        ego_size=_ego_size(PACIFICA.length, PACIFICA.width),
+        ego_offset=PACIFICA.centre_offset,
+        cameras=cameras,
+    )
+
+
+def scene_drive(scene: StreetScene) -> Drive:
+    """The actors of a scene on their recorded ways, without an ego."""
+    ends = [actor.trajectory.timestamps_us[[0, -1]] for actor in scene.actors.values()]
+    first = min((int(end[0]) for end in ends), default=0)
+    last = max((int(end[1]) for end in ends), default=0)
+    times = np.arange(first, last + 1, round(DT * 1e6))
+    return Drive(
+        dt=DT,
+        times_us=times,
+        rig=None,
+        poses={key: sampled(one.trajectory, times) for key, one in scene.actors.items()},
+        sizes={key: one.size for key, one in scene.actors.items()},
+    )
+
+
+def still(actor: SceneActor) -> Drive:
+    """One actor standing at the origin, its wheels on z = 0."""
+    pose = np.eye(4)
+    pose[2, 3] = actor.size[2] / 2
+    return Drive(
+        dt=DT,
+        times_us=np.zeros(1, np.int64),
+        rig=None,
+        poses={actor.track_id: pose[None]},
+        sizes={actor.track_id: actor.size},
+        controlled=(actor.track_id,),
+    )
+
+
+def rollout_drive(
+    rollout: Rollout,
+    log: DrivingLog,
+    metrics: RolloutMetrics,
+    mounts: Mapping[str, CameraMount],
+    films: Mapping[str, Film],
+) -> Drive:
+    """A rollout with its plans and the moments that matter.
+
+    Args:
+        log: what it was run on.
+        metrics: its scores.
+        mounts: cameras on the rig.
+        films: what was rendered, by name of the camera.
+    """
+    steps = range(rollout.steps_run + 1)
+    times = np.array([rollout.timestamp_us(step) for step in steps])
+    logged = {key: log.tracks[key] for key in rollout.other_actors if key in log.tracks}
+    poses = {key: sampled(track.trajectory, times) for key, track in logged.items()}
+    sizes = {key: track.size for key, track in logged.items()}
+    poses[rollout.track_id], sizes[rollout.track_id] = rollout.world_from_actor, rollout.actor_size
+    for one in rollout.controlled:
+        poses[one.track_id], sizes[one.track_id] = one.world_from_actor, one.size
+    return Drive(
+        dt=rollout.dt,
+        times_us=times,
+        rig=rollout.world_from_rig,
+        poses=poses,
+        sizes=sizes,
+        controlled=(rollout.track_id, *(one.track_id for one in rollout.controlled)),
+        ego_size=_ego_size(*rollout.ego_size),
+        ego_offset=rollout.ego_centre_offset,
+        logged=_on_road(rollout.log_ego[:, :2], rollout.world_from_rig),
+        plans=plan_lines(rollout),
+        events=rollout_events(rollout, metrics),
+        cameras={
+            name: mounted(mount.camera, mount.rig_from_camera, films.get(name))
+            for name, mount in mounts.items()
+        },
+    )
+
+
+def plan_lines(rollout: Rollout) -> tuple[tuple[int, Array], ...]:
+    """Step and waypoints (41, 3) in the world of each plan, the ego's own place first."""
+    lines = []
+    for step, plan in zip(rollout.plan_steps.tolist(), rollout.predictions, strict=True):
+        flat = np.zeros((len(plan) + 1, 3))
+        flat[1:, :2] = plan[:, :2]
+        flat[:, 2] = _ABOVE_ROAD
+        lines.append((step, se3.apply(rollout.world_from_rig[step], flat)))
+    return tuple(lines)
+
+
+def rollout_events(rollout: Rollout, metrics: RolloutMetrics) -> tuple[Event, ...]:
+    """Contact, departure from the road, each plan, and the end; in order of time."""
+    found = [Event("start", 0)]
+    if metrics.collision.first_step is not None:
+        found.append(Event("contact", metrics.collision.first_step))
+    if metrics.drivable.first_step is not None:
+        found.append(Event("off the road", metrics.drivable.first_step))
+    found += [
+        Event(f"plan {number}", step)
+        for number, step in enumerate(rollout.plan_steps.tolist(), start=1)
+    ]
+    ending = "end" if rollout.cut_reason is None else f"end: {rollout.cut_reason}"
+    found.append(Event(ending, rollout.steps_run))
+    return tuple(sorted(found, key=lambda event: event.step))
+
+
+def sampled(trajectory: Trajectory, times_us: NDArray[np.int64]) -> Array:
+    """Poses (T, 4, 4) at times (T,); NaN where the trajectory does not cover them."""
+    first, last = trajectory.timestamps_us[[0, -1]]
+    inside = (times_us >= first) & (times_us <= last)
+    poses = np.full((len(times_us), 4, 4), np.nan)
+    if inside.any():
+        poses[inside] = trajectory.at(times_us[inside])
+    return poses
+
+
+def _ego_size(length: float, width: float) -> Array:
+    return np.array([length, width, _EGO_HEIGHT])
+
+
+def _on_road(xy: Array, rig: Array) -> Array:
+    """Points (T, 3) at the height of the simulated rear axle."""
+    return np.column_stack([xy, rig[:, 2, 3] + _ABOVE_ROAD])

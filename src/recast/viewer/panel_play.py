@@ -1,0 +1,128 @@
+"""The part of the page that chooses drive and time, and sends the camera to places."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from recast.viewer.inputs import Drive
+from recast.viewer.looks import Look, look, look_names
+from recast.viewer.playback import Change, Playback
+
+if TYPE_CHECKING:
+    import viser
+
+_FREE = "none"
+_SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
+
+
+class PlayPanel:
+    """Scenario, arm, timeline, events and cameras.
+
+    Args:
+        server: gets the elements, within the container that is open.
+        playback: is steered.
+    """
+
+    def __init__(self, server: viser.ViserServer, playback: Playback) -> None:
+        self._server, self._playback = server, playback
+        self._riding: dict[int, str] = {}
+        gui, clock = server.gui, playback.clock
+        self._scenario = gui.add_dropdown("Scenario", self._scenarios())
+        self._arm = gui.add_dropdown("Arm", playback.arms)
+        self._slider = gui.add_slider("Step", 0, _last(playback.drive), 1, 0)
+        self._time = gui.add_markdown("")
+        self._play = gui.add_button("Play")
+        self._steps = gui.add_button_group("Step by", ("-10", "-1", "+1", "+10"))
+        self._speed = gui.add_dropdown("Speed", _SPEEDS, initial_value="1")
+        self._event = gui.add_dropdown("Moment", _events(playback.drive))
+        self._go_event = gui.add_button("Go to the moment")
+        self._look = gui.add_dropdown("Camera", look_names(playback.drive))
+        self._go_look = gui.add_button_group("Camera:", ("go there", "ride along", "let go"))
+        self._slider.on_update(lambda event: self._by_hand(event, self._slider.value))
+        self._scenario.on_update(lambda event: self._select(event, scenario=self._scenario.value))
+        self._arm.on_update(lambda event: self._select(event, arm=self._arm.value))
+        self._play.on_click(lambda _: playback.play(not clock.playing))
+        self._steps.on_click(lambda _: playback.by(int(self._steps.value)))
+        self._speed.on_update(lambda _: setattr(clock, "speed", float(self._speed.value)))
+        self._go_event.on_click(lambda _: self._to_event())
+        self._go_look.on_click(lambda event: self._to_look(event.client))
+        server.on_client_disconnect(lambda client: self._riding.pop(client.client_id, None))
+        playback.subscribe(self._changed)
+        self._changed("drive")
+
+    def _scenarios(self) -> tuple[str, ...]:
+        return tuple(self._playback.inputs.scenarios)
+
+    def _by_hand(self, event: viser.GuiEvent, step: int) -> None:
+        if event.client is not None:  # not the playback itself
+            self._playback.go_to(step)
+
+    def _select(
+        self, event: viser.GuiEvent, scenario: str | None = None, arm: str | None = None
+    ) -> None:
+        if event.client is not None:
+            self._playback.select(scenario, arm)
+
+    def _changed(self, change: Change) -> None:
+        playback, drive = self._playback, self._playback.drive
+        if change == "drive":
+            self._scenario.options = self._scenarios()
+            self._scenario.value = playback.scenario
+            self._arm.options = playback.arms
+            self._arm.value = playback.arm
+            self._slider.max = _last(drive)
+            self._event.options = _events(drive)
+            self._look.options = look_names(drive)
+        if change in ("drive", "step"):
+            step = playback.clock.step
+            self._slider.value = step
+            self._time.content = f"{step * drive.dt:.1f} of {(len(drive) - 1) * drive.dt:.1f} s"
+            self._ride()
+        if change == "playing":
+            self._play.label = "Pause" if playback.clock.playing else "Play"
+
+    def _to_event(self) -> None:
+        number = _events(self._playback.drive).index(self._event.value)
+        if self._playback.drive.events:
+            self._playback.go_to(self._playback.drive.events[number].step)
+
+    def _to_look(self, client: viser.ClientHandle | None) -> None:
+        if client is None:
+            return
+        what = self._go_look.value
+        if what == "let go":
+            self._riding.pop(client.client_id, None)
+            return
+        if what == "ride along":
+            self._riding[client.client_id] = self._look.value
+        aim(client, look(self._playback.drive, self._look.value, self._playback.clock.step))
+
+    def _ride(self) -> None:
+        """Take along the windows that follow a camera."""
+        clients, drive = self._server.get_clients(), self._playback.drive
+        for number, name in tuple(self._riding.items()):
+            if number in clients and name in look_names(drive):
+                aim(clients[number], look(drive, name, self._playback.clock.step))
+
+
+def aim(client: viser.ClientHandle, where: Look) -> None:
+    """Put a window's camera somewhere."""
+    with client.atomic():
+        client.camera.position = where.eye
+        client.camera.look_at = where.target
+        client.camera.fov = where.fov
+
+
+def open_at(server: viser.ViserServer, where: Look) -> None:
+    """Have windows begin with a look."""
+    server.initial_camera.position = where.eye
+    server.initial_camera.look_at = where.target
+    server.initial_camera.fov = where.fov
+
+
+def _last(drive: Drive) -> int:
+    return max(len(drive) - 1, 1)
+
+
+def _events(drive: Drive) -> tuple[str, ...]:
+    return tuple(f"{e.step * drive.dt:.1f} s: {e.label}" for e in drive.events) or (_FREE,)

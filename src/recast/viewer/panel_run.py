@@ -1,0 +1,198 @@
+"""The part of the page that makes a motion, runs it, and saves it."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from threading import Lock
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from recast.errors import InputError
+from recast.geometry import se3
+from recast.reporting import palette
+from recast.simulation import PreparedRollout, RolloutSetup, ScriptedMotion, prepare
+from recast.simulation.scenario_parts import target_motion
+from recast.simulation.scenario_schema import motion_numbers
+from recast.viewer.inputs import Runner
+from recast.viewer.map_lines import raised, segments
+from recast.viewer.own_motion import changed, dragged, quantities, save_scenario
+from recast.viewer.panel_track import escaped
+from recast.viewer.playback import Playback
+
+if TYPE_CHECKING:
+    import viser
+
+_LOG = logging.getLogger(__name__)
+_PATH = "/own/path"
+_START = "/own/start"
+_ANY_LINE = np.array([[[0, 0, 0], [1, 0, 0]]], np.float32)  # without length, a page fails
+
+
+class RunPanel:
+    """A form for a motion, with its path and start in the scene.
+
+    Args:
+        server: gets the elements, within the container that is open.
+        playback: gets the rollouts.
+        runner: prepares and runs them.
+        out: folder for scenario files.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, playback: Playback, runner: Runner, out: Path
+    ) -> None:
+        self._server, self._playback, self._runner, self._out = server, playback, runner, out
+        self._busy, self._lock = Lock(), Lock()
+        self._prepared: PreparedRollout | None = None
+        self._inputs: dict[str, viser.GuiTextHandle] = {}
+        gui = server.gui
+        self._motion = gui.add_dropdown("Motion", tuple(runner.motions))
+        self._name = gui.add_text("Name", "my-motion")
+        self._planner = gui.add_dropdown("Planner", runner.planners)
+        self._edit = gui.add_checkbox("Show and drag the start", False)
+        self._run = gui.add_button("Run")
+        self._progress = gui.add_progress_bar(0.0, visible=False)
+        self._save = gui.add_button("Save as a scenario file")
+        self._said = gui.add_markdown("")
+        self._folder = gui.add_folder("Numbers")
+        self._lines = server.scene.add_line_segments(
+            _PATH, _ANY_LINE, palette.ACTOR, thickness=0.08, visible=False
+        )
+        self._gizmo = server.scene.add_transform_controls(
+            _START, scale=3.0, active_axes=(True, True, False), disable_rotations=True,
+            depth_test=False, visible=False,
+        )  # fmt: skip
+        self._motion.on_update(lambda _: self._load())
+        self._edit.on_update(lambda _: self._preview())
+        self._run.on_click(lambda _: self._start())
+        self._save.on_click(lambda _: self._write())
+        self._gizmo.on_update(lambda event: self._drag(event.phase))
+        self._load()
+
+    def motion(self) -> ScriptedMotion:
+        """What the form describes.
+
+        Raises:
+            InputError: a number or the name is wrong.
+        """
+        base = self._runner.motions[self._motion.value]
+        values = {name: _number(name, handle.value) for name, handle in self._inputs.items()}
+        return changed(base, self._name.value, values)
+
+    def _load(self) -> None:
+        """Put the numbers of the chosen motion into the form."""
+        base = self._runner.motions[self._motion.value]
+        values = motion_numbers(target_motion(base))
+        for handle in self._inputs.values():
+            handle.remove()
+        self._inputs = {}
+        with self._folder:
+            for name, quantity in quantities(base).items():
+                value = f"{values[name]:g}" if name in values else ""
+                label = f"{name} ({quantity.unit})"
+                handle = self._server.gui.add_text(label, value, hint=quantity.range)
+                handle.on_update(lambda event: self._typed(event))
+                self._inputs[name] = handle
+        self._preview()
+
+    def _typed(self, event: viser.GuiEvent) -> None:
+        if event.client is not None:
+            self._preview()
+
+    def _preview(self) -> None:
+        """Draw where the actor would start and go."""
+        shown = self._edit.value
+        self._lines.visible = self._gizmo.visible = shown
+        if not shown:
+            return
+        with self._lock:
+            try:
+                self._prepared = prepared = prepare(self._setup(self.motion()))
+            except InputError as error:
+                self._prepared = None
+                self._say(f"refused: {error.problem}; {error.mend}")
+                return
+            self._lines.points = segments([raised(prepared.world_from_actor[:, :3, 3])]).astype(
+                np.float32
+            )
+            self._put_start(prepared)
+            cut = "" if prepared.cut_reason is None else f" ({prepared.cut_reason})"
+            self._say(f"{prepared.steps * 0.1:.1f} s{cut}")
+
+    def _put_start(self, prepared: PreparedRollout) -> None:
+        pose = prepared.world_from_actor[0]
+        self._gizmo.position = pose[:3, 3]
+        heading = np.eye(4)
+        heading[:3, :3] = se3.rotation_z(se3.yaw(pose))[:3, :3]
+        self._gizmo.wxyz = se3.matrix_to_quat(heading[:3, :3])
+
+    def _drag(self, phase: str) -> None:
+        """Turn the place to which the start was dragged into numbers, once it is let go."""
+        prepared = self._prepared
+        if prepared is None or phase != "end":
+            return
+        try:
+            found = dragged(self.motion(), prepared, np.asarray(self._gizmo.position))
+        except InputError as error:
+            self._say(str(error))
+            return
+        for name, value in found.items():
+            self._inputs[name].value = f"{value:g}"
+        self._preview()
+
+    def _start(self) -> None:
+        if not self._busy.acquire(blocking=False):
+            self._say("a rollout is running")
+            return
+        try:
+            motion, arm, planner = self.motion(), self._playback.arm, self._planner.value
+            self._progress.value, self._progress.visible = 0.0, True
+            self._run.disabled = True
+            self._say(f"running {motion.name} with {planner} in {arm}")
+            drive = self._runner.run(motion, planner, arm, self._count)
+            scenario = self._free_name(f"{motion.name}, {planner}")
+            self._playback.add(scenario, arm, drive)
+            said = ", ".join(e.label for e in drive.events if not e.label.startswith("plan"))
+            self._say(f"{scenario}: {(len(drive) - 1) * drive.dt:.1f} s; {said}")
+        except InputError as error:
+            self._say(f"refused: {error.problem}; {error.mend}")
+        except Exception as error:  # of a planner, which may not end the page
+            _LOG.warning("rollout from the page failed", exc_info=True)
+            self._say(f"failed: {type(error).__name__}: {error}")
+        finally:
+            self._run.disabled, self._progress.visible = False, False
+            self._busy.release()
+
+    def _count(self, done: int, total: int) -> None:
+        self._progress.value = 100.0 * done / max(total, 1)
+
+    def _free_name(self, name: str) -> str:
+        there = self._playback.inputs.scenarios
+        numbered = (name if n == 1 else f"{name} ({n})" for n in range(1, len(there) + 2))
+        return next(one for one in numbered if one not in there)
+
+    def _write(self) -> None:
+        try:
+            path = save_scenario(self.motion(), self._out)
+        except InputError as error:
+            self._say(f"not saved: {error}")
+            return
+        self._say(f"saved {path}; recast run LOG --motion {path} runs it")
+
+    def _setup(self, motion: ScriptedMotion) -> RolloutSetup:
+        runner = self._runner
+        return RolloutSetup(runner.log, runner.track, motion, map=runner.hdmap, steps=runner.steps)
+
+    def _say(self, text: str) -> None:
+        self._said.content = escaped(text)
+
+
+def _number(name: str, text: str) -> float | None:
+    if not text.strip():
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError("page", name, f"is {text!r}", "give a number") from None

@@ -1,0 +1,170 @@
+"""The Gaussians of all arms as nodes of a viser scene, each set of Gaussians sent once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from recast.actors import Actor
+from recast.actors.turntable import coloured_by_shares
+from recast.geometry import se3
+from recast.reporting.palette import SHARES
+from recast.scene import StreetScene
+from recast.splats import Gaussians
+from recast.viewer.bake import Splats, baked
+from recast.viewer.inputs import Drive, ViewInputs
+from recast.viewer.prune import ACTOR_DISTANCE, importance, most_important, path_distances
+from recast.viewer.sky import sky_dome
+
+if TYPE_CHECKING:
+    import viser
+
+Array = NDArray[np.float64]
+
+_EYES = 24
+"""Most places of the ego from which colours are looked at."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Gaussians that are sent once, with what decides on which of them."""
+
+    name: str
+    gaussians: Gaussians
+    eyes: Array
+    importance: Array
+
+
+class SplatNodes:
+    """Backgrounds, skies and actors of all arms.
+
+    Args:
+        server: gets the nodes, all of them invisible.
+        inputs: what is shown.
+        most: number of Gaussians at most, without the sky.
+
+    Attributes:
+        total, kept: numbers of Gaussians that there are, and that were sent.
+    """
+
+    def __init__(self, server: viser.ViserServer, inputs: ViewInputs, most: int) -> None:
+        self._server = server
+        self._streets: dict[str, tuple[str, str]] = {}
+        self._actors: dict[str, dict[str, str]] = {}
+        self._coverage: dict[str, dict[str, str]] = {}
+        self._handles: dict[str, viser.GaussianSplatHandle] = {}
+        parts = self._gather(inputs)
+        rows = most_important([part.importance for part in parts], most)
+        self.total = sum(len(part.gaussians) for part in parts)
+        self.kept = sum(len(row) for row in rows)
+        for part, row in zip(parts, rows, strict=True):
+            if len(row):
+                chosen = part.gaussians.select(torch.from_numpy(row))
+                self._add(part.name, baked(chosen, torch.from_numpy(part.eyes).float()))
+        self._add_coverage(inputs)
+
+    def nodes(
+        self, arm: str, splats: bool, sky: bool, coverage: bool, poses: Mapping[str, Array]
+    ) -> dict[str, Array | None]:
+        """Names of the nodes to be seen, with the poses (4, 4) of those that move.
+
+        Args:
+            splats, sky, coverage: what is shown; coverage: actors in its colours.
+            poses: of the actors that are present.
+        """
+        found: dict[str, Array | None] = {}
+        background, dome = self._streets.get(arm, ("", ""))
+        if splats and background in self._handles:
+            found[background] = None
+        if sky and dome in self._handles:
+            found[dome] = None
+        coloured = self._coverage.get(arm, {}) if coverage else {}
+        for track, pose in poses.items() if splats else ():
+            name = coloured.get(track, self._actors.get(arm, {}).get(track, ""))
+            if name in self._handles:
+                found[name] = pose
+        return found
+
+    @property
+    def handles(self) -> Mapping[str, viser.GaussianSplatHandle]:
+        """Handles by name of the node."""
+        return self._handles
+
+    def _gather(self, inputs: ViewInputs) -> list[_Part]:
+        parts: dict[int, _Part] = {}
+        for arm, scene in inputs.scenes.items():
+            if scene is None:
+                continue
+            drive = _first_drive(inputs, arm)
+            path = np.zeros((0, 3)) if drive.rig is None else drive.rig[:, :3, 3]
+            key = id(scene.background)
+            if key not in parts:
+                name = f"/street/{len(parts)}"
+                values = importance(scene.background, path_distances(scene.background, path))
+                parts[key] = _Part(name, scene.background, _eyes(path), values)
+                dome = f"/sky/{len(parts)}"
+                self._add(dome, sky_dome(scene.sky, _middle(path, scene)))
+                self._streets[arm] = name, dome
+            else:
+                self._streets[arm] = next(
+                    nodes for nodes in self._streets.values() if nodes[0] == parts[key].name
+                )
+            self._actors[arm] = {}
+            for track, actor in scene.actors.items():
+                key = id(actor.gaussians)
+                if key not in parts:
+                    first = drive.poses.get(track, actor.trajectory.poses)
+                    there = first[~np.isnan(first[:, 0, 0])]
+                    pose = there[0] if len(there) else actor.trajectory.poses[0]
+                    drawn = actor.lit_at(pose).drawn.detach()
+                    away = np.full(len(drawn), ACTOR_DISTANCE)
+                    eyes = se3.apply(se3.inverse(pose), path) if len(path) else path
+                    parts[key] = _Part(
+                        f"/actors/{len(parts)}", drawn, _eyes(eyes), importance(drawn, away)
+                    )
+                self._actors[arm][track] = parts[key].name
+        return list(parts.values())
+
+    def _add(self, name: str, splats: Splats) -> None:
+        self._handles[name] = self._server.scene.add_gaussian_splats(
+            name, splats.centres, splats.covariances, splats.colours, splats.opacities,
+            visible=False,
+        )  # fmt: skip
+
+    def _add_coverage(self, inputs: ViewInputs) -> None:
+        for arm, actors in inputs.actors.items():
+            self._coverage[arm] = {}
+            for track, actor in actors.items():
+                if actor.shares is not None:
+                    name = f"/coverage/{len(self._handles)}"
+                    self._add(name, coverage_splats(actor))
+                    self._coverage[arm][track] = name
+
+
+def coverage_splats(actor: Actor) -> Splats:
+    """An actor with shares in the colours of what was seen, mirrored and invented."""
+    colours = np.array(list(SHARES.values())) / 255
+    return baked(coloured_by_shares(actor, colours.tolist()).gaussians, torch.zeros(0, 3))
+
+
+def _first_drive(inputs: ViewInputs, arm: str) -> Drive:
+    """The first drive of an arm; of any, where it has none."""
+    drives = [drives for drives in inputs.scenarios.values() if drives]
+    return next((d[arm] for d in drives if arm in d), next(iter(drives[0].values())))
+
+
+def _eyes(path: Array) -> Array:
+    return path[np.unique(np.linspace(0, len(path) - 1, _EYES).astype(int))] if len(path) else path
+
+
+def _middle(path: Array, scene: StreetScene) -> Array:
+    if len(path):
+        return np.asarray(path.mean(axis=0), np.float64)
+    if len(scene.background):
+        return np.asarray(scene.background.means.detach().double().mean(dim=0).numpy(), np.float64)
+    return np.zeros(3)

@@ -1,0 +1,266 @@
+"""Everything in three dimensions: made once, and then moved from step to step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from threading import RLock
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.geometry import boxes, se3
+from recast.reporting import palette
+from recast.viewer.inputs import Drive, ViewInputs
+from recast.viewer.map_lines import drivable_mesh, lane_lines, raised, segments
+from recast.viewer.splat_nodes import SplatNodes
+
+if TYPE_CHECKING:
+    import viser
+
+Array = NDArray[np.float64]
+
+LAYERS = (
+    "splats", "sky", "boxes", "lanes", "drivable area", "LiDAR", "cameras", "ego", "plans",
+    "coverage colours",
+)  # fmt: skip
+"""What can be switched on and off."""
+_FRUSTUM = 1.0  # metres, height of a camera's image
+_LINE = 0.06  # metres
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What is looked at: a scenario in an arm, at a step."""
+
+    scenario: str
+    arm: str
+    step: int
+
+
+class Stage:
+    """The nodes of a viser scene.
+
+    Args:
+        server: gets the nodes.
+        inputs: what is shown.
+        most: number of Gaussians at most.
+        layers: names of `LAYERS` that are on; None for those that suit the inputs.
+        on_click: called with the track id when somebody clicks at its box.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        inputs: ViewInputs,
+        most: int,
+        layers: set[str] | None = None,
+        on_click: Callable[[str], None] | None = None,
+    ) -> None:
+        self._server, self.inputs, self._on_click = server, inputs, on_click
+        self._lock = RLock()
+        self._nodes: dict[str, Any] = {}
+        self._seen: set[str] = set()
+        self._plan: tuple[str, str, int] | None = None
+        self._path: tuple[str, str] | None = None
+        self._sweep: int | None = None
+        self.splats = SplatNodes(server, inputs, most)
+        self._nodes.update(self.splats.handles)
+        self.layers = set(layers) if layers is not None else self._default_layers()
+        self._add_map()
+
+    def show(self, shown: Shown, pictures: bool = True) -> None:
+        """Put everything where it is at a step.
+
+        Args:
+            pictures: also the images of cameras and the LiDAR, which take longer.
+        """
+        drive = self.inputs.scenarios[shown.scenario][shown.arm]
+        with self._lock, self._server.atomic():
+            poses = drive.at(shown.step)
+            scene = self.inputs.scenes.get(shown.arm)
+            standing = {} if scene is None else scene.standing
+            on = self.layers
+            seen = self.splats.nodes(
+                shown.arm, "splats" in on, "sky" in on, "coverage colours" in on,
+                {**standing, **poses},
+            )  # fmt: skip
+            seen |= dict.fromkeys(self._map_nodes(scene is None))
+            if "boxes" in on:
+                seen |= self._boxes(drive, poses)
+            if drive.rig is not None:
+                seen |= self._ego(drive, shown, drive.rig[shown.step])
+                if "cameras" in on:
+                    seen |= self._cameras(drive, shown.step, drive.rig[shown.step], pictures)
+            if "LiDAR" in on:
+                seen |= self._lidar(drive, shown.step, pictures)
+            self._apply(seen)
+        self._server.flush()
+
+    def _apply(self, seen: Mapping[str, Array | None]) -> None:
+        for name in self._seen - set(seen):
+            self._nodes[name].visible = False
+        for name, pose in seen.items():
+            handle = self._nodes[name]
+            if pose is not None:
+                place(handle, pose)
+            if name not in self._seen:
+                handle.visible = True
+        self._seen = set(seen)
+
+    def _default_layers(self) -> set[str]:
+        on = {"splats", "sky", "boxes", "lanes", "cameras", "ego", "plans"}
+        if not self.splats.handles:
+            on.add("LiDAR")
+        elif not any(d.controlled for arms in self.inputs.scenarios.values()
+                     for d in arms.values()):  # fmt: skip
+            on.discard("boxes")  # a recording has many, which hide what was reconstructed
+        return on
+
+    def _add_map(self) -> None:
+        hdmap, scene = self.inputs.hdmap, self._server.scene
+        if hdmap is None:
+            return
+        boundaries, centrelines = lane_lines(hdmap)
+        for name, lines, colour in (
+            ("/map/boundaries", boundaries, palette.BOUNDARY),
+            ("/map/centrelines", centrelines, palette.ROUTE),
+        ):
+            self._nodes[name] = scene.add_line_segments(
+                name, lines.astype(np.float32), colour, thickness=_LINE, visible=False
+            )
+        vertices, faces = drivable_mesh(hdmap)
+        if len(faces):
+            self._nodes["/map/drivable"] = scene.add_mesh_simple(
+                "/map/drivable", vertices.astype(np.float32), faces.astype(np.uint32),
+                color=palette.DRIVABLE, opacity=0.6, side="double", cast_shadow=False,
+                receive_shadow=False, visible=False,
+            )  # fmt: skip
+
+    def _map_nodes(self, bare: bool) -> list[str]:
+        """Nodes of the map; `bare`: there is no street, so the road itself is drawn."""
+        wanted = []
+        if "lanes" in self.layers:
+            wanted += ["/map/boundaries", "/map/centrelines"]
+        if "drivable area" in self.layers or bare:
+            wanted.append("/map/drivable")
+        return [name for name in wanted if name in self._nodes]
+
+    def _boxes(self, drive: Drive, poses: Mapping[str, Array]) -> dict[str, Array | None]:
+        names = {}
+        for track, pose in poses.items():
+            controlled = track in drive.controlled
+            names[self._box(track, drive.sizes[track], controlled)] = pose
+        return dict(names)
+
+    def _box(self, track: str, size: Array, controlled: bool) -> str:
+        name = f"/boxes/{'controlled' if controlled else 'logged'}/{track.encode().hex()}"
+        if name in self._nodes:
+            return name
+        colour = palette.ACTOR if controlled else palette.LOGGED
+        # Faces would hide the splats within, so only lines are drawn; clicks hit the faces still.
+        self._nodes[name] = box = self._server.scene.add_box(
+            name, colour, tuple(size.tolist()), wireframe=True, opacity=0.02, cast_shadow=False,
+            receive_shadow=False, visible=False,
+        )  # fmt: skip
+        self._outline(f"{name}/edges", size, colour)
+        if self._on_click is not None:
+            clicked = self._on_click
+            box.on_click(lambda _: clicked(track))
+        return name
+
+    def _outline(self, name: str, size: Array, colour: palette.Colour) -> None:
+        edges = box_edges(size).astype(np.float32)
+        self._server.scene.add_line_segments(name, edges, colour, thickness=0.03)
+
+    def _ego(self, drive: Drive, shown: Shown, rig: Array) -> dict[str, Array | None]:
+        seen: dict[str, Array | None] = {}
+        if "ego" in self.layers:
+            if "/ego/box" not in self._nodes:
+                self._nodes["/ego/box"] = self._server.scene.add_frame(
+                    "/ego/box", show_axes=False, visible=False
+                )
+                self._outline("/ego/box/edges", drive.ego_size, palette.EGO)
+            ahead = np.eye(4)
+            ahead[:3, 3] = drive.ego_offset, 0.0, drive.ego_size[2] / 2
+            seen["/ego/box"] = rig @ ahead
+            if self._path != (shown.scenario, shown.arm):
+                self._path = shown.scenario, shown.arm
+                assert drive.rig is not None
+                self._line("/ego/path", raised(drive.rig[:, :3, 3]), palette.EGO)
+                if drive.logged is not None:
+                    self._line("/ego/logged", drive.logged, palette.LOGGED)
+            seen["/ego/path"] = None
+            if drive.logged is not None:
+                seen["/ego/logged"] = None
+        made = [number for number, (step, _) in enumerate(drive.plans) if step <= shown.step]
+        if "plans" in self.layers and made:
+            if self._plan != (shown.scenario, shown.arm, made[-1]):
+                self._plan = shown.scenario, shown.arm, made[-1]
+                self._line("/ego/plan", drive.plans[made[-1]][1], palette.PLAN, 0.12)
+            seen["/ego/plan"] = None
+        return seen
+
+    def _line(
+        self, name: str, points: Array, colour: palette.Colour, thickness: float = _LINE
+    ) -> None:
+        lines = segments([points]).astype(np.float32)
+        if name in self._nodes:
+            self._nodes[name].points = lines
+        else:
+            self._nodes[name] = self._server.scene.add_line_segments(
+                name, lines, colour, thickness=thickness, visible=False
+            )
+
+    def _cameras(
+        self, drive: Drive, step: int, rig: Array, pictures: bool
+    ) -> dict[str, Array | None]:
+        seen: dict[str, Array | None] = {}
+        for camera, mount in drive.cameras.items():
+            name = f"/cameras/{camera.encode().hex()}"
+            film = mount.film
+            shown = pictures and film is not None and len(film) > 0
+            image = film[min(step, len(film) - 1)] if shown and film is not None else None
+            if name not in self._nodes:
+                self._nodes[name] = self._server.scene.add_camera_frustum(
+                    name, mount.fov, mount.aspect, scale=_FRUSTUM, color=palette.TEXT,
+                    image=image, format="jpeg", jpeg_quality=75, cast_shadow=False,
+                    receive_shadow=False, visible=False,
+                )  # fmt: skip
+            elif pictures and (image is not None or film is None):
+                self._nodes[name].image = image
+            seen[name] = rig @ mount.rig_from_camera
+        return seen
+
+    def _lidar(self, drive: Drive, step: int, pictures: bool) -> dict[str, Array | None]:
+        log, name = self.inputs.log, "/lidar"
+        if log is None or not log.lidars:
+            return {}
+        stream = next(iter(log.lidars.values()))
+        if len(stream.timestamps_us) == 0:
+            return {}
+        index = int(np.abs(stream.timestamps_us - drive.times_us[step]).argmin())
+        if pictures and index != self._sweep:
+            self._sweep = index
+            sweep = stream.sweeps[index]
+            points = se3.apply(log.world_from_rig.at(sweep.timestamp_us), sweep.points)
+            shade = 90 + 165 * np.sqrt(sweep.intensity.clip(0, 1))
+            self._nodes[name] = self._server.scene.add_point_cloud(
+                name, points.astype(np.float32),
+                np.repeat(shade[:, None], 3, axis=1).astype(np.uint8), point_size=0.05,
+                visible=name in self._seen,
+            )  # fmt: skip
+        return {name: None} if name in self._nodes else {}
+
+
+def box_edges(size: Array) -> Array:
+    """The twelve edges (12, 2, 3) of a box (3,) about the origin."""
+    found: Array = boxes.corners(size)[np.array(boxes.EDGES)]
+    return found
+
+
+def place(handle: Any, pose: Array) -> None:
+    """Move a node to a pose (4, 4)."""
+    handle.position = pose[:3, 3]
+    handle.wxyz = se3.matrix_to_quat(pose[:3, :3])
