@@ -1,6 +1,8 @@
 """The page in Chromium, opened from disk with the network off: played, stepped, sought, printed.
 
-Without Chromium (/usr/bin/chromium, or CHROMIUM), these tests skip, visibly.
+Without Chromium (/usr/bin/chromium, or CHROMIUM), these tests skip, visibly. With RECAST_VIEW_RUN,
+the folder of a demo's run, its report is clicked through as well, and the pictures of
+docs/report.md are taken anew.
 """
 
 from __future__ import annotations
@@ -8,26 +10,31 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from recast.evaluation import rollout_metrics
+from recast.pipeline.report import report_run
 from recast.reporting import ReportInputs, RolloutPart, ScenarioPart, write_report, write_video
 from reporting.made_up_rollouts import cut_in, straight_map
 
 sync_api = pytest.importorskip("playwright.sync_api")
 
 if TYPE_CHECKING:
-    from playwright.sync_api import BrowserContext, Page
+    from playwright.sync_api import BrowserContext, Locator, Page
 
 CHROMIUM = Path(os.environ.get("CHROMIUM", "/usr/bin/chromium"))
 FLAGS = (
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 )  # fmt: skip
+RUN = os.environ.get("RECAST_VIEW_RUN")
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "images"
 STEPS = 20
 ARMS = {"native": "Native", "replaced": "Replaced"}
 TIMES = "[...document.querySelectorAll('video[data-film]')].map(film => film.currentTime)"
@@ -152,3 +159,30 @@ def test_on_paper_there_are_overview_and_moments_on_two_pages(page: Page, tmp_pa
     page.pdf(path=tmp_path / "page.pdf", prefer_css_page_size=True)
     document = (tmp_path / "page.pdf").read_bytes()
     assert len(re.findall(rb"/Type\s*/Page\b", document)) == 2
+
+
+@pytest.mark.skipif(RUN is None, reason="set RECAST_VIEW_RUN to the folder of a demo's run")
+def test_the_report_of_a_run_and_the_pictures_of_the_docs(
+    browser: BrowserContext, tmp_path: Path
+) -> None:
+    page_file = report_run(str(RUN), tmp_path / "report")
+    page = browser.new_page()
+    page.goto(page_file.as_uri())
+    page.add_style_tag(content="* { position: static !important }")  # bars lie over the pictures
+    picture(page.locator("header").first, "report-first-screen")
+    scenario = page.locator("#scenario-1")
+    scenario.scroll_into_view_if_needed()
+    picture(scenario.locator(".moments"), "report-moments")
+    scenario.locator(".moments button").nth(1).click()
+    page.wait_for_timeout(500)
+    picture(scenario.locator(".player"), "report-player")
+    picture(scenario.locator(".plots"), "report-plots")
+    page.get_by_text("Open the moving scene").click()
+    page.wait_for_url("**/replay.html")
+    page.close()
+
+
+def picture(part: Locator, name: str) -> None:
+    """Take a picture for the docs."""
+    image = Image.open(BytesIO(part.screenshot())).convert("RGB")
+    image.save(DOCS / f"{name}.jpg", quality=85, optimize=True)

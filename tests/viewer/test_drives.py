@@ -53,7 +53,7 @@ def test_contact_is_a_moment(tiny_log: DrivingLog, tiny_map: HdMap, rollout: Rol
     from recast.viewer.drives import rollout_events
 
     metrics = rollout_metrics(rollout, tiny_map)
-    labels = [event.label for event in rollout_events(rollout, metrics)]
+    labels = [event.label for event in rollout_events(rollout, tiny_map)]
     expected = [] if metrics.collision.first_step is None else ["contact"]
     assert [label for label in labels if label == "contact"] == expected
     assert labels[0] == "start" and labels[-1].startswith("end")

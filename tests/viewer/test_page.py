@@ -25,12 +25,14 @@ pytest.importorskip("viser")
 @pytest.fixture
 def page(inputs: ViewInputs, tmp_path: Path) -> Iterator[Page]:
     found = Page(inputs, out=tmp_path / "scenarios", port=8120)
+    found._sending.join()
     yield found
     found.close()
 
 
 def seen(page: Page) -> set[str]:
-    return {name for name, handle in page.stage._nodes.items() if handle.visible}
+    nodes = {**page.stage._nodes, **page.stage.splats.handles}
+    return {name for name, handle in nodes.items() if handle.visible}
 
 
 def actor_node(page: Page, arm: str) -> str:
@@ -40,7 +42,7 @@ def actor_node(page: Page, arm: str) -> str:
 def test_the_actor_is_where_the_drive_has_it_and_only_that_of_the_arm_is_seen(page: Page) -> None:
     page.playback.go_to(6)
     pose = page.playback.drive.at(6)["0"]
-    handle = page.stage._nodes[actor_node(page, "native")]
+    handle = page.stage.splats.handles[actor_node(page, "native")]
     assert handle.position == pytest.approx(pose[:3, 3])
     assert np.allclose(se3.quat_to_matrix(handle.wxyz), pose[:3, :3])
     assert actor_node(page, "native") in seen(page)
@@ -55,6 +57,16 @@ def test_a_street_that_arms_share_is_sent_once(page: Page) -> None:
     assert splats._streets["native"] == splats._streets["replaced"]
     street = len(page.playback.inputs.scenes["native"].background)  # type: ignore[union-attr]
     assert splats.total == splats.kept == street + 600 + 300
+
+
+def test_an_arm_is_sent_when_it_is_first_shown(page: Page, inputs: ViewInputs) -> None:
+    stage = Stage(page.server, inputs, 10_000, ["native"])
+    street = len(inputs.scenes["native"].background)  # type: ignore[union-attr]
+    assert stage.splats.total == street + 600
+    stage.show(Shown("advancing-a", "replaced", 0))
+    assert stage.splats.total == street + 600 + 300
+    stage.show(Shown("advancing-a", "native", 0))
+    assert stage.splats.total == street + 600 + 300
 
 
 def test_an_arm_without_gaussians_shows_boxes_and_the_road(page: Page) -> None:
@@ -98,7 +110,7 @@ def test_two_pages_take_two_ports(page: Page, inputs: ViewInputs) -> None:
 
 
 def test_fewer_gaussians_are_sent_if_that_is_asked_for(page: Page, inputs: ViewInputs) -> None:
-    server, stage = page.server, Stage(page.server, inputs, 100)
+    server, stage = page.server, Stage(page.server, inputs, 100, inputs.scenes)
     assert (stage.splats.kept, stage.splats.total) == (100, page.stage.splats.total)
     stage.show(Shown("advancing-a", "native", 0))
     server.scene.reset()

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import savgol_filter
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -40,6 +39,8 @@ def savgol_signals(
         whole_window: tuplan_garage's slip: the accelerations and then the derivatives (of
             accelerations smoothed over 8) over all N samples, so that little but trends remains.
     """
+    from scipy.signal import savgol_filter  # half a second, which most commands need not wait
+
     heading = np.unwrap(np.asarray(heading, np.float64), axis=-1)
     samples = heading.shape[-1]
     acceleration_window, jerk_window = (samples, samples) if whole_window else (8, 15)

@@ -180,12 +180,7 @@ def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
     ego_boxes, dt = rollout.ego_boxes, rollout.dt
     steps = np.asarray(rollout.plan_steps, np.int64)
     actors = _actors(rollout)
-    collisions = {
-        actor.track_id: no_collision(
-            ego_boxes, rollout.ego_size, actor.states, actor.size, dt, actor.name
-        )
-        for actor in actors
-    }
+    collisions = rollout_collisions(rollout)
     collision = any_collision(list(collisions.values()))
 
     def ttc(future: Callable[[Array, Array, float], Array]) -> TimeToCollision:
@@ -232,6 +227,16 @@ def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
         rollout=rollout,
         hd_map=hd_map,
     )
+
+
+def rollout_collisions(rollout: Rollout) -> dict[str, Collision]:
+    """NC with each controlled actor, by track id, the target first."""
+    return {
+        actor.track_id: no_collision(
+            rollout.ego_boxes, rollout.ego_size, actor.states, actor.size, rollout.dt, actor.name
+        )
+        for actor in _actors(rollout)
+    }
 
 
 class _Actor(NamedTuple):

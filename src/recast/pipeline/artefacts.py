@@ -15,7 +15,7 @@ from recast.pipeline.actor import ActorMakers
 from recast.pipeline.arms import OWN_STREET, PRESETS, Arm, truth_of
 from recast.pipeline.config import RunConfig
 from recast.pipeline.display import FrameProgress
-from recast.pipeline.layout import ACTOR_FOLDER, use_name
+from recast.pipeline.layout import ACTOR_FOLDER, rollout_name, use_name
 from recast.pipeline.making import (
     Maker,
     VehicleParts,
@@ -322,8 +322,3 @@ class Artefacts:
 
     def _actor(self, arm: Arm, track: str) -> Actor:
         return load_actor(self.actor(arm, track).path / ACTOR_FOLDER)
-
-
-def rollout_name(motion: str, planner: str, arm: str) -> str:
-    """What a run calls a rollout."""
-    return use_name("rollout", motion, planner, arm)

@@ -10,6 +10,7 @@ TURNTABLE_FILE = "turntable.mp4"
 VIEWS_FOLDER = "views"
 METRICS_FILE = "metrics.json"
 REPORT_FOLDER = "report"
+REPLAY_FILE = "replay.html"
 
 
 def use_name(what: str, *names: str) -> str:
@@ -21,6 +22,11 @@ def use_name(what: str, *names: str) -> str:
             other names never give the same use.
     """
     return "/".join([what, *(name.replace("%", "%25").replace("/", "%2F") for name in names)])
+
+
+def rollout_name(motion: str, planner: str, arm: str) -> str:
+    """What a run calls a rollout."""
+    return use_name("rollout", motion, planner, arm)
 
 
 def use_parts(use: str) -> tuple[str, ...]:

@@ -14,14 +14,15 @@ from recast.errors import InputError
 from recast.evaluation import RolloutMetrics, rollout_metrics
 from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.pipeline.arms import Arm, truth_of
-from recast.pipeline.artefacts import rollout_name
 from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import (
     ACTOR_FOLDER,
     OBSERVATION_FOLDER,
+    REPLAY_FILE,
     REPORT_FOLDER,
     TURNTABLE_FILE,
     VIEWS_FOLDER,
+    rollout_name,
     use_name,
 )
 from recast.pipeline.report_parts import actor_part, facts, headings, scene_part, warnings
@@ -170,8 +171,13 @@ class GatheredRun:
             ),
             timings=self._timings() or NOT_MADE,
             warnings=warnings(self.map),
+            replay=self._replay(),
             camera_headings=headings(self.log),
         )
+
+    def _replay(self) -> Path | NotMade:
+        path = self.folder.path / REPLAY_FILE
+        return path if path.is_file() else NotMade("recast run writes it if viser is installed")
 
     def _find(self, use: str) -> Artefact | None:
         return self.folder.artefact(self.store, use)

@@ -16,7 +16,7 @@ from recast.pipeline.arms import truth_of
 from recast.pipeline.artefacts import Artefacts
 from recast.pipeline.config import RunConfig
 from recast.pipeline.display import failure_lines, results_tables
-from recast.pipeline.layout import METRICS_FILE, REPORT_FOLDER
+from recast.pipeline.layout import METRICS_FILE, REPLAY_FILE, REPORT_FOLDER
 from recast.pipeline.planner import announce_planner, require_distinct_planners
 from recast.pipeline.report import report_run
 from recast.pipeline.results_files import read_metrics
@@ -24,9 +24,13 @@ from recast.pipeline.run_folder import RunFolder
 from recast.pipeline.scores import write_metrics
 from recast.pipeline.source_log import SourceLog
 from recast.pipeline.sources import RECIPES, Sources
+from recast.pipeline.view import view_inputs
 from recast.simulation import prepare
 from recast.splats import set_threads
+from recast.viewer import require_viser, write_replay
 
+REPLAY_MB = 10.0
+"""Size of a run's replay at most, in 1e6 bytes; the report takes a copy, and is passed on whole."""
 STORE_FOLDER = "store"
 """Name of the store beside the run folders, where no other is named."""
 
@@ -107,10 +111,10 @@ class _Run:
                 path / METRICS_FILE, self._config, used, self._artefacts.source.map
             ),
         )  # fmt: skip
+        made_from = _hash_of("report", used.values())
+        made_from += "" if self._replay(made_from) else ", no replay"
         with self._console.status("writing the report"):
-            self._folder.finish(
-                REPORT_FOLDER, _hash_of("report", used.values()), lambda: report_run(path)
-            )
+            self._folder.finish(REPORT_FOLDER, made_from, lambda: report_run(path))
         metrics = read_metrics(path / METRICS_FILE)
         for table in results_tables(metrics["table"]):
             self._console.print(table)
@@ -119,6 +123,21 @@ class _Run:
         page = path / REPORT_FOLDER / "index.html"
         self._console.print(f"report: {page}", markup=False)
         return page
+
+    def _replay(self, made_from: str) -> bool:
+        """Write the moving scene of the first scenario, which the report links."""
+        path = self._folder.path
+
+        def write() -> None:
+            write_replay(view_inputs([path]), path / REPLAY_FILE, most_mb=REPLAY_MB)
+
+        with self._console.status("writing the replay"):
+            try:
+                require_viser()
+                self._folder.finish(REPLAY_FILE, made_from, write)
+            except InputError as error:  # the report says that there is none
+                self._console.print(f"no replay: {error}", markup=False, style="yellow")
+        return (path / REPLAY_FILE).is_file()
 
     def _announce(self) -> None:
         """Say before the long steps how far each rollout can go.

@@ -11,9 +11,8 @@ from recast.actors import load_actor
 from recast.core import Artefact
 from recast.evaluation import COLUMNS, RolloutMetrics, matched_pairs, rollout_metrics, table
 from recast.logs import HdMap
-from recast.pipeline.artefacts import rollout_name
 from recast.pipeline.config import RunConfig
-from recast.pipeline.layout import ACTOR_FOLDER, VIEWS_FOLDER, use_parts
+from recast.pipeline.layout import ACTOR_FOLDER, VIEWS_FOLDER, rollout_name, use_parts
 from recast.pipeline.results_files import METRICS_VERSION
 from recast.pipeline.rollouts import read_coverage, read_rollout
 from recast.simulation import RolloutFailure

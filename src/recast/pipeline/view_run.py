@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from threading import Lock
 
 from recast.actors import Actor, load_actor
 from recast.actors.insert import insert
 from recast.core import Artefact, Store
 from recast.errors import InputError
-from recast.evaluation import rollout_metrics
 from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.names import folder_name
 from recast.pipeline.arms import Arm
-from recast.pipeline.artefacts import rollout_name
 from recast.pipeline.config import RunConfig
-from recast.pipeline.layout import ACTOR_FOLDER, use_name, use_parts
+from recast.pipeline.layout import ACTOR_FOLDER, rollout_name, use_name, use_parts
 from recast.pipeline.rollouts import films, read_rollout
 from recast.pipeline.run_folder import RunFolder
 from recast.pipeline.view_runner import run_runner
@@ -63,7 +63,7 @@ def drive_of(rollout: Rollout, folder: Path, log: DrivingLog, hdmap: HdMap | Non
     """
     found = {name: FilmFile(path, rollout.steps_run) for name, path in films(folder).items()}
     mounts = camera_mounts(log, [name for name in found if name in log.cameras])
-    return rollout_drive(rollout, log, rollout_metrics(rollout, hdmap), mounts, found)
+    return rollout_drive(rollout, log, hdmap, mounts, found)
 
 
 @dataclass(frozen=True)
@@ -95,9 +95,8 @@ class _Opened:
                 self.view.path, "rollouts", "none of them was made",
                 "finish the run first: repeat its recast run",
             )  # fmt: skip
-        streets: dict[str, StreetScene] = {}
         actors = {name: self._actors(arm) for name, arm in arms.items() if arm.generates}
-        scenes = {name: self._scene(arm, actors, streets) for name, arm in arms.items()}
+        scenes = _Scenes(arms, actors, lambda street: self._find(use_name("scene", street)))
         return ViewInputs(
             title=f"{self.view.path.absolute().name}: track {config.track} of {self.log.name}",
             scenes=scenes,
@@ -120,19 +119,6 @@ class _Opened:
             return None
         return drive_of(rollout, found.path, self.log, self.map)
 
-    def _scene(
-        self, arm: Arm, actors: dict[str, dict[str, Actor]], streets: dict[str, StreetScene]
-    ) -> StreetScene | None:
-        found = self._find(use_name("scene", arm.street))
-        if found is None:  # the truth, or a run that rendered nothing
-            return None
-        if arm.street not in streets:
-            streets[arm.street] = load_scene(found.path)
-        scene = streets[arm.street]
-        for actor in actors.get(arm.name, {}).values():
-            scene = insert(scene, actor)
-        return scene
-
     def _actors(self, arm: Arm) -> dict[str, Actor]:
         """An arm's vehicles by track: its target, and those of further tracks."""
         found: dict[str, Actor] = {}
@@ -147,3 +133,41 @@ class _Opened:
 
     def _find(self, use: str) -> Artefact | None:
         return self.folder.artefact(self.store, use)
+
+
+class _Scenes(Mapping[str, StreetScene | None]):
+    """The street of each arm with its vehicles, which are lit and put in when it is asked for."""
+
+    def __init__(
+        self,
+        arms: Mapping[str, Arm],
+        actors: Mapping[str, Mapping[str, Actor]],
+        find: Callable[[str], Artefact | None],
+    ) -> None:
+        self._arms, self._actors, self._find = arms, actors, find
+        self._streets: dict[str, StreetScene | None] = {}
+        self._made: dict[str, StreetScene | None] = {}
+        self._lock = Lock()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._arms)
+
+    def __len__(self) -> int:
+        return len(self._arms)
+
+    def __getitem__(self, name: str) -> StreetScene | None:
+        arm = self._arms[name]
+        with self._lock:
+            if name not in self._made:
+                scene = self._street(arm.street)
+                if scene is not None:
+                    for actor in self._actors.get(name, {}).values():
+                        scene = insert(scene, actor)
+                self._made[name] = scene
+            return self._made[name]
+
+    def _street(self, name: str) -> StreetScene | None:
+        if name not in self._streets:
+            found = self._find(name)  # none: the truth, or a run that rendered nothing
+            self._streets[name] = None if found is None else load_scene(found.path)
+        return self._streets[name]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from recast.errors import InputError
-from recast.evaluation import rollout_metrics
 from recast.logs import DrivingLog, HdMap
 from recast.pipeline.config import RunConfig
 from recast.pipeline.planner import planner_mounts
@@ -139,5 +138,4 @@ def _run(asked: _Asked, motion: ScriptedMotion, word: str, on_step: OnStep) -> D
         for step in range(rollout.steps_run):
             film.add(renderer.render(rollout.state(step), (camera,))[camera])
             on_step(config.steps + step + 1, total)
-    metrics = rollout_metrics(rollout, asked.hdmap)
-    return rollout_drive(rollout, asked.log, metrics, shown, dict.fromkeys(shown, film))
+    return rollout_drive(rollout, asked.log, asked.hdmap, shown, dict.fromkeys(shown, film))

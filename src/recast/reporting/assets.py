@@ -44,9 +44,13 @@ class Assets:
     incomplete run is still a report.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, scope: str = "") -> None:
+        self.folder, self._scope = folder, scope
         self._taken: set[str] = set()
+
+    def scoped(self, name: str) -> Assets:
+        """Assets of a part of the page, whose files cannot have the names of another part's."""
+        return Assets(self.folder, self._free("scopes", name) + "--")  # no slug has two hyphens
 
     def picture(self, name: str, picture: Picture | NotMade) -> Media | NotMade:
         """Copy a PNG or JPEG, or encode an array as PNG."""
@@ -129,13 +133,16 @@ class Assets:
         return Media(self._url(target), width, height)
 
     def _target(self, kind: str, name: str, suffix: str) -> Path:
+        path = self.folder / kind / f"{self._scope}{self._free(kind, name)}{suffix}"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def _free(self, kind: str, name: str) -> str:
         stem, number = slug(name), 2
         while f"{kind}/{stem}" in self._taken:
             stem, number = f"{slug(name)}-{number}", number + 1
         self._taken.add(f"{kind}/{stem}")
-        path = self.folder / kind / f"{stem}{suffix}"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return path
+        return stem
 
     def _url(self, path: Path) -> str:
         return path.relative_to(self.folder).as_posix()

@@ -232,7 +232,7 @@ class ReportInputs:
     truth_arm: str | None = None
     showcase: ShowcasePart | NotMade = NOT_MADE
     truth: TruthPart | NotMade = NOT_MADE
-    replay: Path | None = None
+    replay: Path | NotMade | None = None
     camera_headings: Mapping[str, float] = field(default_factory=dict)
 
     def validate(self) -> None:

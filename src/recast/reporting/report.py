@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from recast.cores import usable_cores
 from recast.logs.hdmap import HdMap
 from recast.reporting import summary, tables
 from recast.reporting.assets import Assets
@@ -53,17 +56,19 @@ def _render(run: ReportInputs, assets: Assets) -> str:
         aggregate: tuple[tables.Line, ...] = ()
     else:
         layer = MapLayer(run.hd_map if isinstance(run.hd_map, HdMap) else None)
-        scenarios = tuple(
-            scenario_view(run, part, f"scenario-{i + 1}", assets, layer)
-            for i, part in enumerate(run.scenarios)
-        )
+        scopes = [assets.scoped(part.title) for part in run.scenarios]
+        anchors = [f"scenario-{number}" for number in range(1, len(scopes) + 1)]
+        with ThreadPoolExecutor(usable_cores()) as pool:  # films are encoded without Python's lock
+            scenarios = tuple(
+                pool.map(partial(scenario_view, run, layer), run.scenarios, anchors, scopes)
+            )
         aggregate = tables.aggregate_lines(run.scenarios, run.arms, run.truth_arm)
     made = checks(run)
     return render_template(
         "report.html",
         run=run,
         glance=glance(run, made),
-        replay=None if run.replay is None else assets.page("replay", run.replay),
+        replay=assets.page("replay", run.replay) if isinstance(run.replay, Path) else run.replay,
         headline=summary.headline(run),
         checks=made,
         outcomes=summary.outcomes(run),

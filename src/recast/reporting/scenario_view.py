@@ -68,7 +68,7 @@ class ScenarioView:
 
 
 def scenario_view(
-    run: ReportInputs, part: ScenarioPart, anchor: str, assets: Assets, layer: MapLayer
+    run: ReportInputs, layer: MapLayer, part: ScenarioPart, anchor: str, assets: Assets
 ) -> ScenarioView:
     """Write a scenario's films and pictures and gather what the page says about it.
 
@@ -85,7 +85,7 @@ def scenario_view(
         MethodColumn(
             run.arms[p.arm],
             order[p.arm],
-            _draw(part.title, p, driven[p.arm], assets)
+            _draw(p, driven[p.arm], assets)
             if p.arm in driven
             else NotMade(summary.why_missing(p.rollout)),
         )
@@ -143,16 +143,15 @@ def _coverage_plot(run: ReportInputs, part: RolloutPart, end: float) -> plots.Pl
     return plots.coverage_plot(run.arms[part.arm], looked_at(part.coverage), part.rollout.dt, end)
 
 
-def _draw(title: str, part: RolloutPart, drawn: Birdseye, assets: Assets) -> Drawn:
-    name = f"{title}-{part.arm}"
+def _draw(part: RolloutPart, drawn: Birdseye, assets: Assets) -> Drawn:
     films, style, rollout = part.films, BirdseyeStyle(), drawn.rollout
     frames = (drawn.frame(step, style) for step in range(rollout.steps_run + 1))
     return Drawn(
         films=films
         if isinstance(films, NotMade)
-        else {camera: assets.film(f"{name}-{camera}", film) for camera, film in films.items()},
-        birdseye=assets.draw_film(f"{name}-birdseye", frames, 1.0 / rollout.dt),
-        still=assets.picture(f"{name}-birdseye", drawn.still(style)),
+        else {camera: assets.film(f"{part.arm}-{camera}", film) for camera, film in films.items()},
+        birdseye=assets.draw_film(f"{part.arm}-birdseye", frames, 1.0 / rollout.dt),
+        still=assets.picture(f"{part.arm}-birdseye", drawn.still(style)),
         events=summary.rollout_events(part, drawn.curves),
     )
 
@@ -186,4 +185,4 @@ def _joined(
     ]
     if camera is None or len(films) < 2:
         return None
-    return camera, assets.joined_film(f"{part.title}-{camera}-side-by-side", films)
+    return camera, assets.joined_film(f"{camera}-side-by-side", films)

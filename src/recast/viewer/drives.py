@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.dynamics import PACIFICA
-from recast.evaluation import RolloutMetrics
+from recast.evaluation.collision import any_collision
+from recast.evaluation.drivable import drivable_area_compliance
+from recast.evaluation.rollout_metrics import rollout_collisions
 from recast.geometry import PinholeCamera, se3
-from recast.logs import DrivingLog, Trajectory
+from recast.logs import DrivingLog, HdMap, Trajectory
+from recast.logs.drivable_region import drivable_region
 from recast.planning import CameraMount
 from recast.scene import SceneActor, StreetScene
 from recast.simulation import Rollout
@@ -85,7 +88,7 @@ def still(actor: SceneActor) -> Drive:
 def rollout_drive(
     rollout: Rollout,
     log: DrivingLog,
-    metrics: RolloutMetrics,
+    hdmap: HdMap | None,
     mounts: Mapping[str, CameraMount],
     films: Mapping[str, Film],
 ) -> Drive:
@@ -93,7 +96,7 @@ def rollout_drive(
 
     Args:
         log: what it was run on.
-        metrics: its scores.
+        hdmap: of the log, for where the ego leaves the road; or None.
         mounts: cameras on the rig.
         films: what was rendered, by name of the camera.
     """
@@ -116,7 +119,7 @@ def rollout_drive(
         ego_offset=rollout.ego_centre_offset,
         logged=_on_road(rollout.log_ego[:, :2], rollout.world_from_rig),
         plans=plan_lines(rollout),
-        events=rollout_events(rollout, metrics),
+        events=rollout_events(rollout, hdmap),
         cameras={
             name: mounted(mount.camera, mount.rig_from_camera, films.get(name))
             for name, mount in mounts.items()
@@ -135,13 +138,17 @@ def plan_lines(rollout: Rollout) -> tuple[tuple[int, Array], ...]:
     return tuple(lines)
 
 
-def rollout_events(rollout: Rollout, metrics: RolloutMetrics) -> tuple[Event, ...]:
+def rollout_events(rollout: Rollout, hdmap: HdMap | None) -> tuple[Event, ...]:
     """Contact, departure from the road, each plan, and the end; in order of time."""
     found = [Event("start", 0)]
-    if metrics.collision.first_step is not None:
-        found.append(Event("contact", metrics.collision.first_step))
-    if metrics.drivable.first_step is not None:
-        found.append(Event("off the road", metrics.drivable.first_step))
+    contact = any_collision(list(rollout_collisions(rollout).values())).first_step
+    if contact is not None:
+        found.append(Event("contact", contact))
+    departure = drivable_area_compliance(
+        rollout.ego_boxes, rollout.ego_size, drivable_region(hdmap), rollout.dt
+    ).first_step
+    if departure is not None:
+        found.append(Event("off the road", departure))
     found += [
         Event(f"plan {number}", step)
         for number, step in enumerate(rollout.plan_steps.tolist(), start=1)

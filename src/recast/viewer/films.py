@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import cached_property, lru_cache
+from functools import lru_cache
+from itertools import islice
 from pathlib import Path
+from threading import Lock
 
 import cv2
 import numpy as np
@@ -44,7 +46,7 @@ class LogFilm:
 
 
 class FilmFile:
-    """The film of a rollout, decoded when it is first looked at and kept as JPEG.
+    """The film of a rollout, decoded as far as it is looked at and kept as JPEG.
 
     Args:
         path: film that `recast.reporting.video` can read.
@@ -52,18 +54,18 @@ class FilmFile:
     """
 
     def __init__(self, path: Path, steps: int) -> None:
-        self._path, self._steps = path, steps
+        self._left, self._steps = iterate_video(path), steps
+        self._kept: list[NDArray[np.uint8]] = []
+        self._lock = Lock()
 
     def __len__(self) -> int:
         return self._steps
 
     def __getitem__(self, step: int, /) -> Image:
-        found = self._kept[min(step, len(self._kept) - 1)]
-        return _decoded(found)
-
-    @cached_property
-    def _kept(self) -> list[NDArray[np.uint8]]:
-        return encoded(iterate_video(self._path))
+        with self._lock:
+            missing = step + 1 - len(self._kept)
+            self._kept += encoded(islice(self._left, max(missing, 0)))
+        return _decoded(self._kept[min(step, len(self._kept) - 1)])
 
 
 class FilmFrames:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from pathlib import Path
 from threading import Event, Thread
@@ -17,6 +18,8 @@ from recast.viewer.panel_track import TrackPanel, escaped
 from recast.viewer.playback import Change, Playback
 from recast.viewer.stage import Stage
 
+_LOG = logging.getLogger(__name__)
+
 MOST_GAUSSIANS = 300_000
 RATE = 30.0
 """Updates a second while it plays."""
@@ -29,10 +32,13 @@ class Page:
 
     Args:
         inputs: what is shown.
-        most: number of Gaussians that browsers get at most.
+        most: number of Gaussians at most that browsers get of an arm.
         out: folder for scenario files.
         host: address to listen on; other machines see the page only if it is not this one's own.
         port: TCP port; the next free one is taken if it is in use.
+
+    Attributes:
+        pruned: how many Gaussians of the first arm are shown, in words.
 
     Raises:
         InputError: viser is not installed, or the address is none of this machine.
@@ -51,13 +57,18 @@ class Page:
         self._tracks: TrackPanel | None = None
         self._pictures_at = 0.0
         self._over = Event()
-        self.stage = Stage(self.server, self.playback.inputs, most, on_click=self._clicked)
+        self.stage = Stage(
+            self.server, self.playback.inputs, most, [self.playback.arm], on_click=self._clicked
+        )
+        self.pruned = _share(self.stage.splats.kept, self.stage.splats.total)
         self._fill(out)
         open_at(self.server, first_look(self.playback.drive))
         self.playback.subscribe(self._changed)
         self.stage.show(self.playback.shown)
         self._thread = Thread(target=self._work, name="recast-viewer", daemon=True)
         self._thread.start()
+        self._sending = Thread(target=self._send, name="recast-viewer-arms", daemon=True)
+        self._sending.start()
 
     @property
     def url(self) -> str:
@@ -65,19 +76,11 @@ class Page:
         host = self.server.get_host()
         return f"http://{'localhost' if host == '0.0.0.0' else host}:{self.server.get_port()}"
 
-    @property
-    def pruned(self) -> str:
-        """How many Gaussians are shown, in words."""
-        splats = self.stage.splats
-        if splats.total == 0:
-            return "no Gaussians"
-        share = splats.kept / splats.total
-        return f"{splats.kept:,} of {splats.total:,} Gaussians ({share:.0%})"
-
     def close(self) -> None:
         """Stop playing and serving."""
         self._over.set()
         self._thread.join(timeout=10.0)
+        self._sending.join(timeout=10.0)
         self._exact.close()
         close_server(self.server)
 
@@ -113,9 +116,23 @@ class Page:
             self._pictures_at = now
             self._compare.update()
 
+    def _send(self) -> None:
+        """The arms that are not shown yet, so that they are there when they are."""
+        for arm in self.playback.inputs.scenes:
+            if self._over.is_set():
+                return
+            try:
+                self.stage.send([arm])
+            except Exception:  # said again, and to the one who asks, when the arm is shown
+                _LOG.warning("arm %s cannot be sent", arm, exc_info=True)
+
     def _work(self) -> None:
         before = time.monotonic()
         while not self._over.wait(1 / RATE):
             now = time.monotonic()
             self.playback.tick(now - before)
             before = now
+
+
+def _share(kept: int, total: int) -> str:
+    return f"{kept:,} of {total:,} Gaussians ({kept / total:.0%})" if total else "no Gaussians"

@@ -21,6 +21,7 @@ _PICTURES_EVERY = 5  # steps
 _TRIES = 6
 _MARGIN = 0.95
 _PAGE = 900_000  # bytes of a replay without a scene
+_GAUSSIAN = 36  # bytes, at least: 28 in base 64, of which zstd saves little
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,7 @@ def write_replay(
             f"choose one of {', '.join(inputs.scenarios)}",
         )  # fmt: skip
     limit = round(most_mb * 1e6)
+    most = min(most, max(limit - _PAGE, 0) // _GAUSSIAN)  # what surely does not fit is not tried
     shown = _only(inputs, name)
     for _ in range(_TRIES):
         html, kept, total = _recorded(shown, name, most)
@@ -99,7 +101,7 @@ def _recorded(inputs: ViewInputs, scenario: str, most: int) -> tuple[str, int, i
     """The page, and how many Gaussians it has of how many."""
     server = open_server(LOOPBACK, 8099)
     try:
-        stage = Stage(server, inputs, most)
+        stage = Stage(server, inputs, most, inputs.scenes)
         drives = inputs.scenarios[scenario]
         open_at(server, overview(next(iter(drives.values()))))
         first = next(iter(drives))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from threading import RLock
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,7 +31,7 @@ _EYES = 24
 """Most places of the ego from which colours are looked at."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Part:
     """Gaussians that are sent once, with what decides on which of them."""
 
@@ -38,35 +39,55 @@ class _Part:
     gaussians: Gaussians
     eyes: Array
     importance: Array
+    sent: bool = False
 
 
 class SplatNodes:
-    """Backgrounds, skies and actors of all arms.
+    """Backgrounds, skies and actors, arm by arm.
 
     Args:
         server: gets the nodes, all of them invisible.
         inputs: what is shown.
-        most: number of Gaussians at most, without the sky.
+        most: number of Gaussians at most, without the sky, of the arms of one `add`.
 
     Attributes:
-        total, kept: numbers of Gaussians that there are, and that were sent.
+        total, kept: numbers of Gaussians that there are in the arms so far, and that were sent.
     """
 
     def __init__(self, server: viser.ViserServer, inputs: ViewInputs, most: int) -> None:
-        self._server = server
+        self._server, self._inputs, self._most = server, inputs, most
+        self._lock = RLock()
+        self._parts: dict[int, _Part] = {}
         self._streets: dict[str, tuple[str, str]] = {}
         self._actors: dict[str, dict[str, str]] = {}
         self._coverage: dict[str, dict[str, str]] = {}
         self._handles: dict[str, viser.GaussianSplatHandle] = {}
-        parts = self._gather(inputs)
-        rows = most_important([part.importance for part in parts], most)
-        self.total = sum(len(part.gaussians) for part in parts)
-        self.kept = sum(len(row) for row in rows)
-        for part, row in zip(parts, rows, strict=True):
-            if len(row):
-                chosen = part.gaussians.select(torch.from_numpy(row))
-                self._add(part.name, baked(chosen, torch.from_numpy(part.eyes).float()))
-        self._add_coverage(inputs)
+        self._there: set[str] = set()
+        self.total = self.kept = 0
+
+    def add(self, arms: Iterable[str]) -> None:
+        """Send what arms show, unless it is there.
+
+        Which Gaussians are important enough is decided over all that the arms show; what an earlier
+        arm sent stays as it was sent.
+        """
+        with self._lock:
+            new = [arm for arm in arms if arm not in self._there]
+            shown = {id(part): part for arm in new for part in self._gather(arm)}
+            parts = list(shown.values())
+            rows = most_important([part.importance for part in parts], self._most)
+            for part, row in zip(parts, rows, strict=True):
+                if part.sent:
+                    continue
+                part.sent = True
+                self.total += len(part.gaussians)
+                self.kept += len(row)
+                if len(row):
+                    chosen = part.gaussians.select(torch.from_numpy(row))
+                    self._add(part.name, baked(chosen, torch.from_numpy(part.eyes).float()))
+            for arm in new:
+                self._add_coverage(arm)
+            self._there.update(new)
 
     def nodes(
         self, arm: str, splats: bool, sky: bool, coverage: bool, poses: Mapping[str, Array]
@@ -95,40 +116,42 @@ class SplatNodes:
         """Handles by name of the node."""
         return self._handles
 
-    def _gather(self, inputs: ViewInputs) -> list[_Part]:
-        parts: dict[int, _Part] = {}
-        for arm, scene in inputs.scenes.items():
-            if scene is None:
-                continue
-            drive = _first_drive(inputs, arm)
-            path = np.zeros((0, 3)) if drive.rig is None else drive.rig[:, :3, 3]
-            key = id(scene.background)
+    def _gather(self, arm: str) -> list[_Part]:
+        """What an arm shows."""
+        scene = self._inputs.scenes.get(arm)
+        if scene is None:
+            return []
+        parts, drive = self._parts, _first_drive(self._inputs, arm)
+        path = np.zeros((0, 3)) if drive.rig is None else drive.rig[:, :3, 3]
+        key = id(scene.background)
+        if key not in parts:
+            name = f"/street/{len(parts)}"
+            values = importance(scene.background, path_distances(scene.background, path))
+            parts[key] = _Part(name, scene.background, _eyes(path), values)
+            dome = f"/sky/{len(parts)}"
+            self._add(dome, sky_dome(scene.sky, _middle(path, scene)))
+            self._streets[arm] = name, dome
+        else:
+            self._streets[arm] = next(
+                nodes for nodes in self._streets.values() if nodes[0] == parts[key].name
+            )
+        found, names = [parts[key]], {}
+        for track, actor in scene.actors.items():
+            key = id(actor.gaussians)
             if key not in parts:
-                name = f"/street/{len(parts)}"
-                values = importance(scene.background, path_distances(scene.background, path))
-                parts[key] = _Part(name, scene.background, _eyes(path), values)
-                dome = f"/sky/{len(parts)}"
-                self._add(dome, sky_dome(scene.sky, _middle(path, scene)))
-                self._streets[arm] = name, dome
-            else:
-                self._streets[arm] = next(
-                    nodes for nodes in self._streets.values() if nodes[0] == parts[key].name
+                first = drive.poses.get(track, actor.trajectory.poses)
+                there = first[~np.isnan(first[:, 0, 0])]
+                pose = there[0] if len(there) else actor.trajectory.poses[0]
+                drawn = actor.lit_at(pose).drawn.detach()
+                away = np.full(len(drawn), ACTOR_DISTANCE)
+                eyes = se3.apply(se3.inverse(pose), path) if len(path) else path
+                parts[key] = _Part(
+                    f"/actors/{len(parts)}", drawn, _eyes(eyes), importance(drawn, away)
                 )
-            self._actors[arm] = {}
-            for track, actor in scene.actors.items():
-                key = id(actor.gaussians)
-                if key not in parts:
-                    first = drive.poses.get(track, actor.trajectory.poses)
-                    there = first[~np.isnan(first[:, 0, 0])]
-                    pose = there[0] if len(there) else actor.trajectory.poses[0]
-                    drawn = actor.lit_at(pose).drawn.detach()
-                    away = np.full(len(drawn), ACTOR_DISTANCE)
-                    eyes = se3.apply(se3.inverse(pose), path) if len(path) else path
-                    parts[key] = _Part(
-                        f"/actors/{len(parts)}", drawn, _eyes(eyes), importance(drawn, away)
-                    )
-                self._actors[arm][track] = parts[key].name
-        return list(parts.values())
+            found.append(parts[key])
+            names[track] = parts[key].name
+        self._actors[arm] = names
+        return found
 
     def _add(self, name: str, splats: Splats) -> None:
         self._handles[name] = self._server.scene.add_gaussian_splats(
@@ -136,14 +159,13 @@ class SplatNodes:
             visible=False,
         )  # fmt: skip
 
-    def _add_coverage(self, inputs: ViewInputs) -> None:
-        for arm, actors in inputs.actors.items():
-            self._coverage[arm] = {}
-            for track, actor in actors.items():
-                if actor.shares is not None:
-                    name = f"/coverage/{len(self._handles)}"
-                    self._add(name, coverage_splats(actor))
-                    self._coverage[arm][track] = name
+    def _add_coverage(self, arm: str) -> None:
+        self._coverage[arm] = {}
+        for track, actor in self._inputs.actors.get(arm, {}).items():
+            if actor.shares is not None:
+                name = f"/coverage/{len(self._handles)}"
+                self._add(name, coverage_splats(actor))
+                self._coverage[arm][track] = name
 
 
 def coverage_splats(actor: Actor) -> Splats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from threading import RLock
 from typing import TYPE_CHECKING, Any
@@ -45,7 +45,8 @@ class Stage:
     Args:
         server: gets the nodes.
         inputs: what is shown.
-        most: number of Gaussians at most.
+        most: number of Gaussians of an arm at most.
+        arms: those that are sent at once; the others when they are first shown, or by `send`.
         layers: names of `LAYERS` that are on; None for those that suit the inputs.
         on_click: called with the track id when somebody clicks at its box.
     """
@@ -55,6 +56,7 @@ class Stage:
         server: viser.ViserServer,
         inputs: ViewInputs,
         most: int,
+        arms: Iterable[str],
         layers: set[str] | None = None,
         on_click: Callable[[str], None] | None = None,
     ) -> None:
@@ -66,9 +68,13 @@ class Stage:
         self._path: tuple[str, str] | None = None
         self._sweep: int | None = None
         self.splats = SplatNodes(server, inputs, most)
-        self._nodes.update(self.splats.handles)
+        self.send(arms)
         self.layers = set(layers) if layers is not None else self._default_layers()
         self._add_map()
+
+    def send(self, arms: Iterable[str]) -> None:
+        """Send the Gaussians of arms, unless they are there."""
+        self.splats.add(arms)
 
     def show(self, shown: Shown, pictures: bool = True) -> None:
         """Put everything where it is at a step.
@@ -77,6 +83,7 @@ class Stage:
             pictures: also the images of cameras and the LiDAR, which take longer.
         """
         drive = self.inputs.scenarios[shown.scenario][shown.arm]
+        self.send([shown.arm])
         with self._lock, self._server.atomic():
             poses = drive.at(shown.step)
             scene = self.inputs.scenes.get(shown.arm)
@@ -100,14 +107,17 @@ class Stage:
 
     def _apply(self, seen: Mapping[str, Array | None]) -> None:
         for name in self._seen - set(seen):
-            self._nodes[name].visible = False
+            self._node(name).visible = False
         for name, pose in seen.items():
-            handle = self._nodes[name]
+            handle = self._node(name)
             if pose is not None:
                 place(handle, pose)
             if name not in self._seen:
                 handle.visible = True
         self._seen = set(seen)
+
+    def _node(self, name: str) -> Any:
+        return self._nodes[name] if name in self._nodes else self.splats.handles[name]
 
     def _default_layers(self) -> set[str]:
         on = {"splats", "sky", "boxes", "lanes", "cameras", "ego", "plans"}

@@ -8,10 +8,10 @@ from typing import Any
 from recast.core import Artefact
 from recast.evaluation.grid_row import GridRow
 from recast.evaluation.same_script import script_difference
-from recast.pipeline.artefacts import rollout_name
 from recast.pipeline.bench.scenes import BenchScene
 from recast.pipeline.bench.tasks import Outcome
 from recast.pipeline.config import RunConfig
+from recast.pipeline.layout import rollout_name
 from recast.pipeline.rollouts import read_rollout
 from recast.simulation import Rollout
 
