@@ -33,11 +33,11 @@ import torch
 from raster import CAMERA, street, view
 from torch import Tensor
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.scene import SceneConfig, StreetScene
 from recast.scene.initialise import Initialisation
-from recast.scene.lidar import DepthSamples
+from recast.scene.points import DepthSamples
 from recast.scene.render import SceneRasterizer
 from recast.scene.sky import SkyMap
 from recast.scene.trainer import Trainer
@@ -172,9 +172,16 @@ def over_gsplat(
 
     def directly(tensors: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         image, alpha, _ = gsplat.rasterization(
-            **tensors, viewmats=pose[None], Ks=K.to(device)[None], width=width, height=height,
-            near_plane=0.2, sh_degree=gaussians.sh_degree, packed=False, render_mode="RGB+D",
-        )  # fmt: skip
+            **tensors,
+            viewmats=pose[None],
+            Ks=K.to(device)[None],
+            width=width,
+            height=height,
+            near_plane=0.2,
+            sh_degree=gaussians.sh_degree,
+            packed=False,
+            render_mode="RGB+D",
+        )
         return image, alpha
 
     def direct_step() -> None:

@@ -20,9 +20,7 @@ import torch
 from torch import Tensor
 
 from recast.splats import Gaussians, RasterMeta, morton_order, native, rasterize, reference
-from recast.splats.native.autograd import run_forward
-from recast.splats.native.memory import empty
-from recast.splats.native.workspace import Workspace
+from recast.splats.native.rasterizer import Workspace, empty, run_forward
 from recast.splats.rasterization import TILE, RasterSettings
 
 SIZES = ((320, 213), (960, 640))

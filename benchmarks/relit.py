@@ -17,8 +17,8 @@ import numpy as np
 import torch
 
 from recast.actors import insert, load_actor
-from recast.evaluation.oracle_draw import Painter
 from recast.evaluation.oracle_poses import ViewSettings, place_views
+from recast.evaluation.oracle_views import Painter
 from recast.logs import read_log
 from recast.scene import load_scene
 from recast.simulation import camera_mounts
@@ -40,9 +40,13 @@ def scores(folder: Path, settings: ViewSettings) -> tuple[str, dict[str, tuple[f
     track = log.tracks[actor.track_id]
     exposures = {name: exposure(world.seed, name) for name in mounts}
     painter = Painter(
-        dict(zip(NAMES, models, strict=True)), Oracle(world), actor.track_id, track.size, mounts,
+        dict(zip(NAMES, models, strict=True)),
+        Oracle(world),
+        actor.track_id,
+        track.size,
+        mounts,
         exposures,
-    )  # fmt: skip
+    )
     found = []
     for view in place_views(log, track, mounts, settings):
         rectangle = painter.rectangle(view)

@@ -121,9 +121,12 @@ def main() -> None:
         for name, mounted in make_rig(*chosen.size).cameras.items()
     }
     setup = RolloutSetup(
-        log, track.track_id, MOTIONS["oncoming-a"], steps=chosen.steps,
+        log,
+        track.track_id,
+        MOTIONS["oncoming-a"],
+        steps=chosen.steps,
         camera_names=planner_cameras(planner, mounts),
-    )  # fmt: skip
+    )
     renderer = SceneRenderer(made_up_scene(stage, track, chosen.gaussians), mounts)
     print(
         f"{planner.name}, {chosen.gaussians} Gaussians, {len(setup.camera_names or ())} cameras "

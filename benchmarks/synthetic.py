@@ -24,16 +24,12 @@ import numpy as np
 
 from recast.geometry import PinholeCamera, se3
 from recast.synthetic.rendering import WAYMO_TOP, RayScene, render_camera, scan_lidar
-from recast.synthetic.rendering.antialias import OFFSETS, borrow_light, edge_pixels
-from recast.synthetic.rendering.embree import Mesh
-from recast.synthetic.rendering.light_filter import LightFilter
-from recast.synthetic.rendering.lighting import add_light_samples, sample_light
-from recast.synthetic.rendering.sampling import pixel_samples
-from recast.synthetic.rendering.shading import shade
-from recast.synthetic.rendering.sky_light import SkyLight, sky_light
-from recast.synthetic.rendering.surface_points import surface_points
-from recast.synthetic.rendering.textures import textured
-from recast.synthetic.rendering.trace_image import LONELY_SAMPLES, camera_rays
+from recast.synthetic.rendering.camera import LONELY_SAMPLES, camera_rays
+from recast.synthetic.rendering.lighting import LightFilter, add_light_samples, sample_light
+from recast.synthetic.rendering.rays import Mesh, pixel_samples
+from recast.synthetic.rendering.shading import OFFSETS, borrow_light, edge_pixels, shade
+from recast.synthetic.rendering.sky import SkyLight, sky_light
+from recast.synthetic.rendering.surface_points import surface_points, textured
 from recast.synthetic.streets import make_street
 from recast.synthetic.surface import concatenate
 from recast.synthetic.vehicles import sample_vehicle
@@ -157,8 +153,11 @@ def camera_stages(setting: Setting, stages: Stages) -> dict[str, float]:
             shade(posed, light, others, borrowed, angle)
 
     stages("4 rays at edges", further)
-    return {"surface": len(points) / len(grid), "edges": len(edges) / len(grid),
-            "lonely": len(lonely) / len(grid)}  # fmt: skip
+    return {
+        "surface": len(points) / len(grid),
+        "edges": len(edges) / len(grid),
+        "lonely": len(lonely) / len(grid),
+    }
 
 
 def longest_pause(work: Callable[[], object]) -> tuple[float, float]:
@@ -217,8 +216,18 @@ def main() -> None:
     print(f"table of a sky                  {ms['sky table']:8.0f}")
     print(f"first frame of a process        {first:8.0f}  (textures drawn, sky tabulated)\n")
     print(f"frame {width} x {height}              {ms['frame']:12.0f}  share of frame")
-    names = ("rays", "cast", "points", "light", "lonely light", "filter", "(textures)", "shade",
-             "edges", "4 rays at edges")  # fmt: skip
+    names = (
+        "rays",
+        "cast",
+        "points",
+        "light",
+        "lonely light",
+        "filter",
+        "(textures)",
+        "shade",
+        "edges",
+        "4 rays at edges",
+    )
     for name in names:
         print(f"    {name:18} {ms[name]:17.1f}  {100 * ms[name] / ms['frame']:5.0f} %")
     for name, share in shares.items():

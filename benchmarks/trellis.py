@@ -22,6 +22,7 @@ from torch.nn.functional import max_pool3d
 
 from recast.trellis import ImageTo3D
 from recast.trellis.checkpoints import SMALL, new_checkpoint
+from recast.trellis.generation import Stopwatch
 from recast.trellis.models import SLatEncoder, SparseStructureEncoder
 from recast.trellis.sparse import (
     SparseTensor,
@@ -30,9 +31,8 @@ from recast.trellis.sparse import (
     submanifold_convolution,
     window_partition,
 )
-from recast.trellis.sparse.neighbours import OFFSETS
-from recast.trellis.sparse.packed import attention_reference
-from recast.trellis.stopwatch import Stopwatch
+from recast.trellis.sparse.tensor import OFFSETS
+from recast.trellis.sparse.tokens import attention_reference
 
 HEAD_CHANNELS = 32
 WINDOW, SHIFT = 8, 4

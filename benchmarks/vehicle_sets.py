@@ -39,11 +39,10 @@ from recast.recar import (
     synthesize_set,
 )
 from recast.recar.ingest import IngestSettings, ingest_photographs, perceptual_hash
-from recast.recar.ingest.perceptual_hash import BITS, Hashes
-from recast.recar.ingest.seen_pictures import SeenPictures
+from recast.recar.ingest.duplicates import BITS, Hashes, SeenPictures
 from recast.recar.record import view_file
 from recast.recar.shards import pack_set, read_shards, stream_identities
-from recast.recar.shards.plan import plan_shards
+from recast.recar.shards.pack import plan_shards
 from recast.recar.synthesis_plan import plan_identities
 
 KINDS = ("sedan", "suv", "hatchback", "van", "pickup")
@@ -250,12 +249,17 @@ def run(arguments: argparse.Namespace, folder: Path) -> None:
         rates = [one.seconds / number for one, number in zip(found, counts, strict=True)]
         print(
             line.format(
-                name, counts[0], f"{found[0].seconds:.2f}", counts[1], f"{found[1].seconds:.2f}",
+                name,
+                counts[0],
+                f"{found[0].seconds:.2f}",
+                counts[1],
+                f"{found[1].seconds:.2f}",
                 f"{rates[1] / rates[0]:.2f}" if counts[1] > counts[0] else "-",
-                f"{found[1].memory:.0f}", found[1].detail,
+                f"{found[1].memory:.0f}",
+                found[1].detail,
             ),
             flush=True,
-        )  # fmt: skip
+        )
 
     whole, part = list(sizes), packed_sizes
     show("open", open_folders, whole, [*sets])

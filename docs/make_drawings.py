@@ -30,8 +30,16 @@ def outward(ax: Axes, place: tuple[float, float], colour: str, word: str, toward
     """An axis that points at the reader (a dot), or away (a cross)."""
     ax.add_patch(Circle(place, 0.11, fill=False, color=colour, lw=1.5))
     ax.plot(*place, "." if toward else "x", color=colour, ms=6 if toward else 7)
-    ax.text(place[0] - 0.26, place[1] - 0.26, word, color=colour, ha="center", va="center",
-            fontsize=10, weight="bold")  # fmt: skip
+    ax.text(
+        place[0] - 0.26,
+        place[1] - 0.26,
+        word,
+        color=colour,
+        ha="center",
+        va="center",
+        fontsize=10,
+        weight="bold",
+    )
 
 
 def box(ax: Axes, centre: tuple[float, float], size: tuple[float, float], turn: float = 0.0):
@@ -129,8 +137,13 @@ def unit_cube(ax: Axes):
     blank(ax, "Unit cube of a generator: before registration", (-1.15, 1.85), (-0.95, 1.0))
     ax.add_patch(Rectangle((-0.5, -0.5), 1, 1, facecolor="none", edgecolor=FAINT, ls="--"))
     box(ax, (0, -0.33), (0.98, 0.33))
-    ax.add_patch(Polygon([(-0.3, -0.17), (-0.18, 0.02), (0.16, 0.02), (0.3, -0.17)],
-                         facecolor=BODY, edgecolor=FAINT))  # fmt: skip
+    ax.add_patch(
+        Polygon(
+            [(-0.3, -0.17), (-0.18, 0.02), (0.16, 0.02), (0.3, -0.17)],
+            facecolor=BODY,
+            edgecolor=FAINT,
+        )
+    )
     arrow(ax, (0, 0), (0.42, 0), X, "x")
     arrow(ax, (0, 0), (0, 0.42), Z, "z")
     note(ax, 0, 0.78, "z is up; the heading may be any\n(recast-mini: +x is the front)", fontsize=8)
@@ -138,8 +151,9 @@ def unit_cube(ax: Axes):
     note(ax, 0.5, -0.62, "0.5", fontsize=8)
     note(ax, -0.66, 0.46, "0.5", fontsize=8)
     note(ax, 1.2, 0.0, "axes, yaw,\nscale, shift", fontsize=8.5)
-    ax.annotate("", (1.62, -0.32), (0.62, -0.32),
-                arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.2})  # fmt: skip
+    ax.annotate(
+        "", (1.62, -0.32), (0.62, -0.32), arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.2}
+    )
     note(ax, 1.2, -0.6, "box of the track\n(metres, x forward)", fontsize=8.5)
 
 

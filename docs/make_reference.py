@@ -47,7 +47,7 @@ PACKAGES = {
     "recast.weights": "Published weights",
 }
 """Packages with a page of their public names (`__all__`), in the order of the overview."""
-LOOSE = {"recast.pipeline.face": "From a log to a report", "recast.errors": "Errors"}
+LOOSE = {"recast.pipeline.face": "From a log to a report", "recast.core.errors": "Errors"}
 """Modules without `__all__` that `recast` takes names from."""
 MODELS = {
     "Runs": (
@@ -62,12 +62,12 @@ MODELS = {
         ),
     ),
     "Training of the image-to-3D model": (
-        ("recast.recar.targets.settings", "TargetSettings", "settings of the pseudo-targets"),
-        ("recast.recar.targets.settings", "FilterSettings", "`filter` of the pseudo-targets"),
-        ("recast.recar.perturb.config", "PerturbationConfig", "file for `--perturbations`"),
+        ("recast.recar.targets.record", "TargetSettings", "settings of the pseudo-targets"),
+        ("recast.recar.targets.record", "FilterSettings", "`filter` of the pseudo-targets"),
+        ("recast.recar.perturb.compose", "PerturbationConfig", "file for `--perturbations`"),
         ("recast.recar.training.stage_config", "StageConfig", "one stage of `recast recar train`"),
         ("recast.recar.training.stage_config", "FlowObjective", "`objective` of a stage"),
-        ("recast.recar.training.settings", "TrainerSettings", "`trainer` of a training"),
+        ("recast.recar.training.task", "TrainerSettings", "`trainer` of a training"),
     ),
     "Training of the small planner": (
         (

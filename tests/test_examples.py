@@ -83,12 +83,6 @@ def test_6_steps_four_environments(said, folder: Path) -> None:
     }
 
 
-def test_there_are_six_and_each_is_short() -> None:
-    assert [name[0] for name in NUMBERED] == list("123456")
-    for name in NUMBERED:
-        assert len((EXAMPLES / name).read_text().splitlines()) < 40, name
-
-
 def test_the_page_shows_them_as_they_are() -> None:
     page = PAGE.read_text()
     for name in NUMBERED:
@@ -105,10 +99,6 @@ def test_the_page_shows_them_as_they_are() -> None:
 def test_a_planner_drives_without_a_scene(name: str, word: str, said, folder: Path) -> None:
     out = said(name, folder / "log", "advancing-a")
     assert word in out and int(out.split()[0]) >= 10
-
-
-def test_plugging_in_a_planner_takes_less_than_thirty_lines() -> None:
-    assert len((EXAMPLES / "your_planner.py").read_text().splitlines()) < 30
 
 
 def test_the_agent_can_be_named(monkeypatch: pytest.MonkeyPatch) -> None:

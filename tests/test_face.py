@@ -14,13 +14,21 @@ import pytest
 
 import recast
 from faults.parts import Box
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.splats import write_ply
 
 FUNCTIONS = (
-    "evaluate", "load_log", "load_scene", "make_actor", "motion", "reconstruct", "run_grid",
-    "score", "Simulator", "write_report",
-)  # fmt: skip
+    "evaluate",
+    "load_log",
+    "load_scene",
+    "make_actor",
+    "motion",
+    "reconstruct",
+    "run_grid",
+    "score",
+    "Simulator",
+    "write_report",
+)
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +46,12 @@ def names(tiny_log_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> di
     while not sim.done:
         observation = sim.step(planner.plan(observation))
     return {
-        "folder": folder, "log": log, "scene": scene, "planner": planner, "rollout": sim.rollout,
-    }  # fmt: skip
+        "folder": folder,
+        "log": log,
+        "scene": scene,
+        "planner": planner,
+        "rollout": sim.rollout,
+    }
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)

@@ -6,13 +6,30 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recast.errors import LINE_LIMIT, InputError
-from recast.names import folder_name, member
+from recast.core.errors import LINE_LIMIT, InputError
+from recast.core.names import folder_name, member
 
 HOSTILE = [
-    "", ".", "..", "../x", "/etc/passwd", "a/b", "a\\b", "a\0b", "a\nb", "A" * 300, "\u202etxt.exe",
-    "<script>alert(1)</script>", ".hidden", "-rf", "con", "NUL.txt", "a.", "é", "\ud800",
-]  # fmt: skip
+    "",
+    ".",
+    "..",
+    "../x",
+    "/etc/passwd",
+    "a/b",
+    "a\\b",
+    "a\0b",
+    "a\nb",
+    "A" * 300,
+    "\u202etxt.exe",
+    "<script>alert(1)</script>",
+    ".hidden",
+    "-rf",
+    "con",
+    "NUL.txt",
+    "a.",
+    "é",
+    "\ud800",
+]
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from recast.actors.vehicle_files import VEHICLE_SUFFIXES
-from recast.parts import GENERATORS, IMPORTERS, PLANNERS, SCENES, SEGMENTERS
-from recast.plugins import Registry
+from recast.core.parts import GENERATORS, IMPORTERS, PLANNERS, SCENES, SEGMENTERS
+from recast.core.plugins import Registry
 
 KINDS = (PLANNERS, GENERATORS, SEGMENTERS, IMPORTERS, SCENES)
 DATA_PAGE = Path(__file__).parents[1] / "docs" / "data.md"

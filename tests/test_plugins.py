@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from recast import plugins
-from recast.errors import InputError
-from recast.plugins import Registry
+from recast.core import plugins
+from recast.core.errors import InputError
+from recast.core.plugins import Registry
 
 MODULE = """
 class Cup:
@@ -127,8 +127,9 @@ def test_a_kind_that_reads_nothing_knows_no_places(here: Path) -> None:
 
 
 def test_a_kind_whose_code_is_the_part() -> None:
-    pots = Registry("pot", CUPS.group, {"pour": "cup_shelf:read_rest"}, members=("__call__",),
-                    makes_parts=False)  # fmt: skip
+    pots = Registry(
+        "pot", CUPS.group, {"pour": "cup_shelf:read_rest"}, members=("__call__",), makes_parts=False
+    )
     assert pots.resolve("pour")("x").source == pots.resolve("cup_shelf:read_rest")("x").source
     assert pots.resolve(len) is len
     with pytest.raises(InputError, match="made int, which lacks __call__"):

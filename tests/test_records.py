@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from recast import records
-from recast.records import Record
+from recast.core import records
+from recast.core.records import Record
 
 SOURCE = Path(records.__file__).parent
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from recast import plugins
+from recast.core import plugins
+from recast.core.source_files import source_files
 from recast.planning import PLANNERS
-from recast.source_files import source_files
 
 
 @pytest.fixture
@@ -63,9 +63,12 @@ def test_all_of_a_package_and_the_modules_beside_it(user: Path) -> None:
     (user / "whole" / "weights.bin").write_bytes(b"1")
     names = _names(user, source_files("whole.part:Planner"))
     assert names == [
-        "helper_of_whole.py", "whole/__init__.py", "whole/far/unused.py", "whole/part.py",
+        "helper_of_whole.py",
+        "whole/__init__.py",
+        "whole/far/unused.py",
+        "whole/part.py",
         "whole/venv/site_packages.py",
-    ]  # fmt: skip
+    ]
     assert source_files("whole:Planner") == source_files("whole.far.unused:Planner")
 
 
@@ -86,7 +89,7 @@ def test_of_installed_packages_their_own_files_only(
 
 
 @pytest.mark.parametrize(
-    "name", ["recast.planning.probes:left_arc", "no_such_module:x", ".x:y", ""]
+    "name", ["recast.planning.simple:left_arc", "no_such_module:x", ".x:y", ""]
 )
 def test_no_files(name: str) -> None:
     assert source_files(name) == ()

@@ -8,32 +8,32 @@ from pathlib import Path
 
 import pytest
 
-from recast import storage
-from recast.errors import InputError
+from recast.core import files
+from recast.core.errors import InputError
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
     target = tmp_path / "value.json"
-    storage.write_json(target, {"a": 1})
-    with pytest.raises(RuntimeError), storage.atomic_file(target) as partial:
+    files.write_json(target, {"a": 1})
+    with pytest.raises(RuntimeError), files.atomic_file(target) as partial:
         partial.write_text("half")
         raise RuntimeError("interrupted")
-    assert storage.read_json(target) == {"a": 1}
+    assert files.read_json(target) == {"a": 1}
     assert [p.name for p in tmp_path.iterdir()] == ["value.json"]
 
 
 def test_a_full_disk_is_one_clear_line(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no space left"), storage.atomic_file(tmp_path / "x"):
+    with pytest.raises(InputError, match="no space left"), files.atomic_file(tmp_path / "x"):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError), storage.atomic_folder(tmp_path / "out") as partial:
+    with pytest.raises(RuntimeError), files.atomic_folder(tmp_path / "out") as partial:
         (partial / "one").write_text("1")
         raise RuntimeError("interrupted")
     assert list(tmp_path.iterdir()) == []
-    with storage.atomic_folder(tmp_path / "out") as partial:
+    with files.atomic_folder(tmp_path / "out") as partial:
         (partial / "one").write_text("1")
     assert (tmp_path / "out" / "one").read_text() == "1"
 
@@ -47,30 +47,33 @@ def test_what_a_kill_left_is_gone_with_the_next_write(tmp_path: Path, left: str)
         else:
             (partial / "deeper").mkdir(parents=True)
             (partial / "deeper" / "half").write_text("half")
-    storage.write_text(tmp_path / "a", "whole")
-    with storage.atomic_folder(tmp_path / "b") as partial:
+    files.write_text(tmp_path / "a", "whole")
+    with files.atomic_folder(tmp_path / "b") as partial:
         assert list(partial.iterdir()) == []
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
 
 
 def test_an_existing_folder_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
-    with pytest.raises(InputError, match="exists already"), storage.atomic_folder(tmp_path / "out"):
+    with pytest.raises(InputError, match="exists already"), files.atomic_folder(tmp_path / "out"):
         pass
 
 
 def test_json_errors_name_the_file(tmp_path: Path) -> None:
     (tmp_path / "bad.json").write_text("{")
     with pytest.raises(InputError, match=r"bad\.json"):
-        storage.read_json(tmp_path / "bad.json")
+        files.read_json(tmp_path / "bad.json")
     with pytest.raises(InputError, match="is missing"):
-        storage.read_json(tmp_path / "none.json")
+        files.read_json(tmp_path / "none.json")
 
 
 REFUSALS = [
-    (errno.ENOSPC, "no space left"), (errno.EDQUOT, "no space left"), (errno.EROFS, "read-only"),
-    (errno.EACCES, "permission denied"), (errno.EPERM, "permission denied"),
-]  # fmt: skip
+    (errno.ENOSPC, "no space left"),
+    (errno.EDQUOT, "no space left"),
+    (errno.EROFS, "read-only"),
+    (errno.EACCES, "permission denied"),
+    (errno.EPERM, "permission denied"),
+]
 
 
 @pytest.mark.parametrize(("code", "said"), REFUSALS)
@@ -87,13 +90,13 @@ def test_a_disk_that_refuses_is_one_clear_line(
     for name in {call, "unlink"}:
         monkeypatch.setattr(os, name, refuse)
     if call == "unlink":
-        with storage.atomic_file(target) as partial:
+        with files.atomic_file(target) as partial:
             partial.write_text("whole")  # nothing needs to be removed
         return
-    with pytest.raises(InputError, match=said) as raised, storage.atomic_file(target):
+    with pytest.raises(InputError, match=said) as raised, files.atomic_file(target):
         pass
     assert "partial" not in str(raised.value)
-    with pytest.raises(InputError, match=said), storage.atomic_folder(tmp_path / "deeper" / "out"):
+    with pytest.raises(InputError, match=said), files.atomic_folder(tmp_path / "deeper" / "out"):
         pass
 
 
@@ -113,7 +116,7 @@ def test_a_disk_that_refuses_is_one_clear_line(
 def test_hostile_json_is_one_clear_line(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "bad.json").write_text(text)
     with pytest.raises(InputError, match=said):
-        storage.read_json(tmp_path / "bad.json")
+        files.read_json(tmp_path / "bad.json")
 
 
 def test_what_is_no_text_file_is_one_clear_line(tmp_path: Path) -> None:
@@ -123,27 +126,27 @@ def test_what_is_no_text_file_is_one_clear_line(tmp_path: Path) -> None:
     faults |= {"latin/below": "no folder", "a\0b": "NUL", "a" * 300: "too long"}
     for name, said in faults.items():
         with pytest.raises(InputError, match=said):
-            storage.read_json(tmp_path / name)
+            files.read_json(tmp_path / name)
     with pytest.raises(InputError, match="10 bytes, 9 are read at most"):
-        storage.read_bytes(tmp_path / "latin", limit=9)
+        files.read_bytes(tmp_path / "latin", limit=9)
     if Path("/dev/zero").exists():  # says that it has no bytes, and never ends
         with pytest.raises(InputError, match="has 10 bytes, 9 are read at most"):
-            storage.read_bytes("/dev/zero", limit=9)
+            files.read_bytes("/dev/zero", limit=9)
 
 
 def test_two_processes_do_not_write_the_same(tmp_path: Path) -> None:
     """Within one process two handles stand for two processes: flock does not tell them apart."""
-    with storage.atomic_folder(tmp_path / "out") as partial:
+    with files.atomic_folder(tmp_path / "out") as partial:
         (partial / "one").write_text("1")
         with (
             pytest.raises(InputError, match="another process is at work"),
-            storage.atomic_folder(tmp_path / "out"),
+            files.atomic_folder(tmp_path / "out"),
         ):
             pass
     assert (tmp_path / "out" / "one").read_text() == "1"
-    with storage.atomic_file(tmp_path / "file") as partial:
+    with files.atomic_file(tmp_path / "file") as partial:
         partial.write_text("first")
-        with pytest.raises(InputError, match="at work"), storage.atomic_file(tmp_path / "file"):
+        with pytest.raises(InputError, match="at work"), files.atomic_file(tmp_path / "file"):
             pass
     assert (tmp_path / "file").read_text() == "first"
 
@@ -159,11 +162,11 @@ def test_a_lock_ends_with_the_process_that_holds_it(tmp_path: Path) -> None:
     )
     assert child.stdout is not None
     assert child.stdout.readline() == "locked\n"
-    with pytest.raises(InputError, match="at work"), storage.alone_in(tmp_path):
+    with pytest.raises(InputError, match="at work"), files.alone_in(tmp_path):
         pass
     child.kill()
     child.wait()
-    with storage.alone_in(tmp_path):
+    with files.alone_in(tmp_path):
         pass
 
 
@@ -174,7 +177,7 @@ def test_a_file_system_without_locks_is_written_all_the_same(
     def refuse(*_: object) -> None:
         raise OSError(fault, os.strerror(fault))
 
-    monkeypatch.setattr(storage.fcntl, "flock", refuse)
-    with storage.alone_in(tmp_path):
-        storage.write_text(tmp_path / "a", "written")
+    monkeypatch.setattr(files.fcntl, "flock", refuse)
+    with files.alone_in(tmp_path):
+        files.write_text(tmp_path / "a", "written")
     assert (tmp_path / "a").read_text() == "written"

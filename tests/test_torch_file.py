@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 import torch
 
-from recast.errors import InputError
-from recast.torch_file import read_tensors, read_torch_file
+from recast.core.errors import InputError
+from recast.core.torch_file import read_tensors, read_torch_file
 
 LARGE = torch.zeros(1).expand(10**8, 40, 3)  # 48 GB as soon as anything copies it
 

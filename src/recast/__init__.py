@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from recast.actors import Actor as Actor
     from recast.actors import load_actor as load_actor
     from recast.core import Store as Store
-    from recast.errors import InputError as InputError
+    from recast.core.errors import InputError as InputError
     from recast.evaluation import RolloutMetrics as RolloutMetrics
     from recast.logs import DrivingLog as DrivingLog
     from recast.logs import load_log as load_log
@@ -49,17 +49,23 @@ if TYPE_CHECKING:
 _PLACES = {
     "recast.actors": ("Actor", "load_actor"),
     "recast.core": ("Store",),
-    "recast.errors": ("InputError",),
+    "recast.core.errors": ("InputError",),
     "recast.evaluation": ("RolloutMetrics",),
     "recast.logs": ("DrivingLog", "load_log", "write_log"),
     "recast.pipeline.arms": ("Arm",),
     "recast.pipeline.face": (
-        "evaluate", "load_scene", "make_actor", "reconstruct", "run_grid", "score", "write_report",
+        "evaluate",
+        "load_scene",
+        "make_actor",
+        "reconstruct",
+        "run_grid",
+        "score",
+        "write_report",
     ),
     "recast.planning": ("Plan", "Planner", "PlannerInput", "make_planner"),
     "recast.scene": ("StreetScene",),
     "recast.simulation": ("Rollout", "Simulator", "motion"),
-}  # fmt: skip
+}
 _WHERE = {name: module for module, names in _PLACES.items() for name in names}
 """Public names by the module that has them; each is imported when it is first used."""
 

@@ -10,10 +10,10 @@ import torch
 from recast.actors.template.body import Body
 from recast.actors.template.cloud import build_cloud
 from recast.actors.template.generator import _gaussians
-from recast.actors.template.lighting import to_linear
 from recast.actors.template.proportions import STYLES
 from recast.actors.template.texture import Texture
 from recast.geometry import PinholeCamera, se3
+from recast.geometry.colour import gamma_to_linear
 from recast.logs import CameraStream, DrivingLog, LidarStream, LidarSweep, Track, Trajectory
 from recast.splats import Gaussians, rasterize
 
@@ -35,7 +35,7 @@ def car(size: np.ndarray = SIZE, paint: np.ndarray = RED, style: str = "estate")
     cloud = build_cloud(body, 0.04, np.random.default_rng(0))
     n = len(cloud.points)
     plain = Texture(np.zeros((n, 3)), np.zeros(n), np.tile([1.0, 0.0, 0.0], (n, 1)))
-    made = _gaussians(body, cloud, to_linear(paint), plain)
+    made = _gaussians(body, cloud, gamma_to_linear(paint), plain)
     down = se3.from_rotation_translation(np.eye(3), [0.0, 0.0, -size[2] / 2])
     return made.transformed(torch.from_numpy(down))
 

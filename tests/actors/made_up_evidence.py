@@ -6,7 +6,8 @@ import numpy as np
 import torch
 
 from actors import made_up
-from recast.actors.evidence import Evidence, FreeSpace, Sighting
+from recast.actors.carve import FreeSpace
+from recast.actors.evidence import Evidence, Sighting
 from recast.actors.turntable import look_at
 from recast.geometry import PinholeCamera, se3
 from recast.logs import Trajectory

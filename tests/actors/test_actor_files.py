@@ -11,7 +11,7 @@ from safetensors.torch import load_file, save_file
 
 from recast.actors import Actor, PlyGenerator, load_actor, make_generator, save_actor
 from recast.actors.observation import Observation
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.splats import CLASSIC, MIP, LowPass, write_ply
 
 

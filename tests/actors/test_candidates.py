@@ -7,13 +7,13 @@ import pytest
 
 from actors import made_up
 from recast.actors import Asset, BoxLidarSegmenter, Observation
-from recast.actors.auto_generator import AutoGenerator
 from recast.actors.axes import VEHICLE
-from recast.actors.candidates import choose, judge
-from recast.actors.evidence import Evidence, gather_evidence
+from recast.actors.candidates import AutoGenerator, choose, judge
+from recast.actors.evidence import Evidence
+from recast.actors.gather_evidence import gather_evidence
 from recast.actors.generate import candidates_of
 from recast.actors.register import register
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from recast.scene import SceneConfig
 from recast.splats import Gaussians
@@ -80,7 +80,7 @@ def test_what_is_not_known_does_not_count(
 ) -> None:
     actor = register(asset_of(red_car), observation, street, street.tracks["7"])
     nothing = np.zeros((0, 3), np.float32)
-    from recast.actors.evidence import FreeSpace
+    from recast.actors.carve import FreeSpace
 
     blind = Evidence("7", "car", made_up.SIZE, (), nothing, FreeSpace(nothing))
     score = judge(actor, blind)

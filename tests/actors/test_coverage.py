@@ -42,8 +42,13 @@ def crowded(low_pass: LowPass) -> StreetScene:
     rng = np.random.default_rng(4)
     street = blobs(3000, rng, [-5.0, -12.0, -1.0], [40.0, 12.0, 6.0])
     shadow = blobs(40, rng, [-2.0, -1.0, -0.8], [2.0, 1.0, -0.7])
-    other = SceneActor("8", blobs(200, rng, [-1.0] * 3, [1.0] * 3), SIZE,
-                       WHOLE.actors["7"].trajectory, low_pass=MIP)  # fmt: skip
+    other = SceneActor(
+        "8",
+        blobs(200, rng, [-1.0] * 3, [1.0] * 3),
+        SIZE,
+        WHOLE.actors["7"].trajectory,
+        low_pass=MIP,
+    )
     vehicle = replace(WHOLE.actors["7"], low_pass=low_pass, shadow=shadow)
     return replace(WHOLE, background=street, actors={"7": vehicle, "8": other})
 
@@ -59,9 +64,11 @@ def drawn_whole(street: StreetScene, poses: dict[str, np.ndarray]) -> np.ndarray
     assert vehicle.shadow is not None
     vehicle = replace(vehicle, gaussians=coloured, shadow=black(vehicle.shadow))
     painted = replace(
-        street, background=black(street.background), sky=SkyMap.constant(torch.zeros(3)),
+        street,
+        background=black(street.background),
+        sky=SkyMap.constant(torch.zeros(3)),
         actors={"7": vehicle, "8": replace(other, gaussians=black(other.gaussians))},
-    )  # fmt: skip
+    )
     image = SceneRasterizer(painted, "cpu").render(CAMERA, CAMERA_FROM_WORLD, poses)
     return image.rgb.astype(np.float64).sum(axis=(0, 1))
 
@@ -102,9 +109,12 @@ def test_what_stands_before_it_hides_it() -> None:
     points = torch.from_numpy(grid.reshape(-1, 3)).float()
     count = len(points)
     wall = Gaussians(
-        points, torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1), torch.full((count, 3), -2.3),
-        torch.full((count,), 6.0), torch.zeros(count, 1, 3),
-    )  # fmt: skip
+        points,
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1),
+        torch.full((count, 3), -2.3),
+        torch.full((count,), 6.0),
+        torch.zeros(count, 1, 3),
+    )
     behind = {"7": pose(14.0, 0.0, 0.4)}
     hidden = CoverageMeter(replace(WHOLE, background=wall), "7", SHARES, "cpu")
     assert hidden.measure(CAMERA, CAMERA_FROM_WORLD, behind) == NOTHING

@@ -96,9 +96,13 @@ def test_prompts() -> None:
 
 def test_the_logged_rectangle_lies_around_the_mask(observation: Observation) -> None:
     target = SegmentationTarget(
-        observation.rgba[..., :3], observation.camera, observation.camera_from_object,
-        observation.size, observation.points.astype(np.float64), np.zeros((0, 3)),
-    )  # fmt: skip
+        observation.rgba[..., :3],
+        observation.camera,
+        observation.camera_from_object,
+        observation.size,
+        observation.points.astype(np.float64),
+        np.zeros((0, 3)),
+    )
     rows, columns = np.nonzero(observation.rgba[..., 3] > 127)
     mask = np.array([columns.min(), rows.min(), columns.max() + 1.0, rows.max() + 1.0])
     assert rectangle_overlap(logged_rectangle(target), mask) > 0.75

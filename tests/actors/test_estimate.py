@@ -10,16 +10,18 @@ from actors import made_up
 from recast.actors import Observation
 from recast.actors.template.body import Body
 from recast.actors.template.cloud import SurfaceCloud, build_cloud
-from recast.actors.template.estimate import (
+from recast.actors.template.lighting import (
+    Daylight,
     estimate_light,
     estimate_rims,
     estimate_windows,
     road_level,
+    shade,
 )
-from recast.actors.template.lighting import Daylight, shade, to_display, to_linear
 from recast.actors.template.placement import Placement
 from recast.actors.template.proportions import STYLES
 from recast.actors.template.texture import SurfaceView, view_surface
+from recast.geometry.colour import gamma_to_linear, linear_to_gamma
 
 PAINTS = {"white": 0.72, "silver": 0.42, "black": 0.012}
 
@@ -49,8 +51,8 @@ def photographed(
 def under(observation: Observation, level: float) -> Observation:
     """The street around the car in another light."""
     rgba = observation.rgba.copy()
-    linear = level * to_linear(rgba[..., :3] / 255)
-    rgba[..., :3] = np.round(255 * to_display(linear))
+    linear = level * gamma_to_linear(rgba[..., :3] / 255)
+    rgba[..., :3] = np.round(255 * linear_to_gamma(linear))
     return replace(observation, rgba=rgba)
 
 
@@ -77,7 +79,7 @@ def test_white_in_the_shade_is_not_grey(cloud: SurfaceCloud, observation: Observ
     seen = photographed(cloud, PAINTS["white"], dim)
     light, paint = estimate_light(cloud, [seen], under(observation, 0.4))
     assert light.level < 0.75
-    assert to_display(paint).min() > 0.68
+    assert linear_to_gamma(paint).min() > 0.68
 
 
 def test_road_tells_the_light(observation: Observation) -> None:

@@ -17,9 +17,13 @@ from safetensors.torch import load_file, save_file
 from recast import actors
 from recast.actors import GroundedSamSegmenter, Observation, SegmentationTarget, observe
 from recast.actors.detect import DetectionRule, logged_rectangle
-from recast.actors.grounded_segmenter import agreement, choose_mask
-from recast.actors.segmenters import is_segmenter_folder, segmenter_of
-from recast.errors import InputError
+from recast.actors.grounded_segmenter import (
+    agreement,
+    choose_mask,
+    is_segmenter_folder,
+    segmenter_of,
+)
+from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from support.tiny_networks import write_tiny_networks
 
@@ -40,9 +44,13 @@ def target(observation: Observation) -> SegmentationTarget:
     camera = observation.camera.cropped(0, 0, image.shape[1], image.shape[0])
     road = np.array([[-3.0, 1.3, 7.0], [-2.0, 1.4, 6.0], [3.0, 1.4, 8.0]])
     return SegmentationTarget(
-        image, camera, observation.camera_from_object, observation.size,
-        observation.points.astype(np.float64), road,
-    )  # fmt: skip
+        image,
+        camera,
+        observation.camera_from_object,
+        observation.size,
+        observation.points.astype(np.float64),
+        road,
+    )
 
 
 @pytest.fixture
@@ -193,24 +201,32 @@ def says_nothing(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (remove("grounding-dino/model.safetensors"),
-         ("grounding-dino", "model.safetensors", "missing", "IDEA-Research/grounding-dino-base")),
+        (
+            remove("grounding-dino/model.safetensors"),
+            ("grounding-dino", "model.safetensors", "missing", "IDEA-Research/grounding-dino-base"),
+        ),
         (remove("sam/config.json"), ("sam", "config.json", "missing", "facebook/sam-vit-huge")),
         (remove("sam/preprocessor_config.json"), ("preprocessor_config.json", "missing")),
-        (remove("grounding-dino/tokenizer.json", "grounding-dino/vocab.txt"),
-         ("tokenizer.json or vocab.txt", "missing")),
+        (
+            remove("grounding-dino/tokenizer.json", "grounding-dino/vocab.txt"),
+            ("tokenizer.json or vocab.txt", "missing"),
+        ),
         (lambda folder: shutil.rmtree(folder / "sam"), ("sam", "missing", "facebook/sam-vit-base")),
         (lambda folder: shutil.rmtree(folder), ("folder: is missing", "grounding-dino and sam")),
         (cut_short, ("model.safetensors", "no whole safetensors file")),
         (pointer, ("model.safetensors", "no whole safetensors file")),
         (other_network, ("config.json", "'sam2'", "not 'sam'")),
         (no_json, ("config.json", "JSON")),
-        (member("sam/config.json", "vision_config", "num_hidden_layers", value=10**9),
-         ("config.json", "vision_config.num_hidden_layers is 1000000000")),
-        (member("sam/preprocessor_config.json", "size", "longest_edge", value=10**6),
-         ("preprocessor_config.json", "size.longest_edge is 1000000")),
+        (
+            member("sam/config.json", "vision_config", "num_hidden_layers", value=10**9),
+            ("config.json", "vision_config.num_hidden_layers is 1000000000"),
+        ),
+        (
+            member("sam/preprocessor_config.json", "size", "longest_edge", value=10**6),
+            ("preprocessor_config.json", "size.longest_edge is 1000000"),
+        ),
     ],
-)  # fmt: skip
+)
 def test_refused_before_any_work(
     networks: Path, tmp_path: Path, spoil: Callable[[Path], None], words: tuple[str, ...]
 ) -> None:
@@ -262,7 +278,7 @@ def test_refused_when_read(
 def test_by_name_or_folder(networks: Path, tmp_path: Path) -> None:
     assert type(segmenter_of("box-lidar")).__name__ == "BoxLidarSegmenter"
     assert isinstance(segmenter_of(str(networks)), GroundedSamSegmenter)
-    plugged = segmenter_of("recast.actors.box_lidar_segmenter:BoxLidarSegmenter")
+    plugged = segmenter_of("recast.actors.segment:BoxLidarSegmenter")
     assert type(plugged).__name__ == "BoxLidarSegmenter"
     assert not is_segmenter_folder("box-lidar")
     with pytest.raises(InputError, match="nonesuch: is not known; choose one of box-lidar"):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from recast.actors.hull import bounds, outer_surface
+from recast.actors.icp import bounds, outer_surface
 from recast.splats import Gaussians, concatenate
 
 

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recast.actors.hull import Surface
-from recast.actors.icp import IcpLimits, align, fit_of
+from recast.actors.icp import IcpLimits, Surface, align, fit_of
 from recast.geometry import se3
 
 

@@ -8,10 +8,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from recast.actors import Observation
-from recast.actors.image_to_3d_generator import ImageTo3DGenerator
-from recast.errors import InputError
-from recast.pipeline.actor import generator_of
+from recast.actors import Observation, make_generator
+from recast.actors.generate import ImageTo3DGenerator
+from recast.core.errors import InputError
 from recast.splats import MIP
 from recast.trellis import GenerationLimits
 from support.trellis_folder import write_golden_model
@@ -23,7 +22,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_model_folder_is_a_generator(folder: Path, observation: Observation) -> None:
-    generator = generator_of(str(folder))
+    generator = make_generator(str(folder))
     assert isinstance(generator, ImageTo3DGenerator)
     generator.limits = GenerationLimits(max_voxels=4096, retries=3)
     asset = generator.generate(observation, seed=5)
@@ -40,7 +39,7 @@ def test_a_model_folder_is_a_generator(folder: Path, observation: Observation) -
 
 
 def test_the_axes_of_a_model_may_be_named(folder: Path) -> None:
-    generator = generator_of(str(folder), "x,z")
+    generator = make_generator(str(folder), "x,z")
     assert isinstance(generator, ImageTo3DGenerator) and generator.axes.declares_front
 
 
@@ -79,4 +78,4 @@ def test_an_empty_mask_names_the_track(folder: Path, observation: Observation) -
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"pipeline\.json"):
-        generator_of(str(tmp_path))
+        make_generator(str(tmp_path))

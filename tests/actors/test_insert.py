@@ -9,8 +9,8 @@ import torch
 
 from actors import made_up
 from recast.actors import Actor, insert, turntable
-from recast.actors.shadow import contact_shadow
-from recast.errors import InputError
+from recast.actors.insert import contact_shadow
+from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.scene import (
@@ -73,9 +73,13 @@ def test_a_scene_draws_an_actor_as_through_its_own_filter(
     with torch.no_grad():
         own = rasterize(
             vehicle.gaussians.transformed(torch.from_numpy(pose)),
-            torch.from_numpy(camera_from_world).float(), torch.from_numpy(camera.matrix).float(),
-            camera.width, camera.height, eps2d=0.1, antialiased=True,
-        )  # fmt: skip
+            torch.from_numpy(camera_from_world).float(),
+            torch.from_numpy(camera.matrix).float(),
+            camera.width,
+            camera.height,
+            eps2d=0.1,
+            antialiased=True,
+        )
     wanted, covered = own.rgb.clamp(0, 1).numpy(), own.alpha.numpy() > 0.5
     kept = np.abs(image(vehicle) - wanted)[covered].mean()
     ignored = np.abs(image(dataclasses.replace(vehicle, low_pass=CLASSIC)) - wanted)[covered].mean()

@@ -12,17 +12,15 @@ from actors import made_up
 from actors.mesh.made import car as box_car
 from actors.mesh.made import picture, textured_square
 from evaluation.test_perceptual import write_clip
-from recast.actors import Actor, Observation, PlyGenerator, save_actor
+from recast.actors import Actor, Observation, PlyGenerator, make_generator, save_actor
 from recast.actors import library as retrieval
-from recast.actors import library_summary as summaries
+from recast.actors import library as summaries
 from recast.actors.axes import VEHICLE
 from recast.actors.generate import candidates_of
-from recast.actors.library import LibraryGenerator
-from recast.actors.library_summary import Summary, paint_apart, size_apart, summary_of
+from recast.actors.library import LibraryGenerator, Summary, paint_apart, size_apart, summary_of
 from recast.actors.mesh import MeshGenerator
 from recast.actors.vehicle_files import vehicle_generator
-from recast.errors import InputError
-from recast.pipeline.actor import generator_of
+from recast.core.errors import InputError
 from recast.pipeline.sources import generator_source
 from recast.splats import write_ply
 
@@ -163,13 +161,13 @@ def test_libraries_of_no_use(observation: Observation, tmp_path: Path) -> None:
 
 
 def test_what_stands_behind_names(folder: Path, tmp_path: Path) -> None:
-    library = generator_of(f"library:{folder}", "z-up")
+    library = make_generator(f"library:{folder}", "z-up")
     assert isinstance(library, LibraryGenerator) and library.axes == "z-up"
-    assert isinstance(generator_of(str(folder / "boxes.glb")), MeshGenerator)
-    assert isinstance(generator_of(str(folder / "red-bus.ply")), PlyGenerator)
+    assert isinstance(make_generator(str(folder / "boxes.glb")), MeshGenerator)
+    assert isinstance(make_generator(str(folder / "red-bus.ply")), PlyGenerator)
     for missing in ("none.glb", "none.OBJ", "none.ply"):
         with pytest.raises(InputError, match="is missing"):
-            generator_of(str(tmp_path / missing))
+            make_generator(str(tmp_path / missing))
 
 
 def test_every_file_counts_in_the_fingerprint(tmp_path: Path) -> None:

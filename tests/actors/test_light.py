@@ -8,8 +8,8 @@ import torch
 
 from actors import made_up
 from recast.actors import Actor, insert
-from recast.actors.light import actor_light
-from recast.actors.shares import Shares
+from recast.actors.coverage import Shares
+from recast.actors.insert import actor_light
 from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.scene import SceneActor, SkyMap, StreetScene, render_scene

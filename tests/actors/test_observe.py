@@ -16,9 +16,8 @@ from recast.actors import (
     TemplateGenerator,
     observe,
 )
-from recast.actors.view_pool import ViewPool
-from recast.actors.view_score import NearestSweeps, check_lidar, score_frame
-from recast.errors import InputError
+from recast.actors.views import NearestSweeps, ViewPool, check_lidar, score_frame
+from recast.core.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, Track
 from recast.pipeline.actor import ActorMakers, make_actor
@@ -190,9 +189,12 @@ def test_frames_that_may_not_be_looked_at_are_not(turning: DrivingLog) -> None:
     best = observe(turning, "7", segmenter=BoxLidarSegmenter()).view.frame
     kept = {frame for frame in range(made_up.FRAMES) if frame not in (best, best + 1)}
     seen = observe(
-        turning, "7", segmenter=BoxLidarSegmenter(), views=5,
+        turning,
+        "7",
+        segmenter=BoxLidarSegmenter(),
+        views=5,
         usable=lambda camera, frame: camera == "front" and frame in kept,
-    )  # fmt: skip
+    )
     assert {one.view.frame for one in seen.views} == kept
     assert {view.frame for view in seen.candidates} <= kept
     with pytest.raises(InputError, match="never visible"):

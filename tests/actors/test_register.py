@@ -9,9 +9,9 @@ import torch
 from recast.actors import Actor, Asset, Observation, register
 from recast.actors.agreement import heading_agreement
 from recast.actors.axes import UNIT_CUBE_Y_UP, UNIT_CUBE_Z_UP, VEHICLE
-from recast.actors.hull import outer_surface
+from recast.actors.icp import outer_surface
 from recast.actors.register import lidar_by_side
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.splats import Gaussians

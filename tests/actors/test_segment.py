@@ -66,9 +66,13 @@ def test_road_returns_are_background(target: SegmentationTarget) -> None:
     row, column = open_before[len(open_before) // 2]
     blocker = target.camera.unproject([[column + 0.5, row + 0.5]], [3.0])
     blocked = SegmentationTarget(
-        target.image, target.camera, target.camera_from_object, target.size,
-        target.object_points, blocker,
-    )  # fmt: skip
+        target.image,
+        target.camera,
+        target.camera_from_object,
+        target.size,
+        target.object_points,
+        blocker,
+    )
     assert BoxLidarSegmenter().trimap(blocked)[row, column] == cv2.GC_BGD
 
 
@@ -84,9 +88,13 @@ def test_under_the_car_is_background(target: SegmentationTarget) -> None:
 def test_mask_ends_near_the_hull(target: SegmentationTarget) -> None:
     """Above the hull of the hits, the sky is no part of the car even where the box is too tall."""
     tall = SegmentationTarget(
-        target.image, target.camera, target.camera_from_object,
-        target.size * [1.0, 1.0, 1.6], target.object_points, target.other_points,
-    )  # fmt: skip
+        target.image,
+        target.camera,
+        target.camera_from_object,
+        target.size * [1.0, 1.0, 1.6],
+        target.object_points,
+        target.other_points,
+    )
     trimap = BoxLidarSegmenter().trimap(tall)
     pixels, _ = target.camera.project(
         se3.apply(target.camera_from_object, np.array([[0.0, 0.0, 0.75 * target.size[2]]]))

@@ -8,20 +8,22 @@ from scipy.ndimage import binary_erosion
 from actors import made_up
 from recast.actors import Asset, Observation, TemplateGenerator, turntable
 from recast.actors.actor import Actor
-from recast.actors.hull import outer_surface
+from recast.actors.icp import outer_surface
 from recast.actors.template.body import Body
-from recast.actors.template.cloud import build_cloud
-from recast.actors.template.decals import label_body
-from recast.actors.template.fit import fit_shape
+from recast.actors.template.cloud import build_cloud, gradient, sample
 from recast.actors.template.lighting import fit_harmonics, sh_basis, shade
-from recast.actors.template.materials import Material
-from recast.actors.template.proportions import STYLES, candidate_styles
-from recast.actors.template.surface import gradient, sample
+from recast.actors.template.materials import Material, label_body
+from recast.actors.template.proportions import STYLES, candidate_styles, fit_shape
 from recast.actors.turntable import look_at
 from recast.splats import Gaussians, rasterize
 
-USUAL = {"van": (5.3, 1.9, 2.4), "bus": (12.0, 2.55, 3.1), "truck": (7.5, 2.5, 3.2),
-         "pickup": (5.4, 1.9, 1.85), "suv": (4.55, 1.85, 1.7)}  # fmt: skip
+USUAL = {
+    "van": (5.3, 1.9, 2.4),
+    "bus": (12.0, 2.55, 3.1),
+    "truck": (7.5, 2.5, 3.2),
+    "pickup": (5.4, 1.9, 1.85),
+    "suv": (4.55, 1.85, 1.7),
+}
 
 
 @pytest.mark.parametrize("style", STYLES)
@@ -29,10 +31,12 @@ def test_every_style_fills_its_box(style: str) -> None:
     size = np.array(USUAL.get(style, (4.3, 1.75, 1.5)))
     body = Body(size, STYLES[style])
     points, normals = sample(
-        body.distance, np.array([-size[0] / 2 - 0.05, 0, 0]),
-        np.array([size[0] / 2 + 0.05, size[1] / 2 + 0.05, size[2] + 0.05]), 0.06,
+        body.distance,
+        np.array([-size[0] / 2 - 0.05, 0, 0]),
+        np.array([size[0] / 2 + 0.05, size[1] / 2 + 0.05, size[2] + 0.05]),
+        0.06,
         np.random.default_rng(0),
-    )  # fmt: skip
+    )
     assert np.all(np.abs(points[:, :2]).max(axis=0) <= size[:2] / 2 + 1e-2)
     assert points[:, 0].max() == pytest.approx(size[0] / 2, abs=0.04)
     assert points[:, 0].min() == pytest.approx(-size[0] / 2, abs=0.04)
@@ -53,8 +57,13 @@ def test_distance_is_signed_and_metric() -> None:
     assert inside < -0.2
     assert above == pytest.approx(1.65 - made_up.SIZE[2], abs=0.05)
     assert ahead == pytest.approx(2.4 - made_up.SIZE[0] / 2, abs=0.05)
-    points, _ = sample(body.distance, np.array([-2.3, 0, 0]), np.array([2.3, 0.9, 1.5]), 0.08,
-                       np.random.default_rng(0))  # fmt: skip
+    points, _ = sample(
+        body.distance,
+        np.array([-2.3, 0, 0]),
+        np.array([2.3, 0.9, 1.5]),
+        0.08,
+        np.random.default_rng(0),
+    )
     slope = np.linalg.norm(gradient(body.distance, points, body.distance(points)), axis=1)
     assert 0.8 < np.median(slope) < 1.2
 
@@ -117,9 +126,12 @@ def silhouette_alpha(gaussians: Gaussians, camera_from_object: np.ndarray) -> np
     matrix = np.array([[400.0, 0, 200], [0, 400, 120], [0, 0, 1]])
     with torch.no_grad():
         picture = rasterize(
-            gaussians, torch.from_numpy(camera_from_object).float(),
-            torch.from_numpy(matrix).float(), 400, 240,
-        )  # fmt: skip
+            gaussians,
+            torch.from_numpy(camera_from_object).float(),
+            torch.from_numpy(matrix).float(),
+            400,
+            240,
+        )
     return picture.alpha.numpy()
 
 

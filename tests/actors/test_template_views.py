@@ -10,14 +10,13 @@ import torch
 
 from actors import made_up
 from recast.actors import Observation, TemplateGenerator
-from recast.actors.one_view import observation_of_view
-from recast.actors.template.contours import contour
-from recast.actors.template.fit import FITTED, _Problem, fit_shape
-from recast.actors.template.lighting import to_display, to_linear
-from recast.actors.template.proportions import STYLES
+from recast.actors.observe import observation_of_view
+from recast.actors.template.placement import contour
+from recast.actors.template.proportions import FITTED, STYLES, _Problem, fit_shape
 from recast.actors.template.texture import SurfaceView, balanced, blended
 from recast.actors.turntable import look_at
 from recast.geometry import PinholeCamera
+from recast.geometry.colour import gamma_to_linear, linear_to_gamma
 from recast.splats import Gaussians, rasterize
 
 CAMERA = PinholeCamera(320, 200, 360.0, 360.0, 160.0, 100.0)
@@ -38,11 +37,14 @@ def seen_from(
     camera_from_object = look_at(eye, np.zeros(3))
     with torch.no_grad():
         picture = rasterize(
-            vehicle, torch.from_numpy(camera_from_object).float(),
-            torch.from_numpy(CAMERA.matrix).float(), CAMERA.width, CAMERA.height,
-        )  # fmt: skip
+            vehicle,
+            torch.from_numpy(camera_from_object).float(),
+            torch.from_numpy(CAMERA.matrix).float(),
+            CAMERA.width,
+            CAMERA.height,
+        )
     alpha = (picture.alpha.numpy() > 0.5).astype(np.uint8) * 255
-    colour = to_display(level * to_linear(np.clip(picture.rgb.numpy(), 0, 1)))
+    colour = linear_to_gamma(level * gamma_to_linear(np.clip(picture.rgb.numpy(), 0, 1)))
     rgba = np.dstack([(colour * 255).astype(np.uint8), alpha])
     labelled = camera_from_object.copy()
     labelled[0, 3] -= shift
@@ -111,7 +113,7 @@ def view_of(colour: np.ndarray, weight: np.ndarray, sharpness: float = 40.0) -> 
 def test_exposure_is_told_by_what_two_views_share() -> None:
     colour = np.random.default_rng(0).uniform(0.2, 0.6, (4000, 3))
     half = np.arange(4000) < 2000
-    darker = to_display(0.6 * to_linear(colour))
+    darker = linear_to_gamma(0.6 * gamma_to_linear(colour))
     first = view_of(colour, (~half | (np.arange(4000) < 1500)).astype(float))
     second = view_of(darker, half.astype(float))
     _, balance = balanced([first, second])

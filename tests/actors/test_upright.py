@@ -14,16 +14,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from actors import made_up
-from recast.actors import Observation, PlyGenerator, axes_of, register
-from recast.actors.hull import outer_surface
+from recast.actors import Observation, PlyGenerator, axes_of, make_generator, register
+from recast.actors.axes import LEAST_EVIDENCE, postures
+from recast.actors.icp import outer_surface
 from recast.actors.place import place_asset
-from recast.actors.upright import LEAST_EVIDENCE, postures
 from recast.cli.main import main
-from recast.errors import InputError
-from recast.evaluation.generation_placement import place_canonical
+from recast.core.errors import InputError
+from recast.evaluation.generation_cell import place_canonical
 from recast.geometry import se3
 from recast.logs import DrivingLog
-from recast.pipeline.actor import generator_of
 from recast.pipeline.config import RunConfig
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass, write_ply
 from recast.synthetic.vehicles import KINDS, sample_vehicle
@@ -35,9 +34,13 @@ from recast.trellis.models.gaussians import (
 )
 
 SIZES = {
-    "sedan": (4.7, 1.85, 1.45), "hatchback": (4.1, 1.75, 1.48), "suv": (4.6, 1.9, 1.7),
-    "pickup": (5.4, 1.93, 1.84), "van": (5.5, 2.0, 2.3), "bus": (11.5, 2.55, 3.1),
-}  # fmt: skip
+    "sedan": (4.7, 1.85, 1.45),
+    "hatchback": (4.1, 1.75, 1.48),
+    "suv": (4.6, 1.9, 1.7),
+    "pickup": (5.4, 1.93, 1.84),
+    "van": (5.5, 2.0, 2.3),
+    "bus": (11.5, 2.55, 3.1),
+}
 TEMPLATES = tuple(f"template {style}" for style in SIZES)
 SYNTHETIC = tuple(f"synthetic {kind}" for kind in KINDS)
 
@@ -248,7 +251,7 @@ def test_axes_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[
         assert main([*make, "--generator", generator, "--axes", axes]) == 2
         told = " ".join(capsys.readouterr().err.split())
         assert f"--axes: {axes}: {message}" in told
-    generator = generator_of(str(tmp_path / "car.ply"), "-y,z")
+    generator = make_generator(str(tmp_path / "car.ply"), "-y,z")
     assert isinstance(generator, PlyGenerator)
     assert generator.axes == axes_of("-y,z") and generator.axes.declares_front
     record = {"track": "7", "motions": ("cut-in-a",), "axes": "y-up"}

@@ -16,8 +16,8 @@ from recast.cli.main import main
 from recast.reporting.video import read_video
 from recast.splats import read_ply
 from recast.trellis.conditioning import crop_to_object, read_crop
-from recast.trellis.flow import Condition
-from recast.trellis.image_to_3d import ImageTo3D
+from recast.trellis.generate import ImageTo3D
+from recast.trellis.sampler import Condition
 from support.trellis import FOLDER, assert_same
 from support.trellis_folder import write_golden_model
 
@@ -176,9 +176,12 @@ def test_broken_models_are_one_line(
     ],
 )
 def test_bad_options_are_one_line(
-    args: tuple[str, ...], message: str, folder: Path, tmp_path: Path,
+    args: tuple[str, ...],
+    message: str,
+    folder: Path,
+    tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     code, _, err = run(capsys, CROP, "--model", folder, "--out", tmp_path / "out", *args)
     assert code == 2
     assert err.count("\n") == 1

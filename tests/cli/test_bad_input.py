@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast import storage
 from recast.cli.main import main
+from recast.core import files
 from recast.logs import DrivingLog, LidarSweep, Trajectory, read_log, write_log
 from recast.scene import SceneConfig, write_config
 from support import tiny_drive as tiny
@@ -107,11 +107,14 @@ def test_a_track_with_too_few_lidar_points(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty float x\nend_header\n"
-         + b"\0" * 4, "bad.ply"),
+        (
+            b"ply\nformat binary_little_endian 1.0\nelement vertex 1\n"
+            b"property float x\nend_header\n\0\0\0\0",
+            "bad.ply",
+        ),
         (b"no ply at all", "bad.ply"),
     ],
-)  # fmt: skip
+)
 def test_a_ply_that_is_none(
     tiny_log_folder: Path,
     tmp_path: Path,
@@ -122,9 +125,17 @@ def test_a_ply_that_is_none(
     ply = tmp_path / "bad.ply"
     ply.write_bytes(text)
     line = refused(
-        capsys, "actor", "make", tiny_log_folder, "--track", "0", "--generator", ply,
-        "--out", tmp_path / "actor",
-    )  # fmt: skip
+        capsys,
+        "actor",
+        "make",
+        tiny_log_folder,
+        "--track",
+        "0",
+        "--generator",
+        ply,
+        "--out",
+        tmp_path / "actor",
+    )
     assert message in line
     assert not (tmp_path / "actor").exists()
 
@@ -176,9 +187,7 @@ def test_a_segmenter_folder_without_its_networks(
     (networks / "sam").mkdir(parents=True)
     for command in (("run", *RUN), ("actor", "make", "--track", "0")):
         out = tmp_path / "out"
-        line = refused(
-            capsys, *command, tiny_log_folder, "--segmenter", networks, "--out", out
-        )  # fmt: skip
+        line = refused(capsys, *command, tiny_log_folder, "--segmenter", networks, "--out", out)
         assert "networks/grounding-dino: config.json: is missing" in line
         assert "IDEA-Research/grounding-dino-base" in line
         assert not out.exists()
@@ -193,12 +202,20 @@ def test_a_full_disk(
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("recast.logs.store.write_json", full, raising=False)
-    monkeypatch.setattr(storage, "write_bytes", full)
+    monkeypatch.setattr(files, "write_bytes", full)
     line = refused(
-        capsys, "log", "import", "kitti", tiny_drive.root, "--drive", tiny.DRIVE,
-        "--labels", tiny_drive.labels, "--out", tmp_path / "log",
-    )  # fmt: skip
+        capsys,
+        "log",
+        "import",
+        "kitti",
+        tiny_drive.root,
+        "--drive",
+        tiny.DRIVE,
+        "--labels",
+        tiny_drive.labels,
+        "--out",
+        tmp_path / "log",
+    )
     assert "no space left" in line
     assert list(tmp_path.iterdir()) == []
 

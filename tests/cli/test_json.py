@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recast import storage
 from recast.cli.main import main
 from recast.cli.output import print_json, with_unit
-from recast.core import Store
+from recast.core import Store, files
 from recast.evaluation import COLUMNS
 from recast.logs import DrivingLog
 from support.trellis_folder import write_golden_model
@@ -44,20 +43,33 @@ def rows_of(capsys: Capture, *words: str | Path) -> dict[str, list[dict[str, Any
 
 def test_values_are_plain_and_finite(capsys: Capture) -> None:
     row = {
-        "count": np.int64(3), "yes": np.bool_(True), "far_m": float("inf"),
-        "mean_m": np.float32("nan"), "path": Path("a"), "names": ("\udcff", np.float64(0.5)),
-    }  # fmt: skip
+        "count": np.int64(3),
+        "yes": np.bool_(True),
+        "far_m": float("inf"),
+        "mean_m": np.float32("nan"),
+        "path": Path("a"),
+        "names": ("\udcff", np.float64(0.5)),
+    }
     print_json({"table one": [row]})
     out = capsys.readouterr().out
     assert out.isascii()
     [read] = json.loads(out)
     assert read == {
-        "table": "table one", "count": 3, "yes": True, "far_m": None, "mean_m": None, "path": "a",
+        "table": "table one",
+        "count": 3,
+        "yes": True,
+        "far_m": None,
+        "mean_m": None,
+        "path": "a",
         "names": ["\udcff", 0.5],
-    }  # fmt: skip
+    }
     assert [with_unit("x", unit) for unit in ("%", "dB", "m/s", "s", "")] == [
-        "x_percent", "x_db", "x_mps", "x_s", "x",
-    ]  # fmt: skip
+        "x_percent",
+        "x_db",
+        "x_mps",
+        "x_s",
+        "x",
+    ]
 
 
 def test_doctor_and_weights(capsys: Capture) -> None:
@@ -84,9 +96,21 @@ def test_scenarios(tiny_log_folder: Path, tmp_path: Path, capsys: Capture) -> No
     assert row["motion"] == "cut-in" and row["gap_m"] > 0 and row["delay_s"] >= 0
     assert 0 < row["target_speed_of_v_r"] < 5
     shown = rows_of(
-        capsys, "scenario", "show", tiny_log_folder, "--motion", "advancing-a", "--motion",
-        "oncoming-a", "--track", "0", "--out", tmp_path / "s.png", "--steps", "5",
-    )["scenarios"]  # fmt: skip
+        capsys,
+        "scenario",
+        "show",
+        tiny_log_folder,
+        "--motion",
+        "advancing-a",
+        "--motion",
+        "oncoming-a",
+        "--track",
+        "0",
+        "--out",
+        tmp_path / "s.png",
+        "--steps",
+        "5",
+    )["scenarios"]
     assert [row["scenario"] for row in shown] == ["advancing-a", "oncoming-a"]
     assert any(row["refused"] is None and row["asked_s"] == 0.5 for row in shown)
     assert (tmp_path / "s.png").is_file()
@@ -102,7 +126,7 @@ def test_models_and_sets(tmp_path: Path, capsys: Capture) -> None:
 
 
 def test_targets(tmp_path: Path, capsys: Capture) -> None:
-    from recast.cli.rows.models import target_rows
+    from recast.cli.rows.vehicles import target_rows
     from recast.recar.targets import target_statistics
     from support.target_caches import write_cache
 
@@ -115,15 +139,27 @@ def test_targets(tmp_path: Path, capsys: Capture) -> None:
 
 def _metrics(out: Path, means: Mapping[str, float | None]) -> None:
     row = {
-        "planner": "p", "arm": "native", "asked": 2, "rollouts": 1, "failed": 1, "cut": 0,
-        "plans": 4, "means": means, "counts": dict.fromkeys(means, 1),
-    }  # fmt: skip
+        "planner": "p",
+        "arm": "native",
+        "asked": 2,
+        "rollouts": 1,
+        "failed": 1,
+        "cut": 0,
+        "plans": 4,
+        "means": means,
+        "counts": dict.fromkeys(means, 1),
+    }
     failure = {
-        "motion": "cut-in", "setting": "a", "arm": "native", "planner": "p", "name": "cut-in-a",
-        "error": "ValueError", "reason": "no road",
-    }  # fmt: skip
+        "motion": "cut-in",
+        "setting": "a",
+        "arm": "native",
+        "planner": "p",
+        "name": "cut-in-a",
+        "error": "ValueError",
+        "reason": "no road",
+    }
     record = {"version": 3, "table": [row], "rollouts": [], "failures": [failure]}
-    storage.write_json(out / "metrics.json", record)
+    files.write_json(out / "metrics.json", record)
 
 
 @pytest.mark.parametrize("command", ["run", "demo"])
@@ -140,7 +176,7 @@ def test_run_and_demo(
         _metrics(out / "run", means)
 
     monkeypatch.setattr("recast.pipeline.run.run", ran)
-    monkeypatch.setattr("recast.pipeline.demo.demo", demo)
+    monkeypatch.setattr("recast.pipeline.run.demo", demo)
     words = ("demo",) if command == "demo" else ("run", "log", "--track", "0")
     (tmp_path / "run").mkdir()
     tables = rows_of(capsys, *words, "--out", tmp_path)
@@ -150,7 +186,7 @@ def test_run_and_demo(
 
 
 def test_bench(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    from recast.evaluation.grid_row import GridRow
+    from recast.evaluation.grid import GridRow
     from recast.evaluation.scene_level.summary import LevelRow, Value
     from recast.pipeline.bench.results import summarise
 
@@ -158,11 +194,20 @@ def test_bench(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch)
         scores = dict.fromkeys(COLUMNS, 1.0)
         rows = [
             GridRow(
-                scene, None, None, "cut-in", "a", arm, "p", steps_run=160, plan_steps=(0,),
+                scene,
+                None,
+                None,
+                "cut-in",
+                "a",
+                arm,
+                "p",
+                steps_run=160,
+                plan_steps=(0,),
                 scores=scores,
             )
-            for scene in ("one", "two") for arm in ("native", "oracle")
-        ]  # fmt: skip
+            for scene in ("one", "two")
+            for arm in ("native", "oracle")
+        ]
         rows[0] = rows[0].failed("ValueError", "no road")
         return summarise(rows, replace(settings, samples=10))
 
@@ -170,9 +215,16 @@ def test_bench(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch)
     common = ("--scenes", "urban-straight", "--out", tmp_path, "--arm", "native", "--arm", "oracle")
     # Motions may be given in one list, or one by one.
     tables = rows_of(
-        capsys, "bench", "closed-loop", *common, "--motions", "cut-in-a", "oncoming-a",
-        "--motion", "stationary-a",
-    )  # fmt: skip
+        capsys,
+        "bench",
+        "closed-loop",
+        *common,
+        "--motions",
+        "cut-in-a",
+        "oncoming-a",
+        "--motion",
+        "stationary-a",
+    )
     native = tables["arms"][0]
     assert (native["asked"], native["rollouts"], native["nc_percent"]) == (2, 1, 100.0)
     assert native["ttc_low_s"] == 1.0
@@ -190,7 +242,7 @@ def test_scene_eval(
     tiny_log: DrivingLog, tiny_log_folder: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from recast.scene import FrameScore, RegionScore, SceneEvaluation
-    from recast.scene.evaluate_depth import DepthScore
+    from recast.scene.evaluate_record import DepthScore
 
     depth = DepthScore(100, 0.25, 0.1, 0.2, 0.02, 5.0)
     whole = RegionScore(30.0, 0.9)
@@ -200,8 +252,11 @@ def test_scene_eval(
     )
     tables = rows_of(capsys, "scene", "eval", "scene", "--log", tiny_log_folder)
     assert [row["region"] for row in tables["held_out_images"]] == [
-        "whole image", "moving objects", "box", "all boxes",
-    ]  # fmt: skip
+        "whole image",
+        "moving objects",
+        "box",
+        "all boxes",
+    ]
     assert tables["held_out_images"][2]["track_id"] == "7"
     assert tables["depth"][0]["missing_percent"] == 25.0
     assert tables["depth"][0]["median_error_m"] == 0.1
@@ -223,9 +278,14 @@ def test_vehicles_and_planners(capsys: Capture) -> None:
     failed = CandidateRecord(generator="x", seed=2, label="no wheel")
     difference = StudyDifference("b", "a", "psnr", Bootstrap(1.0, 0.5, 1.5, 1.0, 0.1, 0.95))
     block = StudyBlock(
-        "clean", ("v",), 2, {"a": {"w": "empty"}},
-        (StudyRow("a", 1, {"psnr": 20.0, "clip": 80.0}),), (difference,), {},
-    )  # fmt: skip
+        "clean",
+        ("v",),
+        2,
+        {"a": {"w": "empty"}},
+        (StudyRow("a", 1, {"psnr": 20.0, "clip": 80.0}),),
+        (difference,),
+        {},
+    )
     probed = ProbeRow("street", "cut-in-a", {"visible": 1.5}, {"visible": 2.0}, {"visible": 30.0})
     for rows in (
         vehicles.candidate_rows([chosen, failed]),

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from recast import diagnostics
-from recast.cli.doctor import Doctor
+from recast.cli.machine import Doctor
 from recast.cli.main import main
-from recast.diagnostics import Diagnostics
+from recast.core import diagnostics
+from recast.core.diagnostics import Diagnostics
 
 RUN = ("run", "log", "--track", "0", "--out", "x")
 

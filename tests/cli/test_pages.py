@@ -11,8 +11,8 @@ import pytest
 from markdown.extensions.toc import slugify
 
 from recast.cli.main import main
-from recast.cli.pages import PAGES
-from recast.errors import LINE_LIMIT, InputError
+from recast.cli.output import PAGES
+from recast.core.errors import LINE_LIMIT, InputError
 
 ROOT = Path(__file__).parents[2]
 NAMED = re.compile(

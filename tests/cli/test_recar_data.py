@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from recar.photographs import write_photos
-from recast.cli.recar_data import Ingest, Pack
-from recast.errors import InputError
+from recast.cli.recar_sets import Ingest, Pack
+from recast.core.errors import InputError
 from recast.recar import read_set
 from recast.recar.shards import read_shards
 

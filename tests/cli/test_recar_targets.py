@@ -8,7 +8,7 @@ import pytest
 import tyro
 
 from recast.cli.recar_targets import Targets
-from recast.errors import InputError
+from recast.core.errors import InputError
 from support.trellis_folder import write_golden_model
 from support.vehicle_pictures import write_vehicles
 
@@ -22,8 +22,19 @@ def test_targets_of_a_set_and_the_same_command_again(
 ) -> None:
     write_vehicles(tmp_path / "set", 3)
     write_golden_model(tmp_path / "model")
-    command = (tmp_path / "set", "--model", tmp_path / "model", "--out", tmp_path / "cache",
-               "--max-voxels", "4096", "--steps", "4", "--limit", "2")  # fmt: skip
+    command = (
+        tmp_path / "set",
+        "--model",
+        tmp_path / "model",
+        "--out",
+        tmp_path / "cache",
+        "--max-voxels",
+        "4096",
+        "--steps",
+        "4",
+        "--limit",
+        "2",
+    )
     run(*command)
     text = capsys.readouterr().out
     assert "2 done, 0 without a target" in text

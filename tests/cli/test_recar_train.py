@@ -9,9 +9,9 @@ import pytest
 import tyro
 
 from recast.cli.recar_train import Train
-from recast.errors import InputError
-from recast.recar.training.training_record import read_training_record
-from recast.storage import write_json
+from recast.core.errors import InputError
+from recast.core.files import write_json
+from recast.recar.training.output import read_training_record
 from support.tiny_stage import TinyStage, tiny_config, write_tiny_stage
 
 
@@ -22,9 +22,17 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> TinyStage:
 
 def arguments(stage: TinyStage, out: Path) -> list[str]:
     return [
-        "--model", str(stage.model), "--targets", str(stage.targets), "--set", str(stage.pictures),
-        "--out", str(out), "--device", "cpu",
-    ]  # fmt: skip
+        "--model",
+        str(stage.model),
+        "--targets",
+        str(stage.targets),
+        "--set",
+        str(stage.pictures),
+        "--out",
+        str(out),
+        "--device",
+        "cpu",
+    ]
 
 
 def run(args: list[str]) -> None:

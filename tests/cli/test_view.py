@@ -54,9 +54,11 @@ def test_a_replay_of_a_log_is_written(
 
 
 def test_folders_that_cannot_be_shown_are_refused(
-    tiny_log_folder: Path, rollout_folder: Path, tmp_path: Path,
+    tiny_log_folder: Path,
+    rollout_folder: Path,
+    tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     log, nothing = str(tiny_log_folder), str(tmp_path)
     assert "is no folder" in refused(capsys, str(tmp_path / "missing"))
     assert "nothing that can be shown" in refused(capsys, nothing)

@@ -13,12 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from recast import storage
-from recast.core import Artefact, Store
+from recast.core import Artefact, Store, files
 from recast.core.artefact import artefact_key
-from recast.core.parcel import ParcelDepot, pack, unpack
+from recast.core.depot import ParcelDepot, pack, unpack
+from recast.core.errors import InputError
 from recast.core.store import NotInStoreError
-from recast.errors import InputError
 
 INPUTS = {"log": "abc", "seed": 3}
 
@@ -129,7 +128,7 @@ def test_a_full_or_read_only_disk_is_one_line(
     make(store)
 
     def full(folder: Path) -> None:
-        with storage.disk_errors(folder):
+        with files.disk_errors(folder):
             raise OSError(number, os.strerror(number), str(folder / "file"))
 
     with pytest.raises(InputError, match="disk"):

@@ -13,10 +13,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv
 
+from recast.core.errors import InputError
 from recast.dynamics import state as ego
 from recast.envs import ENV_ID, DrivingEnv, ProgressReward
-from recast.envs.observations import ACTOR_COLUMNS
-from recast.errors import InputError
+from recast.envs.spaces import ACTOR_COLUMNS
 from recast.geometry import PinholeCamera, se2
 from recast.logs import write_log
 from recast.logs.hdmap import HdMap

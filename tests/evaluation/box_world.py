@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from recast.actors.shares import Shares
+from recast.actors.coverage import Shares
 from recast.geometry import PinholeCamera, se2, se3
 from recast.logs.types import CameraStream, DrivingLog, Track, Trajectory
 from recast.planning import CameraMount
@@ -98,8 +98,10 @@ def scene(faces: tuple[tuple[int, int, int], ...], log: DrivingLog) -> StreetSce
     parts = []
     for normal in faces:
         k = int(np.flatnonzero(normal)[0])
-        spans = [np.arange(-h + 0.05, h, 0.1) if i != k else [normal[i] * (h - 0.02)]
-                 for i, h in enumerate(SIZE / 2)]  # fmt: skip
+        spans = [
+            np.arange(-h + 0.05, h, 0.1) if i != k else [normal[i] * (h - 0.02)]
+            for i, h in enumerate(SIZE / 2)
+        ]
         points = np.stack(np.meshgrid(*spans, indexing="ij"), -1).reshape(-1, 3)
         parts.append((points, np.tile(FACES[normal], (len(points), 1))))
     means = torch.tensor(np.concatenate([p for p, _ in parts]), dtype=torch.float32)

@@ -11,9 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recar.sets import HEIGHT, WIDTH, identity_record, pictures, set_record
-from recast.errors import InputError
-from recast.evaluation.actor_cases import read_cases
-from recast.evaluation.actor_pictures import ComparedView, comparison_sheet
+from recast.core.errors import InputError
 from recast.evaluation.actor_scores import (
     ACTOR_COLUMNS,
     Cutout,
@@ -24,6 +22,8 @@ from recast.evaluation.actor_scores import (
     photographed,
     score_view,
 )
+from recast.evaluation.cases import read_cases
+from recast.evaluation.sheets import ComparedView, comparison_sheet
 from recast.recar import begin_set, finish_set, read_set, regular_azimuths, write_identity
 from recast.recar.shards import pack_set
 from recast.splats import CLASSIC

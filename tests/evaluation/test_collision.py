@@ -1,36 +1,13 @@
 """Overlap of boxes and NC."""
 
 import numpy as np
-import shapely
-from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recast.evaluation.collision import no_collision, overlap_areas
-from recast.geometry import boxes, se2
+from recast.evaluation.collision import no_collision
 
 poses = st.tuples(st.floats(-8, 8), st.floats(-8, 8), st.floats(-4, 4))
 sizes = st.tuples(st.floats(0.3, 12), st.floats(0.3, 3))
 moves = st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.floats(-4, 4))
-
-
-@settings(max_examples=100, deadline=None)
-@given(poses, sizes, poses, sizes)
-def test_overlap_is_the_clipped_area_and_symmetric(pose_a, size_a, pose_b, size_b):
-    found = overlap_areas(pose_a, size_a, pose_b, size_b)
-    np.testing.assert_allclose(
-        found, boxes.bev_overlap_area(pose_a, size_a, pose_b, size_b), atol=1e-9
-    )
-    np.testing.assert_allclose(found, overlap_areas(pose_b, size_b, pose_a, size_a), atol=1e-9)
-    outlines = [boxes.bev_corners(p, *s) for p, s in ((pose_a, size_a), (pose_b, size_b))]
-    first, second = map(shapely.Polygon, outlines)
-    np.testing.assert_allclose(found, first.intersection(second).area, atol=1e-9)
-
-
-@settings(max_examples=50, deadline=None)
-@given(poses, sizes, poses, sizes, moves)
-def test_overlap_does_not_depend_on_the_frame(pose_a, size_a, pose_b, size_b, move):
-    moved = overlap_areas(se2.compose(move, pose_a), size_a, se2.compose(move, pose_b), size_b)
-    np.testing.assert_allclose(moved, overlap_areas(pose_a, size_a, pose_b, size_b), atol=1e-8)
 
 
 def approach(final_gap):

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from recast.evaluation.drivable import drivable_area_compliance
-from recast.logs.drivable_region import drivable_region
-from recast.logs.hdmap import HdMap, Lane
+from recast.evaluation.route import drivable_area_compliance
+from recast.logs.hdmap import HdMap, Lane, drivable_region
 
 SIZE = [5.0, 2.0]
 

@@ -103,8 +103,9 @@ def test_statistics_merge_as_their_pictures_do(seed: int, times: list[int]) -> N
         with pytest.raises(ValueError, match="no picture"):
             FeatureStats.merged(stats, [*times, 1])
         return
-    rows = np.concatenate([one for one, many in zip(groups, times, strict=False)
-                           for _ in range(many)])  # fmt: skip
+    rows = np.concatenate(
+        [one for one, many in zip(groups, times, strict=False) for _ in range(many)]
+    )
     expected, found = FeatureStats.of(rows), FeatureStats.merged(stats, [*times, 1])
     assert found.count == expected.count
     np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-13)
@@ -124,12 +125,15 @@ def test_the_bootstrap_redraws_pictures(counts: tuple[int, int]) -> None:
     rng = np.random.default_rng(3)
     scenes = [f"scene-{index}" for index in (10, 2, 1, 0)]  # not in order
     first, second = (
-        {scene: rng.normal(rng.normal(), 1.0, size=(count + index, 16))
-         for index, scene in enumerate(scenes)}
+        {
+            scene: rng.normal(rng.normal(), 1.0, size=(count + index, 16))
+            for index, scene in enumerate(scenes)
+        }
         for count in counts
-    )  # fmt: skip
-    stats = [{scene: FeatureStats.of(rows) for scene, rows in one.items()}
-             for one in (first, second)]  # fmt: skip
+    )
+    stats = [
+        {scene: FeatureStats.of(rows) for scene, rows in one.items()} for one in (first, second)
+    ]
     draws = rng.integers(0, 4, (40, 4))
     found = frechet_bootstrap(*stats, draws)
     names = sorted(scenes)

@@ -10,9 +10,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.evaluation.actor_scores import Cutout, framed, photographed
-from recast.evaluation.generation_features import (
+from recast.evaluation.features import (
     FEATURE_KINDS,
     TOY_DIMENSIONS,
     ToyFeatures,

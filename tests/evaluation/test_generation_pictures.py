@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recast.evaluation.actor_scores import Cutout, photographed
-from recast.evaluation.generation_pictures import (
+from recast.evaluation.sheets import (
     TILE,
     SheetRow,
     applied_caption,

@@ -8,10 +8,10 @@ import torch
 
 from recast.actors import Asset, Observation
 from recast.actors.axes import UNIT_CUBE_Y_UP, UNIT_CUBE_Z_UP
-from recast.actors.one_view import observation_of_view
+from recast.actors.observe import observation_of_view
 from recast.actors.turntable import look_at
-from recast.errors import InputError
-from recast.evaluation.generation_placement import place
+from recast.core.errors import InputError
+from recast.evaluation.generation_cell import place
 from recast.geometry import se3
 from recast.splats import Gaussians
 from support.crops import CAMERA, DISTANCE, SIZE, direction, photograph, two_coloured_box

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.evaluation.frechet import frechet_distance
 from recast.evaluation.generation_cell import Cell, cell_is, read_cell, read_strip, write_cell
 from recast.evaluation.generation_report import (

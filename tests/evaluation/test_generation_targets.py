@@ -11,18 +11,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recast.errors import InputError
-from recast.evaluation.actor_cases import ActorCase, ActorView, read_cases
+from recast.core.errors import InputError
 from recast.evaluation.actor_scores import drawn, photographed
-from recast.evaluation.generation_targets import (
+from recast.evaluation.cases import (
     ORBIT_PIXELS,
+    ActorCase,
+    ActorView,
     elevation_deg,
     orbit_case,
+    read_cases,
     target_case,
 )
 from recast.evaluation.oracle_scores import mask_iou
 from recast.geometry import se3
-from recast.recar.camera import camera_pose, pinhole
+from recast.recar.views import camera_pose, pinhole
 from recast.splats import CLASSIC
 from support.crops import SIZE, photograph, two_coloured_box
 from support.studies import write_vehicle_set

@@ -8,10 +8,9 @@ import pytest
 import shapely
 
 from recast.dynamics import PACIFICA
-from recast.evaluation import cluster_bootstrap, comfort, exact_bootstrap, ttc
+from recast.evaluation import cluster_bootstrap, collision, comfort, exact_bootstrap
 from recast.evaluation.collision import no_collision
-from recast.evaluation.drivable import drivable_area_compliance
-from recast.evaluation.progress import route_completion
+from recast.evaluation.route import drivable_area_compliance, route_completion
 from recast.simulation.rollout import ego_centre
 
 FOLDER = Path(__file__).parents[1] / "golden" / "planners"
@@ -54,11 +53,14 @@ def test_collision_drivable_and_progress(golden, i):
 @pytest.mark.parametrize("i", range(6))
 @pytest.mark.parametrize(
     ("reading", "column", "future"),
-    [("realised", TTC, ttc.realised_future), ("cv", TTC_CV, ttc.constant_velocity_future)],
+    [
+        ("realised", TTC, collision.realised_future),
+        ("cv", TTC_CV, collision.constant_velocity_future),
+    ],
 )
 def test_time_to_collision(with_plans, i, reading, column, future):
     ego, actor = with_plans["ego"][i], with_plans["actor"][i]
-    found = ttc.time_to_collision(
+    found = collision.time_to_collision(
         ego[STEPS, :3],
         with_plans["predictions"][i],
         SIZE,

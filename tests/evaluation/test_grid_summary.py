@@ -10,11 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from recast.evaluation import COLUMNS
-from recast.evaluation.grid_file import SCHEMA, write_rows
-from recast.evaluation.grid_row import GridRow
-from recast.evaluation.grid_summary import arm_summaries, paired_summaries
-from recast.evaluation.same_script import script_difference
-from recast.evaluation.verdicts import agreements, verdicts
+from recast.evaluation.grid import GridRow, arm_summaries, paired_summaries
+from recast.evaluation.pairs import script_difference
+from recast.evaluation.verdicts import SCHEMA, agreements, verdicts, write_rows
 
 from .rollouts import make_rollout
 
@@ -22,9 +20,17 @@ from .rollouts import make_rollout
 def row(scene: str, arm: str, setting: str, nc: float, ttc: float) -> GridRow:
     scores = {**dict.fromkeys(COLUMNS, 1.0), "nc": nc, "ttc": ttc}
     return GridRow(
-        scene, None, None, "cut-in", setting, arm, "p", steps_run=160,
-        plan_steps=tuple(range(0, 160, 5)), scores=scores,
-    )  # fmt: skip
+        scene,
+        None,
+        None,
+        "cut-in",
+        setting,
+        arm,
+        "p",
+        steps_run=160,
+        plan_steps=tuple(range(0, 160, 5)),
+        scores=scores,
+    )
 
 
 def cut(whole: GridRow, steps: int) -> GridRow:
@@ -38,13 +44,16 @@ def failed(scene: str, arm: str, setting: str) -> GridRow:
 
 
 ROWS = [
-    row("one", "native", "a", 0.0, 0.0), row("one", "replaced", "a", 1.0, 4.0),
+    row("one", "native", "a", 0.0, 0.0),
+    row("one", "replaced", "a", 1.0, 4.0),
     row("one", "oracle", "a", 1.0, 4.0),
-    row("one", "native", "b", 0.0, 1.0), failed("one", "replaced", "b"),
+    row("one", "native", "b", 0.0, 1.0),
+    failed("one", "replaced", "b"),
     row("one", "oracle", "b", 0.0, 0.5),
-    row("two", "native", "a", 1.0, 4.0), row("two", "replaced", "a", 0.0, 2.0),
+    row("two", "native", "a", 1.0, 4.0),
+    row("two", "replaced", "a", 0.0, 2.0),
     row("two", "oracle", "a", 1.0, 4.0),
-]  # fmt: skip
+]
 
 
 def test_means_are_over_what_was_scored_and_lie_in_their_intervals() -> None:

@@ -11,13 +11,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from recast.core.errors import InputError
 from recast.dynamics import PACIFICA
-from recast.errors import InputError
 from recast.evaluation import ViewSettings, evaluate_oracle_views, logged_views, read_oracle_views
-from recast.evaluation.oracle_directions import angle_to_nearest, azimuth_elevation
-from recast.evaluation.oracle_poses import place_views
-from recast.evaluation.oracle_scores import Agreement, agreement, box_pixels, grown, mask_iou
-from recast.evaluation.oracle_summary import summarise
+from recast.evaluation.oracle_poses import angle_to_nearest, azimuth_elevation, place_views
+from recast.evaluation.oracle_scores import (
+    Agreement,
+    agreement,
+    box_pixels,
+    grown,
+    mask_iou,
+    summarise,
+)
 from recast.geometry import boxes, se2, se3
 
 from .box_world import (
@@ -42,13 +47,19 @@ def compared(tmp_path_factory: pytest.TempPathFactory):
     out = tmp_path_factory.mktemp("oracle") / "truth"
     oracle, told = BoxOracle(), []
     result = evaluate_oracle_views(
-        LOG, scene(REAR_ONLY, LOG), scene(WHOLE, LOG), oracle, "7", MOUNTS, out,
+        LOG,
+        scene(REAR_ONLY, LOG),
+        scene(WHOLE, LOG),
+        oracle,
+        "7",
+        MOUNTS,
+        out,
         rng=np.random.default_rng(0),
         settings=ViewSettings(moments=1, distances=(9.0,), headings=8),
         exposures={"front": 0.97},
         shares=box_shares(scene(WHOLE, LOG)),
         progress=lambda done, of: told.append((done, of)),
-    )  # fmt: skip
+    )
     return result, out, oracle, told
 
 
@@ -84,8 +95,9 @@ def test_angles_are_those_on_the_sphere(a: float, b: float, c: float, d: float) 
 
     first, second = unit(a, b), unit(c, d)
     angle = angle_to_nearest(first, np.stack([second, -first]))
-    assert angle == pytest.approx(np.degrees(2 * np.arcsin(np.linalg.norm(first - second) / 2)),
-                                  abs=1e-4)  # fmt: skip
+    assert angle == pytest.approx(
+        np.degrees(2 * np.arcsin(np.linalg.norm(first - second) / 2)), abs=1e-4
+    )
     assert angle_to_nearest(first, np.stack([second, first])) < 1e-5
     np.testing.assert_allclose(np.radians(azimuth_elevation(first)), (a, b), atol=1e-6)
 
@@ -229,10 +241,18 @@ def test_the_same_again_gives_the_same_bytes(compared, tmp_path: Path) -> None:
     _, out, *_ = compared
     settings = ViewSettings(moments=1, distances=(9.0,), headings=8)
     evaluate_oracle_views(
-        LOG, scene(REAR_ONLY, LOG), scene(WHOLE, LOG), BoxOracle(), "7", MOUNTS, tmp_path / "truth",
-        rng=np.random.default_rng(0), settings=settings, exposures={"front": 0.97},
+        LOG,
+        scene(REAR_ONLY, LOG),
+        scene(WHOLE, LOG),
+        BoxOracle(),
+        "7",
+        MOUNTS,
+        tmp_path / "truth",
+        rng=np.random.default_rng(0),
+        settings=settings,
+        exposures={"front": 0.97},
         shares=box_shares(scene(WHOLE, LOG)),
-    )  # fmt: skip
+    )
     for path in out.iterdir():
         again = (tmp_path / "truth" / path.name).read_bytes()
         assert hashlib.sha256(again).digest() == hashlib.sha256(path.read_bytes()).digest()
@@ -267,8 +287,12 @@ def test_means_by_angle_and_pairs_by_hand() -> None:
             self.baseline = Agreement(native, native / 100, native / 50)
             self.candidate = Agreement(replaced, replaced / 100, replaced / 50)
 
-    views = [View(0.1, 10, 30, 28), View(1.0, 60, 10, 14), View(1.0, 75, 12, 18),
-             View(3.0, 180, 10, 9)]  # fmt: skip
+    views = [
+        View(0.1, 10, 30, 28),
+        View(1.0, 60, 10, 14),
+        View(1.0, 75, 12, 18),
+        View(3.0, 180, 10, 9),
+    ]
     first, second, third, last, beyond, everything = summarise(views, np.random.default_rng(0))
     assert [b.views for b in (first, second, third, last, beyond, everything)] == [1, 0, 2, 1, 3, 4]
     assert second.baseline is None and second.difference == {}

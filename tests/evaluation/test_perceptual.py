@@ -21,12 +21,11 @@ from transformers import (
     Dinov2WithRegistersModel,
 )
 
-from recast.errors import InputError
-from recast.evaluation import perceptual_lpips
+from recast.core.errors import InputError
+from recast.evaluation import perceptual
 from recast.evaluation.actor_scores import photographed, score_view
-from recast.evaluation.perceptual import load_distances
-from recast.evaluation.perceptual_features import FeatureDistance
-from recast.evaluation.perceptual_lpips import BACKBONES, Lpips, load_lpips
+from recast.evaluation.features import FeatureDistance
+from recast.evaluation.perceptual import BACKBONES, Lpips, load_distances, load_lpips
 from recast.pretrained import resized
 
 RNG = np.random.default_rng(0)
@@ -57,11 +56,27 @@ def alex(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_layers_are_numbered_as_torchvision_numbers_them() -> None:
     assert [layer.index for layer in BACKBONES["vgg"]] == [
-        0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28
-    ]  # fmt: skip
+        0,
+        2,
+        5,
+        7,
+        10,
+        12,
+        14,
+        17,
+        19,
+        21,
+        24,
+        26,
+        28,
+    ]
     assert [layer.channels[1] for layer in BACKBONES["vgg"] if layer.tapped] == [
-        64, 128, 256, 512, 512
-    ]  # fmt: skip
+        64,
+        128,
+        256,
+        512,
+        512,
+    ]
     assert [layer.channels[1] for layer in BACKBONES["alex"]] == [64, 192, 384, 256, 256]
 
 
@@ -93,10 +108,13 @@ def test_lpips_by_the_formula(alex: Path) -> None:
                 x = functional.max_pool2d(x, 3, 2)
             x = functional.relu(
                 functional.conv2d(
-                    x, weights[f"features.{index}.weight"], weights[f"features.{index}.bias"],
-                    stride, padding,
+                    x,
+                    weights[f"features.{index}.weight"],
+                    weights[f"features.{index}.bias"],
+                    stride,
+                    padding,
                 )
-            )  # fmt: skip
+            )
             found.append(x / x.norm(dim=1, keepdim=True).clamp_min(1e-9))
         taps.append(found)
     expected = sum(
@@ -119,7 +137,7 @@ def test_lpips_of_many_against_one_by_one(
     backbone: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     side = {"alex": 256, "vgg": 64}[backbone]  # VGG takes a second for a picture of 256
-    monkeypatch.setattr(perceptual_lpips, "SIDE", side)
+    monkeypatch.setattr(perceptual, "SIDE", side)
     torch.save(conv_weights(backbone), tmp_path / "weights.pth")
     lpips = load_lpips(tmp_path / "weights.pth")
     rng = np.random.default_rng(1)
@@ -223,11 +241,14 @@ PUBLISHED = {
         size={"shortest_edge": 224}, crop_size={"height": 224, "width": 224}
     ),
     "dino": BitImageProcessor(
-        size={"shortest_edge": 256}, crop_size={"height": 224, "width": 224},
-        do_convert_rgb=True, image_mean=[0.485, 0.456, 0.406], image_std=[0.229, 0.224, 0.225],
+        size={"shortest_edge": 256},
+        crop_size={"height": 224, "width": 224},
+        do_convert_rgb=True,
+        image_mean=[0.485, 0.456, 0.406],
+        image_std=[0.229, 0.224, 0.225],
     ),
     "siglip-like": CLIPImageProcessor(size={"height": 224, "width": 224}, do_center_crop=False),
-}  # fmt: skip
+}
 """Processors of openai/clip-vit-large-patch14 and facebook/dinov2-large, and one without a crop."""
 
 

@@ -19,7 +19,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from support.moments import REMOVING, Work, changed, forked
 
 KILL = -signal.SIGKILL

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from faults.children import Ended, Fault, command
-from recast import storage
+from recast.core import files
 
 TIMES = ("times.json",)
 """Say how long something took; all else must be the same bytes."""
@@ -81,7 +81,7 @@ class Unbroken:
     def place(self, step: str, out: Path | None = None) -> Path:
         """Where a run in the folder `out` has one of `STEPS`, whole."""
         out = out or self.out
-        reference = storage.read_json(self.out / "run.json")["artefacts"].get(step)
+        reference = files.read_json(self.out / "run.json")["artefacts"].get(step)
         return out / step if reference is None else out.parent / "store" / reference
 
     def without(self, step: str, folder: Path) -> Path:
@@ -91,9 +91,9 @@ class Unbroken:
             shutil.copytree(self.out.parent / name, folder / name, symlinks=True)
         target = self.place(step, out)
         shutil.rmtree(target) if target.is_dir() else target.unlink()
-        record = storage.read_json(out / "run.json")
+        record = files.read_json(out / "run.json")
         record["artefacts"].pop(step, None)
-        storage.write_json(out / "run.json", record)
+        files.write_json(out / "run.json", record)
         return out
 
     def same(self, out: Path) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from recast import storage
+from recast.core import files
 from recast.pipeline.layout import use_name
 from recast.pipeline.run_folder import RunFolder
 
@@ -25,16 +25,16 @@ def small_run(folder: Path) -> Path:
         )
         run.refer(store, used)
     run.refer(store, used, whole=True)
-    run.finish("metrics.json", "a", lambda: storage.write_json(run.path / "metrics.json", {}))
+    run.finish("metrics.json", "a", lambda: files.write_json(run.path / "metrics.json", {}))
     return folder
 
 
 def _make(out: Path) -> None:
-    with storage.atomic_folder(out / "deep") as partial:
-        storage.write_text(partial / "file.txt", "whole")
+    with files.atomic_folder(out / "deep") as partial:
+        files.write_text(partial / "file.txt", "whole")
 
 
 def _make_resuming(out: Path) -> None:
     if not (out / "first.txt").exists():
-        storage.write_text(out / "first.txt", "whole")
-    storage.write_text(out / "second.txt", "whole")
+        files.write_text(out / "first.txt", "whole")
+    files.write_text(out / "second.txt", "whole")

@@ -9,7 +9,7 @@ import pytest
 from faults.children import KILL, Fault
 from faults.conftest import Unbroken, contents, kept, stamps
 from faults.small_run import small_run
-from recast import storage
+from recast.core import files
 from support.moments import killed_before
 
 WHOLE_RUN = (
@@ -83,7 +83,7 @@ def test_a_finished_run_that_is_killed_while_a_part_is_made_again_keeps_the_othe
     step = "evaluation/recast"
     out = finished.without(step, tmp_path / "1")
     assert finished.again(out, Fault(out.parent, KILL, 5)).code == KILL
-    found, whole = (storage.read_json(run / "run.json")["artefacts"] for run in (out, finished.out))
+    found, whole = (files.read_json(run / "run.json")["artefacts"] for run in (out, finished.out))
     assert found == {use: name for use, name in whole.items() if use != step}
     assert contents(finished.out).keys() == contents(out).keys()
 

@@ -11,12 +11,12 @@ import pytest
 from rich.console import Console
 
 import recast.pipeline.report
-import recast.pipeline.source_log
+import recast.pipeline.sources
 from recast.logs import DrivingLog
 from recast.pipeline.arms import Arm
 from recast.pipeline.bench import parse_scenes
+from recast.pipeline.config import resolve_config
 from recast.pipeline.layout import use_name
-from recast.pipeline.options import resolve_config
 from recast.pipeline.rollouts import films
 from recast.pipeline.run import run
 from recast.pipeline.run_folder import RunFolder
@@ -72,14 +72,17 @@ def test_a_run_with_hostile_names(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for module in (recast.pipeline.source_log, recast.pipeline.report):
+    for module in (recast.pipeline.sources, recast.pipeline.report):
         monkeypatch.setattr(module, "read_log", lambda path: hostile)
     monkeypatch.setattr("recast.pipeline.actor._TURNTABLE_VIEWS", 2)
     config = resolve_config(
-        TRACK, ["advancing-a"], None, None,
+        TRACK,
+        ["advancing-a"],
+        None,
+        None,
         {"generator": "faults.parts:Box", "steps": 10, "threads": 1},
         {"iterations": 4, "scale": 0.25, "threads": 1},
-    )  # fmt: skip
+    )
     config = config.model_copy(update={"arms": ARMS})
     out = tmp_path / "deep" / "run"
     with (tmp_path / "shown").open("w", encoding="utf-8") as shown:
@@ -124,7 +127,7 @@ def test_scenes_of_a_grid_with_hostile_names(
     """Two tracks whose names differ in what folders cannot hold are two scenes."""
     track = hostile.tracks[TRACK]
     both = dataclasses.replace(hostile, tracks={TRACK: track, TRACK.replace("/", "\\"): track})
-    monkeypatch.setattr("recast.pipeline.bench.scenes.read_log", lambda path: both)
+    monkeypatch.setattr("recast.pipeline.bench.settings.read_log", lambda path: both)
     ids = [parse_scenes([str(tmp_path)], 0, name)[0].id for name in both.tracks]
     assert len(set(ids)) == 2
     for name in ids:

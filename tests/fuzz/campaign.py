@@ -71,9 +71,13 @@ class Child:
         # One arena: glibc would reserve 64 MiB of addresses for every thread of a library.
         environment |= {"MALLOC_ARENA_MAX": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
         return subprocess.Popen(
-            [sys.executable, "-m", "fuzz.child"], env=environment, text=True,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors,
-        )  # fmt: skip
+            [sys.executable, "-m", "fuzz.child"],
+            env=environment,
+            text=True,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+        )
 
     def _ask(self, job: Mapping[str, Any], count: int) -> Iterator[Result]:
         if self._process is None or self._process.poll() is not None:

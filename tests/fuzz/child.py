@@ -23,7 +23,7 @@ import numpy as np
 from fuzz.check import first_fault
 from fuzz.mutators import mutate
 from fuzz.target import Target, all_targets
-from recast.errors import LINE_LIMIT, InputError
+from recast.core.errors import LINE_LIMIT, InputError
 
 SECONDS = 20
 """Processor time of one input; the slowest sample takes less than a tenth of it."""

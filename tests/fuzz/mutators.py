@@ -25,18 +25,73 @@ Rng = np.random.Generator
 Mutator = Callable[[bytes, Rng], bytes]
 
 WORDS = (
-    b"nan", b"inf", b"-inf", b"NaT", b"1e400", b"-1", b"0", b"-0", b"1e308", b"-1e30", b"", b"x",
-    b"9" * 400, b"9" * 5000, b"4294967296", b"18446744073709551616", b"0.5", b"\xc2\xb2",
-    b"\xff\xfe", b"../../x", b"/etc/passwd", b"\0", b"None", b"true", b"\xe2\x80\xae", b"A" * 300,
-    b"\n", b"1e-320",
-)  # fmt: skip
+    b"nan",
+    b"inf",
+    b"-inf",
+    b"NaT",
+    b"1e400",
+    b"-1",
+    b"0",
+    b"-0",
+    b"1e308",
+    b"-1e30",
+    b"",
+    b"x",
+    b"9" * 400,
+    b"9" * 5000,
+    b"4294967296",
+    b"18446744073709551616",
+    b"0.5",
+    b"\xc2\xb2",
+    b"\xff\xfe",
+    b"../../x",
+    b"/etc/passwd",
+    b"\0",
+    b"None",
+    b"true",
+    b"\xe2\x80\xae",
+    b"A" * 300,
+    b"\n",
+    b"1e-320",
+)
 """In the place of a word or a number of a text."""
 
 VALUES: tuple[Any, ...] = (
-    None, True, False, 0, -1, 1, 2**31, 2**63, -(2**64), 10**30, 0.5, -0.0, 1e308, -1e30, 1e-320,
-    float("nan"), float("inf"), float("-inf"), "", "x", "../../x", "/etc/passwd", "a\0b", "\u202e",
-    "A" * 300, "nan", "<script>", [], {}, [[]], [None], {"": None}, [0] * 50, {"x": {"x": {}}},
-)  # fmt: skip
+    None,
+    True,
+    False,
+    0,
+    -1,
+    1,
+    2**31,
+    2**63,
+    -(2**64),
+    10**30,
+    0.5,
+    -0.0,
+    1e308,
+    -1e30,
+    1e-320,
+    float("nan"),
+    float("inf"),
+    float("-inf"),
+    "",
+    "x",
+    "../../x",
+    "/etc/passwd",
+    "a\0b",
+    "\u202e",
+    "A" * 300,
+    "nan",
+    "<script>",
+    [],
+    {},
+    [[]],
+    [None],
+    {"": None},
+    [0] * 50,
+    {"x": {"x": {}}},
+)
 """In the place of a value of a tree."""
 
 FLOATS = (np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-30, 0.0, -1.0, 3e38)
@@ -354,13 +409,25 @@ def mutate_checkpoint(data: bytes, rng: Rng) -> bytes:
 
 
 BY_SUFFIX: dict[str, Mutator] = {
-    ".json": mutate_json, ".yaml": mutate_yaml, ".txt": mutate_text, ".csv": mutate_text,
-    ".xml": mutate_text, ".npy": mutate_npy, ".safetensors": mutate_safetensors,
-    ".ply": mutate_ply, ".feather": mutate_table, ".parquet": mutate_table, ".png": mutate_png,
-    ".pth": mutate_checkpoint, ".tfrecord": mutate_tfrecord, ".jsonl": mutate_text,
-    ".obj": mutate_text, ".mtl": mutate_text, ".glb": mutate_glb,
+    ".json": mutate_json,
+    ".yaml": mutate_yaml,
+    ".txt": mutate_text,
+    ".csv": mutate_text,
+    ".xml": mutate_text,
+    ".npy": mutate_npy,
+    ".safetensors": mutate_safetensors,
+    ".ply": mutate_ply,
+    ".feather": mutate_table,
+    ".parquet": mutate_table,
+    ".png": mutate_png,
+    ".pth": mutate_checkpoint,
+    ".tfrecord": mutate_tfrecord,
+    ".jsonl": mutate_text,
+    ".obj": mutate_text,
+    ".mtl": mutate_text,
+    ".glb": mutate_glb,
     ".bin": lambda data, rng: mutate_array(data, rng, "<f4"),
-}  # fmt: skip
+}
 
 
 def mutate(name: str, data: bytes, rng: Rng) -> bytes:

@@ -64,6 +64,20 @@ def test_overlap_area_is_shapelys_and_symmetric(pose_a, size_a, pose_b, size_b):
     assert found == pytest.approx(boxes.bev_overlap_area(pose_b, size_b, pose_a, size_a), abs=1e-9)
 
 
+@given(near_poses, sizes, near_poses, sizes, near_poses)
+def test_overlap_does_not_depend_on_the_frame(pose_a, size_a, pose_b, size_b, move):
+    moved_a, moved_b = se2.compose(100 * move, pose_a), se2.compose(100 * move, pose_b)
+    moved = boxes.bev_overlap_area(moved_a, size_a, moved_b, size_b)
+    found = boxes.bev_overlap_area(pose_a, size_a, pose_b, size_b)
+    assert moved == pytest.approx(found, abs=1e-8)
+
+
+def test_overlap_is_taken_pair_by_pair():
+    poses = np.array([[0.0, 0, 0], [2, 0, 0], [9, 0, 0]])
+    found = boxes.bev_overlap_area(poses, [4, 2], np.zeros(3), [[4, 2], [4, 1], [4, 2]])
+    np.testing.assert_allclose(found, [8, 2, 0])
+
+
 @given(near_poses, sizes)
 def test_a_box_overlaps_itself_wholly(pose, size):
     area = boxes.bev_overlap_area(pose, size, pose, size)

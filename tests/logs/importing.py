@@ -10,8 +10,12 @@ from recast.logs.store import WriteProgress
 
 
 def import_drive(
-    importer: str, root: Path, drive: str, out: Path, progress: WriteProgress | None = None,
+    importer: str,
+    root: Path,
+    drive: str,
+    out: Path,
+    progress: WriteProgress | None = None,
     **options: Any,
-) -> None:  # fmt: skip
+) -> None:
     """Import a drive into the new log folder `out`."""
     write_log(load_log(root, importer=importer, drive=drive, **options), out, progress)

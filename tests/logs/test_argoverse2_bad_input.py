@@ -12,7 +12,7 @@ import pytest
 from pyarrow import feather
 
 from logs.importing import import_drive
-from recast.errors import InputError
+from recast.core.errors import InputError
 from support import tiny_argoverse2 as tiny
 
 POSES = "city_SE3_egovehicle.feather"

@@ -16,11 +16,11 @@ from recast.geometry import boxes, se2, se3
 from recast.logs import DrivingLog, Track, all_track_points, read_log, write_log
 from recast.logs.importers.argoverse2 import load_argoverse2
 from recast.logs.importers.argoverse2_labels import BOX_DELAY_US
-from recast.planning.map import planner_map, route_blocks
-from recast.planning.pdm.planner import PdmClosedPlanner
+from recast.planning.map_from_log import planner_map, route_blocks
+from recast.planning.pdm.closed import PdmClosedPlanner
 from recast.planning.route import ReferenceRoute
 from recast.simulation import RolloutSetup, run_rollout
-from recast.simulation.motions import StartSituation
+from recast.simulation.situation import StartSituation
 
 SENSORS = "7fab2350-7eaf-3b7e-a39d-6937a4c1bede"
 NO_SENSORS = "3bffdcff-c3a7-38b6-a0f2-64196d130958"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from logs.importing import import_drive
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import read_log
 from recast.logs.importers.waymo_schema import CAMERA_NAME, LASER_NAME, lidar_name
 from support import (

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import shapely
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import boxes, se2, se3
 from recast.logs import DrivingLog, HdMap, Trajectory, derive_map
 from recast.logs.derive_map import ego_path

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from logs.importing import import_drive
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, read_log
 from support import tiny_processed as tiny

@@ -14,17 +14,42 @@ from rich.console import Console
 
 from logs.importing import import_drive
 from logs.small_log import small_log
-from recast.errors import InputError
+from recast.cli.rows.logs import log_info_tables
+from recast.core.errors import InputError
+from recast.core.names import folder_name
 from recast.logs import DrivingLog, Track, Trajectory, log_info, read_log, write_log
-from recast.names import folder_name
-from recast.reporting.log_tables import log_info_tables
 from support.tiny_drive import DRIVE, TinyDrive
 
 HOSTILE = [
-    "../x", "../../../../victim", "/etc/passwd", "a/b", "..", ".", ".hidden", "-rf", "a\0b",
-    "a\nb", "\r", " ", "a b", "x" * 300, "\u202egnp.x", "<script>alert(1)</script>", "[red]x[/red]",
-    "C:\\x", "con", "{track}", "%s", "ä", "车辆", "🚗", "default", "cameras", ".zarray", "a'b\"c",
-]  # fmt: skip
+    "../x",
+    "../../../../victim",
+    "/etc/passwd",
+    "a/b",
+    "..",
+    ".",
+    ".hidden",
+    "-rf",
+    "a\0b",
+    "a\nb",
+    "\r",
+    " ",
+    "a b",
+    "x" * 300,
+    "\u202egnp.x",
+    "<script>alert(1)</script>",
+    "[red]x[/red]",
+    "C:\\x",
+    "con",
+    "{track}",
+    "%s",
+    "ä",
+    "车辆",
+    "🚗",
+    "default",
+    "cameras",
+    ".zarray",
+    "a'b\"c",
+]
 
 
 def _named(name: str) -> DrivingLog:

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from logs.small_log import small_log
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import DrivingLog, read_log, write_log
 
 MAIN, CAMERA, LIDAR = (f"log.ncore4{part}.zarr.itar" for part in ("", "-front", "-top"))
@@ -146,7 +146,7 @@ def _set(part: str, field: str, value: object) -> Callable[[Meta], object]:
         (lambda meta: meta.update({"a/.zarray": 3}), "no object of objects"),
         (lambda meta: meta.update({"a/.zarray": {}}), "cannot be read ('dtype')"),
     ],
-)  # fmt: skip
+)
 def test_metadata_that_would_take_memory_or_run_code(
     folder: Path, change: Callable[[Meta], object], message: str
 ) -> None:
@@ -270,16 +270,35 @@ BOX = {"track_id": "1", "class_id": "car", "timestamp_us": 1_700_000_000_100_000
         ([{}], "tracks: cannot be read ('track_id')"),
         ([{**BOX, "track_id": ["a"]}], "tracks: cannot be read"),
         ([{**BOX, "bbox3": {"centroid": [0, 0, 0], "dim": [1, 1], "rot": [0, 0, 0]}}], "size"),
-        ([{**BOX, "bbox3": {"centroid": [0, 0, 0], "dim": [1, 1, float("inf")], "rot": [0] * 3}}],
-         "size: three metres"),
-        ([{**BOX, "bbox3": {"centroid": [0, 1e300, 0], "dim": [1] * 3, "rot": [0] * 3}}],
-         "1e+300 is not within"),
-        ([{**BOX, "bbox3": {"centroid": [0] * 3, "dim": [1] * 3, "rot": [float("nan")] * 3}}],
-         "nan is not within"),
-        ([{**BOX, "timestamp_us": 10**30, "bbox3": {"centroid": [0] * 3, "dim": [1] * 3,
-                                                    "rot": [0] * 3}}], "tracks: cannot be read"),
+        (
+            [
+                {
+                    **BOX,
+                    "bbox3": {"centroid": [0, 0, 0], "dim": [1, 1, float("inf")], "rot": [0] * 3},
+                }
+            ],
+            "size: three metres",
+        ),
+        (
+            [{**BOX, "bbox3": {"centroid": [0, 1e300, 0], "dim": [1] * 3, "rot": [0] * 3}}],
+            "1e+300 is not within",
+        ),
+        (
+            [{**BOX, "bbox3": {"centroid": [0] * 3, "dim": [1] * 3, "rot": [float("nan")] * 3}}],
+            "nan is not within",
+        ),
+        (
+            [
+                {
+                    **BOX,
+                    "timestamp_us": 10**30,
+                    "bbox3": {"centroid": [0] * 3, "dim": [1] * 3, "rot": [0] * 3},
+                }
+            ],
+            "tracks: cannot be read",
+        ),
     ],
-)  # fmt: skip
+)
 def test_damaged_tracks_are_one_line(folder: Path, boxes: list, message: str) -> None:
     def change(meta: Meta) -> None:
         meta["cuboids/default/cuboids/.zattrs"]["cuboid_track_observations"] = boxes

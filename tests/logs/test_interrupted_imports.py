@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from logs.importing import import_drive
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import read_log
 from recast.logs.importers import IMPORTERS
 from support import (

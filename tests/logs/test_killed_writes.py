@@ -14,7 +14,7 @@ import pytest
 
 from logs.importing import import_drive
 from logs.small_log import small_log
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import write_log
 from support.moments import (
     changes_of,

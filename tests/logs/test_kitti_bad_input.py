@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from logs.importing import import_drive
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs.importers.kitti import load_kitti
 from support import tiny_drive as tiny
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from logs.small_log import small_log
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import DrivingLog, load_log, read_log, write_log
 from support import tiny_argoverse2 as tiny
 from support.tiny_drive import DRIVE, TinyDrive

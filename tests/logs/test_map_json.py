@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import GroundHeight, HdMap, Lane
 from recast.logs.map_json import read_map, write_map
 

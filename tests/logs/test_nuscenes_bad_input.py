@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from logs.importing import import_drive
-from recast.errors import InputError
+from recast.core.errors import InputError
 from support import tiny_nuscenes as tiny
 
 Damage = Callable[[Path], object]

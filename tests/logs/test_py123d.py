@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from logs.importing import import_drive
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import DrivingLog, read_log
 from recast.logs.importers.py123d import load_py123d
-from recast.logs.importers.py123d_tracks import category
+from recast.logs.importers.py123d_sensors import category
 from support import tiny_py123d as tiny
 
 
@@ -46,8 +46,10 @@ def test_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, merged: bool) ->
         np.testing.assert_allclose(sweep.points, tiny.POINTS[key] + rig_from_imu, atol=1e-4)
         np.testing.assert_allclose(sweep.intensity, key * 25 / 255, atol=1e-6)
     assert {key: track.category for key, track in log.tracks.items()} == {
-        "car": "car", "bus": "bus", "rider": "cyclist",
-    }  # fmt: skip
+        "car": "car",
+        "bus": "bus",
+        "rider": "cyclist",
+    }
     car = log.tracks["car"].trajectory
     np.testing.assert_allclose(car.poses[4][:3, 3], [30.0 - 3.2, 4.0, 0.8], atol=1e-6)
 
@@ -140,7 +142,7 @@ def test_a_faulty_log_is_one_clear_line(
 ) -> None:
     scene, message = CASES[case]
     if case == "map":
-        monkeypatch.setattr("recast.logs.importers.py123d_map.NEAR", 100.0)
+        monkeypatch.setattr("recast.logs.importers.py123d.NEAR", 100.0)
     with pytest.raises(InputError) as raised:
         _imported(tmp_path, monkeypatch, scene)
     assert message in str(raised.value) and tiny.NAME in str(raised.value)

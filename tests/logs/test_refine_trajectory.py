@@ -7,8 +7,14 @@ import pytest
 
 from recast.geometry import se3
 from recast.logs import DrivingLog, LidarStream, LidarSweep, Trajectory
-from recast.logs.refine_trajectory import heading_offset, refine_trajectory
-from recast.logs.scan_matching import adjoint, match, surfels, thin
+from recast.logs.refine_trajectory import (
+    adjoint,
+    heading_offset,
+    match,
+    refine_trajectory,
+    surfels,
+    thin,
+)
 
 
 def room(rng: np.random.Generator) -> np.ndarray:

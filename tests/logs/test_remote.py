@@ -16,10 +16,10 @@ from upath import UPath
 
 from logs.small_log import small_log
 from recast.cli.main import main
+from recast.core.errors import InputError
 from recast.core.remote import CACHE_VARIABLE, cache_folder
-from recast.errors import InputError
 from recast.logs import load_log, write_log
-from recast.logs.remote import local_folder
+from recast.logs.load import local_folder
 
 ADDRESS = "memory://bucket/drive"
 
@@ -75,9 +75,12 @@ def _same(copy: Path | None, folder: Path) -> bool:
 
 
 def test_a_log_in_s3(
-    s3: dict[str, Any], folder: Path, cache: Path, monkeypatch: pytest.MonkeyPatch,
+    s3: dict[str, Any],
+    folder: Path,
+    cache: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     remote = UPath("s3://drives/first", **s3)
     log = load_log(remote)
     assert log.origin is not None and log.origin.is_relative_to(cache / "logs")
@@ -91,9 +94,10 @@ def test_a_log_in_s3(
         load_log(UPath("s3://nowhere/log", **s3))
     # The command finds endpoint and credentials in the environment, as all AWS tools do.
     for name, value in {
-        "AWS_ENDPOINT_URL": s3["endpoint_url"], "AWS_ACCESS_KEY_ID": "a",
+        "AWS_ENDPOINT_URL": s3["endpoint_url"],
+        "AWS_ACCESS_KEY_ID": "a",
         "AWS_SECRET_ACCESS_KEY": "b",
-    }.items():  # fmt: skip
+    }.items():
         monkeypatch.setenv(name, value)
     assert main(["log", "info", "s3://drives/first", "--json"]) == 0
     assert '"name": "' in capsys.readouterr().out

@@ -13,7 +13,7 @@ import pytest
 from ncore.data.v4 import SequenceComponentGroupsReader, SequenceLoaderV4
 
 from logs.small_log import small_log
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog, read_log, write_log
 

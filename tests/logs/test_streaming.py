@@ -164,7 +164,9 @@ def test_the_command_shows_images_and_sweeps(
 ) -> None:
     tiny.write_tiny_log(tmp_path)
     out = tmp_path / "log"
-    assert main(["log", "import", "argoverse2", str(tmp_path), "--drive", tiny.LOG,
-                 "--out", str(out)]) == 0  # fmt: skip
+    assert (
+        main(["log", "import", "argoverse2", str(tmp_path), "--drive", tiny.LOG, "--out", str(out)])
+        == 0
+    )
     # 9 images of each of two cameras, 2 sweeps of each of two LiDARs.
     assert "22/22" in capsys.readouterr().out

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs.importing import import_drive
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, read_log
 from recast.logs.importers.street_gaussians import load_street_gaussians

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from logs.small_log import small_log
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import DrivingLog, HdMap, LidarSweep, Track, Trajectory, write_log
 from recast.logs.hdmap import GroundHeight
 
@@ -172,9 +172,11 @@ def test_limits_are_beyond_any_drive() -> None:
         world_from_rig=Trajectory(log.world_from_rig.timestamps_us + shift, poses),
         tracks={
             "car 7": Track(
-                "car 7", "x" * 1000, np.array([1e-3, 1e3, 1.0]),
+                "car 7",
+                "x" * 1000,
+                np.array([1e-3, 1e3, 1.0]),
                 Trajectory(log.world_from_rig.timestamps_us[:1] + shift, poses[:1]),
             )
         },
-    )  # fmt: skip
+    )
     moved.validate()

@@ -10,8 +10,8 @@ import pytest
 
 from logs.importing import import_drive
 from recast.logs import DrivingLog, read_log
-from recast.logs.importers.waymo2 import load_waymo2
-from recast.logs.importers.waymo2_cells import RowReader
+from recast.logs.importers.waymo import load_waymo2
+from recast.logs.importers.waymo2_segment import RowReader
 from support import tiny_waymo as tiny
 from support import tiny_waymo2 as tiny2
 

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from logs.importing import import_drive
-from recast.errors import InputError
+from recast.core.errors import InputError
 from support import tiny_waymo as tiny
 from support import tiny_waymo2 as tiny2
 
@@ -239,7 +239,7 @@ SHEARED = np.arange(16.0)
         ),
         ("lidar_box", _cell(CAR, "box.heading", None), "[LiDARBoxComponent].box.heading: is empty"),
     ],
-)  # fmt: skip
+)
 def test_a_faulty_row_is_one_clear_line(
     tmp_path: Path, tag: str, change: tiny2.Change, message: str
 ) -> None:

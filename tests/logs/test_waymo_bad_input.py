@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from logs.importing import import_drive
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs.importers.waymo_schema import MATRIX_FLOAT
 from recast.logs.importers.waymo_wire import decode
 from support import tiny_waymo as tiny
@@ -171,12 +171,14 @@ def _lanes(*features: bytes) -> Parts:
             "record 0, map_features: the ego drives 4998 m beside all lanes",
         ),
         (
-            _lanes(*tiny.map_features()[5:],
-                   tiny.lane(1, tiny.line((0, 0), (9, 0)), tiny.boundary(13, 11, 0, 40))),
+            _lanes(
+                *tiny.map_features()[5:],
+                tiny.lane(1, tiny.line((0, 0), (9, 0)), tiny.boundary(13, 11, 0, 40)),
+            ),
             "map_features[5].lane.left_boundaries[0]: runs from point 0 to 40 of 11",
         ),
     ],
-)  # fmt: skip
+)
 def test_a_faulty_segment_is_one_clear_line(tmp_path: Path, parts: Parts, message: str) -> None:
     path = tiny.write_segment(tmp_path / "root", parts)
     _refused(tmp_path, tiny.NAME, f"{path}: {message}" if message.startswith("record") else message)
@@ -238,17 +240,28 @@ def test_what_is_not_there_is_answered_with_what_is(tmp_path: Path) -> None:
 def _scenario(name: str, *more: bytes) -> bytes:
     def track(key: int, x: float) -> bytes:
         states = b"".join(
-            blob(3, double(2, x + k) + double(3, 0.0) + double(4, 1.0)
-                 + b"".join(single(n, v) for n, v in ((5, 5), (6, 2), (7, 2), (8, 0)))
-                 + integer(11, 1))
+            blob(
+                3,
+                double(2, x + k)
+                + double(3, 0.0)
+                + double(4, 1.0)
+                + b"".join(single(n, v) for n, v in ((5, 5), (6, 2), (7, 2), (8, 0)))
+                + integer(11, 1),
+            )
             for k in range(3)
-        )  # fmt: skip
+        )
         return blob(2, integer(1, key) + integer(2, 1) + states)
 
     return b"".join(
-        [doubles(1, [0.0, 0.1, 0.2]), track(3, 0.0), track(8, 20.0), blob(5, name),
-         integer(6, 0), *more]
-    )  # fmt: skip
+        [
+            doubles(1, [0.0, 0.1, 0.2]),
+            track(3, 0.0),
+            track(8, 20.0),
+            blob(5, name),
+            integer(6, 0),
+            *more,
+        ]
+    )
 
 
 def test_a_scenario_is_named_where_a_file_holds_several(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ PROJECTED = Schema(
             Schema("CameraLabels", {1: one("name", CAMERA_NAME), 2: many("labels", LABEL)}),
         )
     },
-)  # fmt: skip
+)
 """The boxes of the laser labels in the images, as the dataset's makers projected them."""
 
 

@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recast.errors import InputError
-from recast.logs.importers.waymo_crc32c import LANES, crc32c, crc32c_reference
-from recast.logs.importers.waymo_tfrecord import read_records
+from recast.core.errors import InputError
+from recast.logs.importers.waymo_tfrecord import LANES, crc32c, crc32c_reference, read_records
 from recast.logs.importers.waymo_wire import (
     Choice,
     FieldError,

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from recast import storage
 from recast.cli.main import main
-from recast.core.hashing import folder_hash
-from recast.errors import InputError
+from recast.core import files
+from recast.core.artefact import folder_hash
+from recast.core.errors import InputError
 from recast.logs import read_log
 from recast.pipeline.bench import resolve_bench
 from recast.pipeline.bench.settings import begin
-from recast.pipeline.options import resolve_config
+from recast.pipeline.config import resolve_config
 from recast.pipeline.run_folder import RunFolder
 from recast.scene import SceneConfig
-from recast.scene.run_identity import claim_folder
+from recast.scene.run import claim_folder
 
 
 def names(folder: Path) -> dict[str, int]:
@@ -26,7 +26,7 @@ def names(folder: Path) -> dict[str, int]:
 
 def refused(capsys: pytest.CaptureFixture[str], out: Path, *command: str) -> None:
     before = names(out)
-    with storage.alone_in(out):
+    with files.alone_in(out):
         assert main([*command, "--out", str(out)]) == 2
     [line] = capsys.readouterr().err.splitlines()
     assert "another process is at work here" in line
@@ -45,10 +45,17 @@ def test_a_run(tiny_log_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixt
 def test_a_grid(tiny_log_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [f"{tiny_log_folder}:0"]
     settings = resolve_bench(
-        words=words, track=None, motions=["advancing-a"], quick=False, config_file=None,
-        scene_config_file=None, samples=100, drive_options={}, run_options={"films": False},
+        words=words,
+        track=None,
+        motions=["advancing-a"],
+        quick=False,
+        config_file=None,
+        scene_config_file=None,
+        samples=100,
+        drive_options={},
+        run_options={"films": False},
         scene_options={},
-    )  # fmt: skip
+    )
     begin(tmp_path, settings.record())
     command = ["bench", "closed-loop", "--scenes", *words, "--motions", "advancing-a"]
     refused(capsys, tmp_path, *command, "--samples", "100")
@@ -59,9 +66,9 @@ def test_a_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_what_a_killed_command_held_is_free(tmp_path: Path) -> None:
-    with pytest.raises(InputError), storage.alone_in(tmp_path), storage.alone_in(tmp_path):
+    with pytest.raises(InputError), files.alone_in(tmp_path), files.alone_in(tmp_path):
         pass
-    with storage.alone_in(tmp_path):
+    with files.alone_in(tmp_path):
         pass
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.pipeline.arms import Arm, parse_arms, truth_of
-from recast.pipeline.options import resolve_config
+from recast.pipeline.config import resolve_config
 from recast.scene.store import SCENE_FILE
 
 
@@ -24,9 +24,17 @@ def scene(tmp_path: Path) -> Path:
 
 def test_words(scene: Path) -> None:
     words = [
-        "native", "replaced", "oracle", "recast-mini", "omnire", "omnire+template",
-        "streetgs+replaced", str(scene), f"{scene}+cars/sedan.glb", "library:my/cars",
-    ]  # fmt: skip
+        "native",
+        "replaced",
+        "oracle",
+        "recast-mini",
+        "omnire",
+        "omnire+template",
+        "streetgs+replaced",
+        str(scene),
+        f"{scene}+cars/sedan.glb",
+        "library:my/cars",
+    ]
     arms = parse_arms(words)
     told = [(arm.name, Path(arm.street).name, arm.vehicle, arm.generator) for arm in arms]
     assert told == [
@@ -95,17 +103,24 @@ def test_assets_by_scene(tmp_path: Path) -> None:
 
 def test_streets_of_presets_keep_what_is_not_the_method_s() -> None:
     config = resolve_config(
-        "0", ["cut-in-a"], None, None, {"arms": ["native", "omnire+template"], "refine": False},
+        "0",
+        ["cut-in-a"],
+        None,
+        None,
+        {"arms": ["native", "omnire+template"], "refine": False},
         {"iterations": 900, "scale": 0.25},
-    )  # fmt: skip
+    )
     assert set(config.streets) == {"omnire"}
     own, omnire = config.street("recast"), config.street("omnire")
     assert (own.sky, omnire.sky) == ("panorama", "cubemap")
     assert (omnire.iterations, omnire.scale) == (own.iterations, own.scale) == (900, 0.25)
     arm = config.arm("omnire+template")
     assert (arm.generator, arm.refine, arm.segmenter, arm.views) == (
-        "template", False, config.segmenter, 1,
-    )  # fmt: skip
+        "template",
+        False,
+        config.segmenter,
+        1,
+    )
 
 
 def test_a_run_s_record_gives_the_same_arms(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import pytest
 
 from recast.cli.main import main
 from recast.core import Store
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.pipeline.bench import BenchScene, parse_scenes
 
 TESTS = Path(__file__).parents[1]
@@ -73,8 +73,10 @@ def test_nothing_was_rendered_and_times_are_apart(finished: Path) -> None:
     run = next((finished / "scenes").iterdir())
     assert sorted(path.name for path in run.iterdir()) == ["metrics.json", "rollouts", "run.json"]
     assert sorted(path.name for path in (finished.parent / "store").iterdir()) == [
-        "rollouts", "store.json", "users",
-    ]  # fmt: skip
+        "rollouts",
+        "store.json",
+        "users",
+    ]
     times = json.loads((finished / "times.json").read_text())
     assert times["all"]["shares"]["render"] == 0.0
     assert times["all"]["rollouts"] == times["sessions"][0]["rollouts"] > 0
@@ -108,11 +110,13 @@ def test_another_grid_takes_what_the_store_has(finished: Path, logs: list[str]) 
     assert [r["planner"] for r in found[:4]] == ["idm-follower"] * 2 + ["constant-velocity"] * 2
     results = json.loads((out / "results.json").read_text())
     assert [(x["planner"], x["arm"]) for x in results["table"]][:2] == [
-        ("idm-follower", "native"), ("idm-follower", "replaced"),
-    ]  # fmt: skip
+        ("idm-follower", "native"),
+        ("idm-follower", "replaced"),
+    ]
     assert {one["planner"] for one in results["differences"]} == {
-        "idm-follower", "constant-velocity",
-    }  # fmt: skip
+        "idm-follower",
+        "constant-velocity",
+    }
 
 
 def test_two_workers_give_the_same_bytes(finished: Path, logs: list[str], tmp_path: Path) -> None:
@@ -125,9 +129,11 @@ def test_a_killed_grid_goes_on(finished: Path, logs: list[str], tmp_path: Path) 
     out = tmp_path / "grid"
     args = command(logs, out, "--planner", "pipeline.bench_planners:Kills")
     environment = {
-        **os.environ, "RECAST_TEST_KILLS": str(tmp_path / "begun"), "PYTHONPATH": str(TESTS),
+        **os.environ,
+        "RECAST_TEST_KILLS": str(tmp_path / "begun"),
+        "PYTHONPATH": str(TESTS),
         "OMP_NUM_THREADS": "1",
-    }  # fmt: skip
+    }
 
     def go() -> int:
         code = "import sys; from recast.cli.main import main; sys.exit(main(sys.argv[1:]))"

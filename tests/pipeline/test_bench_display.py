@@ -10,10 +10,9 @@ from rich.console import Console
 from rich.table import Table
 
 from recast.evaluation import COLUMNS
-from recast.evaluation.grid_row import GridRow
-from recast.evaluation.grid_summary import arm_summaries, paired_summaries
+from recast.evaluation.grid import GridRow, arm_summaries, paired_summaries
 from recast.evaluation.verdicts import agreements
-from recast.pipeline.bench.display import differences_table, grid_table, truth_table
+from recast.pipeline.bench.results import differences_table, grid_table, truth_table
 from recast.pipeline.display import results_tables
 
 STEPS = tuple(range(0, 160, 5))
@@ -22,10 +21,19 @@ STEPS = tuple(range(0, 160, 5))
 def row(number: int, arm: str, value: float, steps: int = 160, **scores: float | None) -> GridRow:
     values = {**dict.fromkeys(COLUMNS, value), "ttc": 4.0 * value, **scores}
     return GridRow(
-        f"scene {number}", None, None, "cut-in", "a", arm, "p", steps_run=steps,
+        f"scene {number}",
+        None,
+        None,
+        "cut-in",
+        "a",
+        arm,
+        "p",
+        steps_run=steps,
         plan_steps=tuple(step for step in STEPS if step < steps),
-        cut_reason=None if steps == 160 else "the log ends", scores=values, shorter={60: values},
-    )  # fmt: skip
+        cut_reason=None if steps == 160 else "the log ends",
+        scores=values,
+        shorter={60: values},
+    )
 
 
 def grid() -> list[GridRow]:
@@ -56,8 +64,12 @@ def test_the_table_says_what_was_scored_failed_and_cut() -> None:
     lines = shown(grid_table(arm_summaries(grid(), 100, 0), "a title of the table"))
     first = line_of(lines, "replaced")
     assert [line.strip().split("  ")[0] for line in lines[first : first + 5]] == [
-        "replaced", "11 of 12", "332 plans", "1 failed", "1 cut",
-    ]  # fmt: skip
+        "replaced",
+        "11 of 12",
+        "332 plans",
+        "1 failed",
+        "1 cut",
+    ]
     assert "8/11" in lines[first + 1].split()
     oracle = line_of(lines, "oracle")
     assert "11/11" in lines[oracle + 1].split()  # of 12: one has no map

@@ -12,9 +12,24 @@ from recast.cli.main import main
 
 FILES = ("rollouts.parquet", "results.json", "bench.json")
 OPTIONS = (
-    "--motions", "advancing-a", "--steps", "10", "--samples", "100", "--films", "--iterations",
-    "4", "--scale", "0.5", "--arm", "native", "--arm", "template", "--refine", "False",
-)  # fmt: skip
+    "--motions",
+    "advancing-a",
+    "--steps",
+    "10",
+    "--samples",
+    "100",
+    "--films",
+    "--iterations",
+    "4",
+    "--scale",
+    "0.5",
+    "--arm",
+    "native",
+    "--arm",
+    "template",
+    "--refine",
+    "False",
+)
 
 
 @pytest.fixture
@@ -59,11 +74,33 @@ def test_three_nodes_measure_the_same_images(
 ) -> None:
     scenes = [f"{tiny_log_folder}:0", f"{tiny_log_folder}:1"]
     command = [
-        "bench", "scene-level", "--scenes", *scenes, "--motions", "advancing-a", "--steps", "10",
-        "--samples", "200", "--frechet-samples", "20", "--iterations", "4", "--scale", "0.5",
-        "--arm", "native", "--arm", "template", "--refine", "False", "--least-px", "4",
-        "--every", "2",
-    ]  # fmt: skip
+        "bench",
+        "scene-level",
+        "--scenes",
+        *scenes,
+        "--motions",
+        "advancing-a",
+        "--steps",
+        "10",
+        "--samples",
+        "200",
+        "--frechet-samples",
+        "20",
+        "--iterations",
+        "4",
+        "--scale",
+        "0.5",
+        "--arm",
+        "native",
+        "--arm",
+        "template",
+        "--refine",
+        "False",
+        "--least-px",
+        "4",
+        "--every",
+        "2",
+    ]
     assert main([*command, "--out", str(tmp_path / "here" / "grid")]) == 0
     there = [*command, "--out", str(tmp_path / "there" / "grid"), "--ray", cluster]
     assert main([*there, "--workers", "3"]) == 0

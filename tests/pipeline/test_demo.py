@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from recast.errors import InputError
-from recast.pipeline.demo import DemoSize, demo
+from recast.core.errors import InputError
+from recast.pipeline.run import DemoSize, demo
 from recast.reporting.video import read_video
 
 SCENE = "urban-straight"

@@ -8,18 +8,18 @@ import sys
 
 import pytest
 
-from recast import cores
 from recast.actors import DEFAULT_GENERATOR, DEFAULT_SEGMENTER
 from recast.cli.main import main
-from recast.parts import GENERATORS, PLANNERS, SEGMENTERS
-from recast.pipeline import doctor
+from recast.cli.rows import machine
+from recast.core.parts import GENERATORS, PLANNERS, SEGMENTERS
+from recast.crews import crew
 from recast.planning import GTRS_MINI
 
 _LISTED = """
 import sys
-from recast.pipeline import doctor
-doctor._loads = lambda library: False  # as without a driver
-doctor.examine()
+from recast.cli.rows import machine
+machine._loads = lambda library: False  # as without a driver
+machine.examine()
 print(*sys.modules)
 """
 
@@ -41,7 +41,7 @@ def test_it_lists_the_parts_and_the_kernel(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_experimental_importers_are_marked() -> None:
-    [found] = [finding for finding in doctor.examine() if finding.part == "importers"]
+    [found] = [finding for finding in machine.examine() if finding.part == "importers"]
     assert "kitti, nuscenes (experimental)" in found.detail
 
 
@@ -52,14 +52,14 @@ def test_the_names_of_built_in_parts_are_those_that_the_rest_uses() -> None:
 
 
 def test_a_missing_package_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "_OPTIONAL", {"no-such-package": ("a purpose", "pip install it")})
-    [found] = [finding for finding in doctor.examine() if finding.part == "no-such-package"]
+    monkeypatch.setattr(machine, "_OPTIONAL", {"no-such-package": ("a purpose", "pip install it")})
+    [found] = [finding for finding in machine.examine() if finding.part == "no-such-package"]
     assert (found.present, found.mend) == (False, "pip install it")
 
 
 def test_cores_where_no_system_call_tells_the_share(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)  # as on macOS and Windows
     monkeypatch.setattr(os, "cpu_count", lambda: 6)
-    assert cores.usable_cores() == 6
+    assert crew.usable_cores() == 6
     monkeypatch.setattr(os, "cpu_count", lambda: None)
-    assert cores.usable_cores() == 1
+    assert crew.usable_cores() == 1

@@ -13,7 +13,7 @@ import pytest
 from recast.actors import Asset, Observation, TemplateGenerator
 from recast.actors.axes import UNIT_CUBE_Z_UP
 from recast.cli.main import main
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.pipeline.evaluate_actor import evaluate_actors
 from recast.splats import Gaussians, write_ply
@@ -72,9 +72,12 @@ def test_the_template_makes_a_vehicle_of_a_crop(crops: Path, tmp_path: Path) -> 
     told: list[tuple[int, int]] = []
     generator = TemplateGenerator(spacing=0.12, style="hatchback")
     result = evaluate_actors(
-        generator, crops / "car-a", tmp_path / "out", seed=3,
+        generator,
+        crops / "car-a",
+        tmp_path / "out",
+        seed=3,
         progress=lambda done, of: told.append((done, of)),
-    )  # fmt: skip
+    )
     assert told == [(1, 1)]
     (vehicle,) = result.vehicles
     assert vehicle.details["style"] == "hatchback"

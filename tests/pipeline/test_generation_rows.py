@@ -12,17 +12,14 @@ from PIL import Image
 
 from recar.sets import tree
 from recast.cli.main import main
-from recast.errors import InputError
-from recast.evaluation import generation_targets
-from recast.evaluation.actor_cases import ActorCase, read_cases
+from recast.core.errors import InputError
+from recast.evaluation import cases
 from recast.evaluation.actor_scores import drawn
-from recast.evaluation.generation_published import PAPER_COLUMNS, PAPER_ROWS
+from recast.evaluation.cases import ActorCase, Targets, read_cases, target_case
+from recast.evaluation.generation_report import PAPER_COLUMNS, PAPER_ROWS
 from recast.evaluation.generation_summary import STUDY_COLUMNS
-from recast.evaluation.generation_targets import Targets, target_case
-from recast.pipeline.generation_inputs import write_inputs
-from recast.pipeline.generation_plan import StudySettings
-from recast.pipeline.generation_results import StudyModel, view_paths
-from recast.pipeline.generation_rows import read_rows
+from recast.pipeline.generation_plan import StudySettings, write_inputs
+from recast.pipeline.generation_rows import StudyModel, read_rows, view_paths
 from recast.pipeline.generation_study import run_study
 from recast.recar.perturb import PerturbationConfig
 from recast.splats import CLASSIC
@@ -98,11 +95,11 @@ def test_files_of_each_vehicle(vehicles: Path, tmp_path: Path) -> None:
 def test_views_drawn_elsewhere(
     vehicles: Path, tmp_path: Path, targets: Targets, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(generation_targets, "ORBIT_PIXELS", 96)  # SSIM of 512 takes a second
-    cases = [target_case(case, targets) for case in read_cases(vehicles, limit=1)]
+    monkeypatch.setattr(cases, "ORBIT_PIXELS", 96)  # SSIM of 512 takes a second
+    targeted = [target_case(case, targets) for case in read_cases(vehicles, limit=1)]
     models = {
-        "dark": StudyModel(f"views:{write_views(tmp_path / 'dark', cases, 0.6)}"),
-        "drawn": StudyModel(f"views:{write_views(tmp_path / 'drawn', cases)}"),
+        "dark": StudyModel(f"views:{write_views(tmp_path / 'dark', targeted, 0.6)}"),
+        "drawn": StudyModel(f"views:{write_views(tmp_path / 'drawn', targeted)}"),
     }
     wanted = settings(vehicles, models, targets=targets, limit=1)
     (block,) = run_study(wanted, tmp_path / "out")
@@ -212,8 +209,11 @@ def test_inputs_for_others_and_a_study_beside_the_paper(
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["targets"] == "set" and metrics["beside"]["both"] == "both stages"
     assert [row["model"] for row in metrics["blocks"][0]["rows"]] == [
-        "sar3d", "trellis", "both", "mine",
-    ]  # fmt: skip
+        "sar3d",
+        "trellis",
+        "both",
+        "mine",
+    ]
     assert main([*run, "--seed", "3"]) == 2
     assert "--seed: value: is in the study file" in capsys.readouterr().err
 
@@ -254,9 +254,14 @@ def test_sources_are_found_from_the_study_file(vehicles: Path, tmp_path: Path) -
     _, models = read_rows(path)
     kit = tmp_path / "kit"
     assert [model.source for model in models.values()][: len(sources)] == [
-        "template", str(kit / "mine"), str(kit / "there"), str(kit / "car.ply"),
-        f"files:{kit / 'out'}", "views:/out", f"library:{kit / 'lib'}",
-    ]  # fmt: skip
+        "template",
+        str(kit / "mine"),
+        str(kit / "there"),
+        str(kit / "car.ply"),
+        f"files:{kit / 'out'}",
+        "views:/out",
+        f"library:{kit / 'lib'}",
+    ]
 
 
 def test_folders_without_results_are_refused(vehicles: Path, tmp_path: Path) -> None:

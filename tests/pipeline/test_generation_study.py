@@ -14,13 +14,12 @@ import pytest
 
 from recar.sets import tree
 from recast.cli.main import main
-from recast.errors import InputError
-from recast.evaluation.actor_cases import read_cases
-from recast.pipeline import generation_pool
+from recast.core.errors import InputError
+from recast.evaluation.cases import read_cases
+from recast.pipeline import generation_maker
 from recast.pipeline.generation_maker import CellMaker, perturbed_input
 from recast.pipeline.generation_plan import StudySettings
-from recast.pipeline.generation_results import StudyModel
-from recast.pipeline.generation_rows import parse_models
+from recast.pipeline.generation_rows import StudyModel, parse_models
 from recast.pipeline.generation_study import run_study
 from recast.recar.perturb import PerturbationConfig
 from support.studies import write_vehicle_set
@@ -100,7 +99,7 @@ def test_what_was_made_stays(
         made.append(job.folder.relative_to(tmp_path).as_posix())
         return original(self, job)
 
-    monkeypatch.setattr(generation_pool.CellMaker, "__call__", counted)
+    monkeypatch.setattr(generation_maker.CellMaker, "__call__", counted)
     out, limit = tmp_path / "out", 4
     two = settings(vehicles, {"far": FAR}, limit=2, perturbed=PerturbationConfig())
     with pytest.raises(KilledError):

@@ -8,10 +8,9 @@ from typing import Any
 
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.pipeline.arms import Arm
-from recast.pipeline.config import RunConfig
-from recast.pipeline.options import resolve_config
+from recast.pipeline.config import RunConfig, resolve_config
 from recast.pipeline.run_folder import RunFolder
 from recast.simulation import MOTIONS
 
@@ -111,9 +110,12 @@ def test_a_motion_that_nothing_describes_is_refused(tmp_path: Path, motions: lis
 @pytest.mark.parametrize("member", ["motions", "planners", "arms"])
 def test_what_is_named_twice_is_refused(tmp_path: Path, member: str) -> None:
     values: dict[str, Any] = {
-        "version": 2, "track": "0", "motions": ["cut-in-a"], "planners": ["idm-follower"],
+        "version": 2,
+        "track": "0",
+        "motions": ["cut-in-a"],
+        "planners": ["idm-follower"],
         "arms": [Arm.native().model_dump()],
-    }  # fmt: skip
+    }
     file = tmp_path / "config.json"
     file.write_text(json.dumps(values))
     assert resolve([], file).motions == ("cut-in-a",)

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from recast.errors import InputError
-from recast.evaluation.scene_level.published import PUBLISHED
+from recast.core.errors import InputError
+from recast.evaluation.scene_level.files import PUBLISHED
 from recast.evaluation.scene_level.scores import COLUMNS
 from recast.logs import DrivingLog
 from recast.pipeline.arms import parse_arms
 from recast.pipeline.bench import parse_scenes
-from recast.pipeline.options import resolve_config
+from recast.pipeline.config import resolve_config
 from recast.pipeline.paper import SEGMENTS, choose_target
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from recast.cli.main import main
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from recast.pipeline.config import RunConfig
-from recast.pipeline.planner import run_mounts
+from recast.pipeline.rollouts import run_mounts
 from recast.pipeline.sources import planner_source
 from recast.planning import ConstantVelocity, Planner
 

@@ -14,19 +14,17 @@ import torch
 from rich.console import Console
 
 from recast.cli.main import main
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import se2
 from recast.logs import CameraStream, DrivingLog, Track, Trajectory
 from recast.pipeline.bench import closed_loop, resolve_bench
 from recast.pipeline.config import RunConfig
-from recast.pipeline.planner import announce_planner, run_mounts
-from recast.pipeline.rollouts import make_rollout, read_rollout
+from recast.pipeline.rollouts import announce_planner, make_rollout, read_rollout, run_mounts
 from recast.planning import Planner, make_planner
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.simulation import MOTIONS, Rollout, RolloutSetup
-from recast.simulation.lens_renderer import through_lenses
-from recast.simulation.scene_renderer import SceneRenderer
+from recast.simulation.scene_renderer import SceneRenderer, through_lenses
 from recast.splats import Gaussians
 from recast.synthetic import make_rig
 
@@ -68,14 +66,19 @@ def scene(log: DrivingLog) -> StreetScene:
     along = log.world_from_rig.poses[rng.integers(0, len(log.world_from_rig.poses), 400), :3, 3]
     means = along + rng.uniform([-8, -8, 0], [8, 8, 4], (400, 3))
     actor = Gaussians(
-        torch.zeros(1, 3), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), -0.2),
-        torch.tensor([8.0]), torch.zeros(1, 1, 3),
-    )  # fmt: skip
+        torch.zeros(1, 3),
+        torch.tensor([[1.0, 0, 0, 0]]),
+        torch.full((1, 3), -0.2),
+        torch.tensor([8.0]),
+        torch.zeros(1, 1, 3),
+    )
     street = Gaussians(
-        torch.from_numpy(means).float(), torch.tensor([[1.0, 0, 0, 0]]).repeat(400, 1),
-        torch.full((400, 3), -2.0), torch.full((400,), 4.0),
+        torch.from_numpy(means).float(),
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(400, 1),
+        torch.full((400, 3), -2.0),
+        torch.full((400,), 4.0),
         torch.from_numpy(rng.uniform(-1.5, 1.5, (400, 1, 3))).float(),
-    )  # fmt: skip
+    )
     (track,) = log.tracks.values()
     modelled = SceneActor(track.track_id, actor, track.size, track.trajectory)
     return StreetScene(street, {track.track_id: modelled}, SkyMap.constant(torch.full((3,), 0.6)))
@@ -158,8 +161,11 @@ def test_one_camera_of_a_recorded_drive(tiny_log: DrivingLog) -> None:
     planner = make_planner("gtrs-mini")
     mounts = run_mounts(tiny_log, planner, _config(tiny_log))
     assert list(mounts) == [
-        "image_02", "virtual_front_left", "virtual_front", "virtual_front_right"
-    ]  # fmt: skip
+        "image_02",
+        "virtual_front_left",
+        "virtual_front",
+        "virtual_front_right",
+    ]
     said, warning, *_ = _said(tiny_log).splitlines()
     assert said.startswith(
         "planner gtrs-mini on cpu sees front_left by a virtual camera at image_02"
@@ -178,9 +184,11 @@ def test_a_log_that_does_not_look_ahead_is_refused_before_anything_is_written(
 
 
 def test_a_device_that_is_not_there_is_one_line(
-    tiny_log_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    tiny_log_folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     args = ["run", str(tiny_log_folder), "--track", "0", "--out", str(tmp_path / "run")]
     assert main([*args, "--planner", "gtrs-mini", "--planner-device", "cuda"]) == 2
@@ -200,10 +208,17 @@ def test_the_device_is_part_of_a_run(log: DrivingLog) -> None:
 def test_a_grid_says_it_for_every_log_and_once_for_synthetic_scenes(tiny_log_folder: Path) -> None:
     console = Console(file=StringIO(), width=1000)
     settings = resolve_bench(
-        words=["urban-straight", "industrial", f"{tiny_log_folder}:0"], track=None, motions=(),
-        quick=False, config_file=None, scene_config_file=None, samples=100, drive_options={},
-        run_options={"planners": ("gtrs-mini",)}, scene_options={},
-    )  # fmt: skip
+        words=["urban-straight", "industrial", f"{tiny_log_folder}:0"],
+        track=None,
+        motions=(),
+        quick=False,
+        config_file=None,
+        scene_config_file=None,
+        samples=100,
+        drive_options={},
+        run_options={"planners": ("gtrs-mini",)},
+        scene_options={},
+    )
     closed_loop._announce(settings, _planner(), console)
     assert isinstance(console.file, StringIO)
     synthetic, recorded, warning = console.file.getvalue().splitlines()

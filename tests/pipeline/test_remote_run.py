@@ -21,10 +21,27 @@ def test_what_one_machine_made_another_only_reads(
             )
     root = str(bucket).rstrip("/")
     command = [
-        "run", f"{root}/log", "--store", f"{root}/store", "--track", "0", "--threads", "1",
-        "--motion", "advancing-a", "--steps", "10", "--iterations", "4", "--scale", "0.5",
-        "--generator", "faults.parts:Box", "--refine", "False",
-    ]  # fmt: skip
+        "run",
+        f"{root}/log",
+        "--store",
+        f"{root}/store",
+        "--track",
+        "0",
+        "--threads",
+        "1",
+        "--motion",
+        "advancing-a",
+        "--steps",
+        "10",
+        "--iterations",
+        "4",
+        "--scale",
+        "0.5",
+        "--generator",
+        "faults.parts:Box",
+        "--refine",
+        "False",
+    ]
     for machine in ("a", "b"):
         monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / machine / "cache"))
         assert main([*command, "--out", str(tmp_path / machine / "run")]) == 0

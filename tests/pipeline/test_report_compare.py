@@ -19,9 +19,13 @@ TITLE = "Advancing, setting a"
 
 def small_run(log: Path, out: Path, **settings: object) -> Path:
     config = RunConfig(
-        track="0", motions=("advancing-a",), arms=(Arm.native(),), films=False, threads=1,
+        track="0",
+        motions=("advancing-a",),
+        arms=(Arm.native(),),
+        films=False,
+        threads=1,
         **{"steps": 10, **settings},
-    )  # fmt: skip
+    )
     run(log, out, config, Console(quiet=True))
     return out
 
@@ -43,10 +47,14 @@ def test_runs_are_compared(runs: list[Path], tmp_path: Path) -> None:
     assert report("--compare", *runs, "--out", tmp_path / "both") == 0
     text = (tmp_path / "both/index.html").read_text()
     for words in (
-        "2 runs compared", "<td>ten</td>", "<td>other</td>",
-        '<code>seed</code></th><td><code>0</code></td><td><code>3</code></td>',
-        "paired; mean over 1 of 1 pair", "path within 0.5 m of A", f"B: {TITLE}",
-    ):  # fmt: skip
+        "2 runs compared",
+        "<td>ten</td>",
+        "<td>other</td>",
+        "<code>seed</code></th><td><code>0</code></td><td><code>3</code></td>",
+        "paired; mean over 1 of 1 pair",
+        "path within 0.5 m of A",
+        f"B: {TITLE}",
+    ):
         assert words in text, words
     assert "another log" not in text
 
@@ -79,16 +87,23 @@ def test_runs_of_different_logs_are_compared_and_told(runs: list[Path], tmp_path
     ],
 )
 def test_bad_input_is_one_line(
-    words: tuple[str, ...], field: str, runs: list[Path], tmp_path: Path,
+    words: tuple[str, ...],
+    field: str,
+    runs: list[Path],
+    tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "full").mkdir()
     (tmp_path / "full/thesis.txt").write_text("years of work")
     places = {
-        "ten": runs[0], "eight": runs[1], "gone": tmp_path / "gone", "empty": tmp_path / "empty",
-        "OUT": tmp_path / "out", "FULL": tmp_path / "full",
-    }  # fmt: skip
+        "ten": runs[0],
+        "eight": runs[1],
+        "gone": tmp_path / "gone",
+        "empty": tmp_path / "empty",
+        "OUT": tmp_path / "out",
+        "FULL": tmp_path / "full",
+    }
     capsys.readouterr()
     assert report(*(places.get(word, word) for word in words)) == 2
     lines = capsys.readouterr().err.strip().splitlines()

@@ -13,15 +13,14 @@ from evaluation.box_world import FACES, MOUNTS, SKY, box_log, box_shares, scene
 from evaluation.rollouts import street
 from recast.actors.coverage import CoverageMeter
 from recast.core import Store
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.pipeline.artefacts import rollout_name
 from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import METRICS_FILE
-from recast.pipeline.results_files import read_metrics
 from recast.pipeline.rollouts import make_rollout, read_coverage, read_rollout
-from recast.pipeline.scores import write_metrics
+from recast.pipeline.scores import read_metrics, write_metrics
 from recast.planning import Plan, PlannerInput, PlanningContext
-from recast.planning.probes import ProbePlanner
+from recast.planning.simple import ProbePlanner
 from recast.simulation import MOTIONS, Rollout, RolloutSetup
 from recast.simulation.scene_renderer import SceneRenderer
 

@@ -7,13 +7,11 @@ from typing import Any
 
 import pytest
 
-from recast import storage
-from recast.core import Artefact
-from recast.core.hashing import folder_hash, value_hash
-from recast.errors import InputError
-from recast.pipeline.config import RunConfig
+from recast.core import Artefact, files
+from recast.core.artefact import folder_hash, value_hash
+from recast.core.errors import InputError
+from recast.pipeline.config import RunConfig, resolve_config
 from recast.pipeline.layout import use_name, use_parts
-from recast.pipeline.options import resolve_config
 from recast.pipeline.run_folder import RunFolder
 from recast.scene import resolve_config as scene_config
 
@@ -26,7 +24,7 @@ def start(path: Path, seed: int = 0, log_hash: str = "abc", store: str = "store"
 
 def make(run: RunFolder, text: str = "whole", kind: str = "scenes") -> Artefact:
     return run.store().make(
-        kind, {"text": text}, lambda out: storage.write_text(out / "file.txt", text), name=text
+        kind, {"text": text}, lambda out: files.write_text(out / "file.txt", text), name=text
     )
 
 
@@ -228,7 +226,7 @@ def test_the_record_keeps_what_was_chosen_against_the_preset(tmp_path: Path) -> 
 
 def test_a_preset_over_the_record_of_another_run_is_refused(tmp_path: Path) -> None:
     path = begin(tmp_path / "run", resolve()).path
-    assert storage.read_json(path / "run.json")["config"]["preset"] is None
+    assert files.read_json(path / "run.json")["config"]["preset"] is None
     with pytest.raises(InputError, match="omnire: changes nothing"):
         resolve("omnire", file=path / "run.json")
 
@@ -242,9 +240,23 @@ def test_the_record_of_a_run_is_a_whole_configuration(tmp_path: Path) -> None:
 
 
 HOSTILE = (
-    "..", "../../victim", "/victim", "a/../../victim", "", ".", "a\\b", "nul\0nul", "new\nline",
-    "l" * 300, "%2F", "\u202eright to left", "con", "\ud800", "7", "7/8",
-)  # fmt: skip
+    "..",
+    "../../victim",
+    "/victim",
+    "a/../../victim",
+    "",
+    ".",
+    "a\\b",
+    "nul\0nul",
+    "new\nline",
+    "l" * 300,
+    "%2F",
+    "\u202eright to left",
+    "con",
+    "\ud800",
+    "7",
+    "7/8",
+)
 
 
 @pytest.mark.parametrize("what", ["actor", "rollout"])
@@ -293,9 +305,11 @@ def test_a_damaged_record_is_one_line_that_names_it(tmp_path: Path, name: str, t
     run.refer(run.store(), {"scene/recast": made})
     [user] = (tmp_path / "store" / "users").iterdir()
     path = {
-        "run.json": run.path / "run.json", "store.json": tmp_path / "store" / "store.json",
-        "artefact.json": made.folder / "artefact.json", "users": user,
-    }[name]  # fmt: skip
+        "run.json": run.path / "run.json",
+        "store.json": tmp_path / "store" / "store.json",
+        "artefact.json": made.folder / "artefact.json",
+        "users": user,
+    }[name]
     path.write_text(text)
     with pytest.raises(InputError) as caught:
         again = start(run.path)
@@ -308,9 +322,9 @@ def test_a_damaged_record_is_one_line_that_names_it(tmp_path: Path, name: str, t
 def test_a_reference_never_leads_out_of_the_store(tmp_path: Path, reference: str) -> None:
     run = start(tmp_path / "run")
     run.refer(run.store(), {"scene/recast": make(run)})
-    record = storage.read_json(run.path / "run.json")
+    record = files.read_json(run.path / "run.json")
     record["artefacts"]["scene/recast"] = reference
-    storage.write_json(run.path / "run.json", record)
+    files.write_json(run.path / "run.json", record)
     with pytest.raises(InputError, match="reference: is none"):
         again = start(run.path)
         again.artefact(again.store(), "scene/recast")

@@ -16,7 +16,7 @@ import torch
 from PIL import Image
 
 from recast.cli.main import main
-from recast.evaluation.scene_level.features import load_features
+from recast.evaluation.scene_level.scores import load_features
 from recast.splats import write_ply
 from support.crops import two_coloured_box
 
@@ -32,11 +32,36 @@ def vehicle(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 def command(log: Path, out: Path, vehicle: str, *more: str) -> list[str]:
     return [
-        "bench", "scene-level", "--scenes", f"{log}:0", "--out", str(out),
-        "--motions", "advancing-a", "--steps", "10", "--samples", "200", "--frechet-samples", "20",
-        "--iterations", "4", "--scale", "0.5", "--arm", "native", "--arm", vehicle,
-        "--refine", "False", "--least-px", "4", "--every", "2", *more,
-    ]  # fmt: skip
+        "bench",
+        "scene-level",
+        "--scenes",
+        f"{log}:0",
+        "--out",
+        str(out),
+        "--motions",
+        "advancing-a",
+        "--steps",
+        "10",
+        "--samples",
+        "200",
+        "--frechet-samples",
+        "20",
+        "--iterations",
+        "4",
+        "--scale",
+        "0.5",
+        "--arm",
+        "native",
+        "--arm",
+        vehicle,
+        "--refine",
+        "False",
+        "--least-px",
+        "4",
+        "--every",
+        "2",
+        *more,
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -49,10 +74,13 @@ def finished(tiny_log_folder: Path, vehicle: str, tmp_path_factory: pytest.TempP
 def test_every_arm_is_judged_on_the_same_images(finished: Path) -> None:
     rows = pq.read_table(finished / "scene_level.parquet").to_pylist()
     by_arm = {
-        arm: [{k: r[k] for k in ("step", "camera", "left", "top", "right", "bottom")}
-              for r in rows if r["arm"] == arm]
+        arm: [
+            {k: r[k] for k in ("step", "camera", "left", "top", "right", "bottom")}
+            for r in rows
+            if r["arm"] == arm
+        ]
         for arm in ("native", "box.ply")
-    }  # fmt: skip
+    }
     assert by_arm["native"] == by_arm["box.ply"]
     assert {row["step"] % 2 for row in by_arm["native"]} == {0}
     assert all(r["drawn"] and r["clip_veh"] is None for r in rows)

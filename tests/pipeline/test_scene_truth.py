@@ -10,8 +10,7 @@ import pytest
 from rich.console import Console
 
 from recast.logs import DrivingLog
-from recast.pipeline.scene_tables import evaluation_table, shift_table
-from recast.pipeline.scene_truth import ShiftedTruth
+from recast.pipeline.scene import ShiftedTruth, evaluation_table, shift_table
 from recast.scene import (
     FrameScore,
     RegionScore,
@@ -21,7 +20,7 @@ from recast.scene import (
     ViewShift,
     psnr,
 )
-from recast.scene.evaluate_depth import DepthScore
+from recast.scene.evaluate_record import DepthScore
 from recast.scene.evaluate_shifts import ShiftedScore
 from recast.synthetic import is_synthetic
 from recast.synthetic.oracle import Oracle

@@ -12,14 +12,13 @@ import pytest
 from evaluation.rollouts import make_rollout, street
 from recast.core import Store
 from recast.evaluation import COLUMNS, rollout_metrics
-from recast.evaluation.grid_row import GridRow
+from recast.evaluation.grid import GridRow
 from recast.evaluation.pairs import over_common_steps
 from recast.pipeline.artefacts import rollout_name
 from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import METRICS_FILE
-from recast.pipeline.results_files import read_metrics
 from recast.pipeline.rollouts import write_failure
-from recast.pipeline.scores import write_metrics
+from recast.pipeline.scores import read_metrics, write_metrics
 from recast.simulation import Rollout, RolloutFailure, save_rollout
 
 
@@ -37,9 +36,10 @@ def run(tmp_path: Path) -> Path:
     """metrics.json of three rollouts and a failure."""
     config = RunConfig(track="7", motions=("cut-in-a", "cut-in-b"), planners=("p",))
     made = [
-        rollout("native", "a", 160, True), rollout("replaced", "a", 20, True),
+        rollout("native", "a", 160, True),
+        rollout("replaced", "a", 20, True),
         rollout("replaced", "b", 160, False),
-    ]  # fmt: skip
+    ]
     store, used = Store(tmp_path / "store"), {}
 
     def keep(setting: str, arm: str, write: Callable[[Path], None]) -> None:
@@ -62,8 +62,9 @@ def test_the_table_counts_what_failed_and_was_cut(run: Path) -> None:
     metrics = read_metrics(run / METRICS_FILE)
     counted = ("asked", "rollouts", "failed", "cut", "plans")
     assert {row["arm"]: [row[name] for name in counted] for row in metrics["table"]} == {
-        "native": [2, 1, 1, 0, 32], "replaced": [2, 2, 0, 1, 4 + 32],
-    }  # fmt: skip
+        "native": [2, 1, 1, 0, 32],
+        "replaced": [2, 2, 0, 1, 4 + 32],
+    }
     assert metrics["table"][1]["means"]["nc"] == 100.0  # as far as it went
 
 
@@ -71,8 +72,12 @@ def test_differences_are_over_common_plans(run: Path) -> None:
     found = {one["metric"]: one for one in read_metrics(run / METRICS_FILE)["differences"]}
     assert set(found) == set(COLUMNS)
     assert {key: found["nc"][key] for key in ("mean", "pairs", "asked", "plans", "cut")} == {
-        "mean": 0.0, "pairs": 1, "asked": 2, "plans": 4, "cut": 1,
-    }  # fmt: skip
+        "mean": 0.0,
+        "pairs": 1,
+        "asked": 2,
+        "plans": 4,
+        "cut": 1,
+    }
     assert found["r_c"]["mean"] == 0.0
     assert (found["nc"]["candidate"], found["nc"]["baseline"]) == ("replaced", "native")
 

@@ -13,8 +13,7 @@ from pydantic import TypeAdapter
 from recast.actors import MaskQuality, observe, segmenter_of
 from recast.logs import DrivingLog
 from recast.pipeline.actor import save_observation
-from recast.pipeline.config import RunConfig
-from recast.pipeline.options import resolve_config
+from recast.pipeline.config import RunConfig, resolve_config
 from recast.pipeline.sources import segmenter_source
 from support.tiny_networks import write_tiny_networks
 

@@ -14,11 +14,10 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from recast import storage
 from recast.cli.main import main
-from recast.core import Artefact, Store
+from recast.core import Artefact, Store, files
 from recast.pipeline import making, sources
-from recast.pipeline.source_log import SourceLog
+from recast.pipeline.sources import SourceLog
 from recast.scene import SceneConfig
 from support.moments import forked
 
@@ -69,19 +68,19 @@ def made_by(out: Path, command: list[str]) -> Run:
     def folders() -> set[str]:
         return {path.parent.name for path in store.rglob("artefact.json")}
 
-    def files() -> dict[str, int]:
+    def times() -> dict[str, int]:
         found = (*out.glob("metrics.json"), *out.glob("report/index.html"))
         return {path.relative_to(out).parts[0]: path.stat().st_mtime_ns for path in found}
 
     def run() -> set[str]:
-        before, written = folders(), files()
+        before, written = folders(), times()
         assert main(command) == 0
         new = folders() - before
-        runs = [storage.read_json(path)["artefacts"] for path in out.rglob("run.json")]
+        runs = [files.read_json(path)["artefacts"] for path in out.rglob("run.json")]
         uses = [(use, key.split("/")[1]) for artefacts in runs for use, key in artefacts.items()]
         assert new <= {key for _, key in uses}, "all that was made is used"
         return {use for use, key in uses if key in new} | {
-            name for name, time in files().items() if written.get(name) != time
+            name for name, time in times().items() if written.get(name) != time
         }
 
     return run
@@ -213,7 +212,7 @@ def test_two_runs_at_once_make_nothing_twice(tiny_log_folder: Path, tmp_path: Pa
     references = [line.strip() for line in made]
     assert sorted(references) == sorted({one.reference for one in Store(store).artefacts()})
     assert len(references) == 7
-    first, second = (storage.read_json(tmp_path / n / "run.json") for n in ("one", "two"))
+    first, second = (files.read_json(tmp_path / n / "run.json") for n in ("one", "two"))
     assert first["artefacts"] == second["artefacts"]
     for name in ("metrics.json", "report/index.html"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()

@@ -9,10 +9,9 @@ import pytest
 
 from actors import made_up
 from recast.actors import BoxLidarSegmenter, TemplateGenerator, load_actor
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.pipeline.actor import ActorMakers, make_actor
-from recast.pipeline.config import RunConfig
-from recast.pipeline.options import resolve_config
+from recast.pipeline.config import RunConfig, resolve_config
 from recast.scene import SceneConfig
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from recast import plugins
-from recast.errors import InputError
+from recast.core import plugins
+from recast.core.errors import InputError
 from recast.planning import (
     PLANNERS,
     IdmLaneFollower,
@@ -57,7 +57,7 @@ def test_the_shipped_planner_is_a_folder(tmp_path: Path, monkeypatch: pytest.Mon
     assert planner_folder("gtrs-mini") == gtrs_mini()
     assert planner_folder("./somewhere") == Path("somewhere")
     assert planner_folder("pdm-closed") is planner_folder("some.module:Planner") is None
-    monkeypatch.setattr("recast.planning.shipped.gtrs_mini", lambda: tmp_path / "gone")
+    monkeypatch.setattr("recast.planning.registry.gtrs_mini", lambda: tmp_path / "gone")
     with pytest.raises(InputError, match="planner: gtrs-mini: its weights are not in this inst"):
         make_planner("gtrs-mini")
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recorded_paths import arc
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import se2
 from recast.logs.hdmap import HdMap, Lane
 from recast.logs.types import Trajectory

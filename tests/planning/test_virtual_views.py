@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import PinholeCamera
 from recast.logs.importers.waymo import load_waymo
 from recast.planning import (
@@ -23,12 +23,11 @@ from recast.planning import (
     shown_views,
     virtual_mounts,
 )
+from recast.planning.cameras import seen_by
 from recast.planning.gtrs import nuplan_rig
-from recast.planning.matching import Look, directions, match_cameras
-from recast.planning.views import camera_pose, choose_views
-from recast.planning.virtual import seen_by
+from recast.planning.views import Look, camera_pose, choose_views, directions, match_cameras
 from recast.simulation import NullRenderer, camera_mounts
-from recast.simulation.lens_renderer import through_lenses
+from recast.simulation.scene_renderer import through_lenses
 from recast.synthetic.rig import make_rig
 
 Rig = dict[str, CameraMount]
@@ -46,21 +45,30 @@ def _rig(**cameras: tuple[int, int, float, float]) -> Rig:
 
 
 WAYMO = _rig(
-    FRONT=(1920, 1280, 2055.0, 0.3), FRONT_LEFT=(1920, 1280, 2055.0, 44.9),
-    FRONT_RIGHT=(1920, 1280, 2055.0, -45.2), SIDE_LEFT=(1920, 886, 2055.0, 89.5),
+    FRONT=(1920, 1280, 2055.0, 0.3),
+    FRONT_LEFT=(1920, 1280, 2055.0, 44.9),
+    FRONT_RIGHT=(1920, 1280, 2055.0, -45.2),
+    SIDE_LEFT=(1920, 886, 2055.0, 89.5),
     SIDE_RIGHT=(1920, 886, 2055.0, -90.4),
-)  # fmt: skip
+)
 NUSCENES = _rig(
-    CAM_FRONT=(1600, 900, 1266.0, 0.2), CAM_FRONT_RIGHT=(1600, 900, 1260.0, -56.0),
-    CAM_BACK_RIGHT=(1600, 900, 1259.0, -111.0), CAM_BACK=(1600, 900, 809.0, 180.0),
-    CAM_BACK_LEFT=(1600, 900, 1256.0, 108.0), CAM_FRONT_LEFT=(1600, 900, 1272.0, 55.0),
-)  # fmt: skip
+    CAM_FRONT=(1600, 900, 1266.0, 0.2),
+    CAM_FRONT_RIGHT=(1600, 900, 1260.0, -56.0),
+    CAM_BACK_RIGHT=(1600, 900, 1259.0, -111.0),
+    CAM_BACK=(1600, 900, 809.0, 180.0),
+    CAM_BACK_LEFT=(1600, 900, 1256.0, 108.0),
+    CAM_FRONT_LEFT=(1600, 900, 1272.0, 55.0),
+)
 ARGOVERSE = _rig(
-    ring_front_center=(1550, 2048, 1686.0, 0.1), ring_front_left=(2048, 1550, 1686.0, 45.0),
-    ring_front_right=(2048, 1550, 1686.0, -45.0), ring_side_left=(2048, 1550, 1686.0, 99.0),
-    ring_side_right=(2048, 1550, 1686.0, -99.0), ring_rear_left=(2048, 1550, 1686.0, 153.0),
-    ring_rear_right=(2048, 1550, 1686.0, -153.0), stereo_front_left=(2048, 1550, 3370.0, 0.0),
-)  # fmt: skip
+    ring_front_center=(1550, 2048, 1686.0, 0.1),
+    ring_front_left=(2048, 1550, 1686.0, 45.0),
+    ring_front_right=(2048, 1550, 1686.0, -45.0),
+    ring_side_left=(2048, 1550, 1686.0, 99.0),
+    ring_side_right=(2048, 1550, 1686.0, -99.0),
+    ring_rear_left=(2048, 1550, 1686.0, 153.0),
+    ring_rear_right=(2048, 1550, 1686.0, -153.0),
+    stereo_front_left=(2048, 1550, 3370.0, 0.0),
+)
 KITTI = _rig(image_02=(1242, 375, 721.5, 0.0))
 SYNTHETIC = {
     name: CameraMount(mounted.camera, mounted.rig_from_camera)
@@ -179,9 +187,14 @@ def test_what_one_wide_camera_sees_of_the_sides(looker: Looker) -> None:
         "front_right"
     )
     assert seen_record(looker, rig | made)["views"][0] == {
-        "view": "front_left", "camera": "virtual_front_left", "source": "wide", "virtual": True,
-        "seen": 0.5, "width": 480, "height": 320,
-    }  # fmt: skip
+        "view": "front_left",
+        "camera": "virtual_front_left",
+        "source": "wide",
+        "virtual": True,
+        "seen": 0.5,
+        "width": 480,
+        "height": 320,
+    }
 
 
 def test_kitti_sees_ahead_and_a_third_of_the_sides(looker: Looker) -> None:
@@ -295,8 +308,10 @@ def test_planners_that_want_no_pictures_say_nothing() -> None:
     computing.device = "cuda"  # type: ignore[attr-defined]
     assert seen_lines(computing, WAYMO) == ("planner constant-velocity on cuda", None)
     assert seen_record(computing, WAYMO) == {
-        "planner": "constant-velocity", "device": "cuda", "views": []
-    }  # fmt: skip
+        "planner": "constant-velocity",
+        "device": "cuda",
+        "views": [],
+    }
 
 
 def _painted(mount: CameraMount) -> np.ndarray:

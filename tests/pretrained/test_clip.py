@@ -11,7 +11,7 @@ import torch
 from transformers import CLIPModel
 
 from pretrained.tiny import SIDE, write_clip
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.pretrained import Clip, ClipImages, in_batches
 
 RNG = np.random.default_rng(0)

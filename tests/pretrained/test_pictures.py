@@ -89,8 +89,9 @@ def test_frames_as_clip_is_given_them() -> None:
     for fit in ("published", "whole", "padded"):
         pixels = network_input(PROCESSOR, [frame, frame[:, :640]], fit).numpy()
         assert pixels.shape == (2, 3, 224, 224) and pixels.dtype == np.float32
-        scale, shift = (np.array(v)[:, None, None] for v in (PROCESSOR.image_std,
-                                                             PROCESSOR.image_mean))  # fmt: skip
+        scale, shift = (
+            np.array(v)[:, None, None] for v in (PROCESSOR.image_std, PROCESSOR.image_mean)
+        )
         seen[fit] = pixels[0] * scale + shift
     red = {fit: (one[0] > 0.5) & (one[1] < 0.3) for fit, one in seen.items()}
     assert not red["published"][:, 2:-2].any()  # a pixel or two of bicubic blur

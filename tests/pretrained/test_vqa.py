@@ -16,9 +16,9 @@ from safetensors.torch import save_file
 from transformers import CLIPImageProcessor, CLIPVisionModel
 
 from pretrained.tiny import SIDE, TinyClipT5, write_clip_t5
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.pretrained import VQA_SCORERS, checked_scores, clip_t5_files, load_vqa_scorer
-from recast.pretrained.clip_t5_load import load_clip_t5
+from recast.pretrained.clip_t5 import load_clip_t5
 
 TEXTS = ["vehicle", "A driving-camera image with realistic vehicles", "x", *("abcdefg")]
 RNG = np.random.default_rng(0)
@@ -113,7 +113,7 @@ def test_weights_in_every_layout(made: tuple[Path, TinyClipT5], tmp_path: Path) 
             "mm_projector.", "model.mm_projector."
         ): one
         for name, one in tiny.state.items()
-    }  # fmt: skip
+    }
     assert np.array_equal(
         load_clip_t5(linked("renamed", renamed)).score(IMAGES, TEXTS[:2]), expected
     )
@@ -210,7 +210,7 @@ def test_weights_that_are_refused(
         (f"{TOWER}/preprocessor_config.json", '{"size": 48, "crop_size": 48}', "48 x 48, not 32"),
         ("model.safetensors", "", "weights: cannot be read"),
     ],
-)  # fmt: skip
+)
 def test_damaged_files(tmp_path: Path, name: str, text: str, message: str) -> None:
     folder = tmp_path / "damaged"
     write_clip_t5(folder)

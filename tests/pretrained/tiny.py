@@ -25,8 +25,11 @@ from transformers import (
 CHARACTERS = string.ascii_letters + string.digits + string.punctuation
 SIDE = 32
 _TOWER = {
-    "hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 3, "num_attention_heads": 2,
-}  # fmt: skip
+    "hidden_size": 16,
+    "intermediate_size": 32,
+    "num_hidden_layers": 3,
+    "num_attention_heads": 2,
+}
 
 
 def write_tokenizer(folder: Path) -> CLIPTokenizer:
@@ -43,11 +46,16 @@ def write_tokenizer(folder: Path) -> CLIPTokenizer:
 def write_processor(folder: Path, side: int = SIDE) -> None:
     """As openai/clip-vit-large-patch14 has it."""
     told = {
-        "crop_size": side, "do_center_crop": True, "do_normalize": True, "do_resize": True,
-        "feature_extractor_type": "CLIPFeatureExtractor", "resample": 3, "size": side,
+        "crop_size": side,
+        "do_center_crop": True,
+        "do_normalize": True,
+        "do_resize": True,
+        "feature_extractor_type": "CLIPFeatureExtractor",
+        "resample": 3,
+        "size": side,
         "image_mean": [0.48145466, 0.4578275, 0.40821073],
         "image_std": [0.26862954, 0.26130258, 0.27577711],
-    }  # fmt: skip
+    }
     (folder / "preprocessor_config.json").write_text(json.dumps(told))
 
 
@@ -98,29 +106,45 @@ def write_clip_t5(folder: Path) -> TinyClipT5:
     vision_config.save_pretrained(folder / "vision_tower")
     write_processor(folder / "vision_tower")
     sizes = {
-        "vocab_size": tokenizer.get_vocab_size() + 12, "d_model": 24, "d_kv": 8, "d_ff": 32,
-        "num_layers": 2, "num_decoder_layers": 2, "num_heads": 3, "feed_forward_proj": "gated-gelu",
-        "tie_word_embeddings": False, "decoder_start_token_id": 0,
-    }  # fmt: skip
+        "vocab_size": tokenizer.get_vocab_size() + 12,
+        "d_model": 24,
+        "d_kv": 8,
+        "d_ff": 32,
+        "num_layers": 2,
+        "num_decoder_layers": 2,
+        "num_heads": 3,
+        "feed_forward_proj": "gated-gelu",
+        "tie_word_embeddings": False,
+        "decoder_start_token_id": 0,
+    }
     language = T5ForConditionalGeneration(T5Config(**sizes)).eval()
     for parameter in language.parameters():  # far from uniform answers
         nn.init.normal_(parameter, 0.0, 0.5)
     language.lm_head.weight = nn.Parameter(torch.randn_like(language.shared.weight))
     projector = nn.Sequential(nn.Linear(16, 24), nn.GELU(), nn.Linear(24, 24))
     settings = {
-        **sizes, "model_type": "t5", "mm_vision_tower": "openai/clip-vit-large-patch14-336",
-        "mm_projector_type": "mlp2x_gelu", "mm_hidden_size": 16, "mm_vision_select_layer": -2,
-        "mm_vision_select_feature": "patch", "mm_use_im_start_end": False,
-        "mm_use_im_patch_token": False, "image_aspect_ratio": "pad", "torch_dtype": "bfloat16",
-    }  # fmt: skip
+        **sizes,
+        "model_type": "t5",
+        "mm_vision_tower": "openai/clip-vit-large-patch14-336",
+        "mm_projector_type": "mlp2x_gelu",
+        "mm_hidden_size": 16,
+        "mm_vision_select_layer": -2,
+        "mm_vision_select_feature": "patch",
+        "mm_use_im_start_end": False,
+        "mm_use_im_patch_token": False,
+        "image_aspect_ratio": "pad",
+        "torch_dtype": "bfloat16",
+    }
     (folder / "config.json").write_text(json.dumps(settings))
     own = {name: one for name, one in language.state_dict().items() if "embed_tokens" not in name}
     state = {
         **{name: one.detach().clone() for name, one in own.items()},
-        **{f"vision_tower.vision_tower.vision_model.{name}": one.clone()
-           for name, one in vision.state_dict().items()},
+        **{
+            f"vision_tower.vision_tower.vision_model.{name}": one.clone()
+            for name, one in vision.state_dict().items()
+        },
         **{f"mm_projector.{name}": one.clone() for name, one in projector.state_dict().items()},
-    }  # fmt: skip
+    }
     save_file(state, folder / "model.safetensors")
     return TinyClipT5(language, vision, projector, tokenizer, settings, state)
 

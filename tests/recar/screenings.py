@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from recast import storage
+from recast.core import files
 from recast.recar.targets import CacheRecord, FilterRecord, ModelRecord, TargetCache, TargetRecord
 from recast.trellis import SamplerSettings
 
@@ -39,15 +39,15 @@ def write_cache(
         identities=len(scores) + 1,
         failures=1,
     )
-    storage.write_json(folder / "cache.json", record.model_dump(mode="json"))
+    files.write_json(folder / "cache.json", record.model_dump(mode="json"))
     for name, (score, turned) in scores.items():
         one = target_record(name).model_copy(
             update={"voxels": 9, "score": score, "score_flipped": turned}
         )
-        storage.write_json(folder / "records" / f"{name}.json", one.model_dump(mode="json"))
-        storage.write_bytes(folder / "previews" / f"{name}.png", sheet(len(name)))
+        files.write_json(folder / "records" / f"{name}.json", one.model_dump(mode="json"))
+        files.write_bytes(folder / "previews" / f"{name}.png", sheet(len(name)))
     failed = target_record("failed").model_copy(update={"failure": "empty structure"})
-    storage.write_json(folder / "records" / "failed.json", failed.model_dump(mode="json"))
+    files.write_json(folder / "records" / "failed.json", failed.model_dump(mode="json"))
     return TargetCache.open(folder)
 
 

@@ -17,7 +17,7 @@ from recast.recar import (
     split_of,
     write_identity,
 )
-from recast.recar.picture import Image
+from recast.recar.views import Image
 
 WIDTH, HEIGHT, VIEWS = 48, 32, 4
 KINDS = ("sedan", "van", "sedan")

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import boxes, se3
-from recast.recar.assets.asset import read_asset, write_asset
-from recast.recar.assets.views import sample_views
-from recast.recar.assets.voxels import voxelise
+from recast.recar.training.asset_synthesis import sample_views, voxelise
+from recast.recar.training.assets import read_asset, write_asset
 
 
 def test_voxels_know_colour_normal_centroid_and_parts() -> None:
@@ -57,7 +56,7 @@ def test_crops_stand_as_low_as_a_car_and_look_level() -> None:
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("embreex")
-    from recast.recar.assets.build import AssetsRecord, make_assets
+    from recast.recar.training.asset_synthesis import AssetsRecord, make_assets
 
     folder = tmp_path_factory.mktemp("assets")
     make_assets(folder, 4, AssetsRecord(seed=5, crops=2, around=3, pixels=48))
@@ -90,7 +89,7 @@ def test_every_fourth_is_a_shape_and_files_come_back(made: Path, tmp_path: Path)
 def test_any_number_of_workers_and_any_restart_give_the_same_bytes(
     made: Path, tmp_path: Path
 ) -> None:
-    from recast.recar.assets.build import AssetsRecord, make_assets
+    from recast.recar.training.asset_synthesis import AssetsRecord, make_assets
 
     record = AssetsRecord(seed=5, crops=2, around=3, pixels=48)
     make_assets(tmp_path, 1, record)

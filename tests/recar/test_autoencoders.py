@@ -9,16 +9,15 @@ import numpy as np
 import pytest
 import torch
 
-from recast.recar.assets.asset import read_asset
-from recast.recar.autoencoders.image import side_colours, view_azimuths
-from recast.recar.autoencoders.structure import dice_loss, voxel_overlap
+from recast.recar.training.assets import read_asset
+from recast.recar.training.autoencoders import dice_loss, side_colours, view_azimuths, voxel_overlap
 
 pytest.importorskip("embreex")
 
 
 @pytest.fixture(scope="module")
 def assets(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from recast.recar.assets.build import AssetsRecord, make_assets
+    from recast.recar.training.asset_synthesis import AssetsRecord, make_assets
 
     folder = tmp_path_factory.mktemp("assets")
     make_assets(folder, 4, AssetsRecord(seed=9, crops=2, around=2, pixels=64))
@@ -28,13 +27,13 @@ def assets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def parts(assets: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Trained for a few steps, with the losses on the way."""
-    from recast.recar.autoencoders import recipe
+    from recast.recar.training import recipe
     from recast.trellis.models import SparseStructureEncoder
 
     out = tmp_path_factory.mktemp("parts")
     recipe.train_structure(assets, out / "structure", 3, 0, _ignore)
     recipe.train_latent(assets, out / "latent", 3, 0, _ignore)
-    from recast.recar.autoencoders.train import structure_encoder
+    from recast.recar.training.assemble import structure_encoder
 
     encoder = structure_encoder(out / "structure")
     assert isinstance(encoder, SparseStructureEncoder)
@@ -86,8 +85,8 @@ def test_sides_have_the_colour_of_what_faces_them(assets: Path) -> None:
 def test_parts_become_a_model_and_its_targets(
     assets: Path, parts: dict[str, Path], tmp_path: Path
 ) -> None:
-    from recast.recar.autoencoders.assemble import assemble
     from recast.recar.targets import TargetCache
+    from recast.recar.training.assemble import assemble
     from recast.trellis import ImageTo3D
     from recast.trellis.checkpoints import first_fault, verify_checkpoint
 
@@ -119,7 +118,7 @@ def test_reports_tell_what_was_reached(parts: dict[str, Path]) -> None:
 
 
 def test_a_restart_changes_nothing(assets: Path, parts: dict[str, Path], tmp_path: Path) -> None:
-    from recast.recar.autoencoders import recipe
+    from recast.recar.training import recipe
 
     recipe.train_latent(assets, tmp_path, 3, 0, _ignore)
     name = "ckpts/slat_dec_gs.safetensors"

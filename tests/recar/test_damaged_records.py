@@ -10,20 +10,20 @@ import pytest
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from recast import storage
-from recast.errors import InputError
+from recast.core import files
+from recast.core.errors import InputError
 from recast.recar import read_real_crops, read_set
-from recast.recar.assets.build import AssetsRecord, make_assets
-from recast.recar.ingest.table import read_table
+from recast.recar.ingest.settings import read_table
 from recast.recar.perturb import read_perturbations
 from recast.recar.screening import Screening
 from recast.recar.shards import pack_set, read_shards
 from recast.recar.targets import TargetCache
-from recast.recar.training.log import read_log_lines
+from recast.recar.training.asset_synthesis import AssetsRecord, make_assets
 from recast.recar.training.loop import train
-from recast.recar.training.stage_presets import read_stage_config
+from recast.recar.training.output import read_training_record
+from recast.recar.training.stage_config import read_stage_config
 from recast.recar.training.state import STATE_FILE, steps_done
-from recast.recar.training.training_record import read_training_record
+from recast.recar.training.task import read_log_lines
 from support.crops import write_crops
 
 from .screenings import write_cache
@@ -93,9 +93,12 @@ READERS: list[tuple[Callable[[Path], Path], str, Callable[[Path], object]]] = [
 @pytest.mark.parametrize("name", [*DAMAGE, "a folder"])
 @pytest.mark.parametrize(("make", "file", "read"), READERS, ids=[r[1] for r in READERS])
 def test_damage_is_one_line_that_names_the_file(
-    tmp_path: Path, make: Callable[[Path], Path], file: str, read: Callable[[Path], object],
+    tmp_path: Path,
+    make: Callable[[Path], Path],
+    file: str,
+    read: Callable[[Path], object],
     name: str,
-) -> None:  # fmt: skip
+) -> None:
     folder = make(tmp_path)
     path = folder / file
     path.unlink(missing_ok=True)
@@ -146,10 +149,16 @@ def changed_header(trained: Path, folder: Path, **changes: object) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"step": -1}, {"step": "many"}, {"step": 10**400}, {"clipper": None}, {"clipper": {}},
-        {"clipper": {"norms": ["x"]}}, {"log": {"sums": 3}}, {"settings": None},
+        {"step": -1},
+        {"step": "many"},
+        {"step": 10**400},
+        {"clipper": None},
+        {"clipper": {}},
+        {"clipper": {"norms": ["x"]}},
+        {"log": {"sums": 3}},
+        {"settings": None},
     ],
-)  # fmt: skip
+)
 def test_members_of_the_header(trained: Path, tmp_path: Path, change: dict[str, object]) -> None:
     changed_header(trained, tmp_path, **change)
     with pytest.raises(InputError, match=r"state\.safetensors: "):
@@ -189,13 +198,13 @@ def test_lines_of_a_log_that_are_none(tmp_path: Path, line: str) -> None:
 
 def test_members_of_a_cache_are_in_range(tmp_path: Path) -> None:
     folder = made_cache(tmp_path)
-    good = storage.read_json(folder / "cache.json")
+    good = files.read_json(folder / "cache.json")
     for name, value in (("max_voxels", 0), ("views_deg", [0, 90, 180, 360]), ("seed", -1)):
-        storage.write_json(folder / "cache.json", good | {name: value})
+        files.write_json(folder / "cache.json", good | {name: value})
         with pytest.raises(InputError, match=rf"cache\.json: {name}"):
             TargetCache.open(folder)
-    storage.write_json(folder / "cache.json", good)
+    files.write_json(folder / "cache.json", good)
     one = folder / "records" / "car-0.json"
-    storage.write_json(one, storage.read_json(one) | {"voxels": 10**400})
+    files.write_json(one, files.read_json(one) | {"voxels": 10**400})
     with pytest.raises(InputError, match=r"car-0\.json: voxels"):
         TargetCache.open(folder)

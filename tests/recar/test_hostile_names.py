@@ -14,9 +14,9 @@ from urllib.parse import quote
 import pytest
 from rich.console import Console
 
-from recast import storage
-from recast.cli.recar_data import Ingest
-from recast.errors import InputError
+from recast.cli.recar_sets import Ingest
+from recast.core import files
+from recast.core.errors import InputError
 from recast.recar import read_set, set_statistics, statistics_table
 from recast.recar.figure import write_figure
 from recast.recar.screening import Screening
@@ -29,9 +29,24 @@ from .screenings import write_cache
 from .sets import identity_record, pictures, set_record, tree, write_set
 
 NAMES = [
-    "../x", "/etc/passwd", "a/b", "..", ".", "", "a\0b", "a\nb", "a" * 300, "\u202ecod.exe",
-    "<script>alert(1)</script>", "a\\b", "C:x", "-rf", "é", "\x1b[31mred", "[bold]x[/nope]",
-]  # fmt: skip
+    "../x",
+    "/etc/passwd",
+    "a/b",
+    "..",
+    ".",
+    "",
+    "a\0b",
+    "a\nb",
+    "a" * 300,
+    "\u202ecod.exe",
+    "<script>alert(1)</script>",
+    "a\\b",
+    "C:x",
+    "-rf",
+    "é",
+    "\x1b[31mred",
+    "[bold]x[/nope]",
+]
 TEXTS = [*NAMES[5:], "$\\frac$", "{0}", "%s", "[/]"]
 
 
@@ -46,7 +61,7 @@ def test_ingest_lists_them_and_writes_nothing_elsewhere(
     photos = write_photos(tmp_path / "photos", 2)
     rows = [{"id": "car-0", "kind": "van"}, {"id": name, "kind": "van", "folder": "car-1"}]
     (photos / "vehicles.csv").unlink()
-    storage.write_json(photos / "vehicles.json", rows)
+    files.write_json(photos / "vehicles.json", rows)
     out = tmp_path / "set"
     before = outside(tmp_path, out)
     command = Ingest(photos, out, "CC0-1.0", views=VIEWS, width=60, height=40, remover="none")
@@ -64,7 +79,7 @@ def test_ingest_lists_them_and_writes_nothing_elsewhere(
 def test_a_folder_named_in_the_table_is_below_the_photographs(tmp_path: Path, name: str) -> None:
     photos = write_photos(tmp_path / "photos", 1)
     (photos / "vehicles.csv").unlink()
-    storage.write_json(photos / "vehicles.json", [{"id": "car-0", "kind": "van", "folder": name}])
+    files.write_json(photos / "vehicles.json", [{"id": "car-0", "kind": "van", "folder": name}])
     # What it would find there, were it to look.
     (photos / "car-0").rename(tmp_path / "x")
     command = Ingest(photos, tmp_path / "set", "CC0", views=VIEWS, width=60, height=40)
@@ -76,21 +91,21 @@ def test_a_folder_named_in_the_table_is_below_the_photographs(tmp_path: Path, na
 @pytest.mark.parametrize("name", NAMES)
 def test_sets_shards_and_caches_refuse_them(tmp_path: Path, name: str) -> None:
     folder = write_set(tmp_path / "set").folder
-    record = storage.read_json(folder / "car-0" / "identity.json")
+    record = files.read_json(folder / "car-0" / "identity.json")
     pack_set(read_set(folder), tmp_path / "shards")
-    storage.write_json(folder / "car-0" / "identity.json", record | {"id": name})
+    files.write_json(folder / "car-0" / "identity.json", record | {"id": name})
     with pytest.raises(InputError, match=r"identity\.json: id: "):
         read_set(folder)
 
-    index = storage.read_json(tmp_path / "shards" / "index.json")
+    index = files.read_json(tmp_path / "shards" / "index.json")
     index["shards"][0]["identities"][0] = name
-    storage.write_json(tmp_path / "shards" / "index.json", index)
+    files.write_json(tmp_path / "shards" / "index.json", index)
     with pytest.raises(InputError, match=r"index\.json: shards\.0\.identities\.0: "):
         read_shards(tmp_path / "shards")
 
     cache = write_cache(tmp_path / "cache").folder
-    one = storage.read_json(cache / "records" / "car-0.json")
-    storage.write_json(cache / "records" / "car-0.json", one | {"id": name})
+    one = files.read_json(cache / "records" / "car-0.json")
+    files.write_json(cache / "records" / "car-0.json", one | {"id": name})
     with pytest.raises(InputError, match=r"car-0\.json: id: "):
         TargetCache.open(cache)
 
@@ -105,10 +120,12 @@ def test_screening_refuses_them(tmp_path: Path, name: str) -> None:
     service = ScreeningService(cache)
     for ask in (
         lambda: service.decide({"id": name, "decision": "reject"}),
-        lambda: service.items({"at": name}), lambda: service.items({"after": name}),
-        lambda: service.preview(name), lambda: service.input_view(name, "front"),
+        lambda: service.items({"at": name}),
+        lambda: service.items({"after": name}),
+        lambda: service.preview(name),
+        lambda: service.input_view(name, "front"),
         lambda: service.input_view("car-0", name),
-    ):  # fmt: skip
+    ):
         with pytest.raises(RefusedError) as refused:
             ask()
         json.dumps(refused.value.answer)
@@ -116,7 +133,7 @@ def test_screening_refuses_them(tmp_path: Path, name: str) -> None:
     (cache.folder / ".screening.lock").unlink()
     assert tree(tmp_path) == before
     record = {"format": "recast-screening", "version": 1, "decisions": {name: "reject"}}
-    storage.write_json(cache.folder / "screening.json", record)
+    files.write_json(cache.folder / "screening.json", record)
     with pytest.raises(InputError, match=r"screening\.json: decisions\."):
         Screening(cache.folder)
     assert quote(name, safe="") or not name
@@ -125,9 +142,9 @@ def test_screening_refuses_them(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("model", ["../../x", "/x", "a\0b", "..", "a" * 300])
 def test_a_cache_names_its_model_as_a_folder_of_its_own(tmp_path: Path, model: str) -> None:
     cache = write_cache(tmp_path / "cache").folder
-    record = storage.read_json(cache / "cache.json")
+    record = files.read_json(cache / "cache.json")
     record["model"]["name"] = model
-    storage.write_json(cache / "cache.json", record)
+    files.write_json(cache / "cache.json", record)
     with pytest.raises(InputError) as caught:
         TargetCache.open(cache).target("car-0")
     assert "\n" not in str(caught.value)
@@ -137,12 +154,12 @@ def test_a_cache_names_its_model_as_a_folder_of_its_own(tmp_path: Path, model: s
 def test_texts_for_people_come_out_as_text(tmp_path: Path, text: str) -> None:
     folder = write_set(tmp_path / "set").folder
     words = text or "x"
-    shared = storage.read_json(folder / "set.json")
-    storage.write_json(
+    shared = files.read_json(folder / "set.json")
+    files.write_json(
         folder / "set.json", shared | {"name": words, "source": words, "licence": words}
     )
     path = folder / "car-0" / "identity.json"
-    storage.write_json(path, storage.read_json(path) | {"kind": words, "colour": words})
+    files.write_json(path, files.read_json(path) | {"kind": words, "colour": words})
     found = read_set(folder)
     statistics = set_statistics(found)
     stream = StringIO()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.recar import read_set
 from recast.recar.ingest import IngestSettings, ingest_photographs
 from recast.recar.ingest.ingest import IngestReport
@@ -53,8 +53,9 @@ def test_photographs_become_a_set(tmp_path: Path) -> None:
             found = made.identities[f"car-{index}"].view(view)
             assert np.array_equal(found, photograph(100 * index + view))
     assert json.loads((tmp_path / "set" / "ingest.json").read_text()) == {
-        "skipped": [], "doubts": {},
-    }  # fmt: skip
+        "skipped": [],
+        "doubts": {},
+    }
 
 
 @pytest.mark.parametrize(

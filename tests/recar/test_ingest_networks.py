@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast.actors.cutout import GrabCutRemover
+from recast.actors.cutout import GrabCutRemover, GroundedSamRemover, remover_of
 from recast.actors.detect import DetectionRule
-from recast.actors.grounded_cutout import GroundedSamRemover, remover_of
-from recast.errors import InputError
+from recast.core.errors import InputError
 from support.tiny_networks import write_tiny_networks
 
 from .photographs import car_before_a_wall

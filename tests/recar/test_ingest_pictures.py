@@ -15,16 +15,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from recast import storage
-from recast.actors.cutout import GrabCutRemover, mask_doubts
+from recast.actors.cutout import GrabCutRemover, central_detection, mask_doubts
 from recast.actors.detect import Detection
-from recast.actors.grounded_cutout import central_detection
-from recast.errors import InputError
+from recast.core import files
+from recast.core.errors import InputError
 from recast.recar import read_set
 from recast.recar.ingest import DUPLICATE_BITS, ingest_photographs, perceptual_hash
-from recast.recar.ingest.perceptual_hash import distances, ones, ones_by_table
+from recast.recar.ingest.duplicates import SeenPictures, distances, ones, ones_by_table
 from recast.recar.ingest.photograph import fit, natural_order, photograph_size, read_photograph
-from recast.recar.ingest.seen_pictures import SeenPictures
 
 from .photographs import SETTINGS, car_before_a_wall, over_wall, photograph, write_photos
 from .sets import write_set
@@ -100,8 +98,8 @@ def test_a_photograph_of_too_many_pixels_is_refused_by_its_header(
 
 def test_a_set_names_no_size_that_takes_gigabytes(tmp_path: Path) -> None:
     folder = write_set(tmp_path / "set").folder
-    record = storage.read_json(folder / "set.json")
-    storage.write_json(folder / "set.json", record | {"width": 32768, "height": 32768})
+    record = files.read_json(folder / "set.json")
+    files.write_json(folder / "set.json", record | {"width": 32768, "height": 32768})
     for identity in ("car-0", "car-1", "car-2"):
         for view in (folder / identity).glob("*.png"):
             view.write_bytes(png_of(32768, 32768))

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast import storage
-from recast.errors import InputError
+from recast.core import files
+from recast.core.errors import InputError
 from recast.recar import read_set
 from recast.recar.ingest import ingest_photographs
 from recast.recar.screening import Screening
@@ -159,7 +159,7 @@ def test_a_second_process_is_told_that_the_first_is_at_work(
     busy = out / "training" / "structure" if name == "stage" else out
     busy.mkdir(parents=True, exist_ok=True)
     before = tree(out)
-    with storage.alone_in(busy), pytest.raises(InputError, match="another process is at work"):
+    with files.alone_in(busy), pytest.raises(InputError, match="another process is at work"):
         runs[name](out)
     assert {n: d for n, d in tree(out).items() if n in before} == before
     runs[name](out)
@@ -179,7 +179,8 @@ def test_a_decision_is_whole_or_not_there(tmp_path: Path) -> None:
     for change in range(changes_of(decide, folder)):
         killed_before(change, decide, folder)
         assert dict(Screening(folder).decisions) in (
-            {"car-0": "reject"}, {"car-0": "reject", "car-1": "accept"}
-        )  # fmt: skip
+            {"car-0": "reject"},
+            {"car-0": "reject", "car-1": "accept"},
+        )
     decide()
     assert Screening(folder).decision("car-1") == "accept"

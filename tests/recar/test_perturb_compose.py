@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from recast.cli.recar_perturb import Perturb
-from recast.errors import InputError
+from recast.cli.recar_sets import Perturb
+from recast.core.errors import InputError
+from recast.core.files import write_json
 from recast.recar import read_real_crops
 from recast.recar.perturb import (
     PerturbationConfig,
@@ -16,8 +17,7 @@ from recast.recar.perturb import (
     write_perturbations,
 )
 from recast.recar.perturb.compose import surroundings
-from recast.recar.perturb.extent import find_object
-from recast.storage import write_json
+from recast.recar.perturb.kind import find_object
 from recast.trellis import check_crop
 
 from .perturb_cars import drawn_car
@@ -64,9 +64,11 @@ def test_equal_seeds_give_equal_pictures() -> None:
 def test_draws_that_hide_too_much_are_drawn_again() -> None:
     """Cropping by half or more at each draw: only the milder ones can be left."""
     config = PerturbationConfig(
-        rho_clean=0.0, composed=(1, 1), least_visible=0.75,
+        rho_clean=0.0,
+        composed=(1, 1),
+        least_visible=0.75,
         **{name.replace("-", "_"): {"weight": 0} for name in NAMES if name != "cropping"},
-    )  # fmt: skip
+    )
     rng = np.random.default_rng(0)
     whole = np.count_nonzero(CAR[..., 3] > 204)
     for _ in range(60):
@@ -95,8 +97,11 @@ def test_a_picture_without_an_object_is_refused() -> None:
 
 def test_groups_of_the_paper_are_equally_likely() -> None:
     weights = {kind.name: kind.weight for kind in PerturbationConfig().kinds()}
-    groups = [("motion-blur", "defocus"), ("other-vehicle", "pole", "border"),
-              ("erosion", "dilation", "holes", "leak", "jagged")]  # fmt: skip
+    groups = [
+        ("motion-blur", "defocus"),
+        ("other-vehicle", "pole", "border"),
+        ("erosion", "dilation", "holes", "leak", "jagged"),
+    ]
     for group in groups:
         assert sum(weights.pop(name) for name in group) == pytest.approx(1)
     assert len(weights) == 5 and set(weights.values()) == {1.0}

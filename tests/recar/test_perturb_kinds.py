@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recast.recar.perturb import Kind, PerturbationConfig
-from recast.recar.perturb.extent import find_object
+from recast.recar.perturb.kind import find_object
 from recast.trellis import check_crop
 
 from .perturb_cars import difference, drawn_car
@@ -28,9 +28,22 @@ def spoil(kind: Kind, severity: float, seed: int, rgba: np.ndarray = CAR) -> np.
 
 def test_the_kinds_of_the_paper_are_all_there() -> None:
     assert NAMES == [
-        "other-vehicle", "pole", "border", "cropping", "fog", "motion-blur", "defocus",
-        "low-light", "resampling", "compression", "erosion", "dilation", "holes", "leak", "jagged",
-    ]  # fmt: skip
+        "other-vehicle",
+        "pole",
+        "border",
+        "cropping",
+        "fog",
+        "motion-blur",
+        "defocus",
+        "low-light",
+        "resampling",
+        "compression",
+        "erosion",
+        "dilation",
+        "holes",
+        "leak",
+        "jagged",
+    ]
 
 
 @each_kind
@@ -127,8 +140,14 @@ def test_cropping_cuts_the_named_share_off_one_side() -> None:
     sides = set()
     for seed in range(30):
         left = find_object(spoil(kind, 1.0, seed))
-        sides.add((left.left != whole.left, left.right != whole.right,
-                   left.top != whole.top, left.bottom != whole.bottom))  # fmt: skip
+        sides.add(
+            (
+                left.left != whole.left,
+                left.right != whole.right,
+                left.top != whole.top,
+                left.bottom != whole.bottom,
+            )
+        )
         assert min(left.width / whole.width, left.height / whole.height) == pytest.approx(
             0.5, abs=0.02
         )

@@ -5,22 +5,29 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from recast.geometry.colour import linear_to_srgb, srgb_to_linear
 from recast.recar.perturb import PerturbationConfig
-from recast.recar.perturb.backdrop import backdrop
-from recast.recar.perturb.compression import quality_between, through_jpeg
-from recast.recar.perturb.convolution import convolve
-from recast.recar.perturb.defocus import disc_kernel
-from recast.recar.perturb.extent import ObjectBox, shrinking
-from recast.recar.perturb.fog import koschmieder
-from recast.recar.perturb.linear_light import to_display, to_linear
-from recast.recar.perturb.low_light import sensor_noise
-from recast.recar.perturb.motion_blur import line_kernel
-from recast.recar.perturb.occlude import occlude
-from recast.recar.perturb.premultiplied import premultiplied, straight
-from recast.recar.perturb.resampling import resample
-from recast.recar.perturb.reveal import reveal
-from recast.recar.perturb.signed_distance import signed_distance
-from recast.recar.perturb.value_noise import value_noise
+from recast.recar.perturb.camera import (
+    convolve,
+    disc_kernel,
+    koschmieder,
+    line_kernel,
+    quality_between,
+    resample,
+    sensor_noise,
+    through_jpeg,
+)
+from recast.recar.perturb.kind import (
+    ObjectBox,
+    backdrop,
+    premultiplied,
+    reveal,
+    shrinking,
+    signed_distance,
+    straight,
+    value_noise,
+)
+from recast.recar.perturb.occlusion import occlude
 
 
 def red_square(side: int = 40, edge: int = 20) -> np.ndarray:
@@ -31,7 +38,7 @@ def red_square(side: int = 40, edge: int = 20) -> np.ndarray:
 
 def test_light_round_trip() -> None:
     levels = np.arange(256, dtype=np.float32) / 255
-    assert to_display(to_linear(levels)) == pytest.approx(levels, abs=1e-5)
+    assert linear_to_srgb(srgb_to_linear(levels)) == pytest.approx(levels, abs=1e-5)
 
 
 def test_straight_inverts_premultiplied() -> None:
@@ -96,7 +103,7 @@ def test_fog_leaves_the_contrast_that_its_visibility_says() -> None:
     )
     rgba = np.zeros((8, 40, 4), np.uint8)
     rgba[:, :20], rgba[:, 20:39] = (255, 255, 255, 255), (0, 0, 0, 255)
-    out = to_linear(fog(rgba, 1.0, np.random.default_rng(0)).astype(np.float32) / 255)
+    out = srgb_to_linear(fog(rgba, 1.0, np.random.default_rng(0)).astype(np.float32) / 255)
     assert float(out[0, 0, 0] - out[0, 30, 0]) == pytest.approx(0.02, abs=0.005)
 
 

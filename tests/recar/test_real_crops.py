@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import boxes, se3
 from recast.recar.real_crops import RealView, holds_real_crops, read_real_crops
 from support.crops import DISTANCE, INPUTS, PIXELS, RESERVED, SIZE, direction, write_crops
@@ -148,8 +148,9 @@ def test_an_empty_mask_and_an_empty_folder_are_refused(crops: Path, tmp_path: Pa
 def test_real_boxes_lie_on_their_masks(shared: Path) -> None:
     vehicles = {one.id: one for one in read_real_crops(shared / "data" / "vehicles")}
     assert {name: len(one.reserved) for name, one in vehicles.items()} == {
-        "382fee4aea8819ce": 3, "f32727777c346318": 1,
-    }  # fmt: skip
+        "382fee4aea8819ce": 3,
+        "f32727777c346318": 1,
+    }
     for vehicle in vehicles.values():
         for view in vehicle.inputs + vehicle.reserved:
             assert box_coverage(view, vehicle.size) > 0.5

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recast import storage
-from recast.errors import InputError
+from recast.core import files
+from recast.core.errors import InputError
 from recast.recar.screening import DECISIONS, Conflict, Decision, Screening
-from recast.recar.screening.record import change_line, record_text
+from recast.recar.targets.decisions import change_line, record_text
 
 NAMES = ("a", "b", "c")
 
@@ -25,7 +25,7 @@ def folder(tmp_path: Path) -> Path:
 
 def make(folder: Path) -> Path:
     for name in NAMES:
-        storage.write_json(folder / "records" / f"{name}.json", {})
+        files.write_json(folder / "records" / f"{name}.json", {})
     return folder
 
 
@@ -57,8 +57,10 @@ def test_each_decision_is_in_the_file_with_its_time(folder: Path) -> None:
     assert screening.counts() == {"accept": 1, "reject": 1}
     changes = screening.changes(0)
     assert [(c.id, c.before, c.after) for c in changes] == [
-        ("a", None, "reject"), ("b", None, "reject"), ("a", "reject", "accept"),
-    ]  # fmt: skip
+        ("a", None, "reject"),
+        ("b", None, "reject"),
+        ("a", "reject", "accept"),
+    ]
     assert all(start <= change.time <= datetime.now(UTC) for change in changes)
 
 
@@ -145,7 +147,7 @@ def test_a_decision_that_was_not_seen_is_not_overruled(folder: Path) -> None:
 def test_threads_lose_nothing(tmp_path: Path) -> None:
     names = [f"v{index}" for index in range(24)]
     for name in names:
-        storage.write_json(tmp_path / "records" / f"{name}.json", {})
+        files.write_json(tmp_path / "records" / f"{name}.json", {})
     screenings = [Screening(tmp_path), Screening(tmp_path)]
 
     def press(part: int) -> None:
@@ -202,7 +204,7 @@ def test_a_disk_that_is_full_changes_nothing(folder: Path, monkeypatch: pytest.M
         raise InputError(path, "disk", "no space left while writing", "free some space")
 
     with monkeypatch.context() as context:
-        context.setattr(storage, "write_text", full)
+        context.setattr(files, "write_text", full)
         with pytest.raises(InputError, match="no space"):
             screening.decide("b", "reject")
         with pytest.raises(InputError, match="no space"):

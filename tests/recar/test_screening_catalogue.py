@@ -41,8 +41,11 @@ def test_filters() -> None:
     low = Filter("all", 4.0, 4.5)
     assert ids(CATALOGUE.after(None, "id", low, {}, 9)) == ["a", "car-2"]
     assert CATALOGUE.counts(low, decisions) == {
-        "accept": 0, "reject": 1, "undecided": 1, "all": 2,
-    }  # fmt: skip
+        "accept": 0,
+        "reject": 1,
+        "undecided": 1,
+        "all": 2,
+    }
 
 
 def test_search_puts_beginnings_first() -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from recast.cli.recar_screen import Screen
-from recast.errors import InputError
+from recast.cli.recar_sets import Screen
+from recast.core.errors import InputError
 from recast.recar.screening import Screening
 
 from .screenings import write_cache

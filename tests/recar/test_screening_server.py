@@ -21,12 +21,12 @@ import numpy as np
 import pytest
 import torch
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.recar.screening import Screening
 from recast.recar.screening.server import ScreeningServer
 from recast.recar.screening.service import ScreeningService
 from recast.recar.targets import Candidate, Target, TargetCache
-from recast.recar.targets.preview import contact_sheet
+from recast.recar.targets.maker import contact_sheet
 from recast.recar.targets.views import Viewpoint
 from recast.splats import Gaussians
 
@@ -255,9 +255,14 @@ def test_another_port_of_this_machine_may_not_decide(page: Page, cache: TargetCa
     body = json.dumps({"id": "car-0", "decision": "reject"}).encode()
     name, port = page.address.split(":")
     for origin in (
-        f"http://{name}:{int(port) + 1}", f"http://{name}", f"https://{page.address}",
-        f"http://localhost:{port}", "null", "", f"http://{page.address}.example.org",
-    ):  # fmt: skip
+        f"http://{name}:{int(port) + 1}",
+        f"http://{name}",
+        f"https://{page.address}",
+        f"http://localhost:{port}",
+        "null",
+        "",
+        f"http://{page.address}.example.org",
+    ):
         status = page.send("POST", "/api/decide", body, JSON | {"Origin": origin})[0]
         assert status == 403, origin
     assert not (cache.folder / "screening.json").exists()
@@ -346,12 +351,16 @@ def test_nothing_to_screen_and_a_strange_set_are_refused(
 def test_contact_sheets_have_the_tiles_that_the_page_cuts() -> None:
     one = torch.zeros(1, 3)
     gaussians = Gaussians(
-        means=one, quats=torch.tensor([[1.0, 0, 0, 0]]), log_scales=one - 2.0,
-        logit_opacities=torch.ones(1), sh=torch.zeros(1, 1, 3),
-    )  # fmt: skip
+        means=one,
+        quats=torch.tensor([[1.0, 0, 0, 0]]),
+        log_scales=one - 2.0,
+        logit_opacities=torch.ones(1),
+        sh=torch.zeros(1, 1, 3),
+    )
     views = [Viewpoint(azimuth) for azimuth in (0.0, 180.0, 90.0, 270.0)]
-    target = Target(np.zeros((1, 1, 1, 1), np.float32), np.zeros((1, 3), np.int32),
-                    np.zeros((1, 1), np.float32))  # fmt: skip
+    target = Target(
+        np.zeros((1, 1, 1, 1), np.float32), np.zeros((1, 3), np.int32), np.zeros((1, 1), np.float32)
+    )
     png = contact_sheet(Candidate(target, gaussians, pictures(0), views))
     height, width = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR).shape[:2]
     assert (width % 4, height % 3) == (0, 0)

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recast.recar.ingest import seen_pictures
-from recast.recar.ingest.perceptual_hash import BITS, Hashes
-from recast.recar.ingest.seen_pictures import Pieces, SeenPictures
+from recast.recar.ingest import duplicates
+from recast.recar.ingest.duplicates import BITS, Hashes, Pieces, SeenPictures
 
 
 def spoilt(hashes: Hashes, bits: int, rng: np.random.Generator) -> Hashes:
@@ -45,7 +44,7 @@ def test_narrow_pieces_are_not_used() -> None:
 @pytest.mark.parametrize("bits", [0, 20, 27, 40])
 def test_the_index_finds_what_the_scan_finds(bits: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Many small runs; pictures that differ in numbers of bits about the bound."""
-    monkeypatch.setattr(seen_pictures, "_NEW", 16)
+    monkeypatch.setattr(duplicates, "_NEW", 16)
     rng = np.random.default_rng(bits)
     base = random_hashes(5, rng)
     seen = SeenPictures(bits)
@@ -63,7 +62,7 @@ def test_the_index_finds_what_the_scan_finds(bits: int, monkeypatch: pytest.Monk
 
 
 def test_a_thousand_equal_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(seen_pictures, "_NEW", 16)
+    monkeypatch.setattr(duplicates, "_NEW", 16)
     seen = SeenPictures()
     one = random_hashes(1, np.random.default_rng(0))
     for index in range(1000):

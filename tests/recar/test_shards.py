@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.recar import VehicleSet, begin_set, finish_set, read_set, set_statistics, write_identity
 from recast.recar.figure import representatives, view_sheet
 from recast.recar.shards import (

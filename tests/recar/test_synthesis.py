@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import boxes, se3
 from recast.recar import SynthesisSettings, VehicleSet, read_set, synthesize_set
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.recar import read_set
 from recast.recar.targets import (
     ModelSource,
@@ -19,7 +19,7 @@ from recast.recar.targets import (
     build_targets,
     identity_seed,
 )
-from recast.recar.targets.settings import FilterSettings
+from recast.recar.targets.record import FilterSettings
 from recast.trellis import GenerationLimits, generate
 from support.target_places import SETTINGS, Places
 from support.vehicle_pictures import shape

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast import storage
-from recast.errors import InputError
-from recast.recar.arrays import write_arrays
+from recast.core import files
+from recast.core.errors import InputError
 from recast.recar.screening import Screening
 from recast.recar.targets import (
     Target,
@@ -17,6 +16,7 @@ from recast.recar.targets import (
     TargetRecord,
     target_statistics,
 )
+from recast.recar.views import write_arrays
 from support.target_caches import box_target, write_cache
 
 from .sets import tree
@@ -72,7 +72,7 @@ def test_targets_that_an_earlier_version_turned_are_not_used(cache: TargetCache)
     """Its flip moved voxels but not what latents say of directions, so surfaces came out torn."""
     change = {"id": "car-0", "before": None, "after": "flip", "time": "2026-01-01T00:00:00Z"}
     record = {"format": "recast-screening", "version": 1, "decisions": {"car-0": "flip"}}
-    storage.write_json(cache.folder / "screening.json", {**record, "history": [change]})
+    files.write_json(cache.folder / "screening.json", {**record, "history": [change]})
     again = TargetCache.open(cache.folder)
     assert again.decisions == {"car-0": "reject"} and again.ids() == ("car-1",)
     Screening(cache.folder).undo()

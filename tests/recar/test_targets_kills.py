@@ -112,8 +112,9 @@ def test_a_killed_run_of_several_processes_ends_them_and_resumes(
     out = tmp_path / "cache"
     context = multiprocessing.get_context("spawn")
     for _ in range(3):
-        run = context.Process(target=build_targets, args=(*places, out, SETTINGS),
-                              kwargs={"workers": 2})  # fmt: skip
+        run = context.Process(
+            target=build_targets, args=(*places, out, SETTINGS), kwargs={"workers": 2}
+        )
         run.start()
         records = out / "records"
         before = len(list(records.glob("[!.]*.json"))) if records.exists() else 0

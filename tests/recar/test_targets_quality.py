@@ -12,16 +12,22 @@ import pytest
 import torch
 from PIL import Image
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.recar import regular_azimuths
 from recast.recar.targets import Candidate, FilterSettings, Target
 from recast.recar.targets.aesthetic import WIDTHS, AestheticScore, load_predictor
-from recast.recar.targets.agreement import AgreementScore, largest_part, mirror_symmetry
-from recast.recar.targets.heading import find_heading
-from recast.recar.targets.preview import contact_sheet
-from recast.recar.targets.quality import filter_record, open_score
-from recast.recar.targets.render import Cutout, framed, of_picture, render, resized
-from recast.recar.targets.views import Viewpoint, nearest_views
+from recast.recar.targets.maker import contact_sheet, filter_record, open_score
+from recast.recar.targets.quality import AgreementScore, largest_part, mirror_symmetry
+from recast.recar.targets.views import (
+    Cutout,
+    Viewpoint,
+    find_heading,
+    framed,
+    nearest_views,
+    of_picture,
+    render,
+    resized,
+)
 from recast.splats import Gaussians
 
 from .sets import set_record
@@ -279,15 +285,20 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     state = torch.get_rng_state()
     torch.manual_seed(0)
     config = transformers.CLIPVisionConfig(
-        hidden_size=32, intermediate_size=32, num_hidden_layers=1, num_attention_heads=2,
-        image_size=32, patch_size=16, projection_dim=768,
-    )  # fmt: skip
+        hidden_size=32,
+        intermediate_size=32,
+        num_hidden_layers=1,
+        num_attention_heads=2,
+        image_size=32,
+        patch_size=16,
+        projection_dim=768,
+    )
     transformers.CLIPVisionModelWithProjection(config).save_pretrained(folder)
     torch.set_rng_state(state)
     size = {"height": 32, "width": 32}
-    transformers.CLIPImageProcessor(
-        size={"shortest_edge": 32}, crop_size=size
-    ).save_pretrained(folder)  # fmt: skip
+    transformers.CLIPImageProcessor(size={"shortest_edge": 32}, crop_size=size).save_pretrained(
+        folder
+    )
     return folder
 
 

@@ -12,17 +12,23 @@ import torch
 from safetensors import safe_open
 from torch import Tensor, nn
 
-from recast.errors import InputError
-from recast.recar.training.log import read_log_lines
+from recast.core.errors import InputError
 from recast.recar.training.loop import train
-from recast.recar.training.settings import TrainerSettings
 from recast.recar.training.state import STATE_FILE, TrainingState
-from recast.recar.training.task import StepLoss, StepRandom
+from recast.recar.training.task import StepLoss, StepRandom, TrainerSettings, read_log_lines
 
 SETTINGS = TrainerSettings(
-    steps=23, lr=1e-2, schedule="cosine", warmup=3, weight_decay=0.01, ema_decay=0.9,
-    accumulate=2, seed=4, checkpoint_every=5, log_every=4,
-)  # fmt: skip
+    steps=23,
+    lr=1e-2,
+    schedule="cosine",
+    warmup=3,
+    weight_decay=0.01,
+    ema_decay=0.9,
+    accumulate=2,
+    seed=4,
+    checkpoint_every=5,
+    log_every=4,
+)
 
 
 class Line:
@@ -115,8 +121,9 @@ def test_values_that_are_not_finite_are_left_out_of_means(whole: Path) -> None:
     task = Line()
     offsets = {
         (step, part): float(StepRandom.of(4, step, part).numpy.normal())
-        for step in range(4) for part in range(2)
-    }  # fmt: skip
+        for step in range(4)
+        for part in range(2)
+    }
     assert task.parts == []
     first = lines_of(whole)[0]
     odd = [value for (step, _), value in offsets.items() if step % 2]
@@ -178,8 +185,9 @@ def test_steps_without_finite_loss_change_nothing_and_then_end_the_training(
     settings = SETTINGS.model_copy(update={"steps": 100, "checkpoint_every": 1})
     with pytest.raises(InputError, match="step 27: the loss is not finite any more"):
         train(Line(bad_from=8), settings, tmp_path)
-    good = train(Line(), settings.model_copy(update={"schedule": "constant", "steps": 8}),
-                 tmp_path / "good")  # fmt: skip
+    good = train(
+        Line(), settings.model_copy(update={"schedule": "constant", "steps": 8}), tmp_path / "good"
+    )
     assert good.step == 8
     stopped = tensors_of(tmp_path)
     with pytest.raises(KeyboardInterrupt):
@@ -195,10 +203,13 @@ def test_probe_and_watch_come_with_each_line(tmp_path: Path) -> None:
     seen: list[tuple[int, dict[str, float]]] = []
     steps: list[int] = []
     train(
-        Line(), SETTINGS, tmp_path, probe=lambda: {"gap": 0.25},
+        Line(),
+        SETTINGS,
+        tmp_path,
+        probe=lambda: {"gap": 0.25},
         watch=lambda step, values: seen.append((step, values)),
         after_step=lambda state: steps.append(state.step),
-    )  # fmt: skip
+    )
     assert [step for step, _ in seen] == [4, 8, 12, 16, 20]
     assert all(values["gap"] == 0.25 and "loss" in values for _, values in seen)
     assert steps == list(range(1, 24))
@@ -213,9 +224,10 @@ def test_a_state_without_pending_means_is_read(whole: Path, tmp_path: Path) -> N
     from safetensors.torch import save_file
 
     save_file(
-        tensors_of(whole), tmp_path / STATE_FILE,
+        tensors_of(whole),
+        tmp_path / STATE_FILE,
         metadata={"recast-training": json.dumps(header)},
-    )  # fmt: skip
+    )
     assert train(Line(), SETTINGS, tmp_path).step == 23
 
 

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from recast.errors import InputError
-from recast.recar.training.stage_presets import (
+from recast.core.errors import InputError
+from recast.core.files import write_json
+from recast.recar.training.stage_config import (
     BASE,
     MINI_STAGE_1,
     MINI_STAGE_2,
@@ -17,7 +18,6 @@ from recast.recar.training.stage_presets import (
     chosen_stage,
     read_stage_config,
 )
-from recast.storage import write_json
 
 
 def test_the_presets_are_the_papers() -> None:
@@ -46,10 +46,15 @@ def test_a_preset_written_out_in_full_reads_back(name: str, tmp_path: Path) -> N
 
 def test_a_file_changes_a_preset_member_by_member(tmp_path: Path) -> None:
     path = tmp_path / "stage.json"
-    write_json(path, {
-        "preset": "stage-2", "structure": {"steps": 7}, "latent": None,
-        "perturbation": {"rho_clean": 0.5},
-    })  # fmt: skip
+    write_json(
+        path,
+        {
+            "preset": "stage-2",
+            "structure": {"steps": 7},
+            "latent": None,
+            "perturbation": {"rho_clean": 0.5},
+        },
+    )
     found = read_stage_config(path)
     assert found.structure and STAGE_2.structure and found.perturbation
     assert found.structure == STAGE_2.structure.model_copy(update={"steps": 7})

@@ -14,19 +14,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from recast.errors import InputError
-from recast.recar.assets.asset import TrainingAsset
+from recast.core.errors import InputError
 from recast.recar.targets import Target, TargetCache
-from recast.recar.training.batches import balanced_parts, draw_identities
-from recast.recar.training.conditions import AssetConditions, missing_pictures, open_conditions
-from recast.recar.training.flow_task import FlowTask
-from recast.recar.training.latents import LatentFlow, StructureFlow
-from recast.recar.training.probe import ConditionGap
+from recast.recar.training.assets import TrainingAsset
+from recast.recar.training.conditions import (
+    AssetConditions,
+    ConditionTokens,
+    View,
+    balanced_parts,
+    draw_identities,
+    missing_pictures,
+    open_conditions,
+)
+from recast.recar.training.flow_task import ConditionGap, FlowTask, LatentFlow, StructureFlow
 from recast.recar.training.stage_config import FlowObjective
 from recast.recar.training.task import StepRandom
-from recast.recar.training.tokens import ConditionTokens, View
 from recast.trellis import ImageTo3D
-from recast.trellis.flow import FlowMatching
+from recast.trellis.flow_matching import FlowMatching
 from support.tiny_stage import TinyStage, write_tiny_stage
 from support.trellis import AFTER_TIME, assert_same, golden_tensors
 
@@ -82,9 +86,7 @@ def test_the_latent_flow_is_given_normalised_latents_as_in_the_golden_step(
     rows = [golden["coords"][:, 0] == i for i in range(2)]
     raw = golden["x_0"] * model.latent_std + model.latent_mean
     structure = np.zeros(model.structure_shape, np.float32)
-    targets = [
-        Target(structure, golden["coords"][r, 1:].numpy(), raw[r].numpy()) for r in rows
-    ]  # fmt: skip
+    targets = [Target(structure, golden["coords"][r, 1:].numpy(), raw[r].numpy()) for r in rows]
     data = latent_flow(model).data(targets)
     assert_same(data.x0, golden["x_0"])
     assert torch.equal(data.batch, golden["coords"][:, 0].long())
@@ -135,7 +137,7 @@ def test_parts_of_a_step_are_its_batch_and_hold_different_vehicles(
     task = task_of(stage, latent_flow(model))
     seen = [
         [view.identity for view in task._part(StepRandom.of(0, 5, part, 2))[0]] for part in range(2)
-    ]  # fmt: skip
+    ]
     assert sorted(seen[0] + seen[1]) == ["car-0", "car-1", "car-2", "car-3"]
     voxels = [sum(task.targets.records[one].voxels for one in part) for part in seen]
     assert voxels == [110, 110]  # 40 + 70 and 50 + 60
@@ -154,9 +156,12 @@ def test_conditions_are_dropped_and_altered_as_often_as_asked(
         return rgba // np.array([2, 2, 2, 1], np.uint8)
 
     task = task_of(
-        stage, StructureFlow(model.structure_flow), perturb=darker, clean_share=0.2,
+        stage,
+        StructureFlow(model.structure_flow),
+        perturb=darker,
+        clean_share=0.2,
         objective=FlowObjective(batch=4, condition_drop=0.3, autocast=None),
-    )  # fmt: skip
+    )
     logs = [task.loss(step, StepRandom.of(0, step)).logs for step in range(60)]
     assert np.mean([one["altered"] for one in logs]) == pytest.approx(0.8, abs=0.08)
     assert np.mean([one["dropped"] for one in logs]) == pytest.approx(0.3, abs=0.09)
@@ -219,8 +224,15 @@ def test_conditions_of_assets_are_their_crops() -> None:
         pictures += np.arange(5, dtype=np.uint8)[:, None, None, None]
         empty = np.zeros(0, np.float32)
         return TrainingAsset(
-            "van", empty, empty, empty, pictures, empty, empty, 2  # type: ignore[arg-type]
-        )  # fmt: skip
+            "van",
+            empty,
+            empty,
+            empty,
+            pictures,
+            empty,
+            empty,
+            2,  # type: ignore[arg-type]
+        )
 
     source = AssetConditions([Path("a/20.npz"), Path("a/10.npz")], read)
     assert source.ids == ("10", "20")

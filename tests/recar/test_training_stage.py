@@ -14,13 +14,13 @@ import torch
 from rich.console import Console
 from safetensors.torch import load_file
 
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.core.files import read_json, write_json
 from recast.recar.screening import Screening
 from recast.recar.targets import TargetCache
+from recast.recar.training.output import read_training_record
 from recast.recar.training.stage import train_stage
 from recast.recar.training.stage_parts import StageRequest
-from recast.recar.training.training_record import read_training_record
-from recast.storage import read_json, write_json
 from recast.trellis import ImageTo3D, verify_checkpoint
 from recast.trellis.checkpoints import first_fault
 from support.tiny_stage import TinyStage, write_tiny_stage
@@ -56,9 +56,10 @@ def results(out: Path) -> dict[str, bytes]:
 def test_the_new_model_is_complete_and_only_the_flows_differ(stage: TinyStage, whole: Path) -> None:
     assert first_fault(verify_checkpoint(whole, values=True)) is None
     differ = {
-        path.name for path in (stage.model / "ckpts").glob("*.safetensors")
+        path.name
+        for path in (stage.model / "ckpts").glob("*.safetensors")
         if path.read_bytes() != (whole / "ckpts" / path.name).read_bytes()
-    }  # fmt: skip
+    }
     assert differ == {"ss_flow.safetensors", "slat_flow.safetensors"}
     assert (whole / "pipeline.json").read_bytes() == (stage.model / "pipeline.json").read_bytes()
     ImageTo3D.load(whole, device="cpu")
@@ -134,8 +135,10 @@ def test_targets_that_nobody_screened_are_told_once_and_recorded(
 ) -> None:
     def said(changed: TinyStage, out: Path) -> str:
         stream = StringIO()
-        train_stage(changed.request(out, structure={"steps": 1}, latent={"steps": 1}),
-                    console=Console(file=stream, width=400))  # fmt: skip
+        train_stage(
+            changed.request(out, structure={"steps": 1}, latent={"steps": 1}),
+            console=Console(file=stream, width=400),
+        )
         return stream.getvalue()
 
     assert read_training_record(whole).unscreened == 4
@@ -153,8 +156,9 @@ def test_targets_that_nobody_screened_are_told_once_and_recorded(
 
 
 def test_a_latent_flow_waits_for_the_encoder(stage: TinyStage, tmp_path: Path) -> None:
-    request = stage.request(tmp_path / "model", train_encoder=True, structure={"steps": 2},
-                            latent={"steps": 2})  # fmt: skip
+    request = stage.request(
+        tmp_path / "model", train_encoder=True, structure={"steps": 2}, latent={"steps": 2}
+    )
     with pytest.raises(InputError, match="needs the image encoder"):
         train_stage(replace(request, flows=("latent",)), console=QUIET)
     assert train_stage(replace(request, flows=("structure",)), console=QUIET) == ("latent",)
@@ -165,8 +169,9 @@ def test_a_latent_flow_waits_for_the_encoder(stage: TinyStage, tmp_path: Path) -
 def test_the_encoder_trains_with_the_structure_where_asked(
     stage: TinyStage, tmp_path: Path
 ) -> None:
-    request = stage.request(tmp_path / "model", train_encoder=True, structure={"steps": 2},
-                            latent={"steps": 2})  # fmt: skip
+    request = stage.request(
+        tmp_path / "model", train_encoder=True, structure={"steps": 2}, latent={"steps": 2}
+    )
     out = trained(request)
     name = "ckpts/dinov2_tiny.safetensors"
     assert (out / name).read_bytes() != (stage.model / name).read_bytes()
@@ -228,6 +233,8 @@ def test_held_out_vehicles_are_never_trained_on(
         return target(cache, identity)
 
     monkeypatch.setattr(TargetCache, "target", recorded)
-    train_stage(stage.request(tmp_path / "model", probe=0, structure={"steps": 20}, latent=None),
-                console=QUIET)  # fmt: skip
+    train_stage(
+        stage.request(tmp_path / "model", probe=0, structure={"steps": 20}, latent=None),
+        console=QUIET,
+    )
     assert set(read) == {"car-0", "car-1", "car-2", "car-3"}

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.recar import begin_set, read_set, write_identity
 
 from .sets import HEIGHT, VIEWS, WIDTH, identity_record, pictures, set_record, tree, write_set
@@ -102,7 +102,7 @@ FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
     "identity lost": (lambda f: shutil.rmtree(f / "car-2"), "2 folders where set.json says 3"),
     "no set.json": (lambda f: (f / "set.json").unlink(), "set.json: file: is missing"),
     "no folder": (shutil.rmtree, "vehicle set: is missing"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("fault", FAULTS)

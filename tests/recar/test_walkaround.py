@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from recast.cli.main import main
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import se3
-from recast.recar.camera import camera_pose
 from recast.recar.ingest import IngestSettings, ingest_photographs
+from recast.recar.ingest.folder import read_poses
 from recast.recar.ingest.ingest import IngestReport
-from recast.recar.ingest.poses import read_poses
 from recast.recar.ingest.walkaround import around
+from recast.recar.views import camera_pose
 
 from .photographs import HEIGHT, SETTINGS, VIEWS, WIDTH, photograph, write_rows
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.recar import begin_set, finish_set, read_set, split_of, write_identity
 
 from .sets import identity_record, pictures, set_record, tree, write_set

@@ -79,8 +79,18 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> ReportInputs:
             ),
             turntable=films["native"],
             registration=RegistrationPart(
-                0.31, 0.182, 0.15, 1834, 1.03, 0.02, np.array([0.04, -0.02, 0.03]), 0.21, 0.85,
-                np.array([1.02, 0.94]), {"front": 0.02, "rear": 0.98}, (Fact("Front", "heading"),),
+                0.31,
+                0.182,
+                0.15,
+                1834,
+                1.03,
+                0.02,
+                np.array([0.04, -0.02, 0.03]),
+                0.21,
+                0.85,
+                np.array([1.02, 0.94]),
+                {"front": 0.02, "rear": 0.98},
+                (Fact("Front", "heading"),),
             ),
             log_path=np.stack([np.linspace(10, 60, 50), np.full(50, 3.4)], axis=1),
             source="from two views",
@@ -105,7 +115,7 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> ReportInputs:
         ),
         timings={"scene training": 312.4, "observe": 0.0},
         warnings=(f"The map was derived. {HOSTILE}",),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="session")

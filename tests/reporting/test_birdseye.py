@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from recast.reporting import BirdseyeStyle, draw_frames, draw_still, palette
 from recast.reporting.canvas import Canvas, View, dashed
-from recast.reporting.series import planned_paths, series
+from recast.reporting.plots import planned_paths, series
 from reporting.made_up_rollouts import cut_in, straight_map, turned
 
 SMALL = BirdseyeStyle(film_width=480, film_height=160, still_width=800, still_max_height=400)

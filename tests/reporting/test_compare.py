@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.evaluation import rollout_metrics
 from recast.reporting import ComparedRun, RolloutPart, ScenarioPart, write_comparison
-from recast.reporting.compare_metrics import metric_lines, outcome_rows
-from recast.reporting.compare_settings import differing_settings
+from recast.reporting.compare import differing_settings, metric_lines, outcome_rows
 from recast.simulation.rollout import RolloutFailure
 from reporting.made_up_rollouts import HOSTILE, cut_in, straight_map
 from reporting.test_report import Page, digests
@@ -33,9 +32,15 @@ def scenario(brakes: dict[str, float], sideways: float = 0.0) -> ScenarioPart:
 
 def run(name: str, part: ScenarioPart, log: str = "one", **settings: object) -> ComparedRun:
     return ComparedRun(
-        name, log, f"hash of {log}", "0", ARMS, {KEY: part}, {"steps": 40, **settings},
+        name,
+        log,
+        f"hash of {log}",
+        "0",
+        ARMS,
+        {KEY: part},
+        {"steps": 40, **settings},
         straight_map(),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +66,15 @@ def test_differences_are_paired_where_the_scenario_is_the_same(runs: list[Compar
     lines = {(line.label, line.sub): line for line in metric_lines(runs)}
     labels = [line.label for line in metric_lines(runs)]
     assert labels == [
-        "A: Native", "B: Native", "B minus A", "C: Native", "C minus A",
-        f"A: Replaced {HOSTILE}", f"B: Replaced {HOSTILE}", "B minus A",
-    ]  # fmt: skip
+        "A: Native",
+        "B: Native",
+        "B minus A",
+        "C: Native",
+        "C minus A",
+        f"A: Replaced {HOSTILE}",
+        f"B: Replaced {HOSTILE}",
+        "B minus A",
+    ]
     paired = lines["B minus A", "paired; mean over 1 of 1 pair, 8 plans each"]
     native, replaced = (line for line in metric_lines(runs) if line.label == "B minus A")
     assert paired is not None and [cell.text[:4] for cell in native.cells[:3]] == ["+0.0"] * 2 + [
@@ -77,8 +88,10 @@ def test_differences_are_paired_where_the_scenario_is_the_same(runs: list[Compar
 def test_endings_tell_where_a_path_leaves_that_of_the_first_run(runs: list[ComparedRun]) -> None:
     native, replaced = outcome_rows(runs)
     assert [cell.path for cell in native.cells] == [
-        None, "path within 0.5 m of A's", "another scenario than A's: not compared",
-    ]  # fmt: skip
+        None,
+        "path within 0.5 m of A's",
+        "another scenario than A's: not compared",
+    ]
     # 0.01 k (k - 1) > 0.5 at k = 8
     assert [cell.path for cell in replaced.cells] == [None, "path leaves A's at 0.8 s", None]
     assert replaced.cells[0].outcome.text.startswith("contact at 2.3 s")
@@ -91,10 +104,14 @@ def test_the_page_is_self_contained_and_tells_what_is_not_comparable(
 ) -> None:
     page = Page(write_comparison(runs, tmp_path / "out"))
     for words in (
-        "3 runs compared", "C is a run on another log than A (two, not one)",
-        "arms.recast.refine", "paired; mean over 1 of 1 pair", "path leaves A's at 0.8 s",
-        "the paths part: Native and Replaced", "contact: Native",
-    ):  # fmt: skip
+        "3 runs compared",
+        "C is a run on another log than A (two, not one)",
+        "arms.recast.refine",
+        "paired; mean over 1 of 1 pair",
+        "path leaves A's at 0.8 s",
+        "the paths part: Native and Replaced",
+        "contact: Native",
+    ):
         assert words in page.text, words
     linked = {link for link in page.links() if not link.startswith("#")}
     assert linked == set(digests(tmp_path / "out")) - {"index.html"}

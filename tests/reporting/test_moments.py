@@ -9,12 +9,11 @@ from PIL import Image
 
 from recast.evaluation import rollout_metrics
 from recast.reporting import NotMade, ReportInputs, RolloutPart, write_video
-from recast.reporting.assets import Assets, Media
 from recast.reporting.birdseye import Birdseye
-from recast.reporting.cameras import camera_towards
-from recast.reporting.map_layer import MapLayer
-from recast.reporting.moment_strip import moment_strip
+from recast.reporting.marks import MapLayer
+from recast.reporting.moment_strip import camera_towards, moment_strip
 from recast.reporting.moments import find_moments
+from recast.reporting.page import Assets, Media
 from recast.simulation.rollout import Rollout
 from reporting.made_up_rollouts import cut_in, straight_map
 

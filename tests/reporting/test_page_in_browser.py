@@ -30,9 +30,14 @@ if TYPE_CHECKING:
 
 CHROMIUM = Path(os.environ.get("CHROMIUM", "/usr/bin/chromium"))
 FLAGS = (
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-)  # fmt: skip
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
 RUN = os.environ.get("RECAST_VIEW_RUN")
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "images"
 STEPS = 20
@@ -58,9 +63,13 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     replay = folder / "scene.html"
     replay.write_text("<!doctype html><title>the moving scene</title>")
     run = ReportInputs(
-        "Car 0", "log", ARMS, scenarios=(ScenarioPart("Cut-in", "", tuple(parts)),),
-        hd_map=straight_map(), replay=replay,
-    )  # fmt: skip
+        "Car 0",
+        "log",
+        ARMS,
+        scenarios=(ScenarioPart("Cut-in", "", tuple(parts)),),
+        hd_map=straight_map(),
+        replay=replay,
+    )
     return write_report(run, folder / "report")
 
 
@@ -68,9 +77,13 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BrowserContext]:
     with sync_api.sync_playwright() as playwright:
         context = playwright.chromium.launch_persistent_context(
-            tmp_path_factory.mktemp("profile"), executable_path=CHROMIUM, headless=True,
-            offline=True, viewport={"width": 1280, "height": 900}, args=list(FLAGS),
-        )  # fmt: skip
+            tmp_path_factory.mktemp("profile"),
+            executable_path=CHROMIUM,
+            headless=True,
+            offline=True,
+            viewport={"width": 1280, "height": 900},
+            args=list(FLAGS),
+        )
         yield context
         context.close()
 

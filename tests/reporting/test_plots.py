@@ -7,7 +7,7 @@ import pytest
 
 from recast.reporting import palette, plots
 from recast.reporting.figure import Figure, ticks
-from recast.reporting.series import series
+from recast.reporting.plots import series
 from reporting.made_up_rollouts import cut_in
 
 
@@ -45,8 +45,11 @@ def test_plots_name_their_axes_with_units_and_mark_plans_and_moments() -> None:
     drawn = plots.rollout_plots(curves(), [0.5, 2.0])
     labels = [re.findall(r">([^<>]*\[[^<>]*\])<", plot.svg) for plot in drawn]
     assert [found[-1] for found in labels] == [
-        "time to collision [s]", "speed [m/s]", "gap [m]", "acceleration [m/s²]",
-    ]  # fmt: skip
+        "time to collision [s]",
+        "speed [m/s]",
+        "gap [m]",
+        "acceleration [m/s²]",
+    ]
     assert all(found[0] == "time [s]" for found in labels)
     for plot in drawn:
         strokes = re.findall(r'x1="([\d.]+)" y1="222.0" x2="\1" y2="215.0"', plot.svg)

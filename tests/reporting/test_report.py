@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.reporting import (
     ActorPart,
     Comparison,
@@ -69,19 +69,43 @@ def digests(folder: Path) -> dict[str, str]:
 def test_every_part_is_on_the_page(report: Path) -> None:
     page = Page(report / "index.html")
     for words in (
-        "Can it be trusted?", "How each rollout ended", "Results over all rollouts",
-        "Input crop", "Turntable of the made actor", "Registration to the LiDAR",
-        "0.310 m before", "0.182 m after", "Sides that the LiDAR saw",
-        "from two views", "Candidates", "✓ chosen", "93%", "Refinement by all images", "left out 3",
-        "Invented, of what was shown of the actor 25%", "What the rollouts showed of it",
+        "Can it be trusted?",
+        "How each rollout ended",
+        "Results over all rollouts",
+        "Input crop",
+        "Turntable of the made actor",
+        "Registration to the LiDAR",
+        "0.310 m before",
+        "0.182 m after",
+        "Sides that the LiDAR saw",
+        "from two views",
+        "Candidates",
+        "✓ chosen",
+        "93%",
+        "Refinement by all images",
+        "left out 3",
+        "Invented, of what was shown of the actor 25%",
+        "What the rollouts showed of it",
         "From all around",
         "25% was invented, 25% mirrored and 50% seen in the log (visible in 1 of 2 images).",
-        "contact at 2.3 s", "bird's-eye view", "Time to collision of each plan",
-        "21.93 dB", "LiDAR depth", "0.061 m",
-        "Film with all arms side by side", "Resolved configuration", '"steps": 3000',
-        "torch", "2.13.0", "9c1f0a7e", "312.4 s", "The map was derived.",
-        "the rollout failed", "the recorded road ends", "Drivable-area compliance",
-    ):  # fmt: skip
+        "contact at 2.3 s",
+        "bird's-eye view",
+        "Time to collision of each plan",
+        "21.93 dB",
+        "LiDAR depth",
+        "0.061 m",
+        "Film with all arms side by side",
+        "Resolved configuration",
+        '"steps": 3000',
+        "torch",
+        "2.13.0",
+        "9c1f0a7e",
+        "312.4 s",
+        "The map was derived.",
+        "the rollout failed",
+        "the recorded road ends",
+        "Drivable-area compliance",
+    ):
         assert words in page.text, words
     assert sum(tag == "svg" for tag, _ in page.tags) == 4 + 1  # curves, and what was shown
     films = [a for tag, a in page.tags if tag == "video"]
@@ -165,10 +189,17 @@ def test_missing_parts_say_so_with_the_reason(tmp_path: Path) -> None:
     )
     page = Page(write_report(run, tmp_path / "report"))
     for reason in (
-        "gone.png is missing", "the camera is blind", "broken.mp4 cannot be decoded",
-        "only 12 LiDAR points", "killed at step 7", "broken.png is no PNG or JPEG", "an older run",
-        "no rollout to plot", "no rollout was scored", "not driven",
-    ):  # fmt: skip
+        "gone.png is missing",
+        "the camera is blind",
+        "broken.mp4 cannot be decoded",
+        "only 12 LiDAR points",
+        "killed at step 7",
+        "broken.png is no PNG or JPEG",
+        "an older run",
+        "no rollout to plot",
+        "no rollout was scored",
+        "not driven",
+    ):
         assert reason in page.text, reason
     assert digests(tmp_path / "report").keys() == {"index.html"}
 
@@ -190,9 +221,11 @@ def test_an_unknown_method_is_refused_before_anything_is_written(tmp_path: Path)
 def test_files_are_copied_as_they_are(tmp_path: Path) -> None:
     Image.fromarray(np.full((4, 6, 3), 90, np.uint8)).save(tmp_path / "crop.png")
     run = ReportInputs(
-        "t", "log", {"native": "N"},
+        "t",
+        "log",
+        {"native": "N"},
         actor=ActorPart("0", "template", ObservationPart(tmp_path / "crop.png")),
-    )  # fmt: skip
+    )
     folder = write_report(run, tmp_path / "report").parent
     copied = (folder / "images/actor-crop.png").read_bytes()
     assert copied == (tmp_path / "crop.png").read_bytes()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from recast.reporting.inputs import ImageScore
-from recast.reporting.scene_scores import MOVING, depth_facts, score_lines
+from recast.reporting.tables import MOVING, depth_facts, score_lines
 
 
 def _frame(moving: object, depth: object, *boxes: str) -> dict[str, Any]:
@@ -14,9 +14,13 @@ def _frame(moving: object, depth: object, *boxes: str) -> dict[str, Any]:
 
 def _evaluation() -> dict[str, Any]:
     depth = {
-        "points": 12345, "missing": 0.021, "median_abs_m": 0.0614, "mean_abs_m": 0.52,
-        "mean_relative": 0.034, "lag_ms": 51.7,
-    }  # fmt: skip
+        "points": 12345,
+        "missing": 0.021,
+        "median_abs_m": 0.0614,
+        "mean_abs_m": 0.52,
+        "mean_relative": 0.034,
+        "lag_ms": 51.7,
+    }
     moving = {"psnr": 21.5, "ssim": 0.7, "lpips": None}
     return {
         "psnr": 24.0,

@@ -7,10 +7,9 @@ import numpy as np
 from recast.evaluation import COLUMNS, rollout_metrics
 from recast.reporting import NotMade, RolloutPart, ScenarioPart, tables
 from recast.reporting.checks import checks
-from recast.reporting.drives_compared import driving_note, truth_gaps
 from recast.reporting.inputs import ReportInputs
-from recast.reporting.series import series
-from recast.reporting.summary import headline, outcomes, rollout_events
+from recast.reporting.plots import series
+from recast.reporting.summary import driving_note, headline, outcomes, rollout_events, truth_gaps
 from recast.simulation import RolloutFailure
 from reporting.made_up_rollouts import cut_in, straight_map
 

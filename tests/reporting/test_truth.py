@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from recast.core.files import write_json
 from recast.evaluation import Agreement, OracleView, OracleViews, rollout_metrics
-from recast.evaluation.oracle_summary import summarise
+from recast.evaluation.oracle_scores import summarise
 from recast.reporting import (
     NotMade,
     ReportInputs,
@@ -22,10 +23,9 @@ from recast.reporting import (
     write_report,
     write_video,
 )
-from recast.reporting.assets import Assets
 from recast.reporting.checks import checks
+from recast.reporting.page import Assets
 from recast.reporting.truth import angle_label, truth_view
-from recast.storage import write_json
 from reporting.made_up_rollouts import HOSTILE, cut_in, straight_map
 from reporting.test_report import Page
 
@@ -40,9 +40,21 @@ def made_up_views() -> OracleViews:
         native = Agreement(28.0 - angle / 10, 0.9 - angle / 400, 0.95 - angle / 300)
         replaced = Agreement(24.0, 0.8, 0.8)
         views.append(
-            OracleView(index, "front", 12, 1_200_000, 10.0, float(index), float(angle - 180), 5.0,
-                       float(angle), (10, 10, 40, 30), native, replaced)
-        )  # fmt: skip
+            OracleView(
+                index,
+                "front",
+                12,
+                1_200_000,
+                10.0,
+                float(index),
+                float(angle - 180),
+                5.0,
+                float(angle),
+                (10, 10, 40, 30),
+                native,
+                replaced,
+            )
+        )
     summary = summarise(views, np.random.default_rng(0))
     return OracleViews("7", 80, tuple(views), summary, 9)
 
@@ -69,9 +81,14 @@ def run(folder: Path) -> ReportInputs:
         metrics = rollout_metrics(rollout, straight_map())
         parts.append(RolloutPart(arm, rollout, metrics, {"front": film}))
     return ReportInputs(
-        "t", "log", ARMS, scenarios=(ScenarioPart("Cut-in", "", tuple(parts)),),
-        truth_arm="oracle", showcase=show, truth=truth,
-    )  # fmt: skip
+        "t",
+        "log",
+        ARMS,
+        scenarios=(ScenarioPart("Cut-in", "", tuple(parts)),),
+        truth_arm="oracle",
+        showcase=show,
+        truth=truth,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -102,8 +119,14 @@ def test_the_section_tells_who_wins_at_which_angle(run: ReportInputs, report: Pa
     assert isinstance(truth, TruthPart)
     shown = truth_view(truth, Assets(report.parent.parent / "again"))
     labels = [line.label for line in shown.lines]
-    assert labels == ["0° to 30°", "30° to 60°", "60° to 90°", "90° and more", "60° and more",
-                      "all views"]  # fmt: skip
+    assert labels == [
+        "0° to 30°",
+        "30° to 60°",
+        "60° to 90°",
+        "90° and more",
+        "60° and more",
+        "all views",
+    ]
     near, *_, beyond, _ = shown.lines
     assert [cell.tone for cell in near.cells] == ["good", "plain"] * 3
     assert [cell.tone for cell in beyond.cells] == ["plain", "good"] * 3
@@ -180,9 +203,12 @@ def test_a_truth_alone_is_compared_with_nothing(tmp_path: Path) -> None:
     rollout = cut_in("oracle", steps=10, cut=False)
     part = RolloutPart("oracle", rollout, rollout_metrics(rollout, straight_map()))
     run = ReportInputs(
-        "t", "log", {"oracle": "truth"}, scenarios=(ScenarioPart("Cut-in", "", (part,)),),
+        "t",
+        "log",
+        {"oracle": "truth"},
+        scenarios=(ScenarioPart("Cut-in", "", (part,)),),
         truth_arm="oracle",
-    )  # fmt: skip
+    )
     assert "minus" not in Page(write_report(run, tmp_path / "report")).text.split("What the")[0]
 
 

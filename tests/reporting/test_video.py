@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.reporting import VideoWriter, draw_frames, read_video, side_by_side, write_video
 from recast.reporting.video import film_frames
 from reporting.made_up_rollouts import cut_in, straight_map
@@ -129,5 +129,7 @@ def test_single_frames_are_those_of_the_film(tmp_path: Path) -> None:
     write_video(tmp_path / "a.mp4", [np.full((40, 60, 3), v, np.uint8) for v in (10, 60, 110, 200)])
     found = film_frames(tmp_path / "a.mp4", [2, 0, 9])
     assert {step: round(float(frame.mean())) for step, frame in found.items()} == {
-        0: pytest.approx(10, abs=3), 2: pytest.approx(110, abs=3), 9: pytest.approx(200, abs=3),
-    }  # fmt: skip
+        0: pytest.approx(10, abs=3),
+        2: pytest.approx(110, abs=3),
+        9: pytest.approx(200, abs=3),
+    }

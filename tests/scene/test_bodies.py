@@ -9,15 +9,14 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import DrivingLog, Track, Trajectory
 from recast.scene import SceneConfig, load_scene, train_scene
 from recast.scene.bodies import read_bodies
-from recast.scene.deformation_file import BODIES_FILE
 from recast.scene.densify import plan_change
-from recast.scene.skinning import Skinning, quat_product
-from recast.scene.tensor_file import read_tensors, write_tensors
-from recast.splats.rotations import quat_to_matrix
+from recast.scene.skinning import Skinning
+from recast.scene.tensor_file import BODIES_FILE, read_tensors, write_tensors
+from recast.splats.gaussians import quat_multiply, quat_to_matrix
 from scene.made_up import part
 
 from .conftest import TINY
@@ -114,9 +113,13 @@ def test_skinning_puts_a_body_where_smpl_puts_it_in_the_world(tmp_path: Path) ->
 def test_orientations_turn_with_their_joint() -> None:
     turns = Rotation.random(JOINTS, rng=3).as_quat(scalar_first=True)
     skinning = Skinning(
-        torch.eye(JOINTS), np.zeros((JOINTS, 3)), PARENTS, np.array([5, 9]),
-        np.stack([turns, turns]), np.zeros((2, 3)),
-    )  # fmt: skip
+        torch.eye(JOINTS),
+        np.zeros((JOINTS, 3)),
+        PARENTS,
+        np.array([5, 9]),
+        np.stack([turns, turns]),
+        np.zeros((2, 3)),
+    )
     gaussians = part(JOINTS, 4)
     moved = skinning.at(gaussians, walk().trajectory, 7)
     chain = [Rotation.from_quat(turns[0], scalar_first=True)]
@@ -134,15 +137,19 @@ def test_a_product_of_quaternions_is_a_product_of_rotations() -> None:
     first, second = (Rotation.random(9, rng=seed) for seed in (1, 2))
     pair = [torch.from_numpy(one.as_quat(scalar_first=True)) for one in (first, second)]
     expected = torch.from_numpy((first * second).as_matrix())
-    torch.testing.assert_close(quat_to_matrix(quat_product(*pair)), expected)
+    torch.testing.assert_close(quat_to_matrix(quat_multiply(*pair)), expected)
 
 
 def test_between_two_poses_a_body_is_between_them() -> None:
     turn = Rotation.from_rotvec([[0, 0, 0], [0, 0, 1.0]]).as_quat(scalar_first=True)[:, None]
     skinning = Skinning(
-        torch.ones(1, 1), np.zeros((1, 3)), np.array([-1]), np.array([0, 100]), turn,
+        torch.ones(1, 1),
+        np.zeros((1, 3)),
+        np.array([-1]),
+        np.array([0, 100]),
+        turn,
         np.array([[0.0, 0, 0], [2.0, 0, 0]]),
-    )  # fmt: skip
+    )
     one = replace(part(1, 0), means=torch.tensor([[1.0, 0.0, 0.0]]))
     for time, angle in ((-50, 0.0), (25, 0.25), (100, 1.0), (300, 1.0)):
         place = skinning.at(one, walk().trajectory, time).means[0].tolist()
@@ -153,9 +160,15 @@ def test_rows_of_bodies_are_neither_added_nor_taken_away() -> None:
     gaussians = replace(part(6, 0), logit_opacities=torch.full((6,), -9.0))
     settled = torch.tensor([True, True, True, False, False, False])
     change = plan_change(
-        gaussians, torch.ones(6), threshold=0.1, most_new=6, split_above=1e9, min_opacity=0.5,
-        generator=torch.Generator(), settled=settled,
-    )  # fmt: skip
+        gaussians,
+        torch.ones(6),
+        threshold=0.1,
+        most_new=6,
+        split_above=1e9,
+        min_opacity=0.5,
+        generator=torch.Generator(),
+        settled=settled,
+    )
     assert change.kept.tolist() == [0, 1, 2] and len(change.born) == 0
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from recast.logs import DrivingLog
 from recast.scene import SceneConfig, TrainingStatus, TrainResult, train_scene
-from recast.scene.budget import (
+from recast.scene.initialise import (
     EACH_M2,
     FIRST_SHARE,
     PIXELS_EACH,
@@ -20,7 +20,7 @@ from recast.scene.budget import (
     gaussian_budget,
     street_area,
 )
-from recast.scene.progress import describe
+from recast.scene.run import describe
 from recast.scene.views import read_views
 
 from .conftest import TINY
@@ -80,9 +80,14 @@ def test_first_points_and_growth_keep_to_the_limit(tiny_log: DrivingLog, tmp_pat
     free = read_first_count(tiny_log, tmp_path / "free")
     most = free // 2
     config = TINY.model_copy(
-        update={"max_gaussians": most, "densify_gradient": 1e-9, "densify_growth": 1e3,
-                "densify_until": 1.0, "iterations": 60},
-    )  # fmt: skip
+        update={
+            "max_gaussians": most,
+            "densify_gradient": 1e-9,
+            "densify_growth": 1e3,
+            "densify_until": 1.0,
+            "iterations": 60,
+        },
+    )
     told: list[TrainingStatus] = []
     result = train_scene(tiny_log, tmp_path / "scene", config, told.append)
     budget = result.budget

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.scene import SceneConfig, read_config, write_config
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import DrivingLog, Trajectory
 from recast.scene import (
     SceneConfig,
@@ -25,9 +25,8 @@ from recast.scene.deformation import (
     encoded_size,
     layer_shapes,
 )
-from recast.scene.deformation_file import DEFORMATION_FILE
 from recast.scene.dynamic import deforms
-from recast.scene.tensor_file import read_tensors, write_tensors
+from recast.scene.tensor_file import DEFORMATION_FILE, read_tensors, write_tensors
 from recast.scene.train import WORK_FOLDER
 from recast.scene.views import read_views
 from recast.splats import Gaussians

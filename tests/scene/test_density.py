@@ -9,8 +9,8 @@ import torch
 
 from recast.logs import Track, Trajectory
 from recast.scene import SceneConfig, resolve_config
-from recast.scene.density import DensitySchedule
 from recast.scene.population import RESET_OPACITY, change_population, reset_opacities
+from recast.scene.schedule import DensitySchedule
 from recast.scene.trainable import TrainableScene, rows
 
 from .made_up import part

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import DrivingLog, LidarSweep
 from recast.logs.types import SweepSource
 from recast.scene import SHIFTS, SceneConfig, TrainResult, evaluate_scene, load_scene, psnr
@@ -46,9 +46,22 @@ def test_scores_pictures_and_repeatability(
 
 
 HOSTILE = (
-    "../x", "/etc/x", "a/b", "a\\b", "a\0b", "a\nb", "x" * 300, "\u202egnp.x", "<script>", ".",
-    "..", "con", "", "A", "a",
-)  # fmt: skip
+    "../x",
+    "/etc/x",
+    "a/b",
+    "a\\b",
+    "a\0b",
+    "a\nb",
+    "x" * 300,
+    "\u202egnp.x",
+    "<script>",
+    ".",
+    "..",
+    "con",
+    "",
+    "A",
+    "a",
+)
 
 
 def test_camera_names_never_become_paths(

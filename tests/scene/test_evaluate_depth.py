@@ -11,7 +11,7 @@ import pytest
 from recast.geometry import PinholeCamera, se2, se3
 from recast.logs import DrivingLog, LidarStream, LidarSweep, Trajectory
 from recast.scene import SceneImage
-from recast.scene.evaluate_depth import DepthScore, NearestSweeps, depth_score, mean_depth
+from recast.scene.evaluate_record import DepthScore, NearestSweeps, depth_score, mean_depth
 from recast.scene.views import View
 
 CAMERA = PinholeCamera(60, 40, 50.0, 50.0, 30.0, 20.0)
@@ -102,8 +102,9 @@ def test_the_cameras_of_a_moment_share_its_sweeps() -> None:
             image, view(time), alone, {}
         )
     assert {name: stream.read for name, stream in counted.items()} == {
-        "top": [0, 1, 2], "low": [0, 1, 2],
-    }  # fmt: skip
+        "top": [0, 1, 2],
+        "low": [0, 1, 2],
+    }
 
 
 def test_means_are_over_images() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.logs import DrivingLog, Track, Trajectory
-from recast.scene.evaluate_regions import (
+from recast.scene.scores import (
     LPIPS_SIDE,
     MovingRegion,
     RegionScore,

@@ -115,9 +115,13 @@ def test_without_truth_there_are_pictures_and_no_figures(
 ) -> None:
     told = []
     result = evaluate_scene(
-        trained.scene, tiny_log, TINY, tmp_path, shifts=(ViewShift(2.0),),
+        trained.scene,
+        tiny_log,
+        TINY,
+        tmp_path,
+        shifts=(ViewShift(2.0),),
         progress=lambda done, of: told.append((done, of)),
-    )  # fmt: skip
+    )
     (scores,) = result.shifts
     assert scores.frames == () and scores.whole is None and not result.shift_truth
     assert len(scores.pictures) == len(held_out_frames(tiny_log, TINY)) == 3

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recast.logs import GroundHeight
-from recast.scene.ground_sheet import REACH_M, THICKNESS_M, GroundSheet
+from recast.scene.population import REACH_M, THICKNESS_M, GroundSheet
 from recast.splats import Gaussians
-from recast.splats.rotations import quat_to_matrix
+from recast.splats.gaussians import quat_to_matrix
 
 TOLERANCE = 0.02
 
@@ -48,9 +48,7 @@ def across(gaussians: Gaussians, normal: torch.Tensor) -> torch.Tensor:
     return ((normal @ axes) * gaussians.log_scales.exp()).norm(dim=1)
 
 
-@given(
-    along_x=st.floats(-0.2, 0.2), along_y=st.floats(-0.2, 0.2), seed=st.integers(0, 1000)
-)  # fmt: skip
+@given(along_x=st.floats(-0.2, 0.2), along_y=st.floats(-0.2, 0.2), seed=st.integers(0, 1000))
 def test_what_is_near_a_slope_ends_flat_on_it(along_x: float, along_y: float, seed: int) -> None:
     sheet = GroundSheet(slope(along_x, along_y), TOLERANCE)
     normal = torch.tensor([-along_x, -along_y, 1.0])

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, Trajectory
 from recast.scene.config import SceneConfig
 from recast.scene.dynamic import choose_actors, modelled_tracks, pose_at, stands
 from recast.scene.initialise import Initialisation, initialise
-from recast.scene.lidar import depth_samples, read_sweeps
+from recast.scene.points import depth_samples, read_sweeps
 from recast.scene.views import View, read_views
 from support import tiny_world
 

@@ -55,10 +55,17 @@ def test_ten_kills_change_nothing(
     out, moments = tmp_path / "scene", training.moments
     assert any("checkpoint" in moment for moment in moments) and len(moments) > 40
     kills = (
-        "os.rename scene/source.json", "os.rename scene/work/initialisation.safetensors", 10,
-        "open scene/work/.checkpoint.safetensors.partial", 10, 20,
-        "os.rename scene/work/checkpoint.safetensors", 30, 40, "os.rename scene/scene.json",
-    )  # fmt: skip
+        "os.rename scene/source.json",
+        "os.rename scene/work/initialisation.safetensors",
+        10,
+        "open scene/work/.checkpoint.safetensors.partial",
+        10,
+        20,
+        "os.rename scene/work/checkpoint.safetensors",
+        30,
+        40,
+        "os.rename scene/scene.json",
+    )
     for kill in kills:
         if isinstance(kill, int):
             code = killed_at_step(tiny_log_folder, out, CONFIG, kill)

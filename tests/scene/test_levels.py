@@ -7,7 +7,7 @@ import torch
 from recast.geometry import PinholeCamera
 from recast.scene import SceneConfig
 from recast.scene.levels import MAX_DEPTHS, make_level
-from recast.scene.lidar import DepthSamples
+from recast.scene.points import DepthSamples
 from recast.scene.schedule import coarse_factor
 from recast.scene.views import View
 

@@ -5,7 +5,6 @@ import math
 import pytest
 import torch
 
-from recast.scene.image_metrics import ssim_map
 from recast.scene.losses import (
     depth_loss,
     photometric_loss,
@@ -13,6 +12,7 @@ from recast.scene.losses import (
     sky_loss,
     solid_loss,
 )
+from recast.scene.scores import ssim_map
 
 
 @pytest.fixture

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import torch
 
-from recast.scene.mirror import mirrored, with_other_side
+from recast.scene.appearance import mirrored, with_other_side
 from recast.splats import Gaussians, rasterize
-from recast.splats.rotations import quat_to_matrix
+from recast.splats.gaussians import quat_to_matrix
 
 from .made_up import K, part
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from recast.scene.point_cloud import (
+from recast.scene.points import (
     PointCloud,
     concatenate,
     gaussians_from_points,

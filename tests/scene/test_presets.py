@@ -6,7 +6,7 @@ from typing import get_args
 
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.scene import SceneConfig, read_config, resolve_config, write_config
 from recast.scene.presets import MOST_DEFORMATION_RATE, Preset, preset_values
 
@@ -45,19 +45,29 @@ def test_the_presets_differ_where_the_methods_do() -> None:
         if getattr(street, field) != getattr(omnire, field)
     }
     assert differing >= {
-        "fourier_terms", "flip_probability", "sh_degree", "depth_weight", "depth_keep",
-        "exposure_lr", "camera_pose_lr", "sharp_shape_weight", "track_smoothness_weight",
-        "actor_opacity_weight", "coarse_factors",
-    }  # fmt: skip
+        "fourier_terms",
+        "flip_probability",
+        "sh_degree",
+        "depth_weight",
+        "depth_keep",
+        "exposure_lr",
+        "camera_pose_lr",
+        "sharp_shape_weight",
+        "track_smoothness_weight",
+        "actor_opacity_weight",
+        "coarse_factors",
+    }
     assert street.sky == omnire.sky == "cubemap"
 
 
 def test_thresholds_belong_to_the_gradient_they_were_published_for() -> None:
     def control(config: SceneConfig) -> list[object]:
         return [
-            config.densify_by, config.densify_gradient,
-            config.actor_densify_by, config.actor_densify_gradient,
-        ]  # fmt: skip
+            config.densify_by,
+            config.densify_gradient,
+            config.actor_densify_by,
+            config.actor_densify_gradient,
+        ]
 
     assert resolve_config("streetgs").densify_pause == SceneConfig().densify_pause == 0
     assert resolve_config("omnire").densify_pause > 0

@@ -5,12 +5,19 @@ import io
 from rich.console import Console
 
 from recast.scene import TrainingDisplay, TrainingStatus
-from recast.scene.progress import describe
+from recast.scene.run import describe
 
 STATUS = TrainingStatus(
-    "train", 50, 200, gaussians=123456, loss=0.0512, psnr=21.5, held_out_psnr=20.25,
-    iterations_per_second=11.52, seconds_left=95.2,
-)  # fmt: skip
+    "train",
+    50,
+    200,
+    gaussians=123456,
+    loss=0.0512,
+    psnr=21.5,
+    held_out_psnr=20.25,
+    iterations_per_second=11.52,
+    seconds_left=95.2,
+)
 
 
 def test_one_line_with_the_known_figures() -> None:

@@ -9,10 +9,9 @@ import torch
 from recast.geometry import PinholeCamera
 from recast.logs import Track, Trajectory
 from recast.scene.levels import make_level
-from recast.scene.lidar import DepthSamples
-from recast.scene.objective import actors_alone
+from recast.scene.objective import TrackSmoothness, actor_opacity, actors_alone, sharp_shape
+from recast.scene.points import DepthSamples
 from recast.scene.poses import TrackPoses
-from recast.scene.regularisers import TrackSmoothness, actor_opacity, sharp_shape
 from recast.scene.trainable import TrainableScene
 from recast.scene.views import View
 from recast.splats import Gaussians

@@ -17,7 +17,7 @@ from recast.scene.sky import (
     pixel_coordinates,
     sky_from_pixels,
 )
-from recast.scene.sky_mask import sky_mask
+from recast.scene.sky_masks import sky_mask
 
 
 def direction(azimuth: float, elevation: float) -> torch.Tensor:

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from recast.scene import SceneConfig
-from recast.scene.lidar import DepthSamples
-from recast.scene.sky_mask import sky_mask
-from recast.scene.sky_masks import sky_masks
+from recast.scene.points import DepthSamples
+from recast.scene.sky_masks import sky_mask, sky_masks
 from recast.scene.views import View, read_view
 
 CAMERA = "image_02"
@@ -100,10 +99,18 @@ def write_segformer(folder: Path, sky: str) -> None:
     )
 
     made = SegformerConfig(
-        num_encoder_blocks=1, depths=[1], sr_ratios=[1], hidden_sizes=[4], patch_sizes=[7],
-        strides=[4], num_attention_heads=[1], mlp_ratios=[1], decoder_hidden_size=4,
-        id2label={0: "road", 1: sky}, label2id={"road": 0, sky: 1},
-    )  # fmt: skip
+        num_encoder_blocks=1,
+        depths=[1],
+        sr_ratios=[1],
+        hidden_sizes=[4],
+        patch_sizes=[7],
+        strides=[4],
+        num_attention_heads=[1],
+        mlp_ratios=[1],
+        decoder_hidden_size=4,
+        id2label={0: "road", 1: sky},
+        label2id={"road": 0, sky: 1},
+    )
     network = SegformerForSemanticSegmentation(made)
     with torch.no_grad():
         network.decode_head.classifier.weight.zero_()

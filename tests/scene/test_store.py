@@ -11,7 +11,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.scene import SceneActor, StreetScene, TrainResult, load_scene, save_scene
 from recast.scene.tensor_file import read_tensors, write_tensors
 from recast.scene.trainable import rows

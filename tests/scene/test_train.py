@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import DrivingLog, ego_path, even_ground
 from recast.scene import SceneRasterizer, TrainingStatus, TrainResult, train_scene
 from recast.scene.dynamic import choose_actors
-from recast.scene.ground_sheet import REACH_M, GroundSheet
-from recast.scene.lidar import read_sweeps
+from recast.scene.points import read_sweeps
+from recast.scene.population import REACH_M, GroundSheet
 from recast.scene.tensor_file import read_tensors, write_tensors
 from recast.scene.train import WORK_FOLDER
 from recast.scene.views import read_views
@@ -100,8 +100,12 @@ def test_the_road_is_a_sheet(trained: TrainResult, tiny_log: DrivingLog) -> None
 
 def test_progress_is_told(trained: TrainResult, told: list[TrainingStatus]) -> None:
     assert [status.phase for status in told if status.phase != "train"] == [
-        "initialise", "evaluate", "evaluate", "evaluate", "done",
-    ]  # fmt: skip
+        "initialise",
+        "evaluate",
+        "evaluate",
+        "evaluate",
+        "done",
+    ]
     steps = [status for status in told if status.phase == "train"]
     assert [status.iteration for status in steps] == [10, 20, 30, 40, 50, 60]
     assert all(status.loss and status.psnr and status.gaussians for status in steps)

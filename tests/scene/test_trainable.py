@@ -3,8 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from recast.scene.appearance import coloured
-from recast.scene.mirror import mirrored
+from recast.scene.appearance import coloured, mirrored
 from recast.scene.trainable import COLOUR_LIMIT, MIN_LOG_SCALE, TrainableScene, rows
 from recast.splats import Gaussians, concatenate, rasterize
 

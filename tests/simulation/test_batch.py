@@ -15,7 +15,7 @@ from recast.simulation import (
     error_fields,
     run_batch,
 )
-from recast.simulation.batch import TRACEBACK_LIMIT
+from recast.simulation.running import TRACEBACK_LIMIT
 
 
 class Failing(ConstantVelocity):

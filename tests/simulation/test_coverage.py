@@ -14,7 +14,7 @@ import pytest
 from evaluation.box_world import CAMERA, MOUNTS, box_log, parked_at
 from evaluation.rollouts import make_rollout
 from recast.actors.coverage import NOTHING, Coverage
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.planning import CameraMount
 from recast.simulation import MOTIONS, RolloutSetup

@@ -10,9 +10,9 @@ import pytest
 from moved_worlds import curved_world
 from synthetic_drives import drive
 
+from recast.core.errors import InputError
 from recast.dynamics import PACIFICA, VehicleParameters
 from recast.dynamics import state as ego
-from recast.errors import InputError
 from recast.evaluation import rollout_metrics
 from recast.logs.hdmap import HdMap
 from recast.logs.types import DrivingLog
@@ -113,8 +113,11 @@ def test_metrics_that_need_other_steps_have_no_value_and_say_so() -> None:
     assert "reach 2 s ahead" in str(values["ttc"].reason)
     assert "steps of 0.05 s" in str(values["com_nuplan_savgol"].reason)
     assert {name for name, one in values.items() if not one.valid} == {
-        "dac", "ttc", "ttc_constant_velocity", "com_nuplan_savgol",
-    }  # fmt: skip
+        "dac",
+        "ttc",
+        "ttc_constant_velocity",
+        "com_nuplan_savgol",
+    }
 
 
 def test_long_steps_look_4_s_ahead_too() -> None:
@@ -128,11 +131,19 @@ def test_long_steps_look_4_s_ahead_too() -> None:
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("dt", 0.0), ("dt", -0.1), ("dt", float("nan")), ("dt", float("inf")), ("dt", 0.02),
-        ("dt", 0.5), ("dt", 1 / 15), ("steps", 0), ("plan_every", 0), ("plan_every", 41),
+        ("dt", 0.0),
+        ("dt", -0.1),
+        ("dt", float("nan")),
+        ("dt", float("inf")),
+        ("dt", 0.02),
+        ("dt", 0.5),
+        ("dt", 1 / 15),
+        ("steps", 0),
+        ("plan_every", 0),
+        ("plan_every", 41),
         ("road_margin", float("nan")),
     ],
-)  # fmt: skip
+)
 def test_a_setup_that_cannot_work_is_refused(field: str, value: float) -> None:
     setup = setup_of(drive(), "cut-in-a", 0.1, 6.0)
     with pytest.raises(InputError, match=f"RolloutSetup: {field}: is "):

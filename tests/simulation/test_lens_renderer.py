@@ -11,7 +11,7 @@ from recast.geometry import PinholeCamera
 from recast.planning import CameraMount
 from recast.planning.gtrs import NUPLAN_VIRTUAL, nuplan_rig
 from recast.simulation import NullRenderer
-from recast.simulation.lens_renderer import LensRenderer, through_lenses
+from recast.simulation.scene_renderer import LensRenderer, through_lenses
 
 STRAIGHT = {"front": CameraMount(PinholeCamera(8, 4, 5.0, 5.0, 4.0, 2.0), np.eye(4))}
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import se2
 from recast.planning import CameraMount
 from recast.simulation import SimState

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from synthetic_drives import drive
 
+from recast.core.errors import InputError
 from recast.dynamics import VehicleParameters
-from recast.errors import InputError
 from recast.geometry import boxes
 from recast.logs.hdmap import HdMap, Lane
 from recast.simulation import MOTIONS, RolloutSetup, StartSituation, ego_centre, prepare

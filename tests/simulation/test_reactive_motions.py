@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from synthetic_drives import drive
 
-from recast.errors import InputError
-from recast.evaluation.collision import overlap_areas
-from recast.geometry import se2
+from recast.core.errors import InputError
+from recast.geometry import boxes, se2
 from recast.logs.types import DrivingLog, Track, Trajectory
 from recast.planning import ActorState, ConstantVelocity, IdmLaneFollower, LogReplay, ReferenceRoute
 from recast.simulation import (
@@ -51,9 +50,15 @@ def start_of(log: DrivingLog, key: str, step: int = 0) -> StartSituation:
     track = log.tracks[key]
     time = int(log.world_from_rig.timestamps_us[step])
     return StartSituation(
-        route, 1.5 + 10.0 * DT * step, 10.0, 5.2, track.size,
-        track_id=key, trajectory=track.trajectory, start_timestamp_us=time,
-    )  # fmt: skip
+        route,
+        1.5 + 10.0 * DT * step,
+        10.0,
+        5.2,
+        track.size,
+        track_id=key,
+        trajectory=track.trajectory,
+        start_timestamp_us=time,
+    )
 
 
 @pytest.mark.parametrize("name", sorted(set(MOTIONS) - {"idm-a", "idm-b"}))
@@ -149,7 +154,7 @@ def test_nobody_who_follows_hits_a_lead_that_brakes(
         for pose, v in zip(places, lead_speed, strict=True)
     ]
     states = follow(lead, Idm("a"), log)[1:]
-    overlap = overlap_areas(states[:, :3], [4.0, 1.8], places, [4.5, 1.9])
+    overlap = boxes.bev_overlap_area(states[:, :3], [4.0, 1.8], places, [4.5, 1.9])
     assert overlap.max() == 0.0
     assert states[:, 3].min() >= 0.0
     assert states[-1, 3] < 0.3
@@ -218,7 +223,7 @@ def test_it_reacts_to_the_ego() -> None:
 
 def touching(rollout: Rollout) -> float:
     return float(
-        overlap_areas(
+        boxes.bev_overlap_area(
             rollout.ego_boxes, rollout.ego_size, rollout.actor[:, :3], rollout.actor_size
         ).max()
     )

@@ -8,7 +8,7 @@ import pytest
 import torch
 from synthetic_drives import drive
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.logs.types import CameraStream, DrivingLog
 from recast.planning import ConstantVelocity, Plan, PlannerInput
@@ -23,8 +23,7 @@ from recast.simulation import (
     camera_mounts,
     run_rollout,
 )
-from recast.simulation.lens_renderer import through_lenses
-from recast.simulation.scene_renderer import SceneRenderer
+from recast.simulation.scene_renderer import SceneRenderer, through_lenses
 from recast.splats import Gaussians
 
 CAMERA = PinholeCamera(64, 48, 40.0, 40.0, 32.0, 24.0)

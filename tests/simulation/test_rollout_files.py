@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.simulation import Rollout, load_rollout, save_rollout
 
@@ -201,12 +201,20 @@ def test_columns_of_another_kind_are_one_line(
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("dt", 0), ("dt", -0.1), ("start_timestamp_us", 10**30), ("steps_requested", -1),
-        ("steps_requested", 1 << 80), ("actor_size", [0, 0, 0]), ("ego_size", [1e99, 1]),
-        ("name", "x" * 10_000), ("steps_run", 9), ("other_actors", [1]), ("planner", None),
+        ("dt", 0),
+        ("dt", -0.1),
+        ("start_timestamp_us", 10**30),
+        ("steps_requested", -1),
+        ("steps_requested", 1 << 80),
+        ("actor_size", [0, 0, 0]),
+        ("ego_size", [1e99, 1]),
+        ("name", "x" * 10_000),
+        ("steps_run", 9),
+        ("other_actors", [1]),
+        ("planner", None),
         ("cut_reason", ["a"]),
     ],
-)  # fmt: skip
+)
 def test_a_header_out_of_range_is_one_line(
     rollout: Rollout, tmp_path: Path, field: str, value: object
 ) -> None:

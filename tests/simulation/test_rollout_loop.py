@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from synthetic_drives import drive
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, boxes, se2
 from recast.planning import (
     CameraMount,
@@ -171,9 +171,11 @@ def test_an_ego_at_the_end_of_the_road_is_refused() -> None:
     poses[:, 0, 3] = np.minimum(poses[:, 0, 3], 30 + 0.05 * np.arange(len(poses)))
     slow = replace(log, world_from_rig=replace(log.world_from_rig, poses=poses))
     setup = RolloutSetup(
-        slow, "7", replace(MOTIONS["stationary-a"], min_gap=1.0, reserve=-40.0),
+        slow,
+        "7",
+        replace(MOTIONS["stationary-a"], min_gap=1.0, reserve=-40.0),
         start_timestamp_us=5_000_000 + 2_900_000,
-    )  # fmt: skip
+    )
     with pytest.raises(InputError, match=r"the ego would leave the recorded road.* of 160 steps"):
         run_rollout(setup, ConstantVelocity())
 
@@ -347,7 +349,7 @@ def test_what_is_no_plan(answer: object, message: str) -> None:
 
 def test_a_plan_that_takes_too_long_fails_the_rollout(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [0.0]
-    monkeypatch.setattr("recast.simulation.plan_limit.perf_counter", lambda: clock[0])
+    monkeypatch.setattr("recast.simulation.plan_execution.perf_counter", lambda: clock[0])
 
     class Slow(Recorder):
         name = "slow"

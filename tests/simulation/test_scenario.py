@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.simulation import MOTIONS, parse_motions, scenario_name
 
 

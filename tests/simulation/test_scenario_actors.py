@@ -8,7 +8,7 @@ import pytest
 from synthetic_drives import drive
 from test_reactive_motions import line, with_track
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.planning import ConstantVelocity
 from recast.simulation import (
     MOTIONS,
@@ -164,11 +164,11 @@ def test_the_example_of_the_documentation(tmp_path: Path) -> None:
         ("lateral: 0.2", "side: 2", "my.yaml:13: side: is not known"),
         ("motion: log-replay", "motion: cut-in", "my.yaml:15: settings: is missing; give a, b"),
         ("    motion: log-replay", "    3", "my.yaml:15: actor un/usual id: is the number 3"),
-        ("  \"un/usual id\"", "  5", "my.yaml:15: 5: is given twice, first in line 9"),
-        ("  \"un/usual id\"", '  ""', "my.yaml:15: actor : track id: a name has 1 to 1000"),
+        ('  "un/usual id"', "  5", "my.yaml:15: 5: is given twice, first in line 9"),
+        ('  "un/usual id"', '  ""', "my.yaml:15: actor : track id: a name has 1 to 1000"),
         ("actors:", "actors: {}\nactor:", "my.yaml:9: actor: is not known; did you mean actors?"),
     ],
-)  # fmt: skip
+)
 def test_errors_name_file_line_and_key(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in GOOD
     with pytest.raises(InputError) as error:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.simulation import (
     MOTIONS,
     CutIn,
@@ -59,8 +59,11 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
     ("old", "new", "message"),
     [
         ("    gap: 4  # m", "    gap: -60", "my.yaml:10: gap: is -60; give -50 to 500 m"),
-        ("target_speed: 0.2", "target_speed: -1",
-         "my.yaml:12: target_speed: is negative; give 0 to 5 of v_r"),
+        (
+            "target_speed: 0.2",
+            "target_speed: -1",
+            "my.yaml:12: target_speed: is negative; give 0 to 5 of v_r",
+        ),
         ("duration: 1.5", "duration: 0.0", "my.yaml:14: duration: is 0; give more than 0, at"),
         ("delay: 0.0", "delay: .nan", "my.yaml:13: delay: is '.nan'; give 0 to 60 s"),
         ("delay: 0.0", "delay: nan", "my.yaml:13: delay: is 'nan'; give 0 to 60 s"),
@@ -86,12 +89,15 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
         ("motion: cut-in", "motion: cut-in: x", "my.yaml:4: YAML: cannot be read"),
         ("    delay", "\tdelay", "my.yaml:13: YAML: cannot be read"),
         ("  near:", "  ? [a]\n  : 1\n  near:", "my.yaml:9: YAML: has a key that is no word"),
-        ("delay: 0.0", "delay: !!python/object/apply:os.system [ls]",
-         "my.yaml:13: YAML: has the tag tag:yaml.org,2002:python/object/apply:os.system"),
+        (
+            "delay: 0.0",
+            "delay: !!python/object/apply:os.system [ls]",
+            "my.yaml:13: YAML: has the tag tag:yaml.org,2002:python/object/apply:os.system",
+        ),
         ("    delay: 0.0\n", "    <<: 1\n", "my.yaml:13: <<: is not known"),
         ("settings:\n", "settings: {}\nother:\n", "my.yaml:9: other: is not known"),
     ],
-)  # fmt: skip
+)
 def test_errors_name_file_line_and_key(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in GOOD
     with pytest.raises(InputError) as error:
@@ -112,10 +118,12 @@ def test_errors_name_file_line_and_key(tmp_path: Path, old: str, new: str, messa
         ("version: 1\n\nname: \x00\n", "my.yaml:3: YAML: holds a character"),
         ("[" * 5000, "my.yaml:1: YAML: is nested too deeply"),
         ("version: 1\nname: x\nmotion: advancing\nsettings:\n", "my.yaml:4: settings: is empty"),
-        ("version: 1\nname: x\nmotion: advancing\nsettings:\n  a: 3\n",
-         "my.yaml:5: setting a: is the number 3; give gap, speed below it"),
+        (
+            "version: 1\nname: x\nmotion: advancing\nsettings:\n  a: 3\n",
+            "my.yaml:5: setting a: is the number 3; give gap, speed below it",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_scenario(tmp_path: Path, text: str | bytes, message: str) -> None:
     with pytest.raises(InputError) as error:
         read(tmp_path, text)
@@ -224,10 +232,28 @@ def test_numbers_that_are_none(tmp_path: Path, key: str, number: str) -> None:
 
 
 HOSTILE = [
-    "../x", "../../../../victim", "/etc/passwd", "a/b", "a\0b", "a\nb", "x" * 300, "\u202egnp.x",
-    "a\u200bb", "<script>alert(1)</script>", "[/bold]", ".", "..", "~", "-a", "a-", "a--b", "CON ",
-    "\u00e4", "\u212a", "",
-]  # fmt: skip
+    "../x",
+    "../../../../victim",
+    "/etc/passwd",
+    "a/b",
+    "a\0b",
+    "a\nb",
+    "x" * 300,
+    "\u202egnp.x",
+    "a\u200bb",
+    "<script>alert(1)</script>",
+    "[/bold]",
+    ".",
+    "..",
+    "~",
+    "-a",
+    "a-",
+    "a--b",
+    "CON ",
+    "\u00e4",
+    "\u212a",
+    "",
+]
 
 
 @pytest.mark.parametrize("name", HOSTILE)

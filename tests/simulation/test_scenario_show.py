@@ -7,10 +7,10 @@ import pytest
 from rich.console import Console
 from synthetic_drives import drive
 
-from recast.errors import InputError
+from recast.cli.rows.scenarios import list_scenarios, show_scenarios
+from recast.core.errors import InputError
 from recast.logs import write_log
 from recast.logs.hdmap import HdMap
-from recast.pipeline.scenarios import list_scenarios, show_scenarios
 from recast.reporting.canvas import Canvas, View
 from recast.reporting.scenario_facts import facts_table, notes, scenario_facts
 from recast.reporting.scenario_figure import draw_scenarios

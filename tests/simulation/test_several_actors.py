@@ -12,10 +12,10 @@ from synthetic_drives import drive
 from test_reactive_motions import Bad, line, with_track
 from test_rollout_loop import CountingRenderer, Recorder
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.evaluation import rollout_metrics
-from recast.evaluation.collision import overlap_areas
-from recast.evaluation.same_script import script_difference
+from recast.evaluation.pairs import script_difference
+from recast.geometry import boxes
 from recast.logs.types import DrivingLog
 from recast.planning import ConstantVelocity, IdmLaneFollower, LogReplay
 from recast.simulation import (
@@ -70,7 +70,7 @@ def test_two_that_react_a_replay_and_the_target(setup: RolloutSetup, rollout: Ro
     users += [(actor.states, actor.size) for actor in rollout.controlled]
     for i, (one, size) in enumerate(users):
         for other, other_size in users[i + 1 :]:
-            assert overlap_areas(one[:, :3], size, other[:, :3], other_size).max() == 0.0
+            assert boxes.bev_overlap_area(one[:, :3], size, other[:, :3], other_size).max() == 0.0
 
 
 def test_further_actors_react_to_the_ego_and_to_each_other(setup: RolloutSetup) -> None:

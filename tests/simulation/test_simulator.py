@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from synthetic_drives import drive
 from test_renderer import log_with_camera, scene  # noqa: F401
 
+from recast.core.errors import InputError
 from recast.dynamics import EgoState
-from recast.errors import InputError
 from recast.geometry import PinholeCamera
 from recast.logs.types import DrivingLog
 from recast.planning import (

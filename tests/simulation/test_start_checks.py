@@ -7,7 +7,7 @@ import pytest
 from moved_worlds import curved_world, moved
 from synthetic_drives import drive
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs.hdmap import HdMap
 from recast.planning.pdm import PdmClosedPlanner
 from recast.simulation import MOTIONS, RolloutSetup, prepare, run_rollout

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from recast.splats import Gaussians, Rasterization, RasterMeta, rasterize
-from recast.splats.rotations import quat_to_matrix
+from recast.splats.gaussians import quat_to_matrix
 
 WIDTH, HEIGHT = 90, 61  # not whole tiles
 K = torch.tensor([[70.0, 0, 44], [0, 72, 31], [0, 0, 1]])

@@ -76,9 +76,18 @@ def _rasterization(
 
     (fx, _, cx), (_, fy, cy) = Ks[0, :2].tolist()
     settings = RasterSettings(
-        fx, fy, cx, cy, width, height, near_plane, far_plane, eps2d,
-        rasterize_mode == "antialiased", max_alpha,
-    )  # fmt: skip
+        fx,
+        fy,
+        cx,
+        cy,
+        width,
+        height,
+        near_plane,
+        far_plane,
+        eps2d,
+        rasterize_mode == "antialiased",
+        max_alpha,
+    )
     gaussians = Gaussians(means, quats, scales.log(), opacities.logit(), colors)
     splats = reference.project(gaussians, viewmats[0], settings)
 

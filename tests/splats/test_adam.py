@@ -10,8 +10,12 @@ import torch
 from recast.splats import RowAdam, native
 
 SHAPES: dict[str, tuple[int, ...]] = {
-    "means": (3,), "quats": (4,), "log_scales": (3,), "logit_opacities": (), "sh": (4, 3),
-}  # fmt: skip
+    "means": (3,),
+    "quats": (4,),
+    "log_scales": (3,),
+    "logit_opacities": (),
+    "sh": (4, 3),
+}
 RATES = {name: 0.01 * (i + 1) for i, name in enumerate(SHAPES)}
 
 

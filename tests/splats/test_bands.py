@@ -7,8 +7,8 @@ import torch
 from tests.splats.scenes import HEIGHT, WIDTH, K, camera, random_gaussians, render_with_gradients
 
 from recast.splats import Gaussians, rasterize
-from recast.splats.native import autograd
-from recast.splats.native.workspace import Workspace, free_memory
+from recast.splats.native import rasterizer
+from recast.splats.native.rasterizer import Workspace, free_memory
 from recast.splats.rasterization import RasterMeta, check_settings
 
 ROUNDING = 1e-5
@@ -25,7 +25,7 @@ def test_bands_change_no_pixel(
     gaussians.log_scales[::7] += 2.0  # some of more than 4x4 tiles
     options: dict[str, object] = {"background": torch.tensor([0.2, 0.5, 0.9]), "absgrad": True}
     whole = render_with_gradients(gaussians, "native", torch.float32, **options)
-    monkeypatch.setattr(autograd, "MOST_AT_ONCE", most)
+    monkeypatch.setattr(rasterizer, "MOST_AT_ONCE", most)
     banded = render_with_gradients(gaussians, "native", torch.float32, **options)
     for name in ("rgb", "depth", "alpha"):
         assert torch.equal(getattr(banded.image, name), getattr(whole.image, name)), name
@@ -42,19 +42,33 @@ def test_the_memory_of_lists_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None
     generator = torch.Generator().manual_seed(0)
     gaussians = random_gaussians("normal", count, degree=0)
     means = torch.randn(count, 3, generator=generator) * 0.3 + torch.tensor([0.0, 0, 8])
-    filling = [means, gaussians.quats, torch.full((count, 3), 3.0),
-               torch.full((count,), -5.0), gaussians.sh]  # fmt: skip
-    monkeypatch.setattr(autograd, "MOST_AT_ONCE", most)
+    filling = [
+        means,
+        gaussians.quats,
+        torch.full((count, 3), 3.0),
+        torch.full((count,), -5.0),
+        gaussians.sh,
+    ]
+    monkeypatch.setattr(rasterizer, "MOST_AT_ONCE", most)
     settings = check_settings(
-        torch.eye(4), torch.tensor([[400.0, 0, 320], [0, 400, 240], [0, 0, 1]]),
-        width, height, None, 0.2, 1e10, 0.3, False, 0.99, False,
-    )  # fmt: skip
+        torch.eye(4),
+        torch.tensor([[400.0, 0, 320], [0, 400, 240], [0, 0, 1]]),
+        width,
+        height,
+        None,
+        0.2,
+        1e10,
+        0.3,
+        False,
+        0.99,
+        False,
+    )
     meta = RasterMeta(
         torch.empty(count, dtype=torch.bool), torch.empty(count), torch.empty(count, 2)
     )
     free_memory()  # of larger views before
     workspace = Workspace()
-    autograd.run_forward(workspace, tuple(filling), torch.eye(4), None, settings, meta, True)
+    rasterizer.run_forward(workspace, tuple(filling), torch.eye(4), None, settings, meta, True)
     tiles = (width // 16) * (height // 16)
     assert workspace.intersections() == count * tiles
     states, rows = tiles * 5 * 256 * 4, count * 256
@@ -82,10 +96,12 @@ def test_gradients_are_finite_whatever_the_sizes(
     gaussians = random_gaussians("normal", count=60, degree=1)
     gaussians.means[:, 2] = torch.logspace(-20, 1, 60)
     leaves = Gaussians(
-        gaussians.means.requires_grad_(), gaussians.quats.requires_grad_(),
+        gaussians.means.requires_grad_(),
+        gaussians.quats.requires_grad_(),
         (gaussians.log_scales.clamp(-1, 0) + log_scale).requires_grad_(),
-        gaussians.logit_opacities.requires_grad_(), gaussians.sh.requires_grad_(),
-    )  # fmt: skip
+        gaussians.logit_opacities.requires_grad_(),
+        gaussians.sh.requires_grad_(),
+    )
     matrix = torch.tensor([[focal, 0, 44], [0, focal, 31], [0, 0, 1]], dtype=torch.float64)
     pose = camera().float().requires_grad_()
     image = rasterize(
@@ -103,10 +119,17 @@ def test_both_leave_out_the_same_giants() -> None:
     gaussians = random_gaussians("normal", count=40)
     gaussians.log_scales[:] = torch.linspace(2, 13.9, 40)[:, None]
     gaussians.means[:, 2] = 4
-    fast = rasterize(gaussians, camera(), K * torch.tensor([[1e3], [1e3], [1]]), WIDTH, HEIGHT,
-                     backend="native")  # fmt: skip
-    slow = rasterize(gaussians, camera(), K * torch.tensor([[1e3], [1e3], [1]]), WIDTH, HEIGHT,
-                     backend="reference")  # fmt: skip
+    fast = rasterize(
+        gaussians, camera(), K * torch.tensor([[1e3], [1e3], [1]]), WIDTH, HEIGHT, backend="native"
+    )
+    slow = rasterize(
+        gaussians,
+        camera(),
+        K * torch.tensor([[1e3], [1e3], [1]]),
+        WIDTH,
+        HEIGHT,
+        backend="reference",
+    )
     assert torch.equal(fast.meta.visible, slow.meta.visible)
     assert 0 < int(fast.meta.visible.sum()) < 40
     assert float((fast.rgb - slow.rgb).abs().max()) < 3e-3  # one grey level: alpha's threshold

@@ -24,7 +24,7 @@ from tests.splats.scenes import (
 )
 from tests.splats.stand_in_gsplat import install
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.splats import Gaussians, cuda, pick_device, rasterize
 
 RASTERIZE = sys.modules["recast.splats.rasterize"]  # the function hides its module

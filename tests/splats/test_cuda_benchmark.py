@@ -54,8 +54,12 @@ def test_it_runs_through(
     assert benchmark.main([*size, "--steps", "2", "--repeats", "1", "--device", "cpu"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(",")[0].split(" ")[0] for line in lines] == [
-        "no", "rendering", "forward", "step", "training",
-    ]  # fmt: skip
+        "no",
+        "rendering",
+        "forward",
+        "step",
+        "training",
+    ]
     assert "frames/s" in lines[1] and "peak memory" in lines[1]
     assert "gsplat directly" in lines[2] and "rasterize" in lines[2]
     assert "steps/s" in lines[4] and "dB" in lines[4]

@@ -13,7 +13,7 @@ from tests.splats.scenes import HEIGHT, WIDTH, K, camera, random_gaussians
 
 from recast.geometry import se3
 from recast.splats import Gaussians, concatenate, morton_order, rasterize, sh
-from recast.splats.rotations import matrix_to_quat, quat_multiply, quat_to_matrix
+from recast.splats.gaussians import matrix_to_quat, quat_multiply, quat_to_matrix
 
 quaternions = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(
     lambda q: math.hypot(*q) > 0.1

@@ -10,7 +10,7 @@ import pytest
 import torch
 from tests.splats.scenes import random_gaussians
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.splats import Gaussians, read_ply, write_ply
 
 

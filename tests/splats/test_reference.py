@@ -78,12 +78,18 @@ def test_antialiasing_keeps_the_integral() -> None:
     sums = [
         float(
             rasterize(
-                small, torch.eye(4), 4 * CENTRED, 4 * WIDTH, 4 * HEIGHT,
-                eps2d=eps, antialiased=antialiased, backend="reference",
+                small,
+                torch.eye(4),
+                4 * CENTRED,
+                4 * WIDTH,
+                4 * HEIGHT,
+                eps2d=eps,
+                antialiased=antialiased,
+                backend="reference",
             ).alpha.sum()
         )
         for eps, antialiased in ((1e-6, False), (0.3, True), (0.3, False))
-    ]  # fmt: skip
+    ]
     assert sums[1] == pytest.approx(sums[0], rel=0.15)
     assert sums[2] > 1.1 * sums[0]
 

@@ -11,7 +11,7 @@ import torch
 
 from recast.actors.turntable import look_at
 from recast.geometry import PinholeCamera
-from recast.recar.camera import pinhole
+from recast.recar.views import pinhole
 from recast.splats import Gaussians, rasterize
 
 SIZE = (4.4, 1.8, 1.4)
@@ -74,9 +74,13 @@ def photograph(
     pose = look_at(distance * direction(azimuth, elevation), np.zeros(3))
     with torch.no_grad():
         picture = rasterize(
-            gaussians, torch.from_numpy(pose).float(), torch.from_numpy(camera.matrix).float(),
-            camera.width, camera.height, background=torch.full((3,), 0.4),
-        )  # fmt: skip
+            gaussians,
+            torch.from_numpy(pose).float(),
+            torch.from_numpy(camera.matrix).float(),
+            camera.width,
+            camera.height,
+            background=torch.full((3,), 0.4),
+        )
     rgb = (picture.rgb.clamp(0, 1).numpy() * 255).round().astype(np.uint8)
     alpha = np.where(picture.alpha.numpy() > 0.5, 255, 0).astype(np.uint8)
     return np.dstack([rgb, alpha])

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 
 Work = Callable[[], object]
 REMOVING = ("os.remove", "os.rmdir")

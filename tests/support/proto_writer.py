@@ -6,7 +6,7 @@ import struct
 from collections.abc import Iterable
 from pathlib import Path
 
-from recast.logs.importers.waymo_crc32c import crc32c_reference
+from recast.logs.importers.waymo_tfrecord import crc32c_reference
 
 
 def varint(value: int) -> bytes:

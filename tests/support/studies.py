@@ -11,9 +11,9 @@ import torch
 from recar.sets import identity_record, set_record
 from recast.actors import Asset, Observation, TemplateGenerator
 from recast.actors.axes import UNIT_CUBE_Z_UP
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.recar import begin_set, finish_set, regular_azimuths, write_identity
-from recast.recar.camera import fitting_distance, pinhole
+from recast.recar.views import fitting_distance, pinhole
 from recast.splats import Gaussians
 from support.crops import SIZE, photograph, two_coloured_box
 
@@ -70,9 +70,12 @@ class Knowing:
         off = self.off * (1 + float(np.std(observation.rgba[seen])) / 255)
         stretch = torch.tensor([1.0, 1.0, 1.0 - 0.5 * self.off])
         return Asset(
-            replace(made, means=made.means * stretch, sh=made.sh + off), UNIT_CUBE_Z_UP, self.name,
-            seed, {"off": self.off},
-        )  # fmt: skip
+            replace(made, means=made.means * stretch, sh=made.sh + off),
+            UNIT_CUBE_Z_UP,
+            self.name,
+            seed,
+            {"off": self.off},
+        )
 
 
 def perfect() -> Knowing:

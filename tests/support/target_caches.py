@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from recast import storage
+from recast.core import files
 from recast.recar.targets import (
     CacheRecord,
     FilterRecord,
@@ -43,9 +43,12 @@ def box_target(
 def cache_record(identities: int, failures: int = 0, **changes: object) -> CacheRecord:
     """A complete cache of a model called "tiny"; scores count from 0.5 on."""
     model = ModelRecord(
-        name="tiny", sha256="0" * 64, resolution=RESOLUTION,
-        latent_mean=(1.0,) * 8, latent_std=(2.0,) * 8,
-    )  # fmt: skip
+        name="tiny",
+        sha256="0" * 64,
+        resolution=RESOLUTION,
+        latent_mean=(1.0,) * 8,
+        latent_std=(2.0,) * 8,
+    )
     fields: dict[str, object] = {
         "complete": True,
         "vehicle_set": "boxes",
@@ -86,12 +89,17 @@ def write_cache(
                 index, resolution=record.model.resolution, side=side, channels=channels
             )
         one = TargetRecord(
-            id=identity, split="held-out" if index == 1 else "train", kind="sedan", colour="red",
-            seed=100 + index, voxels=0 if target is None else len(target.coords), score=score,
+            id=identity,
+            split="held-out" if index == 1 else "train",
+            kind="sedan",
+            colour="red",
+            seed=100 + index,
+            voxels=0 if target is None else len(target.coords),
+            score=score,
             failure="the sampled structure is empty" if target is None else None,
-        )  # fmt: skip
+        )
         cache.write_target(one, target, None if target is None else _preview(index))
-    storage.write_json(folder / "cache.json", record.model_dump(mode="json"))
+    files.write_json(folder / "cache.json", record.model_dump(mode="json"))
     return TargetCache.open(folder)
 
 

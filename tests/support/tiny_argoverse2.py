@@ -129,10 +129,14 @@ def _write_sensors(folder: Path) -> None:
     write_table(
         folder / "calibration" / "egovehicle_SE3_sensor.feather",
         sensor_name=[
-            "ring_front_center", "ring_side_left", "stereo_front_left", "up_lidar", "down_lidar",
+            "ring_front_center",
+            "ring_side_left",
+            "stereo_front_left",
+            "up_lidar",
+            "down_lidar",
         ],
         **_pose_columns(np.stack([FORWARD, FORWARD, FORWARD, UP, DOWN])),
-    )  # fmt: skip
+    )
     for camera, size, after in (
         ("ring_front_center", (WIDTH, HEIGHT), 216),
         ("ring_side_left", (HEIGHT, WIDTH), 216 + SIDE_NS),
@@ -213,16 +217,33 @@ def _write_map(folder: Path) -> None:
     folder.mkdir(parents=True)
     middle = [(-10.0, 2.0), (5.0, 2.0), (30.0, 2.0)]
     lanes = [
-        _segment(1, middle, [(-10.0, -2.0), (30.0, -2.0)],
-                 successors=[2, 99], left_neighbor_id=4, right_neighbor_id=3),
-        _segment(2, [(30.0, 2.0), (60.0, 2.0)], [(30.0, -2.0), (60.0, -2.0)],
-                 is_intersection=True),
-        _segment(3, [(-10.0, -2.0), (30.0, -2.0)], [(-10.0, -6.0), (30.0, -6.0)],
-                 lane_type="BUS", left_neighbor_id=1, right_neighbor_id=5, successors=[5]),
+        _segment(
+            1,
+            middle,
+            [(-10.0, -2.0), (30.0, -2.0)],
+            successors=[2, 99],
+            left_neighbor_id=4,
+            right_neighbor_id=3,
+        ),
+        _segment(2, [(30.0, 2.0), (60.0, 2.0)], [(30.0, -2.0), (60.0, -2.0)], is_intersection=True),
+        _segment(
+            3,
+            [(-10.0, -2.0), (30.0, -2.0)],
+            [(-10.0, -6.0), (30.0, -6.0)],
+            lane_type="BUS",
+            left_neighbor_id=1,
+            right_neighbor_id=5,
+            successors=[5],
+        ),
         _segment(4, middle[::-1], [(30.0, 6.0), (-10.0, 6.0)], left_neighbor_id=1),
-        _segment(5, [(-10.0, -6.0), (30.0, -6.0)], [(-10.0, -8.0), (30.0, -8.0)],
-                 lane_type="BIKE", left_neighbor_id=3),
-    ]  # fmt: skip
+        _segment(
+            5,
+            [(-10.0, -6.0), (30.0, -6.0)],
+            [(-10.0, -8.0), (30.0, -8.0)],
+            lane_type="BIKE",
+            left_neighbor_id=3,
+        ),
+    ]
     outline = _city([(-10, -8), (60, -8), (60, 6), (-10, 6)])
     write_json(
         folder / f"log_map_archive_{LOG}____PIT_city_1.json",

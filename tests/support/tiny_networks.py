@@ -8,8 +8,19 @@ from pathlib import Path
 import torch
 
 WORDS = (
-    "[PAD]", "[UNK]", "[CLS]", "[SEP]", "[MASK]", ".", "a", "car", "van", "truck", "bus", "vehicle",
-)  # fmt: skip
+    "[PAD]",
+    "[UNK]",
+    "[CLS]",
+    "[SEP]",
+    "[MASK]",
+    ".",
+    "a",
+    "car",
+    "van",
+    "truck",
+    "bus",
+    "vehicle",
+)
 
 
 def write_tiny_networks(folder: Path) -> Path:
@@ -35,18 +46,34 @@ def _write_grounding_dino(folder: Path) -> None:
 
     folder.mkdir(parents=True)
     backbone = SwinConfig(
-        image_size=64, embed_dim=16, depths=[1, 1, 1, 1], num_heads=[1, 1, 2, 2], window_size=4,
+        image_size=64,
+        embed_dim=16,
+        depths=[1, 1, 1, 1],
+        num_heads=[1, 1, 2, 2],
+        window_size=4,
         out_indices=[2, 3, 4],
-    )  # fmt: skip
+    )
     text = BertConfig(
-        vocab_size=len(WORDS), hidden_size=32, num_hidden_layers=1, num_attention_heads=2,
-        intermediate_size=32, max_position_embeddings=64,
-    )  # fmt: skip
+        vocab_size=len(WORDS),
+        hidden_size=32,
+        num_hidden_layers=1,
+        num_attention_heads=2,
+        intermediate_size=32,
+        max_position_embeddings=64,
+    )
     config = GroundingDinoConfig(
-        backbone_config=backbone, text_config=text, d_model=32, encoder_layers=1, decoder_layers=2,
-        encoder_attention_heads=2, decoder_attention_heads=2, encoder_ffn_dim=32,
-        decoder_ffn_dim=32, num_queries=12, max_text_len=32,
-    )  # fmt: skip
+        backbone_config=backbone,
+        text_config=text,
+        d_model=32,
+        encoder_layers=1,
+        decoder_layers=2,
+        encoder_attention_heads=2,
+        decoder_attention_heads=2,
+        encoder_ffn_dim=32,
+        decoder_ffn_dim=32,
+        num_queries=12,
+        max_text_len=32,
+    )
     GroundingDinoForObjectDetection(config).save_pretrained(folder)
     (folder / "vocab.txt").write_text("\n".join(WORDS))
     image_processor = GroundingDinoImageProcessor(size={"shortest_edge": 64, "longest_edge": 96})
@@ -61,16 +88,26 @@ def _write_sam(folder: Path) -> None:
     shared = {"hidden_size": 32, "image_size": 64, "patch_size": 16}
     config = SamConfig(
         vision_config={
-            **shared, "output_channels": 32, "num_hidden_layers": 1, "num_attention_heads": 2,
-            "window_size": 2, "global_attn_indexes": [0], "num_pos_feats": 16, "mlp_dim": 32,
+            **shared,
+            "output_channels": 32,
+            "num_hidden_layers": 1,
+            "num_attention_heads": 2,
+            "window_size": 2,
+            "global_attn_indexes": [0],
+            "num_pos_feats": 16,
+            "mlp_dim": 32,
             "initializer_range": 0.5,
         },
         prompt_encoder_config={**shared, "mask_input_channels": 4},
         mask_decoder_config={
-            "hidden_size": 32, "mlp_dim": 32, "num_attention_heads": 2, "num_hidden_layers": 1,
-            "iou_head_hidden_dim": 16, "iou_head_depth": 2,
+            "hidden_size": 32,
+            "mlp_dim": 32,
+            "num_attention_heads": 2,
+            "num_hidden_layers": 1,
+            "iou_head_hidden_dim": 16,
+            "iou_head_depth": 2,
         },
-    )  # fmt: skip
+    )
     SamModel(config).save_pretrained(folder)
     processor = SamImageProcessor(size={"longest_edge": 64}, pad_size={"height": 64, "width": 64})
     SamProcessor(processor).save_pretrained(folder)

@@ -59,13 +59,33 @@ def write_tiny_nuscenes(root: Path) -> Path:
     tables: dict[str, list[dict[str, Any]]] = {
         "attribute": [],
         "visibility": [],
-        "map": [{"token": "map", "log_tokens": ["log"], "category": "semantic_prior",
-                 "filename": "maps/raster.png"}],
-        "log": [{"token": "log", "logfile": "n015", "vehicle": "n015",
-                 "date_captured": "2018-07-24", "location": "singapore-onenorth"}],
+        "map": [
+            {
+                "token": "map",
+                "log_tokens": ["log"],
+                "category": "semantic_prior",
+                "filename": "maps/raster.png",
+            }
+        ],
+        "log": [
+            {
+                "token": "log",
+                "logfile": "n015",
+                "vehicle": "n015",
+                "date_captured": "2018-07-24",
+                "location": "singapore-onenorth",
+            }
+        ],
         "scene": [
-            {"token": token, "name": name, "log_token": "log", "nbr_samples": 5,
-             "first_sample_token": "", "last_sample_token": "", "description": "Parked, \"}]"}
+            {
+                "token": token,
+                "name": name,
+                "log_token": "log",
+                "nbr_samples": 5,
+                "first_sample_token": "",
+                "last_sample_token": "",
+                "description": 'Parked, "}]',
+            }
             for token, name in (("other", "scene-0103"), ("mine", SCENE))
         ],
         "sensor": [
@@ -87,8 +107,11 @@ def write_tiny_nuscenes(root: Path) -> Path:
             {"token": name, "category_token": f"k-{name}", "nbr_annotations": 5}
             for name in ("car", "walk", "ego")
         ],
-        "sample": [], "sample_data": [], "ego_pose": [], "sample_annotation": [],
-    }  # fmt: skip
+        "sample": [],
+        "sample_data": [],
+        "ego_pose": [],
+        "sample_annotation": [],
+    }
     _write_key_frames(tables)
     _write_frames(root, tables)
     # Another scene's frame, whose files were not downloaded.
@@ -128,9 +151,13 @@ def _write_key_frames(tables: dict[str, list[dict[str, Any]]]) -> None:
             ("ego", np.array([4.0, 1.7, 1.6]), street_from_ego(time / 1e6)),
         ):
             row = _posed(
-                f"{name}{k}", GLOBAL_FROM_STREET @ pose, sample_token=f"key{k}",
-                instance_token=name, size=size[[1, 0, 2]].tolist(), num_lidar_pts=CAR_POINTS,
-            )  # fmt: skip
+                f"{name}{k}",
+                GLOBAL_FROM_STREET @ pose,
+                sample_token=f"key{k}",
+                instance_token=name,
+                size=size[[1, 0, 2]].tolist(),
+                num_lidar_pts=CAR_POINTS,
+            )
             tables["sample_annotation"].append(row)
 
 
@@ -147,13 +174,20 @@ def _write_frames(root: Path, tables: dict[str, list[dict[str, Any]]]) -> None:
             name = f"{folder}/{channel}/n015__{channel}__{stamp}{suffix}"
             tables["sample_data"].append(
                 {
-                    "token": token, "sample_token": f"key{time // KEY_US + (not key)}",
-                    "ego_pose_token": token, "calibrated_sensor_token": mount,
-                    "filename": name, "fileformat": "jpg" if suffix == ".jpg" else "pcd",
-                    "width": size[0], "height": size[1], "timestamp": stamp,
-                    "is_key_frame": key, "prev": "", "next": "",
+                    "token": token,
+                    "sample_token": f"key{time // KEY_US + (not key)}",
+                    "ego_pose_token": token,
+                    "calibrated_sensor_token": mount,
+                    "filename": name,
+                    "fileformat": "jpg" if suffix == ".jpg" else "pcd",
+                    "width": size[0],
+                    "height": size[1],
+                    "timestamp": stamp,
+                    "is_key_frame": key,
+                    "prev": "",
+                    "next": "",
                 }
-            )  # fmt: skip
+            )
             pose = GLOBAL_FROM_STREET @ street_from_ego(time / 1e6)
             tables["ego_pose"].append(_posed(token, pose, timestamp=stamp))
             path = root / name

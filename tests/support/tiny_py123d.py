@@ -176,8 +176,9 @@ class Scene:
     states: int = FRAMES
 
     def get_log_metadata(self) -> Any:
-        return SimpleNamespace(dataset="av2-sensor", split="av2-sensor_val", log_name=NAME,
-                               location="pittsburgh")  # fmt: skip
+        return SimpleNamespace(
+            dataset="av2-sensor", split="av2-sensor_val", log_name=NAME, location="pittsburgh"
+        )
 
     def get_map_api(self) -> Any:
         return self.map

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from rich.console import Console
 
+from recast.core.files import write_json
 from recast.recar import begin_set, finish_set, regular_azimuths, write_identity
 from recast.recar.record import IdentityRecord, SetRecord
 from recast.recar.targets import CacheRecord, ModelRecord, Target, TargetCache, TargetRecord
 from recast.recar.training.stage import train_stage
 from recast.recar.training.stage_config import StageConfig
 from recast.recar.training.stage_parts import StageRequest
-from recast.storage import write_json
 from recast.trellis import ImageTo3D, SamplerSettings
 from support.trellis import golden_tensors
 from support.trellis_folder import write_golden_model
@@ -41,12 +41,20 @@ class TinyStage:
 def tiny_config(**changes: Any) -> StageConfig:
     """Six steps of each flow, a checkpoint after every second."""
     flow = {
-        "steps": 6, "lr": 1e-3, "ema_decay": 0.9, "checkpoint_every": 2, "log_every": 2, "seed": 3,
-    }  # fmt: skip
+        "steps": 6,
+        "lr": 1e-3,
+        "ema_decay": 0.9,
+        "checkpoint_every": 2,
+        "log_every": 2,
+        "seed": 3,
+    }
     values: dict[str, Any] = {
-        "name": "tiny", "objective": {"batch": 2}, "probe": 2, "sheet_every": 0,
+        "name": "tiny",
+        "objective": {"batch": 2},
+        "probe": 2,
+        "sheet_every": 0,
         "sheet_vehicles": 1,
-    }  # fmt: skip
+    }
     for name in ("structure", "latent"):
         given = changes.pop(name, {})
         values[name] = None if given is None else flow | given
@@ -65,17 +73,31 @@ def write_tiny_stage(root: Path, identities: int = 6) -> TinyStage:
 
 def _write_set(folder: Path, splits: dict[str, Any]) -> None:
     record = SetRecord(
-        complete=True, name="rectangles", licence="CC0-1.0", source="drawn by the tests",
-        identities=len(splits), azimuths_deg=regular_azimuths(VIEWS), elevation_deg=15.0,
-        fov_deg=40.0, width=PIXELS, height=PIXELS, split_seed=0, held_out_share=0.3,
+        complete=True,
+        name="rectangles",
+        licence="CC0-1.0",
+        source="drawn by the tests",
+        identities=len(splits),
+        azimuths_deg=regular_azimuths(VIEWS),
+        elevation_deg=15.0,
+        fov_deg=40.0,
+        width=PIXELS,
+        height=PIXELS,
+        split_seed=0,
+        held_out_share=0.3,
         generator=None,
-    )  # fmt: skip
+    )
     begin_set(folder, record, list(splits))
     for index, (name, split) in enumerate(splits.items()):
         one = IdentityRecord(
-            id=name, kind="sedan", category="car", colour="red", size=(4.5, 1.8, 1.5),
-            distance_m=8.0, split=split,
-        )  # fmt: skip
+            id=name,
+            kind="sedan",
+            category="car",
+            colour="red",
+            size=(4.5, 1.8, 1.5),
+            distance_m=8.0,
+            split=split,
+        )
         pictures = []
         for view in range(VIEWS):
             picture = np.zeros((PIXELS, PIXELS, 4), np.uint8)
@@ -90,14 +112,23 @@ def _write_targets(folders: TinyStage, splits: dict[str, Any]) -> None:
     case = golden_tensors("train_slat_flow")
     mean, std = model.checkpoint.record.slat_statistics
     record = CacheRecord(
-        complete=True, vehicle_set="rectangles",
+        complete=True,
+        vehicle_set="rectangles",
         model=ModelRecord(
-            name="golden", sha256="0" * 64, resolution=model.latent_flow.config.resolution,
-            latent_mean=mean, latent_std=std,
+            name="golden",
+            sha256="0" * 64,
+            resolution=model.latent_flow.config.resolution,
+            latent_mean=mean,
+            latent_std=std,
         ),
-        structure_sampler=SamplerSettings(), latent_sampler=SamplerSettings(), seed=0, retries=0,
-        max_voxels=1000, identities=len(splits), failures=0,
-    )  # fmt: skip
+        structure_sampler=SamplerSettings(),
+        latent_sampler=SamplerSettings(),
+        seed=0,
+        retries=0,
+        max_voxels=1000,
+        identities=len(splits),
+        failures=0,
+    )
     write_json(folders.targets / "cache.json", record.model_dump(mode="json"))
     cache = TargetCache(folders.targets, record, {}, {})
     coords = case["coords"][case["coords"][:, 0] == 0, 1:].int()

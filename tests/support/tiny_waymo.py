@@ -39,8 +39,13 @@ GLOBAL_FROM_STREET = se3.from_rotation_translation(se3.rotation_z(np.radians(30.
 CAR_SIZE = np.array([4.4, 1.9, 1.6])
 WIDTH, HEIGHT = 48, 32
 INTRINSIC = (40.0, 41.0, 24.5, 15.5, 0.04, -0.3, 0.001, -0.002, 0.01)
-CAMERAS = {"FRONT": (1, 0), "FRONT_LEFT": (2, 45), "FRONT_RIGHT": (3, -45), "SIDE_LEFT": (4, 90),
-           "SIDE_RIGHT": (5, -90)}  # fmt: skip
+CAMERAS = {
+    "FRONT": (1, 0),
+    "FRONT_LEFT": (2, 45),
+    "FRONT_RIGHT": (3, -45),
+    "SIDE_LEFT": (4, 90),
+    "SIDE_RIGHT": (5, -90),
+}
 """Number and azimuth in degrees."""
 TOP = se3.from_rotation_translation(se3.rotation_z(np.radians(148.0)), [1.43, 0.0, 2.18])
 REAR = se3.from_rotation_translation(se3.rotation_z(np.radians(-179.0)), [-1.2, 0.1, 0.9])
@@ -132,15 +137,20 @@ def context(parts: Parts) -> bytes:
     for name, (number, azimuth) in reversed(CAMERAS.items()):
         mount = se3.from_rotation_translation(se3.rotation_z(math.radians(azimuth)), [1.5, 0, 2.1])
         data = (
-            integer(1, number) + doubles(2, INTRINSIC) + blob(3, transform(mount))
-            + integer(4, WIDTH) + integer(5, HEIGHT) + integer(6, 2)
-        )  # fmt: skip
+            integer(1, number)
+            + doubles(2, INTRINSIC)
+            + blob(3, transform(mount))
+            + integer(4, WIDTH)
+            + integer(5, HEIGHT)
+            + integer(6, 2)
+        )
         if name not in parts.missing:
             cameras.append(blob(2, parts.calibration(name, data)))
     top = integer(1, 1) + doubles(2, BEAMS) + blob(5, transform(TOP, packed=True))
     rear = integer(1, 5) + double(3, -1.5) + double(4, 0.5) + blob(5, transform(REAR))
-    lasers = [blob(3, data) for name, data in (("REAR", rear), ("TOP", top))
-              if name not in parts.missing]  # fmt: skip
+    lasers = [
+        blob(3, data) for name, data in (("REAR", rear), ("TOP", top)) if name not in parts.missing
+    ]
     stats = blob(2, "Day") + blob(3, "location_sf") + blob(4, "sunny")
     return b"".join([blob(1, NAME), *cameras, *lasers, blob(4, stats)])
 
@@ -158,9 +168,11 @@ def image_bytes(k: int, name: str, parts: Parts) -> bytes:
         integer(1, CAMERAS[name][0])
         + blob(2, parts.jpeg(k, name, picture(k, name)))
         + blob(3, transform(global_from_vehicle(seconds)))
-        + double(5, absolute) + double(6, 0.004)
-        + double(7, absolute - 0.026) + double(8, absolute + 0.022)
-    )  # fmt: skip
+        + double(5, absolute)
+        + double(6, 0.004)
+        + double(7, absolute - 0.026)
+        + double(8, absolute + 0.022)
+    )
 
 
 def beam_angles(name: str) -> np.ndarray:
@@ -232,10 +244,13 @@ def box_values(k: int, name: str) -> dict[str, float]:
         azimuth = math.atan2(pose[1, 3], pose[0, 3])
         pose = vehicle_from_global @ global_from_car(scan_seconds(azimuth, k))
     return dict(
-        zip(("cx", "cy", "cz", "width", "length", "height"),
-            (*pose[:3, 3], size[1], size[0], size[2]), strict=True),
+        zip(
+            ("cx", "cy", "cz", "width", "length", "height"),
+            (*pose[:3, 3], size[1], size[0], size[2]),
+            strict=True,
+        ),
         heading=float(se3.yaw(pose)),
-    )  # fmt: skip
+    )
 
 
 def label(k: int, name: str, kind: int | None = None, **changes: float) -> bytes:
@@ -276,12 +291,24 @@ def map_features() -> list[bytes]:
 
     driveway = b"".join(blob(1, p) for p in in_map([(20, -6), (24, -6), (24, -12), (20, -12)]))
     return [
-        lane(1, line((-20, 0), (30, 0)), packed_integers(10, [2, 77]),
-             neighbour(11, 3, 0, 10), neighbour(11, 77, 0, 10), neighbour(12, 4, 0, 10),
-             boundary(13, 11), boundary(14, 12, 0, 5)),
+        lane(
+            1,
+            line((-20, 0), (30, 0)),
+            packed_integers(10, [2, 77]),
+            neighbour(11, 3, 0, 10),
+            neighbour(11, 77, 0, 10),
+            neighbour(12, 4, 0, 10),
+            boundary(13, 11),
+            boundary(14, 12, 0, 5),
+        ),
         lane(2, line((30, 0), (60, 0)), integer(3, 1), mph=0.0),
-        lane(3, line((-20, 3.4), (30, 3.4)), neighbour(12, 2, 0, 2), neighbour(12, 1, 0, 10),
-             boundary(14, 11)),
+        lane(
+            3,
+            line((-20, 3.4), (30, 3.4)),
+            neighbour(12, 2, 0, 2),
+            neighbour(12, 1, 0, 10),
+            boundary(14, 11),
+        ),
         lane(4, line((-20, -2.6), (30, -2.6)), kind=3),
         lane(5, [(0.0, 0.0)]),
         integer(1, 11) + blob(4, polyline(line((-20, 1.6), (30, 1.6), 3))),
@@ -289,4 +316,4 @@ def map_features() -> list[bytes]:
         integer(1, 13) + blob(5, polyline(line((-30, -6), (70, -6), 3))),
         integer(1, 14) + blob(10, driveway),
         integer(1, 15) + blob(9, b"".join(blob(1, p) for p in in_map([(1, 1), (2, 1), (2, 2)]))),
-    ]  # fmt: skip
+    ]

@@ -21,8 +21,10 @@ LASERS = {"TOP": 1, "REAR": 5}
 FRAMES = 3
 FRAME, CAMERA, LASER = "frame_timestamp_micros", "camera_name", "laser_name"
 DOUBLE, BYTE, INT = pa.float64(), pa.int8(), pa.int32()
-TRANSFORM, MATRIX = pa.list_(DOUBLE, 16), {"values": pa.list_(pa.float32()),
-                                           "shape": pa.list_(INT, 3)}  # fmt: skip
+TRANSFORM, MATRIX = (
+    pa.list_(DOUBLE, 16),
+    {"values": pa.list_(pa.float32()), "shape": pa.list_(INT, 3)},
+)
 KEYS = {
     "segment_context_name": pa.string(),
     FRAME: pa.int64(),
@@ -47,42 +49,64 @@ def _matrix(prefix: str) -> dict[str, pa.DataType]:
 
 COLUMNS: dict[str, tuple[str, tuple[str, ...], dict[str, pa.DataType]]] = {
     "vehicle_pose": (
-        "VehiclePoseComponent", (FRAME,), {"world_from_vehicle.transform": TRANSFORM},
+        "VehiclePoseComponent",
+        (FRAME,),
+        {"world_from_vehicle.transform": TRANSFORM},
     ),
     "camera_calibration": (
-        "CameraCalibrationComponent", (CAMERA,),
+        "CameraCalibrationComponent",
+        (CAMERA,),
         {f"intrinsic.{name}": DOUBLE for name in INTRINSIC}
-        | {"extrinsic.transform": TRANSFORM, "width": INT, "height": INT,
-           "rolling_shutter_direction": BYTE},
+        | {
+            "extrinsic.transform": TRANSFORM,
+            "width": INT,
+            "height": INT,
+            "rolling_shutter_direction": BYTE,
+        },
     ),
     "camera_image": (
-        "CameraImageComponent", (FRAME, CAMERA),
+        "CameraImageComponent",
+        (FRAME, CAMERA),
         {"image": pa.binary(), "pose.transform": TRANSFORM}
-        | _xyz("velocity.linear_velocity", pa.float32()) | _xyz("velocity.angular_velocity")
-        | {"pose_timestamp": DOUBLE, "rolling_shutter_params.shutter": DOUBLE,
-           "rolling_shutter_params.camera_trigger_time": DOUBLE,
-           "rolling_shutter_params.camera_readout_done_time": DOUBLE},
+        | _xyz("velocity.linear_velocity", pa.float32())
+        | _xyz("velocity.angular_velocity")
+        | {
+            "pose_timestamp": DOUBLE,
+            "rolling_shutter_params.shutter": DOUBLE,
+            "rolling_shutter_params.camera_trigger_time": DOUBLE,
+            "rolling_shutter_params.camera_readout_done_time": DOUBLE,
+        },
     ),
     "lidar_calibration": (
-        "LiDARCalibrationComponent", (LASER,),
-        {"extrinsic.transform": TRANSFORM, "beam_inclination.min": DOUBLE,
-         "beam_inclination.max": DOUBLE, "beam_inclination.values": pa.list_(DOUBLE)},
+        "LiDARCalibrationComponent",
+        (LASER,),
+        {
+            "extrinsic.transform": TRANSFORM,
+            "beam_inclination.min": DOUBLE,
+            "beam_inclination.max": DOUBLE,
+            "beam_inclination.values": pa.list_(DOUBLE),
+        },
     ),
     "lidar": (
-        "LiDARComponent", (FRAME, LASER),
+        "LiDARComponent",
+        (FRAME, LASER),
         _matrix("range_image_return1") | _matrix("range_image_return2"),
     ),
     "lidar_pose": ("LiDARPoseComponent", (FRAME, LASER), _matrix("range_image_return1")),
     "lidar_box": (
-        "LiDARBoxComponent", (FRAME, "laser_object_id"),
-        _xyz("box.center") | _xyz("box.size") | {"box.heading": DOUBLE, "type": BYTE,
-        "num_lidar_points_in_box": pa.int64()} | _xyz("speed"),
+        "LiDARBoxComponent",
+        (FRAME, "laser_object_id"),
+        _xyz("box.center")
+        | _xyz("box.size")
+        | {"box.heading": DOUBLE, "type": BYTE, "num_lidar_points_in_box": pa.int64()}
+        | _xyz("speed"),
     ),
     "stats": (
-        "StatsComponent", (FRAME,),
+        "StatsComponent",
+        (FRAME,),
         {name: pa.string() for name in ("time_of_day", "location", "weather")},
     ),
-}  # fmt: skip
+}
 
 
 def write_segment(
@@ -163,10 +187,19 @@ def _images() -> Iterable[Row]:
 
 
 def _lidar_calibrations() -> Iterable[Row]:
-    yield {LASER: 1, "extrinsic.transform": tiny.TOP.ravel(), "beam_inclination.min": -0.3,
-           "beam_inclination.max": 0.04, "beam_inclination.values": tiny.BEAMS}  # fmt: skip
-    yield {LASER: 5, "extrinsic.transform": tiny.REAR.ravel(), "beam_inclination.min": -1.5,
-           "beam_inclination.max": 0.5}  # fmt: skip
+    yield {
+        LASER: 1,
+        "extrinsic.transform": tiny.TOP.ravel(),
+        "beam_inclination.min": -0.3,
+        "beam_inclination.max": 0.04,
+        "beam_inclination.values": tiny.BEAMS,
+    }
+    yield {
+        LASER: 5,
+        "extrinsic.transform": tiny.REAR.ravel(),
+        "beam_inclination.min": -1.5,
+        "beam_inclination.max": 0.5,
+    }
 
 
 def cells(prefix: str, image: np.ndarray) -> Row:
@@ -177,8 +210,12 @@ def _range_images() -> Iterable[Row]:
     for k in range(FRAMES):
         for name, number in LASERS.items():
             image, _ = tiny.range_images(k, name)
-            yield {FRAME: start(k), LASER: number, **cells("range_image_return1", image),
-                   **cells("range_image_return2", tiny.second_return(image))}  # fmt: skip
+            yield {
+                FRAME: start(k),
+                LASER: number,
+                **cells("range_image_return1", image),
+                **cells("range_image_return2", tiny.second_return(image)),
+            }
 
 
 def _pixel_poses() -> Iterable[Row]:
@@ -188,13 +225,24 @@ def _pixel_poses() -> Iterable[Row]:
 
 
 def _boxes() -> Iterable[Row]:
-    names = {"cx": "center.x", "cy": "center.y", "cz": "center.z", "length": "size.x",
-             "width": "size.y", "height": "size.z", "heading": "heading"}  # fmt: skip
+    names = {
+        "cx": "center.x",
+        "cy": "center.y",
+        "cz": "center.z",
+        "length": "size.x",
+        "width": "size.y",
+        "height": "size.z",
+        "heading": "heading",
+    }
     for k in range(FRAMES):
         for name, kind in tiny.KINDS.items():
             box = tiny.box_values(k, name)
-            yield {FRAME: start(k), "laser_object_id": name, "type": kind,
-                   **{f"box.{column}": box[key] for key, column in names.items()}}  # fmt: skip
+            yield {
+                FRAME: start(k),
+                "laser_object_id": name,
+                "type": kind,
+                **{f"box.{column}": box[key] for key, column in names.items()},
+            }
 
 
 def _stats() -> Iterable[Row]:

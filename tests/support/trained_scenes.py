@@ -16,7 +16,7 @@ import torch
 from recast.geometry import PinholeCamera, se3
 from recast.logs import DrivingLog, LidarStream, Track, Trajectory
 from recast.splats import Gaussians, concatenate, rasterize
-from recast.splats.rotations import matrix_to_quat, quat_multiply
+from recast.splats.gaussians import matrix_to_quat, quat_multiply
 
 CAR, PARKED = "car-a", "car-b"
 FRAMES, START_US, STEP_US = 11, 1_000_000_000, 100_000
@@ -102,8 +102,14 @@ def make_cubemap(resolution: int = 48) -> torch.Tensor:
     steps = (torch.arange(resolution) + 0.5) / resolution * 2 - 1
     gy, gx = torch.meshgrid(steps, steps, indexing="ij")
     one = torch.ones_like(gx)
-    faces = [(one, -gy, -gx), (-one, -gy, gx), (gx, one, gy),
-             (gx, -one, -gy), (gx, -gy, one), (-gx, -gy, -one)]  # fmt: skip
+    faces = [
+        (one, -gy, -gx),
+        (-one, -gy, gx),
+        (gx, one, gy),
+        (gx, -one, -gy),
+        (gx, -gy, one),
+        (-gx, -gy, -one),
+    ]
     return torch.stack([sky_colour(torch.stack(face, dim=-1)) for face in faces])
 
 

@@ -35,18 +35,32 @@ def shape(index: int, view: int) -> NDArray[np.uint8]:
 def write_vehicles(folder: Path, identities: int, views: int = 4) -> VehicleSet:
     """A set of cars called car-0, car-1, ...; the second one is held out."""
     record = SetRecord(
-        complete=True, name="ellipses", licence="CC0-1.0", source="drawn by the tests",
-        identities=identities, azimuths_deg=regular_azimuths(views), elevation_deg=15.0,
-        fov_deg=40.0, width=WIDTH, height=HEIGHT, split_seed=0, held_out_share=0.05,
+        complete=True,
+        name="ellipses",
+        licence="CC0-1.0",
+        source="drawn by the tests",
+        identities=identities,
+        azimuths_deg=regular_azimuths(views),
+        elevation_deg=15.0,
+        fov_deg=40.0,
+        width=WIDTH,
+        height=HEIGHT,
+        split_seed=0,
+        held_out_share=0.05,
         generator=None,
-    )  # fmt: skip
+    )
     names = [f"car-{index}" for index in range(identities)]
     begin_set(folder, record, names)
     for index, name in enumerate(names):
         one = IdentityRecord(
-            id=name, kind="sedan", category="car", colour="red", size=(4.5, 1.8, 1.5),
-            distance_m=8.0, split="held-out" if index == 1 else "train",
-        )  # fmt: skip
+            id=name,
+            kind="sedan",
+            category="car",
+            colour="red",
+            size=(4.5, 1.8, 1.5),
+            distance_m=8.0,
+            split="held-out" if index == 1 else "train",
+        )
         write_identity(folder, record, one, [shape(index, view) for view in range(views)])
     finish_set(folder, record)
     return read_set(folder)

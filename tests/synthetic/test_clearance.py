@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recast.geometry import boxes
-from recast.synthetic.clearance import hiding, touching
+from recast.synthetic.world import hiding, touching
 
 places = st.tuples(st.floats(-6, 6), st.floats(-6, 6), st.floats(-4, 4))
 sizes = st.tuples(st.floats(0.5, 8), st.floats(0.5, 4))

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from recast.logs import HdMap, Lane
-from recast.synthetic.lane_path import LanePath
-from recast.synthetic.routes import beside, extended_route, random_route
+from recast.synthetic.routes import LanePath, beside, extended_route, random_route
 from synthetic.small_street import small_street
 
 

@@ -3,9 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recast.errors import InputError
-from recast.synthetic.oracle import Oracle
-from recast.synthetic.oracle_pool import OraclePool
+from recast.core.errors import InputError
+from recast.synthetic.oracle import Oracle, OraclePool
 from recast.synthetic.rig import make_rig
 from recast.synthetic.world import World
 

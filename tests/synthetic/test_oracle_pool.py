@@ -6,8 +6,8 @@ import subprocess
 import sys
 
 _UNGUARDED = """
-from recast.errors import InputError
-from recast.synthetic.oracle_pool import OraclePool
+from recast.core.errors import InputError
+from recast.synthetic.oracle import OraclePool
 
 with OraclePool(bytes(5_000_000), workers=2) as pool:
     try:

@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recast.synthetic.lane_path import LanePath
-from recast.synthetic.speed import LATERAL_LIMIT, SpeedProfile, speed_profile
+from recast.synthetic.routes import LATERAL_LIMIT, LanePath, SpeedProfile, speed_profile
 from synthetic.small_street import small_street
 
 

@@ -7,17 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.logs import DrivingLog, Track, Trajectory, read_log
-from recast.synthetic.label_noise import with_label_noise
 from recast.synthetic.oracle import Oracle, instances
 from recast.synthetic.rendering import WAYMO_TOP
-from recast.synthetic.rig import CAMERAS, LIDAR, exposure, make_rig
-from recast.synthetic.truth import read_truth
+from recast.synthetic.rig import CAMERAS, LIDAR, exposure, make_rig, read_truth
 from recast.synthetic.vehicles import sample_vehicle
 from recast.synthetic.world import World
-from recast.synthetic.write import synthesize_log
+from recast.synthetic.write import synthesize_log, with_label_noise
 from synthetic.conftest import small_world
 
 FRAMES = 6
@@ -192,9 +190,14 @@ def test_same_seed_same_bytes_whatever_the_number_of_workers(
 ) -> None:
     seen: list[tuple[int, int]] = []
     synthesize_log(
-        small_world(), tmp_path / "again", width=48, height=32, workers=2, truth=True,
+        small_world(),
+        tmp_path / "again",
+        width=48,
+        height=32,
+        workers=2,
+        truth=True,
         progress=lambda done, total: seen.append((done, total)),
-    )  # fmt: skip
+    )
     assert digests(tmp_path / "again") == digests(small_log_folder)
     assert seen == [(i, 4 * FRAMES) for i in range(1, 4 * FRAMES + 1)]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.tables import read_feather, read_parquet
 
 

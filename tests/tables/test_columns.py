@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from pyarrow import feather
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.tables import ParquetRows, Table, read_feather, read_parquet
 
 MEND = "mend it"
@@ -116,8 +116,10 @@ def test_a_column_is_there_once(tmp_path: Path, suffix: str, read: Any) -> None:
     with pytest.raises(InputError, match=f"{path}: file: is missing; mend it"):
         read(path, ["a"], MEND)
     table = pa.table([[1], [2]], names=["a", "a"])
-    write = {"feather": lambda: feather.write_feather(table, str(path)),
-             "parquet": lambda: pq.write_table(table, path)}  # fmt: skip
+    write = {
+        "feather": lambda: feather.write_feather(table, str(path)),
+        "parquet": lambda: pq.write_table(table, path),
+    }
     write[suffix]()
     for column, problem in (("a", "is there twice"), ("b", "is missing")):
         with pytest.raises(InputError, match=f"column {column}: {problem}"):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.tables import npy_header, read_npy, read_npz
 
 MEND = "mend it"

@@ -11,12 +11,12 @@ import pyarrow.parquet as pq
 import pytest
 from pyarrow import feather
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.tables import ParquetRows, check_batches, read_feather, read_parquet
-from recast.tables import feather as feather_module
-from recast.tables.feather import declared_size
-from recast.tables.parquet_pages import read_footer
-from recast.tables.thrift import Compact
+from recast.tables import arrow as feather_module
+from recast.tables.arrow import declared_size
+from recast.tables.encodings import Compact
+from recast.tables.parquet import read_footer
 
 MEND = "mend it"
 ZEROS = pa.table({"x": np.zeros(1 << 20)})  # 8 MiB

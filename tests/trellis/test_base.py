@@ -4,9 +4,11 @@ import pytest
 import torch
 
 from recast.trellis.models.base import TrellisModel
-from recast.trellis.models.ss_decoder import SparseStructureDecoder
-from recast.trellis.models.ss_encoder import SparseStructureEncoder
-from recast.trellis.models.ss_flow import SparseStructureFlowConfig, SparseStructureFlowModel
+from recast.trellis.models.flow_transformer import (
+    SparseStructureFlowConfig,
+    SparseStructureFlowModel,
+)
+from recast.trellis.models.ss_vae import SparseStructureDecoder, SparseStructureEncoder
 from support.trellis import golden_config, golden_tensors, official_keys
 
 MODELS: dict[str, type[TrellisModel]] = {

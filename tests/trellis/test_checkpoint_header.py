@@ -14,9 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from safetensors.torch import save
 
-from recast.errors import InputError
-from recast.trellis.checkpoints.header import read_header
-from recast.trellis.checkpoints.layout import DTYPES, file_bytes, tensor_specs
+from recast.core.errors import InputError
+from recast.trellis.checkpoints.header import DTYPES, file_bytes, read_header, tensor_specs
 from support.trellis import FOLDER
 
 TENSORS = {"a": torch.arange(6.0).reshape(2, 3), "b": torch.ones(4, dtype=torch.float16)}
@@ -88,7 +87,7 @@ def rewritten(change: Callable[[dict[str, dict[str, object]]], object]) -> bytes
         (rewritten(lambda h: h.update(a=3)), "unknown element type"),
         (rewritten(lambda h: h.pop("b")), "behind the last tensor"),
     ],
-)  # fmt: skip
+)
 def test_a_file_that_is_no_whole_safetensors_file(
     tmp_path: Path, data: bytes, message: str
 ) -> None:

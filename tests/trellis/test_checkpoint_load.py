@@ -13,7 +13,7 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.trellis.checkpoints import (
     GENERATION_ROLES,
     OPTIONAL_ROLES,
@@ -120,7 +120,7 @@ def test_an_optional_role_may_be_somewhere_else(folder: Path) -> None:
         (lambda c: c["args"].update(channels=[8, -1]), "channels.1"),
         (lambda c: c["args"].pop("channels"), "channels: Field required"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_configuration(
     folder: Path, change: Callable[[dict[str, Any]], object], message: str
 ) -> None:
@@ -136,16 +136,18 @@ WEIGHT = "blocks.0.conv1.weight"
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda t: t.update({WEIGHT: t[WEIGHT][:, :3].clone()}),
-         f"{WEIGHT}: is F32 [16, 3, 3, 3, 3], SparseStructureDecoder has F32 [16, 16, 3, 3, 3] "
-         "(0 missing, 0 unexpected, 1 of another shape"),
+        (
+            lambda t: t.update({WEIGHT: t[WEIGHT][:, :3].clone()}),
+            f"{WEIGHT}: is F32 [16, 3, 3, 3, 3], SparseStructureDecoder has F32 [16, 16, 3, 3, 3] "
+            "(0 missing, 0 unexpected, 1 of another shape",
+        ),
         (lambda t: t.pop(WEIGHT), f"{WEIGHT}: is missing of SparseStructureDecoder (1 missing"),
         (lambda t: t.update(extra=torch.zeros(1)), "extra: is not expected in"),
         (lambda t: t.update({WEIGHT: t[WEIGHT].int()}), f"{WEIGHT}: is I32"),
         (lambda t: t[WEIGHT].view(-1)[5].fill_(torch.nan), f"{WEIGHT}: holds NaN or inf"),
         (lambda t: t[WEIGHT].view(-1)[5].fill_(torch.inf), f"{WEIGHT}: holds NaN or inf"),
     ],
-)  # fmt: skip
+)
 def test_wrong_weights(
     folder: Path, change: Callable[[dict[str, Tensor]], object], message: str
 ) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.trellis.checkpoints import OFFICIAL, read_pipeline, write_pipeline
 from support.trellis_folder import golden_pipeline
 
@@ -78,7 +78,7 @@ def test_a_record_is_never_changed() -> None:
         (lambda p: p["args"]["slat_normalization"].update(std=[float("nan")] * 8), "finite"),
         (lambda p: p["args"].update(image_cond_model=None), "image_cond_model: .*string"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_record(
     tmp_path: Path, change: Callable[[dict[str, Any]], object], message: str
 ) -> None:

@@ -11,7 +11,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.trellis.checkpoints import (
     GENERATION_ROLES,
     OPTIONAL_ROLES,
@@ -105,7 +105,8 @@ def test_nothing_is_written_over(golden: Path, tmp_path: Path) -> None:
         save_checkpoint(tmp_path / "there", checkpoint.record, checkpoint.models)
     with pytest.raises(InputError, match=r"models\.unheard_of: is missing"):
         save_checkpoint(
-            tmp_path / "new", checkpoint.record,
+            tmp_path / "new",
+            checkpoint.record,
             {"unheard_of": checkpoint.models["slat_encoder"]},
-        )  # fmt: skip
+        )
     assert [path.name for path in tmp_path.iterdir()] == ["there"]

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from recast.trellis.checkpoints import OFFICIAL, SMALL, new_checkpoint
-from recast.trellis.checkpoints.agreement import check_agreement
-from recast.trellis.checkpoints.classes import MODEL_CLASSES
-from recast.trellis.checkpoints.layout import DTYPES, file_bytes, tensor_specs
-from recast.trellis.checkpoints.roles import GENERATION_ROLES
+from recast.trellis.checkpoints.header import DTYPES, file_bytes, tensor_specs
+from recast.trellis.checkpoints.load import check_agreement
+from recast.trellis.checkpoints.model_files import MODEL_CLASSES
+from recast.trellis.checkpoints.record import GENERATION_ROLES
 from recast.trellis.checkpoints.sizes import ModelSize
 from recast.trellis.models import TrellisModel, build
 from support.trellis import official_keys

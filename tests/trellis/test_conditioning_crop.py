@@ -9,7 +9,7 @@ import pytest
 import torch
 from PIL import Image
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.trellis.conditioning import crop_to_object, object_box, read_crop, training_crop
 from support.trellis import FOLDER, assert_same, golden_tensors
 

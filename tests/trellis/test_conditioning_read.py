@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.trellis.conditioning import check_crop, read_crop
 
 

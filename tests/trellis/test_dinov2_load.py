@@ -12,7 +12,7 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.trellis.conditioning import Dinov2Config, Dinov2Encoder, load_dinov2
 from recast.trellis.conditioning.dinov2_load import config_from_shapes
 from support.trellis import assert_same, golden_config, golden_tensors, official_keys

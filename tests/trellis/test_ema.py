@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from recast.errors import InputError
-from recast.trellis.flow import ExponentialMovingAverage
+from recast.core.errors import InputError
+from recast.trellis.flow_matching import ExponentialMovingAverage
 
 
 class Net(nn.Module):

@@ -8,7 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from recast.trellis.flow import FlowMatching, drop_condition, sample_timesteps, time_bins
+from recast.trellis.flow_matching import FlowMatching, sample_timesteps, time_bins
+from recast.trellis.sampler import drop_condition
 
 
 def generator(seed: int = 0) -> torch.Generator:

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recast.errors import InputError
-from recast.trellis.flow import SamplerSettings, time_steps
+from recast.core.errors import InputError
+from recast.trellis.sampler import SamplerSettings, time_steps
 from support.trellis import golden_tensors
 
 

@@ -7,11 +7,9 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from recast.errors import InputError
-from recast.trellis.draws import draw_structures
-from recast.trellis.generate import generate
-from recast.trellis.generation import GenerationLimits
-from recast.trellis.image_to_3d import ImageTo3D
+from recast.core.errors import InputError
+from recast.trellis.generate import ImageTo3D, generate
+from recast.trellis.generation import GenerationLimits, draw_structures
 from support.trellis_folder import write_golden_model
 
 
@@ -70,9 +68,12 @@ def test_the_order_of_views_matters(model: ImageTo3D) -> None:
 def test_too_many_voxels_are_refused_with_name_and_seed(model: ImageTo3D) -> None:
     with pytest.raises(InputError, match=r"car\.png: seeds 5 to 6: .* at most 3 are allowed"):
         generate(
-            model, [[blob(90)]], [5], names=["car.png"],
+            model,
+            [[blob(90)]],
+            [5],
+            names=["car.png"],
             limits=GenerationLimits(max_voxels=3, retries=1),
-        )  # fmt: skip
+        )
 
 
 def _draw(counts: dict[float, int], seeds: list[int], retries: int):

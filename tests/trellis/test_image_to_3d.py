@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from recast.trellis.flow import Condition
-from recast.trellis.image_to_3d import ImageTo3D
+from recast.trellis.generate import ImageTo3D
+from recast.trellis.sampler import Condition
 from support.trellis import AFTER_TIME, assert_same, golden_tensors
 from support.trellis_folder import write_golden_model
 
@@ -72,7 +72,7 @@ def _disc(colour: int):
 
 
 def test_loading_names_a_missing_folder(tmp_path: Path) -> None:
-    from recast.errors import InputError
+    from recast.core.errors import InputError
 
     with pytest.raises(InputError, match=r"pipeline\.json"):
         ImageTo3D.load(tmp_path / "nothing")

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import torch
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.trellis.models import MODELS, SLatFlowModel, build, model_class
 from support.trellis import golden_config, golden_tensors, official_keys
 

@@ -8,8 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from recast.errors import InputError
-from recast.trellis.flow import (
+from recast.core.errors import InputError
+from recast.trellis.sampler import (
     Condition,
     SamplerSettings,
     StepRecord,
@@ -70,14 +70,18 @@ def test_the_error_of_a_gaussian_halves_with_twice_the_steps() -> None:
         float(
             (
                 sample(
-                    velocity, start, TOKENS,
+                    velocity,
+                    start,
+                    TOKENS,
                     SamplerSettings(steps=steps, cfg_strength=0.0, rescale_t=1.0, sigma_min=0.0),
                 )
                 - (1 + 0.5 * start)
-            ).abs().max()
+            )
+            .abs()
+            .max()
         )
         for steps in (40, 80, 160)
-    ]  # fmt: skip
+    ]
 
     assert errors[0] < 0.05
     assert errors[0] / errors[1] == pytest.approx(2, rel=0.1)

@@ -6,9 +6,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from recast.trellis.flow import Condition, MultiImageMode, SamplerSettings, StepRecord, sample
-from recast.trellis.models.slat_flow import SLatFlowConfig, SLatFlowModel
-from recast.trellis.models.ss_flow import SparseStructureFlowConfig, SparseStructureFlowModel
+from recast.trellis.models.flow_transformer import (
+    SLatFlowConfig,
+    SLatFlowModel,
+    SparseStructureFlowConfig,
+    SparseStructureFlowModel,
+)
+from recast.trellis.sampler import Condition, MultiImageMode, SamplerSettings, StepRecord, sample
 from recast.trellis.sparse import SparseTensor
 from support.trellis import AFTER_TIME, assert_same, golden_config, golden_tensors
 

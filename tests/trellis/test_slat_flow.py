@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from recast.trellis.layers import LayerNorm32
+from recast.trellis.attention import LayerNorm32
+from recast.trellis.blocks import SparseResBlock3d
 from recast.trellis.models import SLatFlowConfig, SLatFlowModel
-from recast.trellis.models.sparse_res_block import SparseResBlock3d
 from recast.trellis.sparse import SparseTensor, pool, unpool
 from support.trellis import AFTER_TIME, assert_same, golden_config, golden_tensors, half_bound
 

@@ -6,7 +6,7 @@ import torch
 
 from recast.trellis.checkpoints import SMALL, new_checkpoint
 from recast.trellis.models import build
-from recast.trellis.models.slat_decoder_gs import SLatGaussianDecoder
+from recast.trellis.models.slat_vae import SLatGaussianDecoder
 from recast.trellis.sparse import SparseTensor
 from support.trellis import golden_config, golden_tensors
 

@@ -8,14 +8,12 @@ from hypothesis import given
 from tests.trellis.sparse_samples import COUNTS, SEEDS, examples, normal, random_sparse
 from torch.nn.functional import conv3d
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.trellis.sparse import (
     SparseTensor,
     SubMConv3d,
     convolution,
-    im2col_gemm,
     neighbour_map,
-    pair_gemm,
     submanifold_convolution,
     submanifold_convolution_reference,
 )
@@ -53,7 +51,7 @@ def test_equals_the_dense_convolution(seed: int, counts: list[int]) -> None:
     torch.testing.assert_close(submanifold_convolution(x, weight, bias).feats, expected)
     twin = submanifold_convolution_reference(x, weight, bias).feats
     torch.testing.assert_close(twin, expected)
-    by_pairs = pair_gemm.PairGemm.apply(x.feats, weight.flatten(1, 3), neighbour_map(x))
+    by_pairs = convolution.PairGemm.apply(x.feats, weight.flatten(1, 3), neighbour_map(x))
     torch.testing.assert_close(by_pairs + bias, expected)
 
 
@@ -88,8 +86,8 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     one, *pieces = request.param.split(" ", 1)
     monkeypatch.setattr(convolution, "_few_products", lambda x, weight: one == "im2col")
     if pieces:
-        monkeypatch.setattr(pair_gemm, "CHUNK_ELEMENTS", 8)
-        monkeypatch.setattr(im2col_gemm, "CHUNK_ELEMENTS", 8 * 27)
+        monkeypatch.setattr(convolution, "PAIR_ELEMENTS", 8)
+        monkeypatch.setattr(convolution, "IM2COL_ELEMENTS", 8 * 27)
     return str(request.param)
 
 

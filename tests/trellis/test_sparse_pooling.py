@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.trellis.sparse_samples import COUNTS, SEEDS, examples, random_sparse
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.trellis.sparse import SparseTensor, pool, pool_reference, unpool
 from support.trellis import assert_same, golden_tensors
 

@@ -7,9 +7,9 @@ import torch
 from hypothesis import given
 from tests.trellis.sparse_samples import COUNTS, SEEDS, examples, random_sparse
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.trellis.sparse import SparseTensor, neighbour_map
-from recast.trellis.sparse.neighbours import CENTRE, OFFSETS
+from recast.trellis.sparse.tensor import CENTRE, OFFSETS
 
 
 def test_samples_keep_their_rows_and_empty_ones_count() -> None:

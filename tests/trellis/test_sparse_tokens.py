@@ -10,7 +10,7 @@ from tests.trellis.sparse_samples import COUNTS, SEEDS, examples, normal, random
 from torch import Tensor
 
 from recast.trellis.sparse import PackedTokens, SparseTensor, WindowedTokens, window_partition
-from recast.trellis.sparse.packed import attention_reference
+from recast.trellis.sparse.tokens import attention_reference
 from support.trellis import golden_tensors
 
 

@@ -6,14 +6,15 @@ from typing import Any
 import pytest
 import torch
 
-from recast.trellis.models.posterior import Posterior
-from recast.trellis.models.ss_blocks import pixel_shuffle_3d
-from recast.trellis.models.ss_decoder import (
+from recast.trellis.models.base import Posterior
+from recast.trellis.models.ss_vae import (
     SparseStructureDecoder,
     SparseStructureDecoderConfig,
+    SparseStructureEncoder,
+    SparseStructureEncoderConfig,
     occupied_voxels,
+    pixel_shuffle_3d,
 )
-from recast.trellis.models.ss_encoder import SparseStructureEncoder, SparseStructureEncoderConfig
 from support.trellis import assert_same, golden_config, golden_tensors, half_bound
 
 

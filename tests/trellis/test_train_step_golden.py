@@ -6,15 +6,19 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from recast.trellis.flow import (
+from recast.trellis.flow_matching import (
     AdaptiveGradClipper,
     ExponentialMovingAverage,
     FlowLoss,
     FlowMatching,
-    drop_condition,
 )
-from recast.trellis.models.slat_flow import SLatFlowConfig, SLatFlowModel
-from recast.trellis.models.ss_flow import SparseStructureFlowConfig, SparseStructureFlowModel
+from recast.trellis.models.flow_transformer import (
+    SLatFlowConfig,
+    SLatFlowModel,
+    SparseStructureFlowConfig,
+    SparseStructureFlowModel,
+)
+from recast.trellis.sampler import drop_condition
 from recast.trellis.sparse import SparseTensor
 from support.trellis import AFTER_TIME, assert_same, golden_config, golden_tensors
 

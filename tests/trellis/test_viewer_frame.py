@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from recast.splats import Gaussians, read_ply
-from recast.trellis.viewer_frame import viewer_frame
+from recast.trellis.generation import viewer_frame
 from support.trellis import FOLDER, assert_same
 
 
@@ -27,7 +27,10 @@ def test_native_frame_becomes_the_viewers() -> None:
 
 def test_up_becomes_minus_y() -> None:
     top = Gaussians(
-        torch.tensor([[0.1, 0.2, 0.4]]), torch.tensor([[1.0, 0, 0, 0]]), torch.zeros(1, 3),
-        torch.zeros(1), torch.zeros(1, 1, 3),
-    )  # fmt: skip
+        torch.tensor([[0.1, 0.2, 0.4]]),
+        torch.tensor([[1.0, 0, 0, 0]]),
+        torch.zeros(1, 3),
+        torch.zeros(1),
+        torch.zeros(1, 1, 3),
+    )
     torch.testing.assert_close(viewer_frame(top).means, torch.tensor([[0.1, -0.4, 0.2]]))

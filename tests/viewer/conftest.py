@@ -10,7 +10,7 @@ import torch
 
 from faults.parts import Box
 from recast.logs import DrivingLog, HdMap, map_of
-from recast.pipeline.view_runner import log_runner
+from recast.pipeline.view_run import log_runner
 from recast.planning import make_planner
 from recast.scene import StreetScene
 from recast.scene.sky import SkyMap

@@ -31,10 +31,16 @@ CHROMIUM = Path(os.environ.get("CHROMIUM", "/usr/bin/chromium"))
 RUN = os.environ.get("RECAST_VIEW_RUN")
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "images"
 FLAGS = (
-    "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--use-gl=angle",
-    "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-)  # fmt: skip
+    "--no-sandbox",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)
 SIZE = {"width": 1000, "height": 600} if RUN else {"width": 900, "height": 480}
 PATIENCE = 240_000 if RUN else 60_000  # ms; without a GPU a frame of many Gaussians takes seconds
 MOST = 150_000
@@ -63,9 +69,12 @@ def page(shown: ViewInputs, tmp_path_factory: pytest.TempPathFactory) -> Iterato
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BrowserContext]:
     with sync_api.sync_playwright() as playwright:
         context = playwright.chromium.launch_persistent_context(
-            tmp_path_factory.mktemp("profile"), executable_path=CHROMIUM, headless=True,
-            viewport=SIZE, args=list(FLAGS),
-        )  # fmt: skip
+            tmp_path_factory.mktemp("profile"),
+            executable_path=CHROMIUM,
+            headless=True,
+            viewport=SIZE,
+            args=list(FLAGS),
+        )
         context.set_default_timeout(PATIENCE)
         yield context
         context.close()

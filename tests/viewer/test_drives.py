@@ -11,10 +11,9 @@ from recast.geometry import se3
 from recast.logs import DrivingLog, HdMap
 from recast.simulation import Rollout
 from recast.viewer import Drive, recording
-from recast.viewer.drives import sampled
-from recast.viewer.films import FilmFrames
-from recast.viewer.looks import ABOVE, AT_ACTOR, BEHIND_EGO, look, look_names
-from recast.viewer.map_lines import drivable_mesh, segments
+from recast.viewer.bake import drivable_mesh, segments
+from recast.viewer.drives import FilmFrames, sampled
+from recast.viewer.panel_play import ABOVE, AT_ACTOR, BEHIND_EGO, look, look_names
 
 
 def test_a_recording_has_every_track_where_the_log_has_it(tiny_log: DrivingLog) -> None:

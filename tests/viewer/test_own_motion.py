@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import DrivingLog, HdMap
 from recast.simulation import (
     MOTIONS,
@@ -17,8 +17,8 @@ from recast.simulation import (
     prepare,
     read_scenario,
 )
-from recast.simulation.scenario_schema import motion_numbers
-from recast.viewer.own_motion import changed, dragged, quantities, save_scenario
+from recast.simulation.scenario import motion_numbers
+from recast.viewer.panel_run import changed, dragged, quantities, save_scenario
 
 
 def own(motion: str = "oncoming-a", name: str = "mine", **numbers: float) -> ScriptedMotion:

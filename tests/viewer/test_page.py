@@ -12,11 +12,11 @@ from time import monotonic, sleep
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.viewer import Page, ViewInputs
-from recast.viewer.evidence import faded, track_evidence
-from recast.viewer.exact import Browser, ExactView
+from recast.viewer.panel_layers import Browser, ExactView
+from recast.viewer.panel_track import faded, track_evidence
 from recast.viewer.stage import Shown, Stage
 
 pytest.importorskip("viser")
@@ -120,9 +120,11 @@ def test_the_runner_runs_and_films_and_counts(inputs: ViewInputs) -> None:
     runner, told = inputs.runner, []
     assert runner is not None
     drive = runner.run(
-        runner.motions["advancing-a"], "constant-velocity", "native",
+        runner.motions["advancing-a"],
+        "constant-velocity",
+        "native",
         lambda done, of: told.append((done, of)),
-    )  # fmt: skip
+    )
     film = next(iter(drive.cameras.values())).film
     assert film is not None and len(film) == len(drive) - 1
     assert told == sorted(told) and told[-1][0] <= told[-1][1]

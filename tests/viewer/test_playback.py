@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 
 from recast.viewer import Drive, ViewInputs
-from recast.viewer.clock import Clock
-from recast.viewer.playback import Playback
+from recast.viewer.playback import Clock, Playback
 
 
 def test_time_goes_on_by_the_speed_and_loops() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.viewer import ViewInputs, write_replay
 from viewer.conftest import grey_gaussians
 

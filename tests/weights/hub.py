@@ -165,9 +165,13 @@ class Hub:
         self.reply(request, 206 if wanted else 200, data[start:], headers, cut)
 
     def reply(
-        self, request: BaseHTTPRequestHandler, status: int, body: Data,
-        headers: dict[str, str] | None = None, cut: int | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        request: BaseHTTPRequestHandler,
+        status: int,
+        body: Data,
+        headers: dict[str, str] | None = None,
+        cut: int | None = None,
+    ) -> None:
         request.send_response(status)
         for name, value in (headers or {}).items():
             request.send_header(name, value)

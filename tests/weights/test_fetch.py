@@ -11,13 +11,12 @@ from pathlib import Path
 import pytest
 
 from faults.children import refused_from
-from recast.errors import InputError
-from recast.parts import GENERATORS, PLANNERS, SEGMENTERS
+from recast.core.errors import InputError
+from recast.core.parts import GENERATORS, PLANNERS, SEGMENTERS
 from recast.pretrained import VQA_SCORERS
 from recast.weights import PUBLISHED, Licence, Source, Weights, weights_folder
 from recast.weights.fetch import fetch
-from recast.weights.place import opened
-from recast.weights.record import read_weights_record, verify
+from recast.weights.record import opened, read_weights_record, verify
 from support.moments import killed_before
 from weights.conftest import FILES, MIT, entry
 from weights.hub import Hub, data_of, sha256
@@ -265,7 +264,7 @@ def test_names_of_a_hub_never_leave_the_folder(hub: Hub, toy: Weights) -> None:
 
 
 def test_two_processes_do_not_fetch_the_same(hub: Hub, toy: Weights) -> None:
-    from recast.storage import alone_in
+    from recast.core.files import alone_in
 
     partial = weights_folder(".toy.partial")
     partial.mkdir(parents=True)

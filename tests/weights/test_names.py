@@ -13,15 +13,15 @@ from safetensors.torch import load_file
 
 from planning.gtrs.conftest import TINY, fan
 from recast.actors import GENERATORS, segmenter_of
+from recast.actors.generate import ImageTo3DGenerator
 from recast.actors.grounded_segmenter import GroundedSamSegmenter
-from recast.actors.image_to_3d_generator import ImageTo3DGenerator
 from recast.cli.main import main
-from recast.core.hashing import folder_hash
-from recast.errors import InputError
+from recast.core.artefact import folder_hash
+from recast.core.errors import InputError
 from recast.pipeline.sources import generator_source, planner_source, segmenter_source
 from recast.planning import PLANNERS, make_planner
-from recast.planning.gtrs import load_checkpoint, new_model, release, write_vocabulary
-from recast.planning.gtrs.weights import PREFIX
+from recast.planning.gtrs import folder, load_checkpoint, new_model, write_vocabulary
+from recast.planning.gtrs.folder import PREFIX
 from recast.weights import PUBLISHED, Licence, Source, Weights, located, place, weights_folder
 from recast.weights.fetch import fetch
 from recast.weights.record import read_weights_record
@@ -82,8 +82,9 @@ def test_a_folder_of_that_name_is_written_with_a_dot(
 
 def test_a_segmenter_by_name(hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     networks = write_tiny_networks(tmp_path / "networks")
-    parts = [publish(hub, networks / name, f"someone/{name}", name)
-             for name in ("grounding-dino", "sam")]  # fmt: skip
+    parts = [
+        publish(hub, networks / name, f"someone/{name}", name) for name in ("grounding-dino", "sam")
+    ]
     weights = Weights("grounded-sam", "tests", ("--segmenter",), 0.1, tuple(parts), "segmenter")
     monkeypatch.setitem(PUBLISHED, "grounded-sam", weights)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="run `recast weights get grounded-sam`"):
@@ -108,23 +109,31 @@ def test_a_planner_by_name_is_converted_once(
     hub.commit(real.sources[0].where, {released.name: released})
     vocabulary = (tmp_path / "8192.npy").read_bytes()
     hub.web[real.sources[1].address("8192.npy").partition("://")[2]] = vocabulary
-    monkeypatch.setattr(release, "load_checkpoint", partial(load_checkpoint, config=TINY))
+    monkeypatch.setattr(folder, "load_checkpoint", partial(load_checkpoint, config=TINY))
     pinned = real.sources[1].sha256["8192.npy"]
     with pytest.raises(InputError, match=f"not {pinned[:20]}"):  # of the released vocabulary
         fetch(real, accepted=True)
     web = Source(real.sources[1].where, ("8192.npy",), MIT, sha256={"8192.npy": sha256(vocabulary)})
     weights = Weights(
-        "gtrs-dense", real.use, real.options, 0.1, (real.sources[0], web), real.part, real.opens,
-        real.converter, real.converted,
-    )  # fmt: skip
+        "gtrs-dense",
+        real.use,
+        real.options,
+        0.1,
+        (real.sources[0], web),
+        real.part,
+        real.opens,
+        real.converter,
+        real.converted,
+    )
     monkeypatch.setitem(PUBLISHED, "gtrs-dense", weights)  # type: ignore[arg-type]
     assert fetch(weights, accepted=True) == weights_folder("gtrs-dense", "planner")
     planner = make_planner("gtrs-dense", "cpu")
     assert planner.name == "gtrs-dense"
     assert planner_source("gtrs-dense") == folder_hash(weights_folder("gtrs-dense", "planner"))
     record = read_weights_record(weights_folder("gtrs-dense"))
-    assert record.fetched[real.sources[0].address(released.name, record.revisions[
-        real.sources[0].where])].sha256 == sha256(released.read_bytes())  # fmt: skip
+    assert record.fetched[
+        real.sources[0].address(released.name, record.revisions[real.sources[0].where])
+    ].sha256 == sha256(released.read_bytes())
     assert sorted(record.files) == [
         f"planner/{name}" for name in ("config.json", "vocabulary.npy", "weights.safetensors")
     ]
@@ -134,9 +143,11 @@ def test_a_planner_by_name_is_converted_once(
 def pickled_entry(hub: Hub, data: bytes) -> Weights:
     hub.commit("someone/pickle", {"config.json": b"{}", "pytorch_model.bin": data})
     return entry(
-        Source("someone/pickle", ("config.json", "pytorch_model.bin"), MIT), name="pickle",
-        converter="recast.weights.convert:safetensors_of_pickle", converted=("pytorch_model.bin",),
-    )  # fmt: skip
+        Source("someone/pickle", ("config.json", "pytorch_model.bin"), MIT),
+        name="pickle",
+        converter="recast.weights.fetch:safetensors_of_pickle",
+        converted=("pytorch_model.bin",),
+    )
 
 
 def test_a_pickle_becomes_safetensors(hub: Hub, tmp_path: Path) -> None:
@@ -149,11 +160,13 @@ def test_a_pickle_becomes_safetensors(hub: Hub, tmp_path: Path) -> None:
     assert all(torch.equal(found[name], tensor) for name, tensor in state.items())
     record = read_weights_record(folder)
     assert sorted(record.files) == ["config.json", "model.safetensors"]
-    assert record.converter == "recast.weights.convert:safetensors_of_pickle"
+    assert record.converter == "recast.weights.fetch:safetensors_of_pickle"
     assert sha256((tmp_path / "x.bin").read_bytes()) in {f.sha256 for f in record.fetched.values()}
     assert sorted(p.name for p in folder.iterdir()) == [
-        "config.json", "model.safetensors", "weights.json",
-    ]  # fmt: skip
+        "config.json",
+        "model.safetensors",
+        "weights.json",
+    ]
 
 
 class Harm:
@@ -173,9 +186,10 @@ def test_the_command_line(
     hub: Hub, toy: Weights, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert told(capsys, "path", "toy") == (
-        2, "recast: weights: toy: are not here; run `recast weights get toy`; "
+        2,
+        "recast: weights: toy: are not here; run `recast weights get toy`; "
         "see docs/weights.md#names",
-    )  # fmt: skip
+    )
     assert "no weights in" in told(capsys, "verify")[1]
     code, text = told(capsys, "get", "toy")
     assert code == 0 and text.startswith("someone/toy: MIT, https://example.org/mit toy: 2 files")
@@ -197,9 +211,13 @@ def test_the_command_line(
 
 @pytest.mark.parametrize(("answer", "code"), [("y", 0), ("n", 2), (None, 2), ("--accept", 0)])
 def test_terms_on_a_terminal_and_elsewhere(
-    hub: Hub, toy: Weights, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
-    answer: str | None, code: int,
-) -> None:  # fmt: skip
+    hub: Hub,
+    toy: Weights,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    answer: str | None,
+    code: int,
+) -> None:
     terms = Licence("CC BY-NC 4.0", "https://example.org/terms", restricted=True)
     source = Source("someone/toy", ("config.json",), terms)
     monkeypatch.setitem(PUBLISHED, "toy", entry(source))  # type: ignore[arg-type]
@@ -219,9 +237,19 @@ def test_options_that_take_paths(
         ["eval", "actor", "template", "set", "--out", "x", "--lpips-weights", "alexnet"],
         ["eval", "actor", "template", "set", "--out", "x", "--clip", "clip-vit-l14"],
         ["eval", "actor", "template", "set", "--out", "x", "--dino", "dinov2"],
-        ["eval", "generation", "--model", "a=template", "--set", "set", "--out", "x",
-         "--inception", "inception"],
-    ):  # fmt: skip
+        [
+            "eval",
+            "generation",
+            "--model",
+            "a=template",
+            "--set",
+            "set",
+            "--out",
+            "x",
+            "--inception",
+            "inception",
+        ],
+    ):
         assert main(words) == 2
         name = next(one for one in reversed(words) if one in PUBLISHED)
         line = f"recast: weights: {name}: are not here; run `recast weights get {name}`"

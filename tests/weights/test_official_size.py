@@ -50,18 +50,25 @@ def write_backbone(folder: Path) -> None:
 
     torch.manual_seed(0)
     config = Dinov2WithRegistersConfig(
-        hidden_size=1024, num_hidden_layers=24, num_attention_heads=16, image_size=518,
-        patch_size=14, num_register_tokens=4,
-    )  # fmt: skip
+        hidden_size=1024,
+        num_hidden_layers=24,
+        num_attention_heads=16,
+        image_size=518,
+        patch_size=14,
+        num_register_tokens=4,
+    )
     Dinov2WithRegistersModel(config).save_pretrained(folder)
     (folder / "preprocessor_config.json").write_text("{}")
 
 
 @pytest.mark.slow
 def test_the_official_size_by_name(
-    hub: Hub, tmp_path: Path, tiny_log_folder: Path, monkeypatch: pytest.MonkeyPatch,
+    hub: Hub,
+    tmp_path: Path,
+    tiny_log_folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.undo()  # large chunks, and the waits between tries
     monkeypatch.setenv("RECAST_WEIGHTS_MIRROR", hub.address)
     monkeypatch.setenv("RECAST_WEIGHTS", str(tmp_path / "weights"))

@@ -2,7 +2,6 @@
 
 from recast.actors.actor import Actor, Provenance, RegistrationReport
 from recast.actors.axes import AUTO, CONVENTIONS, AxisConvention, axes_of
-from recast.actors.box_lidar_segmenter import BoxLidarSegmenter
 from recast.actors.generate import (
     DEFAULT_GENERATOR,
     GENERATORS,
@@ -10,23 +9,23 @@ from recast.actors.generate import (
     Asset,
     make_generator,
 )
-from recast.actors.grounded_segmenter import GroundedSamSegmenter
+from recast.actors.grounded_segmenter import (
+    DEFAULT_SEGMENTER,
+    SEGMENTERS,
+    GroundedSamSegmenter,
+    is_segmenter_folder,
+    segmenter_of,
+)
 from recast.actors.insert import insert
 from recast.actors.mesh import MeshGenerator
 from recast.actors.observation import MaskQuality, Observation, ViewScore
 from recast.actors.observe import observe
-from recast.actors.ply_generator import PlyGenerator
 from recast.actors.register import register
-from recast.actors.segment import Segmentation, SegmentationTarget, Segmenter
-from recast.actors.segmenters import (
-    DEFAULT_SEGMENTER,
-    SEGMENTERS,
-    is_segmenter_folder,
-    segmenter_of,
-)
+from recast.actors.segment import BoxLidarSegmenter, Segmentation, SegmentationTarget, Segmenter
 from recast.actors.store import load_actor, save_actor
 from recast.actors.template import TemplateGenerator
 from recast.actors.turntable import orbit, turntable
+from recast.actors.vehicle_files import PlyGenerator
 
 __all__ = [
     "AUTO",

@@ -7,18 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.actors.coverage import Shares
 from recast.actors.generate import Asset
 from recast.actors.icp import Fit
 from recast.actors.observation import MaskQuality, Observation
-from recast.actors.shares import Shares
+from recast.arrays import Array
+from recast.core.records import Record
 from recast.logs import Trajectory
 from recast.logs.checks import BOX_SIDE
-from recast.records import Record
 from recast.scene import StreetScene
 from recast.scene.light.sun import DIRECTIONS
 from recast.splats import Gaussians, LowPass
-
-Array = NDArray[np.float64]
 
 
 class FrontEvidence(Record):
@@ -150,11 +149,12 @@ class CandidateRecord(Record):
             return self.generator, self.label, "", "", "", "", ""
         shares = [score.outline, score.lidar, score.free]
         return (
-            self.generator, self.label,
+            self.generator,
+            self.label,
             *("" if share is None else f"{share:.0%}" for share in shares),
             "" if score.colour is None else f"{score.colour:.3f}",
             f"{score.total:.1f}" + ("" if score.fits else ", does not fit"),
-        )  # fmt: skip
+        )
 
 
 class Refinement(Record):
@@ -256,12 +256,14 @@ class Provenance(Record):
             registration=report,
             further=tuple(
                 SourceView(
-                    camera=one.view.camera, frame=one.view.frame,
-                    timestamp_us=one.view.timestamp_us, azimuth=one.azimuth,
+                    camera=one.view.camera,
+                    frame=one.view.frame,
+                    timestamp_us=one.view.timestamp_us,
+                    azimuth=one.azimuth,
                 )
                 for one in observation.further
             ),
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True)
@@ -279,7 +281,7 @@ class Actor:
         shares: where each Gaussian comes from; None for an actor that was only registered.
         trajectory: the track's poses as corrected with the actor, world frame; None likewise.
         sun: (D,) what its shadow in the log says of the sun, see
-            `recast.actors.refine.road.ShadowEvidence`; None likewise.
+            `recast.actors.refine.surroundings.ShadowEvidence`; None likewise.
     """
 
     track_id: str

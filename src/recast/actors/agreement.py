@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from recast.actors.icp import Fit
 from recast.actors.observation import Observation
+from recast.arrays import Array
 from recast.logs import Track
 from recast.splats import Gaussians, LowPass, rasterize
-
-Array = NDArray[np.float64]
 
 _RENDER_WIDTH = 160  # pixels: enough to tell lamps from grilles
 

@@ -1,15 +1,42 @@
-"""Axis conventions of generated vehicles."""
+"""Axis conventions of generated vehicles, and which way up one lies whose file does not say.
+
+Three things are true of cars, vans, trucks and buses: they are as wide and as high for their length
+as the logged box; left mirrors right, but the top does not mirror the bottom; and they stand on
+wheels, so that little of them touches the ground, while much of the roof lies near its highest
+point and is smaller than the floor. Of the six axes, the one for which these speak most is up.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
-from recast.errors import InputError
+from recast.actors.icp import bounds
+from recast.arrays import Array
+from recast.core.errors import InputError
 
-Array = NDArray[np.float64]
+LARGEST_MISFIT = 1.6
+"""Largest factor between width or height (for the length) and the box's."""
+LEAST_EVIDENCE = 2.0
+"""Units of evidence that the best axis must have, and by which it must be ahead of the next."""
+MOST_AGAINST = 0.5
+"""Units by which one kind of evidence may speak against the best axis."""
+
+_POINTS = 6000
+_EVERY = 4  # point counts where many yaws are tried, and where points are mirrored
+_YAWS = np.radians(np.arange(0.0, 90.0, 2.0))
+_FINER = np.radians(np.arange(-1.75, 2.0, 0.25))
+_CELLS = 48  # of the maps from above and from below, along the length
+_CONTACT = 0.06  # share of the height: tyres reach further down than floors do by more than that
+_LOWER, _UPPER = (0.1, 0.4), (0.6, 0.9)  # shares of the height that are compared in extent
+_LIMIT = 4.0  # units that one kind of evidence is worth at most; the box is not limited
+# What counts as one unit: log of width and height, mirrored distance over length, logs of areas.
+_BOX, _SYMMETRY, _WHEELS, _TAPER = 0.10, 0.006, 0.4, 0.2
 
 
 @dataclass(frozen=True)
@@ -75,7 +102,7 @@ UPS = {
 """Conventions of any unit and heading, by the axis that points up."""
 
 AUTO = "auto"
-"""Name that stands for telling the axes from the shape, see `recast.actors.upright`."""
+"""Name that stands for telling the axes from the shape, see `recast.actors.axes`."""
 AXES_HELP = (
     "auto, z-up, y-up, minus-y-up or another UP, or FORWARD,UP such as x,z (--axes=-y,z with a "
     "minus), which says where the front is"
@@ -98,7 +125,192 @@ def axes_of(text: str) -> AxisConvention:
         convention.rotation()
     except ValueError:
         raise InputError(
-            "--axes", text, "is no axis convention",
+            "--axes",
+            text,
+            "is no axis convention",
             f"give {AXES_HELP}; or one of {', '.join(CONVENTIONS)}",
-        ) from None  # fmt: skip
+        ) from None
     return convention
+
+
+@dataclass(frozen=True)
+class Posture:
+    """How a vehicle would stand with one of its axes up.
+
+    Attributes:
+        up: signed axis, such as "-y".
+        width_over_box, height_over_box: width and height for its length, over those of the box.
+        votes: evidence for it, in units: box (0 at best), symmetry, wheels, taper.
+    """
+
+    up: str
+    width_over_box: float
+    height_over_box: float
+    votes: dict[str, float]
+
+    @property
+    def total(self) -> float:
+        """Sum of the votes."""
+        return sum(self.votes.values())
+
+    @property
+    def fits(self) -> bool:
+        """Whether width and height are those of the box, roughly."""
+        ratios = np.array([self.width_over_box, self.height_over_box])
+        return bool(np.all(np.abs(np.log(ratios)) <= np.log(LARGEST_MISFIT)))
+
+    @property
+    def convincing(self) -> bool:
+        """Whether the shape, too, speaks for it."""
+        against = min(vote for kind, vote in self.votes.items() if kind != "box")
+        return self.total >= LEAST_EVIDENCE and against >= -MOST_AGAINST
+
+    @property
+    def axes(self) -> AxisConvention:
+        """The convention; which way it faces is not known."""
+        return UPS[self.up]
+
+    def explain(self) -> str:
+        """One line with the evidence."""
+        votes = ", ".join(f"{kind} {vote:+.1f}" for kind, vote in self.votes.items())
+        return (
+            f"{self.axes.name}: width x{self.width_over_box:.2f} and height "
+            f"x{self.height_over_box:.2f} of the box's, {votes}"
+        )
+
+
+def postures(points: Array, size: ArrayLike) -> list[Posture]:
+    """All six postures, the most likely first.
+
+    Args:
+        points: (N, 3) of an outer surface (`outer_surface`), in any unit; lying by quarters of a
+            turn, and turned about the vertical by any angle.
+        size: (3,) length, width, height of the box that the vehicle stands for.
+    """
+    points = np.asarray(points, np.float64)[:: max(1, len(points) // _POINTS)]
+    found = [one for axis in range(3) for one in _about(points, axis, np.asarray(size, np.float64))]
+    return sorted(found, key=lambda posture: -posture.total)
+
+
+def upright(points: Array, size: ArrayLike, path: Path) -> Posture:
+    """The posture that the shape tells, of a vehicle from a file.
+
+    Args:
+        points, size: see `postures`.
+        path: the file, for messages.
+
+    Raises:
+        InputError: no orientation fits the box, or the shape does not tell it.
+    """
+    mend = f"name them by --axes: {AXES_HELP}"
+    best, second, *_ = found = postures(points, size)
+    if not best.fits:
+        box = " x ".join(f"{metres:.2f}" for metres in np.asarray(size))
+        closest = max(found, key=lambda one: one.votes["box"])
+        raise InputError(
+            path,
+            "axes",
+            f"no orientation fits a box of {box} m: {closest.axes.name}, the closest, has "
+            f"{closest.width_over_box:.2f} of its width and {closest.height_over_box:.2f} of "
+            "its height",
+            mend,
+        )
+    if not best.convincing or best.total - second.total < LEAST_EVIDENCE:
+        raise InputError(
+            path,
+            "axes",
+            f"the shape does not tell which way is up: {best.explain()}; "
+            f"next is {second.axes.name}",
+            mend,
+        )
+    return best
+
+
+def _about(points: Array, axis: int, size: Array) -> list[Posture]:
+    """The postures with one axis up, and with it down."""
+    flat = _lengthwise(np.delete(points, axis, axis=1))
+    upright = np.column_stack([flat, points[:, axis]])
+    low, high = bounds(upright)
+    length, width, height = high - low
+    ratios = (width / length * size[0] / size[1], height / length * size[0] / size[2])
+    shared = {
+        "box": -float(np.abs(np.log(ratios)).sum()) / _BOX,
+        "symmetry": _vote(_asymmetry(upright, 2) - _asymmetry(upright, 1), length * _SYMMETRY),
+    }
+    wheels = _vote(np.log(_contact(upright * [1, 1, -1]) / _contact(upright)), _WHEELS)
+    taper = _vote(np.log(_extent(upright, _LOWER) / _extent(upright, _UPPER)), _TAPER)
+    return [
+        Posture(
+            f"{sign}{'xyz'[axis]}",
+            float(ratios[0]),
+            float(ratios[1]),
+            shared | {"wheels": way * wheels, "taper": way * taper},
+        )
+        for sign, way in (("+", 1), ("-", -1))
+    ]
+
+
+def _vote(difference: float, unit: float) -> float:
+    return float(np.clip(difference / unit, -_LIMIT, _LIMIT))
+
+
+def lengthwise_yaw(flat: Array) -> float:
+    """Radians that turn points (N, 2) to lie lengthwise along x, either way round."""
+    yaw, across = _smallest_rectangle(flat)
+    return -yaw + (np.pi / 2 if across else 0.0)
+
+
+def _lengthwise(flat: Array) -> Array:
+    """Points (N, 2) turned so that the rectangle around them is smallest, its length first."""
+    yaw, across = _smallest_rectangle(flat)
+    turned = _turned_back(flat, yaw)
+    return turned[:, ::-1] if across else turned
+
+
+def _smallest_rectangle(flat: Array) -> tuple[float, bool]:
+    """Yaw of the smallest rectangle around points (N, 2), and whether it is longer across."""
+    few = flat[::_EVERY]
+
+    def area(yaw: float) -> float:
+        return float(np.prod(np.subtract(*bounds(_turned_back(few, yaw))[::-1])))
+
+    best = float(min(min(_YAWS, key=area) + _FINER, key=area))
+    extent = np.subtract(*bounds(_turned_back(flat, best))[::-1])
+    return best, bool(extent[0] < extent[1])
+
+
+def _turned_back(points: Array, yaw: float) -> Array:
+    sine, cosine = np.sin(yaw), np.cos(yaw)
+    turned: Array = points @ np.array([[cosine, -sine], [sine, cosine]])
+    return turned
+
+
+def _asymmetry(points: Array, axis: int) -> float:
+    """Mean distance from the points (N, 3), mirrored along an axis, to the nearest one."""
+    low, high = bounds(points)
+    mirrored = points.copy()
+    mirrored[:, axis] = low[axis] + high[axis] - mirrored[:, axis]
+    distance, _ = cKDTree(points).query(mirrored[::_EVERY])
+    return float(distance.mean())
+
+
+def _contact(points: Array) -> float:
+    """Share of the footprint of points (N, 3) that reaches down to the ground, nearly."""
+    low, high = bounds(points)
+    cells = np.floor(points[:, :2] / ((high - low)[0] / _CELLS)).astype(np.int64)
+    _, cell = np.unique(cells, axis=0, return_inverse=True)
+    lowest = np.full(cell.max() + 1, np.inf)
+    np.minimum.at(lowest, cell.ravel(), points[:, 2])
+    reached = int((lowest < low[2] + _CONTACT * (high - low)[2]).sum())
+    return (reached + 1) / len(lowest)  # never none
+
+
+def _extent(points: Array, band: Sequence[float]) -> float:
+    """Area of the rectangle around the points (N, 3) between two shares of the height."""
+    low, high = bounds(points)
+    height = (points[:, 2] - low[2]) / (high - low)[2]
+    inside = points[(height >= band[0]) & (height <= band[1]), :2]
+    if len(inside) < 2:
+        return float(np.prod((high - low)[:2]))
+    sides = np.subtract(*bounds(inside, share=0.02)[::-1])
+    return float(np.prod(np.maximum(sides, 1e-3 * (high - low)[0])))

@@ -1,4 +1,4 @@
-"""Several vehicles for one track, and the evidence that chooses among them.
+"""Several vehicles for one track: the generator `auto` offers them, the evidence chooses.
 
 A generator that draws another seed draws another car: an estate, a pickup, a blur. Each candidate
 is registered and judged by what the log knows: masks of many images, LiDAR hits and free space,
@@ -16,16 +16,15 @@ from numpy.typing import NDArray
 
 from recast.actors.actor import Actor, CandidateRecord, CandidateScore
 from recast.actors.evidence import Evidence, Sighting
-from recast.actors.generate import Asset
-from recast.actors.hull import outer_surface
-from recast.actors.icp import fit_of
+from recast.actors.generate import ActorGenerator, Asset, candidates_of, recast_mini_generator
+from recast.actors.icp import fit_of, outer_surface
 from recast.actors.observation import Observation
 from recast.actors.register import register
-from recast.errors import InputError
+from recast.actors.template import TemplateGenerator
+from recast.arrays import Array
+from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from recast.splats import LowPass, rasterize
-
-Array = NDArray[np.float64]
 
 _IMAGES = 16
 _LIDAR_POINTS = 6000
@@ -36,6 +35,31 @@ _OUTLINE, _LIDAR, _FREE, _COLOUR = 0.03, 0.06, 0.03, 0.03
 LEAST_OUTLINE, LEAST_LIDAR = 0.75, 0.7
 """Overlap with the masks, and share of the LiDAR points within 10 cm, of a vehicle that fits."""
 _GAINS = (0.3, 3.0)
+
+
+class AutoGenerator:
+    """Offers the template's vehicles and those of the small image-to-3D model.
+
+    Args:
+        generators: whose vehicles are offered instead.
+    """
+
+    name = "auto"
+
+    def __init__(self, generators: Sequence[ActorGenerator] | None = None) -> None:
+        self.generators = generators or (TemplateGenerator(), recast_mini_generator())
+
+    def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
+        """See `OffersCandidates`."""
+        return [
+            make
+            for generator in self.generators
+            for make in candidates_of(generator, observation, seed)
+        ]
+
+    def generate(self, observation: Observation, seed: int) -> Asset:
+        """The first one's vehicle, where there is no evidence to choose by."""
+        return self.generators[0].generate(observation, seed)
 
 
 @dataclass(frozen=True)
@@ -171,8 +195,12 @@ def _drawn(actor: Actor, view: Sighting, low_pass: LowPass) -> tuple[Array, NDAr
     """Colours (H, W, 3) of a vehicle drawn alone, and where (H, W) it covers more than half."""
     with torch.no_grad():
         picture = rasterize(
-            actor.gaussians, torch.from_numpy(view.camera_from_object).float(),
-            torch.from_numpy(view.camera.matrix).float(), view.camera.width, view.camera.height,
-            eps2d=low_pass.variance, antialiased=low_pass.antialiased,
-        )  # fmt: skip
+            actor.gaussians,
+            torch.from_numpy(view.camera_from_object).float(),
+            torch.from_numpy(view.camera.matrix).float(),
+            view.camera.width,
+            view.camera.height,
+            eps2d=low_pass.variance,
+            antialiased=low_pass.antialiased,
+        )
     return picture.rgb.numpy().astype(np.float64), picture.alpha.numpy() > 0.5

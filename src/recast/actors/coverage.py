@@ -1,4 +1,4 @@
-"""How much of what a camera sees of a vehicle was seen by the log, mirrored or invented."""
+"""Where a vehicle's looks come from, seen, mirrored or invented, and what a camera sees of each."""
 
 from __future__ import annotations
 
@@ -10,19 +10,62 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from recast.actors.shares import Shares
+from recast.arrays import Array
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.scene import StreetScene
 from recast.splats import CLASSIC, Gaussians, concatenate, pick_device, rasterize, refiltered
 from recast.splats.sh import C0
-
-Array = NDArray[np.float64]
 
 LEAST_PIXELS = 1.0
 """A vehicle of which an image shows less than this is not visible there."""
 _REACH = 3.5  # deviations: at 3.33 even an opaque Gaussian falls below the 1/255 that is drawn
 _MARGIN = 3  # pixels by which the low-pass filter may widen a Gaussian
 _NEAR = 0.2  # metres, the near plane of `rasterize`
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Where each of N Gaussians comes from; with the invented share they add up to one.
+
+    Attributes:
+        seen: (N,) float32 in [0, 1], from images of it.
+        mirrored: (N,) float32 in [0, 1], from images of the other side.
+    """
+
+    seen: Tensor
+    mirrored: Tensor
+
+    def __len__(self) -> int:
+        return len(self.seen)
+
+    @property
+    def invented(self) -> Tensor:
+        """(N,) float32 in [0, 1], from the generator alone."""
+        return (1 - self.seen - self.mirrored).clamp(0, 1)
+
+    @property
+    def columns(self) -> Tensor:
+        """(N, 3) seen, mirrored, invented: as colours, red, green and blue."""
+        return torch.stack([self.seen, self.mirrored, self.invented], dim=-1)
+
+    def select(self, index: Tensor) -> Shares:
+        """Those of the Gaussians at `index`: (M,) int64 or a (N,) bool mask."""
+        return Shares(self.seen[index], self.mirrored[index])
+
+    def fault(self, count: int) -> tuple[str, str] | None:
+        """The field at fault and what is wrong with it; None for shares of `count` Gaussians."""
+        for name in ("seen", "mirrored"):
+            value: Tensor = getattr(self, name)
+            if tuple(value.shape) != (count,) or value.dtype != torch.float32:
+                return (
+                    name,
+                    f"shape {tuple(value.shape)} {value.dtype}, expected ({count},) float32",
+                )
+            if not bool(((value >= 0) & (value <= 1)).all()):  # also NaN
+                return name, "holds a value outside of [0, 1]"
+        if not bool((self.seen + self.mirrored <= 1 + 1e-5).all()):
+            return "mirrored", "seen and mirrored are more than one together"
+        return None
 
 
 @dataclass(frozen=True)
@@ -128,8 +171,9 @@ class CoverageMeter:
             return NOTHING
         areas = self._areas(
             camera.cropped(left, top, right - left, bottom - top),
-            np.asarray(camera_from_world), poses,
-        )  # fmt: skip
+            np.asarray(camera_from_world),
+            poses,
+        )
         if shown is not None:
             areas = areas * torch.from_numpy(shown[top:bottom, left:right, None]).to(areas)
         return Coverage.of(areas.sum(dim=(0, 1)).double().cpu().numpy())
@@ -156,9 +200,14 @@ class CoverageMeter:
                 parts.append(refiltered(posed, low_pass, CLASSIC, view, K))
         with torch.no_grad():
             drawn = rasterize(
-                concatenate(parts), view, K, camera.width, camera.height,
-                eps2d=CLASSIC.variance, antialiased=CLASSIC.antialiased,
-            )  # fmt: skip
+                concatenate(parts),
+                view,
+                K,
+                camera.width,
+                camera.height,
+                eps2d=CLASSIC.variance,
+                antialiased=CLASSIC.antialiased,
+            )
         return drawn.rgb
 
     def _before(self, camera: PinholeCamera, camera_from_world: Array, farthest: float) -> Tensor:
@@ -167,10 +216,12 @@ class CoverageMeter:
         right, bottom = camera.width - camera.cx + _MARGIN, camera.height - camera.cy + _MARGIN
         sides = np.array(
             [
-                [camera.fx, 0, -left, 0], [-camera.fx, 0, right, 0],
-                [0, camera.fy, -top, 0], [0, -camera.fy, bottom, 0],
+                [camera.fx, 0, -left, 0],
+                [-camera.fx, 0, right, 0],
+                [0, camera.fy, -top, 0],
+                [0, -camera.fy, bottom, 0],
             ]
-        )  # fmt: skip
+        )
         sides /= np.linalg.norm(sides, axis=1, keepdims=True)
         depth, *planes = torch.from_numpy(
             np.concatenate([camera_from_world[2:3], sides @ camera_from_world])

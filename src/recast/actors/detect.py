@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recast.actors.segment import SegmentationTarget
+from recast.arrays import Array
 from recast.geometry import boxes
-
-Array = NDArray[np.float64]
 
 _PROMPTS = {
     "car": "a car.",
@@ -132,14 +130,16 @@ def choose_box(
     best = max(overlaps)
     if best < rule.overlap:
         return BoxPrompt(
-            logged, False,
+            logged,
+            False,
             f"of {len(found)} detected as {prompt!r} none overlaps the logged box by "
             f"{rule.overlap:.2f}, the best by {best:.2f}",
-        )  # fmt: skip
+        )
     equal = [i for i, overlap in enumerate(overlaps) if overlap >= best - rule.tie]
     chosen = max(equal, key=lambda i: (found[i].score, overlaps[i]))
     return BoxPrompt(
-        found[chosen].box, True,
+        found[chosen].box,
+        True,
         f"{found[chosen].label!r} detected with score {found[chosen].score:.2f}, overlap "
         f"{overlaps[chosen]:.2f} with the logged box, one of {len(found)}",
-    )  # fmt: skip
+    )

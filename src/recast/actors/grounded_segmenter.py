@@ -1,4 +1,4 @@
-"""Grounding DINO for the box, box-prompted SAM for the mask."""
+"""Grounding DINO for the box, box-prompted SAM for the mask; and segmenters by name or folder."""
 
 from __future__ import annotations
 
@@ -18,18 +18,24 @@ from recast.actors.detect import (
     rectangle_overlap,
     text_prompt,
 )
-from recast.actors.mask_shapes import feather, large_pieces
-from recast.actors.segment import Segmentation, SegmentationTarget, lidar_shares
-from recast.errors import InputError
+from recast.actors.segment import (
+    Segmentation,
+    SegmentationTarget,
+    Segmenter,
+    feather,
+    large_pieces,
+    lidar_shares,
+)
+from recast.arrays import Array, Mask
+from recast.core.errors import InputError
+from recast.core.parts import SEGMENTERS
 from recast.pretrained import PretrainedFolder
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 DETECTOR_FOLDER = "grounding-dino"
 SAM_FOLDER = "sam"
 _SPECK = 0.1  # pieces smaller than this share of the largest are noise; a pole may halve a vehicle
 _SURE = 0.7  # predicted overlap below which a person should look at the mask
+DEFAULT_SEGMENTER = "box-lidar"
 
 
 class GroundedSamSegmenter:
@@ -69,20 +75,28 @@ class GroundedSamSegmenter:
         folder = Path(folder)
         if not folder.is_dir():
             raise InputError(
-                folder, "folder", "is missing",
+                folder,
+                "folder",
+                "is missing",
                 f"name a folder that holds {DETECTOR_FOLDER} and {SAM_FOLDER}",
-            )  # fmt: skip
+            )
         self.rule = rule or DetectionRule()
         self.device = device or ("cuda" if torch.cuda.is_available() else "cpu")
         self.detector = PretrainedFolder(
-            folder / DETECTOR_FOLDER, "grounding-dino", "GroundingDinoForObjectDetection",
+            folder / DETECTOR_FOLDER,
+            "grounding-dino",
+            "GroundingDinoForObjectDetection",
             "GroundingDinoProcessor",
-            "IDEA-Research/grounding-dino-base (or IDEA-Research/grounding-dino-tiny)", text=True,
-        )  # fmt: skip
+            "IDEA-Research/grounding-dino-base (or IDEA-Research/grounding-dino-tiny)",
+            text=True,
+        )
         self.sam = PretrainedFolder(
-            folder / SAM_FOLDER, "sam", "SamModel", "SamProcessor",
+            folder / SAM_FOLDER,
+            "sam",
+            "SamModel",
+            "SamProcessor",
             "facebook/sam-vit-huge (or facebook/sam-vit-large, facebook/sam-vit-base)",
-        )  # fmt: skip
+        )
         for part in (self.detector, self.sam):
             part.check()
 
@@ -99,9 +113,11 @@ class GroundedSamSegmenter:
         masks, predicted = self.propose(target.image, prompt.box)
         if not masks.any():
             raise InputError(
-                self.sam.path, "mask", "is empty for this crop",
+                self.sam.path,
+                "mask",
+                "is empty for this crop",
                 "take the view from another camera, or use --segmenter box-lidar",
-            )  # fmt: skip
+            )
         best = choose_mask(masks, predicted, target, prompt.box)
         doubts = [] if prompt.detected else [f"the logged box stood in: {prompt.reason}"]
         if predicted[best] < _SURE:
@@ -124,9 +140,12 @@ class GroundedSamSegmenter:
         with torch.inference_mode():
             outputs = model(**inputs)
         found = processor.post_process_grounded_object_detection(
-            outputs, inputs["input_ids"], threshold=self.rule.score,
-            text_threshold=self.rule.score, target_sizes=[image.shape[:2]],
-        )[0]  # fmt: skip
+            outputs,
+            inputs["input_ids"],
+            threshold=self.rule.score,
+            text_threshold=self.rule.score,
+            target_sizes=[image.shape[:2]],
+        )[0]
         if len(found["scores"]) == 0:  # its labels of nothing are not an empty list
             return ()
         scores, rectangles = (found[name].cpu().double().numpy() for name in ("scores", "boxes"))
@@ -191,3 +210,39 @@ def agreement(mask: Mask, target: SegmentationTarget, box: Array) -> float:
     on_object, on_other = lidar_shares(target, mask)
     terms = np.array([rectangle_overlap(around, box), on_object, 1.0 - on_other])
     return float(np.nanmean(terms))
+
+
+def segmenter_of(segmenter: str | Path | Segmenter) -> Segmenter:
+    """A segmenter by its name, Grounding DINO with SAM from a folder, or the object given.
+
+    Args:
+        segmenter: see `recast.core.plugins.Registry.resolve`. A name goes before a folder of the
+            same name: write `./NAME` for that one.
+
+    Raises:
+        InputError: no such segmenter or folder, a folder without its networks, or an object that is
+            not a segmenter.
+    """
+    found: Segmenter = SEGMENTERS.resolve(segmenter)
+    return found
+
+
+def grounded_segmenter(folder: Path) -> Segmenter:
+    """Grounding DINO with SAM from a folder.
+
+    Raises:
+        InputError: no such folder, or a network is missing.
+    """
+    if not folder.is_dir():
+        raise InputError(
+            "--segmenter",
+            str(folder),
+            "is no folder",
+            "name the folder that holds grounding-dino and sam",
+        )
+    return GroundedSamSegmenter(folder)
+
+
+def is_segmenter_folder(name_or_folder: str) -> bool:
+    """Whether `segmenter_of` would read a folder."""
+    return SEGMENTERS.place(name_or_folder) is not None

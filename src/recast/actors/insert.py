@@ -1,14 +1,43 @@
-"""Put an actor in the place of a scene's own model of a track."""
+"""Put an actor in the place of a scene's own model of a track, lit anew and with a contact shadow.
+
+What the log showed of a vehicle has the light of the places where it was seen. What is mirrored has
+the light of the other side. What a generator invented has the colours of the sides that were seen,
+in a light that is the same from all around.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
 from recast.actors.actor import Actor
-from recast.actors.light import actor_light
-from recast.errors import InputError
+from recast.actors.coverage import Shares
+from recast.actors.icp import outer_surface
+from recast.arrays import Array
+from recast.core.errors import InputError
+from recast.logs import Trajectory
 from recast.scene import StreetScene
-from recast.scene.light import SceneLight
+from recast.scene.dynamic import pose_at
+from recast.scene.light import ActorLight, CastShadow, LitSurface, SceneLight, recorded_light
+from recast.splats import Gaussians
+from recast.splats.sh import C0
+
+_NEIGHBOURS = 6
+_SPINE = 0.6  # share of the half length over which a vehicle's middle line runs
+_EVEN = 0.6  # light that generators give to what faces sideways, over what faces up
+_LOOK_DOWN = 0.25  # of the direction to a logged camera, vertical over level
+_POSES = 8  # of a trajectory, at most
+_LEAST_SEEN = 1e-3
+_SPACING = 0.14  # metres between Gaussians
+_DARKNESS = 0.45  # peak opacity of one; neighbours overlap to about 0.9
+_FADE = 0.32  # metres over which the shadow fades out around the footprint
+_LIFT = 0.06  # metres: splats of the road are thick and sort by centre, lower ones hide the shadow
+_THICKNESS = 0.003
 
 
 def insert(scene: StreetScene, actor: Actor, *, relit: bool = True) -> StreetScene:
@@ -57,7 +86,123 @@ def require_model(scene: StreetScene, track_id: str) -> None:
     if track_id not in scene.actors:
         known = ", ".join(scene.actors) or "none"
         raise InputError(
-            scene.log_name or "scene", f"track {track_id}",
+            scene.log_name or "scene",
+            f"track {track_id}",
             f"is not an actor of the scene (actors: {known})",
             "train the scene with the track in force_dynamic",
-        )  # fmt: skip
+        )
+
+
+def actor_light(scene: SceneLight, actor: Actor, trajectory: Trajectory) -> ActorLight:
+    """What is needed to light an actor anew in a street.
+
+    Args:
+        trajectory: where the track was when the log saw it. For an actor that follows all images
+            every pose counts the same; for one made of one image, the pose at that image.
+
+    Raises:
+        ValueError: the actor has no surface, see `outer_surface`.
+    """
+    hull = outer_surface(actor.gaussians)
+    normals = _normals(actor.gaussians, hull.points, hull.normals)
+    shares = actor.shares or _shares_of_view(normals, actor.provenance.azimuth)
+    poses = list(trajectory.poses[:: -(-len(trajectory.poses) // _POSES)])
+    if actor.shares is None:
+        pose = pose_at(trajectory, actor.provenance.timestamp_us)
+        poses = poses if pose is None else [pose]
+    surface = LitSurface.of(normals, actor.gaussians.means, actor.size)
+    recorded = _recorded(scene, actor, surface, shares, poses)
+    shadow = CastShadow(hull.points, actor.shadow, actor.size) if len(actor.shadow) else None
+    return ActorLight(scene, actor.gaussians, surface, recorded, shadow)
+
+
+def _normals(gaussians: Gaussians, points: Array, normals: Array) -> Tensor:
+    """Outward normals (N, 3) of all Gaussians: means over the nearest of the outer surface."""
+    half = np.abs(points).max(axis=0)
+    spine = np.stack(
+        [
+            np.clip(points[:, 0], -_SPINE * half[0], _SPINE * half[0]),
+            0 * points[:, 1],
+            np.minimum(points[:, 2], 0),
+        ],
+        axis=-1,
+    )
+    outward = normals * np.where(np.sum(normals * (points - spine), axis=1) < 0, -1.0, 1.0)[:, None]
+    centres = gaussians.means.detach().cpu().numpy().astype(np.float64)
+    near = outward[cKDTree(points).query(centres, k=_NEIGHBOURS)[1]].mean(axis=1)
+    near /= np.maximum(np.linalg.norm(near, axis=1, keepdims=True), 1e-9)
+    return torch.from_numpy(near).float()
+
+
+def _shares_of_view(normals: Tensor, azimuth: float) -> Shares:
+    """Shares of a vehicle made of one image: what faced the camera was seen."""
+    look = torch.tensor([np.cos(azimuth), np.sin(azimuth), _LOOK_DOWN], dtype=torch.float32)
+    look = look / look.norm()
+    seen = (normals @ look).clamp(0, 1)
+    return Shares(seen, (1 - seen) * (_mirror(normals) @ look).clamp(0, 1))
+
+
+def _recorded(
+    scene: SceneLight, actor: Actor, surface: LitSurface, shares: Shares, poses: Sequence[Array]
+) -> Tensor:
+    """Light (N,) that each Gaussian's colour was recorded in."""
+    own = recorded_light(scene, surface, actor.size, poses)
+    if float(shares.seen.sum()) < _LEAST_SEEN:
+        return own
+    other = LitSurface.of(_mirror(surface.normals), actor.gaussians.means, actor.size)
+    twin = recorded_light(scene, other, actor.size, poses)
+    even = _EVEN + (1 - _EVEN) * surface.normals[:, 2]
+    level = (shares.seen * own / even).sum() / shares.seen.sum()
+    return shares.seen * own + shares.mirrored * twin + shares.invented * level * even
+
+
+def _mirror(normals: Tensor) -> Tensor:
+    return normals * torch.tensor([1.0, -1.0, 1.0])
+
+
+def contact_shadow(low: Array, high: Array, floor: float) -> Gaussians:
+    """A soft-edged sheet under the footprint, actor-local, black from every side.
+
+    Args:
+        low, high: (3,) bounds of the vehicle in the actor frame, metres.
+        floor: height of the ground plane in the actor frame.
+    """
+    half = (high[:2] - low[:2]) / 2
+    centre = (high[:2] + low[:2]) / 2
+    axes = []
+    for reach in half + _FADE:
+        count = max(2, int(np.ceil(2 * reach / _SPACING)) + 1)
+        axes.append(np.linspace(-reach, reach, count))
+    x, y = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
+    # distance to a rounded rectangle somewhat inside the footprint, negative within
+    inset = 0.12
+    beyond = np.stack([np.abs(x) - half[0] + 0.3 + inset, np.abs(y) - half[1] + 0.3 + inset], -1)
+    distance = (
+        np.linalg.norm(np.maximum(beyond, 0), axis=1) + np.minimum(beyond.max(axis=1), 0) - 0.3
+    )
+    t = np.clip(1 - (distance + inset) / (_FADE + inset), 0.0, 1.0)
+    opacity = _DARKNESS * t * t * (3 - 2 * t)
+    kept = opacity > 0.01
+    count = int(kept.sum())
+    deviations = np.log([0.85 * _SPACING, 0.85 * _SPACING, _THICKNESS])
+    means = np.stack(
+        [centre[0] + x[kept], centre[1] + y[kept], np.full(count, floor + _LIFT)], axis=-1
+    )
+    probability = opacity[kept]
+
+    def tensor(values: Array) -> torch.Tensor:
+        return torch.as_tensor(values, dtype=torch.float32)
+
+    return Gaussians(
+        means=tensor(means),
+        quats=tensor(np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))),
+        log_scales=tensor(np.tile(deviations, (count, 1))),
+        logit_opacities=tensor(np.log(probability / (1 - probability))),
+        sh=torch.full((count, 1, 3), -0.5 / C0, dtype=torch.float32),
+    )
+
+
+def darkened(shadow: Gaussians, factor: float) -> Gaussians:
+    """A shadow with its opacities times a factor."""
+    opacities = (shadow.logit_opacities.sigmoid() * factor).clamp(1e-6, 1 - 1e-4)
+    return replace(shadow, logit_opacities=opacities.logit())

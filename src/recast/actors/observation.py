@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.arrays import Array
 from recast.geometry import PinholeCamera
-
-Array = NDArray[np.float64]
 
 _COVERAGE = (0.45, 0.97)  # shares of the projected box that the mask of a vehicle fills
 _LIDAR_SHARE = 0.85  # of the LiDAR points, that a good mask puts on the right side

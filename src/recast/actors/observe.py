@@ -1,4 +1,4 @@
-"""Pick the best view of a track and cut it out."""
+"""Pick the best view of a track and cut it out; or take a single picture with a known camera."""
 
 from __future__ import annotations
 
@@ -7,21 +7,19 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from recast.actors.observation import Observation, ViewScore
 from recast.actors.segment import SegmentationTarget, Segmenter, mask_quality, run_segmenter
-from recast.actors.view_pool import Usable, ViewPool
-from recast.actors.view_score import NearestSweeps
-from recast.errors import InputError
+from recast.actors.views import NearestSweeps, Usable, ViewPool
+from recast.arrays import Array
+from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.geometry.camera import distort
 from recast.logs import CameraStream, DrivingLog, Track, track_points
 
-Array = NDArray[np.float64]
-
 MIN_LIDAR_POINTS = 20
-_CROP_MARGIN = 0.18  # share of the box's longer side left around it
+_CROP_MARGIN = 0.18  # share of the longer side of box or mask left around it
 _BOX_GROWTH = 0.12  # metres around the label within which a return belongs to the vehicle
 
 
@@ -60,10 +58,11 @@ def observe(
     candidates = pool.ranked()
     if not candidates:
         raise InputError(
-            log.name, f"track {track_id}",
+            log.name,
+            f"track {track_id}",
             "is never visible in " + (" or ".join(cameras) or "any camera"),
             "choose another track or camera: recast log info lists them",
-        )  # fmt: skip
+        )
 
     def cut(view: ViewScore) -> Observation:
         target = _cut(log, track, log.cameras[view.camera], view, np.asarray(points, np.float64))
@@ -104,10 +103,11 @@ def require_points(points: NDArray[np.float32], log: DrivingLog, track_id: str) 
     """
     if len(points) < MIN_LIDAR_POINTS:
         raise InputError(
-            log.name, f"track {track_id}",
+            log.name,
+            f"track {track_id}",
             f"has {len(points)} LiDAR points in its boxes, at least {MIN_LIDAR_POINTS} are needed",
             "choose a track that comes nearer: recast log info lists them",
-        )  # fmt: skip
+        )
 
 
 def _track(log: DrivingLog, track_id: str) -> Track:
@@ -194,3 +194,73 @@ def _rectified_crop(
     source += [camera.cx - 0.5, camera.cy - 0.5]  # OpenCV counts pixel centres from zero
     x, y = np.moveaxis(source.astype(np.float32), -1, 0)
     return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR), dtype=np.uint8)
+
+
+def observation_of_view(
+    rgba: NDArray[np.uint8],
+    camera: PinholeCamera,
+    camera_from_object: Array,
+    size: ArrayLike,
+    *,
+    name: str,
+    category: str = "car",
+) -> Observation:
+    """The picture, cut to a nearly square window around its mask, as an observation without LiDAR.
+
+    Args:
+        rgba: (H, W, 4) uint8, alpha on the vehicle; colours without alpha are kept, generators
+            read the light from them.
+        camera: of the picture, without distortion.
+        camera_from_object: (4, 4), object frame: box centre, x forward, y left, z up.
+        size: (3,) length, width, height of the vehicle's box, metres.
+        name: of the picture, for the record.
+        category: see `recast.logs.Track`.
+
+    Raises:
+        ValueError: the mask is empty.
+    """
+    left, top, width, height = _window(rgba[..., 3] > 127)
+    crop = np.ascontiguousarray(rgba[top : top + height, left : left + width])
+    cropped = camera.cropped(left, top, width, height)
+    none = np.zeros((0, 3))
+    target = SegmentationTarget(
+        crop[..., :3], cropped, camera_from_object, np.asarray(size, np.float64), none, none
+    )
+    pixels = float(np.sqrt((crop[..., 3] > 127).sum()))
+    eye = se3.inverse(camera_from_object)[:3, 3]
+    view = ViewScore(
+        name,
+        0,
+        0,
+        pixels,
+        in_image=1.0,
+        unoccluded=1.0,
+        unblocked=1.0,
+        azimuth=float(np.arctan2(eye[1], eye[0])),
+    )
+    return Observation(
+        track_id=name,
+        category=category,
+        size=target.size,
+        rgba=crop,
+        camera=cropped,
+        camera_from_object=np.asarray(camera_from_object, np.float64),
+        points=none.astype(np.float32),
+        view=view,
+        candidates=(view,),
+        mask_quality=mask_quality(target, crop[..., 3]),
+    )
+
+
+def _window(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    """Left, top, width, height of a square around a mask (H, W), clipped to the picture."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if len(rows) == 0:
+        raise ValueError("observation_of_view: the mask is empty")
+    low = np.array([columns[0], rows[0]])
+    high = np.array([columns[-1], rows[-1]]) + 1
+    half = float(np.max(high - low)) * (0.5 + _CROP_MARGIN)
+    centre = (low + high) / 2
+    first = np.maximum(np.floor(centre - half), 0).astype(int)
+    last = np.minimum(np.ceil(centre + half), mask.shape[::-1]).astype(int)
+    return int(first[0]), int(first[1]), int(last[0] - first[0]), int(last[1] - first[1])

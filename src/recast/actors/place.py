@@ -1,8 +1,8 @@
-"""Placing a generated vehicle in its box by pictures alone, where there is no LiDAR.
+"""Where an asset stands at first, and its place in the box by pictures alone, without LiDAR.
 
-Axes, isotropic scale from the length, yaw over the whole circle by silhouette and colours against
-the conditioning views, front against back by votes, then a small refinement of scale and place by
-the silhouette. With LiDAR, `register` does better.
+At first: turned, scaled by the length, on the floor. Then yaw over the whole circle by silhouette
+and colours against the conditioning views, front against back by votes, and a small refinement of
+scale and place by the silhouette. With LiDAR, `register` does better.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
 from recast.actors.agreement import Agreement, compare_views, front_votes
 from recast.actors.generate import Asset
-from recast.actors.hull import bounds
+from recast.actors.icp import Surface, bounds, outer_surface
 from recast.actors.observation import Observation
-from recast.actors.start import Start, stand_on_box, stood_up
+from recast.arrays import Array
+from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.splats import Gaussians, LowPass
 
-Array = NDArray[np.float64]
-
+_LARGEST = 1e5  # extent at which everything must still be in range: no box asks for a larger one
 _COARSE = np.radians(15.0)
 _FINE = np.radians([-7.5, -5.0, -2.5, 0.0, 2.5, 5.0, 7.5])
 # What counts as much as one unit of cost in the search: overlap, colour, log of width and height.
@@ -33,6 +33,68 @@ _DECLARED = 3.0  # units of evidence for the front that a convention declares
 _SPREAD = np.array([0.05, 0.12, 0.10, 0.05])  # log scale; metres along, across, up
 _OVERLAP_WEIGHT = 60.0  # as in the template's own placement: 1 % of overlap is worth 0.6
 _EVALUATIONS = 120
+
+
+@dataclass(frozen=True)
+class Start:
+    """asset_placed = matrix (scale x), with the asset's axes turned upright already.
+
+    Attributes:
+        yaw: about the vertical, radians.
+        scale: metres per unit of the asset.
+        matrix: (4, 4) rigid part, applied after the scale.
+    """
+
+    yaw: float
+    scale: float
+    matrix: Array
+
+    def apply(self, surface: Surface) -> Surface:
+        """The surface, placed."""
+        points = se3.apply(self.matrix, surface.points * self.scale)
+        return Surface(points, surface.normals @ self.matrix[:3, :3].T, surface.index)
+
+
+def stood_up(asset: Asset) -> tuple[Gaussians, Surface]:
+    """An asset with its axes turned upright, in its own units, and its outer surface.
+
+    Raises:
+        InputError: it is hardly opaque, has no volume, or has values that are not finite or out of
+            range, if only at the size of a box.
+    """
+    where, mend = f"asset of {asset.generator}", "take another seed, or export it again"
+    fault = asset.gaussians.fault()
+    if fault is not None:
+        raise InputError(where, *fault, mend)
+    turn = se3.from_rotation_translation(asset.axes.rotation(), np.zeros(3))
+    gaussians = asset.gaussians.detach().transformed(torch.from_numpy(turn))
+    try:
+        surface = outer_surface(gaussians)
+    except ValueError as error:
+        raise InputError(where, "shape", str(error), mend) from None
+    extent = float(np.ptp(surface.points, axis=0).max())
+    fault = gaussians.transformed(torch.eye(4), _LARGEST / extent).fault()
+    if fault is not None:
+        problem = f"at the size of a box, {fault[1]} (it extends over {extent:.3g} units)"
+        raise InputError(where, fault[0], problem, mend)
+    return gaussians, surface
+
+
+def stand_on_box(points: Array, yaw: float, size: Array) -> Start:
+    """Turn by `yaw`, scale the length to the box's, centre on the box, stand on its floor.
+
+    Args:
+        points: (N, 3) surface of the asset, z up.
+        yaw: radians.
+        size: (3,) length, width, height of the box, metres.
+    """
+    rotation = se3.rotation_z(yaw)
+    low, high = bounds(points @ rotation.T)
+    scale = float(size[0] / (high[0] - low[0]))
+    centre = (low + high) / 2 * scale
+    bottom = float((points @ rotation.T)[:, 2].min()) * scale
+    shift = np.array([-centre[0], -centre[1], -size[2] / 2 - bottom])
+    return Start(yaw, scale, se3.from_rotation_translation(rotation, shift))
 
 
 @dataclass(frozen=True)
@@ -192,8 +254,14 @@ class _Search:
 
         simplex = np.concatenate([np.zeros((1, 4)), 0.6 * np.eye(4)])
         result = minimize(
-            cost, np.zeros(4), method="Nelder-Mead",
-            options={"initial_simplex": simplex, "maxfev": _EVALUATIONS, "xatol": 0.05,
-                     "fatol": 0.02},
-        )  # fmt: skip
+            cost,
+            np.zeros(4),
+            method="Nelder-Mead",
+            options={
+                "initial_simplex": simplex,
+                "maxfev": _EVALUATIONS,
+                "xatol": 0.05,
+                "fatol": 0.02,
+            },
+        )
         return float(np.exp(result.x[0] * _SPREAD[0])), result.x[1:] * _SPREAD[1:]

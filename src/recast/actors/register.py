@@ -8,23 +8,20 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from recast.actors.actor import Actor, FrontEvidence, Provenance, RegistrationReport
 from recast.actors.agreement import Agreement, compare_views, front_votes, heading_agreement
 from recast.actors.generate import Asset
-from recast.actors.hull import Surface, bounds
-from recast.actors.icp import IcpLimits, align, fit_of
+from recast.actors.icp import IcpLimits, Surface, align, bounds, fit_of
+from recast.actors.insert import contact_shadow
 from recast.actors.observation import Observation
 from recast.actors.observe import require_points
-from recast.actors.shadow import contact_shadow
-from recast.actors.start import Start, stand_on_box, stood_up
+from recast.actors.place import Start, stand_on_box, stood_up
+from recast.arrays import Array
 from recast.geometry import se3
 from recast.logs import DrivingLog, Track, track_points
 from recast.splats import Gaussians, LowPass
-
-Array = NDArray[np.float64]
 
 _LIDAR_POINTS = 6000
 _COARSE_STEP = np.radians(15.0)
@@ -117,9 +114,14 @@ def lidar_by_side(points: Array, size: Array) -> dict[str, int]:
 
 
 def _orientation(
-    gaussians: Gaussians, surface: Surface, lidar: Array, size: Array, observation: Observation,
-    track: Track, asset: Asset,
-) -> tuple[Start, FrontEvidence]:  # fmt: skip
+    gaussians: Gaussians,
+    surface: Surface,
+    lidar: Array,
+    size: Array,
+    observation: Observation,
+    track: Track,
+    asset: Asset,
+) -> tuple[Start, FrontEvidence]:
     """Search the yaw over the circle, then decide between the best one and its opposite."""
     sparse = _thinned(surface.points, _SURFACE_POINTS)
     few = _thinned(lidar, 1500)
@@ -162,9 +164,13 @@ def _search_cost(points: Array, lidar: Array, start: Start, size: Array) -> floa
 
 
 def _agreement(
-    gaussians: Gaussians, low_pass: LowPass, surface: Surface, lidar: Array, start: Start,
+    gaussians: Gaussians,
+    low_pass: LowPass,
+    surface: Surface,
+    lidar: Array,
+    start: Start,
     observation: Observation,
-) -> Agreement:  # fmt: skip
+) -> Agreement:
     """What speaks for one orientation after a short alignment."""
     start = aligned(surface, lidar, start, observation.size)
     moved = gaussians.transformed(torch.from_numpy(start.matrix), start.scale)

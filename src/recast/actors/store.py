@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from PIL import Image
 from safetensors.torch import save
 
-from recast import storage
 from recast.actors.actor import Actor, Provenance
-from recast.actors.shares import Shares
-from recast.errors import InputError
+from recast.actors.coverage import Shares
+from recast.core import files
+from recast.core.errors import InputError
+from recast.core.records import Record, read_record
+from recast.core.torch_file import read_safetensors
 from recast.logs import Trajectory
-from recast.records import Record, read_record
 from recast.splats import Gaussians, LowPass, read_ply, write_ply
-from recast.torch_file import read_safetensors
 
 ACTOR_VERSION = 2
 ACTOR_FILE = "actor.json"
@@ -63,15 +63,15 @@ def save_actor(actor: Actor, folder: str | Path) -> None:
         provenance=actor.provenance,
         low_pass=actor.low_pass,
     )
-    with storage.atomic_folder(folder) as partial:
+    with files.atomic_folder(folder) as partial:
         write_ply(partial / VEHICLE_FILE, actor.gaussians, actor.low_pass)
         shadow = {name: getattr(actor.shadow, name).contiguous() for name in _FIELDS}
-        storage.write_bytes(partial / SHADOW_FILE, save(shadow))
+        files.write_bytes(partial / SHADOW_FILE, save(shadow))
         if actor.shares is not None:
-            storage.write_bytes(partial / REFINED_FILE, save(_refined(actor)))
+            files.write_bytes(partial / REFINED_FILE, save(_refined(actor)))
         bgra = cv2.cvtColor(actor.source, cv2.COLOR_RGBA2BGRA)
-        storage.write_bytes(partial / SOURCE_FILE, cv2.imencode(".png", bgra)[1].tobytes())
-        storage.write_json(partial / ACTOR_FILE, record.model_dump(mode="json"))
+        files.write_bytes(partial / SOURCE_FILE, cv2.imencode(".png", bgra)[1].tobytes())
+        files.write_json(partial / ACTOR_FILE, record.model_dump(mode="json"))
 
 
 def load_actor(folder: str | Path) -> Actor:
@@ -148,7 +148,7 @@ def _read_refined(path: Path) -> tuple[Shares, Trajectory, NDArray[np.float64]]:
 
 
 def _read_source(path: Path) -> np.ndarray:
-    data = storage.read_bytes(path, 8 * SOURCE_PIXELS)
+    data = files.read_bytes(path, 8 * SOURCE_PIXELS)
     try:
         # Not through OpenCV, whose PNG reader prints and goes on where a file is damaged.
         with Image.open(io.BytesIO(data), formats=["PNG"]) as image:

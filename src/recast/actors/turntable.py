@@ -10,22 +10,26 @@ import torch
 from numpy.typing import NDArray
 
 from recast.actors.actor import Actor
+from recast.arrays import Array
 from recast.geometry import PinholeCamera, se3
 from recast.splats import CLASSIC, Gaussians, LowPass, concatenate, rasterize
-from recast.splats.rotations import quat_to_matrix
+from recast.splats.gaussians import quat_to_matrix
 from recast.splats.sh import C0
-
-Array = NDArray[np.float64]
 
 _DISTANCE = 2.1  # of the camera, in diagonals of the box
 _SHADE = 0.55  # brightness of what lies flat against what stands upright
 
 
 def turntable(
-    actor: Actor, *, views: int = 8, width: int = 640, height: int = 360,
+    actor: Actor,
+    *,
+    views: int = 8,
+    width: int = 640,
+    height: int = 360,
     elevation: float = float(np.radians(10.0)),
-    background: tuple[float, float, float] = (0.55, 0.56, 0.58), with_shadow: bool = True,
-) -> list[NDArray[np.uint8]]:  # fmt: skip
+    background: tuple[float, float, float] = (0.55, 0.56, 0.58),
+    with_shadow: bool = True,
+) -> list[NDArray[np.uint8]]:
     """Render an actor from azimuths evenly around it; the first view faces its front.
 
     Args:
@@ -41,9 +45,15 @@ def turntable(
     """
     parts = [actor.gaussians, actor.shadow] if with_shadow else [actor.gaussians]
     return orbit(
-        concatenate(parts), actor.size, views=views, width=width, height=height,
-        elevation=elevation, background=background, low_pass=actor.low_pass,
-    )  # fmt: skip
+        concatenate(parts),
+        actor.size,
+        views=views,
+        width=width,
+        height=height,
+        elevation=elevation,
+        background=background,
+        low_pass=actor.low_pass,
+    )
 
 
 def coloured_by_shares(actor: Actor, colours: Sequence[Sequence[float]]) -> Actor:
@@ -67,11 +77,16 @@ def coloured_by_shares(actor: Actor, colours: Sequence[Sequence[float]]) -> Acto
 
 
 def orbit(
-    gaussians: Gaussians, size: Array, *, views: int, width: int, height: int,
+    gaussians: Gaussians,
+    size: Array,
+    *,
+    views: int,
+    width: int,
+    height: int,
     elevation: float = float(np.radians(10.0)),
     background: tuple[float, float, float] = (0.55, 0.56, 0.58),
     low_pass: LowPass = CLASSIC,
-) -> list[NDArray[np.uint8]]:  # fmt: skip
+) -> list[NDArray[np.uint8]]:
     """Render Gaussians about the origin from azimuths evenly around the z axis, the first from +x.
 
     Args:
@@ -92,16 +107,24 @@ def orbit(
     images = []
     for azimuth in np.arange(views) * 2 * np.pi / views:
         direction = np.array(
-            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
-             np.sin(elevation)]
-        )  # fmt: skip
+            [
+                np.cos(elevation) * np.cos(azimuth),
+                np.cos(elevation) * np.sin(azimuth),
+                np.sin(elevation),
+            ]
+        )
         pose = look_at(distance * direction, np.zeros(3))
         with torch.no_grad():
             picture = rasterize(
-                gaussians, torch.from_numpy(pose).float(), torch.from_numpy(camera.matrix).float(),
-                width, height, background=torch.tensor(background),
-                eps2d=low_pass.variance, antialiased=low_pass.antialiased,
-            )  # fmt: skip
+                gaussians,
+                torch.from_numpy(pose).float(),
+                torch.from_numpy(camera.matrix).float(),
+                width,
+                height,
+                background=torch.tensor(background),
+                eps2d=low_pass.variance,
+                antialiased=low_pass.antialiased,
+            )
         images.append((picture.rgb.clamp(0, 1) * 255).round().to(torch.uint8).numpy())
     return images
 

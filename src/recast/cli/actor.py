@@ -34,9 +34,10 @@ class Make:
         shared.option(
             "Scene folder of the log, with a model of the track; the actor is refined on its "
             "images.",
-            "no refinement", metavar="PATH",
+            "no refinement",
+            metavar="PATH",
         ),
-    ] = None  # fmt: skip
+    ] = None
     generator: Annotated[str, shared.GENERATOR] = "auto"
     axes: Annotated[str, shared.AXES] = "auto"
     segmenter: Annotated[str, shared.SEGMENTER] = "box-lidar"
@@ -47,14 +48,14 @@ class Make:
 
     def __call__(self) -> None:
         """Run the command."""
-        from recast.errors import InputError
+        from recast.core.errors import InputError
+        from recast.core.files import atomic_folder
         from recast.logs import read_log
         from recast.pipeline.actor import ActorMakers, film_turntable, make_actor, refine_actor
         from recast.pipeline.arms import MOST_VIEWS
         from recast.pipeline.display import SamplingProgress, print_actor
         from recast.pipeline.layout import TURNTABLE_FILE
         from recast.scene import SceneConfig, load_scene, read_training_config
-        from recast.storage import atomic_folder
 
         if not 1 <= self.views <= MOST_VIEWS:
             raise InputError("--views", "value", f"is {self.views}", f"give 1 to {MOST_VIEWS}")
@@ -101,10 +102,11 @@ class Generate:
     cfg: Annotated[
         tuple[float, float] | None,
         shared.option(
-            "Guidance strengths of structure and latent, such as 7.5 3.", "the model's",
+            "Guidance strengths of structure and latent, such as 7.5 3.",
+            "the model's",
             metavar="STRUCTURE LATENT",
         ),
-    ] = None  # fmt: skip
+    ] = None
     multi_image: Literal["stochastic", "multidiffusion"] = "stochastic"
     """Use of several views: stochastic (one view at each step, in turn) or multidiffusion (the
     mean of all views at each step)."""
@@ -116,10 +118,11 @@ class Generate:
     precision: Annotated[
         Literal["float16", "bfloat16", "float32"] | None,
         shared.option(
-            "Number format of the transformer blocks.", "float16 on CUDA, else float32",
+            "Number format of the transformer blocks.",
+            "float16 on CUDA, else float32",
             metavar="{float16,bfloat16,float32}",
         ),
-    ] = None  # fmt: skip
+    ] = None
 
     def __call__(self) -> None:
         """Run the command."""
@@ -133,13 +136,20 @@ class Generate:
         from recast.weights import located
 
         request = GenerationRequest(
-            self.crop, self.views, self.seed, self.multi_image, self.steps, self.cfg,
+            self.crop,
+            self.views,
+            self.seed,
+            self.multi_image,
+            self.steps,
+            self.cfg,
             GenerationLimits(self.max_voxels, self.retries),
-        )  # fmt: skip
+        )
         model = load_model(
-            located("--model", self.model), self.device, self.precision,
+            located("--model", self.model),
+            self.device,
+            self.precision,
             located("--image-encoder", self.image_encoder),
-        )  # fmt: skip
+        )
         console = console_for(False)
         made = generate_actors(request, model, self.out, console)
         for line in (*cost_lines(made), f"wrote {self.out}"):
@@ -178,7 +188,7 @@ class Show:
 
     def __call__(self) -> None:
         """Run the command."""
-        from recast.pipeline.show_actor import show_actor
+        from recast.pipeline.actor import show_actor
 
         console_for(False).print(f"wrote {show_actor(self.actor, self.out)}", markup=False)
 

@@ -119,10 +119,12 @@ class ClosedLoop(_Grid):
     motion: Annotated[
         Lists,
         shared.option(
-            shared.MOTIONS_HELP, "cut-in, oncoming and stationary", metavar="NAME [NAME ...]",
+            shared.MOTIONS_HELP,
+            "cut-in, oncoming and stationary",
+            metavar="NAME [NAME ...]",
             aliases=("--motions",),
         ),
-    ] = ()  # fmt: skip
+    ] = ()
     films: bool = False
     """Render and film every step of all cameras, not only what the planner sees."""
     plan_timeout: Annotated[
@@ -140,9 +142,14 @@ class ClosedLoop(_Grid):
 
         settings = self._settings(tuple(name for names in self.motion for name in names))
         results = run_closed_loop(
-            settings, self.out, console_for(self.json), workers=self.workers, ray=self.ray,
-            retry_failures=self.retry_failures, store=self.store,
-        )  # fmt: skip
+            settings,
+            self.out,
+            console_for(self.json),
+            workers=self.workers,
+            ray=self.ray,
+            retry_failures=self.retry_failures,
+            store=self.store,
+        )
         if self.json:
             from recast.cli.rows.grids import grid_rows
 
@@ -161,10 +168,12 @@ class SceneLevel(_Grid):
     motion: Annotated[
         Lists,
         shared.option(
-            shared.MOTIONS_HELP, "cut-in, oncoming, stationary and advancing",
-            metavar="NAME [NAME ...]", aliases=("--motions",),
+            shared.MOTIONS_HELP,
+            "cut-in, oncoming, stationary and advancing",
+            metavar="NAME [NAME ...]",
+            aliases=("--motions",),
         ),
-    ] = ()  # fmt: skip
+    ] = ()
     inception: Annotated[Path | None, shared.INCEPTION] = None
     clip: Annotated[Path | None, shared.CLIP] = None
     lpips_weights: Annotated[Path | None, shared.LPIPS_WEIGHTS] = None
@@ -173,9 +182,10 @@ class SceneLevel(_Grid):
         shared.option(
             "VQA scorer: clip-flant5-xl (recast weights) or its folder, t2v_metrics:NAME, or "
             "package.module:attribute.",
-            "no VQA score", metavar="NAME",
+            "no VQA score",
+            metavar="NAME",
         ),
-    ] = None  # fmt: skip
+    ] = None
     device: Annotated[str, shared.required("Device of the networks: cpu, cuda or cuda:1.")] = "cpu"
     every: int = 5
     """Interval in steps between the images of a rollout that are scored."""
@@ -202,9 +212,12 @@ class SceneLevel(_Grid):
         from recast.weights import located
 
         networks = NetworkFiles(
-            located("--inception", self.inception), located("--clip", self.clip),
-            located("--lpips-weights", self.lpips_weights), self.vqa, self.device,
-        )  # fmt: skip
+            located("--inception", self.inception),
+            located("--clip", self.clip),
+            located("--lpips-weights", self.lpips_weights),
+            self.vqa,
+            self.device,
+        )
         motions = tuple(name for names in self.motion for name in names)
         settings = LevelSettings(
             grid=self._settings(motions or LEVEL_MOTIONS, films=False),
@@ -216,9 +229,13 @@ class SceneLevel(_Grid):
             frechet_samples=self.frechet_samples,
         )
         lines = run_scene_level(
-            settings, self.out, console_for(self.json), workers=self.workers, ray=self.ray,
+            settings,
+            self.out,
+            console_for(self.json),
+            workers=self.workers,
+            ray=self.ray,
             store=self.store,
-        )  # fmt: skip
+        )
         if self.json:
             from recast.cli.rows.grids import level_rows
 

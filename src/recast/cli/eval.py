@@ -16,9 +16,10 @@ if TYPE_CHECKING:
 
 
 PERTURBED = shared.option(
-    "Perturbation file for perturbed input pictures, or the word default.", "clean pictures only",
+    "Perturbation file for perturbed input pictures, or the word default.",
+    "clean pictures only",
     metavar="PATH",
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -55,9 +56,9 @@ class EvalActor:
         """Run the command."""
         from rich.progress import Progress
 
+        from recast.actors import make_generator
         from recast.evaluation.perceptual import load_distances
         from recast.logs.store import LOG_FILE
-        from recast.pipeline.actor import generator_of
         from recast.pipeline.evaluate_actor import evaluate_actors, evaluation_table
         from recast.weights import located
 
@@ -65,10 +66,11 @@ class EvalActor:
             self._judge_tracks()
             return
         distances = load_distances(
-            located("--lpips-weights", self.lpips_weights), located("--clip", self.clip),
+            located("--lpips-weights", self.lpips_weights),
+            located("--clip", self.clip),
             located("--dino", self.dino),
-        )  # fmt: skip
-        generator = generator_of(self.model, self.axes)
+        )
+        generator = make_generator(self.model, self.axes)
         console = console_for(self.json)
         with Progress(console=console, transient=True) as progress:
             task = progress.add_task("vehicles", total=None)
@@ -93,7 +95,7 @@ class EvalActor:
             console.print(f"not made: {vehicle}: {reason}", markup=False)
 
     def _judge_tracks(self) -> None:
-        from recast.errors import InputError
+        from recast.core.errors import InputError
         from recast.logs import read_log
         from recast.pipeline.actor import ActorMakers
         from recast.pipeline.display import SamplingProgress
@@ -106,9 +108,15 @@ class EvalActor:
         console = console_for(self.json)
         with SamplingProgress(console) as progress:
             results = evaluate_tracks(
-                read_log(self.set), load_scene(self.scene), read_training_config(self.scene),
-                self.track, makers, self.out, self.seed, progress,
-            )  # fmt: skip
+                read_log(self.set),
+                load_scene(self.scene),
+                read_training_config(self.scene),
+                self.track,
+                makers,
+                self.out,
+                self.seed,
+                progress,
+            )
         console.print(f"wrote {self.out}", markup=False)
         if self.json:
             from recast.cli.rows.vehicles import track_rows
@@ -141,7 +149,7 @@ class EvalGeneration:
             "writes it.",
             metavar="PATH",
         ),
-    ] = None  # fmt: skip
+    ] = None
     perturbed: Annotated[str | None, PERTURBED] = None
     targets: Literal["set", "orbit"] = "set"
     """Target views: set (the cameras of the set) or orbit (the paper's: 512 x 512 pixels, 40
@@ -183,12 +191,23 @@ class EvalGeneration:
             models, beside = {**rows, **models}, record.beside()
             seed, targets, perturbations = record.seed, record.targets, record.perturbations
         settings = StudySettings(
-            models, self.set, seed, self.limit, perturbations, self.placement,
+            models,
+            self.set,
+            seed,
+            self.limit,
+            perturbations,
+            self.placement,
             Measures(
-                located("--lpips-weights", self.lpips_weights), located("--clip", self.clip),
-                located("--dino", self.dino), located("--inception", self.inception),
-            ), self.samples, self.shown, targets, beside,
-        )  # fmt: skip
+                located("--lpips-weights", self.lpips_weights),
+                located("--clip", self.clip),
+                located("--dino", self.dino),
+                located("--inception", self.inception),
+            ),
+            self.samples,
+            self.shown,
+            targets,
+            beside,
+        )
         console = console_for(self.json)
         with PictureProgress("vehicles", console) as progress:
             blocks = run_study(settings, self.out, workers=self.workers, progress=progress)
@@ -209,7 +228,7 @@ class EvalGeneration:
             console.print(paper_table(blocks[0], beside))
 
     def _refuse_twice(self) -> None:
-        from recast.errors import InputError
+        from recast.core.errors import InputError
 
         for option, given in (
             ("--seed", self.seed != 0),
@@ -237,13 +256,16 @@ class EvalInputs:
 
     def __call__(self) -> None:
         """Run the command."""
-        from recast.pipeline.generation_inputs import write_inputs
-        from recast.pipeline.generation_plan import StudySettings
+        from recast.pipeline.generation_plan import StudySettings, write_inputs
 
         settings = StudySettings(
-            {}, self.set, self.seed, self.limit, _perturbations(self.perturbed),
+            {},
+            self.set,
+            self.seed,
+            self.limit,
+            _perturbations(self.perturbed),
             targets=self.targets,
-        )  # fmt: skip
+        )
         cases = write_inputs(settings, self.out)
         console_for(False).print(f"wrote {self.out}: inputs of {len(cases)} vehicles", markup=False)
 

@@ -39,34 +39,40 @@ class Import:
         shared.option(
             "File of box labels. kitti: a tracking label file; argoverse2: an annotations file; "
             "processed scenes: a track_info.txt or instances_info.json.",
-            "the drive's own labels", metavar="PATH",
+            "the drive's own labels",
+            metavar="PATH",
         ),
-    ] = None  # fmt: skip
+    ] = None
     cameras: Annotated[
         tuple[str, ...],
         shared.option(
             "Names of the cameras to import, such as image_02 or CAM_FRONT.",
-            "all; of kitti the colour cameras", metavar="NAME [NAME ...]",
+            "all; of kitti the colour cameras",
+            metavar="NAME [NAME ...]",
         ),
-    ] = ()  # fmt: skip
+    ] = ()
     refine: bool = True
     """Correct the GPS/IMU poses by matching LiDAR sweeps (kitti only)."""
 
     def __call__(self) -> None:
         """Run the command."""
+        from recast.core.files import require_new
+        from recast.core.parts import IMPORTERS
         from recast.logs import load_log, write_log
-        from recast.parts import IMPORTERS
         from recast.pipeline.display import FrameProgress
-        from recast.storage import require_new
 
         require_new(self.out)
         options: dict[str, Any] = {} if self.refine else {"refine": False}
         console = console_for(False)
         with FrameProgress(console, None, "images and sweeps") as bar:
             log = load_log(
-                self.root, importer=self.importer, drive=self.drive, labels=self.labels,
-                cameras=self.cameras, **options,
-            )  # fmt: skip
+                self.root,
+                importer=self.importer,
+                drive=self.drive,
+                labels=self.labels,
+                cameras=self.cameras,
+                **options,
+            )
             write_log(log, self.out, bar.reach)
         if self.importer in IMPORTERS.experimental:
             told = (
@@ -86,8 +92,8 @@ class Info:
 
     def __call__(self) -> None:
         """Run the command."""
+        from recast.cli.rows.logs import log_info_tables
         from recast.logs import load_log, log_info
-        from recast.reporting.log_tables import log_info_tables
 
         info = log_info(load_log(self.log))
         if self.json:

@@ -9,33 +9,44 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Literal, NoReturn
 
 import tyro
 
-from recast import diagnostics, storage
 from recast.cli.actor import Actor
 from recast.cli.bench import Bench
-from recast.cli.completion import Completion
-from recast.cli.demo import Demo
-from recast.cli.doctor import Doctor
 from recast.cli.eval import Eval
 from recast.cli.log import Log
-from recast.cli.pages import page_of
+from recast.cli.machine import Doctor, Weights
+from recast.cli.output import page_of
 from recast.cli.planner import Planner
 from recast.cli.recar import Recar
-from recast.cli.report import Report
-from recast.cli.run import Run
+from recast.cli.report import Report, View
+from recast.cli.run import Demo, Run
 from recast.cli.scenario import Scenario
 from recast.cli.scene import Scene
 from recast.cli.store import Store
 from recast.cli.trellis import Trellis
-from recast.cli.view import View
-from recast.cli.weights import Weights
-from recast.diagnostics import Diagnostics
-from recast.errors import InputError
+from recast.core import diagnostics, files
+from recast.core.diagnostics import Diagnostics
+from recast.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class Completion:
+    """Print the completion script of a shell; docs/install.md says how to install it."""
+
+    shell: tyro.conf.Positional[Literal["bash", "zsh", "fish"]]
+    """Shell that completes `recast`."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+
+        print(completion_script(self.shell), end="")
+
 
 Command = Annotated[
     Annotated[Demo, tyro.conf.subcommand("demo")]
@@ -102,7 +113,7 @@ def main(args: Sequence[str] | None = None) -> int:
 def _system_errors() -> Iterator[None]:
     """The last resort: whatever the system refuses is one line."""
     try:
-        with storage.disk_errors("disk"):
+        with files.disk_errors("disk"):
             yield
     except BrokenPipeError:
         raise

@@ -1,4 +1,4 @@
-"""What commands print: tables for people, or one JSON list for programs.
+"""What commands print: tables for people, one JSON list for programs, and pages to errors.
 
 The JSON of every command has one form: a list of objects. Each object is one row; its member
 `table` names the table. Keys end in the unit (`download_gb`, `psnr_db`, `duration_s`); in a row
@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import json
 import math
+import traceback
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tyro
+
+from recast.core.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -26,6 +29,36 @@ JSON = tyro.conf.arg(
     help="Print the tables as one JSON list on standard output, and everything else on standard "
     "error."
 )
+EXTRAS_PAGE = "docs/install.md#extras"
+
+_VEHICLES = "docs/actors.md#bring-your-own-vehicle"
+_SCENARIO_FILE = "docs/scenarios.md#your-own-as-a-file"
+
+PAGES = {
+    "recast.actors.axes": "docs/actors.md#axes",
+    "recast.actors.library": "docs/actors.md#a-library-of-vehicles",
+    "recast.actors.mesh": _VEHICLES,
+    "recast.actors.vehicle_files": _VEHICLES,
+    "recast.cli.rows.store": "docs/runs.md#the-store",
+    "recast.core": "docs/runs.md#the-store",
+    "recast.logs": "docs/data.md#the-log-folder",
+    "recast.logs.importers": "docs/data.md#what-can-be-read",
+    "recast.pipeline.arms": "docs/runs.md#arms",
+    "recast.pipeline.config": "docs/runs.md#a-configuration-file",
+    "recast.pipeline.run_folder": "docs/runs.md#the-run-folder",
+    "recast.planning": "docs/planners.md#your-own-planner",
+    "recast.planning.registry": "docs/planners.md#built-in",
+    "recast.recar": "docs/recar.md",
+    "recast.scene.config": "docs/scenes.md#configuration",
+    "recast.scene.importers": "docs/scenes.md#scenes-that-others-trained",
+    "recast.simulation.scenario_names": _SCENARIO_FILE,
+    "recast.simulation.yaml_lines": _SCENARIO_FILE,
+    "recast.splats.cuda": "docs/rasterizer.md#on-a-gpu",
+    "recast.synthetic": "docs/synthetic.md",
+    "recast.trellis.checkpoints": "docs/image_to_3d.md#model-folders",
+    "recast.weights": "docs/weights.md#names",
+}
+"""Page by module or package; the innermost package counts."""
 
 
 def console_for(as_json: bool) -> Console:
@@ -66,3 +99,22 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_plain(one) for one in value]
     return value
+
+
+def page_of(error: InputError) -> str | None:
+    """The page to name after the error's line; None if there is none, or the line names one.
+
+    An `InputError` may name its page. Other errors get the page of the part of recast that raised
+    them: the innermost function with a page counts.
+    """
+    if error.page is not None or "docs/" in error.mend:
+        return error.page
+    if "recast-sim[" in error.mend:
+        return EXTRAS_PAGE
+    for frame, _ in reversed(list(traceback.walk_tb(error.__traceback__))):
+        module = frame.f_globals.get("__name__", "") + "."
+        matching = (name for name in PAGES if module.startswith(f"{name}."))
+        found = max(matching, key=len, default=None)
+        if found is not None:
+            return PAGES[found]
+    return None

@@ -50,7 +50,7 @@ class Dataset:
         """Run the command."""
         from recast.pipeline.planner_data.dataset import make_dataset
         from recast.planning.gtrs import read_vocabulary
-        from recast.planning.gtrs_training.store import DatasetRecord
+        from recast.planning.gtrs_training.samples import DatasetRecord
         from recast.recar.progress import PictureProgress
         from recast.synthetic import SCENES
 
@@ -79,8 +79,8 @@ class Show:
 
     def __call__(self) -> None:
         """Run the command."""
-        from recast.planning.gtrs_training.sheet import truth_sheet
-        from recast.planning.gtrs_training.store import SampleStore
+        from recast.planning.gtrs_training.judge import truth_sheet
+        from recast.planning.gtrs_training.samples import SampleStore
 
         truth_sheet(SampleStore(self.dataset), self.first, self.count).write(self.out)
 
@@ -97,16 +97,18 @@ class Train:
         Path | None,
         shared.option(
             'JSON file with changes to the training, such as {"trainer": {"steps": 4000}}.',
-            "the shipped planner's training", metavar="PATH",
+            "the shipped planner's training",
+            metavar="PATH",
         ),
-    ] = None  # fmt: skip
+    ] = None
     start: Annotated[
         Path | None,
         shared.option(
             "Planner folder with the initial weights; its network must have the same sizes.",
-            "random weights", metavar="PATH",
+            "random weights",
+            metavar="PATH",
         ),
-    ] = None  # fmt: skip
+    ] = None
     seed: Annotated[int, shared.SEED] = 0
     steps: Annotated[
         int | None,
@@ -182,10 +184,16 @@ class Probe:
         from recast.synthetic import SCENES
 
         request = ProbeRequest(
-            self.planner, self.out, self.scene or SCENES,
-            self.motion or ("stationary", "oncoming", "cut-in"), self.seed, self.seconds,
-            self.full_size, self.workers, self.device,
-        )  # fmt: skip
+            self.planner,
+            self.out,
+            self.scene or SCENES,
+            self.motion or ("stationary", "oncoming", "cut-in"),
+            self.seed,
+            self.seconds,
+            self.full_size,
+            self.workers,
+            self.device,
+        )
         console = console_for(self.json)
         rows = probe(request, lambda row: console.print(row.line, markup=False, highlight=False))
         if self.json:

@@ -10,12 +10,9 @@ import tyro
 
 from recast.cli import shared
 from recast.cli.output import JSON, console_for, print_json
-from recast.cli.recar_data import Ingest, Pack
-from recast.cli.recar_perturb import Perturb
-from recast.cli.recar_screen import Screen
-from recast.cli.recar_small import Assemble, Assets, Autoencoder
+from recast.cli.recar_sets import Ingest, Pack, Perturb, Screen
 from recast.cli.recar_targets import Targets
-from recast.cli.recar_train import Train
+from recast.cli.recar_train import Assemble, Assets, Autoencoder, Train
 
 
 @dataclass(frozen=True)
@@ -36,10 +33,11 @@ class Synth:
     kinds: Annotated[
         tuple[str, ...],
         shared.option(
-            "Kinds of vehicles, each equally often.", "all, as often as on the road",
+            "Kinds of vehicles, each equally often.",
+            "all, as often as on the road",
             metavar="KIND [KIND ...]",
         ),
-    ] = ()  # fmt: skip
+    ] = ()
     shapes: int = 0
     """Number of other shapes, such as furniture and signs."""
     mesh: Annotated[
@@ -50,9 +48,10 @@ class Synth:
         str | None,
         shared.option(
             "Forward and up axes of the meshes, such as x,z (write --mesh-axes=-y,z with a minus).",
-            "z,y for glTF, x,z for other formats", metavar="AXES",
+            "z,y for glTF, x,z for other formats",
+            metavar="AXES",
         ),
-    ] = None  # fmt: skip
+    ] = None
     licence: str = "CC0-1.0"
     """Licence of the pictures, written to set.json."""
     held_out: float = 0.05
@@ -65,9 +64,14 @@ class Synth:
         from recast.recar.progress import PictureProgress
 
         settings = SynthesisSettings(
-            self.seed, self.views, self.width, self.height, self.kinds, self.licence,
+            self.seed,
+            self.views,
+            self.width,
+            self.height,
+            self.kinds,
+            self.licence,
             self.held_out,
-        )  # fmt: skip
+        )
         console = console_for(False)
         with PictureProgress("pictures", console) as progress:
             made = synthesize_set(
@@ -92,10 +96,11 @@ class Stats:
     out: Annotated[
         Path | None,
         shared.option(
-            "Folder for dataset.png, views.png, colours.png and types.png.", "no pictures",
+            "Folder for dataset.png, views.png, colours.png and types.png.",
+            "no pictures",
             metavar="PATH",
         ),
-    ] = None  # fmt: skip
+    ] = None
     decode: bool = False
     """Check every pixel instead of every header (minutes to hours)."""
     json: Annotated[bool, JSON] = False
@@ -113,7 +118,7 @@ class Stats:
             vehicle_set.check_pictures(self.decode, progress)
         statistics = set_statistics(vehicle_set)
         if self.json:
-            from recast.cli.rows.models import set_rows
+            from recast.cli.rows.vehicles import set_rows
 
             print_json(set_rows(statistics))
         else:

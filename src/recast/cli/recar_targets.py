@@ -48,9 +48,10 @@ class Targets:
         float | None,
         shared.option(
             "Minimum score of a target; may be changed later.",
-            "4.5 of the aesthetic predictor, 0.6 of the agreement", metavar="FLOAT",
+            "4.5 of the aesthetic predictor, 0.6 of the agreement",
+            metavar="FLOAT",
         ),
-    ] = None  # fmt: skip
+    ] = None
     predictor: Annotated[
         Path | None,
         shared.option(
@@ -58,7 +59,7 @@ class Targets:
             "(recast weights).",
             metavar="PATH",
         ),
-    ] = None  # fmt: skip
+    ] = None
     clip: Annotated[
         Path | None,
         shared.option(
@@ -66,7 +67,7 @@ class Targets:
             "weights).",
             metavar="PATH",
         ),
-    ] = None  # fmt: skip
+    ] = None
     retry_failures: bool = False
     """Try again the vehicles that failed before."""
     json: Annotated[bool, JSON] = False
@@ -75,7 +76,7 @@ class Targets:
         """Run the command."""
         from itertools import islice
 
-        from recast.errors import InputError
+        from recast.core.errors import InputError
         from recast.recar.progress import PictureProgress
         from recast.recar.shards import open_set
         from recast.recar.targets import (
@@ -90,9 +91,12 @@ class Targets:
         from recast.weights import located
 
         for name, value, least in (
-            ("seed", self.seed, 0), ("limit", self.limit, 1), ("retries", self.retries, 0),
-            ("max-voxels", self.max_voxels, 1), ("steps", self.steps, 1),
-        ):  # fmt: skip
+            ("seed", self.seed, 0),
+            ("limit", self.limit, 1),
+            ("retries", self.retries, 0),
+            ("max-voxels", self.max_voxels, 1),
+            ("steps", self.steps, 1),
+        ):
             if value is not None and value < least:
                 raise InputError(f"--{name}", "value", f"is {value}", f"give {least} or more")
         vehicles = open_set(self.set)
@@ -129,7 +133,7 @@ class Targets:
                 progress=progress,
             )
         if self.json:
-            from recast.cli.rows.models import target_rows
+            from recast.cli.rows.vehicles import target_rows
 
             print_json(target_rows(cache, target_statistics(cache)))
             return

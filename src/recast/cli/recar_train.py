@@ -1,4 +1,4 @@
-"""`recast recar train`: one stage of the adaptation, from a model folder to a new one."""
+"""`recast recar assets | autoencoder | assemble | train`: small models, and the adaptation."""
 
 from __future__ import annotations
 
@@ -9,6 +9,107 @@ from typing import Annotated, Literal
 import tyro
 
 from recast.cli import shared
+from recast.cli.output import console_for
+
+
+@dataclass(frozen=True)
+class Assets:
+    """Make 3D assets to train autoencoders on: voxels, features and pictures of vehicles."""
+
+    count: int
+    """Number of assets; a folder of the same settings grows."""
+    out: Path
+    """Folder of the assets."""
+    seed: Annotated[int, shared.SEED] = 0
+    shape_every: int = 4
+    """Interval of the assets that are other shapes, such as furniture and signs; 0 for none."""
+    workers: Annotated[int, shared.WORKERS] = 1
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from recast.recar.progress import PictureProgress
+        from recast.recar.training.asset_synthesis import AssetsRecord, make_assets
+
+        console = console_for(False)
+        record = AssetsRecord(seed=self.seed, shape_every=self.shape_every)
+        with PictureProgress("assets", console) as progress:
+            make_assets(self.out, self.count, record, workers=self.workers, progress=progress)
+        console.print(f"wrote {self.out}: {self.count} assets", markup=False)
+
+
+@dataclass(frozen=True)
+class Autoencoder:
+    """Train an autoencoder (structures or structured latents) or the image encoder."""
+
+    part: tyro.conf.Positional[Literal["structure", "latent", "image"]]
+    """Network to train."""
+    assets: Path
+    """Folder of `recast recar assets`."""
+    out: Path
+    """Folder of the training; the same command resumes. Networks are written to OUT/ckpts."""
+    structure: Annotated[
+        Path | None,
+        shared.option(
+            "Folder of the trained structure autoencoder; the image encoder needs it.",
+            metavar="PATH",
+        ),
+    ] = None
+    steps: Annotated[
+        int | None,
+        shared.option("Number of optimiser steps.", "the shipped model's", metavar="INT"),
+    ] = None
+    seed: Annotated[int, shared.SEED] = 0
+    threads: int = 1
+    """Number of CPU threads."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        import torch
+
+        from recast.recar.training.assemble import train_part
+        from recast.splats import set_threads
+
+        torch.set_num_threads(self.threads)
+        set_threads(self.threads)
+        train_part(
+            self.part,
+            self.assets,
+            self.out,
+            console_for(False),
+            structure=self.structure,
+            steps=self.steps,
+            seed=self.seed,
+        )
+
+
+@dataclass(frozen=True)
+class Assemble:
+    """Combine trained parts to a model folder, and make the target cache for its flows."""
+
+    assets: Path
+    """Folder of `recast recar assets`."""
+    structure: Path
+    """Folder of the trained structure autoencoder."""
+    latent: Path
+    """Folder of the trained latent autoencoder."""
+    image: Path
+    """Folder of the trained image encoder."""
+    model: Path
+    """New model folder."""
+    cache: Path
+    """New target cache."""
+    seed: Annotated[int, shared.SEED] = 0
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from recast.recar.progress import PictureProgress
+        from recast.recar.training.assemble import assemble
+
+        parts = {"structure": self.structure, "latent": self.latent, "image": self.image}
+        console = console_for(False)
+        with PictureProgress("assets", console) as progress:
+            assemble(self.assets, parts, self.model, self.cache, seed=self.seed, progress=progress)
+        console.print(f"wrote {self.model} and {self.cache}", markup=False)
 
 
 @dataclass(frozen=True)
@@ -33,7 +134,7 @@ class Train:
             "base-2, mini-1 or mini-2.",
             metavar="{1,2,base,base-2,mini-1,mini-2}",
         ),
-    ] = None  # fmt: skip
+    ] = None
     config: Annotated[
         Path | None,
         shared.option(
@@ -41,14 +142,15 @@ class Train:
             "--stage.",
             metavar="PATH",
         ),
-    ] = None  # fmt: skip
+    ] = None
     flow: Annotated[
         tyro.conf.UseAppendAction[tuple[Literal["structure", "latent"], ...]],
         shared.option(
-            "Flow to train in this process; the model is written after the last flow.", "both",
+            "Flow to train in this process; the model is written after the last flow.",
+            "both",
             metavar="{structure,latent}",
         ),
-    ] = ()  # fmt: skip
+    ] = ()
     image_encoder: Annotated[Path | None, shared.IMAGE_ENCODER] = None
     device: Annotated[str | None, shared.DEVICE] = None
     tensorboard: bool = False
@@ -58,18 +160,24 @@ class Train:
         """Run the command."""
         from rich.console import Console
 
-        from recast.recar.training.processes import Processes
+        from recast.recar.training.loop import Processes
         from recast.recar.training.stage import train_stage
+        from recast.recar.training.stage_config import chosen_stage
         from recast.recar.training.stage_parts import StageRequest
-        from recast.recar.training.stage_presets import chosen_stage
         from recast.weights import located
 
         config = chosen_stage(self.stage, self.config)
         request = StageRequest(
-            config, located("--model", self.model), self.targets, self.set, self.out,
-            located("--image-encoder", self.image_encoder), self.device, self.tensorboard,
+            config,
+            located("--model", self.model),
+            self.targets,
+            self.set,
+            self.out,
+            located("--image-encoder", self.image_encoder),
+            self.device,
+            self.tensorboard,
             self.flow,
-        )  # fmt: skip
+        )
         processes = Processes.started()
         left = train_stage(request, processes=processes)
         said = f"{self.out}: {', '.join(left)} still to train" if left else f"wrote {self.out}"

@@ -28,7 +28,7 @@ class List:
 
             print_json(scenario_rows(self.scenarios))
             return
-        from recast.pipeline.scenarios import list_scenarios
+        from recast.cli.rows.scenarios import list_scenarios
 
         list_scenarios(self.scenarios, console_for(False))
 
@@ -56,7 +56,7 @@ class Show:
 
     def __call__(self) -> None:
         """Run the command."""
-        from recast.pipeline.scenarios import show_scenarios
+        from recast.cli.rows.scenarios import show_scenarios
 
         console = console_for(self.json)
         show_scenarios(self.log, self.motion, self.track, self.out, self.steps, console)

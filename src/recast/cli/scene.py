@@ -91,7 +91,7 @@ class Eval:
             workers=self.workers,
         )
         if self.json:
-            from recast.cli.rows.scenes import evaluation_rows
+            from recast.cli.rows.logs import evaluation_rows
 
             print_json(evaluation_rows(evaluation))
 
@@ -109,9 +109,10 @@ class Export:
         shared.option(
             "Time in seconds after the scene's start: write one PLY of the street and all actors "
             "at that time.",
-            "one PLY for each part, actors in their own frames", metavar="FLOAT",
+            "one PLY for each part, actors in their own frames",
+            metavar="FLOAT",
         ),
-    ] = None  # fmt: skip
+    ] = None
 
     def __call__(self) -> None:
         """Run the command."""

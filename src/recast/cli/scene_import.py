@@ -36,16 +36,18 @@ class StreetGaussians:
         shared.option(
             "Processed folder of the training: gives the exact place of the scene and the learned "
             "poses of the actors.",
-            "an approximate place, and the log's poses", metavar="PATH",
+            "an approximate place, and the log's poses",
+            metavar="PATH",
         ),
-    ] = None  # fmt: skip
+    ] = None
     frames: Annotated[
         tuple[int, int] | None,
         shared.option(
-            "First and last frame of the training.", "all of the processed folder",
+            "First and last frame of the training.",
+            "all of the processed folder",
             metavar="FIRST LAST",
         ),
-    ] = None  # fmt: skip
+    ] = None
     cameras: tuple[int, ...] = (0, 1, 2)
     """Numbers of the cameras of the training."""
     world_from_scene: Annotated[Path | None, WORLD_FROM_SCENE] = None
@@ -67,11 +69,17 @@ class StreetGaussians:
         from recast.scene.importers import import_street_gaussians
 
         record = import_street_gaussians(
-            self.checkpoint, read_log(self.log), self.out,
-            processed=self.processed, frames=self.frames, cameras=self.cameras,
-            world_from_scene=self.world_from_scene, tracks=self.tracks,
-            leave_out=self.leave_out, share=self.share,
-        )  # fmt: skip
+            self.checkpoint,
+            read_log(self.log),
+            self.out,
+            processed=self.processed,
+            frames=self.frames,
+            cameras=self.cameras,
+            world_from_scene=self.world_from_scene,
+            tracks=self.tracks,
+            leave_out=self.leave_out,
+            share=self.share,
+        )
         _tell(record, self.out)
 
 
@@ -89,26 +97,29 @@ class DriveStudio:
         Path | None,
         shared.option(
             "Processed folder of the training: its first pose places the scene.",
-            "the log's pose at the first frame", metavar="PATH",
+            "the log's pose at the first frame",
+            metavar="PATH",
         ),
-    ] = None  # fmt: skip
+    ] = None
     first_frame: int = 0
     """First time step of the training."""
     clock: Annotated[
         str | None,
         shared.option(
             "Sensor of the log whose frames are the time steps of the checkpoint.",
-            "the LiDAR, else the camera, with most frames", metavar="NAME",
+            "the LiDAR, else the camera, with most frames",
+            metavar="NAME",
         ),
-    ] = None  # fmt: skip
+    ] = None
     world_from_scene: Annotated[Path | None, WORLD_FROM_SCENE] = None
     tracks: Annotated[
         Path | None,
         shared.option(
             'JSON file with the log\'s track id of each actor: {"0": "..."}.',
-            "the track at the same place", metavar="PATH",
+            "the track at the same place",
+            metavar="PATH",
         ),
-    ] = None  # fmt: skip
+    ] = None
     leave_out: tuple[str, ...] = ()
     """Numbers of the actors to leave out."""
     share: float = 0.5
@@ -121,11 +132,17 @@ class DriveStudio:
         from recast.scene.importers import import_drivestudio
 
         record = import_drivestudio(
-            self.checkpoint, read_log(self.log), self.out,
-            processed=self.processed, first_frame=self.first_frame, clock=self.clock,
-            world_from_scene=self.world_from_scene, tracks=self.tracks,
-            leave_out=self.leave_out, share=self.share,
-        )  # fmt: skip
+            self.checkpoint,
+            read_log(self.log),
+            self.out,
+            processed=self.processed,
+            first_frame=self.first_frame,
+            clock=self.clock,
+            world_from_scene=self.world_from_scene,
+            tracks=self.tracks,
+            leave_out=self.leave_out,
+            share=self.share,
+        )
         _tell(record, self.out)
 
 
@@ -144,16 +161,18 @@ class Ply:
         shared.option(
             "Text file with a 4x4 matrix (it may scale) or an offset from the PLY's coordinates to "
             "the log's world.",
-            "the same coordinates", metavar="PATH",
+            "the same coordinates",
+            metavar="PATH",
         ),
-    ] = None  # fmt: skip
+    ] = None
     sky: Annotated[
         Path | None,
         shared.option(
-            "Equirectangular sky image, as `recast scene export` writes it.", "a black sky",
+            "Equirectangular sky image, as `recast scene export` writes it.",
+            "a black sky",
             metavar="PATH",
         ),
-    ] = None  # fmt: skip
+    ] = None
 
     def __call__(self) -> None:
         """Run the command."""
@@ -182,7 +201,7 @@ class Import:
 
 
 def _tell(record: ImportRecord, out: Path) -> None:
-    from recast.reporting.scene_tables import import_lines
+    from recast.cli.rows.logs import import_lines
 
     console = console_for(False)
     for line, style in import_lines(record):

@@ -57,9 +57,10 @@ PLANNER_HELP = (
 )
 PLANNER = option(PLANNER_HELP, "idm-follower")
 PLANNER_DEVICE = option(
-    "Device of the planner: auto (a GPU if there is one), cpu, cuda or cuda:1.", "auto",
+    "Device of the planner: auto (a GPU if there is one), cpu, cuda or cuda:1.",
+    "auto",
     metavar="DEVICE",
-)  # fmt: skip
+)
 STEPS = option(
     "Steps of 0.1 s for each rollout; fewer if the log or the road ends.", "160", metavar="INT"
 )
@@ -70,39 +71,44 @@ GENERATOR = option(
     "image-to-3D model in the package), template, the name of an installed generator, trellis "
     "(recast weights), a model folder, a PLY, GLB or OBJ file, or library:FOLDER (the best vehicle "
     "in that folder).",
-    "auto", metavar="NAME",
-)  # fmt: skip
+    "auto",
+    metavar="NAME",
+)
 AXES = option(
     "Axes of vehicle files or of a model folder: the axis that points up, such as z-up, y-up or "
     "minus-y-up, or forward and up, such as x,z (write --axes=-y,z with a minus). auto finds a "
     "file's axes from its shape and takes z-up for models.",
-    "auto", metavar="AXES",
-)  # fmt: skip
+    "auto",
+    metavar="AXES",
+)
 REFINE = option("Refine the actor on all images of the log (about a minute).", "True")
 SEGMENTER = option(
     "Segmenter that cuts the vehicle out of the images: box-lidar, the name of an installed "
     "segmenter, grounded-sam (recast weights), or a folder with grounding-dino and sam "
     "(docs/actors.md).",
-    "box-lidar", metavar="NAME",
-)  # fmt: skip
+    "box-lidar",
+    metavar="NAME",
+)
 VIEWS = option(
-    "Maximum number of images that the actor is made from: the best view, then other sides.", "1",
+    "Maximum number of images that the actor is made from: the best view, then other sides.",
+    "1",
     metavar="INT",
-)  # fmt: skip
+)
 
 # Where the street comes from.
 SCENE = option("Folder of a trained or imported scene; no scene is trained.", metavar="PATH")
 STORE_HELP = "Folder or address (s3://...) of the artefacts that runs share."
 PRESET = option(
-    "Reconstruction method: streetgs (Street Gaussians) or omnire (OmniRe).", "recast's own",
+    "Reconstruction method: streetgs (Street Gaussians) or omnire (OmniRe).",
+    "recast's own",
     metavar="{streetgs,omnire}",
-)  # fmt: skip
+)
 CONFIG_HELP = "Configuration file (JSON, docs/runs.md); options override it."
 SCENE_CONFIG = option(
     "Scene configuration file (JSON, docs/scenes.md); it overrides the preset, and options "
     "override it.",
     metavar="PATH",
-)  # fmt: skip
+)
 CAMERAS = option(
     "Names of the cameras to use.", "all cameras of the log", metavar="NAME [NAME ...]"
 )
@@ -117,7 +123,7 @@ WORKERS = option("Number of worker processes; results do not depend on it.")
 RAY = option(
     "Address of a Ray cluster (auto or ray://HOST:10001), or local; needs the extra distributed.",
     metavar="ADDRESS",
-)  # fmt: skip
+)
 DEVICE = option("Device: cpu, cuda or cuda:1.", "cuda if there is a GPU, else cpu", metavar="NAME")
 LIMIT = option("Number of vehicles to use, the first by id.", "all", metavar="INT")
 SAMPLES = option("Number of bootstrap samples of the confidence intervals.")
@@ -126,32 +132,49 @@ SAMPLES = option("Number of bootstrap samples of the confidence intervals.")
 LPIPS_WEIGHTS = option(
     "Weights for LPIPS: an AlexNet or VGG-16 file of torchvision, or alexnet or vgg16 (recast "
     "weights).",
-    "no LPIPS", metavar="PATH", aliases=("--lpips",),
-)  # fmt: skip
+    "no LPIPS",
+    metavar="PATH",
+    aliases=("--lpips",),
+)
 CLIP = option(
     "CLIP model for the image similarity: a folder, or clip-vit-l14 (recast weights).",
-    "no CLIP score", metavar="PATH",
-)  # fmt: skip
+    "no CLIP score",
+    metavar="PATH",
+)
 DINO = option(
     "DINOv2 model for the feature distance: a folder, or dinov2 (recast weights).",
-    "no DINO score", metavar="PATH",
-)  # fmt: skip
+    "no DINO score",
+    metavar="PATH",
+)
 INCEPTION = option(
     "Inception weights for the Frechet distance: a file (.pth or .safetensors), or inception "
     "(recast weights).",
-    "no Inception score", metavar="PATH",
-)  # fmt: skip
+    "no Inception score",
+    metavar="PATH",
+)
 IMAGE_ENCODER = option(
     "Weights of the image encoder (DINOv2 ViT-L/14 with registers), or dinov2 (recast weights).",
-    "the model folder's", metavar="PATH",
-)  # fmt: skip
+    "the model folder's",
+    metavar="PATH",
+)
 
 _RUN_OPTIONS = {
-    "arms": "arm", "scene_folder": "scene", "preset": "preset", "planners": "planner",
-    "planner_device": "planner_device", "plan_limit_s": "plan_timeout", "films": "films",
-    "generator": "generator", "axes": "axes", "refine": "refine", "segmenter": "segmenter",
-    "views": "views", "steps": "steps", "seed": "seed", "threads": "threads",
-}  # fmt: skip
+    "arms": "arm",
+    "scene_folder": "scene",
+    "preset": "preset",
+    "planners": "planner",
+    "planner_device": "planner_device",
+    "plan_limit_s": "plan_timeout",
+    "films": "films",
+    "generator": "generator",
+    "axes": "axes",
+    "refine": "refine",
+    "segmenter": "segmenter",
+    "views": "views",
+    "steps": "steps",
+    "seed": "seed",
+    "threads": "threads",
+}
 _SCENE_OPTIONS = ("cameras", "scale", "iterations", "seed", "threads")
 
 

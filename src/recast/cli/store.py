@@ -20,11 +20,10 @@ class List:
 
     def __call__(self) -> None:
         """Run the command."""
-        from recast.pipeline.show_store import list_store
+        from recast.cli.rows.store import list_store, store_rows
 
         list_store(self.store, console_for(self.json))
         if self.json:
-            from recast.cli.rows.machine import store_rows
             from recast.core import Store as Artefacts
 
             print_json(store_rows(Artefacts(self.store)))
@@ -41,7 +40,7 @@ class Why:
 
     def __call__(self) -> None:
         """Run the command."""
-        from recast.pipeline.show_store import explain_artefact
+        from recast.cli.rows.store import explain_artefact
 
         explain_artefact(self.store, self.key, console_for(False))
 
@@ -59,7 +58,7 @@ class Prune:
 
     def __call__(self) -> None:
         """Run the command."""
-        from recast.pipeline.show_store import prune_store
+        from recast.cli.rows.store import prune_store
 
         prune_store(self.store, self.yes, self.older_than, console_for(False))
 

@@ -33,7 +33,7 @@ class Verify:
         checks = verify_checkpoint(self.folder, values=self.values)
         console = console_for(self.json)
         if self.json:
-            from recast.cli.rows.models import check_rows
+            from recast.cli.rows.vehicles import check_rows
 
             print_json(check_rows(checks))
         else:

@@ -1,6 +1,6 @@
 """What every room may use: content hashes and the store of artefacts."""
 
-from recast.core.hashing import file_hash, files_hash, folder_hash, value_hash
+from recast.core.artefact import file_hash, files_hash, folder_hash, value_hash
 from recast.core.store import Artefact, Store, open_store
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""One artefact on disk: its record, and whether its bytes are still those that were written.
+"""One artefact on disk: its content hashes, its record, and whether its bytes are still the same.
 
 KIND/KEY/artefact.json   what it was made from, and its files with sizes and hashes
 KIND/KEY/data/           the artefact
@@ -6,27 +6,59 @@ KIND/KEY/data/           the artefact
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt
 
-from recast import storage
-from recast.core.hashing import file_hash, value_hash
-from recast.errors import InputError
-from recast.names import member
-from recast.records import Record, read_record
+from recast.core import files
+from recast.core.errors import InputError
+from recast.core.names import member
+from recast.core.records import Record, read_record
 
+_CHUNK = 1 << 20
 RECORD_FILE, DATA_FOLDER = "artefact.json", "data"
 ARTEFACT_FORMAT: Literal["recast-artefact"] = "recast-artefact"
 ARTEFACT_VERSION: Literal[1] = 1
-
 KINDS = ("logs", "scenes", "actors", "evaluations", "rollouts")
 """Kinds of artefacts, in the order of the data's way."""
 _REFERENCE = re.compile(rf"({'|'.join(KINDS)})/[0-9a-f]{{32}}")
+
+
+def file_hash(path: str | Path) -> str:
+    """BLAKE2b-128 of a file's bytes, as hex."""
+    digest = hashlib.blake2b(digest_size=16)
+    with Path(path).open("rb") as stream:
+        while chunk := stream.read(_CHUNK):
+            digest.update(chunk)
+    return digest.hexdigest()
+
+
+def folder_hash(folder: str | Path) -> str:
+    """BLAKE2b-128 over the relative names and bytes of all files below a folder, in name order."""
+    folder = Path(folder)
+    return files_hash(sorted(p for p in folder.rglob("*") if p.is_file()), folder)
+
+
+def files_hash(files: Iterable[Path], root: Path) -> str:
+    """BLAKE2b-128 over the names below `root` and the bytes of files, in the order given."""
+    digest = hashlib.blake2b(digest_size=16)
+    for path in files:
+        name = path.relative_to(root).as_posix()
+        digest.update(name.encode("utf-8", "surrogateescape") + b"\0")
+        digest.update(bytes.fromhex(file_hash(path)))
+    return digest.hexdigest()
+
+
+def value_hash(value: Any) -> str:
+    """BLAKE2b-128 of a JSON-able value, independent of key order."""
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 class FileRecord(Record):
@@ -144,7 +176,7 @@ def verify(artefact: Artefact) -> None:
     mend = f"remove {artefact.folder}, and it is made again"
     for name, file in artefact.record.files.items():
         path = member(artefact.path, name, artefact.folder / RECORD_FILE, "files")
-        with storage.disk_errors(path):
+        with files.disk_errors(path):
             if not path.is_file():
                 raise InputError(path, "artefact", "lacks this file, which was deleted", mend)
             if path.stat().st_size != file.size or file_hash(path) != file.hash:

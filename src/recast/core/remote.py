@@ -11,7 +11,7 @@ from typing import Any
 
 from upath import UPath
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 
 CACHE_VARIABLE = "RECAST_CACHE"
 """Environment variable that names another cache folder than ~/.cache/recast."""

@@ -19,7 +19,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-from recast import __version__, storage
+from recast import __version__
+from recast.core import files
 from recast.core.artefact import (
     DATA_FOLDER,
     KINDS,
@@ -30,23 +31,22 @@ from recast.core.artefact import (
     read_artefact,
     read_partial,
     references,
+    value_hash,
     verify,
     written_files,
 )
-from recast.core.depot import Depot, depot_of
-from recast.core.hashing import value_hash
-from recast.core.parcel import unpack
-from recast.errors import InputError
-from recast.records import Record, read_record
+from recast.core.depot import Depot, depot_of, unpack
+from recast.core.errors import InputError
+from recast.core.records import Record, read_record
+
+_LOG = logging.getLogger(__name__)
 
 STORE_FILE = "store.json"
 STORE_FORMAT: Literal["recast-store"] = "recast-store"
 STORE_VERSION: Literal[1] = 1
 _USERS = "users"
-_OF_THE_START = (STORE_FILE, storage.partial_name(STORE_FILE).name)
+_OF_THE_START = (STORE_FILE, files.partial_name(STORE_FILE).name)
 """What another process may be writing, or was when it was killed."""
-
-_LOG = logging.getLogger(__name__)
 
 
 class StoreRecord(Record):
@@ -98,9 +98,11 @@ class Store:
             one.name not in _OF_THE_START for one in self.root.iterdir()
         ):
             raise InputError(
-                self.root, STORE_FILE, "is missing in a folder that is not empty",
+                self.root,
+                STORE_FILE,
+                "is missing in a folder that is not empty",
                 "name a store, or a new folder for --store",
-            )  # fmt: skip
+            )
 
     def find(self, kind: str, inputs: Mapping[str, Any]) -> Artefact | None:
         """The artefact that was made from these inputs, or None.
@@ -164,7 +166,7 @@ class Store:
         return found
 
     def take(self, reference: str, parcel: bytes) -> Artefact:
-        """Take over an artefact that another process packed, see `recast.core.parcel`.
+        """Take over an artefact that another process packed, see `recast.core.depot`.
 
         Raises:
             InputError: the parcel is damaged, or the disk refuses.
@@ -184,7 +186,7 @@ class Store:
 
     def remove(self, artefact: Artefact) -> None:
         """Remove an artefact from this folder; from a depot nothing is removed."""
-        with storage.disk_errors(artefact.folder):
+        with files.disk_errors(artefact.folder):
             self._verified.pop(artefact.folder, None)
             (artefact.folder / RECORD_FILE).unlink(missing_ok=True)  # first: a kill leaves no whole
             shutil.rmtree(artefact.folder, ignore_errors=True)
@@ -209,7 +211,7 @@ class Store:
         path = self.root / _USERS / f"{value_hash(folder)}.json"
         if path.exists() and read_record(path, UserRecord, STORE_VERSION, "remove it") == record:
             return
-        storage.write_json(path, record.model_dump(mode="json"))
+        files.write_json(path, record.model_dump(mode="json"))
 
     def unused(self, older_than_s: float = 0.0) -> list[Artefact]:
         """What no run folder that is still there refers to, directly or through others.
@@ -296,7 +298,7 @@ class Store:
     ) -> Artefact:
         partial = self._partial(kind, key)
         data = partial / DATA_FOLDER
-        with storage.disk_errors(partial):
+        with files.disk_errors(partial):
             if not resumes:
                 _clear(partial)
             data.mkdir(parents=True, exist_ok=True)
@@ -309,12 +311,17 @@ class Store:
                 shutil.rmtree(partial, ignore_errors=True)
             raise
         seconds = time.monotonic() - began
-        with storage.disk_errors(partial):
+        with files.disk_errors(partial):
             record = ArtefactRecord(
-                kind=kind, key=key, name=name, inputs=dict(inputs), files=written_files(data),
-                seconds=round(seconds, 2), recast=__version__,
-            )  # fmt: skip
-        storage.write_json(partial / RECORD_FILE, record.model_dump(mode="json"))
+                kind=kind,
+                key=key,
+                name=name,
+                inputs=dict(inputs),
+                files=written_files(data),
+                seconds=round(seconds, 2),
+                recast=__version__,
+            )
+        files.write_json(partial / RECORD_FILE, record.model_dump(mode="json"))
         folder = self._commit(kind, key)
         self._verified[folder] = (folder / RECORD_FILE).stat().st_mtime_ns
         _LOG.debug("%s/%s: made in %.1f s", kind, key, seconds)
@@ -322,7 +329,7 @@ class Store:
 
     def _commit(self, kind: str, key: str) -> Path:
         folder = self.root / kind / key
-        with storage.disk_errors(folder):
+        with files.disk_errors(folder):
             _clear(folder)  # one that was half deleted
             self._partial(kind, key).rename(folder)
         return folder
@@ -334,26 +341,26 @@ class Store:
         path = self.root / STORE_FILE
         if path.exists():
             return
-        with storage.disk_errors(self.root):
+        with files.disk_errors(self.root):
             self.root.mkdir(parents=True, exist_ok=True)
-        with storage.alone_in(self.root, wait=True):
+        with files.alone_in(self.root, wait=True):
             if not path.exists():
-                storage.write_json(path, StoreRecord().model_dump(mode="json"))
+                files.write_json(path, StoreRecord().model_dump(mode="json"))
 
     @contextmanager
     def _alone(self, kind: str, key: str, waits: Callable[[], None] | None) -> Iterator[None]:
         """Keep other processes out; with `waits` None, an InputError if one is at work."""
         lock = self.root / kind / f".{key}.lock"
-        with storage.disk_errors(lock):
+        with files.disk_errors(lock):
             lock.mkdir(parents=True, exist_ok=True)
         with ExitStack() as held:
             try:
-                held.enter_context(storage.alone_in(lock))
+                held.enter_context(files.alone_in(lock))
             except InputError:
                 if waits is None:
                     raise
                 waits()
-                held.enter_context(storage.alone_in(lock, wait=True))
+                held.enter_context(files.alone_in(lock, wait=True))
             yield
 
 
@@ -372,6 +379,6 @@ def open_store(place: Any) -> Store:
 
 
 def _clear(folder: Path) -> None:
-    with storage.disk_errors(folder):
+    with files.disk_errors(folder):
         if folder.exists():
             shutil.rmtree(folder)

@@ -1,11 +1,21 @@
-"""What a crew is, and the smallest: this process."""
+"""What a crew is: this process, or several of this machine, each with one thread."""
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import signal
+import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import connection
 from typing import Any, Protocol, TypeVar
 
-from recast.crews.child_process import one_thread
+from recast.core import diagnostics
+from recast.core.diagnostics import Diagnostics
+from recast.core.errors import InputError
 
 Job = TypeVar("Job")
 Outcome = TypeVar("Outcome")
@@ -15,6 +25,11 @@ Start = Callable[..., Callable[[Job], Outcome]]
 
 A function of a module, so that other processes find it.
 """
+_WAITING = 2
+"""Jobs handed out for each process: one at work, one waiting."""
+
+_start: Callable[[], Callable[[Any], Any]]
+_work: Callable[[Any], Any] | None = None
 
 
 class Crew(Protocol):
@@ -56,3 +71,119 @@ def alone(
             if work is None:
                 work = start(0, *arguments)
             yield job, work(job)
+
+
+def in_processes(workers: int) -> Crew:
+    """A crew of this many processes."""
+
+    def crew(
+        start: Start[Job, Outcome],
+        arguments: tuple[Any, ...],
+        take: Callable[[], Job | None],
+        finished: str,
+    ) -> Iterator[tuple[Job, Outcome]]:
+        # Spawned, not forked: CUDA and the threads of this process do not survive a fork, and the
+        # display of the parent draws from a thread, which may hold a lock.
+        context = multiprocessing.get_context("spawn")
+        numbers: Any = context.SimpleQueue()
+        for number in range(workers):
+            numbers.put(number)
+        initial = (start, arguments, numbers, diagnostics.current())
+        with ProcessPoolExecutor(workers, context, _set_up, initial) as pool:
+            pending: dict[Future[Outcome], Job] = {}
+            with worker_faults(pool, finished):
+                while True:
+                    while len(pending) < _WAITING * workers and (job := take()) is not None:
+                        pending[pool.submit(_do, job)] = job
+                    if not pending:
+                        return
+                    done, _ = wait(pending, return_when=FIRST_COMPLETED)
+                    for future in done:
+                        yield pending.pop(future), future.result()
+
+    return crew
+
+
+def _set_up(
+    start: Start[Any, Any], arguments: tuple[Any, ...], numbers: Any, records: Diagnostics
+) -> None:
+    global _start
+    import torch
+
+    from recast.kernel import set_threads
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers itself
+    end_with_parent()
+    diagnostics.begin(records)
+    torch.set_num_threads(1)
+    set_threads(1)
+    number = numbers.get()
+    _start = lambda: start(number, *arguments)  # noqa: E731
+
+
+def _do(job: Any) -> Any:
+    global _work
+    if _work is None:  # not in _set_up, whose errors nobody would hear of
+        _work = _start()
+    return _work(job)
+
+
+def end_with_parent() -> None:
+    """End this process as soon as its parent is gone.
+
+    The workers of a killed run would else wait for jobs for ever, or write into the folders of the
+    next run.
+    """
+    threading.Thread(target=_wait, daemon=True).start()
+
+
+@contextmanager
+def worker_faults(pool: ProcessPoolExecutor, finished: str) -> Iterator[None]:
+    """While jobs of a pool are waited for: cancel what is left when anything goes wrong.
+
+    Args:
+        pool: of the jobs.
+        finished: what stays of an earlier try, such as "finished vehicles".
+
+    Raises:
+        InputError: a process ended, mostly for want of memory.
+    """
+    try:
+        yield
+    except BrokenProcessPool:
+        raise InputError(
+            "--workers",
+            "process",
+            "ended, perhaps for want of memory",
+            f"run again with fewer; {finished} stay",
+        ) from None
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Compute on one torch thread, as working processes do: others round sums otherwise."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def usable_cores() -> int:
+    """Cores that this process may run on: fewer than the machine has if it was given a share."""
+    if hasattr(os, "sched_getaffinity"):  # Linux alone
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _wait() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os._exit(1)

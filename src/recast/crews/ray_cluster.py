@@ -1,4 +1,4 @@
-"""Workers on a Ray cluster."""
+"""Workers on a Ray cluster, and the crew that options name."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from recast import diagnostics
-from recast.crews.crew import Crew, Job, Outcome, Start
-from recast.diagnostics import Diagnostics
-from recast.errors import InputError
+from recast.core import diagnostics
+from recast.core.diagnostics import Diagnostics
+from recast.core.errors import InputError
+from recast.crews.crew import Crew, Job, Outcome, Start, alone, in_processes
 
 
 def on_ray(address: str, workers: int, gpu: bool = False) -> Crew:
@@ -33,9 +33,11 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> Crew:
         ray: Any = import_module("ray")
     except ImportError:
         raise InputError(
-            "--ray", address, "needs Ray, which is not installed",
+            "--ray",
+            address,
+            "needs Ray, which is not installed",
             "pip install 'recast-sim[distributed]'",
-        ) from None  # fmt: skip
+        ) from None
 
     def crew(
         start: Start[Job, Outcome],
@@ -65,9 +67,11 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> Crew:
             raise
         except ray.exceptions.RayActorError as error:
             raise InputError(
-                "--ray", address, f"a worker is gone ({str(error).splitlines()[0][:80]})",
+                "--ray",
+                address,
+                f"a worker is gone ({str(error).splitlines()[0][:80]})",
                 f"run again; {finished} stay",
-            ) from None  # fmt: skip
+            ) from None
         finally:
             if ours:
                 ray.shutdown()
@@ -138,3 +142,21 @@ def _outcomes(
         actor, job = busy.pop(done[0])
         idle.append(actor)
         yield job, ray.get(done[0])
+
+
+def crew_of(workers: int, ray: str | None = None, gpu: bool = False) -> Crew:
+    """The crew that the options --workers and --ray name.
+
+    Args:
+        workers: processes, or actors of the cluster.
+        ray: address of a Ray cluster, see `on_ray`; None for none.
+        gpu: whether each worker of a cluster wants a GPU, if there is any.
+
+    Raises:
+        InputError: less than one worker, or Ray is not installed.
+    """
+    if workers < 1:
+        raise InputError("--workers", "value", f"is {workers}", "give 1 or more")
+    if ray is not None:
+        return on_ray(ray, workers, gpu)
+    return alone if workers == 1 else in_processes(workers)

@@ -1,8 +1,6 @@
 """Vehicle models and controllers: numpy float64, any leading batch dimensions."""
 
 from recast.dynamics import state
-from recast.dynamics.bicycle import BicycleModel
-from recast.dynamics.ego_state import EgoState
 from recast.dynamics.idm import (
     IdmParameters,
     free_road_acceleration,
@@ -10,17 +8,18 @@ from recast.dynamics.idm import (
     idm_acceleration,
     idm_step,
 )
-from recast.dynamics.lqr import LqrWeights, lqr_command
 from recast.dynamics.profiles import Profile, ProfileWeights, fit_profile
-from recast.dynamics.state import initial_state, make_state
+from recast.dynamics.state import PACIFICA, EgoState, VehicleParameters, initial_state, make_state
 from recast.dynamics.tracker import (
     PRESETS,
+    BicycleModel,
+    LqrWeights,
     TrackerConfig,
     follow_perfectly,
+    lqr_command,
     plan_to_poses,
     track,
 )
-from recast.dynamics.vehicle import PACIFICA, VehicleParameters
 
 __all__ = [
     "PACIFICA",

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from recast.arrays import Array, BoolArray
 
 NUPLAN_LIMITS: Mapping[str, tuple[float, float]] = {
     "lon_accel": (-4.05, 2.40),
@@ -23,9 +22,14 @@ magnitude."""
 
 
 def savgol_signals(
-    lon_accel: ArrayLike, lat_accel: ArrayLike, magnitude: ArrayLike, heading: ArrayLike, dt: float,
-    *, whole_window: bool = False,
-) -> dict[str, Array]:  # fmt: skip
+    lon_accel: ArrayLike,
+    lat_accel: ArrayLike,
+    magnitude: ArrayLike,
+    heading: ArrayLike,
+    dt: float,
+    *,
+    whole_window: bool = False,
+) -> dict[str, Array]:
     """nuPlan's smoothed comfort signals of trajectories, all (..., N).
 
     Savitzky-Golay, order 2: accelerations over 8 samples, their derivatives over 15; yaw rate over

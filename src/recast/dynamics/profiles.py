@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from recast.arrays import Array
 from recast.geometry import se2
 
-Array = NDArray[np.float64]
 JerkMatrix = Literal["correct", "reference"]
 
 _WEIGHTS_DT = 0.1

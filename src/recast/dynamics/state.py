@@ -1,18 +1,20 @@
-"""The ego state: eleven columns, rear axle, world frame, in the order of nuPlan and NAVSIM.
+"""The ego: its vehicle, and its state of eleven columns in the order of nuPlan and NAVSIM.
 
-Positions and heading are in the world frame; velocity and acceleration are along the vehicle's own
-x (forward) and y (left). Units: metres, radians, seconds.
+The state is that of the rear axle. Positions and heading are in the world frame; velocity and
+acceleration are along the vehicle's own x (forward) and y (left). Units: metres, radians, seconds.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+from typing import Any, Self
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from recast.dynamics.vehicle import PACIFICA, VehicleParameters
+from recast.arrays import Array
 from recast.geometry import se2, se3
-
-Array = NDArray[np.float64]
 
 X, Y, HEADING = 0, 1, 2
 VX, VY = 3, 4
@@ -40,6 +42,43 @@ SIZE = len(COLUMNS)
 
 _CRAWL = 0.5
 """Speed in m/s below which steering cannot be told from the yaw rate."""
+
+
+@dataclass(frozen=True)
+class VehicleParameters:
+    """Outline and wheelbase of a vehicle, measured from its rear axle, in metres.
+
+    The defaults are nuPlan's Chrysler Pacifica, the vehicle the published planners drive.
+
+    Attributes:
+        width: over the body.
+        front_length: rear axle to front bumper.
+        rear_length: rear axle to rear bumper.
+        wheelbase: rear axle to front axle.
+    """
+
+    width: float = 2.297
+    front_length: float = 4.049
+    rear_length: float = 1.127
+    wheelbase: float = 3.089
+
+    def __post_init__(self) -> None:
+        for name in ("width", "front_length", "rear_length", "wheelbase"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"VehicleParameters.{name}: must be positive metres")
+
+    @property
+    def length(self) -> float:
+        """Bumper to bumper, metres."""
+        return self.front_length + self.rear_length
+
+    @property
+    def centre_offset(self) -> float:
+        """Distance from the rear axle forward to the centre of the box, metres."""
+        return (self.front_length - self.rear_length) / 2
+
+
+PACIFICA = VehicleParameters()
 
 
 def make_state(
@@ -113,3 +152,98 @@ def _line(times_s: Array, values: Array) -> tuple[float, float]:
     offset = times_s - times_s.mean()
     slope = float(offset @ values / (offset @ offset)) if len(values) > 1 else 0.0
     return float(values.mean() - slope * times_s.mean()), slope
+
+
+class EgoState(np.ndarray[tuple[int], np.dtype[np.float64]]):
+    """One state of the ego: rear axle; pose in the world, the rest in the ego frame; SI units.
+
+    It is an array (11,) float64 with the columns of `recast.dynamics.state`, so `state[VX]` and
+    `np.asarray(state)` work as with any array. It holds a copy of its values: who writes into it
+    does not change the simulation. Slices and results of arithmetic are plain arrays.
+
+    Args:
+        values: (11,) numbers.
+
+    Raises:
+        ValueError: `values` has another shape.
+    """
+
+    def __new__(cls, values: ArrayLike) -> Self:
+        """Copy the values."""
+        array = np.array(values, np.float64)
+        if array.shape != (SIZE,):
+            raise ValueError(f"EgoState: expected ({SIZE},), got {array.shape}")
+        return array.view(cls)
+
+    def __getitem__(self, key: Any) -> Any:
+        return np.asarray(self)[key]
+
+    def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
+        plain = np.asarray(array)
+        return plain[()] if return_scalar else plain
+
+    @property
+    def x(self) -> float:
+        """Metres, world."""
+        return float(self[X])
+
+    @property
+    def y(self) -> float:
+        """Metres, world."""
+        return float(self[Y])
+
+    @property
+    def heading(self) -> float:
+        """Radians, world, counter-clockwise from the x axis."""
+        return float(self[HEADING])
+
+    @property
+    def vx(self) -> float:
+        """Velocity along the heading, m/s."""
+        return float(self[VX])
+
+    @property
+    def vy(self) -> float:
+        """Velocity to the left, m/s."""
+        return float(self[VY])
+
+    @property
+    def ax(self) -> float:
+        """Acceleration along the heading, m/s^2."""
+        return float(self[AX])
+
+    @property
+    def ay(self) -> float:
+        """Acceleration to the left, m/s^2."""
+        return float(self[AY])
+
+    @property
+    def steering_angle(self) -> float:
+        """Radians, left positive."""
+        return float(self[STEERING_ANGLE])
+
+    @property
+    def steering_rate(self) -> float:
+        """Radians per second."""
+        return float(self[STEERING_RATE])
+
+    @property
+    def angular_velocity(self) -> float:
+        """Yaw rate, rad/s."""
+        return float(self[ANGULAR_VELOCITY])
+
+    @property
+    def angular_acceleration(self) -> float:
+        """rad/s^2."""
+        return float(self[ANGULAR_ACCELERATION])
+
+    @property
+    def pose(self) -> Array:
+        """(3,) x, y, heading of the rear axle, world."""
+        pose: Array = self[POSE]
+        return pose
+
+    @property
+    def speed(self) -> float:
+        """Length of the velocity, m/s."""
+        return float(np.hypot(self[VX], self[VY]))

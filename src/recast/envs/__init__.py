@@ -4,7 +4,7 @@ Importing this package registers `recast/Driving-v0`, so that
 `gymnasium.make("recast.envs:recast/Driving-v0", log=..., actors=...)` works.
 """
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 
 try:
     import gymnasium

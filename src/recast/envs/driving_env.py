@@ -10,13 +10,22 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.envs.actions import KINDS, ActionKind, HeldControls, action_space, checked_action
-from recast.envs.observations import history_length, observation, observation_space
+from recast.arrays import Image
+from recast.core.errors import InputError
 from recast.envs.rewards import NOTHING, ProgressReward, Reward, StepFacts, step_facts
-from recast.errors import InputError
+from recast.envs.spaces import (
+    KINDS,
+    ActionKind,
+    HeldControls,
+    action_space,
+    checked_action,
+    history_length,
+    observation,
+    observation_space,
+)
 from recast.evaluation.rollout_metrics import rollout_metrics
 from recast.logs import DrivingLog, load_log
-from recast.logs.drivable_region import drivable_region
+from recast.logs.hdmap import drivable_region
 from recast.planning import Plan
 from recast.simulation import (
     AnyMotion,
@@ -27,12 +36,11 @@ from recast.simulation import (
     SensorRenderer,
     Simulator,
 )
-from recast.simulation.simulator_parts import as_renderer
+from recast.simulation.setup import as_renderer
 
 if TYPE_CHECKING:
     from recast.scene.street_scene import StreetScene
 
-Image = NDArray[np.uint8]
 
 TERMINATIONS = ("collision", "off_road")
 _OPTIONS = ("scenario", "actors", "start_timestamp_us")
@@ -45,8 +53,8 @@ class DrivingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     terminates where the ego comes to the end of the route, and at what `terminate` names. It is
     truncated where the log ends, all `steps` were run, or an actor leaves the recorded road. `info`
     has every member of `StepFacts`, the terms of the reward if it has `parts`, and at the end
-    `ending`, `cut_reason` and `metrics`. See `recast.envs.observations.observation` for what the
-    agent sees, `recast.envs.actions` for what it does.
+    `ending`, `cut_reason` and `metrics`. See `recast.envs.spaces.observation` for what the
+    agent sees, `recast.envs.spaces` for what it does.
 
     In a vector environment every process loads log and scene itself: memory is scene times workers.
 

@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 
 from recast.evaluation.collision import TOUCHING, any_collision, no_collision
-from recast.evaluation.drivable import drivable_area_compliance
+from recast.evaluation.route import drivable_area_compliance
 from recast.planning import ReferenceRoute
 from recast.simulation import Rollout
 
@@ -94,7 +94,7 @@ def step_facts(
     Args:
         rollout: up to now.
         first: step at the last observation.
-        region: drivable area, see `recast.logs.drivable_region`; None without a map.
+        region: drivable area, see `recast.logs.hdmap`; None without a map.
         route_end: whether the ego came to the end of the route.
     """
     new, dt = slice(first + 1, None), rollout.dt

@@ -1,17 +1,18 @@
 """Closed-loop metrics of rollouts, and actors against the truth where there is one."""
 
 from recast.evaluation.bootstrap import Bootstrap, cluster_bootstrap, exact_bootstrap
-from recast.evaluation.metric import Metric
-from recast.evaluation.oracle_directions import logged_views
-from recast.evaluation.oracle_draw import TrueWorld
-from recast.evaluation.oracle_poses import ViewSettings
-from recast.evaluation.oracle_record import OracleView, OracleViews, read_oracle_views
-from recast.evaluation.oracle_scores import Agreement
-from recast.evaluation.oracle_summary import AngleBin
-from recast.evaluation.oracle_views import evaluate_oracle_views
+from recast.evaluation.oracle_poses import ViewSettings, logged_views
+from recast.evaluation.oracle_scores import (
+    Agreement,
+    AngleBin,
+    OracleView,
+    OracleViews,
+    read_oracle_views,
+)
+from recast.evaluation.oracle_views import TrueWorld, evaluate_oracle_views
 from recast.evaluation.pairs import PairedMetric, Pairs, matched_pairs
 from recast.evaluation.rollout_metrics import RolloutMetrics, rollout_metrics
-from recast.evaluation.table import COLUMNS, Column, TableRow, table
+from recast.evaluation.table import COLUMNS, Column, Metric, TableRow, table
 
 __all__ = [
     "COLUMNS",

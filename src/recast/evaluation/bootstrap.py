@@ -8,10 +8,9 @@ from itertools import combinations_with_replacement
 from math import factorial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from recast.arrays import Array
 
 SAMPLES = 200_000
 _PIECE = 10_000

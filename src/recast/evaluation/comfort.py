@@ -7,31 +7,31 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from recast.arrays import Array, BoolArray
 from recast.dynamics import state as ego
 from recast.dynamics.comfort import NUPLAN_LIMITS, check, savgol_signals
-from recast.evaluation.metric import Metric, invalid
+from recast.evaluation.table import Metric, invalid
 from recast.geometry import se2
-
-Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 LIMITS_4_13: Mapping[str, tuple[float, float]] = {
     name: limits for name, limits in NUPLAN_LIMITS.items() if name != "jerk"
 }
 """HUGSIM's five checks with nuPlan's limit on the longitudinal jerk."""
-
 LIMITS: Mapping[str, tuple[float, float]] = {**LIMITS_4_13, "lon_jerk": (-8.37, 8.37)}
 """HUGSIM's five checks: m/s^2, m/s^3, rad/s, rad/s^2, m/s^2. The headline."""
-
 _NUPLAN_DT = 0.1
 _WINDOW = 15
 """nuPlan's smoothing counts in samples 0.1 s apart, and its longest window has 15 of them."""
 _UNITS = {
-    "lon_accel": "m/s^2", "lon_jerk": "m/s^3", "yaw_rate": "rad/s", "yaw_accel": "rad/s^2",
-    "lat_accel": "m/s^2", "jerk": "m/s^3",
-}  # fmt: skip
+    "lon_accel": "m/s^2",
+    "lon_jerk": "m/s^3",
+    "yaw_rate": "rad/s",
+    "yaw_accel": "rad/s^2",
+    "lat_accel": "m/s^2",
+    "jerk": "m/s^3",
+}
 _STANDING = 1.0
 """Metres: a plan that ends nearer than this to its start has no meaningful heading."""
 

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import blas, lapack
 
-Array = NDArray[np.float64]
+from recast.arrays import Array
 
 
 def frechet_distance(first: ArrayLike, second: ArrayLike) -> float:

@@ -1,4 +1,4 @@
-"""What a generation study keeps of one vehicle: by one model from one picture, or of the truth.
+"""How a generated vehicle comes to stand in its box, and what a generation study keeps of it.
 
 FOLDER/cell.json      scores of every view, or why there is none
 FOLDER/features.npz   (V, D) float32 by name of the features
@@ -8,23 +8,32 @@ FOLDER/strip.png      the views side by side
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+import torch
+from numpy.typing import ArrayLike, NDArray
 from PIL import Image as PilImage
 
-from recast.errors import InputError
-from recast.evaluation.rounding import rounded
-from recast.storage import atomic_folder, read_json, write_json
+from recast.actors import Asset, Observation
+from recast.actors.icp import Surface, bounds
+from recast.actors.place import place_asset, stood_up
+from recast.arrays import Array, Image
+from recast.core.errors import InputError
+from recast.core.files import atomic_folder, read_json, write_json
+from recast.evaluation.table import rounded
+from recast.geometry import se3
+from recast.splats import Gaussians
 
 Features = NDArray[np.float32]
-Image = NDArray[np.uint8]
+Placement = Literal["views", "canonical"]
+"""`views`: by the conditioning view, as `recast eval actor`; `canonical`: as the model says."""
 
 _CELL, _FEATURES, _STRIP = "cell.json", "features.npz", "strip.png"
+PLACEMENTS: tuple[Placement, ...] = get_args(Placement)
 
 
 @dataclass(frozen=True)
@@ -65,9 +74,13 @@ def write_cell(folder: Path, cell: Cell, pictures: Mapping[str, Image]) -> None:
         shutil.rmtree(folder)
     with atomic_folder(folder) as partial:
         record = {
-            "key": cell.key, "id": cell.id, "failure": cell.failure, "facts": dict(cell.facts),
-            "views": list(cell.views), "scores": [dict(one) for one in cell.scores],
-        }  # fmt: skip
+            "key": cell.key,
+            "id": cell.id,
+            "failure": cell.failure,
+            "facts": dict(cell.facts),
+            "views": list(cell.views),
+            "scores": [dict(one) for one in cell.scores],
+        }
         for name, picture in pictures.items():
             PilImage.fromarray(picture).save(partial / f"{name}.png", format="PNG")
         with (partial / _FEATURES).open("wb") as stream:
@@ -95,9 +108,14 @@ def read_cell(folder: Path) -> Cell:
         with np.load(folder / _FEATURES, allow_pickle=False) as file:
             features = {name: file[name] for name in file.files}
         return Cell(
-            record["key"], record["id"], record["facts"], tuple(record["views"]),
-            tuple(record["scores"]), features, record["failure"],
-        )  # fmt: skip
+            record["key"],
+            record["id"],
+            record["facts"],
+            tuple(record["views"]),
+            tuple(record["scores"]),
+            features,
+            record["failure"],
+        )
     except (OSError, ValueError, KeyError, TypeError, EOFError) as error:
         raise InputError(
             folder, "cell", f"cannot be read ({error})", "remove it and run again"
@@ -118,3 +136,66 @@ def read_strip(folder: Path, name: str = "strip") -> Image:
         raise InputError(
             path, "picture", f"cannot be read ({error})", "remove its folder and run again"
         ) from None
+
+
+def place(
+    asset: Asset, size: ArrayLike, observations: Sequence[Observation], how: Placement
+) -> tuple[Gaussians, dict[str, Any]]:
+    """Gaussians in the actor frame, and plain facts on how they were placed.
+
+    Args:
+        asset: from an `ActorGenerator`.
+        size: (3,) length, width, height of the box, metres.
+        observations: conditioning views with cameras; only `views` looks at them.
+        how: see `Placement`.
+
+    Raises:
+        InputError: see `stood_up`.
+    """
+    if how == "views":
+        placed = place_asset(asset, size, observations)
+        return placed.gaussians, {"by": how, **asdict(placed.report)}
+    return place_canonical(asset, size)
+
+
+def place_canonical(asset: Asset, size: ArrayLike) -> tuple[Gaussians, dict[str, Any]]:
+    """Believe the forward axis of the asset's convention; nothing is searched.
+
+    Scaled so that its length is the box's, centred, and stood on the box's floor. It ends where
+    its outermost Gaussians cover half, which is where masks end. For models that were trained to
+    look along +x whatever they are shown: errors of a search do not blur the comparison then.
+
+    Raises:
+        InputError: see `stood_up`.
+    """
+    size = np.asarray(size, np.float64)
+    gaussians, surface = stood_up(asset)
+    low, high = _outline(gaussians, surface)
+    scale = float(size[0] / (high[0] - low[0]))
+    middle = (low + high) / 2 * scale
+    shift = np.array([-middle[0], -middle[1], -size[2] / 2 - low[2] * scale])
+    extent = (high - low) * scale
+    facts = {
+        "by": "canonical",
+        "axes": asset.axes.name,
+        "scale": scale,
+        "width_over_box": float(extent[1] / size[1]),
+        "height_over_box": float(extent[2] / size[2]),
+    }
+    matrix = se3.from_rotation_translation(np.eye(3), shift)
+    return gaussians.transformed(torch.from_numpy(matrix), scale), facts
+
+
+def _outline(gaussians: Gaussians, surface: Surface) -> tuple[Array, Array]:
+    """Lower and upper corner (3,) of where outer Gaussians alone cover half; strays left out.
+
+    A Gaussian of opacity o covers half at sqrt(2 ln(o / 0.5)) deviations.
+    """
+    chosen = gaussians.select(torch.from_numpy(surface.index))
+    opacity = torch.sigmoid(chosen.logit_opacities).double().numpy()
+    radius = np.sqrt(2 * np.log(np.maximum(opacity / 0.5, 1.0)))
+    axes = se3.quat_to_matrix(chosen.quats.double().numpy())
+    deviations = np.exp(chosen.log_scales.double().numpy())
+    along = np.sqrt(np.einsum("nij,nj->ni", axes**2, deviations**2))
+    reach = radius[:, None] * along
+    return bounds(surface.points - reach)[0], bounds(surface.points + reach)[1]

@@ -10,18 +10,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
 import torch
 import torch.nn.functional as functional
-from numpy.typing import NDArray
 from torch import Tensor
 
-from recast.errors import InputError
-from recast.evaluation.weights_file import checked_weight
+from recast.arrays import Array
+from recast.core.errors import InputError
+from recast.core.torch_file import checked_weight, read_tensors
 from recast.pretrained import BATCH, Picture, in_batches, resized
-from recast.torch_file import read_tensors
 
-Array = NDArray[np.float64]
 Shape = tuple[int, int, int, int]
 """Channels in and out, kernel height and width."""
 

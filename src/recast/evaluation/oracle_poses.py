@@ -1,4 +1,4 @@
-"""Views that a closed loop needs: the vehicle before the ego, turned through all headings."""
+"""Views that a closed loop needs, all around the vehicle, and how far they are from logged ones."""
 
 from __future__ import annotations
 
@@ -6,20 +6,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recast.actors.views import score_frame
+from recast.arrays import Array
+from recast.core.errors import InputError
 from recast.dynamics import PACIFICA, VehicleParameters
-from recast.errors import InputError
-from recast.geometry import boxes, se2
+from recast.geometry import boxes, se2, se3
 from recast.logs import DrivingLog, Track
 from recast.planning import CameraMount, ReferenceRoute
 from recast.scene.dynamic import moves
-from recast.simulation.lift import RoadSurface
-
-Array = NDArray[np.float64]
+from recast.simulation.recorded_road import RoadSurface
 
 _CLEARANCE = 1.0
 """Metres between the ego's front bumper and the vehicle, however it is turned."""
+MAX_DISTANCE = 60.0
+"""Metres beyond which a camera tells nothing of a vehicle's sides."""
+MIN_SIZE_PX = 16.0
+"""Geometric mean of the sides of the box's rectangle, in pixels of the logged image."""
+MIN_SEEN = 0.25
+"""Share of the box that must lie in the image, and that no other labelled box may hide."""
 
 
 @dataclass(frozen=True)
@@ -143,10 +148,11 @@ def _frames(
     usable = np.flatnonzero(route.project(positions)[0] + ahead <= route.length)
     if len(usable) == 0:
         raise InputError(
-            log.name, f"camera {camera}",
+            log.name,
+            f"camera {camera}",
             f"no frame has {ahead:.0f} m of recorded road ahead ({route.length:.0f} m in all)",
             "ask for shorter distances or use a longer log",
-        )  # fmt: skip
+        )
     count = min(count, len(usable))
     return [int(usable[int((i + 0.5) / count * len(usable))]) for i in range(count)]
 
@@ -160,3 +166,47 @@ def _stands_in_another(log: DrivingLog, track: Track, pose: Array) -> bool:
         if boxes.bev_overlap_area(pose, track.size, standing, other.size) > 0:
             return True
     return False
+
+
+def view_direction(world_from_actor: Array, world_from_camera: Array) -> Array:
+    """Unit vector (3,) from a vehicle's box centre to a camera, in the actor frame."""
+    eye: Array = se3.apply(se3.inverse(world_from_actor), world_from_camera[None, :3, 3])[0]
+    direction: Array = eye / np.linalg.norm(eye)
+    return direction
+
+
+def logged_views(log: DrivingLog, track: Track) -> Array:
+    """Directions (N, 3), actor to camera in the actor frame, of the images that show a vehicle.
+
+    An image counts where the projected box is at least 16 px in size, within 60 m, and at least a
+    quarter of it is in the image and not behind other labelled boxes. This is generous: a view
+    that is far from all of these is one that the log does not have.
+    """
+    directions = []
+    for stream in log.cameras.values():
+        for frame in range(len(stream.timestamps_us)):
+            score = score_frame(log, track, stream, frame)
+            if score is None or score.size_px < MIN_SIZE_PX:
+                continue
+            if min(score.in_image, score.unoccluded) < MIN_SEEN:
+                continue
+            time = score.timestamp_us
+            world_from_actor = track.trajectory.at(time)
+            world_from_camera = log.world_from_rig.at(time) @ stream.rig_from_camera
+            if np.linalg.norm((world_from_camera - world_from_actor)[:3, 3]) <= MAX_DISTANCE:
+                directions.append(view_direction(world_from_actor, world_from_camera))
+    return np.array(directions).reshape(-1, 3)
+
+
+def angle_to_nearest(direction: Array, logged: Array) -> float:
+    """Degrees from a unit direction (3,) to the nearest of `logged` (N, 3), N >= 1."""
+    nearest = logged[np.argmax(logged @ direction)]
+    # atan2 rather than arccos: exact where the directions are alike
+    cross = np.linalg.norm(np.cross(direction, nearest))
+    return float(np.degrees(np.arctan2(cross, direction @ nearest)))
+
+
+def azimuth_elevation(direction: Array) -> tuple[float, float]:
+    """Degrees: azimuth 0 ahead of the vehicle and 90 to its left; elevation above its horizon."""
+    x, y, z = direction
+    return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arcsin(np.clip(z, -1, 1))))

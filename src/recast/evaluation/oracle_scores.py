@@ -1,26 +1,33 @@
-"""How alike a drawn vehicle and the true one are, within the vehicle's box."""
+"""How alike a drawn vehicle and the true one are: scores, means by angle, and their file."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from recast.actors.coverage import Coverage
+from recast.arrays import Array, Image, Mask
+from recast.core.records import Record, read_record
+from recast.evaluation.bootstrap import Bootstrap, cluster_bootstrap
 from recast.geometry import PinholeCamera, boxes
 from recast.scene import SceneActor, psnr
-from recast.scene.image_metrics import ssim_map
+from recast.scene.scores import ssim_map
 from recast.splats import rasterize
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 Rectangle = tuple[int, int, int, int]
 """Left, top, right, bottom in whole pixels; right and bottom are one past the last."""
 
 PSNR_CAP = 100.0
 """dB given to images that are equal; JSON knows no infinity."""
+VERSION: Literal[2] = 2
+"""1 called the sides native and replaced."""
+RECORD_FILE = "oracle_views.json"
 
 
 @dataclass(frozen=True)
@@ -117,3 +124,183 @@ def actor_mask(
         )
     covered: Mask = alone.alpha.numpy() > 0.5
     return covered
+
+
+MEASURES = ("psnr", "ssim", "mask_iou")
+"""Fields of `Agreement`; higher is better for all."""
+
+EDGES = ((0.0, 30.0), (30.0, 60.0), (60.0, 90.0), (90.0, 180.0), (60.0, 180.0), (0.0, 180.0))
+"""Degrees from the nearest logged view, the lower end included: four bins, then "beyond 60" and
+all views."""
+
+SAMPLES = 20_000
+
+
+class ScoredView(Protocol):
+    """What a summary needs of a view."""
+
+    @property
+    def heading(self) -> float:
+        """Radians."""
+
+    @property
+    def angle(self) -> float:
+        """Degrees."""
+
+    @property
+    def baseline(self) -> Agreement:
+        """Score of the baseline actor."""
+
+    @property
+    def candidate(self) -> Agreement:
+        """Score of the candidate actor."""
+
+
+@dataclass(frozen=True)
+class AngleBin:
+    """The views within a range of angles.
+
+    Attributes:
+        low, high: degrees from the nearest logged view, [low, high).
+        views: how many.
+        baseline, candidate: means over them; None where there is none.
+        difference: by measure, candidate minus baseline of the same view: mean and interval,
+            headings drawn with replacement with all their views. Empty where there is no view.
+        candidate_better: by measure, in how many views the candidate actor is the better one.
+    """
+
+    low: float
+    high: float
+    views: int
+    baseline: Agreement | None
+    candidate: Agreement | None
+    difference: Mapping[str, Bootstrap]
+    candidate_better: Mapping[str, int]
+
+
+def summarise(views: Sequence[ScoredView], rng: np.random.Generator) -> tuple[AngleBin, ...]:
+    """One `AngleBin` for each of `EDGES`."""
+    return tuple(
+        _bin(
+            [v for v in views if low <= v.angle < high or v.angle == high == 180.0], low, high, rng
+        )
+        for low, high in EDGES
+    )
+
+
+def _bin(
+    views: Sequence[ScoredView], low: float, high: float, rng: np.random.Generator
+) -> AngleBin:
+    difference, better = {}, {}
+    for measure in MEASURES:
+        by_heading: dict[float, list[float]] = {}
+        for view in views:
+            change = getattr(view.candidate, measure) - getattr(view.baseline, measure)
+            by_heading.setdefault(round(view.heading, 6), []).append(change)
+        if by_heading:
+            difference[measure] = cluster_bootstrap(list(by_heading.values()), rng, SAMPLES)
+        better[measure] = sum(bool(change > 0) for group in by_heading.values() for change in group)
+    return AngleBin(
+        low=low,
+        high=high,
+        views=len(views),
+        baseline=_mean([view.baseline for view in views]),
+        candidate=_mean([view.candidate for view in views]),
+        difference=difference,
+        candidate_better=better,
+    )
+
+
+def _mean(scores: Sequence[Agreement]) -> Agreement | None:
+    if not scores:
+        return None
+    return Agreement(*(float(np.mean([getattr(s, m) for s in scores])) for m in MEASURES))
+
+
+@dataclass(frozen=True)
+class OracleView:
+    """One view, drawn with both actors and by the oracle.
+
+    Attributes:
+        index: from 0; names its picture.
+        camera, frame, timestamp_us: the logged frame whose camera pose is used.
+        distance: metres along the road from the camera to the vehicle's box centre.
+        heading: radians against the road's: 0 drives ahead of the ego, pi faces it.
+        azimuth, elevation: degrees, of the camera seen from the vehicle; azimuth 0 is ahead of it.
+        angle: degrees to the nearest logged view.
+        rectangle: left, top, right, bottom of the box in the image, whole pixels.
+        baseline, candidate: scores.
+        coverage: how much of the candidate was seen by the log, mirrored or invented; None for an
+            actor without shares.
+    """
+
+    index: int
+    camera: str
+    frame: int
+    timestamp_us: int
+    distance: float
+    heading: float
+    azimuth: float
+    elevation: float
+    angle: float
+    rectangle: Rectangle
+    baseline: Agreement
+    candidate: Agreement
+    coverage: Coverage | None = None
+
+    @property
+    def picture(self) -> str:
+        """Name of the file with baseline, candidate and truth side by side."""
+        return f"view_{self.index:03d}.png"
+
+
+@dataclass(frozen=True)
+class OracleViews:
+    """All views of one vehicle, and what they say.
+
+    Attributes:
+        track_id: the vehicle.
+        logged: how many logged images show it.
+        views: in the order they were drawn.
+        summary: see `recast.evaluation.oracle_scores.EDGES`.
+        showcase: index of the view that was kept as whole images: the one furthest from any logged
+            view, at the nearest distance.
+    """
+
+    track_id: str
+    logged: int
+    views: tuple[OracleView, ...]
+    summary: tuple[AngleBin, ...]
+    showcase: int
+
+    @property
+    def beyond_60(self) -> AngleBin:
+        """Views at least 60 degrees from any logged one."""
+        return next(b for b in self.summary if (b.low, b.high) == (60.0, 180.0))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data with a version; the same scenes give the same bytes."""
+        return {"format": "recast-oracle-views", "version": VERSION, **asdict(self)}
+
+
+class _Record(Record):
+    format: Literal["recast-oracle-views"]
+    version: Literal[2]
+    track_id: str
+    logged: int
+    views: tuple[OracleView, ...]
+    summary: tuple[AngleBin, ...]
+    showcase: int
+
+
+def read_oracle_views(folder: str | Path) -> OracleViews:
+    """Read what `evaluate_oracle_views` wrote.
+
+    Raises:
+        InputError: `oracle_views.json` is missing, broken, or of another version.
+    """
+    path = Path(folder) / RECORD_FILE
+    record = read_record(path, _Record, VERSION, "make the comparison again", "recast-oracle-views")
+    return OracleViews(
+        record.track_id, record.logged, record.views, record.summary, record.showcase
+    )

@@ -9,7 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.evaluation.collision import TOUCHING, Collision, any_collision, no_collision
+from recast.evaluation.collision import (
+    TOUCHING,
+    Collision,
+    TimeToCollision,
+    any_collision,
+    constant_velocity_future,
+    least_time,
+    no_collision,
+    realised_future,
+    time_to_collision,
+)
 from recast.evaluation.comfort import (
     Comfort,
     com_4_13,
@@ -17,23 +27,15 @@ from recast.evaluation.comfort import (
     com_hugsim,
     com_nuplan_savgol,
 )
-from recast.evaluation.drivable import (
+from recast.evaluation.route import (
     TOLERANCE,
     DrivableArea,
+    RouteCompletion,
     drivable_area_compliance,
+    route_completion,
 )
-from recast.evaluation.metric import Metric
-from recast.evaluation.progress import RouteCompletion, route_completion
-from recast.evaluation.table import COLUMNS
-from recast.evaluation.ttc import (
-    TimeToCollision,
-    constant_velocity_future,
-    least_time,
-    realised_future,
-    time_to_collision,
-)
-from recast.logs.drivable_region import drivable_region
-from recast.logs.hdmap import HdMap
+from recast.evaluation.table import COLUMNS, Metric
+from recast.logs.hdmap import HdMap, drivable_region
 from recast.simulation.rollout import Rollout
 
 Array = NDArray[Any]

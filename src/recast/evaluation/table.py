@@ -1,14 +1,54 @@
-"""The paper's table: means over rollouts by planner and arm."""
+"""Metrics with their validity, and the paper's table: means over rollouts by planner and arm."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
 import numpy as np
 
-from recast.evaluation.metric import Metric
+DECIMALS = 6
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A metric of one rollout.
+
+    Attributes:
+        value: the number, or None where it cannot be told (no map, no plan, no route).
+        reason: in words, why the value is not the best possible or why there is none; None where
+            there is nothing to explain.
+    """
+
+    value: float | None
+    reason: str | None = None
+
+    @property
+    def valid(self) -> bool:
+        """Whether there is a value."""
+        return self.value is not None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain value, validity and reason."""
+        return {"value": self.value, "valid": self.valid, "reason": self.reason}
+
+
+def invalid(reason: str) -> Metric:
+    """A metric without a value."""
+    return Metric(None, reason)
+
+
+def rounded(value: Any) -> Any:
+    """Plain data with floats of six decimals; JSON knows no NaN and no infinity: they are null."""
+    if isinstance(value, Mapping):
+        return {key: rounded(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [rounded(one) for one in value]
+    if isinstance(value, float):
+        return round(value, DECIMALS) if math.isfinite(value) else None
+    return value
 
 
 @dataclass(frozen=True)

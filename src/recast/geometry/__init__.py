@@ -1,4 +1,4 @@
-"""Poses, cameras, boxes and polylines. numpy only; imports nothing of ours."""
+"""Poses, cameras, boxes, polylines, and the light behind colours. numpy only, nothing of ours."""
 
 from recast.geometry import boxes, se2, se3
 from recast.geometry.camera import PinholeCamera

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from recast.arrays import Array, BoolArray
 from recast.geometry import se3
 from recast.geometry.camera import PinholeCamera
 
-Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-
+_ROUNDING_M2 = 1e-12  # what boxes that merely touch may seem to have in common
 # Counter-clockwise from front left, bottom face first: the order of `corners` and `bev_corners`.
 _BEV_SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], np.float64)
 EDGES = tuple(
@@ -67,52 +66,62 @@ def bev_corners(poses: ArrayLike, length: ArrayLike, width: ArrayLike) -> Array:
     return np.stack([x, y], axis=-1)
 
 
-def convex_intersection_area(first: ArrayLike, second: ArrayLike) -> float:
-    """Area in square metres common to two convex counter-clockwise polygons (N, 2), (M, 2).
-
-    Sutherland-Hodgman clipping, exact up to rounding.
-    """
-    polygon = np.asarray(first, np.float64)
-    clip = np.asarray(second, np.float64)
-    for start, end in zip(clip, np.roll(clip, -1, axis=0), strict=True):
-        if len(polygon) == 0:
-            return 0.0
-        edge = end - start
-        side = edge[0] * (polygon[:, 1] - start[1]) - edge[1] * (polygon[:, 0] - start[0])
-        kept: list[Array] = []
-        for i in range(len(polygon)):
-            j = (i + 1) % len(polygon)
-            if side[i] >= 0:
-                kept.append(polygon[i])
-            if (side[i] > 0 > side[j]) or (side[i] < 0 < side[j]):
-                t = side[i] / (side[i] - side[j])
-                kept.append(polygon[i] + t * (polygon[j] - polygon[i]))
-        polygon = np.array(kept).reshape(-1, 2)
-    if len(polygon) < 3:
-        return 0.0
-    x, y = (polygon - polygon[0]).T  # a far origin would cost digits in the products
-    return float(0.5 * abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
-
-
 def bev_overlap_area(
-    pose_a: ArrayLike, size_a: ArrayLike, pose_b: ArrayLike, size_b: ArrayLike
-) -> float:
-    """Bird's-eye overlap in square metres of two boxes.
+    poses_a: ArrayLike, size_a: ArrayLike, poses_b: ArrayLike, size_b: ArrayLike
+) -> Array:
+    """Bird's-eye overlap (...) in square metres of boxes, pair by pair; exact up to rounding.
+
+    The outline of `a` in the frame of `b`, cut where it crosses the lines of b's sides and then
+    clamped to `b`, encloses what is common to both: clamping flattens everything else.
 
     Args:
-        pose_a, pose_b: (3,) x, y, heading of the box centres.
+        poses_a, poses_b: (..., 3) x, y, heading of the box centres.
+        size_a, size_b: (..., >=2) length and width in metres.
+    """
+    a, b = np.asarray(poses_a, np.float64), np.asarray(poses_b, np.float64)
+    size_a, size_b = np.asarray(size_a, np.float64), np.asarray(size_b, np.float64)
+    shift = a[..., :2] - b[..., :2]  # first of all: a far origin would cost digits
+    cos, sin = np.cos(b[..., 2]), np.sin(b[..., 2])
+    x, y = cos * shift[..., 0] + sin * shift[..., 1], cos * shift[..., 1] - sin * shift[..., 0]
+    start = bev_corners(
+        np.stack(np.broadcast_arrays(x, y, a[..., 2] - b[..., 2]), axis=-1),
+        size_a[..., 0],
+        size_a[..., 1],
+    )
+    side = np.roll(start, -1, axis=-2) - start
+    half = size_b[..., None, :2] / 2
+    sides = np.where(side == 0, 1.0, side)  # parallel to b's: it crosses no two of its lines
+    cuts = np.concatenate([(-half - start) / sides, (half - start) / sides], axis=-1)
+    share = np.sort(np.clip(cuts, 0.0, 1.0), axis=-1)[..., None]
+    outline = np.concatenate(
+        [start[..., None, :], start[..., None, :] + share * side[..., None, :]], axis=-2
+    )
+    outline = np.clip(outline, -half[..., None, :], half[..., None, :])
+    outline = outline.reshape(*outline.shape[:-3], 20, 2)
+    after = np.roll(outline, -1, axis=-2)
+    area = (outline[..., 0] * after[..., 1] - outline[..., 1] * after[..., 0]).sum(axis=-1) / 2
+    return np.where(area > _ROUNDING_M2, area, 0.0)
+
+
+def bev_touching(
+    poses_a: ArrayLike, size_a: ArrayLike, poses_b: ArrayLike, size_b: ArrayLike
+) -> BoolArray:
+    """Which boxes (...) touch or overlap, seen from above: none of their four sides parts them.
+
+    Args:
+        poses_a, poses_b: (..., 3) x, y, heading of the box centres.
         size_a, size_b: (>=2,) length and width in metres.
     """
-    pose_a, pose_b = np.asarray(pose_a, np.float64), np.asarray(pose_b, np.float64)
-    size_a, size_b = np.asarray(size_a, np.float64), np.asarray(size_b, np.float64)
-    reach = (np.hypot(*size_a[:2]) + np.hypot(*size_b[:2])) / 2
-    if np.hypot(*(pose_a[:2] - pose_b[:2])) > reach:
-        return 0.0
-    shift = np.array([*pose_a[:2], 0.0])
-    return convex_intersection_area(
-        bev_corners(pose_a - shift, size_a[0], size_a[1]),
-        bev_corners(pose_b - shift, size_b[0], size_b[1]),
-    )
+    a, b = np.asarray(poses_a, np.float64), np.asarray(poses_b, np.float64)
+    half_a, half_b = np.asarray(size_a)[:2] / 2, np.asarray(size_b)[:2] / 2
+    dx, dy, turn = b[..., 0] - a[..., 0], b[..., 1] - a[..., 1], b[..., 2] - a[..., 2]
+    cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    found = np.ones(turn.shape, np.bool_)
+    for heading, own, other in ((a[..., 2], half_a, half_b), (b[..., 2], half_b, half_a)):
+        c, s = np.cos(heading), np.sin(heading)
+        found &= np.abs(dx * c + dy * s) <= own[0] + other[0] * cos + other[1] * sin
+        found &= np.abs(dy * c - dx * s) <= own[1] + other[0] * sin + other[1] * cos
+    return found
 
 
 def silhouette(

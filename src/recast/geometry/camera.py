@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from recast.arrays import Array
 
 MOST_PIXELS = 1 << 26
 """Pixels of an image, at most: 8192 x 8192."""

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from recast.arrays import Array
 
 _BLOCK = 1_000_000
 """Point-segment pairs projected at once: a LiDAR sweep on a long route would fill the memory."""

@@ -7,11 +7,10 @@ the target frame.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from recast.arrays import Array
 from recast.geometry import se3
-
-Array = NDArray[np.float64]
 
 
 def wrap_angle(angle: ArrayLike) -> Array:

@@ -7,9 +7,9 @@ functions take any number of leading batch dimensions and work in float64.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from recast.arrays import Array
 
 
 def from_rotation_translation(rotation: ArrayLike, translation: ArrayLike) -> Array:

@@ -5,8 +5,8 @@ from recast.logs.ground import even_ground
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
 from recast.logs.info import LogInfo, TrackInfo, TrackVisibility, log_info
 from recast.logs.load import load_log
+from recast.logs.motion import TrackPoints, all_track_points, track_points
 from recast.logs.store import read_log, write_log
-from recast.logs.track_points import TrackPoints, all_track_points, track_points
 from recast.logs.types import (
     CameraStream,
     DrivingLog,

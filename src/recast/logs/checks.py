@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 
 WORLD_REACH = 1e7
 """Metres: farthest coordinate of the world frame, a quarter of the way around the Earth."""

@@ -13,7 +13,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.polygon import orient
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import Polyline, se3
 from recast.logs.ground import (
     CELL,

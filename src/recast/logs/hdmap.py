@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+import shapely
 
+from recast.arrays import Array
 from recast.logs import checks
 
 FASTEST = 200.0
 """Metres a second: highest speed limit."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -123,3 +122,13 @@ class HdMap:
             checks.check_text(f"HdMap.notes[{key!r}]", text)
         if self.ground is not None:
             self.ground.validate()
+
+
+def drivable_region(hd_map: HdMap | None) -> shapely.Geometry | None:
+    """Union of a map's drivable area and lanes, or None where there is neither."""
+    if hd_map is None:
+        return None
+    outlines = [*hd_map.drivable_area, *(lane.polygon for lane in hd_map.lanes.values())]
+    if not outlines:
+        return None
+    return shapely.union_all([shapely.make_valid(shapely.Polygon(o)) for o in outlines])

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from recast.geometry import boxes, se3
-from recast.logs.track_points import all_track_points
+from recast.logs.motion import all_track_points
 from recast.logs.types import CameraStream, DrivingLog, Track
 
 SIDES = {"front": (0, 1.0), "left": (1, 1.0), "rear": (0, -1.0), "right": (1, -1.0)}

@@ -8,10 +8,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from recast import storage
+from recast.core import files
+from recast.core.records import Record, read_record
 from recast.logs.checks import refused
 from recast.logs.hdmap import Array, GroundHeight, HdMap, Lane
-from recast.records import Record, read_record
 
 VERSION = 1
 
@@ -55,7 +55,7 @@ def write_map(hd_map: HdMap, path: str | Path) -> None:
         ValueError: the map is not valid.
     """
     hd_map.validate()
-    storage.write_text(path, _layout(_to_json(hd_map)))
+    files.write_text(path, _layout(_to_json(hd_map)))
 
 
 def read_map(path: str | Path) -> HdMap:

@@ -15,9 +15,9 @@ from ncore.data.v4 import (
 )
 from scipy.spatial.transform import Rotation
 
-from recast import names
+from recast.core import names
 from recast.geometry import PinholeCamera, se3
-from recast.logs import image_bytes, motion
+from recast.logs import images, motion
 from recast.logs.ncore_folder import NcoreFolder, readable
 from recast.logs.ncore_write import COMPONENT, MASK, REFERENCE
 from recast.logs.types import (
@@ -59,7 +59,7 @@ class StoredImages:
         """
         data, kind = self.encoded(index)
         where = f"{self.store.folder}: camera {self.camera}, frame {index}"
-        return image_bytes.decode(data, kind, self.size, where, "log.json")
+        return images.decode(data, kind, self.size, where, "log.json")
 
     def encoded(self, index: int) -> tuple[bytes, str]:
         """The bytes of frame `index` and their format.
@@ -166,7 +166,7 @@ def _mask(store: NcoreFolder, stored: str, size: tuple[int, int]) -> Mask | None
         return None
     data = bytes(masks._group["cameras"][stored][MASK][()])
     where = f"{store.folder}: mask of camera {stored}"
-    return image_bytes.decode(data, "png", size, where, "log.json", mode="L") == 0
+    return images.decode(data, "png", size, where, "log.json", mode="L") == 0
 
 
 def read_lidar(store: NcoreFolder, name: str, world_from_rig: Trajectory) -> LidarStream:

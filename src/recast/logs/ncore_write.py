@@ -38,8 +38,9 @@ from PIL import Image as PillowImage
 from scipy.spatial.transform import Rotation
 from upath import UPath
 
-from recast import storage
-from recast.errors import InputError
+from recast.core import files
+from recast.core.errors import InputError
+from recast.core.names import folder_name
 from recast.geometry import PinholeCamera, se3
 from recast.logs import motion
 from recast.logs.checks import refused
@@ -54,7 +55,6 @@ from recast.logs.types import (
     Mask,
     Trajectory,
 )
-from recast.names import folder_name
 
 COMPONENT = "default"  # instance name NCore's own loader looks for
 MASK = "unusable"  # nonzero where the image is never usable
@@ -219,10 +219,11 @@ def _encoded(stream: CameraStream, index: int) -> tuple[bytes, str]:
     image, camera = stream.images[index], stream.camera
     if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8:
         raise InputError(
-            f"cameras[{stream.name!r}]", f"images[{index}]",
+            f"cameras[{stream.name!r}]",
+            f"images[{index}]",
             f"is {image.shape} {image.dtype}, the intrinsics are of {camera.width}x{camera.height}",
             "give images and intrinsics of the same size",
-        )  # fmt: skip
+        )
     buffer = io.BytesIO()
     PillowImage.fromarray(image).save(buffer, format="png")
     return buffer.getvalue(), "png"
@@ -277,4 +278,4 @@ def _write_sequence_file(folder: Path, stores: list[str]) -> None:
     reader = SequenceComponentGroupsReader([folder / name for name in stores], max_threads=1)
     meta = json.loads(json.dumps(reader.get_sequence_meta().to_dict()))
     meta["component_stores"].sort(key=lambda store: store["path"])
-    storage.write_json(folder / SEQUENCE_FILE, meta)
+    files.write_json(folder / SEQUENCE_FILE, meta)

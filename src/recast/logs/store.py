@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from pydantic import field_validator
 
-from recast import storage
-from recast.errors import InputError
+from recast.core import files, records
+from recast.core.errors import InputError
+from recast.geometry import PinholeCamera
 from recast.logs import ncore_read
 from recast.logs.checks import refused
-from recast.logs.log_json import CameraRecord, LogRecord, read_record, write_record
 from recast.logs.map_json import read_map, write_map
 from recast.logs.ncore_folder import NcoreFolder
 from recast.logs.ncore_write import write_ncore
 from recast.logs.types import DrivingLog
 
+VERSION = 1
 LOG_FILE = "log.json"
 MAP_FILE = "map.json"
 
@@ -42,7 +45,7 @@ def write_log(log: DrivingLog, path: str | Path, progress: WriteProgress | None 
     """
     with refused(f"log {log.name}", "correct the data that the log was made of"):
         log.validate()
-    with storage.atomic_folder(path) as folder:
+    with files.atomic_folder(path) as folder:
         write_ncore(log, folder, progress or _ignored)
         if log.map is not None:
             write_map(log.map, folder / MAP_FILE)
@@ -99,3 +102,68 @@ def read_log(path: str | Path) -> DrivingLog:
 
 def _ignored(done: int, total: int) -> None:
     pass
+
+
+class CameraRecord(records.Record):
+    """Exact intrinsics of one camera; pixels, pixel centres at +0.5."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float]
+
+    @classmethod
+    def of(cls, camera: PinholeCamera) -> CameraRecord:
+        """Record `camera`."""
+        return cls(
+            width=camera.width,
+            height=camera.height,
+            fx=camera.fx,
+            fy=camera.fy,
+            cx=camera.cx,
+            cy=camera.cy,
+            distortion=camera.distortion,
+        )
+
+    def camera(self) -> PinholeCamera:
+        """The camera recorded."""
+        return PinholeCamera(**self.model_dump())
+
+
+class LogRecord(records.Record):
+    """The contents of log.json."""
+
+    format: Literal["recast-log"] = "recast-log"
+    version: Literal[1] = 1
+    name: str
+    world_offset: tuple[float, float, float]
+    metadata: dict[str, str]
+    cameras: dict[str, CameraRecord]
+    lidars: list[str]
+    has_map: bool
+
+    @field_validator("lidars")
+    @classmethod
+    def _different(cls, names: list[str]) -> list[str]:
+        if len(set(names)) != len(names):
+            raise ValueError("a name stands there twice")
+        return names
+
+
+def write_record(record: LogRecord, path: Path) -> None:
+    """Write log.json, whole or not at all."""
+    files.write_json(path, record.model_dump())
+
+
+def read_record(path: Path) -> LogRecord:
+    """Read log.json.
+
+    Raises:
+        InputError: missing, not a log.json, of another version, or a field of the wrong kind.
+    """
+    return records.read_record(
+        path, LogRecord, VERSION, "name a folder that import wrote, or import again", "recast-log"
+    )

@@ -12,17 +12,12 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from recast.arrays import Array, Float32Array, Image, Int64Array, Mask
 from recast.geometry import PinholeCamera, se3
 from recast.logs import checks
 from recast.logs.hdmap import HdMap
-
-Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
-Float32Array = NDArray[np.float32]
-Image = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 
 FRAMES = ("world", "rig")
 """Names of coordinate frames, which sensors cannot have."""

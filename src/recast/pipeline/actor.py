@@ -1,4 +1,4 @@
-"""The actor of a run: observe the target, generate a vehicle, register it, film it."""
+"""The actor of a run: observe the target, generate a vehicle, register it, film and judge it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from rich.console import Console
 
-from recast import storage
 from recast.actors import (
     AUTO,
     Actor,
     ActorGenerator,
     Observation,
     Segmenter,
+    insert,
     load_actor,
     make_generator,
     observe,
@@ -28,32 +29,39 @@ from recast.actors import (
     segmenter_of,
 )
 from recast.actors.candidates import choose
-from recast.actors.evidence import gather_evidence, load_evidence, save_evidence
+from recast.actors.evidence import load_evidence, save_evidence
+from recast.actors.gather_evidence import gather_evidence
 from recast.actors.generate import candidates_of
 from recast.actors.insert import require_model
 from recast.actors.refine import refine
-from recast.actors.view_pool import Usable
+from recast.actors.views import Usable
+from recast.core import files
+from recast.core.errors import InputError
+from recast.evaluation import evaluate_oracle_views
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog
+from recast.pipeline.display import FrameProgress, truth_table
 from recast.pipeline.layout import (
     ACTOR_FOLDER,
     EVIDENCE_FILE,
     OBSERVATION_FOLDER,
     REFINEMENT_CHECKPOINT,
+    VIEWS_FOLDER,
 )
-from recast.reporting.actor_sheet import turntable_frames
+from recast.pipeline.sources import SourceLog
+from recast.reporting.actor_sheet import draw_actor_sheet, turntable_frames
 from recast.reporting.video import write_video
 from recast.scene import SceneConfig, StreetScene
 from recast.scene.views import is_held_out
+from recast.simulation import camera_mounts
+from recast.synthetic import Oracle
+from recast.synthetic.rig import exposure
 
 StageProgress = Callable[[str, int, int], None]
 
 _TURNTABLE_VIEWS = 72
 _TURNTABLE_SIZE = (640, 360)
 _BOX_COLOUR = (255, 170, 0)
-
-
-generator_of = make_generator  # its old name
 
 
 @dataclass(frozen=True)
@@ -65,12 +73,12 @@ class ActorMakers:
 
     @classmethod
     def named(cls, generator: str, segmenter: str, axes: str = AUTO) -> Self:
-        """Those of these names, see `generator_of` and `segmenter_of`.
+        """Those of these names, see `make_generator` and `segmenter_of`.
 
         Raises:
             InputError: there is none of a name, or it cannot be loaded.
         """
-        return cls(generator_of(generator, axes), segmenter_of(segmenter))
+        return cls(make_generator(generator, axes), segmenter_of(segmenter))
 
 
 def make_actor(
@@ -96,14 +104,21 @@ def make_actor(
         InputError: see `observe` and `choose`.
     """
     observation = observe(
-        log, track_id, segmenter=makers.segmenter, cameras=config.cameras, views=views,
+        log,
+        track_id,
+        segmenter=makers.segmenter,
+        cameras=config.cameras,
+        views=views,
         usable=training_frames(config),
-    )  # fmt: skip
+    )
     evidence = gather_evidence(
-        log, track_id, segmenter=makers.segmenter, config=config,
+        log,
+        track_id,
+        segmenter=makers.segmenter,
+        config=config,
         progress=_stage(progress, "images"),
-    )  # fmt: skip
-    with storage.atomic_folder(out / OBSERVATION_FOLDER) as folder:
+    )
+    with files.atomic_folder(out / OBSERVATION_FOLDER) as folder:
         save_observation(observation, log, folder)
         save_evidence(evidence, folder / Path(EVIDENCE_FILE).name)
     candidates = candidates_of(makers.generator, observation, seed)
@@ -131,9 +146,13 @@ def refine_actor(
     evidence = load_evidence(registered / EVIDENCE_FILE).posed_by(scene)
     checkpoint = out / REFINEMENT_CHECKPOINT
     refined = refine(
-        actor, evidence, scene, seed, checkpoint=checkpoint,
+        actor,
+        evidence,
+        scene,
+        seed,
+        checkpoint=checkpoint,
         progress=_stage(progress, "refinement"),
-    )  # fmt: skip
+    )
     if (out / ACTOR_FOLDER).exists():  # a kill between the folder and the removal below
         shutil.rmtree(out / ACTOR_FOLDER)
     save_actor(refined, out / ACTOR_FOLDER)
@@ -162,7 +181,7 @@ def save_observation(observation: Observation, log: DrivingLog, folder: Path) ->
         mark = "" if number == 1 else f"_{number}"
         Image.fromarray(view.rgba, "RGBA").save(folder / f"crop{mark}.png")
         Image.fromarray(_frame_with_box(view, log)).save(folder / f"frame{mark}.png")
-    storage.write_text(folder / "explanation.txt", observation.explain() + "\n")
+    files.write_text(folder / "explanation.txt", observation.explain() + "\n")
 
 
 def _frame_with_box(observation: Observation, log: DrivingLog) -> NDArray[np.uint8]:
@@ -179,3 +198,65 @@ def _frame_with_box(observation: Observation, log: DrivingLog) -> NDArray[np.uin
             start, end = (pixels[k].clip(-1e4, 1e4).astype(int).tolist() for k in (i, j))
             cv2.line(image, start, end, _BOX_COLOUR, 2, cv2.LINE_AA)
     return image
+
+
+def show_actor(folder: Path, out: Path | None = None) -> Path:
+    """Draw the sheet of an actor, see `draw_actor_sheet`, and return its file.
+
+    Args:
+        folder: of the actor.
+        out: PNG to write; beside the folder and of its name if None.
+
+    Raises:
+        InputError: no actor lies there, `out` is no PNG or exists already, or the disk refuses.
+    """
+    if out is None:
+        place = Path(folder).resolve()
+        out = place.with_name(f"{place.name}.png")
+    if out.suffix.lower() != ".png":
+        raise InputError(out, "--out", "is no PNG", "end its name in .png")
+    if out.exists():
+        raise InputError(out, "--out", "exists already", "name another one or remove it")
+    sheet = Image.fromarray(draw_actor_sheet(load_actor(folder)))
+    with files.atomic_file(out) as partial:
+        sheet.save(partial, format="PNG")
+    return out
+
+
+def compare_with_truth(
+    scene: StreetScene,
+    actor: Actor,
+    source: SourceLog,
+    config: SceneConfig,
+    seed: int,
+    out: Path,
+    console: Console,
+) -> None:
+    """Write views and scores into a folder, see `evaluate_oracle_views`, and print the table.
+
+    Args:
+        scene: with its own model of the track.
+        actor: to be inserted in its place.
+        source: a synthetic log.
+        config: of the street: cameras and image scale.
+
+    Raises:
+        InputError: see `evaluate_oracle_views`; or the log is not synthetic.
+    """
+    mounts = camera_mounts(source.log, config.cameras or None, config.scale)
+    world = source.world
+    with FrameProgress(console, 1, "views") as progress:
+        views = evaluate_oracle_views(
+            source.log,
+            scene,
+            insert(scene, actor),
+            Oracle(world),
+            actor.track_id,
+            mounts,
+            out / VIEWS_FOLDER,
+            rng=np.random.default_rng(seed),
+            exposures={name: exposure(world.seed, name) for name in mounts},
+            shares=actor.shares,
+            progress=progress.reach,
+        )
+    console.print(truth_table(views))

@@ -1,4 +1,4 @@
-"""Arms: what is compared. Where the street comes from, and who stands in the target's place.
+"""Arms: what is compared. Whose street, whose vehicle in the target's place, and what renders it.
 
 | word | street | target |
 |---|---|---|
@@ -14,20 +14,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Literal, Self, get_args
+from typing import TYPE_CHECKING, Any, Literal, Self, get_args
 
 import yaml
 from pydantic import Field, ValidationError, model_validator
 
-from recast import storage
+from recast.actors import Actor
+from recast.actors.coverage import CoverageMeter
 from recast.actors.mesh import MESH_SUFFIXES
-from recast.errors import InputError
+from recast.core import files
+from recast.core.errors import InputError
+from recast.core.records import Record, validation_error
 from recast.pipeline.paper import PAPER, paper_arms
-from recast.records import Record, validation_error
-from recast.scene import Preset
+from recast.planning import CameraMount
+from recast.scene import Preset, StreetScene
 from recast.scene.store import SCENE_FILE
+from recast.simulation import SensorRenderer
+from recast.simulation.scene_renderer import SceneRenderer, through_lenses
+
+if TYPE_CHECKING:
+    from recast.synthetic import World
 
 OWN_STREET = "recast"
 """The street that the run's own scene settings or --scene name."""
@@ -197,7 +206,7 @@ def _arms_of(word: str) -> Sequence[Arm]:
 
 
 def _read_arms(path: Path) -> Sequence[Arm]:
-    text = storage.read_text(path, _LARGEST_FILE)
+    text = files.read_text(path, _LARGEST_FILE)
     try:
         values: Any = yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError) as error:
@@ -217,3 +226,92 @@ def _short(word: str) -> str:
     if colon and "/" in rest:
         return f"{prefix}:{Path(rest).name}"
     return Path(word).name if "/" in word else word
+
+
+StreetOf = Callable[[Arm, tuple[str, ...]], StreetScene]
+"""Gives the street of an arm with the vehicles of these tracks replaced, if the arm does that."""
+
+
+class Renderers:
+    """Renderers, made when first asked for and kept; close it, as some hold processes.
+
+    Args:
+        street_of: see `StreetOf`.
+        actor_of: gives the vehicle that an arm puts in the place of a track.
+        world_of: gives the world of a synthetic log.
+        oracle_workers: processes of an oracle, see `OracleRenderer`.
+    """
+
+    def __init__(
+        self,
+        street_of: StreetOf,
+        actor_of: Callable[[Arm, str], Actor],
+        world_of: Callable[[], World],
+        oracle_workers: int = 0,
+    ) -> None:
+        self._street_of, self._actor_of, self._world_of = street_of, actor_of, world_of
+        self._oracle_workers = oracle_workers
+        self._open = ExitStack()
+        self._streets: dict[tuple[str, tuple[str, ...]], StreetScene] = {}
+        self._made: dict[tuple[str, tuple[str, ...], str], SensorRenderer] = {}
+        self._meters: dict[tuple[str, tuple[str, ...]], CoverageMeter | None] = {}
+
+    def street(self, arm: Arm, tracks: tuple[str, ...]) -> StreetScene:
+        """The street of an arm; `tracks` are replaced where it replaces any."""
+        key = arm.name, tracks
+        if key not in self._streets:
+            self._streets[key] = self._street_of(arm, tracks)
+        return self._streets[key]
+
+    def of(
+        self,
+        arm: Arm,
+        tracks: tuple[str, ...],
+        planner: str,
+        mounts: Mapping[str, CameraMount],
+    ) -> SensorRenderer:
+        """The renderer of an arm.
+
+        Args:
+            tracks: whose vehicles are replaced where the arm does that, the target first.
+            planner: whose cameras are among `mounts`.
+            mounts: cameras to render.
+
+        Raises:
+            InputError: the street has no such actor, or the log is not synthetic.
+        """
+        key = arm.name, tracks, planner
+        if key not in self._made:
+            self._made[key] = self._make(arm, tracks, mounts)
+        return self._made[key]
+
+    def meter(self, arm: Arm, tracks: tuple[str, ...]) -> CoverageMeter | None:
+        """What measures the coverage of an arm's target; None for a vehicle without shares."""
+        if not arm.generates:
+            return None
+        key = arm.name, tracks
+        if key not in self._meters:
+            actor = self._actor_of(arm, tracks[0])
+            self._meters[key] = (
+                None
+                if actor.shares is None
+                else CoverageMeter(self.street(arm, tracks), actor.track_id, actor.shares)
+            )
+        return self._meters[key]
+
+    def _make(
+        self, arm: Arm, tracks: tuple[str, ...], mounts: Mapping[str, CameraMount]
+    ) -> SensorRenderer:
+        if not arm.is_truth:
+            street = self.street(arm, tracks)
+            return through_lenses(mounts, lambda pinholes: SceneRenderer(street, pinholes))
+        from recast.simulation.oracle_renderer import OracleRenderer  # with the synthetic world
+
+        world, keep = self._world_of(), self._open.enter_context
+        return through_lenses(
+            mounts, lambda pinholes: keep(OracleRenderer(world, pinholes, self._oracle_workers))
+        )
+
+    def close(self) -> None:
+        """End the oracle's processes."""
+        self._open.close()

@@ -12,7 +12,7 @@ from rich.console import Console
 from recast.actors import Actor, insert, load_actor
 from recast.core import Artefact, Store
 from recast.pipeline.actor import ActorMakers
-from recast.pipeline.arms import OWN_STREET, PRESETS, Arm, truth_of
+from recast.pipeline.arms import OWN_STREET, PRESETS, Arm, Renderers, truth_of
 from recast.pipeline.config import RunConfig
 from recast.pipeline.display import FrameProgress
 from recast.pipeline.layout import ACTOR_FOLDER, rollout_name, use_name
@@ -27,11 +27,8 @@ from recast.pipeline.making import (
     take_street,
     train_street,
 )
-from recast.pipeline.planner import run_mounts
-from recast.pipeline.renderers import Renderers
-from recast.pipeline.rollouts import make_rollout
-from recast.pipeline.source_log import SourceLog
-from recast.pipeline.sources import RECIPES, Sources
+from recast.pipeline.rollouts import make_rollout, run_mounts
+from recast.pipeline.sources import RECIPES, SourceLog, Sources
 from recast.planning import CameraMount, Planner, make_planner
 from recast.scene import SceneConfig, StreetScene, load_scene
 from recast.scene.dynamic import modelled_tracks
@@ -261,9 +258,15 @@ class Artefacts:
             steps = self.possible_steps.get(motion, config.steps)
             with FrameProgress(self.console, steps) as progress:
                 make_rollout(
-                    setup, self.planner(planner), renderer, out, progress, config.films, timings,
+                    setup,
+                    self.planner(planner),
+                    renderer,
+                    out,
+                    progress,
+                    config.films,
+                    timings,
                     meter,
-                )  # fmt: skip
+                )
 
         title = f"rollout {motion}, {planner}, {arm.name}"
         return self._used(

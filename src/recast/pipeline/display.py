@@ -19,8 +19,8 @@ from rich.text import Text
 
 from recast.actors import Actor
 from recast.actors.actor import CandidateRecord
-from recast.bars import Bars
-from recast.errors import printable
+from recast.core.errors import printable
+from recast.core.progress import Bars
 from recast.evaluation import COLUMNS, OracleViews
 
 
@@ -84,17 +84,22 @@ def print_actor(actor: Actor, console: Console) -> None:
         if one.chosen and one.score is not None and not one.score.fits:
             console.print(
                 "warning: no candidate has the shape that masks and LiDAR show; the best of them "
-                f"is used ({one.generator}, {one.label})", markup=False, style="yellow",
-            )  # fmt: skip
+                f"is used ({one.generator}, {one.label})",
+                markup=False,
+                style="yellow",
+            )
     console.print(provenance.registration.explain(), markup=False, highlight=False)
 
 
 def candidates_table(candidates: Sequence[CandidateRecord]) -> Table:
     """Table of the candidate vehicles of an actor with their scores; 80 columns wide."""
     table = Table(
-        title="candidates", title_justify="left", box=SIMPLE_HEAD, collapse_padding=True,
+        title="candidates",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        collapse_padding=True,
         pad_edge=False,
-    )  # fmt: skip
+    )
     for heading in ("", "generator", "which", "outline", "LiDAR", "free", "colour", "score"):
         table.add_column(heading)
     for one in candidates:
@@ -115,9 +120,12 @@ def results_tables(rows: Sequence[Mapping[str, Any]]) -> list[Table]:
 def _results(planner: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     headline = {name: column for name, column in COLUMNS.items() if column.headline}
     table = Table(
-        title=Text(f"{printable(planner)} in closed loop"), title_justify="left", box=SIMPLE_HEAD,
-        collapse_padding=True, pad_edge=False,
-    )  # fmt: skip
+        title=Text(f"{printable(planner)} in closed loop"),
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        collapse_padding=True,
+        pad_edge=False,
+    )
     table.add_column("arm", overflow="fold")
     for heading in ("scored", "plans"):
         table.add_column(heading, no_wrap=True)
@@ -127,9 +135,11 @@ def _results(planner: str, rows: Sequence[Mapping[str, Any]]) -> Table:
         told = [f"{row['rollouts']} of {row['asked']}"]
         told += [f"{row[what]} {what}" for what in ("failed", "cut") if row[what]]
         table.add_row(
-            Text(printable(row["arm"])), "\n".join(told), str(row["plans"]),
+            Text(printable(row["arm"])),
+            "\n".join(told),
+            str(row["plans"]),
             *(_mean(row, name) for name in headline),
-        )  # fmt: skip
+        )
     return table
 
 
@@ -161,9 +171,10 @@ def _mean(row: Mapping[str, Any], name: str) -> str:
 def truth_table(views: OracleViews) -> Table:
     """Table of the vehicle's scores against the truth, by angle from the nearest logged view."""
     table = Table(
-        title="actor's box against the truth, street's own → generated", title_justify="left",
+        title="actor's box against the truth, street's own → generated",
+        title_justify="left",
         box=SIMPLE_HEAD,
-    )  # fmt: skip
+    )
     for heading in ("degrees from the log", "views", "PSNR dB", "SSIM", "mask IoU"):
         table.add_column(heading, no_wrap=True)
     for row in views.summary:

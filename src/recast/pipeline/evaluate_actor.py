@@ -12,11 +12,10 @@ from PIL import Image
 from rich.table import Table
 
 from recast.actors import ActorGenerator, Observation
-from recast.actors.one_view import observation_of_view
+from recast.actors.observe import observation_of_view
 from recast.actors.place import PlacementReport, place_asset
-from recast.errors import InputError
-from recast.evaluation.actor_cases import ActorCase, ActorView, read_cases
-from recast.evaluation.actor_pictures import ComparedView, comparison_sheet
+from recast.core.errors import InputError
+from recast.core.files import atomic_folder, write_json
 from recast.evaluation.actor_scores import (
     ACTOR_COLUMNS,
     drawn,
@@ -24,9 +23,10 @@ from recast.evaluation.actor_scores import (
     photographed,
     score_view,
 )
+from recast.evaluation.cases import ActorCase, ActorView, read_cases
 from recast.evaluation.perceptual import ImageDistance
-from recast.evaluation.rounding import rounded
-from recast.storage import atomic_folder, write_json
+from recast.evaluation.sheets import ComparedView, comparison_sheet
+from recast.evaluation.table import rounded
 
 METRICS_FILE, TIMINGS_FILE = "metrics.json", "timings.json"
 
@@ -148,22 +148,30 @@ def evaluate_actors(
                 compared.append(ComparedView(_caption(view, scores), truth, shown))
             source = case.inputs[0]
             sheet = comparison_sheet(
-                f"{source.name}, azimuth {source.azimuth_deg:.0f}", photographed(source.load()),
+                f"{source.name}, azimuth {source.azimuth_deg:.0f}",
+                photographed(source.load()),
                 compared,
-            )  # fmt: skip
+            )
             Image.fromarray(sheet).save(partial / f"{case.id}.png", format="PNG")
             results.append(
                 VehicleResult(
-                    case.id, source.name, source.azimuth_deg,
-                    tuple(view.name for view in case.inputs[1:views]), dict(asset.details),
-                    placed.report, tuple(judged), mean_scores([view.scores for view in judged]),
+                    case.id,
+                    source.name,
+                    source.azimuth_deg,
+                    tuple(view.name for view in case.inputs[1:views]),
+                    dict(asset.details),
+                    placed.report,
+                    tuple(judged),
+                    mean_scores([view.scores for view in judged]),
                 )
-            )  # fmt: skip
+            )
         if not results:
             raise InputError(
-                folder, "vehicles", f"none could be made; {case.id}: {failures[case.id]}",
+                folder,
+                "vehicles",
+                f"none could be made; {case.id}: {failures[case.id]}",
                 "see that the generator fits these pictures",
-            )  # fmt: skip
+            )
         mean = mean_scores([one.mean for one in results])
         evaluation = ActorEvaluation(generator.name, seed, tuple(results), failures, mean)
         write_json(partial / METRICS_FILE, evaluation.to_json())
@@ -191,9 +199,13 @@ def evaluation_table(evaluation: ActorEvaluation) -> Table:
 
 def _observation(case: ActorCase, view: ActorView) -> Observation:
     return observation_of_view(
-        view.load(), view.camera, view.camera_from_actor, case.size,
-        name=f"{case.id}/{view.name}", category=case.category,
-    )  # fmt: skip
+        view.load(),
+        view.camera,
+        view.camera_from_actor,
+        case.size,
+        name=f"{case.id}/{view.name}",
+        category=case.category,
+    )
 
 
 def _caption(view: ActorView, scores: dict[str, float]) -> str:

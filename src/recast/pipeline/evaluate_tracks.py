@@ -16,14 +16,14 @@ from rich.table import Table
 
 from recast.actors import Actor, insert, load_actor
 from recast.actors.insert import require_model
-from recast.errors import InputError
-from recast.evaluation.rounding import rounded
-from recast.evaluation.track_scores import TrackView, held_out_track
+from recast.core.errors import InputError
+from recast.core.files import atomic_folder, write_json
+from recast.evaluation.actor_scores import TrackView, held_out_track
+from recast.evaluation.table import rounded
 from recast.logs import DrivingLog
 from recast.pipeline.actor import ActorMakers, StageProgress, make_actor, refine_actor
 from recast.pipeline.layout import ACTOR_FOLDER
 from recast.scene import SceneConfig, StreetScene
-from recast.storage import atomic_folder, write_json
 
 MODELS = ("reconstructed", "registered", "refined")
 """The scene's own model of the track, the actor as registered, and as refined."""
@@ -106,9 +106,11 @@ def evaluate_tracks(
 def tracks_table(results: Sequence[TrackResult]) -> Table:
     """PSNR and SSIM of every track by model; 80 columns wide."""
     table = Table(
-        title="held-out images, in the vehicle's box: PSNR dB, SSIM", title_justify="left",
-        box=SIMPLE_HEAD, pad_edge=False,
-    )  # fmt: skip
+        title="held-out images, in the vehicle's box: PSNR dB, SSIM",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+    )
     for heading in ("track", "images", "made by", *MODELS):
         table.add_column(heading)
     for one in results:

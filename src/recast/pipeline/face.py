@@ -18,10 +18,10 @@ from rich.console import Console
 from recast.actors import Actor, load_actor
 from recast.actors.insert import require_model
 from recast.core import Artefact, Store, folder_hash, open_store
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.core.parts import SCENES
 from recast.evaluation import RolloutMetrics, rollout_metrics
 from recast.logs import DrivingLog, map_of, write_log
-from recast.parts import SCENES
 from recast.pipeline.actor import ActorMakers
 from recast.pipeline.arms import OWN_STREET
 from recast.pipeline.bench import resolve_bench, run_closed_loop
@@ -37,8 +37,7 @@ from recast.pipeline.making import (
 )
 from recast.pipeline.report import report_rollout, report_run
 from recast.pipeline.run import STORE_FOLDER
-from recast.pipeline.source_log import SourceLog
-from recast.pipeline.sources import generator_source, segmenter_source
+from recast.pipeline.sources import SourceLog, generator_source, segmenter_source
 from recast.scene import (
     Preset,
     SceneConfig,
@@ -50,7 +49,7 @@ from recast.scene import (
     save_scene,
 )
 from recast.scene.importers import IMPORT_FILE
-from recast.scene.run_identity import CONFIG_FILE
+from recast.scene.run import CONFIG_FILE
 from recast.simulation import Rollout
 
 Place = str | Path | Store
@@ -148,9 +147,13 @@ def make_actor(
     if scene is not None:
         require_model(scene, track)
     parts = VehicleParts(
-        generator, generator_source(generator), segmenter_source(segmenter), axes, views,
+        generator,
+        generator_source(generator),
+        segmenter_source(segmenter),
+        axes,
+        views,
         lambda: ActorMakers.named(generator, segmenter, axes),
-    )  # fmt: skip
+    )
     config = _config_of(scene)
     with _maker(log, store, console) as maker:
         made = register_vehicle(maker, _source(log), track, parts, seed, config)
@@ -268,11 +271,22 @@ def run_grid(
     scene = {name: settings[name] for name in settings if name in SceneConfig.model_fields}
     run = {name: value for name, value in settings.items() if name not in scene or name == "seed"}
     found = resolve_bench(
-        words=list(scenes), track=track, motions=list(motions), quick=quick, config_file=None,
-        scene_config_file=None, samples=samples, drive_options=drive, scene_options=scene,
-        run_options={"films": False, **run, "arms": list(arms) or None,
-                     "planners": tuple(planners) or None},
-    )  # fmt: skip
+        words=list(scenes),
+        track=track,
+        motions=list(motions),
+        quick=quick,
+        config_file=None,
+        scene_config_file=None,
+        samples=samples,
+        drive_options=drive,
+        scene_options=scene,
+        run_options={
+            "films": False,
+            **run,
+            "arms": list(arms) or None,
+            "planners": tuple(planners) or None,
+        },
+    )
     return run_closed_loop(
         found, Path(out), console or Console(quiet=True), workers=workers, ray=ray, store=store
     )

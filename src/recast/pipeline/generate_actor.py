@@ -11,9 +11,9 @@ import torch
 from PIL import Image
 from rich.console import Console
 
-from recast import storage
 from recast.actors import orbit
-from recast.errors import InputError
+from recast.core import files
+from recast.core.errors import InputError
 from recast.pipeline.display import SamplingProgress
 from recast.reporting.video import write_video
 from recast.splats import Gaussians, LowPass, write_ply
@@ -64,9 +64,11 @@ class GenerationRequest:
             raise InputError("CROP", "pictures", "none given", "name at least one RGBA picture")
         if self.views and len(self.crops) > 1:
             raise InputError(
-                "--views", f"{len(self.views)} pictures", f"with {len(self.crops)} crops",
+                "--views",
+                f"{len(self.views)} pictures",
+                f"with {len(self.crops)} crops",
                 "views are of one vehicle: generate it in a call of its own",
-            )  # fmt: skip
+            )
         names = [crop.stem for crop in self.crops]
         for name in names:
             if names.count(name) > 1:
@@ -132,22 +134,27 @@ def generate_actors(
         InputError: an unusable crop, a structure that failed, or `out` exists.
     """
     pictures = [[read_crop(path) for path in (crop, *request.views)] for crop in request.crops]
-    with storage.atomic_folder(out) as folder:
+    with files.atomic_folder(out) as folder:
         with SamplingProgress(console) as progress:
             made = generate(
-                model, pictures, [request.seed] * len(pictures),
-                names=[str(crop) for crop in request.crops], mode=request.mode,
-                structure=request.structure_settings(model), latent=request.latent_settings(model),
-                limits=request.limits, progress=progress,
-            )  # fmt: skip
+                model,
+                pictures,
+                [request.seed] * len(pictures),
+                names=[str(crop) for crop in request.crops],
+                mode=request.mode,
+                structure=request.structure_settings(model),
+                latent=request.latent_settings(model),
+                limits=request.limits,
+                progress=progress,
+            )
         for crop, views, vehicle in zip(request.crops, pictures, made.vehicles, strict=True):
             target = folder if len(pictures) == 1 else folder / crop.stem
             target.mkdir(exist_ok=True)
             seen = [crop_to_object(view, model.encoder.image_size) for view in views]
             Image.fromarray(np.hstack(seen)).save(target / "condition.png")
             _write_vehicle(target, vehicle, model.low_pass)
-            storage.write_json(target / "generation.json", _record(request, model, crop, vehicle))
-        storage.write_json(
+            files.write_json(target / "generation.json", _record(request, model, crop, vehicle))
+        files.write_json(
             folder / "cost.json", {"seconds": dict(made.seconds), "peak_bytes": made.peak_bytes}
         )
     return made
@@ -158,9 +165,13 @@ def _write_vehicle(folder: Path, vehicle: GeneratedVehicle, low_pass: LowPass) -
     write_ply(folder / "viewer.ply", viewer_frame(vehicle.gaussians), low_pass)
     width, height = _FILM_SIZE
     frames = orbit(
-        vehicle.gaussians, _extents(vehicle.gaussians), views=_FILM_VIEWS, width=width,
-        height=height, low_pass=low_pass,
-    )  # fmt: skip
+        vehicle.gaussians,
+        _extents(vehicle.gaussians),
+        views=_FILM_VIEWS,
+        width=width,
+        height=height,
+        low_pass=low_pass,
+    )
     write_video(folder / "turntable.mp4", frames, fps=_FILM_VIEWS / 6)
 
 

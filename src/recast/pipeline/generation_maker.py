@@ -1,32 +1,29 @@
-"""One vehicle of a generation study: made by one model from one picture, placed, and looked at."""
+"""The vehicles of a generation study: each made by one model from one picture, by a crew."""
 
 from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recast.actors import ActorGenerator, Observation, make_generator
-from recast.actors.one_view import observation_of_view
-from recast.errors import InputError
-from recast.evaluation.actor_cases import ActorCase
+from recast.actors.observe import observation_of_view
+from recast.arrays import Image
+from recast.core.errors import InputError
+from recast.crews import alone, crew_of
 from recast.evaluation.actor_scores import Cutout, drawn, framed, photographed, score_view
-from recast.evaluation.generation_cell import Cell, Features, write_cell
-from recast.evaluation.generation_features import Embedder, load_embedders
-from recast.evaluation.generation_pictures import strip, tile, tile_window
-from recast.evaluation.generation_placement import Placement, place
-from recast.evaluation.generation_targets import elevation_deg
+from recast.evaluation.cases import ActorCase, elevation_deg
+from recast.evaluation.features import Embedder, load_embedders
+from recast.evaluation.generation_cell import Cell, Features, Placement, place, write_cell
 from recast.evaluation.perceptual import ImageDistance, load_distances
-from recast.pipeline.generation_results import VIEWS, StudyModel, read_views, vehicle_file
+from recast.evaluation.sheets import strip, tile, tile_window
+from recast.pipeline.generation_rows import VIEWS, StudyModel, read_views, vehicle_file
 from recast.recar.perturb import PerturbationConfig, perturb
-
-Image = NDArray[np.uint8]
 
 _PERTURBATIONS = 1  # the stream of random numbers of what befalls an input, by seed and vehicle
 
@@ -73,7 +70,7 @@ class CellMaker:
     Args:
         measures: what views are scored by.
         seed: of the models and of the perturbations.
-        placement: see `recast.evaluation.generation_placement`.
+        placement: see `recast.evaluation.generation_cell`.
 
     Raises:
         InputError: weights that cannot be read.
@@ -169,9 +166,11 @@ class CellMaker:
         placed = time.perf_counter()
         shown = [drawn(gaussians, asset.low_pass, view) for view in case.targets]
         facts = {
-            "details": dict(asset.details), "seed": asset.seed, "placement": placement,
+            "details": dict(asset.details),
+            "seed": asset.seed,
+            "placement": placement,
             "low_pass": asdict(asset.low_pass),
-        }  # fmt: skip
+        }
         self._write(job, facts, shown)
         return {
             "generate": made - start,
@@ -218,10 +217,50 @@ def perturbed_input(
 def _observation(case: ActorCase, index: int, rgba: Image | None = None) -> Observation:
     view = case.inputs[index]
     return observation_of_view(
-        view.load() if rgba is None else rgba, view.camera, view.camera_from_actor, case.size,
-        name=f"{case.id}/{view.name}", category=case.category,
-    )  # fmt: skip
+        view.load() if rgba is None else rgba,
+        view.camera,
+        view.camera_from_actor,
+        case.size,
+        name=f"{case.id}/{view.name}",
+        category=case.category,
+    )
 
 
 def _strip(shown: Sequence[Cutout], truths: Sequence[Cutout]) -> Image:
     return strip(shown, [tile_window(truth.mask) for truth in truths])
+
+
+Told = Callable[[CellJob, dict[str, float]], None]
+"""Called with every job that is done and the seconds it took."""
+
+
+def make_cells(
+    jobs: Sequence[CellJob],
+    measures: Measures,
+    seed: int,
+    placement: Placement,
+    workers: int,
+    told: Told,
+) -> None:
+    """Make and write all cells; the files are the same bytes for any number of workers.
+
+    Args:
+        jobs: those of one model in a row, since every process keeps just one loaded.
+        measures, seed, placement: see `CellMaker`.
+        workers: processes; with one, all is done in this process.
+        told: of each job, in the order in which they end.
+
+    Raises:
+        InputError: see `CellMaker`, or a process was killed. Finished cells stay.
+    """
+    crew = alone if len(jobs) < 2 else crew_of(min(workers, len(jobs)))
+    left, plan = iter(jobs), (measures, seed, placement)
+    for job, took in crew(_start_maker, plan, lambda: next(left, None), "finished vehicles"):
+        told(job, took)
+
+
+def _start_maker(
+    number: int, measures: Measures, seed: int, placement: Placement
+) -> Callable[[CellJob], dict[str, float]]:
+    del number
+    return CellMaker(measures, seed, placement)

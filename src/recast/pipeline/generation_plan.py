@@ -1,4 +1,12 @@
-"""What a generation study consists of: settings, and a job for every vehicle and model."""
+"""What a generation study consists of, and what generators that run elsewhere need for it.
+
+A plan is settings, and a job for every vehicle and model. `recast eval inputs` writes:
+
+OUT/inputs/ID.png             the picture that every model gets: RGBA, alpha on the vehicle
+OUT/inputs/perturbed/ID.png   the perturbed one, where perturbations were asked for
+OUT/targets.json              the target views of every vehicle: file names and cameras
+OUT/study.json                the rows of the paper's table, for `recast eval generation --study`
+"""
 
 from __future__ import annotations
 
@@ -7,17 +15,50 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from recast.core.hashing import file_hash, folder_hash, value_hash
-from recast.evaluation.actor_cases import ActorCase, ActorView, read_cases
+import numpy as np
+from PIL import Image as PilImage
+
+from recast.core.artefact import file_hash, folder_hash, value_hash
+from recast.core.files import atomic_folder, write_json
+from recast.core.names import folder_name
 from recast.evaluation.bootstrap import SAMPLES
-from recast.evaluation.generation_placement import Placement
-from recast.evaluation.generation_targets import Targets, target_case
-from recast.pipeline.generation_maker import CellJob, Measures
-from recast.pipeline.generation_results import CLEAN, PERTURBED, StudyModel, vehicle_hash
+from recast.evaluation.cases import (
+    ActorCase,
+    ActorView,
+    Targets,
+    elevation_deg,
+    read_cases,
+    target_case,
+)
+from recast.evaluation.generation_cell import Placement
+from recast.evaluation.table import rounded
+from recast.pipeline.generation_maker import CellJob, Measures, perturbed_input
+from recast.pipeline.generation_rows import (
+    CLEAN,
+    PERTURBED,
+    RowRecord,
+    StudyModel,
+    StudyRecord,
+    vehicle_hash,
+    view_name,
+)
 from recast.recar.perturb import PerturbationConfig
+from recast.recar.views import Image
 
 RECIPE = 2
 """Changes when the same model and vehicle give other scores, so that older cells are made anew."""
+INPUTS, TARGETS_FILE, ROWS_FILE = "inputs", "targets.json", "study.json"
+PAPER_STUDY = (
+    ("real3d", None, "Real3D"),
+    ("ln3diff", None, "LN3Diff"),
+    ("3dtopia-xl", None, "3DTopia-XL"),
+    ("sar3d", None, "SAR3D"),
+    ("asset-harvester", None, "Asset Harvester"),
+    ("trellis", "./trellis", "TRELLIS"),
+    ("stage1", "./stage1", "Stage I only"),
+    ("both", "./both", "both stages"),
+)
+"""Name, source and row of the paper: other generators, and the ablation of the two stages."""
 
 
 @dataclass(frozen=True)
@@ -30,11 +71,11 @@ class StudySettings:
         seed: of the input views, the models, the perturbations and the bootstrap.
         limit: only the first vehicles.
         perturbed: also judge on inputs perturbed like this, none of them left clean.
-        placement: see `recast.evaluation.generation_placement`.
+        placement: see `recast.evaluation.generation_cell`.
         measures: weights of scores.
         samples: of the bootstrap.
         shown: vehicles on sheets, the first ones.
-        targets: see `recast.evaluation.generation_targets`.
+        targets: see `recast.evaluation.cases`.
         beside: rows of the paper to set beside those of these names, which need not be run.
     """
 
@@ -81,18 +122,23 @@ def plan_jobs(
 ) -> list[CellJob]:
     """All cells, those of one model in a row."""
     shared = {
-        "recipe": RECIPE, "seed": settings.seed, "measures": measure_hashes(settings.measures)
-    }  # fmt: skip
+        "recipe": RECIPE,
+        "seed": settings.seed,
+        "measures": measure_hashes(settings.measures),
+    }
     perturbed = settings.perturbed
     befalls = None if perturbed is None else perturbed.model_dump(mode="json")
     keys = {case.id: _case_key(case) for case in cases}
     jobs = [
         CellJob(
-            case, value_hash([shared, keys[case.id], befalls]), truth_folder(out, case.id), None,
+            case,
+            value_hash([shared, keys[case.id], befalls]),
+            truth_folder(out, case.id),
+            None,
             perturbed,
         )
         for case in cases
-    ]  # fmt: skip
+    ]
     for name, what in settings.models.items():
         for condition in settings.conditions:
             config = perturbed if condition == PERTURBED else None
@@ -116,9 +162,12 @@ def _case_key(case: ActorCase) -> list[Any]:
 def _view_key(view: ActorView) -> list[Any]:
     camera = view.camera
     return [
-        view.name, camera.width, camera.height, camera.matrix.tolist(),
+        view.name,
+        camera.width,
+        camera.height,
+        camera.matrix.tolist(),
         view.camera_from_actor.tolist(),
-    ]  # fmt: skip
+    ]
 
 
 def measure_hashes(measures: Measures) -> dict[str, str]:
@@ -127,4 +176,73 @@ def measure_hashes(measures: Measures) -> dict[str, str]:
         name: folder_hash(path) if path.is_dir() else file_hash(path) if path.is_file() else ""
         for name, path in vars(measures).items()
         if path is not None
+    }
+
+
+def write_inputs(settings: StudySettings, out: Path) -> list[ActorCase]:
+    """Write inputs, target views and a file of rows, whole or not at all.
+
+    Args:
+        settings: of the study; its models do not matter.
+        out: new folder.
+
+    Returns:
+        The vehicles.
+
+    Raises:
+        InputError: the set is at fault, `out` exists, or the disk is full.
+    """
+    cases = study_cases(settings)
+    with atomic_folder(out) as partial:
+        for case in cases:
+            name = f"{folder_name(case.id)}.png"
+            _save(case.inputs[0].load(), partial / INPUTS / name)
+            if settings.perturbed is not None:
+                rgba, _ = perturbed_input(case, settings.seed, settings.perturbed)
+                _save(rgba, partial / INPUTS / PERTURBED / name)
+        vehicles = [_vehicle(case) for case in cases]
+        write_json(partial / TARGETS_FILE, rounded({"version": 1, "vehicles": vehicles}))
+        record = StudyRecord(
+            seed=settings.seed,
+            targets=settings.targets,
+            perturbations=settings.perturbed,
+            rows=tuple(
+                RowRecord(name=name, source=source, published=row)
+                for name, source, row in PAPER_STUDY
+            ),
+        )
+        write_json(partial / ROWS_FILE, record.model_dump(mode="json"))
+    return cases
+
+
+def _save(rgba: Image, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    PilImage.fromarray(rgba, "RGBA").save(path, format="PNG")
+
+
+def _vehicle(case: ActorCase) -> dict[str, Any]:
+    name = folder_name(case.id)
+    return {
+        "id": case.id,
+        "files": [f"{name}.ply", f"{name}.glb", f"{name}.obj"],
+        "input": f"{INPUTS}/{name}.png",
+        "input_azimuth_deg": case.inputs[0].azimuth_deg,
+        "input_elevation_deg": elevation_deg(case.inputs[0]),
+        "size_m": case.size.tolist(),
+        "targets": [_target(name, view) for view in case.targets],
+    }
+
+
+def _target(vehicle: str, view: ActorView) -> dict[str, Any]:
+    camera = view.camera
+    distance = float(np.linalg.norm(view.camera_from_actor[:3, 3]))
+    return {
+        "file": f"{vehicle}/{view_name(view.name)}",
+        "width": camera.width,
+        "height": camera.height,
+        "fov_deg": float(np.degrees(2 * np.arctan(camera.width / 2 / camera.fx))),
+        "azimuth_deg": view.azimuth_deg,
+        "elevation_deg": elevation_deg(view),
+        "distance_m": distance,
+        "camera_from_actor": view.camera_from_actor.tolist(),
     }

@@ -1,12 +1,18 @@
-"""The rows of a generation study: of the command line, and of a study file.
+"""The rows of a generation study, of the command line and of a study file: what makes vehicles.
 
-See `recast.pipeline.generation_results` for what a row can be.
+    NAME=WHAT          a model folder, a generator, a PLY, GLB or OBJ, library:FOLDER
+    NAME=files:DIR     DIR/ID.ply, .glb or .obj, made elsewhere from the same inputs
+    NAME=views:DIR     DIR/ID/VIEW.png, a picture of each target view, drawn elsewhere
+
+On perturbed inputs, the last two are looked for in DIR/perturbed. Inputs and target views come from
+`recast.pipeline.generation_plan.write_inputs`.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -15,25 +21,130 @@ from pydantic import AfterValidator, Field
 from recast.actors import make_generator
 from recast.actors.axes import AUTO
 from recast.actors.library import LIBRARY, LibraryGenerator
-from recast.actors.vehicle_files import is_vehicle_file
-from recast.core.hashing import value_hash
-from recast.errors import InputError
-from recast.evaluation.actor_cases import ActorCase
-from recast.evaluation.generation_published import PAPER_ROWS
-from recast.evaluation.generation_targets import Targets
-from recast.pipeline.generation_results import CLEAN, FILES, VIEWS, StudyModel, vehicle_hash
+from recast.actors.vehicle_files import VEHICLE_SUFFIXES, is_vehicle_file
+from recast.core.artefact import file_hash, files_hash, value_hash
+from recast.core.errors import InputError
+from recast.core.names import folder_name
+from recast.core.records import Record, read_record
+from recast.evaluation.cases import ActorCase, Targets
+from recast.evaluation.generation_report import PAPER_ROWS
 from recast.pipeline.sources import generator_source
 from recast.recar.perturb import PerturbationConfig
 from recast.recar.record import Text
-from recast.records import Record, read_record
+from recast.recar.views import Image, read_picture
 from recast.trellis import verify_checkpoint
 
+FILES, VIEWS = "files:", "views:"
+"""What sources of results by vehicle begin with."""
+CLEAN, PERTURBED = "clean", "perturbed"
+"""Conditions; the second is also the folder of results on perturbed inputs."""
 ROWS_FORMAT = "recast-generation-rows"
 ROWS_VERSION = 1
-
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,39}")
 _MOST_ROWS = 64
 _MEND = "correct the study file; docs/recar.md, section Judging a model"
+
+
+@dataclass(frozen=True)
+class StudyModel:
+    """What makes the vehicles of a row.
+
+    Attributes:
+        source: see the module.
+        axes: orientation of files and models, see `recast.actors.axes_of`.
+    """
+
+    source: str
+    axes: str = AUTO
+
+    @property
+    def folder(self) -> Path | None:
+        """Of results by vehicle; None for what runs here."""
+        if self.source.startswith((FILES, VIEWS)):
+            return Path(self.source.partition(":")[2])
+        return None
+
+    @property
+    def label(self) -> str:
+        """The source without the folders around it."""
+        prefix = next((p for p in (FILES, VIEWS, LIBRARY) if self.source.startswith(p)), "")
+        return prefix + Path(self.source.removeprefix(prefix)).name
+
+    def on(self, condition: str) -> StudyModel:
+        """The model for inputs of a condition."""
+        if self.folder is None or condition == CLEAN:
+            return self
+        return replace(self, source=f"{self.source}/{PERTURBED}")
+
+
+def vehicle_hash(model: StudyModel, case: ActorCase) -> str:
+    """Of the results of one vehicle; empty where there are none."""
+    assert model.folder is not None
+    if model.source.startswith(FILES):
+        files = [path for path in _vehicle_files(model.folder, case.id) if path.is_file()]
+        return " ".join([*map(_file_source, files), model.axes]) if files else ""
+    paths = [path for path in view_paths(model.folder, case) if path.is_file()]
+    return files_hash(paths, model.folder) if paths else ""
+
+
+def _file_source(path: Path) -> str:
+    try:
+        return generator_source(str(path))
+    except InputError:  # of a broken mesh: that vehicle fails, not the study
+        return file_hash(path)
+
+
+def _vehicle_files(folder: Path, id: str) -> list[Path]:
+    return [folder / f"{folder_name(id)}{suffix}" for suffix in VEHICLE_SUFFIXES]
+
+
+def vehicle_file(folder: Path, id: str) -> Path:
+    """The file of a vehicle.
+
+    Raises:
+        InputError: none, or several.
+    """
+    found = [path for path in _vehicle_files(folder, id) if path.is_file()]
+    if len(found) != 1:
+        many = f"{len(found)} files: " + ", ".join(path.name for path in found)
+        problem = many if found else "no file of this vehicle"
+        raise InputError(folder, id, f"has {problem}", "one PLY, GLB or OBJ is wanted")
+    return found[0]
+
+
+def view_paths(folder: Path, case: ActorCase) -> list[Path]:
+    """Where the pictures of a vehicle's target views lie, in the order of the targets."""
+    return [folder / folder_name(case.id) / view_name(view.name) for view in case.targets]
+
+
+def view_name(view: str) -> str:
+    """File name of the picture of a view."""
+    return f"{folder_name(view)}.png"
+
+
+def read_views(folder: Path, case: ActorCase) -> list[Image]:
+    """The pictures of a vehicle's target views, each (H, W, 4) uint8 with straight alpha.
+
+    Raises:
+        InputError: one is missing, broken, of another size than the target, or has no alpha.
+    """
+    paths = view_paths(folder, case)
+    missing = [path.name for path in paths if not path.is_file()]
+    if missing:
+        raise InputError(
+            folder / folder_name(case.id),
+            "views",
+            f"{len(missing)} of {len(paths)} are missing, such as {missing[0]}",
+            "draw every target view that `recast eval inputs` lists",
+        )
+    pictures = []
+    for path, view in zip(paths, case.targets, strict=True):
+        try:
+            pictures.append(read_picture(path, view.camera.width, view.camera.height))
+        except InputError as error:
+            mend = "draw the vehicle as 8-bit RGBA in the size of the target view"
+            raise InputError(error.where, error.field, error.problem, mend) from None
+    return pictures
 
 
 def _check_name(name: str) -> str:
@@ -69,7 +180,7 @@ class StudyRecord(Record):
 
     Attributes:
         seed: of everything random, the choice of the input views too.
-        targets: see `recast.evaluation.generation_targets`.
+        targets: see `recast.evaluation.cases`.
         perturbations: of the perturbed inputs; None where all are clean.
         rows: in the order of the table.
     """
@@ -125,10 +236,12 @@ def parse_models(texts: Sequence[str]) -> dict[str, StudyModel]:
         name, equals, source = text.partition("=")
         if not equals or not source or not _NAME.fullmatch(name):
             raise InputError(
-                "--model", text, "is not NAME=WHAT",
+                "--model",
+                text,
+                "is not NAME=WHAT",
                 "give a name of letters, digits, '.', '_' and '-', then = and a model folder, "
                 "a generator, a PLY, files:DIR or views:DIR",
-            )  # fmt: skip
+            )
         if name in models:
             raise InputError("--model", name, "is named twice", "name each model once")
         models[name] = StudyModel(source)
@@ -168,14 +281,18 @@ def _results_hash(model: StudyModel, cases: Sequence[ActorCase]) -> dict[str, st
     assert model.folder is not None
     if not model.folder.is_dir():
         raise InputError(
-            model.folder, "results", "are no folder",
+            model.folder,
+            "results",
+            "are no folder",
             "put the results there, or write null for the source of their row",
-        )  # fmt: skip
+        )
     found = {case.id: vehicle_hash(model, case) for case in cases}
     if not any(found.values()):
         wanted = "ID.ply, .glb or .obj" if model.source.startswith(FILES) else "ID/VIEW.png"
         raise InputError(
-            model.folder, "results", f"hold no {wanted} of any vehicle, such as {cases[0].id}",
+            model.folder,
+            "results",
+            f"hold no {wanted} of any vehicle, such as {cases[0].id}",
             "name them as `recast eval inputs` lists them",
-        )  # fmt: skip
+        )
     return found

@@ -16,14 +16,15 @@ from typing import Any
 
 from PIL import Image
 
-from recast.errors import InputError
-from recast.evaluation.actor_cases import ActorCase
+from recast.core.errors import InputError
+from recast.core.files import atomic_file, read_json, write_json, write_text
+from recast.evaluation.cases import ActorCase
 from recast.evaluation.generation_cell import Cell, cell_is, read_cell, read_strip
-from recast.evaluation.generation_pictures import SheetRow, applied_caption, pages, sheet
 from recast.evaluation.generation_report import StudyFacts, study_json, study_markdown
 from recast.evaluation.generation_summary import StudyBlock, summarize
-from recast.evaluation.rounding import rounded
-from recast.pipeline.generation_maker import CellJob
+from recast.evaluation.sheets import SheetRow, applied_caption, pages, sheet
+from recast.evaluation.table import rounded
+from recast.pipeline.generation_maker import CellJob, make_cells
 from recast.pipeline.generation_plan import (
     StudySettings,
     cell_folder,
@@ -32,10 +33,7 @@ from recast.pipeline.generation_plan import (
     study_cases,
     truth_folder,
 )
-from recast.pipeline.generation_pool import make_cells
-from recast.pipeline.generation_results import CLEAN, PERTURBED
-from recast.pipeline.generation_rows import model_hash
-from recast.storage import atomic_file, read_json, write_json, write_text
+from recast.pipeline.generation_rows import CLEAN, PERTURBED, model_hash
 
 STUDY_FILE, METRICS_FILE, MARKDOWN_FILE = "study.json", "metrics.json", "study.md"
 TIMINGS_FILE = "timings.json"
@@ -101,9 +99,11 @@ def _begin(
         record = read_json(path) if path.is_file() else None
         if not isinstance(record, dict) or record.get("format") != STUDY_FORMAT:
             raise InputError(
-                out, "output folder", "holds something else than a study",
+                out,
+                "output folder",
+                "holds something else than a study",
                 "name another one or empty it",
-            )  # fmt: skip
+            )
     write_json(out / STUDY_FILE, _record(settings, cases, sources, complete=False))
 
 
@@ -166,9 +166,7 @@ def _make(
         progress(done, total)
     try:
         if left:
-            make_cells(
-                left, settings.measures, settings.seed, settings.placement, workers, told
-            )  # fmt: skip
+            make_cells(left, settings.measures, settings.seed, settings.placement, workers, told)
     finally:
         path = out / TIMINGS_FILE
         before = read_json(path) if path.is_file() else {}
@@ -201,9 +199,11 @@ def _check_some_made(cells: Mapping[str, Sequence[Cell]]) -> None:
     for name, mine in cells.items():
         if all(cell.failure is not None for cell in mine):
             raise InputError(
-                name, "vehicles", f"none could be made; {mine[0].id}: {mine[0].failure}",
+                name,
+                "vehicles",
+                f"none could be made; {mine[0].id}: {mine[0].failure}",
                 "see that the model fits these pictures, or leave it out",
-            )  # fmt: skip
+            )
 
 
 def _write_sheets(settings: StudySettings, cases: Sequence[ActorCase], out: Path) -> None:

@@ -18,17 +18,20 @@ from rich.markup import escape
 
 from recast.actors import load_actor
 from recast.core import Artefact, Store, file_hash, folder_hash
-from recast.errors import printable
-from recast.pipeline.actor import ActorMakers, film_turntable, make_actor, refine_actor
+from recast.core.errors import printable
+from recast.pipeline.actor import (
+    ActorMakers,
+    compare_with_truth,
+    film_turntable,
+    make_actor,
+    refine_actor,
+)
 from recast.pipeline.display import SamplingProgress, print_actor
 from recast.pipeline.layout import ACTOR_FOLDER, TURNTABLE_FILE
-from recast.pipeline.scene import train_with_display
-from recast.pipeline.scene_tables import evaluation_table
-from recast.pipeline.source_log import SourceLog
-from recast.pipeline.sources import RECIPES
-from recast.pipeline.truth import compare_with_truth
+from recast.pipeline.scene import evaluation_table, train_with_display
+from recast.pipeline.sources import RECIPES, SourceLog
 from recast.scene import SceneConfig, evaluate_scene, load_scene
-from recast.scene.run_identity import FREE_FIELDS
+from recast.scene.run import FREE_FIELDS
 
 
 @dataclass(frozen=True)
@@ -59,9 +62,13 @@ class Maker:
             make(out)
 
         found = self.store.make(
-            kind, inputs, announced, name=name, resumes=resumes,
+            kind,
+            inputs,
+            announced,
+            name=name,
+            resumes=resumes,
             waits=lambda: self._say(f"{escape(title)}: another process is making it"),
-        )  # fmt: skip
+        )
         if not found.fresh:
             self._say(f"{escape(title)}: found in the store")
         return found
@@ -81,18 +88,24 @@ def train_street(maker: Maker, source: SourceLog, config: SceneConfig, name: str
     if bodies:  # a missing one ends the training
         inputs["bodies"] = [file_hash(path) for path in bodies if path.is_file()]
     return maker.make(
-        f"street {name}", "scenes", inputs,
+        f"street {name}",
+        "scenes",
+        inputs,
         lambda out: train_with_display(source.log, out, config, maker.console),
-        f"{name} street of {source.log.name}", resumes=True,
-    )  # fmt: skip
+        f"{name} street of {source.log.name}",
+        resumes=True,
+    )
 
 
 def take_street(maker: Maker, folder: Path) -> Artefact:
     """A street that was trained or imported elsewhere."""
     return maker.make(
-        f"street {folder.name}", "scenes", {"content": folder_hash(folder)},
-        lambda out: copy_folder(folder, out), f"scene {folder.name}",
-    )  # fmt: skip
+        f"street {folder.name}",
+        "scenes",
+        {"content": folder_hash(folder)},
+        lambda out: copy_folder(folder, out),
+        f"scene {folder.name}",
+    )
 
 
 def score_street(maker: Maker, source: SourceLog, scene: Artefact, config: SceneConfig) -> Artefact:
@@ -101,18 +114,19 @@ def score_street(maker: Maker, source: SourceLog, scene: Artefact, config: Scene
     Raises:
         InputError: no image was held out.
     """
-    inputs = {
-        "scene": scene.reference, **_images(source, config), "recipe": RECIPES["evaluation"]
-    }  # fmt: skip
+    inputs = {"scene": scene.reference, **_images(source, config), "recipe": RECIPES["evaluation"]}
 
     def evaluate(out: Path) -> None:
         found = evaluate_scene(load_scene(scene.path), source.log, config, out)
         maker.console.print(evaluation_table(found))
 
     return maker.make(
-        f"held-out images of {scene.record.name}", "evaluations", inputs, evaluate,
         f"held-out images of {scene.record.name}",
-    )  # fmt: skip
+        "evaluations",
+        inputs,
+        evaluate,
+        f"held-out images of {scene.record.name}",
+    )
 
 
 @dataclass(frozen=True)
@@ -148,10 +162,15 @@ def register_vehicle(
         config: of the street: which images may be looked at.
     """
     inputs = {
-        **_images(source, config), "track": track, "generator": parts.generator,
-        "axes": parts.axes, "segmenter": parts.segmenter, "views": parts.views, "seed": seed,
+        **_images(source, config),
+        "track": track,
+        "generator": parts.generator,
+        "axes": parts.axes,
+        "segmenter": parts.segmenter,
+        "views": parts.views,
+        "seed": seed,
         "recipe": RECIPES["actor"],
-    }  # fmt: skip
+    }
 
     def make(out: Path) -> None:
         with SamplingProgress(maker.console) as progress:
@@ -167,9 +186,11 @@ def register_vehicle(
 def refine_vehicle(maker: Maker, registered: Artefact, scene: Artefact, seed: int) -> Artefact:
     """A registered vehicle, refined by all images of the log against a street."""
     inputs = {
-        "actor": registered.reference, "scene": scene.reference, "seed": seed,
+        "actor": registered.reference,
+        "scene": scene.reference,
+        "seed": seed,
         "recipe": RECIPES["refine"],
-    }  # fmt: skip
+    }
 
     def make(out: Path) -> None:
         with SamplingProgress(maker.console) as progress:
@@ -187,10 +208,12 @@ def film_vehicle(maker: Maker, actor: Artefact) -> Artefact:
     """A film of a vehicle turning once."""
     name = f"turntable of {actor.record.name}"
     return maker.make(
-        name, "evaluations", {"actor": actor.reference, "recipe": RECIPES["turntable"]},
+        name,
+        "evaluations",
+        {"actor": actor.reference, "recipe": RECIPES["turntable"]},
         lambda out: film_turntable(load_actor(actor.path / ACTOR_FOLDER), out / TURNTABLE_FILE),
         name,
-    )  # fmt: skip
+    )
 
 
 def compare_vehicle(
@@ -203,18 +226,28 @@ def compare_vehicle(
 ) -> Artefact:
     """A vehicle, and its street's own, against the truth of a synthetic log."""
     inputs = {
-        **_images(source, config), "scene": scene.reference, "actor": actor.reference,
-        "seed": seed, "recipe": RECIPES["truth"],
-    }  # fmt: skip
+        **_images(source, config),
+        "scene": scene.reference,
+        "actor": actor.reference,
+        "seed": seed,
+        "recipe": RECIPES["truth"],
+    }
     name = f"{actor.record.name} against the truth"
     return maker.make(
-        name, "evaluations", inputs,
+        name,
+        "evaluations",
+        inputs,
         lambda out: compare_with_truth(
-            load_scene(scene.path), load_actor(actor.path / ACTOR_FOLDER), source, config, seed,
-            out, maker.console,
+            load_scene(scene.path),
+            load_actor(actor.path / ACTOR_FOLDER),
+            source,
+            config,
+            seed,
+            out,
+            maker.console,
         ),
         name,
-    )  # fmt: skip
+    )
 
 
 def copy_folder(folder: Path, out: Path) -> None:

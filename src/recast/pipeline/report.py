@@ -1,8 +1,8 @@
-"""Gather what a run made into the inputs of its report."""
+"""Gather what runs made into the inputs of a report, or of the page that compares them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 
 from recast.actors import load_actor
 from recast.core import Artefact, Store
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.evaluation import RolloutMetrics, rollout_metrics
 from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.pipeline.arms import Arm, truth_of
@@ -31,6 +31,7 @@ from recast.pipeline.run_folder import RUN_FILE, RunFolder
 from recast.reporting import (
     NOT_MADE,
     ActorPart,
+    ComparedRun,
     Fact,
     NotMade,
     ProvenancePart,
@@ -41,8 +42,10 @@ from recast.reporting import (
     ShowcasePart,
     TruthPart,
     truth_parts,
+    write_comparison,
     write_report,
 )
+from recast.reporting.page import check_out
 from recast.simulation import Rollout, RolloutFailure
 
 
@@ -72,9 +75,11 @@ def open_run(run: str | Path) -> GatheredRun:
     log_path = folder.log_path
     if not log_path.is_dir():
         raise InputError(
-            folder.path / RUN_FILE, "log.path", f"names {log_path}, which is not there",
+            folder.path / RUN_FILE,
+            "log.path",
+            f"names {log_path}, which is not there",
             "put the log back, or move the run to where it was",
-        )  # fmt: skip
+        )
     log = read_log(log_path)
     _check_log(folder.config, log, folder.path / RUN_FILE)
     return GatheredRun(folder, folder.store(), log, folder.config)
@@ -116,9 +121,11 @@ def _check_log(config: RunConfig, log: DrivingLog, record: Path) -> None:
         for name in names:
             if name not in there:
                 raise InputError(
-                    record, "log.path", f"names a log without {kind} {name}",
+                    record,
+                    "log.path",
+                    f"names a log without {kind} {name}",
                     "put the log back that was run on",
-                )  # fmt: skip
+                )
 
 
 @dataclass(frozen=True)
@@ -231,12 +238,77 @@ class GatheredRun:
         if isinstance(rollout, RolloutFailure):
             return RolloutPart(arm.name, rollout, NotMade(rollout.reason), NotMade(rollout.reason))
         return RolloutPart(
-            arm.name, rollout, rollout_metrics(rollout, self.map), films(found.path),
+            arm.name,
+            rollout,
+            rollout_metrics(rollout, self.map),
+            films(found.path),
             read_coverage(found.path),
-        )  # fmt: skip
+        )
 
     def _scene(self, arm: Arm) -> ScenePart | NotMade:
         scene, scores = (self._find(use_name(what, arm.street)) for what in ("scene", "evaluation"))
         if scores is None or scene is None:
             return NotMade("no image was held out") if scene is not None else NOT_MADE
         return scene_part(scores.path / "eval.json", scene.path)
+
+
+def compare_runs(runs: Sequence[str | Path], out: str | Path) -> Path:
+    """Write a page that compares runs, the others with the first; return its `index.html`.
+
+    The runs may be of different logs, and unfinished.
+
+    Args:
+        runs: at least two run folders.
+        out: folder of the page.
+
+    Raises:
+        InputError: fewer than two runs, a folder that is no run or is named twice, a log or an
+            artefact that is gone, or `out` holds something else.
+    """
+    folders = [Path(run) for run in runs]
+    if len(folders) < 2:
+        raise InputError(
+            "--compare", "runs", f"{len(folders)} given", "name two run folders or more"
+        )
+    places = [folder.resolve() for folder in folders]
+    for folder, place in zip(folders, places, strict=True):
+        if places.count(place) > 1:
+            raise InputError(folder, "run", "is named twice", "name each run once")
+    check_out(Path(out))
+    opened = [open_run(folder) for folder in folders]
+    names = _names(places)
+    return write_comparison([_compared(*one) for one in zip(names, opened, strict=True)], out)
+
+
+def _names(places: Sequence[Path]) -> list[str]:
+    """Names of the folders, with as many of their parents as it takes to tell them apart."""
+    for parts in range(1, max(len(place.parts) for place in places)):
+        names = ["/".join(place.parts[-parts:]) for place in places]
+        if len(set(names)) == len(names):
+            return names
+    return [str(place) for place in places]
+
+
+def _compared(name: str, run: GatheredRun) -> ComparedRun:
+    record, config = run.folder.record, run.config
+    return ComparedRun(
+        name=name,
+        log=run.log.name,
+        log_hash=record.log.hash,
+        target=config.track,
+        arms=run.arms,
+        scenarios={
+            (config.motion(motion).name, config.motion(motion).setting, planner): run.scenario(
+                motion, planner
+            )
+            for motion in config.motions
+            for planner in config.planners
+        },
+        settings={
+            **config.resolved(),
+            "log": {"name": run.log.name, "hash": record.log.hash},
+            "versions": record.versions,
+        },
+        hd_map=run.map,
+        camera_headings=headings(run.log),
+    )

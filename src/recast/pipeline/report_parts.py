@@ -9,10 +9,10 @@ import numpy as np
 
 from recast.actors import Actor
 from recast.actors.icp import INLIER_DISTANCE
+from recast.core.names import member
 from recast.logs import DrivingLog, HdMap
-from recast.names import member
 from recast.pipeline.config import RunConfig
-from recast.pipeline.results_files import read_evaluation
+from recast.pipeline.scores import read_evaluation
 from recast.reporting import (
     NOT_MADE,
     ActorPart,
@@ -23,7 +23,7 @@ from recast.reporting import (
     ScenePart,
 )
 from recast.reporting.actor_sheet import draw_all_around
-from recast.reporting.scene_scores import depth_facts, score_lines
+from recast.reporting.tables import depth_facts, score_lines
 from recast.scene import load_scene
 
 REGISTRATION_LIMIT = 0.15
@@ -83,12 +83,18 @@ def actor_part(actor: Actor, frame: Path, film: Path | None, log: DrivingLog) ->
             frame=frame if frame.exists() else NOT_MADE,
             facts=(
                 Fact("View", f"{provenance.camera}, frame {provenance.frame}"),
-                Fact("Seen from", f"{np.degrees(provenance.azimuth):.0f} degrees",
-                     "azimuth of the camera about the vehicle: 0 ahead of it, 90 to its left"),
+                Fact(
+                    "Seen from",
+                    f"{np.degrees(provenance.azimuth):.0f} degrees",
+                    "azimuth of the camera about the vehicle: 0 ahead of it, 90 to its left",
+                ),
                 Fact("Sides seen", ", ".join(provenance.sides_seen)),
                 *(Fact("Why this view", line) for line in provenance.observation.splitlines()[:1]),
-                Fact("Mask", "; ".join(provenance.mask.explain().splitlines()),
-                     "by the logged box and the LiDAR"),
+                Fact(
+                    "Mask",
+                    "; ".join(provenance.mask.explain().splitlines()),
+                    "by the logged box and the LiDAR",
+                ),
                 *(Fact("Look at the mask", text) for text in provenance.mask.warnings()),
             ),
         ),
@@ -104,10 +110,16 @@ def actor_part(actor: Actor, frame: Path, film: Path | None, log: DrivingLog) ->
             size_misfit=np.array([report.width_over_box, report.height_over_box]),
             sides=_shares(report.lidar_by_side),
             facts=(
-                Fact("Front", ", ".join(f"{k} {v:+.1f}" for k, v in report.front.votes.items()),
-                     "evidence for the way the vehicle faces; negative speaks against it"),
-                Fact(f"Within {INLIER_DISTANCE:g} m", f"{report.after.inlier_share:.0%}",
-                     "share of LiDAR points this near to the actor"),
+                Fact(
+                    "Front",
+                    ", ".join(f"{k} {v:+.1f}" for k, v in report.front.votes.items()),
+                    "evidence for the way the vehicle faces; negative speaks against it",
+                ),
+                Fact(
+                    f"Within {INLIER_DISTANCE:g} m",
+                    f"{report.after.inlier_share:.0%}",
+                    "share of LiDAR points this near to the actor",
+                ),
             ),
         ),
         log_path=log.tracks[actor.track_id].trajectory.poses[:, :2, 3],
@@ -117,7 +129,7 @@ def actor_part(actor: Actor, frame: Path, film: Path | None, log: DrivingLog) ->
         refinement=()
         if provenance.refinement is None
         else tuple(provenance.refinement.explain().splitlines()),
-    )  # fmt: skip
+    )
 
 
 def _source(actor: Actor) -> str:

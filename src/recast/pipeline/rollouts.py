@@ -1,4 +1,4 @@
-"""One rollout as a finished folder: states, plans, and a film of every camera."""
+"""One rollout as a finished folder, with a film of every camera, and the cameras that it needs."""
 
 from __future__ import annotations
 
@@ -10,12 +10,24 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
 
-from recast import storage
-from recast.errors import InputError
-from recast.names import folder_name, member
-from recast.planning import Planner, planner_cameras, seen_record
-from recast.records import Record, read_record
+from recast.core import files
+from recast.core.errors import InputError
+from recast.core.names import folder_name, member
+from recast.core.records import Record, read_record
+from recast.logs import DrivingLog
+from recast.pipeline.config import RunConfig
+from recast.planning import (
+    CameraMount,
+    Planner,
+    planner_cameras,
+    seen_lines,
+    seen_record,
+    shown_views,
+    virtual_mounts,
+)
+from recast.planning.gtrs import nuplan_rig
 from recast.reporting.video import VideoWriter, write_video
 from recast.simulation import (
     Rollout,
@@ -24,14 +36,17 @@ from recast.simulation import (
     SensorRenderer,
     SimState,
     Timings,
+    camera_mounts,
     failure,
     load_rollout,
     run_rollout,
     save_rollout,
 )
+from recast.simulation.actors import other_poses
 from recast.simulation.coverage import Meter, RolloutCoverage, rollout_coverage
-from recast.simulation.other_actors import other_poses
 from recast.simulation.rollout_files import load_coverage, save_coverage
+
+_LOG = logging.getLogger(__name__)
 
 _FAILURE = "failure.json"
 _FILMS = "films.json"
@@ -40,8 +55,6 @@ _STATES = "states"
 _COVERAGE = "coverage.parquet"
 _VERSION: Literal[1] = 1
 _MEND = "remove the folder of this rollout and run again"
-
-_LOG = logging.getLogger(__name__)
 
 
 class _Versioned(Record):
@@ -88,7 +101,7 @@ def make_rollout(
         InputError: the disk refuses.
     """
     with ExitStack() as opened:
-        files: dict[str, str] = {}
+        written: dict[str, str] = {}
         writers: dict[str, VideoWriter] = {}
         disk_refuses = False
 
@@ -97,8 +110,8 @@ def make_rollout(
             for name, image in images.items():
                 try:
                     if name not in writers:
-                        files[name] = f"{folder_name(name)}.mp4"
-                        writer = VideoWriter(folder / files[name], fps=1 / setup.dt)
+                        written[name] = f"{folder_name(name)}.mp4"
+                        writer = VideoWriter(folder / written[name], fps=1 / setup.dt)
                         writers[name] = opened.enter_context(writer)
                     writers[name].add(image)
                 except (OSError, InputError):
@@ -114,14 +127,14 @@ def make_rollout(
                 raise
             _LOG.warning("rollout %s failed", setup.name, exc_info=True)
             opened.close()
-            for name in files.values():
+            for name in written.values():
                 (folder / name).unlink(missing_ok=True)
             write_failure(failure(setup, planner.name, error), folder)
             return
         opened.close()
         save_rollout(rollout, folder / _STATES)
         mounts = {} if renderer is None else renderer.mounts
-        storage.write_json(folder / _PLANNER, seen_record(planner, mounts))
+        files.write_json(folder / _PLANNER, seen_record(planner, mounts))
         if meter is not None and mounts:
             names = tuple(setup.log.cameras if setup.camera_names is None else setup.camera_names)
             given = planner_cameras(planner, mounts, names)
@@ -129,9 +142,9 @@ def make_rollout(
                 rollout, setup, meter, mounts, names if filmed else (), given
             )
             save_coverage(coverage, folder / _COVERAGE)
-        if files:
-            record = FilmsRecord(films=files)
-            storage.write_json(folder / _FILMS, record.model_dump(mode="json"))
+        if written:
+            record = FilmsRecord(films=written)
+            files.write_json(folder / _FILMS, record.model_dump(mode="json"))
 
 
 def draw_films(rollout: Rollout, folder: Path) -> dict[str, Path]:
@@ -197,9 +210,70 @@ def films(folder: Path) -> dict[str, Path]:
 def write_failure(row: RolloutFailure, folder: Path) -> None:
     """Write why there is no rollout into a folder."""
     record = FailureRecord(failure=row)
-    storage.write_json(folder / _FAILURE, record.model_dump(mode="json"))
+    files.write_json(folder / _FAILURE, record.model_dump(mode="json"))
 
 
 def is_failure(folder: Path) -> bool:
     """Whether the folder says why there is no rollout."""
     return (folder / _FAILURE).exists()
+
+
+def run_mounts(log: DrivingLog, planner: Planner, config: RunConfig) -> dict[str, CameraMount]:
+    """The cameras that a run renders: the log's, at the scale of the scene, and `planner_mounts`.
+
+    Raises:
+        InputError: the configuration names a camera that the log lacks, or see `planner_mounts`.
+    """
+    mounts = camera_mounts(log, config.scene.cameras or None, config.scene.scale)
+    return planner_mounts(mounts, planner, config)
+
+
+def planner_mounts(
+    mounts: Mapping[str, CameraMount], planner: Planner, config: RunConfig
+) -> dict[str, CameraMount]:
+    """The log's cameras, and virtual ones that the planner wants.
+
+    nuPlan's have the scale of the scene, too: 1920x1080 at scale 1.
+
+    Raises:
+        InputError: see `shown_views`.
+    """
+    rendered = {**mounts, **virtual_mounts(planner, mounts, nuplan_rig(config.scene.scale))}
+    shown_views(planner, rendered)
+    return rendered
+
+
+def require_distinct_planners(planners: Mapping[str, Planner]) -> None:
+    """Refuse planners that results could not tell apart.
+
+    Args:
+        planners: by the word that asks for each.
+
+    Raises:
+        InputError: two have the same name.
+    """
+    named: dict[str, str] = {}
+    for word, planner in planners.items():
+        other = named.setdefault(planner.name, word)
+        if other != word:
+            raise InputError(
+                "--planner",
+                word,
+                f"has the name of {other}: {planner.name}",
+                "give the planners different names",
+            )
+
+
+def announce_planner(
+    planner: Planner, mounts: Mapping[str, CameraMount], console: Console, where: str = ""
+) -> None:
+    """Print on which device the planner computes, and what it gets to see.
+
+    Args:
+        where: before each line.
+    """
+    said, warning = seen_lines(planner, mounts)
+    if said:
+        console.print(f"{where}{said}", markup=False, highlight=False)
+    if warning:
+        console.print(f"{where}warning: {warning}", markup=False, highlight=False, style="yellow")

@@ -1,32 +1,37 @@
-"""`recast run`: from a log to a report; what other runs made already is used again."""
+"""`recast run`, from a log to a report, and `recast demo`, the same on a synthetic drive."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from pydantic import ValidationError
 from rich.console import Console
 
-from recast import storage
-from recast.core import Artefact, open_store, value_hash
-from recast.cores import usable_cores
-from recast.errors import InputError, printable
-from recast.pipeline.arms import truth_of
+from recast.actors import DEFAULT_GENERATOR, make_generator
+from recast.core import Artefact, files, open_store, value_hash
+from recast.core.errors import InputError, printable
+from recast.core.records import validation_error
+from recast.crews.crew import usable_cores
+from recast.pipeline.arms import Arm, default_arms, truth_of
 from recast.pipeline.artefacts import Artefacts
 from recast.pipeline.config import RunConfig
 from recast.pipeline.display import failure_lines, results_tables
 from recast.pipeline.layout import METRICS_FILE, REPLAY_FILE, REPORT_FOLDER
-from recast.pipeline.planner import announce_planner, require_distinct_planners
 from recast.pipeline.report import report_run
-from recast.pipeline.results_files import read_metrics
+from recast.pipeline.rollouts import announce_planner, require_distinct_planners
 from recast.pipeline.run_folder import RunFolder
-from recast.pipeline.scores import write_metrics
-from recast.pipeline.source_log import SourceLog
-from recast.pipeline.sources import RECIPES, Sources
+from recast.pipeline.scores import read_metrics, write_metrics
+from recast.pipeline.sources import RECIPES, SourceLog, Sources, drive_log
 from recast.pipeline.view import view_inputs
+from recast.planning import GTRS_MINI, make_planner
+from recast.scene import SceneConfig
 from recast.simulation import prepare
 from recast.splats import set_threads
+from recast.synthetic import make_world
+from recast.synthetic.rendering import require_embree
 from recast.viewer import require_viser, write_replay
 
 REPLAY_MB = 10.0
@@ -75,7 +80,7 @@ def run(
     folder = RunFolder.create_or_resume(
         out, config.resolved(), source.address or source.path, source.hash, place
     )
-    with storage.alone_in(folder.path):
+    with files.alone_in(folder.path):
         try:
             return _Run(artefacts, folder, console).finish()
         finally:
@@ -106,11 +111,12 @@ class _Run:
         path, used = self._folder.path, self._artefacts.used
         made_from = _hash_of("metrics", used.values())
         self._folder.finish(
-            METRICS_FILE, made_from,
+            METRICS_FILE,
+            made_from,
             lambda: write_metrics(
                 path / METRICS_FILE, self._config, used, self._artefacts.source.map
             ),
-        )  # fmt: skip
+        )
         made_from = _hash_of("report", used.values())
         made_from += "" if self._replay(made_from) else ", no replay"
         with self._console.status("writing the report"):
@@ -168,3 +174,99 @@ class _Run:
 def _hash_of(recipe: str, used: Iterable[Artefact]) -> str:
     references = sorted({artefact.reference for artefact in used})
     return value_hash({"artefacts": references, "recipe": RECIPES[recipe]})
+
+
+LOG_FOLDER = "log"
+RUN_FOLDER = "run"
+
+
+@dataclass(frozen=True)
+class DemoSize:
+    """Size of a demo.
+
+    Attributes:
+        seconds: duration of the drive.
+        width, height: size of its images in pixels.
+        cameras: names of the recorded cameras; empty for all cameras of the rig.
+        iterations: training steps of the scene.
+        motions: motions of the actor, with their settings.
+        steps: steps of 0.1 s of each rollout.
+        planner: planner under test unless the caller names another one.
+    """
+
+    seconds: float
+    width: int
+    height: int
+    cameras: tuple[str, ...]
+    iterations: int
+    motions: tuple[str, ...]
+    steps: int
+    planner: str
+
+
+FULL = DemoSize(8.0, 384, 256, (), 2000, ("cut-in-a", "oncoming-a", "stationary-a"), 50, GTRS_MINI)
+# One camera is not enough for a planner that looks.
+QUICK = DemoSize(3.0, 192, 128, ("front",), 500, ("cut-in-a",), 20, "idm-follower")
+
+
+def demo(
+    out: str | Path,
+    scene: str,
+    seed: int,
+    size: DemoSize,
+    threads: int,
+    console: Console,
+    generator: str = DEFAULT_GENERATOR,
+    planner: str | None = None,
+) -> Path:
+    """Make a drive, reconstruct it, replace the target, and compare rollouts with the truth.
+
+    Args:
+        out: folder for `log/`, `run/` and `store/`; results of the same demo there are reused.
+        scene: name of a synthetic scene.
+        seed: seed of the drive and of all later random choices.
+        size: `FULL` or `QUICK`.
+        threads: number of CPU threads; 0 uses all cores.
+        console: console for steps, progress and the remaining time.
+        generator: generator of the vehicle, see `recast.actors.make_generator`.
+        planner: planner under test, see `recast.planning.make_planner`; None for the planner of
+            `size`.
+
+    Returns:
+        Path of the report's `index.html`.
+
+    Raises:
+        InputError: embreex is missing, or scene, generator or planner is unknown; nothing is
+            written then. Or `out` holds other files, or another process works in it.
+    """
+    require_embree()  # the truth is ray-traced, and so is the log
+    world = make_world(scene, seed, size.seconds)
+    try:
+        config = RunConfig(
+            track=world.target,
+            motions=size.motions,
+            arms=(*default_arms(), Arm.oracle()),
+            planners=(planner or size.planner,),
+            generator=generator,
+            steps=size.steps,
+            seed=seed,
+            threads=threads,
+            scene=SceneConfig(
+                scale=1.0,
+                iterations=size.iterations,
+                seed=seed,
+                threads=threads,
+            ),
+        )
+    except ValidationError as error:
+        raise validation_error("options", error, "give a value in range") from None
+    make_planner(config.planners[0])
+    make_generator(config.generator, config.axes)
+    out = Path(out)
+    with files.disk_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+    with files.alone_in(out):
+        log = drive_log(
+            world, out / LOG_FOLDER, (size.width, size.height), size.cameras, threads, console
+        )
+        return run(log, out / RUN_FOLDER, config, console)

@@ -21,15 +21,15 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from recast import __version__, storage
-from recast.core import Artefact, Store, open_store
+from recast import __version__
+from recast.core import Artefact, Store, files, open_store
+from recast.core.errors import InputError
+from recast.core.names import folder_name
+from recast.core.records import Record, parse_record, read_record
 from recast.core.remote import remote_path
-from recast.errors import InputError
-from recast.logs.remote import local_folder
-from recast.names import folder_name
+from recast.logs.load import local_folder
 from recast.pipeline.config import CONFIG_VERSION, RunConfig
 from recast.pipeline.layout import use_parts
-from recast.records import Record, parse_record, read_record
 
 _LOG = logging.getLogger(__name__)
 
@@ -117,15 +117,19 @@ class RunFolder:
         mend = "name another --out, or repeat the options of the run that lies there"
         if existing.log.hash != log_hash:
             raise InputError(
-                path / RUN_FILE, "log.hash",
-                f"this folder holds a run on another log ({existing.log.path})", mend,
-            )  # fmt: skip
+                path / RUN_FILE,
+                "log.hash",
+                f"this folder holds a run on another log ({existing.log.path})",
+                mend,
+            )
         differing = _first_difference(existing.config, config)
         if differing is not None:
             raise InputError(
-                path / RUN_FILE, f"config.{differing}",
-                "this folder holds a run with another configuration", mend,
-            )  # fmt: skip
+                path / RUN_FILE,
+                f"config.{differing}",
+                "this folder holds a run with another configuration",
+                mend,
+            )
         folder = cls(path, existing.model_copy(update={"log": source, "store": place}))
         if folder.record != existing:  # the run, the log or the store was moved
             folder._write()
@@ -150,9 +154,12 @@ class RunFolder:
             InputError: its record was damaged.
         """
         return parse_record(
-            self.path / RUN_FILE, self.record.config, RunConfig, CONFIG_VERSION,
+            self.path / RUN_FILE,
+            self.record.config,
+            RunConfig,
+            CONFIG_VERSION,
             "run again into a new folder",
-        )  # fmt: skip
+        )
 
     @property
     def log_path(self) -> Path:
@@ -221,7 +228,7 @@ class RunFolder:
         self._write()
 
     def _write(self) -> None:
-        storage.write_json(self.path / RUN_FILE, self.record.model_dump(mode="json"))
+        files.write_json(self.path / RUN_FILE, self.record.model_dump(mode="json"))
 
     def _link(self, use: str, artefact: Artefact) -> None:
         what, *names = use_parts(use)
@@ -230,7 +237,7 @@ class RunFolder:
         parts = parts if what == "rollout" else ["~~".join(parts)]
         link = self.path.joinpath(_LINKS[what], *parts)
         target = _relative(artefact.path, link.parent)
-        with storage.disk_errors(link):
+        with files.disk_errors(link):
             if link.is_symlink() and link.readlink().as_posix() == target:
                 return
             if link.exists() and not link.is_symlink():
@@ -255,13 +262,15 @@ def claim_empty(folder: Path, first: str) -> None:
     Raises:
         InputError: something else lies there.
     """
-    with storage.disk_errors(folder):
+    with files.disk_errors(folder):
         inside = {entry.name for entry in folder.iterdir()} if folder.is_dir() else set()
-        if (folder.exists() and not folder.is_dir()) or inside - {storage.partial_name(first).name}:
+        if (folder.exists() and not folder.is_dir()) or inside - {files.partial_name(first).name}:
             raise InputError(
-                folder, first, "is missing in a folder that is not empty",
+                folder,
+                first,
+                "is missing in a folder that is not empty",
                 "name a new or empty folder for --out",
-            )  # fmt: skip
+            )
         folder.mkdir(parents=True, exist_ok=True)
 
 

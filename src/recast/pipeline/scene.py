@@ -1,21 +1,30 @@
-"""Training and judging a scene with a display for the terminal."""
+"""Training and judging a scene with a display for the terminal; the truth of synthetic drives."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
+import numpy as np
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
+from recast.arrays import Image
+from recast.core.errors import printable
 from recast.evaluation.perceptual import load_distances
 from recast.logs import DrivingLog
 from recast.pipeline.display import FrameProgress
-from recast.pipeline.scene_tables import evaluation_table, shift_table
-from recast.pipeline.scene_truth import ShiftedTruth
 from recast.scene import (
     SHIFTS,
+    RegionScore,
     SceneConfig,
     SceneEvaluation,
+    ShiftedView,
     TrainingDisplay,
     TrainResult,
     evaluate_scene,
@@ -24,7 +33,11 @@ from recast.scene import (
     train_scene,
 )
 from recast.scene.importers import IMPORT_FILE
-from recast.synthetic import is_synthetic, world_of
+from recast.synthetic import Oracle, World, is_synthetic, world_of
+from recast.synthetic.oracle import OraclePool
+from recast.synthetic.rig import exposure, sensor_number
+
+_STREAM = 801
 
 
 def train_with_display(
@@ -62,7 +75,7 @@ def evaluate_and_print(
     Args:
         shifts: also views from beside the drive, `recast.scene.SHIFTS`: against the truth where the
             log is synthetic, else as pictures alone.
-        lpips: weights of the backbone, see `recast.evaluation.perceptual_lpips.load_lpips`.
+        lpips: weights of the backbone, see `recast.evaluation.perceptual.load_lpips`.
         workers: processes that render the truth; 0 for one for each core.
 
     Raises:
@@ -80,12 +93,15 @@ def evaluate_and_print(
             truth = stack.enter_context(ShiftedTruth(world_of(log), workers))
         progress = stack.enter_context(FrameProgress(console, 1, "views"))
         evaluation = evaluate_scene(
-            loaded, log, config, out,
+            loaded,
+            log,
+            config,
+            out,
             lpips=distances[0] if distances else None,
             shifts=SHIFTS if shifts else (),
             truth=truth,
             progress=progress.reach,
-        )  # fmt: skip
+        )
     console.print(evaluation_table(evaluation))
     if evaluation.shift_truth:
         console.print(shift_table(evaluation))
@@ -95,3 +111,105 @@ def evaluate_and_print(
         )
     console.print(f"pictures: {out}", markup=False)
     return evaluation
+
+
+def evaluation_table(evaluation: SceneEvaluation) -> Table:
+    """Held-out scores, and a last line for the depth."""
+    with_lpips = evaluation.lpips is not None
+    table = _table("held-out images", "region", with_lpips)
+    frames = len(evaluation.frames)
+    table.add_row("whole image", str(frames), *_cells(evaluation.whole, with_lpips))
+    if evaluation.moving is not None:
+        seen = sum(frame.moving is not None for frame in evaluation.frames)
+        cells = _cells(evaluation.moving, with_lpips)
+        table.add_row("what moves: boxes, l and w x1.5", str(seen), *cells)
+    for track, value in evaluation.box_psnr_by_track().items():
+        seen = sum(track in frame.boxes for frame in evaluation.frames)
+        table.add_row(f"box of track {escape(printable(track))}", str(seen), f"{value:.2f}")
+    if evaluation.box_psnr is not None:
+        table.add_row("all boxes", str(frames), f"{evaluation.box_psnr:.2f}")
+    depth = evaluation.depth
+    if depth is not None:
+        table.caption = (
+            f"LiDAR depth: median error {depth.median_abs_m:.3f} m, mean {depth.mean_abs_m:.2f} m, "
+            f"{100 * depth.mean_relative:.1f} %; no surface at {100 * depth.missing:.1f} % of "
+            f"{depth.points:,} points, measured {depth.lag_ms:.0f} ms from the image"
+        )
+        table.caption_justify = "left"
+    return table
+
+
+def shift_table(evaluation: SceneEvaluation) -> Table:
+    """Views beside the drive against the truth, a line for each shift of the ego."""
+    with_lpips = evaluation.lpips is not None
+    table = _table("beside the drive, against the truth", "ego", with_lpips)
+    table.add_column("PSNR* dB")
+    table.add_column("SSIM*")
+    for scores in evaluation.shifts:
+        if scores.whole is None:
+            continue
+        moving = ("", "") if scores.moving is None else _cells(scores.moving, False)
+        cells = _cells(scores.whole, with_lpips)
+        table.add_row(scores.shift.name, str(len(scores.frames)), *cells, *moving)
+    table.caption, table.caption_justify = "* of what moves: boxes, l and w x1.5", "left"
+    return table
+
+
+def _table(title: str, first: str, with_lpips: bool) -> Table:
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
+    for heading in (first, "images", "PSNR dB", "SSIM", *(["LPIPS"] if with_lpips else [])):
+        table.add_column(heading)
+    return table
+
+
+def _cells(score: RegionScore, with_lpips: bool) -> list[str]:
+    cells = [f"{score.psnr:.2f}", f"{score.ssim:.3f}"]
+    if with_lpips:
+        cells.append("" if score.lpips is None else f"{score.lpips:.3f}")
+    return cells
+
+
+class ShiftedTruth:
+    """Ray-traces shifted views, each camera with the exposure it has in the log.
+
+    Close it, or use it as a context manager: it may hold processes.
+
+    Args:
+        world: of the log, see `recast.synthetic.world_of`.
+        workers: processes; 0 for one for each core, 1 for none but this one.
+
+    Raises:
+        InputError: workers is negative, or embreex is not installed.
+    """
+
+    def __init__(self, world: World, workers: int = 0) -> None:
+        self._pool = OraclePool(world, workers)
+
+    def __call__(self, views: Sequence[ShiftedView]) -> Iterator[Image]:
+        """(H, W, 3) uint8 of each view; moving vehicles are where they were."""
+        return self._pool.map(_render, views)
+
+    def __enter__(self) -> Self:
+        """Nothing starts before it is needed."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End the processes."""
+        self._pool.close()
+
+
+def _render(oracle: Oracle, view: ShiftedView) -> Image:
+    seed, camera = oracle.world.seed, view.camera_name
+    frame = oracle.render(
+        view.camera,
+        view.world_from_camera,
+        timestamp_us=view.timestamp_us,
+        exposure=exposure(seed, camera),
+        rng=np.random.default_rng([seed, _STREAM, sensor_number(camera), view.frame]),
+    )
+    return frame.rgb

@@ -1,22 +1,27 @@
-"""metrics.json: everything that a run measured."""
+"""metrics.json, everything that a run measured, and eval.json: written, and read back checked."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from recast import storage
+from pydantic import BaseModel, ConfigDict, field_validator
+
 from recast.actors import load_actor
-from recast.core import Artefact
+from recast.core import Artefact, files
+from recast.core.records import parse_record
 from recast.evaluation import COLUMNS, RolloutMetrics, matched_pairs, rollout_metrics, table
 from recast.logs import HdMap
 from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import ACTOR_FOLDER, VIEWS_FOLDER, rollout_name, use_parts
-from recast.pipeline.results_files import METRICS_VERSION
 from recast.pipeline.rollouts import read_coverage, read_rollout
+from recast.scene.evaluate_record import EVALUATION_VERSION
 from recast.simulation import RolloutFailure
 from recast.simulation.coverage import RolloutCoverage
+
+METRICS_VERSION: Literal[3] = 3
+"""2 had one scene, one actor and one comparison with the truth."""
 
 
 def write_metrics(
@@ -49,7 +54,7 @@ def write_metrics(
                     continue
                 metrics.append(rollout_metrics(result, hd_map))
                 coverages.append(read_coverage(folder))
-    storage.write_json(
+    files.write_json(
         path,
         {
             "version": METRICS_VERSION,
@@ -69,11 +74,11 @@ def write_metrics(
             ],
             "failures": [vars(f) for f in failures],
             "scenes": {
-                name: storage.read_json(artefact.path / "eval.json")
+                name: files.read_json(artefact.path / "eval.json")
                 for name, artefact in _of(used, "evaluation").items()
             },
             "truth": {
-                name: storage.read_json(artefact.path / VIEWS_FOLDER / "oracle_views.json")
+                name: files.read_json(artefact.path / VIEWS_FOLDER / "oracle_views.json")
                 for name, artefact in _of(used, "truth").items()
             },
             "actors": {
@@ -117,8 +122,132 @@ def _differences(
         mean = column.scale * float(one.differences[""].mean())
         found.append(
             {
-                "candidate": candidate, "baseline": baseline, "metric": name, "mean": mean,
-                "pairs": one.pairs, "asked": one.asked, "plans": one.plans, "cut": one.cut,
+                "candidate": candidate,
+                "baseline": baseline,
+                "metric": name,
+                "mean": mean,
+                "pairs": one.pairs,
+                "asked": one.asked,
+                "plans": one.plans,
+                "cut": one.cut,
             }
-        )  # fmt: skip
+        )
     return found
+
+
+class _Open(BaseModel):
+    """Members that nobody here reads may be anything."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
+
+
+class _Row(_Open):
+    planner: str
+    arm: str
+    asked: int
+    rollouts: int
+    failed: int
+    cut: int
+    plans: int
+    means: dict[str, float | None]
+    counts: dict[str, int]
+
+    @field_validator("means")
+    @classmethod
+    def _all_headlines(cls, value: dict[str, float | None]) -> dict[str, float | None]:
+        missing = [name for name, one in COLUMNS.items() if one.headline and name not in value]
+        if missing:
+            raise ValueError(f"lacks {', '.join(missing)}")
+        return value
+
+
+class _Named(_Open):
+    motion: str
+    setting: str
+    arm: str
+    planner: str
+
+
+class _Means(_Open):
+    images: int
+    visible: int
+    pixels: float
+    seen: float
+    mirrored: float
+    invented: float
+
+
+class _Coverage(_Open):
+    all: _Means
+    planner: _Means | None
+
+
+class _Scored(_Named):
+    coverage: _Coverage | None = None
+
+
+class _Failed(_Named):
+    name: str
+    error: str
+    reason: str
+
+
+class _Metrics(_Open):
+    table: list[_Row]
+    rollouts: list[_Scored]
+    failures: list[_Failed]
+
+
+class _Region(_Open):
+    psnr: float
+    ssim: float | None
+
+
+class _Depth(_Open):
+    median_abs_m: float
+    mean_abs_m: float
+    mean_relative: float
+    missing: float
+    points: int
+    lag_ms: float
+
+
+class _Frame(_Open):
+    camera: str
+    frame: int
+    picture: str
+    psnr: float
+    boxes: dict[str, float]
+    moving: _Region | None
+    depth: _Depth | None
+
+
+class _Evaluation(_Region):
+    box_psnr_by_track: dict[str, float]
+    moving: _Region | None
+    depth: _Depth | None
+    frames: list[_Frame]
+
+
+def read_metrics(path: Path) -> dict[str, Any]:
+    """The contents of metrics.json, as JSON says them.
+
+    Raises:
+        InputError: it is missing or damaged.
+    """
+    return _checked(path, _Metrics, METRICS_VERSION, "remove it and run again")
+
+
+def read_evaluation(path: Path) -> dict[str, Any]:
+    """The contents of eval.json, as JSON says them.
+
+    Raises:
+        InputError: it is missing or damaged.
+    """
+    return _checked(path, _Evaluation, EVALUATION_VERSION, "remove its folder and run again")
+
+
+def _checked(path: Path, model: type[_Open], version: int, mend: str) -> dict[str, Any]:
+    value: dict[str, Any] = files.read_json(path)
+    parse_record(path, value, model, version, mend)
+    return value

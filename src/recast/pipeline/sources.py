@@ -1,22 +1,32 @@
-"""What makes the steps of a run: recipes and exchangeable parts, for the keys of artefacts."""
+"""What a run is made from: its log, the recipes and parts of its steps, for keys of artefacts."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Self
 
+from rich.console import Console
+
 from recast.actors import DEFAULT_GENERATOR, GENERATORS, SEGMENTERS
 from recast.actors.library import LIBRARY
 from recast.actors.vehicle_files import files_of_vehicle, is_vehicle_file
-from recast.core.hashing import file_hash, files_hash, folder_hash
+from recast.core.artefact import file_hash, files_hash, folder_hash
+from recast.core.errors import InputError
+from recast.core.plugins import Registry
+from recast.core.remote import remote_path
+from recast.logs import DrivingLog, HdMap, map_of, read_log
+from recast.logs.load import local_folder
 from recast.pipeline.config import RunConfig
+from recast.pipeline.display import FrameProgress
 from recast.planning import PLANNERS, planner_folder, planner_source_files
-from recast.plugins import Registry
 from recast.pretrained import VQA_SCORERS
+from recast.synthetic import CAMERAS, World, synthesize_log, world_metadata, world_of
+from recast.synthetic.rendering import require_embree
 from recast.trellis import RECAST_MINI, recast_mini
 
 RECIPES = {
@@ -37,6 +47,114 @@ RECIPES = {
 Raise a step's number in the commit that changes what the step writes for the same inputs: it is
 then another artefact, and so is all that follows from it.
 """
+
+
+@dataclass(frozen=True)
+class SourceLog:
+    """A log folder, opened.
+
+    Attributes:
+        path: the folder.
+        log: its contents.
+        hash: of all its bytes.
+        address: where it lies, if that is another place than the folder, which holds a copy.
+    """
+
+    path: Path
+    log: DrivingLog
+    hash: str
+    address: str | None = None
+
+    @classmethod
+    def open(cls, place: str | Path) -> SourceLog:
+        """Read a log folder, here or in object storage.
+
+        Raises:
+            InputError: see `load_log`.
+        """
+        path = local_folder(place)
+        remote = remote_path(place) is not None
+        return cls(path, read_log(path), folder_hash(path), str(place) if remote else None)
+
+    @cached_property
+    def map(self) -> HdMap:
+        """The log's map, or one derived from the drive."""
+        return map_of(self.log)
+
+    @cached_property
+    def world(self) -> World:
+        """What a synthetic log was made from.
+
+        Raises:
+            InputError: it is a recorded log, or no ray tracer is installed.
+        """
+        require_embree()
+        return world_of(self.log)
+
+    def require(self, track: str) -> None:
+        """Refuse a track that the log lacks.
+
+        Raises:
+            InputError: lists those that it has.
+        """
+        if track not in self.log.tracks:
+            raise InputError(
+                self.path,
+                f"track {track}",
+                "is not in the log",
+                f"choose one of {', '.join(self.log.tracks)}",
+            )
+
+
+def drive_log(
+    world: World,
+    path: Path,
+    image_size: tuple[int, int],
+    cameras: tuple[str, ...],
+    workers: int,
+    console: Console,
+) -> Path:
+    """The log of `world` at `path`.
+
+    Args:
+        image_size: width and height, pixels.
+        cameras: that are recorded; none named: all of the rig.
+        workers: processes, see `synthesize_log`.
+        console: shows progress.
+
+    Raises:
+        InputError: another log lies there, or see `synthesize_log`.
+    """
+    console.print(f"[bold]log[/bold] {world.name}, {world.seconds:g} s", highlight=False)
+    names = cameras or CAMERAS
+    if path.exists():
+        _check_same(read_log(path), world, image_size, names, path)
+        console.print("  finished before")
+        return path
+    width, height = image_size
+    with FrameProgress(console, round(world.seconds * 10) * len(names), "images") as progress:
+        synthesize_log(
+            world,
+            path,
+            width=width,
+            height=height,
+            cameras=names,
+            workers=workers,
+            progress=progress.reach,
+        )
+    return path
+
+
+def _check_same(
+    log: DrivingLog, world: World, image_size: tuple[int, int], names: tuple[str, ...], path: Path
+) -> None:
+    shape = {name: (c.camera.width, c.camera.height) for name, c in log.cameras.items()}
+    wanted = world_metadata(world)
+    same = {name: log.metadata.get(name) for name in wanted} == wanted
+    if not same or shape != dict.fromkeys(names, image_size):
+        raise InputError(
+            path, "log", "is that of another drive", "name another --out, or remove this one"
+        )
 
 
 @dataclass(frozen=True)

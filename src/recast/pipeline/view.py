@@ -12,13 +12,12 @@ from rich.console import Console
 
 from recast.actors import Actor, load_actor
 from recast.actors.store import ACTOR_FILE
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import DrivingLog, HdMap, Trajectory, map_of, read_log
 from recast.logs.store import LOG_FILE
 from recast.pipeline.rollouts import is_failure, read_rollout
 from recast.pipeline.run_folder import RUN_FILE
-from recast.pipeline.view_run import RunView, drive_of, named_place, open_run
-from recast.pipeline.view_runner import log_runner
+from recast.pipeline.view_run import RunView, drive_of, log_runner, named_place, open_run
 from recast.scene import StreetScene, load_scene
 from recast.scene.sky import SkyMap
 from recast.scene.store import SCENE_FILE
@@ -59,9 +58,11 @@ def view_inputs(what: Sequence[Path]) -> ViewInputs:
         folders = list(dict.fromkeys([*kinds.get("run", []), *filter(None, runs.values())]))
         if len(folders) > 1 or set(kinds) - {"run", "rollout"}:
             raise InputError(
-                what[-1], "WHAT", "does not belong to the run that is shown",
+                what[-1],
+                "WHAT",
+                "does not belong to the run that is shown",
                 "show a run alone, or rollouts of one run",
-            )  # fmt: skip
+            )
         return open_run(RunView(folders[0], [named_place(path) for path in runs]))
     return _parts(kinds)
 
@@ -111,9 +112,11 @@ def _parts(kinds: dict[str, list[Path]]) -> ViewInputs:
     if "rollout" in kinds:
         if log is None:
             raise InputError(
-                kinds["rollout"][0], "WHAT", "is a rollout outside of a run folder",
+                kinds["rollout"][0],
+                "WHAT",
+                "is a rollout outside of a run folder",
                 "name its log and its scene as well",
-            )  # fmt: skip
+            )
         scenarios = _rollouts(kinds["rollout"], log, hdmap, scenes) | scenarios
     runner = None
     first = next((scene for scene in scenes.values() if scene is not None), None)
@@ -139,9 +142,11 @@ def _drives(log: DrivingLog | None, scenes: dict[str, StreetScene | None]) -> di
 
 
 def _rollouts(
-    paths: Sequence[Path], log: DrivingLog, hdmap: HdMap | None,
+    paths: Sequence[Path],
+    log: DrivingLog,
+    hdmap: HdMap | None,
     scenes: dict[str, StreetScene | None],
-) -> dict[str, dict[str, Drive]]:  # fmt: skip
+) -> dict[str, dict[str, Drive]]:
     """Drives of rollouts by motion and arm; an arm gets the scene of its name, or the first."""
     drives: dict[str, dict[str, Drive]] = {}
     first = next((scene for scene in scenes.values() if scene is not None), None)
@@ -160,9 +165,13 @@ def alone(actor: Actor) -> StreetScene:
     nothing = actor.gaussians.select(torch.zeros(0, dtype=torch.int64))
     there = Trajectory(np.zeros(1, np.int64), np.eye(4)[None])
     standing = SceneActor(
-        actor.track_id, actor.gaussians, actor.size, there, shadow=actor.shadow,
+        actor.track_id,
+        actor.gaussians,
+        actor.size,
+        there,
+        shadow=actor.shadow,
         low_pass=actor.low_pass,
-    )  # fmt: skip
+    )
     sky = SkyMap.constant(torch.full((3,), 0.6))
     return StreetScene(nothing, {actor.track_id: standing}, sky)
 
@@ -217,14 +226,19 @@ def serve_what(
 
 
 def replay_what(
-    inputs: ViewInputs, path: Path, most_mb: float, most: int, scenario: str | None,
+    inputs: ViewInputs,
+    path: Path,
+    most_mb: float,
+    most: int,
+    scenario: str | None,
     console: Console,
-) -> None:  # fmt: skip
+) -> None:
     """Write a replay, and say what it came to."""
     size = write_replay(inputs, path, scenario=scenario, most_mb=most_mb, most=most)
     share = size.kept / size.total if size.total else 1.0
     console.print(
         f"wrote {path}: {size.bytes / 1e6:.1f} MB, {size.kept:,} of {size.total:,} Gaussians "
         f"({share:.0%})",
-        markup=False, highlight=False,
-    )  # fmt: skip
+        markup=False,
+        highlight=False,
+    )

@@ -1,4 +1,4 @@
-"""A run folder for the viewer: its streets with the vehicles of each arm, rollouts and films."""
+"""A run folder for the viewer: streets with the vehicles of each arm, rollouts old and new."""
 
 from __future__ import annotations
 
@@ -12,18 +12,32 @@ from threading import Lock
 from recast.actors import Actor, load_actor
 from recast.actors.insert import insert
 from recast.core import Artefact, Store
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.core.names import folder_name
 from recast.logs import DrivingLog, HdMap, map_of, read_log
-from recast.names import folder_name
 from recast.pipeline.arms import Arm
 from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import ACTOR_FOLDER, rollout_name, use_name, use_parts
-from recast.pipeline.rollouts import films, read_rollout
+from recast.pipeline.rollouts import films, planner_mounts, read_rollout
 from recast.pipeline.run_folder import RunFolder
-from recast.pipeline.view_runner import run_runner
-from recast.scene import StreetScene, load_scene
-from recast.simulation import Rollout, RolloutFailure, camera_mounts
-from recast.viewer import Drive, FilmFile, ViewInputs, rollout_drive
+from recast.planning import Plan, Planner, PlannerInput, PlanningContext, make_planner
+from recast.scene import SceneConfig, StreetScene, load_scene
+from recast.simulation import (
+    MOTIONS,
+    Rollout,
+    RolloutFailure,
+    RolloutSetup,
+    ScriptedMotion,
+    camera_mounts,
+    run_rollout,
+)
+from recast.simulation.scene_renderer import SceneRenderer, through_lenses
+from recast.viewer import Drive, FilmFile, FilmFrames, Runner, ViewInputs, rollout_drive
+from recast.viewer.inputs import OnStep
+
+_PLANNERS = ("idm-follower", "constant-velocity", "log-replay")
+_STEPS = 80
+_SCALE = 0.5
 
 
 @dataclass(frozen=True)
@@ -92,9 +106,11 @@ class _Opened:
                         arms[arm.name] = arm
         if not scenarios:
             raise InputError(
-                self.view.path, "rollouts", "none of them was made",
+                self.view.path,
+                "rollouts",
+                "none of them was made",
                 "finish the run first: repeat its recast run",
-            )  # fmt: skip
+            )
         actors = {name: self._actors(arm) for name, arm in arms.items() if arm.generates}
         scenes = _Scenes(arms, actors, lambda street: self._find(use_name("scene", street)))
         return ViewInputs(
@@ -171,3 +187,133 @@ class _Scenes(Mapping[str, StreetScene | None]):
             found = self._find(name)  # none: the truth, or a run that rendered nothing
             self._streets[name] = None if found is None else load_scene(found.path)
         return self._streets[name]
+
+
+def run_runner(
+    log: DrivingLog, hdmap: HdMap, config: RunConfig, scenes: Mapping[str, StreetScene | None]
+) -> Runner:
+    """Runs rollouts as a run does, with its planners, cameras and number of steps."""
+    own = {name: config.motion(name) for name in config.motions}
+    return _runner(log, hdmap, config, scenes, own)
+
+
+def log_runner(
+    log: DrivingLog,
+    hdmap: HdMap,
+    scenes: Mapping[str, StreetScene | None],
+    first: StreetScene | None,
+) -> Runner:
+    """Runs rollouts on a log; the target is that of a synthetic log, or the first actor.
+
+    Args:
+        first: scene whose actors may be controlled; None: any track of the log.
+    """
+    modelled = [key for key in log.tracks if first is None or key in first.actors]
+    wanted = log.metadata.get("target", "")
+    track = wanted if wanted in modelled else next(iter(modelled or log.tracks))
+    config = RunConfig(
+        track=track,
+        motions=(next(iter(MOTIONS)),),
+        planners=_PLANNERS,
+        steps=_STEPS,
+        scene=SceneConfig(scale=_SCALE),
+    )
+    return _runner(log, hdmap, config, scenes, {})
+
+
+def _runner(
+    log: DrivingLog,
+    hdmap: HdMap,
+    config: RunConfig,
+    scenes: Mapping[str, StreetScene | None],
+    own: Mapping[str, ScriptedMotion],
+) -> Runner:
+    def run(motion: ScriptedMotion, word: str, arm: str, on_step: OnStep) -> Drive:
+        return _run(_Asked(log, hdmap, config, scenes.get(arm), arm), motion, word, on_step)
+
+    planners = tuple(dict.fromkeys((*config.planners, *_PLANNERS)))
+    return Runner(log, hdmap, config.track, {**own, **MOTIONS}, planners, config.steps, run)
+
+
+class _Asked:
+    """Where a rollout is run: log, map, configuration, and the street of an arm."""
+
+    def __init__(
+        self, log: DrivingLog, hdmap: HdMap, config: RunConfig, scene: StreetScene | None, arm: str
+    ) -> None:
+        self.log, self.hdmap, self.config, self.scene, self.arm = log, hdmap, config, scene, arm
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Cameras of the run."""
+        return self.config.scene.cameras or tuple(self.log.cameras)
+
+    def setup(self, motion: ScriptedMotion) -> RolloutSetup:
+        """What is run."""
+        config = self.config
+        return RolloutSetup(
+            self.log,
+            config.track,
+            motion,
+            arm=self.arm,
+            map=self.hdmap,
+            steps=config.steps,
+            plan_every=config.plan_every,
+            keep_other_actors=config.keep_other_actors,
+            camera_names=self.cameras,
+        )
+
+
+class _Counted:
+    """A planner that tells how far the rollout has come."""
+
+    def __init__(self, planner: Planner, on_step: OnStep, steps: int) -> None:
+        self._planner, self._on_step, self._steps = planner, on_step, steps
+        self.name, self.needs_images = planner.name, planner.needs_images
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._planner, name)
+
+    def reset(self, context: PlanningContext) -> None:
+        """See `Planner`."""
+        self._planner.reset(context)
+
+    def plan(self, observation: PlannerInput) -> Plan:
+        """See `Planner`."""
+        self._on_step(observation.step, self._steps)
+        return self._planner.plan(observation)
+
+
+def _run(asked: _Asked, motion: ScriptedMotion, word: str, on_step: OnStep) -> Drive:
+    """Run one rollout, and film its first camera.
+
+    Raises:
+        InputError: the planner looks at images and the arm has no street, or the rollout is
+            refused.
+    """
+    config, scene = asked.config, asked.scene
+    planner = make_planner(word, config.planner_device)
+    mounts = camera_mounts(asked.log, asked.cameras, config.scene.scale)
+    mounts = planner_mounts(mounts, planner, config)
+    renderer = None
+    if scene is not None and config.track in scene.actors:
+        street = scene
+        renderer = through_lenses(mounts, lambda pinholes: SceneRenderer(street, pinholes))
+    elif planner.needs_images:
+        raise InputError(
+            f"arm {asked.arm}",
+            f"planner {word}",
+            "looks at images, and there is no street here",
+            "choose another arm or planner",
+        )
+    total = 2 * config.steps if renderer is not None else config.steps
+    setup = asked.setup(motion)
+    rollout = run_rollout(setup, _Counted(planner, on_step, total), renderer)
+    shown, film = {}, FilmFrames()
+    if renderer is not None and asked.cameras:
+        camera = asked.cameras[0]
+        shown = {camera: mounts[camera]}
+        for step in range(rollout.steps_run):
+            film.add(renderer.render(rollout.state(step), (camera,))[camera])
+            on_step(config.steps + step + 1, total)
+    return rollout_drive(rollout, asked.log, asked.hdmap, shown, dict.fromkeys(shown, film))

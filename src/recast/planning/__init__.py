@@ -1,20 +1,29 @@
 """The planner seam, the reference route, and simple planners."""
 
-from recast.planning.cameras import camera_choice, named_cameras, planner_cameras
-from recast.planning.constant_velocity import ConstantVelocity
-from recast.planning.device import DEVICE_PATTERN, planner_device
+from recast.planning.cameras import (
+    ShownView,
+    camera_choice,
+    named_cameras,
+    planner_cameras,
+    seen_lines,
+    seen_record,
+    shown_views,
+    virtual_mounts,
+)
 from recast.planning.idm_follower import IdmFollowerConfig, IdmLaneFollower
-from recast.planning.log_replay import LogReplay
 from recast.planning.registry import (
+    DEVICE_PATTERN,
+    GTRS_MINI,
     NAVSIM_PREFIX,
     PLANNERS,
+    gtrs_mini,
     make_planner,
+    planner_device,
     planner_folder,
     planner_source_files,
 )
 from recast.planning.route import DrivingCommand, ReferenceRoute, route_lanes
-from recast.planning.shipped import GTRS_MINI, gtrs_mini
-from recast.planning.status import ego_status
+from recast.planning.simple import ConstantVelocity, LogReplay
 from recast.planning.types import (
     WAYPOINTS,
     ActorState,
@@ -24,15 +33,9 @@ from recast.planning.types import (
     Planner,
     PlannerInput,
     PlanningContext,
+    ego_status,
 )
 from recast.planning.views import View
-from recast.planning.virtual import (
-    ShownView,
-    seen_lines,
-    seen_record,
-    shown_views,
-    virtual_mounts,
-)
 
 __all__ = [
     "DEVICE_PATTERN",

@@ -1,11 +1,41 @@
-"""Which cameras a planner looks at: only those are rendered for it."""
+"""Which cameras are rendered for a planner: only those it looks at, and virtual ones.
+
+In the closed loop every image is rendered, so a picture of another size, field of view or direction
+is one more camera to render. What no camera of the log looks at is black in it: the reconstruction
+there is a guess, which a planner must not take for the street.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
-from recast.errors import InputError
+import cv2
+import numpy as np
+
+from recast.arrays import Mask
+from recast.core.errors import InputError
 from recast.planning.types import CameraMount, Planner
+from recast.planning.views import (
+    WITHIN_DEGREES,
+    Look,
+    choose_views,
+    directions,
+    match_cameras,
+    wanted_views,
+)
+
+NEEDED = 0.5
+"""Share of a picture ahead that the log's cameras must see; nobody can drive by less."""
+
+ENOUGH = 0.9
+"""Share of any picture below which the user is warned."""
+
+_SIDE = 640
+"""Pixels of the longer side at which `seen_by` looks, at most."""
+
+_AHEAD = Look.level(0.0, 60.0)
 
 
 def named_cameras(planner: Planner) -> tuple[str, ...] | None:
@@ -60,6 +90,165 @@ def require_cameras(names: Iterable[str], there: Mapping[str, object], where: st
     for name in names:
         if name not in there:
             raise InputError(
-                where, f"camera {name}", "is needed and not there",
+                where,
+                f"camera {name}",
+                "is needed and not there",
                 f"there are {', '.join(there) or 'none'}; render it, or name other cameras",
-            )  # fmt: skip
+            )
+
+
+def virtual_mounts(
+    planner: Planner,
+    mounts: Mapping[str, CameraMount],
+    rig: Mapping[str, CameraMount] | None = None,
+) -> dict[str, CameraMount]:
+    """The virtual cameras to render for a planner beside the log's, by names that are not taken.
+
+    One for each of its `wanted_views` that no camera shows as it is: with the intrinsics and
+    direction of the view, at the place of the camera that stands for it (see `match_cameras`), or
+    of the one that sees most of it. And those cameras of `rig` that the planner names.
+
+    Args:
+        mounts: the log's cameras.
+        rig: virtual cameras with places of their own, such as nuPlan's.
+    """
+    views, rig = wanted_views(planner), rig or {}
+    made = {
+        name: replace(rig[name], seen=seen_by(rig[name], mounts.values()))
+        for name in named_cameras(planner) or ()
+        if name in rig and name not in mounts
+    }
+    chosen = choose_views(views, mounts)
+    missing = {view.name: view for view in views if view.name not in chosen}
+    matched = match_cameras({name: view.look for name, view in missing.items()}, mounts)
+    # Of the size of the log's cameras that are used beside it, if there are any.
+    beside = next((mounts[name].camera for name in chosen.values()), None)
+    for view in missing.values():
+        size = view.camera if beside is None else beside
+        mount = view.mount((size.width, size.height), np.zeros(3))
+        seen = {name: seen_by(mount, [camera]) for name, camera in mounts.items()}
+        source = matched.get(view.name) or max(seen, key=lambda name: seen[name].sum(), default="")
+        if source:
+            mount = view.mount((size.width, size.height), mounts[source].rig_from_camera[:3, 3])
+        name = f"virtual_{view.name}"
+        while name in mounts or name in made:
+            name += "_"
+        nothing = np.zeros((size.height, size.width), np.bool_)
+        union = np.logical_or.reduce([nothing, *seen.values()])
+        made[name] = replace(mount, seen=union, source=source or None)
+    return made
+
+
+def seen_by(mount: CameraMount, cameras: Iterable[CameraMount]) -> Mask:
+    """Pixels (H, W) of a camera whose direction at least one other camera looks in.
+
+    Directions only: places are taken to be the same, as on one roof all are against what they see.
+    Large images are looked at in a smaller size: undoing a lens for two million pixels takes long.
+    """
+    full = mount.camera.width, mount.camera.height
+    shrink = max(1.0, max(full) / _SIDE)
+    small = mount.camera.resized(round(full[0] / shrink), round(full[1] / shrink))
+    rays = small.rays(small.pixel_grid()) @ mount.rig_from_camera[:3, :3].T
+    seen = np.zeros(rays.shape[:2], np.bool_)
+    for other in cameras:
+        pixels, depth = other.camera.project(rays @ other.rig_from_camera[:3, :3])
+        u, v = pixels[..., 0], pixels[..., 1]
+        inside = (u >= 0) & (u <= other.camera.width) & (v >= 0) & (v <= other.camera.height)
+        seen |= inside & (depth > 0)
+    if seen.shape[::-1] == full:
+        return seen
+    return cv2.resize(seen.astype(np.uint8), full, interpolation=cv2.INTER_NEAREST) > 0
+
+
+@dataclass(frozen=True)
+class ShownView:
+    """What a planner gets to see under one of its names; plain values, for records.
+
+    Attributes:
+        view: what the planner calls it.
+        camera: the rendered camera.
+        source: the log's camera itself, or that at whose place a virtual one is; None for one with
+            a place of its own.
+        virtual: whether it is no camera of the log.
+        seen: share of it that cameras of the log see; the rest is black.
+        width, height: of the images, pixels.
+    """
+
+    view: str
+    camera: str
+    source: str | None
+    virtual: bool
+    seen: float
+    width: int
+    height: int
+
+    def __str__(self) -> str:
+        if not self.virtual:
+            return self.camera if self.camera == self.view else f"{self.view} by {self.camera}"
+        place = f" at {self.source}" if self.source else ""
+        return f"{self.view} by a virtual camera{place} ({self.seen:.0%} seen by the log's)"
+
+
+def shown_views(planner: Planner, mounts: Mapping[str, CameraMount]) -> tuple[ShownView, ...]:
+    """What is rendered for a planner; () where it needs no images.
+
+    Args:
+        mounts: the log's cameras and `virtual_mounts`.
+
+    Raises:
+        InputError: see `camera_choice`; or the log's cameras see less than half of a picture that
+            looks ahead.
+    """
+    views = {view.name: view for view in wanted_views(planner)}
+    real = {name: mount for name, mount in mounts.items() if mount.seen is None}
+    shown = []
+    for wanted, name in camera_choice(planner, mounts).items():
+        mount = mounts[name]
+        seen = 1.0 if mount.seen is None else float(mount.seen.mean())
+        if wanted in views:
+            seen = views[wanted].covered(mount)
+        if seen < NEEDED and Look.of(mount).angle(_AHEAD) <= WITHIN_DEGREES:
+            raise InputError(
+                f"planner {planner.name}",
+                f"view {wanted}",
+                f"looks ahead, and the log's cameras see {seen:.0%} of it ({NEEDED:.0%} is needed)",
+                f"use a log with a camera that looks there; there are {directions(real)}",
+            )
+        virtual = mount.seen is not None
+        shown.append(
+            ShownView(
+                wanted,
+                name,
+                mount.source if virtual else name,
+                virtual,
+                seen,
+                mount.camera.width,
+                mount.camera.height,
+            )
+        )
+    return tuple(shown)
+
+
+def seen_record(planner: Planner, mounts: Mapping[str, CameraMount]) -> dict[str, Any]:
+    """JSON-able: the planner's name, where it computes if it says, and what it gets to see."""
+    return {
+        "planner": planner.name,
+        "device": getattr(planner, "device", None),
+        "views": [asdict(view) for view in shown_views(planner, mounts)],
+    }
+
+
+def seen_lines(planner: Planner, mounts: Mapping[str, CameraMount]) -> tuple[str, str | None]:
+    """The same for people: what it gets to see, and a warning where that is too little.
+
+    ("", None) for a planner that needs no images and does not say where it computes.
+    """
+    device = getattr(planner, "device", None)
+    shown = shown_views(planner, mounts)
+    sees = f" sees {'; '.join(map(str, shown))}" if shown else ""
+    said = f"planner {planner.name}{f' on {device}' if device else ''}{sees}"
+    low = [view for view in shown if view.seen < ENOUGH]
+    if not low:
+        return (said if device or shown else ""), None
+    shares = ", ".join(f"{1 - view.seen:.0%} of {view.view}" for view in low)
+    return said, f"planner {planner.name} sees black where no camera of the log looks: {shares}"

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.arrays import Array
 from recast.dynamics import IdmParameters, idm_acceleration
 from recast.dynamics import state as ego
 from recast.dynamics.idm import NUPLAN_PLANNER
 from recast.geometry import boxes, se2
 from recast.planning.route import ReferenceRoute, route_lanes
 from recast.planning.types import WAYPOINTS, ActorState, Plan, PlannerInput, PlanningContext
-
-Array = NDArray[np.float64]
 
 _MOVING = 0.5
 """Speed in m/s from which a vehicle in the next lane may be about to change lanes."""

@@ -1,14 +1,18 @@
-"""Planners by name: built in, installed, `module:attribute`, NAVSIM agents, folders."""
+"""Planners by name: built in, shipped, installed, `module:attribute`, NAVSIM agents, folders."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
-from recast.parts import PLANNERS
-from recast.planning.device import planner_device
-from recast.planning.shipped import GTRS_MINI, gtrs_mini
+from recast.core.errors import InputError
+from recast.core.parts import PLANNERS
 from recast.planning.types import Planner
 
+DEVICE_PATTERN = r"auto|cpu|cuda(:\d{1,3})?"
+"""What users may say, as a regular expression."""
+GTRS_MINI = "gtrs-mini"
+"""Its name, as a planner and of its folder."""
 NAVSIM_PREFIX = "navsim:"
 """Before the "module:attribute" of a NAVSIM agent."""
 
@@ -20,7 +24,7 @@ def make_planner(planner: str | Path | Planner, device: str = "auto") -> Planner
         planner: one of `PLANNERS.names()`; or "package.module:attribute" of a class or function
             that returns a `Planner` when called without arguments; or
             "navsim:package.module:attribute" of one that returns a NAVSIM agent; or a folder that
-            `save_gtrs` wrote; or a `Planner`. See `recast.plugins.Registry.resolve`.
+            `save_gtrs` wrote; or a `Planner`. See `recast.core.plugins.Registry.resolve`.
         device: where it computes, see `planner_device`. A class or function of the user's is given
             it if it has a parameter `device`; what has none decides itself.
 
@@ -61,7 +65,7 @@ def planner_folder(name: str) -> Path | None:
 
 
 def planner_source_files(name: str) -> tuple[Path, ...]:
-    """The files of a user's own code behind a planner's name, see `recast.plugins.source_files`.
+    """The files of a user's own code behind a planner's name, see `core.plugins.source_files`.
 
     () for built-in planners and for folders.
 
@@ -71,3 +75,53 @@ def planner_source_files(name: str) -> tuple[Path, ...]:
     if planner_folder(name) is not None:
         return ()
     return PLANNERS.source_files(name.removeprefix(NAVSIM_PREFIX))
+
+
+def planner_device(name: str = "auto") -> str:
+    """A device in torch's words: "cpu", "cuda" or "cuda:1".
+
+    Args:
+        name: one of these; or "auto", which is CUDA where there is a GPU, otherwise the CPU.
+
+    Raises:
+        InputError: another name, or no such GPU here.
+    """
+    mend = "choose auto, cpu, cuda, or cuda:1 for the second GPU"
+    if not re.fullmatch(DEVICE_PATTERN, name):
+        raise InputError("planner device", name, "is unknown", mend)
+    if name == "cpu":
+        return name
+    import torch  # here, as planners that read states need none of it
+
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if int(name.partition(":")[2] or 0) >= count:
+        raise InputError("planner device", name, f"is not there: torch sees {count} GPUs", mend)
+    return name
+
+
+def gtrs_mini() -> Path:
+    """Its folder, in the layout of `recast.planning.gtrs.save_gtrs`."""
+    return Path(__file__).parent / GTRS_MINI
+
+
+def gtrs_mini_planner(device: str = "cpu") -> Planner:
+    """The planner.
+
+    Args:
+        device: where it computes, as torch calls it.
+
+    Raises:
+        InputError: this installation lacks the folder, or it is damaged.
+    """
+    if not gtrs_mini().is_dir():
+        raise InputError(
+            "planner",
+            GTRS_MINI,
+            f"its weights are not in this installation ({gtrs_mini()})",
+            "install a release that has them, or name the folder of another GTRS planner",
+        )
+    from recast.planning.gtrs import load_gtrs  # here, as it needs torch and others do not
+
+    return load_gtrs(gtrs_mini(), device)

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from recast.errors import InputError
+from recast.arrays import Array
+from recast.core.errors import InputError
 from recast.geometry import Polyline, se2
 from recast.logs.hdmap import HdMap, Lane
 from recast.logs.types import Trajectory
-
-Array = NDArray[np.float64]
 
 _KNOT_SPACING = 2.0
 """Metres between spline knots: wide enough that centimetres of pose noise leave headings smooth."""

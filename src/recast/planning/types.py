@@ -1,4 +1,4 @@
-"""The seam between the simulator and the planner under test."""
+"""The seam between the simulator and the planner under test: what goes in, what comes out."""
 
 from __future__ import annotations
 
@@ -7,19 +7,25 @@ from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from recast.arrays import Array, Image
 from recast.dynamics import PACIFICA, EgoState, VehicleParameters
+from recast.dynamics import state as ego
 from recast.geometry import PinholeCamera
 from recast.logs.hdmap import HdMap
 from recast.logs.types import Trajectory
 from recast.planning.route import DrivingCommand, ReferenceRoute
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
-
 WAYPOINTS = 40
 """Waypoints of a plan, `PlanningContext.dt` apart: 0.1 s .. 4.0 s ahead."""
+COMMANDS = (
+    DrivingCommand.LEFT,
+    DrivingCommand.STRAIGHT,
+    DrivingCommand.RIGHT,
+    DrivingCommand.UNKNOWN,
+)
+"""Order of the one-hot driving command."""
 
 
 @dataclass(frozen=True)
@@ -176,3 +182,20 @@ class Planner(Protocol):
 
     def plan(self, observation: PlannerInput) -> Plan:
         """Plan the next 4 s from what is seen now."""
+
+
+def ego_status(command: DrivingCommand, state: ArrayLike) -> NDArray[np.float32]:
+    """(8,) float32: left, straight, right, unknown, vx, vy, ax, ay.
+
+    Ego frame, rear axle, m/s and m/s^2. As the simulator moves without slip, vy is 0 and ay the
+    centripetal acceleration, speed times yaw rate, which the logs that the released models were
+    trained on contain and the kinematic state does not.
+
+    Args:
+        command: see `ReferenceRoute.command`.
+        state: (11,) ego state, columns of `recast.dynamics.state`.
+    """
+    state = np.asarray(state, np.float64)
+    speed = state[ego.VX]
+    motion = (speed, 0.0, state[ego.AX], speed * state[ego.ANGULAR_VELOCITY])
+    return np.array([*(command == known for known in COMMANDS), *motion], np.float32)

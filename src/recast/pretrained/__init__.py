@@ -1,11 +1,19 @@
 """Published networks in folders of the user's: read strictly, never fetched."""
 
-from recast.pretrained.batches import BATCH, in_batches
-from recast.pretrained.clip import Clip, ClipImages
-from recast.pretrained.clip_t5_load import clip_t5_files
+from recast.pretrained.clip_t5 import clip_t5_files
 from recast.pretrained.folder import PretrainedFolder, model_type
+from recast.pretrained.image_text import (
+    VQA_SCORERS,
+    Clip,
+    ClipImages,
+    VqaScorer,
+    checked_scores,
+    load_vqa_scorer,
+)
 from recast.pretrained.pictures import (
+    BATCH,
     Picture,
+    in_batches,
     mean_colour,
     network_input,
     padded_square,
@@ -13,7 +21,6 @@ from recast.pretrained.pictures import (
     square_crop,
     whole_picture,
 )
-from recast.pretrained.vqa import VQA_SCORERS, VqaScorer, checked_scores, load_vqa_scorer
 
 __all__ = [
     "BATCH",

@@ -1,4 +1,4 @@
-"""Folders with published networks, read through transformers: strictly, and never the network."""
+"""Folders with published networks, read strictly, whole or of parts, and never from the network."""
 
 from __future__ import annotations
 
@@ -11,9 +11,12 @@ from typing import Any
 
 import torch
 from safetensors import safe_open
+from torch import Tensor
 
-from recast.errors import InputError
-from recast.storage import read_json
+from recast.core.errors import InputError
+from recast.core.files import read_json
+from recast.core.names import member
+from recast.core.torch_file import read_tensors
 
 CONFIG_FILE = "config.json"
 WEIGHTS_FILE = "model.safetensors"
@@ -23,6 +26,8 @@ MOST_PIXELS = 8192
 """Edge of an image that a processor may make."""
 SPARE = 1 << 20
 """Numbers that a network may hold beyond the stored ones: buffers that are computed."""
+_PYTORCH_FILE = "pytorch_model.bin"
+_INDEX = ".index.json"
 
 
 @dataclass(frozen=True)
@@ -131,9 +136,13 @@ class PretrainedFolder:
                     self.path, **options
                 )
                 model, loaded = network.from_pretrained(
-                    self.path, use_safetensors=True, output_loading_info=True,
-                    ignore_mismatched_sizes=True, dtype=torch.float32, **options,
-                )  # fmt: skip
+                    self.path,
+                    use_safetensors=True,
+                    output_loading_info=True,
+                    ignore_mismatched_sizes=True,
+                    dtype=torch.float32,
+                    **options,
+                )
             except Exception as error:  # transformers raises whatever its parts raise
                 raise self._refusal("files", f"cannot be read ({first_line(error)})") from error
         absent = sorted(loaded["missing_keys"])
@@ -146,9 +155,11 @@ class PretrainedFolder:
         wanted = "config.json, model.safetensors, preprocessor_config.json"
         wanted += " and the tokenizer's files" if self.text else ""
         return InputError(
-            self.path, field, problem,
+            self.path,
+            field,
+            problem,
             f"download {wanted} of {self.repositories} from Hugging Face into this folder",
-        )  # fmt: skip
+        )
 
 
 def model_type(folder: Path) -> str | None:
@@ -194,3 +205,95 @@ def first_line(error: Exception) -> str:
     """The first line of an error's message, or its class where it has none."""
     lines = str(error).strip().splitlines()
     return lines[0][:160] if lines else type(error).__name__
+
+
+def has_weights(folder: Path) -> bool:
+    """Whether a folder has a file that `weight_files` would find."""
+    names = [name + end for name in (WEIGHTS_FILE, _PYTORCH_FILE) for end in ("", _INDEX)]
+    return any((folder / name).is_file() for name in names)
+
+
+def weight_files(folder: Path, mend: str) -> tuple[Path, ...]:
+    """The files that hold the weights of a folder: safetensors if there are any, else PyTorch's.
+
+    Args:
+        mend: where the user finds them, for messages.
+
+    Raises:
+        InputError: there are none, or their index is no table of files in the folder.
+    """
+    for name in (WEIGHTS_FILE, _PYTORCH_FILE):
+        if (folder / name).is_file():
+            return (folder / name,)
+        index = folder / (name + _INDEX)
+        if index.is_file():
+            found = read_json(index)
+            table = found.get("weight_map") if isinstance(found, dict) else None
+            if not isinstance(table, dict) or not all(isinstance(v, str) for v in table.values()):
+                raise InputError(index, "weight_map", "is no table of file names", mend)
+            names = sorted({*table.values()})
+            return tuple(member(folder, one, index, "weight_map") for one in names)
+    raise InputError(folder, f"{WEIGHTS_FILE} or {_PYTORCH_FILE}", "is missing", mend)
+
+
+def read_weights(folder: Path, mend: str) -> dict[str, Tensor]:
+    """All tensors of a folder's weights by name, on the CPU; no code in the files is run.
+
+    Raises:
+        InputError: see `weight_files` and `read_tensors`; or two files hold the same tensor.
+    """
+    state: dict[str, Tensor] = {}
+    for path in weight_files(folder, mend):
+        more = read_tensors(path, "weights", mend)
+        twice = sorted(state.keys() & more.keys())
+        if twice:
+            raise InputError(path, twice[0], "is in another file too", mend)
+        state |= more
+    return state
+
+
+def network_of(
+    class_name: str, config: Any, state: Mapping[str, Tensor], where: Path, dtype: torch.dtype
+) -> Any:
+    """A network of transformers with these weights, on the CPU, ready to infer.
+
+    Args:
+        class_name: in transformers.
+        config: configuration of that class.
+        where: for messages.
+
+    Raises:
+        InputError: tensors are missing, of another shape or not finite, or the configuration asks
+            for more layers or numbers than there are.
+    """
+    import transformers
+
+    def refusal(problem: str) -> InputError:
+        return InputError(where, "weights", problem, "download the files of this network again")
+
+    layers = max(getattr(config, name, 0) for name in ("num_hidden_layers", "num_decoder_layers"))
+    if layers > len(state):
+        raise refusal(f"have {len(state)} tensors for {layers} layers")
+    with quiet():
+        try:
+            network = getattr(transformers, class_name)
+            with torch.device("meta"):  # takes no memory
+                asked = sum(one.numel() for one in network(config).state_dict().values())
+            stored = sum(math.prod(one.shape) for one in state.values())
+            if asked > 2 * stored + SPARE:  # smaller differences are told by name below
+                raise ValueError(f"the configuration asks for {asked} numbers, {stored} are stored")
+            model, told = network.from_pretrained(
+                None,
+                config=config,
+                state_dict=dict(state),
+                output_loading_info=True,
+                ignore_mismatched_sizes=True,
+                dtype=dtype,
+            )
+        except Exception as error:  # transformers raises whatever its parts raise
+            raise refusal(f"cannot be read ({first_line(error)})") from error
+    absent, more = sorted(told["missing_keys"]), sorted(told["unexpected_keys"])
+    if absent or more:
+        raise refusal(f"lack {len(absent)} tensors and have {len(more)} more: {(absent + more)[0]}")
+    check_tensors(model, told, refusal)
+    return model.eval().requires_grad_(False)

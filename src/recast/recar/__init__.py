@@ -3,15 +3,27 @@
 See docs/data.md.
 """
 
-from recast.recar.camera import camera_pose, fitting_distance, pinhole, view_camera
 from recast.recar.real_crops import RealVehicle, RealView, holds_real_crops, read_real_crops
-from recast.recar.record import IdentityRecord, SetRecord, Split, regular_azimuths
-from recast.recar.split import HELD_OUT_SHARE, split_of
+from recast.recar.record import (
+    HELD_OUT_SHARE,
+    IdentityRecord,
+    SetRecord,
+    Split,
+    regular_azimuths,
+    split_of,
+)
 from recast.recar.statistics import SetStatistics, set_statistics, statistics_table
 from recast.recar.synthesis import synthesize_set
 from recast.recar.synthesis_plan import SynthesisSettings
-from recast.recar.vehicle_set import Identity, VehicleSet, read_set
-from recast.recar.writer import begin_set, finish_set, write_identity
+from recast.recar.vehicle_set import (
+    Identity,
+    VehicleSet,
+    begin_set,
+    finish_set,
+    read_set,
+    write_identity,
+)
+from recast.recar.views import camera_pose, fitting_distance, pinhole, view_camera
 
 __all__ = [
     "HELD_OUT_SHARE",

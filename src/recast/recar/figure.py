@@ -12,11 +12,11 @@ from matplotlib.colors import is_color_like, to_rgb
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from recast.errors import printable
-from recast.recar.picture import Image
-from recast.recar.source import IdentitySource, VehicleSource
+from recast.core.errors import printable
+from recast.core.files import atomic_file, disk_errors
+from recast.geometry.colour import linear_to_srgb
 from recast.recar.statistics import SetStatistics
-from recast.storage import atomic_file, disk_errors
+from recast.recar.views import IdentitySource, Image, VehicleSource
 from recast.synthetic.vehicles import COLOURS
 
 FIGURE_FILES = ("dataset.png", "views.png", "colours.png", "types.png")
@@ -25,9 +25,17 @@ _INK, _MUTED, _EDGE = "#1f2430", "#6b7280", "#9aa1ad"
 _CELL = (360, 240)  # pixels at most of a view in the sheet, before it is cut
 _PANEL = (245, 246, 248)  # behind the cars
 _PIE = (
-    "#3b6ea8", "#e08a3c", "#5b9e6f", "#c2555a", "#8b78b5", "#8f7360", "#cf84b0", "#7d858f",
-    "#b3ab4b", "#58a9b4",
-)  # fmt: skip
+    "#3b6ea8",
+    "#e08a3c",
+    "#5b9e6f",
+    "#c2555a",
+    "#8b78b5",
+    "#8f7360",
+    "#cf84b0",
+    "#7d858f",
+    "#b3ab4b",
+    "#58a9b4",
+)
 _SMALLEST_SLICE = 0.025  # narrower ones have no room for a label of their own
 
 
@@ -51,9 +59,16 @@ def write_figure(vehicle_set: VehicleSource, statistics: SetStatistics, folder: 
 
     figure = Figure(figsize=(17.0, height), facecolor="white")
     grid = figure.add_gridspec(
-        2, 2, width_ratios=(11.2, 5.0), left=0.062, right=0.985, top=1 - 0.8 / height, bottom=0.05,
-        wspace=0.13, hspace=0.34,
-    )  # fmt: skip
+        2,
+        2,
+        width_ratios=(11.2, 5.0),
+        left=0.062,
+        right=0.985,
+        top=1 - 0.8 / height,
+        bottom=0.05,
+        wspace=0.13,
+        hspace=0.34,
+    )
     _draw_views(figure.add_subplot(grid[:, 0]), sheet, chosen, columns)
     _draw_colours(figure.add_subplot(grid[0, 1]), statistics.colours)
     _draw_types(figure.add_subplot(grid[1, 1]), statistics.kinds)
@@ -61,8 +76,13 @@ def write_figure(vehicle_set: VehicleSource, statistics: SetStatistics, folder: 
     figure.suptitle(
         f"{_words(record.name)}: {statistics.identities:,} identities, {record.views} views each, "
         f"{statistics.pictures:,} RGBA images of {record.width}x{record.height}",
-        x=0.062, y=1 - 0.12 / height, ha="left", fontsize=15, color=_INK, weight="bold",
-    )  # fmt: skip
+        x=0.062,
+        y=1 - 0.12 / height,
+        ha="left",
+        fontsize=15,
+        color=_INK,
+        weight="bold",
+    )
     _save(figure, folder / "dataset.png")
 
     many = representatives(vehicle_set, 12)
@@ -147,15 +167,26 @@ def _draw_views(
     axes.axis("off")
     for place, view in enumerate(columns):
         axes.text(
-            (place + 0.5) / len(columns), 1.004, f"{record.azimuths_deg[view]:g}°",
-            ha="center", va="bottom", color=_MUTED, fontsize=10,
-        )  # fmt: skip
+            (place + 0.5) / len(columns),
+            1.004,
+            f"{record.azimuths_deg[view]:g}°",
+            ha="center",
+            va="bottom",
+            color=_MUTED,
+            fontsize=10,
+        )
     for row, identity in enumerate(identities):
         one = identity.record
         axes.text(
-            -0.008, 1 - (row + 0.5) / rows, f"{_words(one.kind)}\n{_words(one.colour or '')}",
-            ha="right", va="center", color=_INK, fontsize=10, linespacing=1.4,
-        )  # fmt: skip
+            -0.008,
+            1 - (row + 0.5) / rows,
+            f"{_words(one.kind)}\n{_words(one.colour or '')}",
+            ha="right",
+            va="center",
+            color=_INK,
+            fontsize=10,
+            linespacing=1.4,
+        )
 
 
 def _draw_colours(axes: Axes, counts: dict[str, int]) -> None:
@@ -169,9 +200,14 @@ def _draw_colours(axes: Axes, counts: dict[str, int]) -> None:
         bar.set_hatch(None if face is not None else "////")
     for place, share in zip(places, shares, strict=True):
         axes.text(
-            place, share + 0.015 * max(shares), f"{share:.0f}" if share >= 1 else f"{share:.1f}",
-            ha="center", va="bottom", color=_INK, fontsize=9,
-        )  # fmt: skip
+            place,
+            share + 0.015 * max(shares),
+            f"{share:.0f}" if share >= 1 else f"{share:.1f}",
+            ha="center",
+            va="bottom",
+            color=_INK,
+            fontsize=9,
+        )
     axes.set_xticks(
         places, [_words(name) for name in counts], rotation=38, ha="right", rotation_mode="anchor"
     )
@@ -192,15 +228,26 @@ def _draw_types(axes: Axes, counts: dict[str, int]) -> None:
         shown["others"] = shown.get("others", 0) + rest
     colours = [_PIE[i % len(_PIE)] for i in range(len(shown))]
     wedges = axes.pie(
-        list(shown.values()), colors=colours, startangle=90, counterclock=False, radius=1.0,
+        list(shown.values()),
+        colors=colours,
+        startangle=90,
+        counterclock=False,
+        radius=1.0,
         wedgeprops={"width": 0.46, "edgecolor": "white", "linewidth": 1.5},
-    )[0]  # fmt: skip
+    )[0]
     # Names in a list of their own: beside narrow slices they would lie on one another.
     axes.legend(
-        wedges, [f"{_words(name)}  {100 * count / total:.0f} %" for name, count in shown.items()],
-        loc="center left", bbox_to_anchor=(0.56, 0.5), frameon=False, fontsize=10, labelcolor=_INK,
-        handlelength=1.0, handleheight=1.0, labelspacing=0.6,
-    )  # fmt: skip
+        wedges,
+        [f"{_words(name)}  {100 * count / total:.0f} %" for name, count in shown.items()],
+        loc="center left",
+        bbox_to_anchor=(0.56, 0.5),
+        frameon=False,
+        fontsize=10,
+        labelcolor=_INK,
+        handlelength=1.0,
+        handleheight=1.0,
+        labelspacing=0.6,
+    )
     # Limits in the shape of the axes, which `equal` would narrow otherwise, title and all.
     box = axes.get_window_extent()
     axes.set_xlim(-1.1, 2.2 * box.width / box.height - 1.1)
@@ -217,18 +264,12 @@ def _words(text: str) -> str:
 def swatch(name: str) -> tuple[float, float, float] | None:
     """sRGB in [0, 1] of a colour's name, or None for a name that nobody knows."""
     if name in COLOURS:
-        return _srgb(np.asarray(COLOURS[name].rgb, np.float64))
+        red, green, blue = linear_to_srgb(np.asarray(COLOURS[name].rgb, np.float64)).tolist()
+        return red, green, blue
     if not is_color_like(name):
         return None
     red, green, blue = to_rgb(name)
     return red, green, blue
-
-
-def _srgb(linear: NDArray[np.float64]) -> tuple[float, float, float]:
-    # IEC 61966-2-1
-    value = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    red, green, blue = np.clip(value, 0, 1)
-    return float(red), float(green), float(blue)
 
 
 def _save(figure: Figure, path: Path) -> None:

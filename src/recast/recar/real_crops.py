@@ -19,21 +19,17 @@ from typing import Annotated
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from recast.errors import InputError
+from recast.arrays import Array, Image
+from recast.core.errors import InputError
+from recast.core.files import read_bytes, read_json
+from recast.core.names import member
+from recast.core.records import validation_error
 from recast.geometry import PinholeCamera
-from recast.names import member
-from recast.recar.camera import camera_pose, pinhole
 from recast.recar.ingest.photograph import photograph_size
-from recast.recar.picture import MOST_BYTES
 from recast.recar.record import Metres, Text
-from recast.records import validation_error
-from recast.storage import read_bytes, read_json
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from recast.recar.views import MOST_BYTES, camera_pose, pinhole
 
 INPUT_VIEWS, RESERVED_VIEWS = "input_views", "reserved_views"
 CAMERA_FILE = "camera.json"
@@ -138,10 +134,11 @@ def _read_vehicle(folder: Path) -> RealVehicle:
     reserved_size, reserved = _read_views(folder / RESERVED_VIEWS)
     if not np.allclose(size, reserved_size, rtol=0.0, atol=_SIZE_WITHIN):
         raise InputError(
-            folder / RESERVED_VIEWS / CAMERA_FILE, "object_lwh",
+            folder / RESERVED_VIEWS / CAMERA_FILE,
+            "object_lwh",
             f"is {_metres(reserved_size)} where the input views have {_metres(size)}",
             "both describe one vehicle",
-        )  # fmt: skip
+        )
     return RealVehicle(folder.resolve().name, size, inputs, reserved)
 
 
@@ -161,9 +158,11 @@ def _read_views(folder: Path) -> tuple[Array, tuple[RealView, ...]]:
         count = len(getattr(record, field))
         if count != frames:
             raise InputError(
-                path, field, f"has {count} entries for {frames} in frame_filenames",
+                path,
+                field,
+                f"has {count} entries for {frames} in frame_filenames",
                 "give one for every frame",
-            )  # fmt: skip
+            )
     views = tuple(_read_view(path, record, index) for index in range(frames))
     return np.array(record.object_lwh), views
 
@@ -173,9 +172,11 @@ def _read_view(path: Path, record: _CameraRecord, index: int) -> RealView:
     length = float(np.linalg.norm((x, y, z)))
     if abs(length - 1) > _UNIT_WITHIN:
         raise InputError(
-            path, f"normalized_cam_positions.{index}", f"has length {length:.4g}",
+            path,
+            f"normalized_cam_positions.{index}",
+            f"has length {length:.4g}",
             "divide it by its length and put that into cam_dists",
-        )  # fmt: skip
+        )
     names = record.frame_filenames[index], record.mask_filenames[index]
     image = member(path.parent, names[0], path, f"frame_filenames.{index}")
     mask = member(path.parent, names[1], path, f"mask_filenames.{index}")
@@ -183,9 +184,11 @@ def _read_view(path: Path, record: _CameraRecord, index: int) -> RealView:
     mask_height, mask_width = _decode(mask, cv2.IMREAD_GRAYSCALE).shape
     if (mask_width, mask_height) != (width, height):
         raise InputError(
-            mask, "size", f"is {mask_width}x{mask_height} where {image.name} is {width}x{height}",
+            mask,
+            "size",
+            f"is {mask_width}x{mask_height} where {image.name} is {width}x{height}",
             "cut the mask like its picture",
-        )  # fmt: skip
+        )
     azimuth = float(np.degrees(np.arctan2(-y, -x)))
     elevation = float(np.degrees(np.arcsin(z / length)))
     return RealView(

@@ -1,13 +1,14 @@
-"""The records of a vehicle set: set.json, and identity.json of every vehicle in it."""
+"""The records of a vehicle set, set.json and identity.json of every vehicle, and its split."""
 
 from __future__ import annotations
 
+import hashlib
 import re
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat
 
-from recast.records import Record
+from recast.core.records import Record
 
 SET_FORMAT = "recast-vehicle-set"
 SET_VERSION = 1
@@ -23,6 +24,8 @@ Split = Literal["train", "held-out"]
 SPLITS: tuple[Split, ...] = ("train", "held-out")
 
 _IDENTITY_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+HELD_OUT_SHARE = 0.05
+"""648 of 12,896 identities in the paper (section 2)."""
 
 
 def regular_azimuths(views: int) -> tuple[float, ...]:
@@ -138,3 +141,26 @@ class IdentityRecord(Record):
 def view_file(index: int) -> str:
     """File name of a view."""
     return f"view_{index:02d}.png"
+
+
+def split_of(
+    identity: str, seed: int, share: float = HELD_OUT_SHARE, index: int | None = None
+) -> Split:
+    """The split of an identity: a hash of its name and the seed, never of its neighbours.
+
+    So a set that grows keeps the split of every identity it had, and two sets that share a vehicle
+    under the same name and seed agree about it.
+
+    Args:
+        identity: its name.
+        seed: of the split.
+        share: of identities that are held out, in [0, 1].
+        index: its place in a sequence that only ever grows at its end. The first two are set by
+            hand, one for training and one held out, so that neither part of a small set is empty.
+    """
+    if share > 0 and index == 0:
+        return "train"
+    if share > 0 and index == 1:
+        return "held-out"
+    digest = hashlib.sha256(f"{seed}/{identity}".encode()).digest()
+    return "held-out" if int.from_bytes(digest[:8], "big") < share * 2.0**64 else "train"

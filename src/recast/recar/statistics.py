@@ -12,9 +12,9 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from recast.errors import printable
+from recast.core.errors import printable
 from recast.recar.record import SPLITS
-from recast.recar.source import VehicleSource
+from recast.recar.views import VehicleSource
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from recast.errors import InputError
-from recast.recar.camera import ELEVATION_DEG, FOV_DEG
-from recast.recar.record import LARGEST_SIDE, MOST_VIEWS, SetRecord, Split, regular_azimuths
-from recast.recar.split import HELD_OUT_SHARE, split_of
+from recast.core.errors import InputError
+from recast.recar.record import (
+    HELD_OUT_SHARE,
+    LARGEST_SIDE,
+    MOST_VIEWS,
+    SetRecord,
+    Split,
+    regular_azimuths,
+    split_of,
+)
+from recast.recar.views import ELEVATION_DEG, FOV_DEG
 
 SYNTHESIS_VERSION = 1
 """Changes when the same settings give other pictures; a killed run never mixes two."""

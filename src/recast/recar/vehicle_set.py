@@ -1,24 +1,24 @@
-"""Vehicle sets: folders with many views of many vehicles.
+"""Vehicle sets: folders with many views of many vehicles, read and written.
 
     SET/set.json
     SET/ID/identity.json, view_00.png, view_01.png, ...
 
-The same for photographs and for renders; docs/data.md says how to bring one's own.
+The same for photographs and for renders; docs/data.md says how to bring one's own. A set is made
+one identity after the other, so that a killed run resumes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from recast.errors import InputError
+from recast.arrays import Array
+from recast.core import files
+from recast.core.errors import InputError
+from recast.core.files import disk_errors, read_bytes
+from recast.core.records import read_record
 from recast.geometry import PinholeCamera
-from recast.recar.camera import view_camera
-from recast.recar.picture import MOST_BYTES, Image, check_header, read_picture
 from recast.recar.record import (
     IDENTITY_FILE,
     SET_FILE,
@@ -29,12 +29,17 @@ from recast.recar.record import (
     Split,
     view_file,
 )
-from recast.records import read_record
-from recast.storage import disk_errors, read_bytes
-
-Array = NDArray[np.float64]
+from recast.recar.views import (
+    MOST_BYTES,
+    Image,
+    check_header,
+    encode_picture,
+    read_picture,
+    view_camera,
+)
 
 _MEND = "see docs/data.md, section Vehicle sets"
+_MEND_OUT = "name another folder, or repeat the options of the set that lies there"
 
 
 @dataclass(frozen=True)
@@ -138,15 +143,19 @@ def read_set(folder: str | Path) -> VehicleSet:
     record = read_set_record(folder)
     if not record.complete:
         raise InputError(
-            folder / SET_FILE, "complete", "is false: the set is still in the making",
+            folder / SET_FILE,
+            "complete",
+            "is false: the set is still in the making",
             "run the command that makes it again; it resumes",
-        )  # fmt: skip
+        )
     identities = read_identities(folder, record)
     if len(identities) != record.identities:
         raise InputError(
-            folder, "identities", f"{len(identities)} folders where set.json says "
-            f"{record.identities}", "restore the missing ones, or correct set.json",
-        )  # fmt: skip
+            folder,
+            "identities",
+            f"{len(identities)} folders where set.json says {record.identities}",
+            "restore the missing ones, or correct set.json",
+        )
     return VehicleSet(folder, record, identities)
 
 
@@ -175,23 +184,130 @@ def read_identities(folder: Path, record: SetRecord) -> dict[str, Identity]:
 def _refuse_twice(first: Identity, second: Identity) -> None:
     splits = {first.record.split, second.record.split}
     raise InputError(
-        second.folder / IDENTITY_FILE, "id",
+        second.folder / IDENTITY_FILE,
+        "id",
         f"{second.record.id} is in {'both splits' if len(splits) == 2 else 'the set twice'}, "
-        f"also as {first.folder.name}", "keep one of them",
-    )  # fmt: skip
+        f"also as {first.folder.name}",
+        "keep one of them",
+    )
 
 
 def _check_folder(identity: Identity) -> None:
     if identity.folder.name != identity.record.id:
         raise InputError(
-            identity.folder / IDENTITY_FILE, "id",
+            identity.folder / IDENTITY_FILE,
+            "id",
             f"is {identity.record.id!r} in the folder {identity.folder.name!r}",
             "name the folder by the identity",
-        )  # fmt: skip
+        )
     present = {path.name for path in identity.folder.iterdir()}
     for index in range(identity.set_record.views):
         if view_file(index) not in present:
             raise InputError(
-                identity.folder / view_file(index), "view", "is missing",
+                identity.folder / view_file(index),
+                "view",
+                "is missing",
                 f"every identity needs all {identity.set_record.views} views",
-            )  # fmt: skip
+            )
+
+
+def begin_set(folder: str | Path, record: SetRecord, identities: Collection[str]) -> frozenset[str]:
+    """Start a set, or go on with the one that lies there, which may have fewer identities.
+
+    It is marked as in the making until `finish_set`.
+
+    Args:
+        folder: of the set.
+        record: of the set.
+        identities: ids of all that will be in it.
+
+    Returns:
+        Ids that are finished already.
+
+    Raises:
+        InputError: as `check_begin`.
+    """
+    folder = Path(folder)
+    finished = check_begin(folder, record, identities)
+    with files.disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    if len(finished) < len(identities):
+        _write_record(folder, record.model_copy(update={"complete": False}))
+    return finished
+
+
+def check_begin(folder: Path, record: SetRecord, identities: Collection[str]) -> frozenset[str]:
+    """What `begin_set` would return, with nothing written.
+
+    Raises:
+        InputError: the folder holds something else, a set of another configuration, a broken
+            identity or one that is not among `identities`.
+    """
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return frozenset()
+    if not (folder / SET_FILE).is_file():
+        raise InputError(
+            folder, "output folder", "exists and is no vehicle set", "name a new or empty folder"
+        )
+    found = read_set_record(folder)
+    if name := _first_difference(found, record):
+        raise InputError(
+            folder / SET_FILE, name, "differs: a set of another configuration lies there", _MEND_OUT
+        )
+    finished = read_identities(folder, found)
+    if unwanted := sorted(finished.keys() - set(identities)):
+        raise InputError(
+            folder,
+            unwanted[0],
+            f"lies there but is not among the {len(identities)} asked for",
+            _MEND_OUT,
+        )
+    return frozenset(finished)
+
+
+def write_identity(
+    folder: str | Path, record: SetRecord, identity: IdentityRecord, pictures: Iterable[Image]
+) -> None:
+    """Add one identity to a set; its folder appears whole or not at all.
+
+    Args:
+        folder: of the set.
+        record: of the set.
+        identity: what is known about the vehicle.
+        pictures: one for each azimuth, (height, width, 4) uint8 RGBA with straight alpha; taken
+            one by one.
+
+    Raises:
+        ValueError: not one picture a view, of another shape, or with alpha zero everywhere.
+        InputError: the identity is there already, or the disk is full.
+    """
+    with files.atomic_folder(Path(folder) / identity.id) as partial:
+        count = 0
+        for index, picture in enumerate(pictures):
+            if picture.shape != (record.height, record.width, 4) or not picture[..., 3].any():
+                raise ValueError(
+                    f"{identity.id}: view {index}: shape {picture.shape}, or transparent everywhere"
+                )
+            (partial / view_file(index)).write_bytes(encode_picture(picture))
+            count += 1
+        if count != record.views:
+            raise ValueError(f"{identity.id}: {count} pictures where the set has {record.views}")
+        files.write_json(partial / IDENTITY_FILE, identity.model_dump(mode="json"))
+
+
+def finish_set(folder: str | Path, record: SetRecord) -> None:
+    """Mark a set as complete."""
+    _write_record(Path(folder), record.model_copy(update={"complete": True}))
+
+
+def _first_difference(found: SetRecord, wanted: SetRecord) -> str | None:
+    theirs, ours = ({**r.model_dump(mode="json"), **(r.generator or {})} for r in (found, wanted))
+    same_anyway = ("complete", "identities", "generator")
+    for name in sorted((theirs.keys() | ours.keys()) - set(same_anyway)):
+        if theirs.get(name) != ours.get(name):
+            return name
+    return None
+
+
+def _write_record(folder: Path, record: SetRecord) -> None:
+    files.write_json(folder / SET_FILE, record.model_dump(mode="json"))

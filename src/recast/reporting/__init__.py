@@ -1,8 +1,7 @@
 """Reports of runs: films, bird's-eye views, plots, tables, one self-contained page."""
 
 from recast.reporting.birdseye import BirdseyeStyle, draw_frames, draw_still
-from recast.reporting.compare import write_comparison
-from recast.reporting.compare_inputs import ComparedRun
+from recast.reporting.compare import ComparedRun, write_comparison
 from recast.reporting.inputs import (
     NOT_MADE,
     ActorPart,
@@ -18,10 +17,11 @@ from recast.reporting.inputs import (
     RolloutPart,
     ScenarioPart,
     ScenePart,
+    ShowcasePart,
+    TruthPart,
 )
 from recast.reporting.report import write_report
 from recast.reporting.truth import truth_parts
-from recast.reporting.truth_inputs import ShowcasePart, TruthPart
 from recast.reporting.video import VideoWriter, read_video, side_by_side, write_video
 
 __all__ = [

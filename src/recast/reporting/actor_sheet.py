@@ -7,21 +7,20 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from recast.actors import Actor, orbit, turntable
 from recast.actors.actor import CandidateRecord
 from recast.actors.coverage import Coverage
 from recast.actors.turntable import coloured_by_shares
+from recast.arrays import Image
 from recast.reporting import palette
-from recast.reporting.basics import SIDES
 from recast.reporting.canvas import Canvas, View, wrapped
 from recast.splats.sh import C0
 
-Image = NDArray[np.uint8]
 _Line = list[tuple[int, str, palette.Colour]]
 """Pieces of a line of text, each at its place in pixels."""
-
+SIDES = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
+"""Of a vehicle, by azimuth in steps of 45 degrees."""
 _WIDTH, _MARGIN = 1600, 20
 _VIEWS, _ACROSS = 8, 4
 _VIEW = (_WIDTH // _ACROSS, 225)
@@ -30,9 +29,15 @@ _TEXT, _LINE, _GAP = 17, 24, 10
 _BESIDE = _CROP + 3 * _MARGIN  # where the text beside the crop begins
 _ROOM = _WIDTH - _BESIDE - 2 * _MARGIN  # for that text
 _CANDIDATES = {
-    "Candidates": 0, "generator": 110, "which": 260, "outline": 620, "LiDAR": 710,
-    "free space": 800, "colour": 910, "score": 1000,
-}  # fmt: skip
+    "Candidates": 0,
+    "generator": 110,
+    "which": 260,
+    "outline": 620,
+    "LiDAR": 710,
+    "free space": 800,
+    "colour": 910,
+    "score": 1000,
+}
 """Headings of the columns, and their places in pixels."""
 _CHECKS = ((46, 50, 58), (58, 63, 72))  # behind a transparent crop
 
@@ -92,9 +97,14 @@ def _view_coverages(actor: Actor) -> list[Coverage]:
     assert actor.shares is not None
     columns = ((actor.shares.columns - 0.5) / C0)[:, None]
     views = orbit(
-        replace(actor.gaussians, sh=columns), actor.size, views=_VIEWS, width=_VIEW[0],
-        height=_VIEW[1], background=(0.0, 0.0, 0.0), low_pass=actor.low_pass,
-    )  # fmt: skip
+        replace(actor.gaussians, sh=columns),
+        actor.size,
+        views=_VIEWS,
+        width=_VIEW[0],
+        height=_VIEW[1],
+        background=(0.0, 0.0, 0.0),
+        low_pass=actor.low_pass,
+    )
     return [Coverage.of(view.sum(axis=(0, 1)) / 255) for view in views]
 
 

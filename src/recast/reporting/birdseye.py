@@ -6,20 +6,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recast.arrays import Array, Image
 from recast.geometry import boxes
 from recast.logs.hdmap import HdMap
-from recast.reporting import palette
-from recast.reporting import rollout_marks as marks
+from recast.reporting import marks, palette
 from recast.reporting.canvas import Canvas, View
-from recast.reporting.map_layer import MapLayer
-from recast.reporting.map_marks import draw_scale_bar, fitted_view
-from recast.reporting.series import planned_paths, series
+from recast.reporting.marks import MapLayer, draw_scale_bar, fitted_view
+from recast.reporting.plots import planned_paths, series
 from recast.simulation.rollout import Rollout
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 _EGO_AT = 0.28  # share of the film's width behind the ego
 _STAMP = 1.0  # seconds between the ghost boxes of the still

@@ -12,11 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image as PilImage
 from PIL import ImageDraw, ImageFont
 
-from recast.errors import printable
+from recast.arrays import Array, Image
+from recast.core.errors import printable
 from recast.reporting.palette import GROUND, TEXT, Colour
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 _SHIFT = 4  # cv2 draws at 1/16 pixel
 _FAR = 1e5  # pixels; keeps far-away points within cv2's fixed-point range

@@ -1,11 +1,11 @@
-"""Whether to trust a run: what its results rest on, against the limits it has set."""
+"""Whether to trust a run: its checks, and what of the vehicle its cameras showed."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from recast.reporting.coverage_view import CoverageLine, coverage_lines
+from recast.actors.coverage import Coverage
 from recast.reporting.inputs import (
     ActorPart,
     NotMade,
@@ -13,10 +13,69 @@ from recast.reporting.inputs import (
     ReportInputs,
     ScenarioPart,
     ScenePart,
+    TruthPart,
 )
 from recast.reporting.tables import Tone
-from recast.reporting.truth_inputs import TruthPart
+from recast.simulation.coverage import RolloutCoverage
 from recast.simulation.rollout import Rollout, RolloutFailure
+
+
+@dataclass(frozen=True)
+class CoverageLine:
+    """One rollout.
+
+    Attributes:
+        title, anchor: of its scenario, which is the `anchor`-th of the page.
+        arm: name for people.
+        planned: whether it is about the planner's images; else about all that were recorded.
+        mean: over the images; `visible` of `images` show the vehicle.
+    """
+
+    title: str
+    anchor: int
+    arm: str
+    planned: bool
+    mean: Coverage
+    visible: int
+    images: int
+
+
+def looked_at(coverage: RolloutCoverage) -> RolloutCoverage:
+    """The images that the planner was given; all for a planner that looks at none."""
+    return coverage.of_planner or coverage
+
+
+def coverage_lines(
+    scenarios: Sequence[ScenarioPart], arms: Mapping[str, str]
+) -> tuple[CoverageLine, ...]:
+    """A line for each rollout whose vehicle has shares, by scenario, then as they are given."""
+    return tuple(
+        CoverageLine(
+            title=scenario.title,
+            anchor=number,
+            arm=arms[part.arm],
+            planned=part.coverage.of_planner is not None,
+            mean=looked_at(part.coverage).mean,
+            visible=looked_at(part.coverage).visible,
+            images=len(looked_at(part.coverage).images),
+        )
+        for number, scenario in enumerate(scenarios, 1)
+        for part in scenario.rollouts
+        if part.coverage is not None
+    )
+
+
+def coverage_note(line: CoverageLine) -> str:
+    """The line as a sentence."""
+    who = "the planner saw" if line.planned else "the cameras showed"
+    if line.visible == 0:
+        return f"None of the {line.images} images that {who} shows the {line.arm}."
+    mean = line.mean
+    return (
+        f"Of what {who} of the {line.arm}, {mean.invented:.0%} was invented, "
+        f"{mean.mirrored:.0%} mirrored and {mean.seen:.0%} seen in the log "
+        f"(visible in {line.visible} of {line.images} images)."
+    )
 
 
 @dataclass(frozen=True)
@@ -122,3 +181,34 @@ def _at_least(name: str, value: float, limit: float | None, unit: str, digits: i
         return Check(name, f"{value:.{digits}f}{unit}", "", "plain")
     tone: Tone = "good" if value >= limit else "bad"
     return Check(name, f"{value:.{digits}f}{unit}", f"at least {limit:g}{unit}", tone)
+
+
+@dataclass(frozen=True)
+class Glance:
+    """Numbers for the first screen.
+
+    Attributes:
+        counts: how many checks are good, bad, and need care.
+        coverage: of the vehicle over all images of all rollouts; None without shares.
+    """
+
+    counts: tuple[tuple[str, int], ...]
+    coverage: Coverage | None
+
+
+def glance(run: ReportInputs, checks: Sequence[Check]) -> Glance:
+    """Count the checks, and gather the coverage of all rollouts."""
+    tones = [check.tone for check in checks]
+    parts = () if isinstance(run.scenarios, NotMade) else run.scenarios
+    images = [
+        image.coverage
+        for scenario in parts
+        for part in scenario.rollouts
+        if part.coverage is not None
+        for image in looked_at(part.coverage).images
+    ]
+    mean = Coverage.mean(images)
+    return Glance(
+        counts=tuple((tone, tones.count(tone)) for tone in ("good", "bad", "warn")),
+        coverage=mean if mean.pixels > 0 else None,
+    )

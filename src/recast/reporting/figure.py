@@ -48,9 +48,14 @@ class Figure:
     """
 
     def __init__(
-        self, end: float, low: float, high: float, label: str, horizontal: str = "time [s]",
+        self,
+        end: float,
+        low: float,
+        high: float,
+        label: str,
+        horizontal: str = "time [s]",
         every: float | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.end, self.low, self.high = max(end, 1e-9), low, max(high, low + 1e-9)
         self._parts: list[str] = []
         for value in ticks(self.low, self.high, 5):

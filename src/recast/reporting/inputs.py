@@ -11,14 +11,85 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.actors.actor import CandidateRecord
-from recast.evaluation import RolloutMetrics
+from recast.arrays import Array
+from recast.evaluation import OracleViews, RolloutMetrics
 from recast.logs.hdmap import HdMap
-from recast.reporting.basics import NOT_MADE, Fact, NotMade, Picture
-from recast.reporting.truth_inputs import ShowcasePart, TruthPart
 from recast.simulation.coverage import RolloutCoverage
 from recast.simulation.rollout import Rollout, RolloutFailure
 
-Array = NDArray[np.float64]
+Picture = Path | NDArray[np.uint8]
+"""A PNG or JPEG file, or (H, W, 3) RGB or (H, W, 4) RGBA uint8."""
+PURPOSE = (
+    "The log shows this vehicle only from where the recording car happened to be. recast gives it "
+    "a whole body, so that the drive can be driven again with the vehicle doing what it never did, "
+    "and the cameras see what they would have seen."
+)
+
+
+@dataclass(frozen=True)
+class NotMade:
+    """Stands where a part is missing.
+
+    Attributes:
+        reason: in words, shown on the page.
+    """
+
+    reason: str = "this run did not make it"
+
+
+NOT_MADE = NotMade()
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One line of a list of facts.
+
+    Attributes:
+        name, value: for people, with units.
+        help: what it means, shown on hover, or None.
+    """
+
+    name: str
+    value: str
+    help: str | None = None
+
+
+@dataclass(frozen=True)
+class ShowcasePart:
+    """The first screen: one moment that the log never had, seen in several ways.
+
+    Attributes:
+        caption: what the pictures show, in a sentence.
+        pictures: label to picture, from left to right, the truth last.
+        notes: label to the line of numbers under its picture; a label may be missing.
+        best: the label whose numbers are nearest to the truth's, or None.
+        numbers: one line for all of it.
+        purpose: a sentence on what all this is for.
+    """
+
+    caption: str
+    pictures: Mapping[str, Picture]
+    notes: Mapping[str, str] = field(default_factory=dict)
+    best: str | None = None
+    numbers: str = ""
+    purpose: str = PURPOSE
+
+
+@dataclass(frozen=True)
+class TruthPart:
+    """Baseline and candidate actor against the truth, over the angle from the log.
+
+    Attributes:
+        views: the comparison.
+        names: "baseline", "candidate" and "truth" to their names for people.
+        colours: "baseline" and "candidate" to the indices of their arms' colours.
+        pictures: index of a view to its picture: baseline, candidate and truth side by side.
+    """
+
+    views: OracleViews
+    names: Mapping[str, str]
+    colours: Mapping[str, int]
+    pictures: Mapping[int, Picture] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -154,8 +225,7 @@ class Comparison:
 
     Attributes:
         caption: for example "frame 43, 24.1 dB".
-        pictures: label to picture, for example "recorded", "rendered"; one picture that holds both
-            is as good.
+        pictures: label to picture, such as "recorded", "rendered"; or one picture that holds both.
     """
 
     caption: str
@@ -202,10 +272,8 @@ class ReportInputs:
     Attributes:
         title: of the page.
         log: name of the log.
-        arms: arm to its name for people, in the order of the columns; the first is the
-            baseline.
-        truth_arm: the one of `arms` that the others are measured against because it shows
-            what is really there, or None.
+        arms: arm to its name for people, in the order of the columns, the baseline first.
+        truth_arm: the one of `arms` that shows what is really there, or None.
         showcase: the first screen; without one the page begins with the overview.
         truth: views beyond the log against the truth; left out of the page where nothing is given.
         facts: of the run: cameras, image size, planner, length.

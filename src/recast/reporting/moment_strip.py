@@ -1,21 +1,20 @@
-"""The strip of a scenario: each moment at which its arms part, as every arm saw it."""
+"""The strip of a scenario: each moment at which its arms part, as a camera of every arm saw it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.reporting import palette
-from recast.reporting.assets import Assets, Media
 from recast.reporting.birdseye import Birdseye, BirdseyeStyle
-from recast.reporting.cameras import camera_towards, filmed_cameras
 from recast.reporting.inputs import NotMade, ReportInputs, RolloutPart
 from recast.reporting.moments import Moment, find_moments
+from recast.reporting.page import Assets, Media
 from recast.reporting.tables import Tone
 from recast.reporting.video import film_frames
 from recast.simulation.rollout import Rollout
@@ -25,6 +24,34 @@ _NEAREST, _FURTHEST = 36.0, 110.0  # metres across it
 _BEHIND, _AHEAD = 0.28, 12.0  # share of it behind the ego, and metres beyond the actor
 _BESIDE = 0.3  # metres; an outline nearer to the ego would look like the mark of a contact
 _WIDEST = 640  # pixels, of a camera image
+
+
+def filmed_cameras(parts: Iterable[RolloutPart]) -> tuple[str, ...]:
+    """Names of all cameras that some rollout has a film of, in the order of the films."""
+    return tuple(
+        dict.fromkeys(
+            name for part in parts if not isinstance(part.films, NotMade) for name in part.films
+        )
+    )
+
+
+def camera_towards(
+    names: Iterable[str], headings: Mapping[str, float], bearing: float = 0.0
+) -> str | None:
+    """The camera whose heading is nearest to a bearing; the first if no heading is known.
+
+    Args:
+        names: to choose among; None is returned if there are none.
+        headings: radians by name, 0 ahead, positive to the left.
+        bearing: radians, likewise.
+    """
+
+    def away(name: str) -> float:
+        if name not in headings:
+            return np.inf
+        return abs(float(np.angle(np.exp(1j * (headings[name] - bearing)))))
+
+    return min(names, key=away, default=None)
 
 
 @dataclass(frozen=True)
@@ -61,9 +88,12 @@ class Strip:
 
 
 def moment_strip(
-    run: ReportInputs, name: str, parts: Sequence[RolloutPart], drawn: Mapping[str, Birdseye],
+    run: ReportInputs,
+    name: str,
+    parts: Sequence[RolloutPart],
+    drawn: Mapping[str, Birdseye],
     assets: Assets,
-) -> Strip:  # fmt: skip
+) -> Strip:
     """Find the moments of a scenario and write their pictures.
 
     Args:

@@ -8,10 +8,10 @@ from itertools import combinations
 
 import numpy as np
 
-from recast.evaluation.ttc import CAP
-from recast.reporting.drives_compared import listed
+from recast.evaluation.collision import CAP
 from recast.reporting.inputs import NotMade, RolloutPart
-from recast.reporting.series import planned_paths, series
+from recast.reporting.plots import planned_paths, series
+from recast.reporting.summary import listed
 from recast.simulation.rollout import Rollout
 
 PATHS_APART = 0.5

@@ -1,23 +1,170 @@
-"""What all pages share: templates, and the folder that appears whole."""
+"""What all pages share: templates, files under safe names, and the folder that appears whole."""
 
 from __future__ import annotations
 
+import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
+from numpy.typing import NDArray
+from PIL import Image as PilImage
+from PIL import UnidentifiedImageError
 
 from recast import __version__
-from recast.errors import InputError
+from recast.core import files
+from recast.core.errors import InputError
+from recast.core.files import atomic_folder, disk_errors, write_text
 from recast.reporting import palette, tables
-from recast.reporting.assets import Assets
-from recast.reporting.basics import NotMade
-from recast.reporting.coverage_view import coverage_note
-from recast.storage import atomic_folder, disk_errors, write_text
+from recast.reporting.checks import coverage_note
+from recast.reporting.inputs import NotMade, Picture
+from recast.reporting.video import iterate_video, side_by_side, write_video
 
+_QUALITY = 92  # of JPEG; with full colour resolution, about 40 dB on rendered images
+_FORMATS = {"PNG": ".png", "JPEG": ".jpg"}
 _GENERATOR = "recast report"
+
+
+@dataclass(frozen=True)
+class Media:
+    """A file of the report.
+
+    Attributes:
+        url: relative to the page.
+        width, height: pixels.
+    """
+
+    url: str
+    width: int
+    height: int
+
+
+class Assets:
+    """Collects the files of one report folder.
+
+    A picture or film that is missing or broken becomes a `NotMade` that says so: a report of an
+    incomplete run is still a report.
+    """
+
+    def __init__(self, folder: Path, scope: str = "") -> None:
+        self.folder, self._scope = folder, scope
+        self._taken: set[str] = set()
+
+    def scoped(self, name: str) -> Assets:
+        """Assets of a part of the page, whose files cannot have the names of another part's."""
+        return Assets(self.folder, self._free("scopes", name) + "--")  # no slug has two hyphens
+
+    def picture(self, name: str, picture: Picture | NotMade) -> Media | NotMade:
+        """Copy a PNG or JPEG, or encode an array as PNG."""
+        if isinstance(picture, NotMade):
+            return picture
+        if isinstance(picture, np.ndarray):
+            target = self._target("images", name, ".png")
+            _write(target, picture, format="PNG", optimize=False)
+            return Media(self._url(target), picture.shape[1], picture.shape[0])
+        if not picture.is_file():
+            return NotMade(f"{picture.name} is missing")
+        try:
+            with PilImage.open(picture, formats=tuple(_FORMATS)) as image:
+                width, height = image.size
+                suffix = _FORMATS[str(image.format)]
+        except (UnidentifiedImageError, OSError):
+            return NotMade(f"{picture.name} is no PNG or JPEG")
+        target = self._target("images", name, suffix)
+        shutil.copyfile(picture, target)
+        return Media(self._url(target), width, height)
+
+    def photo(self, name: str, picture: Picture | NotMade) -> Media | NotMade:
+        """Write a picture as JPEG: a third of a PNG's size, and no difference to the eye.
+
+        One with transparency stays a PNG.
+        """
+        if isinstance(picture, Path) and picture.is_file():
+            try:
+                with PilImage.open(picture, formats=("PNG",)) as image:
+                    if image.mode == "RGB":
+                        picture = np.asarray(image)
+            except (UnidentifiedImageError, OSError):
+                pass  # `picture` says what is wrong with it, or copies the JPEG that it is
+        if not isinstance(picture, np.ndarray) or picture.shape[2] != 3:
+            return self.picture(name, picture)
+        target = self._target("images", name, ".jpg")
+        _write(target, picture, format="JPEG", quality=_QUALITY, subsampling=0, optimize=True)
+        return Media(self._url(target), picture.shape[1], picture.shape[0])
+
+    def film(self, name: str, film: Path | NotMade) -> Media | NotMade:
+        """Copy an MP4 whose first frame can be decoded."""
+        if isinstance(film, NotMade):
+            return film
+        if not film.is_file():
+            return NotMade(f"{film.name} is missing")
+        try:
+            height, width, _ = next(iterate_video(film)).shape
+        except (InputError, StopIteration):
+            return NotMade(f"{film.name} cannot be decoded")
+        target = self._target("films", name, ".mp4")
+        shutil.copyfile(film, target)
+        return Media(self._url(target), width, height)
+
+    def page(self, name: str, page: Path) -> str | NotMade:
+        """Copy a page that needs no other file, beside this one; return its address."""
+        if not page.is_file():
+            return NotMade(f"{page.name} is missing")
+        target = self.folder / f"{slug(name)}.html"
+        shutil.copyfile(page, target)
+        return self._url(target)
+
+    def draw_film(self, name: str, frames: Iterable[NDArray[np.uint8]], fps: float) -> Media:
+        """Encode frames (H, W, 3) uint8 RGB of even size."""
+        target = self._target("films", name, ".mp4")
+        write_video(target, frames, fps)
+        height, width, _ = next(iterate_video(target)).shape
+        return Media(self._url(target), width, height)
+
+    def joined_film(self, name: str, films: Sequence[tuple[str, Media]]) -> Media | NotMade:
+        """Join labelled films of this report, for use outside of the page."""
+        target = self._target("films", name, ".mp4")
+        try:
+            places = [self.folder / film.url for _, film in films]
+            side_by_side(places, target, [label for label, _ in films])
+        except InputError as error:
+            if isinstance(error.__cause__, OSError):  # the disk refuses, which ends the report
+                raise
+            return NotMade(f"{error.field} {error.problem}")
+        height, width, _ = next(iterate_video(target)).shape
+        return Media(self._url(target), width, height)
+
+    def _target(self, kind: str, name: str, suffix: str) -> Path:
+        path = self.folder / kind / f"{self._scope}{self._free(kind, name)}{suffix}"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def _free(self, kind: str, name: str) -> str:
+        stem, number = slug(name), 2
+        while f"{kind}/{stem}" in self._taken:
+            stem, number = f"{slug(name)}-{number}", number + 1
+        self._taken.add(f"{kind}/{stem}")
+        return stem
+
+    def _url(self, path: Path) -> str:
+        return path.relative_to(self.folder).as_posix()
+
+
+def slug(text: str) -> str:
+    """Lower-case letters, digits and single hyphens; safe as a file name and in a URL."""
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")[:80] or "unnamed"
+
+
+def _write(path: Path, picture: NDArray[np.uint8], **options: object) -> None:
+    """Encode an array; Pillow itself writes JPEG past a full disk without a word."""
+    encoded = BytesIO()
+    PilImage.fromarray(picture).save(encoded, **options)  # type: ignore[arg-type]
+    files.write_bytes(path, encoded.getvalue())
 
 
 def write_page(out: str | Path, render: Callable[[Assets], str]) -> Path:

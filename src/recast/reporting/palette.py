@@ -16,21 +16,18 @@ PLAN: Colour = (94, 226, 160)
 LOGGED: Colour = (150, 160, 176)
 COLLISION: Colour = (255, 82, 82)
 TEXT: Colour = (232, 236, 242)
-
 GROUND: Colour = (22, 25, 31)
 GRID: Colour = (32, 36, 44)
 DRIVABLE: Colour = (46, 52, 62)
 BOUNDARY: Colour = (104, 114, 130)
 CENTRELINE: Colour = (78, 88, 104)
 ROUTE: Colour = (70, 96, 130)
-
 SHARES: Mapping[str, Colour] = {
     "seen": (40, 130, 220),
     "mirrored": (245, 205, 60),
     "invented": (214, 60, 90),
 }
 """Where a vehicle's looks come from; told apart by people who cannot tell red, green or blue."""
-
 ARMS: tuple[Colour, ...] = (
     (133, 104, 224),
     (16, 150, 140),

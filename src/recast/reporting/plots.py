@@ -1,4 +1,4 @@
-"""Curves of a scenario over time."""
+"""What happens over time in a rollout, as series and as curves."""
 
 from __future__ import annotations
 
@@ -6,16 +6,75 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
+from recast.arrays import Array
+from recast.evaluation.collision import CAP, TOUCHING
 from recast.evaluation.comfort import LIMITS
-from recast.evaluation.ttc import CAP
+from recast.geometry import boxes, se2
 from recast.reporting import palette
 from recast.reporting.figure import INK, Figure, Plot
-from recast.reporting.series import Series
 from recast.simulation.coverage import RolloutCoverage
+from recast.simulation.rollout import Rollout
 
-Array = NDArray[np.float64]
+
+@dataclass(frozen=True)
+class Series:
+    """Per state k = 0..S of a rollout.
+
+    Attributes:
+        time: (S+1,) seconds from the start.
+        ego_speed, log_ego_speed, actor_speed: (S+1,) m/s.
+        acceleration: (S+1,) longitudinal, of the ego, m/s^2.
+        gap: (S+1,) metres between the two boxes seen from above; 0 where they overlap.
+        contact: (S+1,) bool, whether they overlap, as NC counts it.
+        plan_time: (C,) seconds at which each plan was made.
+    """
+
+    time: Array
+    ego_speed: Array
+    log_ego_speed: Array
+    actor_speed: Array
+    acceleration: Array
+    gap: Array
+    contact: NDArray[np.bool_]
+    plan_time: Array
+
+    @property
+    def collision_step(self) -> int | None:
+        """First state with contact, or None."""
+        steps = np.flatnonzero(self.contact)
+        return int(steps[0]) if len(steps) else None
+
+
+def series(rollout: Rollout) -> Series:
+    """Curves of a rollout."""
+    ego = rollout.ego
+    boxes_of_ego = rollout.ego_boxes
+    actor = rollout.actor[:, :3]
+    overlap = boxes.bev_overlap_area(boxes_of_ego, rollout.ego_size, actor, rollout.actor_size)
+    distance = shapely.distance(
+        shapely.polygons(boxes.bev_corners(boxes_of_ego, *rollout.ego_size)),
+        shapely.polygons(boxes.bev_corners(actor, *rollout.actor_size[:2])),
+    )
+    return Series(
+        time=np.arange(len(ego), dtype=np.float64) * rollout.dt,
+        ego_speed=np.hypot(ego[:, 3], ego[:, 4]),
+        log_ego_speed=rollout.log_ego[:, 3],
+        actor_speed=rollout.actor[:, 3],
+        acceleration=ego[:, 5],
+        gap=np.asarray(distance, np.float64),
+        contact=overlap > TOUCHING,
+        plan_time=rollout.plan_steps.astype(np.float64) * rollout.dt,
+    )
+
+
+def planned_paths(rollout: Rollout) -> Array:
+    """World points (C, 41, 2) of each plan, its own ego position first."""
+    start = rollout.ego[rollout.plan_steps, :3]
+    world = se2.compose(start[:, None, :], rollout.predictions)
+    return np.concatenate([start[:, None, :2], world[..., :2]], axis=1)
 
 
 @dataclass(frozen=True)
@@ -130,9 +189,11 @@ def _acceleration(arms: Sequence[Curves], longest: Series) -> _Drawn:
     low, high = LIMITS["lon_accel"]
     every = np.concatenate([m.series.acceleration for m in arms])
     figure = Figure(
-        float(longest.time[-1]), min(low, float(every.min())) - 0.8,
-        max(high, float(every.max())) + 0.8, "acceleration [m/s²]",
-    )  # fmt: skip
+        float(longest.time[-1]),
+        min(low, float(every.min())) - 0.8,
+        max(high, float(every.max())) + 0.8,
+        "acceleration [m/s²]",
+    )
     figure.level(low, f"comfort: {low:g}")
     figure.level(high, f"comfort: {high:g}")
     for arm, width in _with_widths(arms):

@@ -9,13 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from recast.cores import usable_cores
+from recast.crews.crew import usable_cores
 from recast.logs.hdmap import HdMap
 from recast.reporting import summary, tables
-from recast.reporting.assets import Assets
-from recast.reporting.checks import checks
-from recast.reporting.coverage_view import coverage_lines
-from recast.reporting.glance import glance
+from recast.reporting.checks import checks, coverage_lines, glance
 from recast.reporting.inputs import (
     NOT_MADE,
     ActorPart,
@@ -23,12 +20,13 @@ from recast.reporting.inputs import (
     ObservationPart,
     ReportInputs,
     ScenePart,
+    ShowcasePart,
+    TruthPart,
 )
-from recast.reporting.map_layer import MapLayer
-from recast.reporting.page import render_template, write_page
+from recast.reporting.marks import MapLayer
+from recast.reporting.page import Assets, render_template, write_page
 from recast.reporting.scenario_view import ScenarioView, scenario_view
 from recast.reporting.truth import truth_view
-from recast.reporting.truth_inputs import ShowcasePart, TruthPart
 
 
 def write_report(run: ReportInputs, out: str | Path) -> Path:

@@ -10,12 +10,13 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from recast.core.errors import printable
 from recast.dynamics import state as ego
-from recast.errors import printable
-from recast.evaluation.collision import TOUCHING, overlap_areas
+from recast.evaluation.collision import TOUCHING
+from recast.geometry import boxes
 from recast.simulation import PreparedRollout, RolloutSetup, ScriptedMotion, ego_centre
-from recast.simulation.scenario import scenario_name
-from recast.simulation.scenario_schema import scenario_numbers
+from recast.simulation.scenario import scenario_numbers
+from recast.simulation.scenario_names import scenario_name
 from recast.simulation.start_checks import ON_ROAD, on_road_shares, surveyed_road
 
 
@@ -54,7 +55,7 @@ def scenario_facts(setup: RolloutSetup, prepared: PreparedRollout) -> ScenarioFa
     actor, vehicle, size = prepared.actor, setup.vehicle, setup.track.size
     s, lateral = prepared.route.project(actor)
     logged = ego_centre(prepared.log_ego[:, :3], vehicle.centre_offset)
-    overlap = overlap_areas(logged, (vehicle.length, vehicle.width), actor[:, :3], size)
+    overlap = boxes.bev_overlap_area(logged, (vehicle.length, vehicle.width), actor[:, :3], size)
     shares = on_road_shares(surveyed_road(setup.hdmap), actor[:, :3], size)
     bumper = float(prepared.route.project(prepared.ego)[0]) + vehicle.front_length
     first = setup.log.world_from_rig.timestamps_us[0]

@@ -5,18 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recast.arrays import Array, Image
 from recast.geometry import boxes
 from recast.reporting import palette
 from recast.reporting.canvas import Canvas, View, dashed
-from recast.reporting.map_layer import MapLayer
-from recast.reporting.map_marks import draw_car, draw_scale_bar, fitted_view
+from recast.reporting.marks import MapLayer, draw_car, draw_scale_bar, fitted_view
 from recast.reporting.scenario_facts import ScenarioFacts
 from recast.simulation import PreparedRollout, RolloutSetup, ego_centre
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 _WIDTH, _MAX_HEIGHT = 1600, 620
 _HEADER = 92  # pixels
@@ -138,9 +134,12 @@ def _road_end(canvas: Canvas, setup: RolloutSetup, prepared: PreparedRollout) ->
     if 0 <= below[0] < canvas.view.width:
         right = below[0] > canvas.view.width - 200
         canvas.text(
-            (below[0], below[1] + 6), "recorded road ends", palette.COLLISION, 17,
+            (below[0], below[1] + 6),
+            "recorded road ends",
+            palette.COLLISION,
+            17,
             "rt" if right else "mt",
-        )  # fmt: skip
+        )
 
 
 def _gap(
@@ -161,9 +160,12 @@ def _gap(
     x, y = canvas.view.pixels(prepared.route.pose(s[10], side))
     below = canvas.view.pixels(prepared.route.pose(s[10]))[1] < y
     canvas.text(
-        (x, y + (6 if below else -6)), f"gap {facts.gap:.1f} m", palette.TEXT, 18,
+        (x, y + (6 if below else -6)),
+        f"gap {facts.gap:.1f} m",
+        palette.TEXT,
+        18,
         "mt" if below else "mb",
-    )  # fmt: skip
+    )
 
 
 def _labels(canvas: Canvas, poses: Array, size: Array, *, above: bool) -> None:

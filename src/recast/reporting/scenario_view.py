@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from recast.reporting import drives_compared, palette, plots, summary, tables
-from recast.reporting.assets import Assets, Media
+from recast.reporting import palette, plots, summary, tables
 from recast.reporting.birdseye import Birdseye, BirdseyeStyle
-from recast.reporting.cameras import camera_towards, filmed_cameras
-from recast.reporting.coverage_view import coverage_lines, coverage_note, looked_at
+from recast.reporting.checks import coverage_lines, coverage_note, looked_at
 from recast.reporting.inputs import ActorPart, NotMade, ReportInputs, RolloutPart, ScenarioPart
-from recast.reporting.map_layer import MapLayer
-from recast.reporting.moment_strip import Strip, moment_strip
+from recast.reporting.marks import MapLayer
+from recast.reporting.moment_strip import Strip, camera_towards, filmed_cameras, moment_strip
+from recast.reporting.page import Assets, Media
 from recast.simulation.rollout import Rollout
 
 
@@ -129,8 +128,8 @@ def scenario_view(
         notes=tuple(
             note
             for note in (
-                drives_compared.driving_note(part, run.arms),
-                drives_compared.truth_gaps(run, part),
+                summary.driving_note(part, run.arms),
+                summary.truth_gaps(run, part),
             )
             if note is not None
         )

@@ -1,20 +1,13 @@
-"""Metric tables: what each number is, and how it is written."""
+"""Metric tables and the scores of a scene: what each number is, and how it is written."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
-from recast.evaluation import (
-    COLUMNS,
-    Metric,
-    RolloutMetrics,
-    TableRow,
-    matched_pairs,
-    table,
-)
-from recast.reporting.inputs import NotMade, ScenarioPart
+from recast.evaluation import COLUMNS, Metric, RolloutMetrics, TableRow, matched_pairs, table
+from recast.reporting.inputs import Fact, ImageScore, NotMade, ScenarioPart
 from recast.simulation.rollout import RolloutFailure
 
 Tone = Literal["good", "bad", "warn", "plain"]
@@ -39,8 +32,8 @@ DEFINITIONS: Mapping[str, str] = {
     "com_nuplan_savgol": "Comfort with nuPlan's six checks on smoothed signals.",
 }
 """By key of `recast.evaluation.COLUMNS`; higher is better for all."""
-
 _SHORT_TTC = 1.0  # seconds: below, a driver hardly reacts
+MOVING = "what moves: boxes, length and width x 1.5"
 
 
 @dataclass(frozen=True)
@@ -225,3 +218,46 @@ def _counted(count: int, noun: str) -> str:
 def digits(key: str) -> int:
     """Digits behind the point of a metric, a key of `COLUMNS`, in its column's unit."""
     return 2 if COLUMNS[key].unit == "s" else 1
+
+
+def score_lines(evaluation: Mapping[str, Any]) -> tuple[ImageScore, ...]:
+    """Held-out images: whole, what moves, and inside the box of each track.
+
+    Args:
+        evaluation: the contents of eval.json; those of version 1 have no moving pixels.
+    """
+    frames = evaluation["frames"]
+    lines = [ImageScore("whole image", evaluation["psnr"], len(frames), evaluation["ssim"])]
+    moving = evaluation.get("moving")
+    if moving is not None:
+        seen = sum(frame["moving"] is not None for frame in frames)
+        lines.append(ImageScore(MOVING, moving["psnr"], seen, moving["ssim"]))
+    for track, value in evaluation["box_psnr_by_track"].items():
+        seen = sum(track in frame["boxes"] for frame in frames)
+        lines.append(ImageScore(f"inside the box of track {track}", value, seen))
+    return tuple(lines)
+
+
+def depth_facts(evaluation: Mapping[str, Any]) -> tuple[Fact, ...]:
+    """The scene's depth against the LiDAR; nothing where the log has no sweep at these images.
+
+    Args:
+        evaluation: the contents of eval.json; those of version 1 have no depth.
+    """
+    depth = evaluation.get("depth")
+    if depth is None:
+        return ()
+    seen = sum(frame["depth"] is not None for frame in evaluation["frames"])
+    return (
+        Fact("Median error", f"{depth['median_abs_m']:.3f} m", f"{seen} images"),
+        Fact(
+            "Mean error",
+            f"{depth['mean_abs_m']:.2f} m",
+            f"{100 * depth['mean_relative']:.1f} % of the distance",
+        ),
+        Fact(
+            "No surface",
+            f"{100 * depth['missing']:.1f} %",
+            f"of {depth['points']:,} points, measured {depth['lag_ms']:.0f} ms from the image",
+        ),
+    )

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from PIL import Image as PilImage
 from PIL import ImageDraw, ImageFont
 
-from recast.errors import InputError
-from recast.storage import atomic_file
-
-Frame = NDArray[np.uint8]
+from recast.arrays import Image
+from recast.core.errors import InputError
+from recast.core.files import atomic_file
 
 _BT709 = 1  # code point shared by primaries, transfer and matrix in ITU-T H.273
 _LIMITED_RANGE = 1
@@ -65,7 +64,7 @@ class VideoWriter:
         )
         return self
 
-    def add(self, frame: Frame) -> None:
+    def add(self, frame: Image) -> None:
         """Append one frame (H, W, 3) uint8 RGB.
 
         Raises:
@@ -127,14 +126,14 @@ class VideoWriter:
         self._stack.__exit__(kind, error, traceback)
 
 
-def write_video(path: str | Path, frames: Iterable[Frame], fps: float = 10.0) -> None:
+def write_video(path: str | Path, frames: Iterable[Image], fps: float = 10.0) -> None:
     """Write frames (H, W, 3) uint8 RGB to an MP4; see `VideoWriter`."""
     with VideoWriter(path, fps) as writer:
         for frame in frames:
             writer.add(frame)
 
 
-def iterate_video(path: str | Path) -> Iterator[Frame]:
+def iterate_video(path: str | Path) -> Iterator[Image]:
     """Decode a film frame by frame: (H, W, 3) uint8 RGB.
 
     Raises:
@@ -159,11 +158,11 @@ def _decoded(path: str | Path) -> Iterator[Iterator[av.VideoFrame]]:
         ) from error
 
 
-def _rgb(frame: av.VideoFrame) -> Frame:
+def _rgb(frame: av.VideoFrame) -> Image:
     return np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
 
 
-def film_frames(path: str | Path, steps: Iterable[int]) -> dict[int, Frame]:
+def film_frames(path: str | Path, steps: Iterable[int]) -> dict[int, Image]:
     """Decode some frames of a film: step to (H, W, 3) uint8 RGB.
 
     A step beyond the end gives the last frame.
@@ -240,7 +239,7 @@ def side_by_side(films: Sequence[str | Path], out: str | Path, labels: Sequence[
                 current[i] = current[i] if following is None else following
 
 
-def _in_rows(frames: Sequence[Frame]) -> Frame:
+def _in_rows(frames: Sequence[Image]) -> Image:
     """Frames of one height beside each other, black where a row is not full."""
     rows = []
     for first in range(0, len(frames), _ACROSS):
@@ -252,7 +251,7 @@ def _in_rows(frames: Sequence[Frame]) -> Frame:
     )
 
 
-def _bar(frame: Frame) -> Frame:
+def _bar(frame: Image) -> Image:
     return np.zeros((frame.shape[0], _GAP, 3), np.uint8)
 
 
@@ -261,20 +260,22 @@ def _common_fps(films: Sequence[str | Path]) -> float:
     for film, rate in zip(films[1:], others, strict=True):
         if rate != first:
             raise InputError(
-                film, "frame rate", f"is {rate:g}, that of the first film {first:g}",
+                film,
+                "frame rate",
+                f"is {rate:g}, that of the first film {first:g}",
                 "render both alike",
-            )  # fmt: skip
+            )
     return first
 
 
-def _even(frame: Frame) -> Frame:
+def _even(frame: Image) -> Image:
     height, width = frame.shape[:2]
     if height % 2 or width % 2:
         frame = np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
     return np.ascontiguousarray(frame)
 
 
-def _to_height(frame: Frame, height: int) -> Frame:
+def _to_height(frame: Image, height: int) -> Image:
     if frame.shape[0] == height:
         return frame
     width = round(frame.shape[1] * height / frame.shape[0])
@@ -282,13 +283,13 @@ def _to_height(frame: Frame, height: int) -> Frame:
     return np.asarray(scaled, np.uint8)
 
 
-def _labelled(frame: Frame, label: str, ended: bool) -> Frame:
+def _labelled(frame: Image, label: str, ended: bool) -> Image:
     text = " ".join(label.split()) + (" (ended)" if ended else "")
     return np.concatenate([_strip(text, frame.shape[1]), frame], axis=0)
 
 
 @lru_cache(maxsize=16)
-def _strip(text: str, width: int) -> Frame:
+def _strip(text: str, width: int) -> Image:
     strip = PilImage.new("RGB", (width, _LABEL_HEIGHT), _LABEL_BACKGROUND)
     ImageDraw.Draw(strip).text(
         (10, _LABEL_HEIGHT // 2), text, _LABEL_TEXT, ImageFont.load_default(15), anchor="lm"

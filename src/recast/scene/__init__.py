@@ -3,14 +3,12 @@
 from recast.scene.config import SceneConfig, read_config, write_config
 from recast.scene.evaluate import evaluate_scene
 from recast.scene.evaluate_record import FrameScore, SceneEvaluation
-from recast.scene.evaluate_regions import RegionScore
 from recast.scene.evaluate_shifts import SHIFTS, ShiftedView, ShiftScores, ViewShift
 from recast.scene.export import export_scene, export_scene_at
-from recast.scene.image_metrics import psnr, ssim
 from recast.scene.presets import Preset, resolve_config
-from recast.scene.progress import ProgressCallback, TrainingDisplay, TrainingStatus
 from recast.scene.render import SceneImage, SceneRasterizer, render_scene
-from recast.scene.run_identity import read_training_config
+from recast.scene.run import ProgressCallback, TrainingDisplay, TrainingStatus, read_training_config
+from recast.scene.scores import RegionScore, psnr, ssim
 from recast.scene.sky import SkyMap
 from recast.scene.store import load_scene, save_scene
 from recast.scene.street_scene import SceneActor, StreetScene

@@ -21,7 +21,8 @@ import torch
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from recast.errors import InputError
+from recast.arrays import Array
+from recast.core.errors import InputError
 from recast.logs import Track
 from recast.logs.checks import WORLD_REACH, check_times
 from recast.scene.config import SceneConfig
@@ -35,7 +36,6 @@ from recast.scene.skinning import (
 )
 from recast.splats import morton_order
 
-Array = NDArray[np.float64]
 Members = Mapping[str, NDArray[Any]]
 
 MOST_VERTICES, MOST_SHAPES = 200_000, 1000
@@ -80,9 +80,11 @@ def read_bodies(config: SceneConfig, tracks: Mapping[str, Track]) -> dict[str, B
     for track_id in names:
         if track_id not in tracks:
             raise InputError(
-                poses_path, f"track {track_id!r}", "is no actor of the scene",
+                poses_path,
+                f"track {track_id!r}",
+                "is no actor of the scene",
                 "take it out, or name it in force_dynamic",
-            )  # fmt: skip
+            )
         try:
             found[track_id] = _body(model, poses, tracks[track_id])
         except ValueError as error:
@@ -104,9 +106,10 @@ def _body(model: Members, poses: Members, track: Track) -> Body:
     check_times("timestamps_us", stamps)
     joints = len(model["parents"])
     expected = {
-        "global_orient": (len(times), 3), "body_pose": (len(times), joints - 1, 3),
+        "global_orient": (len(times), 3),
+        "body_pose": (len(times), joints - 1, 3),
         "transl": (len(times), 3),
-    }  # fmt: skip
+    }
     for part, shape in expected.items():
         if parts[part].shape != shape:
             raise ValueError(f"{part}: expected {shape}, got {parts[part].shape}")
@@ -120,9 +123,12 @@ def _body(model: Members, poses: Members, track: Track) -> Body:
     places = model["J_regressor"] @ vertices
     rotations = np.concatenate([parts["global_orient"][:, None], parts["body_pose"]], axis=1)
     quats, shifts = in_box_frame(
-        rotations.astype(np.float64), parts["transl"].astype(np.float64), places[0],
-        track.trajectory, stamps,
-    )  # fmt: skip
+        rotations.astype(np.float64),
+        parts["transl"].astype(np.float64),
+        places[0],
+        track.trajectory,
+        stamps,
+    )
     # In the order that first Gaussians have.
     order = morton_order(torch.from_numpy(vertices).float())
     weights = torch.from_numpy(model["weights"]).float()[order]
@@ -146,9 +152,12 @@ def _read_model(path: Path) -> Members:
         problem = f"have {vertices} vertices, {joints} joints and {shapes} shapes"
         raise InputError(path, "members", problem, _MODEL_MEND)
     expected = {
-        "v_template": (vertices, 3), "shapedirs": (vertices, 3, shapes),
-        "J_regressor": (joints, vertices), "weights": (vertices, joints), "parents": (joints,),
-    }  # fmt: skip
+        "v_template": (vertices, 3),
+        "shapedirs": (vertices, 3, shapes),
+        "J_regressor": (joints, vertices),
+        "weights": (vertices, joints),
+        "parents": (joints,),
+    }
     for name, shape in expected.items():
         if found[name].shape != shape:
             problem = f"expected {shape}, got {found[name].shape}"

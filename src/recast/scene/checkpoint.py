@@ -11,10 +11,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import GroundHeight
 from recast.scene.initialise import Initialisation
-from recast.scene.lidar import DepthSamples
+from recast.scene.points import DepthSamples
 from recast.scene.sky import SkyMap
 from recast.scene.tensor_file import read_tensors, write_tensors
 from recast.scene.trainable import rows

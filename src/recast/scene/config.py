@@ -7,17 +7,27 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from recast.records import parse_record
+from recast.core.files import read_json, write_json
+from recast.core.records import parse_record
 from recast.scene.method_config import MethodConfig
-from recast.storage import read_json, write_json
 
 CONFIG_VERSION = 1
 _YOUNGEST = (
-    "densify_by", "actor_densify_by", "actor_densify_gradient", "densify_pause",
-    "deformable", "deformation_layers", "deformation_width", "deformation_bands",
-    "deformation_time_bands", "deformation_code", "deformation_lr", "deformation_from",
-    "smpl_model", "smpl_poses",
-)  # fmt: skip
+    "densify_by",
+    "actor_densify_by",
+    "actor_densify_gradient",
+    "densify_pause",
+    "deformable",
+    "deformation_layers",
+    "deformation_width",
+    "deformation_bands",
+    "deformation_time_bands",
+    "deformation_code",
+    "deformation_lr",
+    "deformation_from",
+    "smpl_model",
+    "smpl_poses",
+)
 
 
 class SceneConfig(MethodConfig):

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from recast.splats import Gaussians, RasterMeta
-from recast.splats.rotations import quat_to_matrix
+from recast.splats.gaussians import quat_to_matrix
 
 SPLIT_SHRINK = 1.6
 

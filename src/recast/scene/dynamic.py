@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from recast.errors import InputError
+from recast.arrays import Array
+from recast.core.errors import InputError
 from recast.geometry import boxes
 from recast.logs import DrivingLog, Track, Trajectory, all_track_points
+from recast.scene.appearance import ARTICULATED, DEFORMABLE
 from recast.scene.config import SceneConfig
-from recast.scene.mirror import ARTICULATED, DEFORMABLE
 from recast.scene.views import View, read_places
-
-Array = NDArray[np.float64]
 
 MOVED_M = 2.0
 SPREAD_M = 0.5

@@ -6,17 +6,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recast.arrays import Array, Image
+from recast.core.names import folder_name
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.logs import DrivingLog
-from recast.names import folder_name
 from recast.scene.dynamic import pose_at
-from recast.scene.evaluate_regions import RegionScore, mean_score
+from recast.scene.scores import RegionScore, mean_score
 from recast.scene.views import View, scaled_camera
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 CAMERA_CLEARANCE_M = 0.3
 """Between a shifted camera and any labelled box."""

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from recast.errors import InputError
-from recast.names import folder_name
-from recast.scene.sky_image import write_sky
+from recast.core.errors import InputError
+from recast.core.files import atomic_folder, write_json
+from recast.core.names import folder_name
+from recast.scene.sky import write_sky
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.splats import write_ply
-from recast.storage import atomic_folder, write_json
 
 EXPORT_VERSION = 1
 EXPORT_FORMAT = "recast-scene-export"
@@ -76,9 +76,11 @@ def export_scene_at(scene: StreetScene, folder: str | Path, seconds: float) -> i
     first, last = scene_interval(scene)
     if not 0 <= seconds * 1e6 <= last - first:
         raise InputError(
-            "command line", "--time", f"{seconds:g} s is not within the scene's times",
+            "command line",
+            "--time",
+            f"{seconds:g} s is not within the scene's times",
             f"name one from 0 to {(last - first) / 1e6:g}",
-        )  # fmt: skip
+        )
     timestamp_us = first + round(seconds * 1e6)
     poses = scene.actor_poses(timestamp_us)
     with atomic_folder(folder) as partial:
@@ -106,9 +108,11 @@ def scene_interval(scene: StreetScene) -> tuple[int, int]:
     times = np.concatenate([np.zeros(0, np.int64), *known])
     if len(times) == 0:
         raise InputError(
-            scene.log_name or "scene", "times", "there are none, since nothing moves",
+            scene.log_name or "scene",
+            "times",
+            "there are none, since nothing moves",
             "export it without a time",
-        )  # fmt: skip
+        )
     return int(times.min()), int(times.max())
 
 

@@ -1,10 +1,11 @@
-"""One training view at one resolution: kept small, and laid out for the losses when it is its turn.
+"""Training views at the resolutions of a run: kept small, laid out for the losses when in turn.
 
 A view waits with 3 bytes a pixel of colour, one bit a pixel for each mask, and 8 bytes a depth.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -13,11 +14,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from recast.arrays import Mask
 from recast.geometry import PinholeCamera
-from recast.scene.lidar import DepthSamples
+from recast.scene.config import SceneConfig
+from recast.scene.first_points import near_samples
+from recast.scene.initialise import Initialisation
+from recast.scene.points import DepthSamples
 from recast.scene.views import View
-
-Mask = NDArray[np.bool_]
 
 MAX_DEPTHS = 12_000
 
@@ -133,3 +136,29 @@ def _wholly(mask: Mask, size: tuple[int, int]) -> Mask:
     area = cv2.resize(mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
     whole: Mask = area == 255
     return whole
+
+
+def make_levels(
+    config: SceneConfig, views: Sequence[View], start: Initialisation
+) -> dict[int, list[StoredLevel]]:
+    """By factor of `schedule.coarse_factor`, the training views in order."""
+    factors = set(config.coarse_factors) if config.coarse_fraction > 0 else set()
+    levels: dict[int, list[StoredLevel]] = {factor: [] for factor in sorted(factors | {1})}
+    for view, pixels, samples in zip(views, start.sky_pixels, start.depths, strict=True):
+        sky = np.zeros((view.camera.height, view.camera.width), bool)
+        sky.reshape(-1)[pixels] = True
+        ground = _ground(config, view, sky, samples)
+        for factor, own in levels.items():
+            own.append(make_level(view, sky, ground, samples, factor))
+    return levels
+
+
+def _ground(config: SceneConfig, view: View, sky: Mask, samples: DepthSamples) -> Mask | None:
+    """Pixels that are surely no sky: all others, as far as they count.
+
+    The guessed sky errs on the small side; then only pixels near a LiDAR return are sure.
+    """
+    if config.sky_loss != "entropy" and config.solid_weight == 0:
+        return None
+    ground = ~sky if view.mask is None else view.mask & ~sky
+    return ground & near_samples(view, samples) if config.sky_mask == "heuristic" else ground

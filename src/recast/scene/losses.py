@@ -1,4 +1,4 @@
-"""Training losses. The photometric one is fused; `image_metrics.ssim_map` is its plain twin."""
+"""Training losses. The photometric one is fused; `scores.ssim_map` is its plain twin."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from recast.scene.image_metrics import C1, C2, WINDOW, ssim_map, window
+from recast.arrays import Float32Array
+from recast.scene.scores import C1, C2, WINDOW, ssim_map, window
 
-Float32Array = NDArray[np.float32]
 DepthError = Literal["relative", "metric", "inverse"]
 
 NEAREST_M = 0.5

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from recast.records import Record
+from recast.core.records import Record
 from recast.scene.deformation import MOST_BANDS, MOST_CODE, MOST_LAYERS, MOST_WIDTH
 from recast.scene.densify import Measure
 

@@ -1,4 +1,4 @@
-"""What a step minimises: a rendered view against the recorded one."""
+"""What a step minimises: a view against the recorded one, and what keeps a scene plausible."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from torch import Tensor
 
 from recast.geometry import boxes
 from recast.scene.config import SceneConfig
-from recast.scene.drawn import Drawn
 from recast.scene.levels import Level
-from recast.scene.losses import (
-    depth_loss,
-    photometric_loss,
-    sky_entropy,
-    sky_loss,
-    solid_loss,
-)
-from recast.scene.regularisers import actor_opacity
+from recast.scene.losses import depth_loss, photometric_loss, sky_entropy, sky_loss, solid_loss
+from recast.scene.poses import TrackPoses
 from recast.scene.street_scene import Array
-from recast.scene.trainable import rows
+from recast.scene.trainable import Drawn, rows
 from recast.splats import Gaussians, Rasterization, rasterize
+
+SHARPEST = 10.0
+"""Longest to shortest axis of a Gaussian that costs nothing (OmniRe)."""
+SHARP_SHAPE_EVERY = 10
+"""Steps between the costs of sharp shapes (OmniRe)."""
+SMOOTH_OVER = 5
+"""Track positions are compared with those up to this many labels before and after (OmniRe)."""
 
 
 def view_loss(
@@ -59,7 +59,7 @@ def view_loss(
 def actors_alone(
     drawn: Drawn, pose: Tensor, level: Level, placed: Sequence[tuple[Array, Tensor]]
 ) -> Tensor:
-    """`regularisers.actor_opacity` of a view's actors, rendered a second time without the rest.
+    """`actor_opacity` of a view's actors, rendered a second time without the rest.
 
     Args:
         pose: (4, 4) camera_from_world.
@@ -80,3 +80,60 @@ def actors_alone(
             right, bottom = np.ceil(np.maximum(rectangle[2:], 0)).astype(int)
             inside[top:bottom, left:right] = True
     return actor_opacity(alpha, torch.from_numpy(inside).to(alpha.device))
+
+
+def sharp_shape(log_scales: Tensor) -> Tensor:
+    """mean(max(longest / shortest axis, 10) - 10) of (N, 3) log scales: needles make streaks."""
+    ratio = (log_scales.amax(dim=1) - log_scales.amin(dim=1)).exp()
+    return (ratio - SHARPEST).clamp(min=0).mean()
+
+
+def actor_opacity(alpha: Tensor, inside: Tensor) -> Tensor:
+    """Opacity of the actors alone: all or nothing in their boxes, nothing beside them.
+
+    Street Gaussians' object term: -(a ln a + (1 - a) ln(1 - a)) inside, -ln(1 - a) outside, mean
+    over the image.
+
+    Args:
+        alpha: (H, W) of actors rendered without the background.
+        inside: (H, W) bool, in an actor's box.
+    """
+    a = alpha.clamp(1e-6, 1 - 1e-6)
+    empty = -(1 - a).log()
+    return torch.where(inside, -a * a.log() + (1 - a) * empty, empty).mean()
+
+
+class TrackSmoothness:
+    """How far tracks are from even motion: |x(t + k) + x(t - k) - 2 x(t)| for k = 1..5 labels.
+
+    Labels are not all evenly spaced (held-out ones are missing), so the middle is compared with the
+    place at its own time between the two others.
+    """
+
+    def __init__(self, poses: TrackPoses) -> None:
+        self._poses = poses
+        starts, middles, ends, weights = [], [], [], []
+        positions = [np.zeros((0, 3))]
+        for row, times, logged in poses.knots():
+            positions.append(logged)
+            for k in range(1, SMOOTH_OVER + 1):
+                middle = np.arange(k, len(times) - k)
+                before, after = times[middle - k], times[middle + k]
+                starts.append(row + middle - k)
+                middles.append(row + middle)
+                ends.append(row + middle + k)
+                weights.append((times[middle] - before) / (after - before))
+        self._positions = torch.from_numpy(np.concatenate(positions))
+        none = [np.zeros(0, np.int64)]
+        self._start, self._middle, self._end = (
+            torch.from_numpy(np.concatenate(none + part)) for part in (starts, middles, ends)
+        )
+        self._weight = torch.from_numpy(np.concatenate([np.zeros(0), *weights]))[:, None]
+
+    def loss(self) -> Tensor:
+        """Mean over labels and k, metres; 0 without a track of three labels."""
+        if len(self._middle) == 0:
+            return torch.zeros(())
+        x = self._positions + self._poses.table.value[:, :3].double()
+        between = torch.lerp(x[self._start], x[self._end], self._weight)
+        return 2 * (between - x[self._middle]).abs().sum(dim=1).mean().float()

@@ -16,12 +16,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.arrays import Array, Float32Array, Mask
 from recast.geometry import PinholeCamera
 from recast.scene.views import View
-
-Array = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 NEIGHBOURS = (-2, -1, 1, 2)
 

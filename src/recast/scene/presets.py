@@ -12,8 +12,8 @@ from typing import Any, Literal
 
 from pydantic import ValidationError
 
-from recast.errors import InputError
-from recast.records import validation_error
+from recast.core.errors import InputError
+from recast.core.records import validation_error
 from recast.scene.config import SceneConfig
 
 Preset = Literal["streetgs", "omnire"]
@@ -37,15 +37,28 @@ _RATES: dict[Preset, dict[str, float]] = {
     # Centres: 1.6e-4 times the scene's radius, which is 10 m (Street Gaussians' `extent`) and, of
     # the LiDAR's bounds in OmniRe, about 50 m.
     "streetgs": {
-        "means_lr": 1.6e-3, "quats_lr": 1e-3, "scales_lr": 5e-3, "opacities_lr": 0.05,
-        "colours_lr": 2.5e-3, "sky_lr": 0.01, "actor_pose_lr": 5e-4, "camera_pose_lr": 0.0,
+        "means_lr": 1.6e-3,
+        "quats_lr": 1e-3,
+        "scales_lr": 5e-3,
+        "opacities_lr": 0.05,
+        "colours_lr": 2.5e-3,
+        "sky_lr": 0.01,
+        "actor_pose_lr": 5e-4,
+        "camera_pose_lr": 0.0,
     },
     "omnire": {
-        "means_lr": 8e-3, "quats_lr": 1e-3, "scales_lr": 5e-3, "opacities_lr": 0.05,
-        "colours_lr": 2.5e-3, "sky_lr": 0.01, "actor_pose_lr": 5e-4, "camera_pose_lr": 1e-4,
-        "exposure_lr": 5e-4, "deformation_lr": 8e-4,
+        "means_lr": 8e-3,
+        "quats_lr": 1e-3,
+        "scales_lr": 5e-3,
+        "opacities_lr": 0.05,
+        "colours_lr": 2.5e-3,
+        "sky_lr": 0.01,
+        "actor_pose_lr": 5e-4,
+        "camera_pose_lr": 1e-4,
+        "exposure_lr": 5e-4,
+        "deformation_lr": 8e-4,
     },
-}  # fmt: skip
+}
 
 # Adaptive density control of 3DGS: every row above the threshold.
 _EVERY_ROW = {"densify_growth": 1e3, "densify_from": 1 / 60, "prune_opacity": 0.005}
@@ -54,37 +67,63 @@ _NOT_OURS = {"solid_weight": 0.0, "ground_tolerance_m": 0.0}
 
 _VALUES: dict[Preset, dict[str, Any]] = {
     "streetgs": {
-        "sky": "cubemap", "sky_loss": "entropy", "sky_weight": 0.05,
-        "sh_degree": 1, "fourier_terms": 5, "flip_probability": 0.2,
+        "sky": "cubemap",
+        "sky_loss": "entropy",
+        "sky_weight": 0.05,
+        "sh_degree": 1,
+        "fourier_terms": 5,
+        "flip_probability": 0.2,
         "coarse_fraction": 0.0,
-        "depth_error": "metric", "depth_keep": 0.95, "depth_weight": 0.1,
+        "depth_error": "metric",
+        "depth_keep": 0.95,
+        "depth_weight": 0.1,
         "actor_opacity_weight": 0.1,
-        **_NOT_OURS, **_EVERY_ROW, "densify_until": 25 / 30, "opacity_reset_until": 25 / 30,
-        "densify_by": "absolute_l1", "densify_gradient": 6e-4,
-        "actor_densify_by": "signed", "actor_densify_gradient": 2e-4,
-        "split_above_m": 0.1, "prune_above_m": 1.0,
+        **_NOT_OURS,
+        **_EVERY_ROW,
+        "densify_until": 25 / 30,
+        "opacity_reset_until": 25 / 30,
+        "densify_by": "absolute_l1",
+        "densify_gradient": 6e-4,
+        "actor_densify_by": "signed",
+        "actor_densify_gradient": 2e-4,
+        "split_above_m": 0.1,
+        "prune_above_m": 1.0,
         # Of a car of 4.5 m: 0.01 and 0.1 times max(1.5 l, 1.5 w, h) / 2.
-        "actor_split_above_m": 0.034, "actor_prune_above_m": 0.34,
+        "actor_split_above_m": 0.034,
+        "actor_prune_above_m": 0.34,
     },
     "omnire": {
-        "sky": "cubemap", "sky_loss": "entropy", "sky_weight": 0.05,
-        "sh_degree": 3, "deformable": True,
-        "coarse_fraction": 1 / 60, "coarse_factors": (4, 2),
-        "depth_error": "metric", "depth_keep": 1.0, "depth_weight": 0.01,
-        "sharp_shape_weight": 1.0, "track_smoothness_weight": 0.01,
+        "sky": "cubemap",
+        "sky_loss": "entropy",
+        "sky_weight": 0.05,
+        "sh_degree": 3,
+        "deformable": True,
+        "coarse_fraction": 1 / 60,
+        "coarse_factors": (4, 2),
+        "depth_error": "metric",
+        "depth_keep": 1.0,
+        "depth_weight": 0.01,
+        "sharp_shape_weight": 1.0,
+        "track_smoothness_weight": 0.01,
         "exposure_weight": 1e-5,
-        **_NOT_OURS, **_EVERY_ROW, "densify_until": 0.5,
+        **_NOT_OURS,
+        **_EVERY_ROW,
+        "densify_until": 0.5,
         # As at the published steps, a tenth of the run is left after the last one.
         "opacity_reset_until": 1 - RESET_EVERY,
         # A step an image, at least 100; a third of the time between resets holds 1000 images at the
         # published steps, and leaves short runs two changes of three.
         "densify_pause": 1 / 3,
-        "densify_by": "absolute_norm", "densify_gradient": 5e-4,
-        "actor_densify_by": "absolute_norm", "actor_densify_gradient": 5e-4,
-        "split_above_m": 0.15, "actor_split_above_m": 0.15,
-        "prune_above_m": 25.0, "actor_prune_above_m": 5.0,
+        "densify_by": "absolute_norm",
+        "densify_gradient": 5e-4,
+        "actor_densify_by": "absolute_norm",
+        "actor_densify_gradient": 5e-4,
+        "split_above_m": 0.15,
+        "actor_split_above_m": 0.15,
+        "prune_above_m": 25.0,
+        "actor_prune_above_m": 5.0,
     },
-}  # fmt: skip
+}
 
 
 def preset_values(name: Preset, iterations: int) -> dict[str, Any]:
@@ -115,9 +154,11 @@ def resolve_config(
     """
     if preset is not None and written is not None and written.is_whole():
         raise InputError(
-            "--preset", preset, "changes nothing: the configuration file names every field",
+            "--preset",
+            preset,
+            "changes nothing: the configuration file names every field",
             "leave one of the two out",
-        )  # fmt: skip
+        )
     named = {} if written is None else written.model_dump(include=written.model_fields_set)
     named |= {field: value for field, value in (options or {}).items() if value is not None}
     try:

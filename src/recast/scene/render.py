@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from recast.arrays import Array, Float32Array
 from recast.geometry import PinholeCamera
 from recast.scene.light.relight import rounded
 from recast.scene.sky import composite, pixel_coordinates
@@ -22,9 +22,6 @@ from recast.splats import (
     rasterize,
     refiltered,
 )
-
-Array = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
 
 Parts = list[tuple[Gaussians, LowPass]]
 """Pieces of an actor, actor-local, each with the filter that it was made for."""

@@ -16,13 +16,12 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 from torch.nn import functional
 
+from recast.arrays import Array
 from recast.geometry import se3
 from recast.logs import Trajectory
 from recast.logs.checks import check_times
 from recast.splats import Gaussians
-from recast.splats.gaussians import LARGEST
-
-Array = NDArray[np.float64]
+from recast.splats.gaussians import LARGEST, quat_multiply
 
 MOST_JOINTS, MOST_POSES = 256, 1_000_000
 UNIT_TOLERANCE = 1e-3
@@ -58,9 +57,13 @@ class Skinning:
         if not 1 <= joints <= MOST_JOINTS or not 1 <= times <= MOST_POSES:
             raise ValueError(f"{where}: {joints} joints and {times} poses")
         shapes = {
-            "weights": (count, joints), "joints": (joints, 3), "parents": (joints,),
-            "timestamps_us": (times,), "rotations": (times, joints, 4), "translations": (times, 3),
-        }  # fmt: skip
+            "weights": (count, joints),
+            "joints": (joints, 3),
+            "parents": (joints,),
+            "timestamps_us": (times,),
+            "rotations": (times, joints, 4),
+            "translations": (times, 3),
+        }
         for name, shape in shapes.items():
             value = getattr(self, name)
             if tuple(value.shape) != shape:
@@ -92,7 +95,7 @@ class Skinning:
         heaviest = turns[weights.argmax(dim=1)]
         signs = torch.sign(heaviest @ turns.T + 1e-9)
         turn = functional.normalize((weights * signs) @ turns, dim=1)
-        return replace(gaussians, means=means, quats=quat_product(turn, gaussians.quats))
+        return replace(gaussians, means=means, quats=quat_multiply(turn, gaussians.quats))
 
     def _joints_at(self, timestamp_us: int) -> tuple[Array, Array]:
         """Rest-to-box transforms (J, 3, 4) of the joints, and their rotations (J, 4)."""
@@ -166,13 +169,3 @@ def check_weights(where: str, weights: Array) -> None:
         raise ValueError(f"{where}.weights: a value is not within 0 and 1")
     if not np.all(np.abs(weights.sum(axis=1) - 1) < UNIT_TOLERANCE):
         raise ValueError(f"{where}.weights: a row does not add up to 1")
-
-
-def quat_product(first: Tensor, second: Tensor) -> Tensor:
-    """Hamilton product (N, 4) wxyz: the rotation `second`, then `first`."""
-    w, x, y, z = first.unbind(-1)
-    rows = [
-        torch.stack([w, -x, -y, -z], -1), torch.stack([x, w, -z, y], -1),
-        torch.stack([y, z, w, -x], -1), torch.stack([z, -y, x, w], -1),
-    ]  # fmt: skip
-    return (torch.stack(rows, dim=-2) @ second[..., None])[..., 0]

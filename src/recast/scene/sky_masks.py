@@ -1,4 +1,4 @@
-"""Where the sky masks of a training come from: a guess, files, or a segmentation network."""
+"""Sky masks of a training: a guess without a network, files, or a segmentation network."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from recast.errors import InputError
+from recast.arrays import Mask
+from recast.core.errors import InputError
 from recast.logs import DrivingLog
-from recast.logs.importers.image_files import image_size
+from recast.logs.images import image_size
 from recast.logs.importers.processed_folder import CAMERAS
 from recast.pretrained import PretrainedFolder
-from recast.scene.background_points import near_samples
 from recast.scene.config import SceneConfig
-from recast.scene.lidar import DepthSamples
-from recast.scene.sky_mask import Mask, sky_mask
+from recast.scene.first_points import near_samples
+from recast.scene.points import DepthSamples
 from recast.scene.views import View, fit_mask
 
 _FILE = re.compile(r"(\d+)_(.+)\.png", re.IGNORECASE)
@@ -89,9 +89,11 @@ def _read_mask(path: Path, width: int, height: int) -> Mask:
     found = image_size(path)
     if found != (width, height):
         raise InputError(
-            path, "size", f"is {found[0]}x{found[1]}, the image {width}x{height}",
+            path,
+            "size",
+            f"is {found[0]}x{found[1]}, the image {width}x{height}",
             "write a mask of the size of the recorded image",
-        )  # fmt: skip
+        )
     pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_GRAYSCALE)
     if pixels is None or pixels.shape != (height, width):
         raise InputError(path, "sky mask", "is no image, or cut short", "write it anew")
@@ -113,9 +115,11 @@ def _from_network(views: Sequence[View], folder: Path) -> Iterator[Mask]:
     if "sky" not in labels:
         known = ", ".join(sorted(labels)[:8])
         raise InputError(
-            folder, "config.json", f"names no class sky (there are {known})",
+            folder,
+            "config.json",
+            f"names no class sky (there are {known})",
             "take a network trained on Cityscapes or ADE20K",
-        )  # fmt: skip
+        )
     for view in views:
         with torch.inference_mode():
             outputs = network(**processor(images=view.image, return_tensors="pt"))
@@ -123,3 +127,49 @@ def _from_network(views: Sequence[View], folder: Path) -> Iterator[Mask]:
         classes = processor.post_process_semantic_segmentation(outputs, target_sizes=[size])[0]
         found: NDArray[np.bool_] = (classes == labels["sky"]).numpy()
         yield found
+
+
+def sky_mask(
+    image: NDArray[np.uint8],
+    occupied: Mask,
+    *,
+    brightness: float = 0.62,
+    gradient: float = 0.12,
+    margin: int = 1,
+) -> Mask:
+    """Guess the sky of one image.
+
+    A pixel is taken for sky where it is bright or clearly blue, its surroundings are smooth, no
+    LiDAR point is near, and a chain of such pixels leads to the top edge. Errs on the small side:
+    the sky loss only needs pixels that are surely sky.
+
+    Args:
+        image: (H, W, 3) RGB.
+        occupied: (H, W) pixels on or near a LiDAR return, hence not sky.
+        brightness: least value of the brightest channel.
+        gradient: largest step of the grey value across neighbouring pixels.
+        margin: pixels cut from the border of the region found.
+
+    Returns:
+        (H, W) bool.
+    """
+    rgb = image.astype(np.float32) / 255
+    brightest = rgb.max(-1)
+    blue = rgb[..., 2] - rgb[..., 0]
+    grey = rgb @ np.array([0.299, 0.587, 0.114], np.float32)
+    dx = cv2.Sobel(grey, cv2.CV_32F, 1, 0, ksize=3, scale=0.25)
+    dy = cv2.Sobel(grey, cv2.CV_32F, 0, 1, ksize=3, scale=0.25)
+    smooth = np.hypot(dx, dy) < gradient
+    # Foliage and walls lit by the sun are bright too, but warm: red above blue.
+    candidate = (brightest > brightness) & (blue > -0.02) & smooth & ~occupied
+    # Thin bright strips (frames of signs, lamps) touch the top edge too; the sky is wide.
+    square = np.ones((5, 5), np.uint8)
+    opened = cv2.dilate(cv2.erode(candidate.astype(np.uint8), square, borderValue=1), square)
+    wide = candidate & (opened > 0)
+    _, labels = cv2.connectedComponents(wide.astype(np.uint8), connectivity=4)
+    from_top = np.unique(labels[0])
+    mask = np.isin(labels, from_top[from_top > 0])
+    if margin:
+        kernel = np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)
+        mask = cv2.erode(mask.astype(np.uint8), kernel, borderValue=1).astype(bool)
+    return mask

@@ -12,26 +12,27 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.core.files import write_json
+from recast.core.names import folder_name, member
+from recast.core.records import Record, read_record
 from recast.logs import Trajectory
-from recast.names import folder_name, member
-from recast.records import Record, read_record
 from recast.scene.appearance import Appearance
 from recast.scene.deformation import Deformation
-from recast.scene.deformation_file import (
+from recast.scene.skinning import Skinning
+from recast.scene.sky import SkyMap
+from recast.scene.street_scene import Deforming, SceneActor, StreetScene
+from recast.scene.tensor_file import (
     BODIES_FILE,
     DEFORMATION_FILE,
     read_bodies_file,
     read_deformations,
+    read_tensors,
     write_bodies,
     write_deformations,
+    write_tensors,
 )
-from recast.scene.skinning import Skinning
-from recast.scene.sky import SkyMap
-from recast.scene.street_scene import Deforming, SceneActor, StreetScene
-from recast.scene.tensor_file import read_tensors, write_tensors
 from recast.splats import CLASSIC, Gaussians, LowPass, read_ply, write_ply
-from recast.storage import write_json
 
 SCENE_VERSION = 1
 SCENE_FILE = "scene.json"

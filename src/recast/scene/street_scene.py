@@ -9,8 +9,8 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from recast.arrays import Array, Int64Array
 from recast.logs import Trajectory
 from recast.logs.checks import BOX_SIDE, check_times
 from recast.scene.appearance import Appearance, share_of
@@ -18,9 +18,6 @@ from recast.scene.dynamic import pose_at, stands
 from recast.scene.poses import corrected
 from recast.scene.sky import SkyMap
 from recast.splats import CLASSIC, Gaussians, LowPass, concatenate
-
-Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
 
 MOST_CORRECTED = 100.0
 """Largest learned correction of a camera, metres or radians."""

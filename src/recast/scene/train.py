@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 import torch
 
-from recast.cores import usable_cores
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.core.files import alone_in, read_json, write_json
+from recast.core.records import read_record
+from recast.crews.crew import usable_cores
 from recast.logs import DrivingLog
-from recast.records import read_record
 from recast.scene.bodies import read_bodies
-from recast.scene.budget import BUDGET_FILE, BUDGET_VERSION, Budget, gaussian_budget, write_budget
 from recast.scene.checkpoint import (
     load_checkpoint,
     load_initialisation,
@@ -27,15 +27,21 @@ from recast.scene.checkpoint import (
 from recast.scene.config import SceneConfig
 from recast.scene.dynamic import choose_actors
 from recast.scene.evaluate import held_out_psnr
-from recast.scene.initialise import Initialisation, initialise
-from recast.scene.progress import ProgressCallback, TrainingStatus
-from recast.scene.run_identity import claim_folder
+from recast.scene.initialise import (
+    BUDGET_FILE,
+    BUDGET_VERSION,
+    Budget,
+    Initialisation,
+    gaussian_budget,
+    initialise,
+    write_budget,
+)
+from recast.scene.run import ProgressCallback, TrainingStatus, claim_folder
 from recast.scene.store import SCENE_FILE, load_scene, save_scene
 from recast.scene.street_scene import StreetScene
 from recast.scene.trainer import Trainer
 from recast.scene.views import View, read_views
 from recast.splats import pick_device, set_threads
-from recast.storage import alone_in, read_json, write_json
 
 WORK_FOLDER = "work"
 HISTORY_FILE = "history.json"

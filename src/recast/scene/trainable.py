@@ -1,4 +1,4 @@
-"""The parameters of a scene under training, laid out for speed.
+"""The parameters of a scene under training, laid out for speed, and what one view is made of.
 
 What the rasterizer reads is one buffer a field. The background's rows come first and *are* the
 background's parameters, so that nothing is copied; behind them is room for the actors, which are
@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from recast.scene.appearance import coloured
+from recast.scene.appearance import coloured, mirrored
 from recast.scene.densify import GradientStatistics, Measure
-from recast.scene.drawn import Drawn, Span
-from recast.scene.mirror import mirrored
 from recast.splats import Gaussians, RasterMeta, RowAdam, concatenate
 from recast.splats.sh import C0
 
@@ -31,6 +30,29 @@ COLOUR_LIMIT = 0.5 / C0
 """Keeps the constant colour in [0, 1]: below 0 the rasterizer's clamp kills the gradient."""
 REST_RATE = 0.05
 """View-dependent colour learns this much slower than the constant band (3DGS)."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """Rows of one present actor: `[first, last)` as drawn, `[start, stop)` among all actors' rows.
+
+    Attributes:
+        posed: its Gaussians in the world, with the graph back to the parameters and the pose.
+    """
+
+    first: int
+    last: int
+    start: int
+    stop: int
+    posed: Gaussians
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What one view sees: leaf Gaussians for the rasterizer, and where the actors are in them."""
+
+    gaussians: Gaussians
+    spans: tuple[Span, ...]
 
 
 class TrainableScene:
@@ -100,7 +122,7 @@ class TrainableScene:
 
         Args:
             shares: of each actor's time, where colours change with it.
-            flipped: (A,) bool, rows of actors to draw mirrored; see `recast.scene.mirror`.
+            flipped: (A,) bool, rows of actors to draw mirrored; see `recast.scene.appearance`.
             shapes: what moves the Gaussians of an actor within its box, differentiable.
         """
         first = len(self.background)

@@ -11,35 +11,35 @@ import torch
 from torch import Tensor
 
 from recast.logs import DrivingLog, Track
-from recast.scene.adam_table import AdamTable
-from recast.scene.appearance import frozen, share_of
+from recast.scene.appearance import frozen, share_of, symmetric_tracks
 from recast.scene.bodies import Body
-from recast.scene.chance import FLIPS, generator, picked_view
 from recast.scene.config import SceneConfig
-from recast.scene.deformable_nodes import DeformableNodes
-from recast.scene.density import DensitySchedule
-from recast.scene.drawn import Drawn
 from recast.scene.dynamic import box_rectangle
-from recast.scene.exposure import Exposures, exposed_scene
-from recast.scene.ground_sheet import SETTLE_EVERY, GroundSheet
 from recast.scene.initialise import Initialisation
-from recast.scene.level_set import make_levels
-from recast.scene.levels import Level
-from recast.scene.mirror import symmetric_tracks
-from recast.scene.objective import actors_alone, view_loss
-from recast.scene.population import change_population, reset_opacities
-from recast.scene.poses import CameraPoses, TrackPoses
-from recast.scene.regularisers import SHARP_SHAPE_EVERY, TrackSmoothness, sharp_shape
+from recast.scene.levels import Level, make_levels
+from recast.scene.objective import (
+    SHARP_SHAPE_EVERY,
+    TrackSmoothness,
+    actors_alone,
+    sharp_shape,
+    view_loss,
+)
+from recast.scene.population import SETTLE_EVERY, GroundSheet, change_population, reset_opacities
+from recast.scene.poses import AdamTable, CameraPoses, TrackPoses
 from recast.scene.schedule import (
+    FLIPS,
+    DensitySchedule,
     coarse_factor,
     exposure_rate,
     gaussian_rates,
+    generator,
+    picked_view,
     pose_factor,
     sky_rate,
 )
 from recast.scene.street_scene import Deforming, SceneActor, StreetScene
-from recast.scene.trainable import TrainableScene, copy
-from recast.scene.trainable_sky import make_sky
+from recast.scene.trainable import Drawn, TrainableScene, copy
+from recast.scene.trainable_parts import DeformableNodes, Exposures, exposed_scene, make_sky
 from recast.scene.views import View
 from recast.splats import Gaussians, rasterize
 

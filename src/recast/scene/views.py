@@ -10,14 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.errors import InputError
+from recast.arrays import Array, Image, Mask
+from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.logs import CameraStream, DrivingLog
 from recast.scene.config import SceneConfig
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

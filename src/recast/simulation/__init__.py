@@ -5,16 +5,11 @@ works without torch.
 """
 
 from recast.simulation.actor_motion import ActorMotion, AnyMotion, MotionInput, ScriptMotion
-from recast.simulation.batch import RolloutJob, error_fields, failure, run_batch
-from recast.simulation.controlled_actor import ControlledActor, RolloutOrigin
-from recast.simulation.ego_controller import EgoController, LqrController, PerfectController
+from recast.simulation.actors import PreparedActor, PreparedRollout, prepare
 from recast.simulation.idm_motion import Idm
-from recast.simulation.lift import RoadSurface
-from recast.simulation.log_replay import LogReplay
-from recast.simulation.motions import Advancing, CutIn, Oncoming, Stationary
-from recast.simulation.prepare import PreparedActor, PreparedRollout, prepare
-from recast.simulation.probe_path import probe_path
-from recast.simulation.recorded_road import Ending
+from recast.simulation.motions import Advancing, CutIn, LogReplay, Oncoming, Stationary
+from recast.simulation.plan_execution import EgoController, LqrController, PerfectController
+from recast.simulation.recorded_road import Ending, RoadSurface
 from recast.simulation.renderer import NullRenderer, SensorRenderer, camera_mount, camera_mounts
 from recast.simulation.rollout import (
     EGO_COLUMNS,
@@ -24,23 +19,31 @@ from recast.simulation.rollout import (
     ego_centre,
 )
 from recast.simulation.rollout_files import load_rollout, save_rollout
-from recast.simulation.rollout_loop import OnFrame, run_rollout
-from recast.simulation.scenario import MOTIONS, motion, parse_motions, scenario_name
-from recast.simulation.scenario_file import motion_of_record, read_scenario, scenario_record
-from recast.simulation.scenario_parts import (
+from recast.simulation.running import (
+    OnFrame,
+    RolloutJob,
+    error_fields,
+    failure,
+    probe_path,
+    run_batch,
+    run_rollout,
+)
+from recast.simulation.scenario import (
     BuiltInMotion,
     Scenario,
     ScenarioActor,
     ScriptedMotion,
     further_actors,
     replaced_tracks,
+    scenario_numbers,
     target_motion,
 )
-from recast.simulation.scenario_schema import scenario_numbers
+from recast.simulation.scenario_file import motion_of_record, read_scenario, scenario_record
+from recast.simulation.scenario_names import MOTIONS, motion, parse_motions, scenario_name
 from recast.simulation.setup import RolloutSettings, RolloutSetup
 from recast.simulation.simulator import Observation, Simulator, Timings
 from recast.simulation.situation import StartSituation
-from recast.simulation.state import SimActor, SimState
+from recast.simulation.state import ControlledActor, RolloutOrigin, SimActor, SimState
 
 __all__ = [
     "EGO_COLUMNS",

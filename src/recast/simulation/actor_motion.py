@@ -5,13 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol, TypeGuard
 
-import numpy as np
-from numpy.typing import NDArray
-
+from recast.arrays import Array
 from recast.planning import ActorState
 from recast.simulation.situation import StartSituation
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

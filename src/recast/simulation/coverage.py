@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.actors.coverage import LEAST_PIXELS, Coverage
+from recast.arrays import Array
 from recast.geometry import PinholeCamera, se3
 from recast.planning import CameraMount
-from recast.simulation.other_actors import other_poses
+from recast.simulation.actors import other_poses
 from recast.simulation.rollout import Rollout
 from recast.simulation.setup import RolloutSetup
-
-Array = NDArray[np.float64]
 
 SHARES = ("seen", "mirrored", "invented")
 _MOST_STEPS = int(1e9)  # as many as a rollout may have

@@ -6,15 +6,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recast.arrays import Array
 from recast.dynamics import IdmParameters, idm_acceleration
 from recast.geometry import boxes, se2
 from recast.planning import ActorState, ReferenceRoute
 from recast.simulation.actor_motion import MotionInput
 from recast.simulation.situation import StartSituation
-
-Array = NDArray[np.float64]
 
 DRIVER = IdmParameters(max_acceleration=1.5, max_deceleration=2.5, emergency_deceleration=8.0)
 """Accelerations of the driver; gap and headway are the motion's."""

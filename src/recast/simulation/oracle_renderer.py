@@ -7,18 +7,14 @@ from types import TracebackType
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recast.arrays import Array, Image
 from recast.geometry import PinholeCamera
 from recast.planning import CameraMount
 from recast.simulation.state import SimState
-from recast.synthetic.oracle import Oracle
-from recast.synthetic.oracle_pool import OraclePool
+from recast.synthetic.oracle import Oracle, OraclePool
 from recast.synthetic.rig import exposure, sensor_number
 from recast.synthetic.world import World
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 _STREAM = 701
 

@@ -1,4 +1,4 @@
-"""The recorded road: nothing is simulated where nothing was recorded."""
+"""The recorded road: nothing is simulated beside it, and it lifts planar poses into space."""
 
 from __future__ import annotations
 
@@ -9,18 +9,23 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from recast.errors import InputError
+from recast.arrays import Array
+from recast.core.errors import InputError
+from recast.geometry import se3
+from recast.logs.hdmap import GroundHeight
 from recast.logs.types import Trajectory
 from recast.planning import ReferenceRoute
 from recast.simulation.setup import RolloutSetup
-
-Array = NDArray[np.float64]
 
 _MIN_CYCLES = 2
 _BEHIND_START = 1.0
 """Metres that a position may lie before the route: a standing ego may roll back a little."""
 _BESIDE_LOGGED = 2.0
 """Metres from its own logged path within which an actor that follows it is on recorded road."""
+_SLOPE_SPAN = 5.0
+"""Metres before and behind a point over which the road's slope is measured."""
+SMOOTHING = 5
+"""Steps before and behind over which an actor's height is averaged: grids have cell edges."""
 
 
 class Ending(StrEnum):
@@ -110,3 +115,110 @@ def refuse_if_too_short(setup: RolloutSetup, steps: int, reason: str | None) -> 
             f"where at least {needed} are needed",
             "choose an earlier start, another motion or setting, or a longer log",
         )
+
+
+@dataclass(frozen=True)
+class RoadSurface:
+    """The road under the logged path, and the ground beside it where the map knows it.
+
+    Attributes:
+        route: gives the coordinate s of everything here.
+        s: (T,) increasing route coordinates of logged poses.
+        z, pitch, roll: (T,) of the logged rig there; the rig's origin lies on the ground.
+        ground: grid of ground heights, or None.
+    """
+
+    route: ReferenceRoute
+    s: Array
+    z: Array
+    pitch: Array
+    roll: Array
+    ground: GroundHeight | None = None
+
+    @classmethod
+    def from_log(
+        cls, log: Trajectory, route: ReferenceRoute, ground: GroundHeight | None
+    ) -> RoadSurface:
+        """Read heights and tilts off the logged ego poses."""
+        s, _ = route.project(log.poses[:, :2, 3])
+        # Standing still adds poses but no road; keep those that lie further on than all before.
+        reached = np.maximum.accumulate(np.concatenate([[-np.inf], s[:-1]]))
+        ahead = s > reached + 1e-3
+        pose = log.poses[ahead]
+        return cls(
+            route=route,
+            s=s[ahead],
+            z=pose[:, 2, 3],
+            pitch=-np.arcsin(np.clip(pose[:, 2, 0], -1.0, 1.0)),
+            roll=np.arctan2(pose[:, 2, 1], pose[:, 2, 2]),
+            ground=ground,
+        )
+
+    def ego_poses(self, poses: Array) -> Array:
+        """`world_from_rig` (..., 4, 4) of planar rear-axle poses (..., 3).
+
+        Height, pitch and roll are the logged ones at the nearest place of the route.
+        """
+        s, _ = self.route.project(poses)
+        z, pitch, roll = (
+            np.interp(s, self.s, values) for values in (self.z, self.pitch, self.roll)
+        )
+        cp, sp, cr, sr = np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
+        zero = np.zeros_like(cp)
+        tilt = np.stack(
+            [
+                np.stack([cp, sp * sr, sp * cr], axis=-1),
+                np.stack([zero, cr, -sr], axis=-1),
+                np.stack([-sp, cp * sr, cp * cr], axis=-1),
+            ],
+            axis=-2,
+        )
+        rotation = se3.rotation_z(poses[..., 2]) @ tilt
+        xyz = np.concatenate([poses[..., :2], z[..., None]], axis=-1)
+        return se3.from_rotation_translation(rotation, xyz)
+
+    def actor_poses(self, poses: Array, size: Array) -> Array:
+        """`world_from_actor` (T, 4, 4) of planar box-centre poses (T, 3) in the order of time.
+
+        The box stands on the ground: the mean height of the ground grid under its footprint, or of
+        the logged road where the grid knows less than half of that. It tilts with the slope of the
+        logged road, not with the ego's springs.
+        """
+        s, _ = self.route.project(poses)
+        z = np.interp(s, self.s, self.z)
+        if self.ground is not None:
+            known = self._ground_under(poses, size)
+            z = np.where(np.isnan(known), z, known)
+            padded = np.pad(z, SMOOTHING, mode="edge")
+            z = np.convolve(padded, np.full(2 * SMOOTHING + 1, 1 / (2 * SMOOTHING + 1)), "valid")
+        behind, ahead = np.clip([s - _SLOPE_SPAN, s + _SLOPE_SPAN], self.s[0], self.s[-1])
+        rise = np.interp(ahead, self.s, self.z) - np.interp(behind, self.s, self.z)
+        slope = rise / np.maximum(ahead - behind, 1e-6)
+        along = self.route.heading(s)
+        up = np.stack([-slope * np.cos(along), -slope * np.sin(along), np.ones_like(s)], axis=-1)
+        up /= np.linalg.norm(up, axis=-1, keepdims=True)
+        heading = poses[:, 2]
+        climb = slope * np.cos(heading - along)
+        forward = np.stack([np.cos(heading), np.sin(heading), climb], axis=-1)
+        forward /= np.linalg.norm(forward, axis=-1, keepdims=True)
+        rotation = np.stack([forward, np.cross(up, forward), up], axis=-1)
+        bottom = np.concatenate([poses[:, :2], z[:, None]], axis=-1)
+        return se3.from_rotation_translation(rotation, bottom + up * size[2] / 2)
+
+    def _ground_under(self, poses: Array, size: Array) -> Array:
+        """Mean ground height (T,) under footprints; NaN where less than half is known."""
+        assert self.ground is not None
+        x, y = np.meshgrid(np.linspace(-0.5, 0.5, 7) * size[0], np.linspace(-0.5, 0.5, 5) * size[1])
+        cos, sin = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+        points = np.stack(
+            [
+                poses[:, 0, None] + cos * x.ravel() - sin * y.ravel(),
+                poses[:, 1, None] + sin * x.ravel() + cos * y.ravel(),
+            ],
+            axis=-1,
+        )
+        heights = self.ground.at(points)
+        known = ~np.isnan(heights)
+        count = known.sum(axis=1)
+        mean = np.where(known, heights, 0.0).sum(axis=1) / np.maximum(count, 1)
+        return np.where(2 * count >= heights.shape[1], mean, np.nan)

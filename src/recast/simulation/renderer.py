@@ -6,16 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from recast.errors import InputError
+from recast.arrays import Array, Image
+from recast.core.errors import InputError
 from recast.geometry import PinholeCamera
 from recast.logs.types import DrivingLog
 from recast.planning import CameraMount
 from recast.simulation.state import SimState
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 
 class SensorRenderer(Protocol):

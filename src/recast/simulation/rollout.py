@@ -7,17 +7,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recast.arrays import Array, Int64Array
 from recast.dynamics import EgoState
 from recast.dynamics.state import COLUMNS
 from recast.logs.checks import BOX_SIDE, LATEST_US, WORLD_REACH, check_poses, check_text
 from recast.planning import WAYPOINTS
-from recast.simulation.controlled_actor import ControlledActor, RolloutOrigin
-from recast.simulation.state import SimActor, SimState
-
-Array = NDArray[np.float64]
-Int64Array = NDArray[np.int64]
+from recast.simulation.state import ControlledActor, RolloutOrigin, SimActor, SimState
 
 EGO_COLUMNS = COLUMNS
 """Columns of `Rollout.ego`: rear axle; pose in the world, the rest in the ego frame, SI units."""
@@ -201,7 +197,7 @@ class RolloutFailure:
         name, arm, track_id, motion, setting, planner: as in `Rollout`.
         error: the exception's class.
         reason: its message.
-        traceback: where it was raised, the last `batch.TRACEBACK_LIMIT` characters; "" in records
+        traceback: where it was raised, the last `running.TRACEBACK_LIMIT` characters; "" in records
             of an older recast.
     """
 

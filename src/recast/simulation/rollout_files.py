@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.core.files import atomic_file, atomic_folder, write_json
+from recast.core.records import Record, read_record
 from recast.planning import WAYPOINTS
-from recast.records import Record, read_record
 from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, Rollout
 from recast.simulation.rollout_tables import (
     ACTOR_COLUMNS,
@@ -39,10 +39,7 @@ from recast.simulation.rollout_tables import (
     read_numbers,
     read_whole,
 )
-from recast.storage import atomic_file, atomic_folder, write_json
 from recast.tables import read_parquet
-
-Array = NDArray[np.float64]
 
 if TYPE_CHECKING:
     from recast.simulation.coverage import RolloutCoverage
@@ -225,9 +222,12 @@ def load_coverage(path: str | Path) -> RolloutCoverage:
     table = read_parquet(Path(path), ("camera", "step", "planned", *names), MEND)
     shares = np.stack([table.numbers(name) for name in names], axis=1).astype(np.float64)
     rows = zip(
-        table.words("camera").tolist(), read_whole(table, "step").tolist(),
-        read_whole(table, "planned").tolist(), shares.tolist(), strict=True,
-    )  # fmt: skip
+        table.words("camera").tolist(),
+        read_whole(table, "step").tolist(),
+        read_whole(table, "planned").tolist(),
+        shares.tolist(),
+        strict=True,
+    )
     coverage = RolloutCoverage(
         tuple(ImageCoverage(name, k, bool(told), Coverage(*row)) for name, k, told, row in rows)
     )

@@ -6,23 +6,30 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recast.arrays import Array
+from recast.core.errors import InputError
 from recast.dynamics import initial_state
 from recast.dynamics import state as ego
-from recast.errors import InputError
 from recast.logs.types import Track
 from recast.planning import ReferenceRoute
 from recast.simulation.actor_motion import ActorMotion, AnyMotion, follows_log, is_scripted
-from recast.simulation.lift import RoadSurface
-from recast.simulation.motion_checks import checked_script, checked_state
-from recast.simulation.neighbour_lane import neighbour_lateral
-from recast.simulation.recorded_road import Ending, RecordedRoad, refuse_if_too_short, who
+from recast.simulation.recorded_road import (
+    Ending,
+    RecordedRoad,
+    RoadSurface,
+    refuse_if_too_short,
+    who,
+)
 from recast.simulation.setup import RolloutSetup
-from recast.simulation.situation import StartSituation
-from recast.simulation.start_checks import refuse_off_map, refuse_starts, surveyed_road
-
-Array = NDArray[np.float64]
+from recast.simulation.situation import StartSituation, neighbour_lateral
+from recast.simulation.start_checks import (
+    checked_script,
+    checked_state,
+    refuse_off_map,
+    refuse_starts,
+    surveyed_road,
+)
 
 _MIN_START_SPEED = 3.0
 

@@ -9,13 +9,12 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from recast.errors import InputError
-from recast.records import Record
-from recast.simulation.controlled_actor import ControlledActor
+from recast.arrays import Array
+from recast.core.errors import InputError
+from recast.core.records import Record
 from recast.simulation.rollout import PATH_COLUMNS
+from recast.simulation.state import ControlledActor
 from recast.tables import Table, read_parquet
-
-Array = NDArray[np.float64]
 
 MEND = "write the rollout anew with this recast"
 

@@ -1,26 +1,36 @@
-"""Scenario files: YAML to motions, with errors that name file, line and key."""
+"""Scenario files: YAML to motions and further actors, with errors that name file, line and key."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from recast import storage
-from recast.errors import InputError
+from recast.core import files
+from recast.core.errors import InputError
+from recast.logs.checks import check_name
 from recast.simulation.actor_motion import AnyMotion
-from recast.simulation.scenario_actors import read_actors, read_motion, read_schema
-from recast.simulation.scenario_nodes import known_only, required, shown, word
-from recast.simulation.scenario_parts import (
+from recast.simulation.scenario import (
+    MOTION_SCHEMAS,
+    VERSION,
+    BuiltInMotion,
+    MotionSchema,
     Scenario,
+    ScenarioActor,
     ScriptedMotion,
     further_actors,
+    kind_of,
+    motion_numbers,
     target_motion,
 )
-from recast.simulation.scenario_schema import VERSION, kind_of, motion_numbers
 from recast.simulation.yaml_lines import Node, located, place, read_yaml
 
-_MEMBERS = ("version", "name", "motion", "description", "settings", "actors")
+_WORD = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+_LONGEST_WORD = 40  # names become folder names
+_ACTOR_KEYS = ("motion", "replaced", "settings")
+_FILE_KEYS = ("version", "name", "motion", "description", "settings", "actors")
 _LARGEST_FILE = 100_000  # bytes
 
 
@@ -77,7 +87,7 @@ def _kind(motion: AnyMotion) -> str:
 
 def _text(path: Path) -> str:
     mend = "name a scenario file, see docs/scenarios.md"
-    data = storage.read_bytes(path, _LARGEST_FILE)
+    data = files.read_bytes(path, _LARGEST_FILE)
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -93,7 +103,7 @@ def _motions(root: Node, where: str) -> tuple[ScriptedMotion, ...]:
     if isinstance(version.value, bool) or version.value != VERSION:
         problem = f"is {shown(version)}, this recast reads {VERSION}"
         raise InputError(place(where, version.line), "version", problem, f"write {VERSION}")
-    known_only(root, _MEMBERS, where)
+    known_only(root, _FILE_KEYS, where)
     schema = read_schema(root, where)
     name = required(root, "name", where, "give one, such as hard-cut-in")
     described = root.value.get("description", Node(""))
@@ -117,3 +127,159 @@ def _motions(root: Node, where: str) -> tuple[ScriptedMotion, ...]:
         actors = read_actors(root, key, tuple(settings.value), where)
         made.append(Scenario(motion=target, actors=actors, **named) if actors else target)
     return tuple(made)
+
+
+def read_actors(
+    root: Node, setting: str, settings: tuple[str, ...], where: str
+) -> tuple[ScenarioActor, ...]:
+    """The further actors of a file in one of its settings; none without a member `actors`.
+
+    Args:
+        settings: of the target. Each actor has the same ones.
+        where: the file, for errors.
+
+    Raises:
+        InputError: names file, line and key.
+    """
+    actors = root.value.get("actors")
+    if actors is None:
+        return ()
+    if not isinstance(actors.value, dict) or not actors.value:
+        mend = "give track ids with their motions below it, or leave it out"
+        raise InputError(place(where, actors.line), "actors", f"is {shown(actors)}", mend)
+    return tuple(
+        _actor(track_id, node, setting, settings, where) for track_id, node in actors.value.items()
+    )
+
+
+def _actor(
+    track_id: str, node: Node, setting: str, settings: tuple[str, ...], where: str
+) -> ScenarioActor:
+    field = f"actor {track_id}"
+    try:
+        check_name("track id", track_id)
+    except ValueError as error:
+        raise InputError(place(where, node.line), field, str(error), "name a track") from None
+    if not isinstance(node.value, dict):
+        mend = f"give {', '.join(_ACTOR_KEYS)} below it"
+        raise InputError(place(where, node.line), field, f"is {shown(node)}", mend)
+    known_only(node, _ACTOR_KEYS, where)
+    schema = read_schema(node, where)
+    replaced = node.value.get("replaced", Node(False))
+    if not isinstance(replaced.value, bool):
+        at = place(where, replaced.line)
+        raise InputError(at, "replaced", f"is {shown(replaced)}", "write true or false")
+    if "settings" not in node.value and not schema.needs_numbers:
+        numbers = Node(None, node.line)
+    else:
+        mend = f"give {', '.join(settings)}, as for the target"
+        given = required(node, "settings", where, mend)
+        if not isinstance(given.value, dict):
+            raise InputError(place(where, given.line), "settings", f"is {shown(given)}", mend)
+        known_only(given, settings, where)
+        numbers = required(given, setting, where, mend)
+    names = {"name": node.value["motion"].value, "setting": setting, "description": ""}
+    return ScenarioActor(track_id, read_motion(schema, names, numbers, where), replaced.value)
+
+
+def read_schema(node: Node, where: str) -> MotionSchema:
+    """What the member `motion` of a mapping names.
+
+    Raises:
+        InputError: names file, line and key.
+    """
+    kinds = ", ".join(MOTION_SCHEMAS)
+    kind = required(node, "motion", where, f"choose one of {kinds}")
+    if not isinstance(kind.value, str) or kind.value not in MOTION_SCHEMAS:
+        raise InputError(
+            place(where, kind.line), "motion", f"is {shown(kind)}", f"choose one of {kinds}"
+        )
+    return MOTION_SCHEMAS[kind.value]
+
+
+def read_motion(
+    schema: MotionSchema, names: Mapping[str, str], setting: Node, where: str
+) -> BuiltInMotion:
+    """One motion with the numbers of one setting.
+
+    Args:
+        names: its name, setting and description.
+        setting: the mapping of its numbers; may be empty if the motion needs none.
+        where: the file, for errors.
+
+    Raises:
+        InputError: names file, line and key.
+    """
+    given = {} if setting.value is None and not schema.needs_numbers else setting.value
+    if not isinstance(given, dict):
+        raise InputError(
+            place(where, setting.line),
+            f"setting {names['setting']}",
+            f"is {shown(setting)}",
+            f"give {', '.join(schema.quantities) or 'nothing'} below it",
+        )
+    node = Node(given, setting.line)
+    known_only(node, tuple(schema.quantities), where)
+    values: dict[str, Any] = dict(names)
+    for key, quantity in schema.quantities.items():
+        if key not in given and quantity.optional:
+            continue
+        mend = f"give {quantity.range}"
+        number = required(node, key, where, mend)
+        at = place(where, number.line)
+        if not isinstance(number.value, float):
+            raise InputError(at, key, f"is {shown(number)}", mend)
+        fault = quantity.fault(number.value)
+        if fault is not None:
+            raise InputError(at, key, fault, mend)
+        values[key] = number.value
+    try:
+        return schema.make(**values)
+    except ValueError as error:
+        key, _, problem = str(error).partition(": ")
+        problem, _, mend = problem.partition("; ")
+        at = place(where, given.get(key, setting).line)
+        raise InputError(at, key, problem, mend) from None
+
+
+def required(node: Node, key: str, where: str, mend: str) -> Node:
+    """The member `key` of a mapping; `mend` says what to write if it is missing."""
+    if key not in node.value:
+        raise InputError(place(where, node.line), key, "is missing", mend)
+    found: Node = node.value[key]
+    return found
+
+
+def known_only(node: Node, known: tuple[str, ...], where: str) -> None:
+    """Refuse members of a mapping with other keys than `known`."""
+    for key, member in node.value.items():
+        if key not in known:
+            near = get_close_matches(key, known, 1)
+            mend = f"did you mean {near[0]}?" if near else f"the keys are {', '.join(known)}"
+            raise InputError(place(where, member.line), key, "is not known", mend)
+
+
+def word(text: Any, node: Node, field: str, where: str) -> str:
+    """A name of small letters, digits and hyphens; `node` is where it stands."""
+    if not isinstance(text, str) or len(text) > _LONGEST_WORD or not _WORD.fullmatch(text):
+        problem = f"is {shown(Node(text))}"
+        mend = "use small letters, digits and single hyphens, 40 at most, in quotes if all digits"
+        raise InputError(place(where, node.line), field, problem, mend)
+    return text
+
+
+def shown(node: Node) -> str:
+    """A value as an error shows it."""
+    value = node.value
+    if value is None:
+        return "empty"
+    if isinstance(value, dict):
+        return "a list of keys"
+    if isinstance(value, list):
+        return "a list"
+    if isinstance(value, float):
+        return f"the number {value:g}"
+    if isinstance(value, bool):
+        return str(value).lower()
+    text = repr(str(value))
+    return text if len(text) <= 40 else f"{text[:36]}...'"

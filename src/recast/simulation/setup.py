@@ -1,26 +1,31 @@
-"""What a rollout is asked to be."""
+"""What a rollout is asked to be, and what a simulator is made from: names, motions and scenes."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypedDict
+from pathlib import Path
+from typing import TYPE_CHECKING, TypedDict, cast
 
+from recast.core.errors import InputError
 from recast.dynamics import PACIFICA, VehicleParameters
-from recast.errors import InputError
 from recast.logs.hdmap import HdMap
 from recast.logs.types import DrivingLog, Track
 from recast.planning import WAYPOINTS
 from recast.simulation.actor_motion import AnyMotion, is_motion
-from recast.simulation.ego_controller import EgoController, LqrController
-from recast.simulation.scenario import scenario_name
-from recast.simulation.scenario_parts import (
+from recast.simulation.plan_execution import EgoController, LqrController
+from recast.simulation.renderer import SensorRenderer, camera_mounts
+from recast.simulation.scenario import (
     Scenario,
     further_actors,
     replaced_tracks,
     target_motion,
 )
+from recast.simulation.scenario_names import motion, scenario_name
+
+if TYPE_CHECKING:
+    from recast.scene.street_scene import StreetScene
 
 _DT = (0.05, 0.2)
 """Seconds per step, within which 40 waypoints reach 2 to 8 s: the tracker looks 1 s ahead, and no
@@ -94,9 +99,9 @@ class RolloutSetup:
             if ids.count(track_id) > 1:
                 problem = f"track {track_id} is given twice"
                 raise _refused("actors", problem, "give each track one motion")
-        for track_id, motion in self.controlled.items():
-            if not is_motion(motion):
-                problem = f"that of track {track_id} is a {type(motion).__name__}"
+        for track_id, given in self.controlled.items():
+            if not is_motion(given):
+                problem = f"that of track {track_id} is a {type(given).__name__}"
                 mend = "give a motion, such as recast.simulation.motion('cut-in')"
                 raise _refused("motion" if track_id == self.track_id else "actors", problem, mend)
 
@@ -163,3 +168,61 @@ class RolloutSettings(TypedDict, total=False):
 
 def _refused(field_name: str, problem: str, mend: str) -> InputError:
     return InputError("RolloutSetup", field_name, problem, mend)
+
+
+def as_setup(
+    log: DrivingLog,
+    actors: Mapping[str, str | Path | AnyMotion | Scenario],
+    cameras: Sequence[str] | None,
+    settings: RolloutSettings,
+) -> RolloutSetup:
+    """The setup of a rollout; see `Simulator` for the arguments.
+
+    Raises:
+        InputError: no actor, no such motion, or bad settings.
+    """
+    if not isinstance(actors, Mapping) or not actors:
+        mend = "name the target and its motion, such as actors={'0': 'cut-in'}"
+        raise InputError("Simulator", "actors", "is empty", mend)
+    unknown = set(settings) - set(RolloutSettings.__annotations__)
+    if unknown:
+        mend = f"the settings are {', '.join(RolloutSettings.__annotations__)}"
+        raise InputError("Simulator", sorted(unknown)[0], "is no setting", mend)
+    (target, scripted), *others = ((key, motion(value)) for key, value in actors.items())
+    further: dict[str, AnyMotion] = {}
+    for key, value in others:
+        if isinstance(value, Scenario):
+            problem = f"track {key} is given the scenario {value.name}, which has several actors"
+            raise InputError("Simulator", "actors", problem, "give it to the first track")
+        further[key] = value
+    names = None if cameras is None else tuple(cameras)
+    return RolloutSetup(log, target, scripted, camera_names=names, actors=further, **settings)
+
+
+def as_renderer(
+    log: DrivingLog,
+    scene: StreetScene | SensorRenderer | None,
+    cameras: Sequence[str] | None,
+    scale: float,
+    device: str,
+) -> SensorRenderer | None:
+    """The renderer of a simulator; see `Simulator` for the arguments.
+
+    Raises:
+        InputError: no such camera or device, a scale that is no size, or what is no scene.
+    """
+    if scene is None:
+        if cameras:
+            raise InputError("Simulator", "cameras", "are given without a scene", "give a scene")
+        return None
+    if hasattr(scene, "render") and hasattr(scene, "mounts"):
+        return cast(SensorRenderer, scene)
+    if not hasattr(scene, "background") or not hasattr(scene, "actors"):
+        problem = f"is a {type(scene).__name__}"
+        mend = "give a StreetScene, a renderer with mounts and render, or None"
+        raise InputError("Simulator", "scene", problem, mend)
+    if not 0.0 < scale <= 4.0:
+        raise InputError("Simulator", "scale", f"is {scale}", "give more than 0, at most 4")
+    from recast.simulation.scene_renderer import SceneRenderer  # needs torch
+
+    return SceneRenderer(scene, camera_mounts(log, cameras, scale), device)

@@ -9,33 +9,35 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Self, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recast.arrays import Array, Image
+from recast.core.errors import InputError
 from recast.dynamics import EgoState
-from recast.errors import InputError
 from recast.logs.checks import WORLD_REACH
 from recast.logs.types import DrivingLog
 from recast.planning import Plan, PlannerInput, PlanningContext
 from recast.planning.cameras import require_cameras
 from recast.simulation.actor_motion import AnyMotion
-from recast.simulation.controlled_actors import ControlledActors
-from recast.simulation.moments import history_steps, logged_past, sim_state, timestamp_us
-from recast.simulation.plan_limit import checked_plan
+from recast.simulation.actors import ControlledActors
+from recast.simulation.history import (
+    history_steps,
+    logged_past,
+    make_rollout,
+    sim_state,
+    timestamp_us,
+)
+from recast.simulation.plan_execution import checked_plan
 from recast.simulation.recorded_road import Ending, RecordedRoad
 from recast.simulation.renderer import SensorRenderer
 from recast.simulation.rollout import Rollout
-from recast.simulation.rollout_made import make_rollout
 from recast.simulation.rollout_start import start_rollout
-from recast.simulation.scenario_parts import Scenario
-from recast.simulation.setup import RolloutSettings, RolloutSetup
-from recast.simulation.simulator_parts import as_renderer, as_setup
+from recast.simulation.scenario import Scenario
+from recast.simulation.setup import RolloutSettings, RolloutSetup, as_renderer, as_setup
 from recast.simulation.state import SimState
 
 if TYPE_CHECKING:
     from recast.scene.street_scene import StreetScene
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 Observation = PlannerInput
 """What `Simulator.reset` and `Simulator.step` return, and what `Planner.plan` takes."""

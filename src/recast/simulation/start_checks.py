@@ -1,4 +1,4 @@
-"""What is refused at the start: a route off the map, an actor off the road or inside the ego."""
+"""What is refused: routes off the map, actors off the road or inside the ego, bad motions."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from collections.abc import Sequence
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from recast.errors import InputError
+from recast.arrays import Array
+from recast.core.errors import InputError
 from recast.geometry import boxes
-from recast.logs.drivable_region import drivable_region
-from recast.logs.hdmap import HdMap
+from recast.logs.checks import WORLD_REACH
+from recast.logs.hdmap import HdMap, drivable_region
 from recast.logs.types import Track
 from recast.planning import ReferenceRoute
-from recast.simulation.actor_motion import AnyMotion, follows_log
-from recast.simulation.rollout import ego_centre
+from recast.simulation.actor_motion import ActorMotion, AnyMotion, ScriptMotion, follows_log
+from recast.simulation.rollout import PATH_COLUMNS, ego_centre
 from recast.simulation.setup import RolloutSetup
-
-Array = NDArray[np.float64]
+from recast.simulation.situation import StartSituation
 
 ON_ROAD = 0.5
 """Share of the actor's box that must lie on the drivable area."""
@@ -26,6 +26,8 @@ _ROUTE_ON_MAP = 0.5
 _TOLERANCE = 0.3
 """Metres beside the drivable area that still count as on the map, as in the metric DAC."""
 _TOUCHING = 1e-9
+_SCRIPT_MEND = "see docs/scenarios.md for what a motion's script is"
+_STEP_MEND = "return x, y, heading, speed >= 0, see docs/scenarios.md"
 
 
 def refuse_starts(
@@ -166,3 +168,51 @@ def on_road_shares(road: shapely.Geometry | None, actor: Array, actor_size: Arra
     outlines = shapely.polygons(boxes.bev_corners(actor, actor_size[0], actor_size[1]))
     covered: Array = shapely.area(shapely.intersection(outlines, road))
     return covered / shapely.area(outlines)
+
+
+def checked_script(
+    motion: ScriptMotion, situation: StartSituation, steps: int, dt: float, where: str
+) -> Array:
+    """A motion's states (steps + 1, 4).
+
+    Raises:
+        InputError: the script is not made of states; names the motion, the step and the value.
+    """
+    actor = np.asarray(motion.script(situation, steps, dt))
+    expected, problem = (steps + 1, len(PATH_COLUMNS)), None
+    if actor.shape != expected or actor.dtype.kind not in "iuf":
+        problem = f"its script is {actor.dtype} {actor.shape}, not numbers {expected}"
+    elif not (np.abs(actor) <= WORLD_REACH).all():  # also NaN
+        step = int(np.argmin((np.abs(actor) <= WORLD_REACH).all(axis=1)))
+        problem = f"its state {step} is {actor[step].tolist()}"
+    elif (actor[:, 3] < 0).any():
+        problem = f"its speed is negative in state {int(np.argmax(actor[:, 3] < 0))}"
+    if problem is not None:
+        raise InputError(where, f"motion {motion.name}", problem, _SCRIPT_MEND)
+    return actor.astype(np.float64)
+
+
+def checked_state(motion: ActorMotion, value: object, step: int, where: str) -> Array:
+    """A state (4,) that a motion's `start` or `step` returned.
+
+    Args:
+        step: of the state, 0 at the start.
+
+    Raises:
+        InputError: it is no state; names the motion, the step and the value.
+    """
+    try:
+        state = np.asarray(value)
+    except ValueError:  # nested lists of different lengths
+        state = np.asarray(None)
+    fault = None
+    if state.dtype.kind not in "iuf" or state.shape != (len(PATH_COLUMNS),):
+        shown = f"{state.dtype} {state.shape}" if isinstance(value, np.ndarray) else f"{value!r}"
+        fault = f"is {shown[:80]}, not numbers ({len(PATH_COLUMNS)},)"
+    elif not (np.abs(state) <= WORLD_REACH).all():  # also NaN
+        fault = f"is {state.tolist()}"
+    elif state[3] < 0:
+        fault = f"has the negative speed {state[3]:g}"
+    if fault is not None:
+        raise InputError(where, f"motion {motion.name}", f"its state {step} {fault}", _STEP_MEND)
+    return state.astype(np.float64)

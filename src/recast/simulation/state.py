@@ -1,16 +1,20 @@
-"""One moment of a rollout: what is simulated and what the log did, side by side."""
+"""What is simulated: the world at one step, and a further actor over all the steps of a rollout."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recast.arrays import Array
 from recast.dynamics import EgoState
+from recast.logs.checks import BOX_SIDE, NAME_LIMIT, WORLD_REACH, check_poses, check_text
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from recast.simulation.renderer import SensorRenderer
+    from recast.simulation.setup import RolloutSetup
 
 
 @dataclass(frozen=True)
@@ -73,3 +77,71 @@ class SimState:
         """Poses (4, 4) of all actors to draw, by track id; whoever is absent is not drawn."""
         controlled = {key: actor.world_from_actor for key, actor in self.actors.items()}
         return {**self.others, **controlled}
+
+
+@dataclass(frozen=True)
+class RolloutOrigin:
+    """What a rollout of this process was run with: metrics find the map in it, reports the scene.
+
+    Attributes:
+        setup: of the rollout.
+        renderer: of its images; None if nothing was rendered.
+    """
+
+    setup: RolloutSetup
+    renderer: SensorRenderer | None
+
+
+@dataclass(frozen=True)
+class ControlledActor:
+    """A controlled actor beside the target, with states k = 0..S.
+
+    Attributes:
+        track_id: of the log.
+        category: as in `Track.category`.
+        motion, setting: names of what it did.
+        states: (S+1, 4) x, y, heading of the box centre, speed >= 0; world, SI units.
+        world_from_actor: (S+1, 4, 4) the box centre in space.
+        size: (3,) length, width, height of the logged box, metres.
+    """
+
+    track_id: str
+    category: str
+    motion: str
+    setting: str
+    states: Array
+    world_from_actor: Array
+    size: Array
+
+    def first(self, steps: int) -> ControlledActor:
+        """The same actor up to the state after `steps`."""
+        return replace(
+            self,
+            states=self.states[: steps + 1],
+            world_from_actor=self.world_from_actor[: steps + 1],
+        )
+
+    def validate(self, states: int) -> None:
+        """Raise ValueError naming the field at fault.
+
+        Args:
+            states: how many the rollout has.
+        """
+        for name in ("track_id", "category", "motion", "setting"):
+            check_text(f"Rollout.controlled: {name}", getattr(self, name))
+            if len(getattr(self, name)) > NAME_LIMIT:
+                raise ValueError(f"Rollout.controlled: {name} has more than {NAME_LIMIT} letters")
+        where = f"Rollout.controlled[{self.track_id!r}]"
+        shapes = {"states": (states, 4), "world_from_actor": (states, 4, 4), "size": (3,)}
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value.shape != shape or value.dtype.kind != "f":
+                raise ValueError(f"{where}.{name}: expected {shape}, got {value.shape}")
+            if not np.all(np.abs(value) <= WORLD_REACH):  # also NaN
+                raise ValueError(f"{where}.{name}: holds NaN or a number beyond {WORLD_REACH:g}")
+        if np.any(self.states[:, 3] < 0):
+            raise ValueError(f"{where}.states: has a negative speed")
+        low, high = BOX_SIDE
+        if not np.all((self.size >= low) & (self.size <= high)):
+            raise ValueError(f"{where}.size: is {self.size}, not within {low:g} and {high:g}")
+        check_poses(f"{where}.world_from_actor", self.world_from_actor, WORLD_REACH)

@@ -16,7 +16,7 @@ from typing import Any
 
 import yaml
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 
 MOST_NODES = 10_000
 MOST_LEVELS = 20

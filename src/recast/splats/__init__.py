@@ -2,10 +2,9 @@
 
 from recast.splats.adam import RowAdam
 from recast.splats.cuda import pick_device
-from recast.splats.gaussians import Gaussians, concatenate
+from recast.splats.gaussians import Gaussians, concatenate, morton_order
 from recast.splats.low_pass import CLASSIC, MIP, LowPass, refiltered
 from recast.splats.native import set_threads
-from recast.splats.order import morton_order
 from recast.splats.ply import read_ply, write_ply
 from recast.splats.rasterization import Rasterization, RasterMeta
 from recast.splats.rasterize import rasterize

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.splats.gaussians import Gaussians
 from recast.splats.rasterization import Rasterization, RasterMeta, RasterSettings
 

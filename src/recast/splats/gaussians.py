@@ -1,4 +1,4 @@
-"""3D Gaussians as a struct of arrays."""
+"""3D Gaussians as a struct of arrays; their rotations as quaternions, and their order in memory."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from recast.splats import sh as harmonics
-from recast.splats.rotations import matrix_to_quat, quat_multiply
 
 LOG_SCALES = (-60.0, 14.0)
 """Log scales lie between these: beyond, areas in the image leave the range of float32."""
@@ -24,6 +23,7 @@ _RANGES = {
     "logit_opacities": (-LARGEST, LARGEST),
     "sh": (-LARGEST, LARGEST),
 }
+_BITS = 20
 
 
 @dataclass(frozen=True)
@@ -189,3 +189,86 @@ def concatenate(parts: Sequence[Gaussians]) -> Gaussians:
         logit_opacities=torch.cat([part.logit_opacities for part in parts]),
         sh=torch.cat(padded),
     )
+
+
+def quat_to_matrix(quats: Tensor) -> Tensor:
+    """Rotation matrices (..., 3, 3) of quaternions (..., 4) wxyz, normalised first."""
+    w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
+    entries = [
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    ]
+    return torch.stack(entries, dim=-1).unflatten(-1, (3, 3))
+
+
+def quat_multiply(left: Tensor, right: Tensor) -> Tensor:
+    """Hamilton product (..., 4) of wxyz quaternions: the rotation `right`, then `left`."""
+    a, b, c, d = left.unbind(-1)
+    w, x, y, z = right.unbind(-1)
+    product = [
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    ]
+    return torch.stack(product, dim=-1)
+
+
+def matrix_to_quat(rotation: Tensor) -> Tensor:
+    """Unit quaternion (4,) wxyz of one rotation matrix (3, 3), differentiable.
+
+    Of the four equivalent formulas the one with the largest square root is taken (Shepperd 1978).
+    """
+    r = rotation
+    squares = [
+        1 + r[0, 0] + r[1, 1] + r[2, 2],
+        1 + r[0, 0] - r[1, 1] - r[2, 2],
+        1 - r[0, 0] + r[1, 1] - r[2, 2],
+        1 - r[0, 0] - r[1, 1] + r[2, 2],
+    ]
+    wx, wy, wz = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    xy, xz, yz = r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1]
+    best = int(torch.stack(squares).argmax())
+    rows = [
+        [squares[0], wx, wy, wz],
+        [wx, squares[1], xy, xz],
+        [wy, xy, squares[2], yz],
+        [wz, xz, yz, squares[3]],
+    ]
+    quat = torch.stack(rows[best])
+    return quat / quat.norm()
+
+
+def morton_order(means: Tensor) -> Tensor:
+    """Index (N,) int64 that sorts points (N, 3) along a Morton (Z-order) curve; stable.
+
+    The rasterizer works in any order, but is faster in this one: reorder a scene once after it was
+    initialised or densified (`gaussians.select(morton_order(gaussians.means))`).
+    """
+    if len(means) == 0:
+        return torch.zeros(0, dtype=torch.int64, device=means.device)
+    points = means.detach().double()
+    low = points.amin(dim=0)
+    # One scale for all axes: cells must be cubes for the curve to keep neighbours together.
+    size = (points.amax(dim=0) - low).max().clamp(min=1e-12)
+    cells = ((points - low) / size * (2**_BITS - 1)).long()
+    code = torch.zeros(len(means), dtype=torch.int64, device=means.device)
+    for axis in range(3):
+        code |= _spread(cells[:, axis]) << axis
+    return code.argsort(stable=True)
+
+
+def _spread(value: Tensor) -> Tensor:
+    """Put two zero bits between the bits of values below 2^20."""
+    value = (value | value << 32) & 0x1F00000000FFFF
+    value = (value | value << 16) & 0x1F0000FF0000FF
+    value = (value | value << 8) & 0x100F00F00F00F00F
+    value = (value | value << 4) & 0x10C30C30C30C30C3
+    return (value | value << 2) & 0x1249249249249249

@@ -14,8 +14,7 @@ from math import isfinite
 import torch
 from torch import Tensor
 
-from recast.splats.gaussians import LOG_SCALES, Gaussians
-from recast.splats.rotations import quat_to_matrix
+from recast.splats.gaussians import LOG_SCALES, Gaussians, quat_to_matrix
 
 _LEAST_SHARE = 1e-4
 """Smallest share of itself to which a variance is lowered."""

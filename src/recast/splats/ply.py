@@ -15,10 +15,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.core.files import disk_errors, write_bytes
 from recast.splats.gaussians import Gaussians
 from recast.splats.low_pass import LowPass
-from recast.storage import disk_errors, write_bytes
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -110,9 +110,11 @@ def read_low_pass(path: str | Path) -> LowPass | None:
                     except ValueError:
                         pass
             raise InputError(
-                path, "header", f"{line!r} cannot be understood",
+                path,
+                "header",
+                f"{line!r} cannot be understood",
                 f"write a variance in px^2, such as '{_LOW_PASS} 0.1 antialiased'",
-            )  # fmt: skip
+            )
     return None
 
 

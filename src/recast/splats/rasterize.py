@@ -11,7 +11,7 @@ from torch import Tensor, device
 from recast.splats import cuda, native
 from recast.splats.cuda import rasterize_gsplat
 from recast.splats.gaussians import Gaussians
-from recast.splats.native.autograd import rasterize_native
+from recast.splats.native.rasterizer import rasterize_native
 from recast.splats.rasterization import Rasterization, check_settings, check_shapes
 from recast.splats.reference import rasterize_reference
 

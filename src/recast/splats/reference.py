@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from recast.splats import sh as harmonics
-from recast.splats.gaussians import Gaussians
+from recast.splats.gaussians import Gaussians, quat_to_matrix
 from recast.splats.rasterization import (
     ALPHA_THRESHOLD,
     LARGEST_DETERMINANT,
@@ -25,7 +25,6 @@ from recast.splats.rasterization import (
     RasterMeta,
     RasterSettings,
 )
-from recast.splats.rotations import quat_to_matrix
 
 
 @dataclass(frozen=True)

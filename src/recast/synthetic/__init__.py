@@ -9,9 +9,8 @@ from recast.synthetic.populate import (
     world_metadata,
     world_of,
 )
-from recast.synthetic.rig import CAMERAS, make_rig
+from recast.synthetic.rig import CAMERAS, make_rig, read_truth
 from recast.synthetic.streets import SCENES
-from recast.synthetic.truth import read_truth
 from recast.synthetic.world import World
 from recast.synthetic.write import check_request, synthesize_log
 

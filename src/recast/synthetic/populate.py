@@ -10,19 +10,26 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.errors import InputError
+from recast.arrays import Array
+from recast.core.errors import InputError
 from recast.geometry import se2
 from recast.logs import DrivingLog, Trajectory
 from recast.synthetic import rig
-from recast.synthetic.ego import ego_drive
-from recast.synthetic.others import Placed, Scene, near_spots, try_driving, try_parking
 from recast.synthetic.people import place_people
+from recast.synthetic.routes import ego_drive
 from recast.synthetic.streets import SCENES, make_street
-from recast.synthetic.target import MANNERS, TARGET_KINDS, target_drive
+from recast.synthetic.traffic import (
+    MANNERS,
+    TARGET_KINDS,
+    Placed,
+    Scene,
+    near_spots,
+    target_drive,
+    try_driving,
+    try_parking,
+)
 from recast.synthetic.vehicles import sample_vehicle
 from recast.synthetic.world import Quality, Street, Vehicle, World
-
-Array = NDArray[np.float64]
 
 WORLD_VERSION = 1
 """Counted up whenever the same name, seed and duration give another world or another log."""

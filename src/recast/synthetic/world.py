@@ -1,4 +1,4 @@
-"""The whole of a synthetic drive: street, light, vehicles, and the ego's path."""
+"""The whole of a synthetic drive: street, light, vehicles and ego, and who hides whom."""
 
 from __future__ import annotations
 
@@ -8,16 +8,17 @@ from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.random import Generator
+from numpy.typing import ArrayLike, NDArray
 
-from recast.geometry import Polyline
+from recast.arrays import Array
+from recast.geometry import Polyline, boxes
 from recast.logs import HdMap, Trajectory
 from recast.synthetic.surface import Surface
 
-Array = NDArray[np.float64]
-
 Quality = Literal["standard", "mitsuba"]
 """Where the light of the sky comes from: one bounce of our own, or mitsuba's path tracer."""
+Times = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -164,3 +165,78 @@ class World:
     target: str
     light: Quality = "standard"
     people: bool = False
+
+
+def touching(
+    poses_a: Array, size_a: ArrayLike, poses_b: Array, size_b: ArrayLike, margin: float = 0.0
+) -> Times:
+    """At which times (T,) two rectangles come closer than about `margin` metres.
+
+    They are given by planar poses (T, 3) of their centres and (length, width) in metres.
+    """
+    grown_a, grown_b = (np.asarray(s, np.float64)[:2] + margin for s in (size_a, size_b))
+    return boxes.bev_touching(poses_a, grown_a, poses_b, grown_b)
+
+
+def hiding(
+    eyes: Array, target: Array, target_size: ArrayLike, other: Array, other_size: ArrayLike
+) -> Times:
+    """At which times (T,) `other` cuts a sight line from `eyes` (T, 2) to the target's box."""
+    length, width = np.asarray(target_size, np.float64)[:2]
+    ends = np.concatenate([boxes.bev_corners(target, length, width), target[:, None, :2]], axis=1)
+    half = np.asarray(other_size, np.float64)[:2] / 2
+    start = _in_frame(other, eyes[:, None])
+    step = _in_frame(other, ends) - start
+    step = np.where(np.abs(step) < 1e-12, 1e-12, step)
+    near, far = (-half - start) / step, (half - start) / step
+    enter = np.minimum(near, far).max(axis=-1)
+    leave = np.maximum(near, far).min(axis=-1)
+    cut = (enter <= leave) & (leave >= 0) & (enter <= 1)
+    hidden: Times = cut.any(axis=-1)
+    return hidden
+
+
+def _in_frame(poses: Array, points: Array) -> Array:
+    """Points (T, K, 2) in the frames of poses (T, 3)."""
+    offset = points - poses[:, None, :2]
+    cos, sin = np.cos(poses[:, None, 2]), np.sin(poses[:, None, 2])
+    return np.stack(
+        [
+            cos * offset[..., 0] + sin * offset[..., 1],
+            cos * offset[..., 1] - sin * offset[..., 0],
+        ],
+        axis=-1,
+    )
+
+
+def daylight(rng: Generator, elevation: tuple[float, float] = (25.0, 60.0)) -> Sky:
+    """A sky drawn from fair to overcast; the lower the sun, the warmer and weaker its light.
+
+    Args:
+        rng: source of the draw.
+        elevation: degrees between which the sun stands.
+    """
+    azimuth = rng.uniform(0.0, 2 * np.pi)
+    high = np.deg2rad(rng.uniform(*elevation))
+    clouds = float(rng.choice([rng.uniform(0.05, 0.35), rng.uniform(0.35, 0.75)], p=[0.65, 0.35]))
+    haze = rng.uniform(0.0, 1.0)
+    direction = np.array(
+        [np.cos(azimuth) * np.cos(high), np.sin(azimuth) * np.cos(high), np.sin(high)]
+    )
+    low = np.exp(-np.sin(high) / 0.35)  # path through the air
+    strength = (1 - 0.55 * clouds**2) * (1 - 0.15 * haze)
+    sun = strength * 5.0 * np.array([1.0, 1.0 - 0.16 * low, 0.94 - 0.42 * low]) * (1 - 0.3 * low)
+    grey = np.array([0.62, 0.66, 0.72])
+    clear = np.array([0.23, 0.36, 0.62])
+    zenith = (1 - 0.6 * clouds) * clear + 0.6 * clouds * grey
+    pale = np.array([0.66, 0.76, 0.88])
+    horizon = (1 - 0.5 * haze) * pale + 0.5 * haze * np.array([0.85, 0.85, 0.84])
+    return Sky(
+        sun_direction=direction,
+        sun=sun,
+        zenith=zenith,
+        horizon=horizon,
+        sun_radius=float(0.006 + 0.03 * clouds),
+        clouds=clouds,
+        seed=int(rng.integers(2**31)),
+    )

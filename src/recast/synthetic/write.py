@@ -1,28 +1,196 @@
-"""A world driven through by the rig, written as an ordinary log."""
+"""A world driven through by the rig, written as an ordinary log.
+
+Every measurement has random numbers of its own, by seed, sensor and frame, so that it does not
+matter in which order and by whom they are made.
+"""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image as PillowImage
 
-from recast import storage
-from recast.logs import CameraStream, DrivingLog, LidarStream, Track, write_log
-from recast.synthetic.label_noise import check_label_noise, with_label_noise
-from recast.synthetic.oracle import instances
-from recast.synthetic.oracle_pool import OraclePool
+from recast.arrays import Image
+from recast.core import files
+from recast.core.errors import InputError
+from recast.geometry import se3
+from recast.logs import (
+    CameraStream,
+    DrivingLog,
+    LidarStream,
+    LidarSweep,
+    Track,
+    Trajectory,
+    write_log,
+)
+from recast.synthetic.oracle import Oracle, OraclePool, instances
 from recast.synthetic.populate import world_metadata
-from recast.synthetic.rendering import require_embree, working_llvm
-from recast.synthetic.rig import LIDAR, Rig, make_rig
-from recast.synthetic.sensors import Measurement, SpooledImages, SpooledSweeps, measure
-from recast.synthetic.truth import FOLDER, TruthRecord, write_truth_record
+from recast.synthetic.rendering import WAYMO_TOP, require_embree, scan_lidar, working_llvm
+from recast.synthetic.rig import (
+    LIDAR,
+    TRUTH_FOLDER,
+    Rig,
+    RigCamera,
+    TruthRecord,
+    exposure,
+    make_rig,
+    sensor_number,
+    write_truth_frame,
+    write_truth_record,
+)
 from recast.synthetic.world import Quality, World
 
+_CAMERA_STREAM, _LIDAR_STREAM = 201, 202
+_LABEL_STREAM = 401
+_HEIGHT_SHARE = 0.3
+"""Of the noise in height: the ground tells an annotator where a box stands."""
+_LEAST_SIZE = 0.5
 Progress = Callable[[int, int], None]
 """Called with how many images and sweeps are done, and how many there will be."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One image or sweep to be made.
+
+    Attributes:
+        sensor: a camera's name, or `LIDAR`.
+        frame: which moment of the log.
+        timestamp_us: of it.
+        rig: the sensors.
+        spool: folder for images and sweeps, with a folder for each sensor.
+        truth: folder for depth and instances, or None.
+    """
+
+    sensor: str
+    frame: int
+    timestamp_us: int
+    rig: Rig
+    spool: Path
+    truth: Path | None = None
+
+
+def measure(oracle: Oracle, job: Measurement) -> tuple[int, ...]:
+    """Make one measurement and write its files; returns the instances seen."""
+    if job.sensor == LIDAR:
+        return _scan(oracle, job)
+    return _photograph(oracle, job, job.rig.cameras[job.sensor])
+
+
+def _photograph(oracle: Oracle, job: Measurement, camera: RigCamera) -> tuple[int, ...]:
+    world = oracle.world
+    frame = oracle.render(
+        camera.camera,
+        world.ego.at(job.timestamp_us) @ camera.rig_from_camera,
+        timestamp_us=job.timestamp_us,
+        exposure=exposure(world.seed, job.sensor),
+        rng=_generator(oracle, _CAMERA_STREAM, job),
+    )
+    PillowImage.fromarray(frame.rgb).save(image_file(job.spool, job.sensor, job.frame))
+    if job.truth is not None:
+        write_truth_frame(job.truth, job.sensor, job.frame, frame.depth, frame.instance)
+    return tuple(np.unique(frame.instance).tolist())
+
+
+def _scan(oracle: Oracle, job: Measurement) -> tuple[int, ...]:
+    world_from_lidar = oracle.world.ego.at(job.timestamp_us) @ job.rig.rig_from_lidar
+    poses = oracle.logged_poses(job.timestamp_us)
+    rng = _generator(oracle, _LIDAR_STREAM, job)
+    drawn = oracle.drawn(poses)
+    scan = scan_lidar(oracle.scene_at(drawn), WAYMO_TOP, world_from_lidar, drawn, rng)
+    points = se3.apply(job.rig.rig_from_lidar, scan.points).astype(np.float32)
+    path = _sweep_file(job.spool, job.frame)
+    np.savez(path, points=points, intensity=scan.intensity.astype(np.float32))
+    return tuple(np.unique(scan.instance).tolist())
+
+
+def _generator(oracle: Oracle, stream: int, job: Measurement) -> np.random.Generator:
+    return np.random.default_rng([oracle.world.seed, stream, sensor_number(job.sensor), job.frame])
+
+
+def image_file(spool: Path, camera: str, frame: int) -> Path:
+    """Where an image lies."""
+    return spool / camera / f"{frame:04d}.png"
+
+
+def _sweep_file(spool: Path, frame: int) -> Path:
+    return spool / LIDAR / f"{frame:04d}.npz"
+
+
+@dataclass(frozen=True)
+class SpooledImages:
+    """The images of one camera; see `recast.logs.types.EncodedImageSource`."""
+
+    spool: Path
+    camera: str
+    count: int
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, index: int) -> Image:
+        with PillowImage.open(image_file(self.spool, self.camera, index)) as image:
+            return np.asarray(image)
+
+    def encoded(self, index: int) -> tuple[bytes, str]:
+        """The bytes of the PNG file."""
+        return image_file(self.spool, self.camera, index).read_bytes(), "png"
+
+
+@dataclass(frozen=True)
+class SpooledSweeps:
+    """All sweeps; see `recast.logs.types.SweepSource`."""
+
+    spool: Path
+    timestamps_us: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.timestamps_us)
+
+    def __getitem__(self, index: int) -> LidarSweep:
+        with np.load(_sweep_file(self.spool, index), allow_pickle=False) as archive:
+            points, intensity = archive["points"], archive["intensity"]
+        return LidarSweep(int(self.timestamps_us[index]), points, intensity)
+
+
+def check_label_noise(metres: float) -> None:
+    """Refuse impossible noise.
+
+    Raises:
+        InputError: negative, or not a number.
+    """
+    if not 0 <= metres < np.inf:
+        raise InputError("label noise", f"{metres:g} m", "is impossible", "choose 0 or more metres")
+
+
+def with_label_noise(tracks: Mapping[str, Track], metres: float, seed: int) -> dict[str, Track]:
+    """Tracks with independent normal errors in every label, and one error of size a track.
+
+    Args:
+        metres: standard deviation of each coordinate on the ground, and of length and width; the
+            yaw's moves the ends of the box by as much.
+    """
+    check_label_noise(metres)
+    if metres == 0:
+        return dict(tracks)
+    return {key: _noisy(track, metres, seed) for key, track in tracks.items()}
+
+
+def _noisy(track: Track, metres: float, seed: int) -> Track:
+    rng = np.random.default_rng([seed, _LABEL_STREAM, sensor_number(track.track_id)])
+    scale = np.array([1.0, 1.0, _HEIGHT_SHARE]) * metres
+    size = np.maximum(track.size + scale * rng.normal(size=3), _LEAST_SIZE * track.size)
+    poses = track.trajectory.poses.copy()
+    poses[:, :3, 3] += scale * rng.normal(size=(len(poses), 3))
+    yaw = metres / (track.size[0] / 2) * rng.normal(size=len(poses))
+    poses[:, :3, :3] = poses[:, :3, :3] @ se3.rotation_z(yaw)
+    trajectory = Trajectory(track.trajectory.timestamps_us, poses)
+    return Track(track.track_id, track.category, size, trajectory)
 
 
 def synthesize_log(
@@ -46,9 +214,9 @@ def synthesize_log(
 
     Args:
         width, height: of the images, pixels.
-        cameras: names out of `rig.CAMERAS`, None for all.
+        cameras: names out of `CAMERAS`, None for all.
         workers: processes; 0 for one for each core.
-        truth: also write exact depth and instance masks, see `recast.synthetic.truth`.
+        truth: also write exact depth and instance masks, see `recast.synthetic.rig`.
         label_noise: metres, standard deviation of the boxes, see `with_label_noise`.
 
     Raises:
@@ -57,8 +225,8 @@ def synthesize_log(
     """
     check_request(out, width, height, label_noise, cameras, world.light)
     rig = make_rig(width, height, cameras)
-    with OraclePool(world, workers) as pool, storage.atomic_folder(out) as folder:
-        spool, truth_folder = folder / "spool", folder / FOLDER if truth else None
+    with OraclePool(world, workers) as pool, files.atomic_folder(out) as folder:
+        spool, truth_folder = folder / "spool", folder / TRUTH_FOLDER if truth else None
         for sensor in (*rig.cameras, LIDAR):
             (spool / sensor).mkdir(parents=True)
         jobs = list(_measurements(world, rig, spool, truth_folder))
@@ -99,7 +267,7 @@ def check_request(
         working_llvm()
     make_rig(width, height, cameras)
     check_label_noise(label_noise)
-    storage.require_new(out)
+    files.require_new(out)
 
 
 def moments(world: World) -> NDArray[np.int64]:

@@ -12,8 +12,7 @@ file that another library is about to read. For each of them holds:
 `read_npy` and `read_npz` do the same for arrays of numpy.
 """
 
-from recast.tables.columns import ROW_LIMIT, Table
-from recast.tables.feather import check_batches, read_feather
+from recast.tables.arrow import ROW_LIMIT, Table, check_batches, read_feather
 from recast.tables.npy import npy_header, npz_array, npz_names, open_npz, read_npy, read_npz
 from recast.tables.parquet import ParquetRows, read_parquet
 

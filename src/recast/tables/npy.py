@@ -14,8 +14,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.errors import InputError
-from recast.storage import disk_errors, read_bytes
+from recast.core.errors import InputError
+from recast.core.files import disk_errors, read_bytes
 
 NPY_LIMIT = 1 << 31
 """Bytes of an array, at most."""

@@ -2,12 +2,16 @@
 
 from recast.trellis.checkpoints import load_checkpoint, save_checkpoint, verify_checkpoint
 from recast.trellis.conditioning import check_crop, crop_to_object, read_crop
-from recast.trellis.flow import MultiImageMode, SamplerSettings
-from recast.trellis.generate import generate
-from recast.trellis.generation import GeneratedVehicle, Generation, GenerationLimits
-from recast.trellis.image_to_3d import ImageTo3D
-from recast.trellis.shipped import RECAST_MINI, recast_mini
-from recast.trellis.viewer_frame import viewer_frame
+from recast.trellis.generate import ImageTo3D, generate
+from recast.trellis.generation import (
+    RECAST_MINI,
+    GeneratedVehicle,
+    Generation,
+    GenerationLimits,
+    recast_mini,
+    viewer_frame,
+)
+from recast.trellis.sampler import MultiImageMode, SamplerSettings
 
 __all__ = [
     "RECAST_MINI",

@@ -1,17 +1,28 @@
-"""What a generation is asked for, and what comes out of it."""
+"""What a generation is asked for, and what comes out: limits, draws, vehicles, and a model."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
 
+import torch
 from torch import Tensor
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.splats import Gaussians
 
 TRAINED_VOXEL_SHARE = 8
 """The published networks were trained on structures of at most 8 R^2 = 32,768 voxels at R = 64."""
+RECAST_MINI = "recast-mini"
+"""Its name, as a generator and of its folder."""
+_VIEWER_FROM_NATIVE = torch.tensor(
+    [[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]]
+)
 
 
 @dataclass(frozen=True)
@@ -70,3 +81,126 @@ class Generation:
     vehicles: tuple[GeneratedVehicle, ...]
     seconds: Mapping[str, float]
     peak_bytes: int
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One vehicle's random stream, on the CPU so that every device makes the same vehicle.
+
+    Attributes:
+        seed: of the stream.
+        generator: continues after the structure's noise with the latent's.
+    """
+
+    seed: int
+    generator: torch.Generator = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "generator", torch.Generator().manual_seed(self.seed))
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A structure that passed the limits.
+
+    Attributes:
+        draw: the stream it came from.
+        latent: (C, R, R, R) as sampled.
+        coords: (T, 3) int32 active voxels.
+    """
+
+    draw: Draw
+    latent: Tensor
+    coords: Tensor
+
+
+def draw_structures(
+    seeds: Sequence[int],
+    names: Sequence[str],
+    shape: Sequence[int],
+    sample: Callable[[Tensor, list[int]], Tensor],
+    decode: Callable[[Tensor], Tensor],
+    limits: GenerationLimits,
+    max_voxels: int,
+) -> list[Structure]:
+    """Sample a structure for each seed; one that is empty or too large is drawn anew or refused.
+
+    Args:
+        seeds, names: of the vehicles.
+        shape: of one noise, (C, R, R, R).
+        sample: from noises (B, C, R, R, R) and which vehicles they are to latents of that shape.
+        decode: from one latent to its active voxels (T, 3).
+        limits: for the number of retries.
+        max_voxels: more of them are too many.
+
+    Raises:
+        InputError: a vehicle failed with every seed allowed.
+    """
+    done: dict[int, Structure] = {}
+    for attempt in range(limits.retries + 1):
+        waiting = [i for i in range(len(seeds)) if i not in done]
+        if not waiting:
+            break
+        draws = [Draw(seeds[i] + attempt) for i in waiting]
+        noise = torch.stack([torch.randn(*shape, generator=d.generator) for d in draws])
+        latents = sample(noise, waiting)
+        for i, draw, latent in zip(waiting, draws, latents, strict=True):
+            coords = decode(latent)
+            if 0 < len(coords) <= max_voxels:
+                done[i] = Structure(draw, latent, coords)
+            elif attempt == limits.retries:
+                raise _failure(names[i], seeds[i], limits.retries, len(coords), max_voxels)
+    return [done[i] for i in range(len(seeds))]
+
+
+def _failure(name: str, seed: int, retries: int, voxels: int, max_voxels: int) -> InputError:
+    tried = f"seed {seed}" if retries == 0 else f"seeds {seed} to {seed + retries}"
+    if voxels == 0:
+        problem = "the sampled structure is empty"
+    else:
+        problem = f"the sampled structure has {voxels} voxels, at most {max_voxels} are allowed"
+    return InputError(name, tried, problem, "try another seed, more retries or more sampling steps")
+
+
+class Stopwatch:
+    """Measures the stages of one call.
+
+    Args:
+        device: where the work runs; CUDA work is waited for at the end of each stage.
+    """
+
+    def __init__(self, device: torch.device) -> None:
+        self.device = device
+        self.seconds: dict[str, float] = {}
+        if device.type == "cuda":
+            torch.cuda.reset_peak_memory_stats(device)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time of the block to stage `name`."""
+        start = time.perf_counter()
+        yield
+        if self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+    def peak_bytes(self) -> int:
+        """CUDA: most allocated since the start; else the peak resident memory of the process."""
+        if self.device.type == "cuda":
+            return int(torch.cuda.max_memory_allocated(self.device))
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return int(peak if sys.platform == "darwin" else peak * 1024)  # Linux counts kilobytes
+
+
+def recast_mini() -> Path:
+    """Its folder in the published layout, with a model card (README.md)."""
+    return Path(__file__).parent / RECAST_MINI
+
+
+def viewer_frame(gaussians: Gaussians) -> Gaussians:
+    """Turn native Gaussians (z up) into the frame of the usual splat viewers (-y up).
+
+    (x, y, z) becomes (x, -z, y), the default of the published exporter. recast itself works in the
+    native frame; its inverse is (x, y, z) = (x', z', -y').
+    """
+    return gaussians.transformed(_VIEWER_FROM_NATIVE)

@@ -1,10 +1,16 @@
 """A page and a replay file that show scenes, actors and rollouts in three dimensions."""
 
-from recast.viewer.drives import recording, rollout_drive, scene_drive, still
-from recast.viewer.extra import require_viser
-from recast.viewer.films import FilmFile, FilmFrames, LogFilm
+from recast.viewer.drives import (
+    FilmFile,
+    FilmFrames,
+    LogFilm,
+    recording,
+    rollout_drive,
+    scene_drive,
+    still,
+)
 from recast.viewer.inputs import Drive, Event, Film, Mounted, Runner, ViewInputs
-from recast.viewer.page import MOST_GAUSSIANS, Page
+from recast.viewer.page import MOST_GAUSSIANS, Page, require_viser
 from recast.viewer.replay import REPLAY_MB, ReplaySize, write_replay
 
 __all__ = [

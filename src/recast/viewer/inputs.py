@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.actors import Actor
+from recast.arrays import Array, Image
 from recast.logs import DrivingLog, HdMap
 from recast.scene import StreetScene
 from recast.simulation import ScriptedMotion
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 
 class Film(Protocol):

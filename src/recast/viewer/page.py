@@ -1,25 +1,31 @@
-"""The page: a viser server with everything on it."""
+"""The page: a viser server with everything on it. The package viser is optional."""
 
 from __future__ import annotations
 
 import logging
+import socket
 import time
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from threading import Event, Thread
+from typing import TYPE_CHECKING
 
-from recast.viewer.extra import LOOPBACK, close_server, open_server
+from recast.core.errors import InputError
 from recast.viewer.inputs import ViewInputs
-from recast.viewer.looks import first_look
-from recast.viewer.panel_exact import ExactPanel
-from recast.viewer.panel_layers import ComparePanel, LayersPanel
-from recast.viewer.panel_play import PlayPanel, open_at
+from recast.viewer.panel_layers import ComparePanel, ExactPanel, LayersPanel
+from recast.viewer.panel_play import PlayPanel, first_look, open_at
 from recast.viewer.panel_run import RunPanel
 from recast.viewer.panel_track import TrackPanel, escaped
 from recast.viewer.playback import Change, Playback
 from recast.viewer.stage import Stage
 
+if TYPE_CHECKING:
+    import viser
+
 _LOG = logging.getLogger(__name__)
 
+LOOPBACK = "127.0.0.1"
 MOST_GAUSSIANS = 300_000
 RATE = 30.0
 """Updates a second while it plays."""
@@ -136,3 +142,69 @@ class Page:
 
 def _share(kept: int, total: int) -> str:
     return f"{kept:,} of {total:,} Gaussians ({kept / total:.0%})" if total else "no Gaussians"
+
+
+def require_viser() -> None:
+    """Refuse early if the extra is missing.
+
+    Raises:
+        InputError: viser is not installed.
+    """
+    try:
+        import viser  # noqa: F401
+    except ImportError:
+        raise InputError(
+            "viser", "module", "is not installed", "pip install 'recast-sim[viewer]'"
+        ) from None
+
+
+def open_server(host: str = LOOPBACK, port: int = 8080) -> viser.ViserServer:
+    """Start a viser server that prints nothing and cannot be shared through viser's tunnel.
+
+    Args:
+        host: address to listen on.
+        port: TCP port; the next free one is taken if it is in use.
+
+    Raises:
+        InputError: viser is not installed, or the address is not one of this machine.
+    """
+    require_viser()
+    import viser
+
+    class Server(viser.ViserServer):
+        def request_share_url(self, verbose: bool = True) -> str | None:
+            """Nothing: a page must not open a tunnel to the outside."""
+            return None
+
+    _require_own(host)  # viser itself would wait for ever
+    with redirect_stdout(StringIO()):
+        server = Server(host=host, port=port, verbose=False)
+    server.gui.configure_theme(
+        control_width="large", dark_mode=True, show_logo=False, show_share_button=False
+    )
+    server.gui.main_panel.dock_right()
+    return server
+
+
+def close_server(server: viser.ViserServer) -> None:
+    """Stop a server, again without a word."""
+    with redirect_stdout(StringIO()):
+        server.stop()
+
+
+def _require_own(host: str) -> None:
+    """Refuse an address that is none of this machine's.
+
+    Raises:
+        InputError: see above.
+    """
+    try:
+        with socket.socket() as trial:
+            trial.bind((host, 0))
+    except OSError as error:
+        raise InputError(
+            "--host",
+            host,
+            f"cannot be listened on ({error.strerror or error})",
+            "name an IPv4 address of this machine",
+        ) from None

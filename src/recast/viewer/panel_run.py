@@ -1,23 +1,41 @@
-"""The part of the page that makes a motion, runs it, and saves it."""
+"""The part of the page that puts a motion together, runs it, and saves it as a scenario file."""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
+import yaml
 
-from recast.errors import InputError
+from recast.arrays import Array
+from recast.core import files
+from recast.core.errors import InputError
+from recast.core.names import folder_name
+from recast.dynamics import EgoState
 from recast.geometry import se3
 from recast.reporting import palette
-from recast.simulation import PreparedRollout, RolloutSetup, ScriptedMotion, prepare
-from recast.simulation.scenario_parts import target_motion
-from recast.simulation.scenario_schema import motion_numbers
+from recast.simulation import (
+    PreparedRollout,
+    RolloutSetup,
+    ScriptedMotion,
+    motion_of_record,
+    prepare,
+    scenario_record,
+)
+from recast.simulation.motions import Stationary
+from recast.simulation.scenario import (
+    MOTION_SCHEMAS,
+    Quantity,
+    kind_of,
+    motion_numbers,
+    target_motion,
+)
+from recast.viewer.bake import raised, segments
 from recast.viewer.inputs import Runner
-from recast.viewer.map_lines import raised, segments
-from recast.viewer.own_motion import changed, dragged, quantities, save_scenario
 from recast.viewer.panel_track import escaped
 from recast.viewer.playback import Playback
 
@@ -25,6 +43,10 @@ if TYPE_CHECKING:
     import viser
 
 _LOG = logging.getLogger(__name__)
+
+
+SETTING = "page"
+"""Setting of the motions that are put together on the page."""
 _PATH = "/own/path"
 _START = "/own/start"
 _ANY_LINE = np.array([[[0, 0, 0], [1, 0, 0]]], np.float32)  # without length, a page fails
@@ -61,9 +83,13 @@ class RunPanel:
             _PATH, _ANY_LINE, palette.ACTOR, thickness=0.08, visible=False
         )
         self._gizmo = server.scene.add_transform_controls(
-            _START, scale=3.0, active_axes=(True, True, False), disable_rotations=True,
-            depth_test=False, visible=False,
-        )  # fmt: skip
+            _START,
+            scale=3.0,
+            active_axes=(True, True, False),
+            disable_rotations=True,
+            depth_test=False,
+            visible=False,
+        )
         self._motion.on_update(lambda _: self._load())
         self._edit.on_update(lambda _: self._preview())
         self._run.on_click(lambda _: self._start())
@@ -196,3 +222,79 @@ def _number(name: str, text: str) -> float | None:
         return float(text)
     except ValueError:
         raise InputError("page", name, f"is {text!r}", "give a number") from None
+
+
+def quantities(motion: ScriptedMotion) -> Mapping[str, Quantity]:
+    """The numbers that can be set of what the target does, by name."""
+    kind = kind_of(target_motion(motion))
+    return {} if kind is None else MOTION_SCHEMAS[kind].quantities
+
+
+def changed(
+    motion: ScriptedMotion, name: str, values: Mapping[str, float | None]
+) -> ScriptedMotion:
+    """What the target does, under another name and with other numbers; without further actors.
+
+    Args:
+        values: by quantity; None leaves an optional one out.
+
+    Raises:
+        InputError: a name or number that no scenario file may have.
+    """
+    target = target_motion(motion)
+    kept = {key: float(value) for key, value in values.items() if value is not None}
+    record = {
+        **scenario_record(cast(ScriptedMotion, target)),
+        "name": name,
+        "settings": {SETTING: kept},
+    }
+    return motion_of_record(record, "page")
+
+
+def dragged(motion: ScriptedMotion, prepared: PreparedRollout, place: Array) -> dict[str, float]:
+    """The numbers that put the target where somebody dragged it, as far as it has them.
+
+    Args:
+        motion: what the target does now.
+        prepared: the rollout of that motion.
+        place: (>=2,) where its centre shall start, world metres.
+
+    Returns:
+        "gap" or "min_gap", and "lateral", within their ranges and to the centimetre.
+    """
+    (s, s_new), (lateral, lateral_new) = prepared.route.project(
+        np.stack([prepared.actor[0, :2], place[:2]])
+    )
+    target = target_motion(motion)
+    values = motion_numbers(target)
+    if isinstance(target, Stationary):  # which may stand further away than its least gap
+        speed = float(EgoState(prepared.ego).vx)
+        values["min_gap"] = max(target.min_gap, speed**2 / target.braking + target.reserve)
+    moved = {"gap": s_new - s, "min_gap": s_new - s, "lateral": lateral_new - lateral}
+    found = {}
+    for name, by in moved.items():
+        known = quantities(motion).get(name)
+        if known is not None and name in values:
+            value = min(max(values[name] + float(by), known.low), known.high)
+            found[name] = round(value, 2)
+    return found
+
+
+def save_scenario(motion: ScriptedMotion, folder: Path) -> Path:
+    """Write a scenario file for `recast run --motion`, and return its path.
+
+    Args:
+        folder: gets the file, whose name is made from the motion's and leads nowhere else.
+
+    Raises:
+        InputError: the motion is none that a file can describe, the file exists, or the disk
+            refuses.
+    """
+    text = yaml.safe_dump(scenario_record(motion), sort_keys=False, allow_unicode=True)
+    path = Path(folder) / f"{folder_name(motion.name)}.yaml"
+    if path.exists():
+        raise InputError(path, "file", "exists already", "give the motion another name")
+    with files.disk_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    files.write_text(path, text)
+    return path

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from recast import storage
-from recast.errors import InputError
-from recast.viewer.extra import LOOPBACK, close_server, open_server
+from recast.core import files
+from recast.core.errors import InputError
 from recast.viewer.inputs import ViewInputs
-from recast.viewer.looks import overview
-from recast.viewer.page import MOST_GAUSSIANS
-from recast.viewer.panel_play import open_at
+from recast.viewer.page import LOOPBACK, MOST_GAUSSIANS, close_server, open_server
+from recast.viewer.panel_play import open_at, overview
 from recast.viewer.stage import Shown, Stage
 
 REPLAY_MB = 15.0
@@ -67,9 +65,11 @@ def write_replay(
     name = next(iter(inputs.scenarios)) if scenario is None else scenario
     if name not in inputs.scenarios:
         raise InputError(
-            "replay", f"scenario {name}", "is not there",
+            "replay",
+            f"scenario {name}",
+            "is not there",
             f"choose one of {', '.join(inputs.scenarios)}",
-        )  # fmt: skip
+        )
     limit = round(most_mb * 1e6)
     most = min(most, max(limit - _PAGE, 0) // _GAUSSIAN)  # what surely does not fit is not tried
     shown = _only(inputs, name)
@@ -81,10 +81,12 @@ def write_replay(
         most = round(kept * max(limit - _PAGE, 0) / max(size - _PAGE, 1) * _MARGIN)
     if size > limit:
         raise InputError(
-            "replay", "size", f"is {size / 1e6:.1f} MB at least",
+            "replay",
+            "size",
+            f"is {size / 1e6:.1f} MB at least",
             f"allow more than {most_mb:g} MB",
-        )  # fmt: skip
-    storage.write_text(Path(path), html)
+        )
+    files.write_text(Path(path), html)
     return ReplaySize(size, kept, total)
 
 

@@ -9,23 +9,28 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from recast.actors import Actor
 from recast.actors.turntable import coloured_by_shares
+from recast.arrays import Array
 from recast.geometry import se3
 from recast.reporting.palette import SHARES
 from recast.scene import StreetScene
 from recast.splats import Gaussians
-from recast.viewer.bake import Splats, baked
+from recast.viewer.bake import (
+    ACTOR_DISTANCE,
+    Splats,
+    baked,
+    importance,
+    most_important,
+    path_distances,
+    sky_dome,
+)
 from recast.viewer.inputs import Drive, ViewInputs
-from recast.viewer.prune import ACTOR_DISTANCE, importance, most_important, path_distances
-from recast.viewer.sky import sky_dome
 
 if TYPE_CHECKING:
     import viser
 
-Array = NDArray[np.float64]
 
 _EYES = 24
 """Most places of the ego from which colours are looked at."""
@@ -155,9 +160,13 @@ class SplatNodes:
 
     def _add(self, name: str, splats: Splats) -> None:
         self._handles[name] = self._server.scene.add_gaussian_splats(
-            name, splats.centres, splats.covariances, splats.colours, splats.opacities,
+            name,
+            splats.centres,
+            splats.covariances,
+            splats.colours,
+            splats.opacities,
             visible=False,
-        )  # fmt: skip
+        )
 
     def _add_coverage(self, arm: str) -> None:
         self._coverage[arm] = {}

@@ -8,23 +8,30 @@ from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recast.arrays import Array
 from recast.geometry import boxes, se3
 from recast.reporting import palette
+from recast.viewer.bake import drivable_mesh, lane_lines, raised, segments
 from recast.viewer.inputs import Drive, ViewInputs
-from recast.viewer.map_lines import drivable_mesh, lane_lines, raised, segments
 from recast.viewer.splat_nodes import SplatNodes
 
 if TYPE_CHECKING:
     import viser
 
-Array = NDArray[np.float64]
 
 LAYERS = (
-    "splats", "sky", "boxes", "lanes", "drivable area", "LiDAR", "cameras", "ego", "plans",
+    "splats",
+    "sky",
+    "boxes",
+    "lanes",
+    "drivable area",
+    "LiDAR",
+    "cameras",
+    "ego",
+    "plans",
     "coverage colours",
-)  # fmt: skip
+)
 """What can be switched on and off."""
 _FRUSTUM = 1.0  # metres, height of a camera's image
 _LINE = 0.06  # metres
@@ -90,9 +97,12 @@ class Stage:
             standing = {} if scene is None else scene.standing
             on = self.layers
             seen = self.splats.nodes(
-                shown.arm, "splats" in on, "sky" in on, "coverage colours" in on,
+                shown.arm,
+                "splats" in on,
+                "sky" in on,
+                "coverage colours" in on,
                 {**standing, **poses},
-            )  # fmt: skip
+            )
             seen |= dict.fromkeys(self._map_nodes(scene is None))
             if "boxes" in on:
                 seen |= self._boxes(drive, poses)
@@ -123,8 +133,9 @@ class Stage:
         on = {"splats", "sky", "boxes", "lanes", "cameras", "ego", "plans"}
         if not self.splats.handles:
             on.add("LiDAR")
-        elif not any(d.controlled for arms in self.inputs.scenarios.values()
-                     for d in arms.values()):  # fmt: skip
+        elif not any(
+            d.controlled for arms in self.inputs.scenarios.values() for d in arms.values()
+        ):
             on.discard("boxes")  # a recording has many, which hide what was reconstructed
         return on
 
@@ -143,10 +154,16 @@ class Stage:
         vertices, faces = drivable_mesh(hdmap)
         if len(faces):
             self._nodes["/map/drivable"] = scene.add_mesh_simple(
-                "/map/drivable", vertices.astype(np.float32), faces.astype(np.uint32),
-                color=palette.DRIVABLE, opacity=0.6, side="double", cast_shadow=False,
-                receive_shadow=False, visible=False,
-            )  # fmt: skip
+                "/map/drivable",
+                vertices.astype(np.float32),
+                faces.astype(np.uint32),
+                color=palette.DRIVABLE,
+                opacity=0.6,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+                visible=False,
+            )
 
     def _map_nodes(self, bare: bool) -> list[str]:
         """Nodes of the map; `bare`: there is no street, so the road itself is drawn."""
@@ -171,9 +188,15 @@ class Stage:
         colour = palette.ACTOR if controlled else palette.LOGGED
         # Faces would hide the splats within, so only lines are drawn; clicks hit the faces still.
         self._nodes[name] = box = self._server.scene.add_box(
-            name, colour, tuple(size.tolist()), wireframe=True, opacity=0.02, cast_shadow=False,
-            receive_shadow=False, visible=False,
-        )  # fmt: skip
+            name,
+            colour,
+            tuple(size.tolist()),
+            wireframe=True,
+            opacity=0.02,
+            cast_shadow=False,
+            receive_shadow=False,
+            visible=False,
+        )
         self._outline(f"{name}/edges", size, colour)
         if self._on_click is not None:
             clicked = self._on_click
@@ -234,10 +257,18 @@ class Stage:
             image = film[min(step, len(film) - 1)] if shown and film is not None else None
             if name not in self._nodes:
                 self._nodes[name] = self._server.scene.add_camera_frustum(
-                    name, mount.fov, mount.aspect, scale=_FRUSTUM, color=palette.TEXT,
-                    image=image, format="jpeg", jpeg_quality=75, cast_shadow=False,
-                    receive_shadow=False, visible=False,
-                )  # fmt: skip
+                    name,
+                    mount.fov,
+                    mount.aspect,
+                    scale=_FRUSTUM,
+                    color=palette.TEXT,
+                    image=image,
+                    format="jpeg",
+                    jpeg_quality=75,
+                    cast_shadow=False,
+                    receive_shadow=False,
+                    visible=False,
+                )
             elif pictures and (image is not None or film is None):
                 self._nodes[name].image = image
             seen[name] = rig @ mount.rig_from_camera
@@ -257,10 +288,12 @@ class Stage:
             points = se3.apply(log.world_from_rig.at(sweep.timestamp_us), sweep.points)
             shade = 90 + 165 * np.sqrt(sweep.intensity.clip(0, 1))
             self._nodes[name] = self._server.scene.add_point_cloud(
-                name, points.astype(np.float32),
-                np.repeat(shade[:, None], 3, axis=1).astype(np.uint8), point_size=0.05,
+                name,
+                points.astype(np.float32),
+                np.repeat(shade[:, None], 3, axis=1).astype(np.uint8),
+                point_size=0.05,
                 visible=name in self._seen,
-            )  # fmt: skip
+            )
         return {name: None} if name in self._nodes else {}
 
 

@@ -10,23 +10,26 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-from recast import storage
-from recast.core.hashing import value_hash
-from recast.errors import InputError
-from recast.names import member
-from recast.records import Record, read_record
+from recast.core import files
+from recast.core.artefact import value_hash
+from recast.core.errors import InputError
+from recast.core.files import atomic_file
+from recast.core.names import member
+from recast.core.records import Record, read_record
 from recast.weights import transfer
-from recast.weights.place import opened, weights_folder
 from recast.weights.record import (
     RECORD_FILE,
     FileRecord,
     WeightsRecord,
+    opened,
     read_weights_record,
     remember,
+    weights_folder,
     written_files,
 )
 from recast.weights.table import Source, Weights
 
+_PICKLE, _SAFETENSORS = "pytorch_model.bin", "model.safetensors"
 PLAN_FILE = ".plan.json"
 
 Progress = Callable[[str, int, int | None], None]
@@ -72,13 +75,15 @@ def fetch(
     if weights.restricted and not accepted:
         terms = next(one for one in weights.licences if one.restricted)
         raise InputError(
-            "weights", weights.name, f"have terms to accept ({terms.name}, {terms.link})",
+            "weights",
+            weights.name,
+            f"have terms to accept ({terms.name}, {terms.link})",
             "read them, then add --accept-licence",
-        )  # fmt: skip
-    partial = storage.partial_name(folder)
-    with storage.disk_errors(partial):
+        )
+    partial = files.partial_name(folder)
+    with files.disk_errors(partial):
         partial.mkdir(parents=True, exist_ok=True)
-    with storage.alone_in(partial), storage.disk_errors(partial):
+    with files.alone_in(partial), files.disk_errors(partial):
         if not is_whole(weights, partial):
             _fill(weights, partial, progress)
         _finish(partial, folder)
@@ -113,7 +118,7 @@ def _fill(weights: Weights, partial: Path, progress: Progress) -> None:
         converter=weights.converter,
         files=written_files(partial, weights.converted, fetched),
     )
-    storage.write_json(partial / RECORD_FILE, record.model_dump(mode="json"))
+    files.write_json(partial / RECORD_FILE, record.model_dump(mode="json"))
 
 
 def _report(progress: Progress, file: transfer.RemoteFile, came: int) -> None:
@@ -138,9 +143,12 @@ def _finish(partial: Path, folder: Path) -> None:
 
 def _plan(weights: Weights, partial: Path) -> Plan:
     """The plan of an earlier try if it is for the same entry; else a new one in an empty folder."""
-    entry = value_hash([
-        [one.where, one.files, one.revision, dict(one.sha256), one.into] for one in weights.sources
-    ])  # fmt: skip
+    entry = value_hash(
+        [
+            [one.where, one.files, one.revision, dict(one.sha256), one.into]
+            for one in weights.sources
+        ]
+    )
     path = partial / PLAN_FILE
     if path.is_file():
         plan = read_record(path, Plan, 1, f"remove {partial}")
@@ -149,7 +157,7 @@ def _plan(weights: Weights, partial: Path) -> Plan:
     for old in partial.iterdir():
         shutil.rmtree(old) if old.is_dir() else old.unlink()
     revisions: dict[str, str] = {}
-    files: list[transfer.RemoteFile] = []
+    planned: list[transfer.RemoteFile] = []
     for source in weights.sources:
         if source.repository:
             revisions[source.where], found = transfer.repository_files(source)
@@ -157,9 +165,9 @@ def _plan(weights: Weights, partial: Path) -> Plan:
         else:
             found = {name: transfer.web_file(source.address(name)) for name in source.files}
             names = list(source.files)
-        files += [_planned(source, name, found[name]) for name in dict.fromkeys(names)]
-    plan = Plan(entry=entry, revisions=revisions, files=tuple(files))
-    storage.write_json(path, plan.model_dump(mode="json"))
+        planned += [_planned(source, name, found[name]) for name in dict.fromkeys(names)]
+    plan = Plan(entry=entry, revisions=revisions, files=tuple(planned))
+    files.write_json(path, plan.model_dump(mode="json"))
     return plan
 
 
@@ -167,9 +175,11 @@ def _matching(source: Source, wanted: str, found: dict[str, transfer.RemoteFile]
     names = fnmatch.filter(found, wanted) if "*" in wanted else [wanted] * (wanted in found)
     if not names:
         raise InputError(
-            source.where, wanted, f"is not in the repository at {source.revision or 'main'}",
+            source.where,
+            wanted,
+            f"is not in the repository at {source.revision or 'main'}",
             "tell the maintainers of recast: the publisher changed the layout",
-        )  # fmt: skip
+        )
     return names
 
 
@@ -187,7 +197,7 @@ def _require_space(weights: Weights, plan: Plan, partial: Path) -> None:
     needed = 0
     for file in plan.files:
         target = partial / file.path
-        part = storage.partial_name(target)
+        part = files.partial_name(target)
         there = [one.stat().st_size for one in (target, part) if one.is_file()]
         needed += max(0, (file.size or 0) - sum(there))
         if file.path in weights.converted:
@@ -196,3 +206,35 @@ def _require_space(weights: Weights, plan: Plan, partial: Path) -> None:
     if needed > free:
         problem = f"has {free / 1e9:.1f} GB free, {weights.name} needs {needed / 1e9:.1f} GB"
         raise InputError(partial.parent, "disk", problem, "free some space, or set RECAST_WEIGHTS")
+
+
+def safetensors_of_pickle(folder: Path) -> None:
+    """Write model.safetensors from pytorch_model.bin, of which nothing but tensors is unpickled.
+
+    Names, types and values stay; tensors that share memory are stored apart.
+
+    Raises:
+        InputError: the file holds other objects than tensors, or the disk refuses.
+    """
+    import torch  # only a few of the published weights are converted
+    from safetensors import SafetensorError
+    from safetensors.torch import save_file
+
+    from recast.core.torch_file import read_tensors
+
+    found = read_tensors(folder / _PICKLE, "weights", "remove the folder and fetch it again")
+    apart: dict[str, torch.Tensor] = {}
+    memory: set[int] = set()
+    for name, tensor in found.items():
+        dense = tensor.contiguous()
+        at = dense.untyped_storage().data_ptr()
+        apart[name] = dense.clone() if at in memory else dense
+        memory.add(at)
+    with atomic_file(folder / _SAFETENSORS) as partial:
+        try:
+            save_file(apart, partial, {"format": "pt"})
+        except SafetensorError as error:  # a full disk is said in a way of its own
+            problem = f"cannot be written ({error})"
+            raise InputError(
+                folder / _SAFETENSORS, "file", problem, "free some space and run again"
+            ) from error

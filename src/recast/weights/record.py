@@ -1,25 +1,102 @@
-"""What was fetched: the record beside the weights, and whether the files are still those."""
+"""Where fetched weights lie, what a name stands for, and the record beside them."""
 
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, overload
 
 from pydantic import Field, NonNegativeInt
 
-from recast import storage
-from recast.errors import InputError
-from recast.names import member
-from recast.records import Record, read_record
-from recast.weights.table import Weights
+from recast.core import files
+from recast.core.errors import InputError
+from recast.core.names import member
+from recast.core.records import Record, read_record
+from recast.weights.table import PUBLISHED, Weights
 
+RECAST_WEIGHTS = "RECAST_WEIGHTS"
+"""Environment variable that names another folder than weights/ in the cache of recast."""
 RECORD_FILE = "weights.json"
 _FORMAT: Literal["recast-weights"] = "recast-weights"
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+def weights_folder(*parts: str) -> Path:
+    """The folder that holds fetched weights, each below its name."""
+    named_folder = os.environ.get(RECAST_WEIGHTS)
+    if named_folder:
+        return Path(named_folder).expanduser().joinpath(*parts)
+    from recast.core.remote import cache_folder  # imports upath, in tens of milliseconds
+
+    return cache_folder("weights", *parts)
+
+
+def place(part: str, name: str) -> Path | None:
+    """The folder or file that a name of published weights stands for, checked before it is used.
+
+    Args:
+        part: kind of exchangeable part, such as "generator", see `Weights.part`.
+
+    Returns:
+        None if it is no name of weights for that part.
+
+    Raises:
+        InputError: they were not fetched, changed on disk, or are not those that the table pins.
+    """
+    weights = PUBLISHED.get(name)
+    return opened(weights) if weights is not None and part == weights.part else None
+
+
+@overload
+def located(option: str, value: Path) -> Path: ...
+
+
+@overload
+def located(option: str, value: Path | None) -> Path | None: ...
+
+
+def located(option: str, value: Path | None) -> Path | None:
+    """What the value of an option that takes a path stands for.
+
+    Args:
+        value: a path, which is given back if it exists; or a name of published weights.
+
+    Raises:
+        InputError: see `place`.
+    """
+    if value is None or value.exists():
+        return value
+    weights = PUBLISHED.get(str(value))
+    return opened(weights) if weights is not None and option in weights.options else value
+
+
+def opened(weights: Weights) -> Path:
+    """The folder or file of fetched weights.
+
+    Raises:
+        InputError: see `place`.
+    """
+
+    folder = weights_folder(weights.name)
+    get = f"run `recast weights get {weights.name}`"
+    if not (folder / RECORD_FILE).is_file():
+        raise InputError("weights", weights.name, "are not here", get)
+    record = read_weights_record(folder)
+    if not record.is_of(weights):
+        problem = "are of another version than this recast pins"
+        raise InputError("weights", weights.name, problem, get)
+    verify(folder, record, every_byte=False)
+    return folder / weights.opens if weights.opens else folder
+
+
+def is_fetched(name: str) -> bool:
+    """Whether weights are here; their bytes are not looked at."""
+
+    return (weights_folder(name) / RECORD_FILE).is_file()
 
 
 class FileRecord(Record):
@@ -97,7 +174,7 @@ def verify(folder: Path, record: WeightsRecord, every_byte: bool = True) -> None
     seen, read = {} if every_byte else _read_stamps(folder), False
     for name, file in record.files.items():
         path = member(folder, name, folder / RECORD_FILE, "files")
-        with storage.disk_errors(path):
+        with files.disk_errors(path):
             if not path.is_file():
                 raise InputError(path, "weights", "lack this file", _mend(folder))
             if path.stat().st_size == file.size and seen.get(name) == _stamp(path):
@@ -114,7 +191,7 @@ def remember(folder: Path, record: WeightsRecord) -> None:
     """Note, beside a folder whose files were all read, how the file system describes them."""
     with suppress(InputError, OSError):  # somebody else's folder: read again the next time then
         stamps = {name: _stamp(folder / name) for name in record.files}
-        storage.write_json(_note(folder), stamps)
+        files.write_json(_note(folder), stamps)
 
 
 def written_files(
@@ -147,7 +224,7 @@ def _note(folder: Path) -> Path:
 
 def _read_stamps(folder: Path) -> dict[str, Any]:
     with suppress(InputError):
-        found = storage.read_json(_note(folder))
+        found = files.read_json(_note(folder))
         return found if isinstance(found, dict) else {}
     return {}
 

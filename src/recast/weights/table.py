@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from urllib.parse import quote
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 
 HUB = "https://huggingface.co"
 
@@ -81,7 +81,7 @@ class Weights:
     Attributes:
         use: what the networks are for.
         options: command-line options that take the name.
-        part: kind of exchangeable part that it names, see `recast.plugins.Registry`; or empty.
+        part: kind of exchangeable part that it names, see `recast.core.plugins.Registry`; or empty.
         gigabytes: size of the download, rounded.
         sources: where the files lie.
         opens: file or subfolder that stands for the name; the whole folder where empty.
@@ -191,9 +191,13 @@ def _dinov2(into: str = "") -> Source:
 def _grounding_dino(size: str, revision: str, sha256: str) -> Source:
     repository = f"IDEA-Research/grounding-dino-{size}"
     return Source(
-        repository, (*_PROCESSOR, *_TOKENIZER, "vocab.txt", _MODEL), _apache(repository),
-        revision, {_MODEL: sha256}, "grounding-dino",
-    )  # fmt: skip
+        repository,
+        (*_PROCESSOR, *_TOKENIZER, "vocab.txt", _MODEL),
+        _apache(repository),
+        revision,
+        {_MODEL: sha256},
+        "grounding-dino",
+    )
 
 
 def _sam(size: str, revision: str, sha256: Mapping[str, str]) -> Source:
@@ -206,14 +210,21 @@ def _flant5(size: str, revision: str | None) -> Source:
     return Source(
         repository,
         ("config.json", *_TOKENIZER, "spiece.model", "pytorch_model*"),
-        _apache(repository), revision,
-    )  # fmt: skip
+        _apache(repository),
+        revision,
+    )
 
 
 def _one_file(
-    name: str, use: str, option: str, gigabytes: float, licence: Licence, address: str, file: str,
+    name: str,
+    use: str,
+    option: str,
+    gigabytes: float,
+    licence: Licence,
+    address: str,
+    file: str,
     sha256: str,
-) -> Weights:  # fmt: skip
+) -> Weights:
     """An entry that is one file of a web address, which stands for the name."""
     source = Source(address, (file,), licence, sha256={file: sha256})
     return Weights(name, use, (option,), gigabytes, (source,), opens=file)
@@ -230,19 +241,29 @@ _VISION_TOWER = Source(
 
 _TABLE = (
     Weights(
-        "trellis", "one image to a vehicle: TRELLIS-image-large with DINOv2",
-        ("--generator", "--model"), 4.2, (_TRELLIS, _dinov2("dinov2")),
+        "trellis",
+        "one image to a vehicle: TRELLIS-image-large with DINOv2",
+        ("--generator", "--model"),
+        4.2,
+        (_TRELLIS, _dinov2("dinov2")),
         "generator",
     ),
     Weights(
-        "dinov2", "image encoder of TRELLIS; feature distance: DINOv2 ViT-L/14 with registers",
-        ("--image-encoder", "--dino"), 1.2, (_dinov2(),),
+        "dinov2",
+        "image encoder of TRELLIS; feature distance: DINOv2 ViT-L/14 with registers",
+        ("--image-encoder", "--dino"),
+        1.2,
+        (_dinov2(),),
     ),
     Weights(
-        "grounded-sam", "segmentation: Grounding DINO base with SAM ViT-H", ("--segmenter",), 3.5,
+        "grounded-sam",
+        "segmentation: Grounding DINO base with SAM ViT-H",
+        ("--segmenter",),
+        3.5,
         (
             _grounding_dino(
-                "base", "12bdfa3120f3e7ec7b434d90674b3396eccf88eb",
+                "base",
+                "12bdfa3120f3e7ec7b434d90674b3396eccf88eb",
                 "5548f844c928c4b6f411fa8cbcc2bfa8dbbba437cb1d513975519f93c2a9ed21",
             ),
             _sam("huge", "87aecf0df4ce6b30cd7de76e87673c49644bdf67", {}),
@@ -250,75 +271,116 @@ _TABLE = (
         "segmenter",
     ),
     Weights(
-        "grounded-sam-small", "segmentation: Grounding DINO tiny with SAM ViT-B", ("--segmenter",),
+        "grounded-sam-small",
+        "segmentation: Grounding DINO tiny with SAM ViT-B",
+        ("--segmenter",),
         1.1,
         (
             _grounding_dino(
-                "tiny", "a2bb814dd30d776dcf7e30523b00659f4f141c71",
+                "tiny",
+                "a2bb814dd30d776dcf7e30523b00659f4f141c71",
                 "1a2412ef99bd74bcd3c2a246fa1e48581f8889a1300c9051974741314fc042f3",
             ),
             _sam(
-                "base", "70c1a07f894ebb5b307fd9eaaee97b9dfc16068f",
+                "base",
+                "70c1a07f894ebb5b307fd9eaaee97b9dfc16068f",
                 {_MODEL: "892c410e496344e527255ccdcb2cb7244a609acb5389c7c4fdba1288f861c579"},
             ),
         ),
         "segmenter",
     ),
     Weights(
-        "clip-vit-l14", "image and text similarity, aesthetic score: CLIP ViT-L/14", ("--clip",),
+        "clip-vit-l14",
+        "image and text similarity, aesthetic score: CLIP ViT-L/14",
+        ("--clip",),
         1.7,
         (
             Source(
-                "openai/clip-vit-large-patch14", (*_CLIP_FILES, _MODEL), _CLIP_LICENCE,
+                "openai/clip-vit-large-patch14",
+                (*_CLIP_FILES, _MODEL),
+                _CLIP_LICENCE,
                 "32bd64288804d66eefd0ccbe215aa642df71cc41",
                 {_MODEL: "a2bf730a0c7debf160f7a6b50b3aaf3703e7e88ac73de7a314903141db026dcb"},
             ),
         ),
     ),
     Weights(
-        "clip-vit-b32", "image and text similarity: CLIP ViT-B/32", ("--clip",), 0.6,
+        "clip-vit-b32",
+        "image and text similarity: CLIP ViT-B/32",
+        ("--clip",),
+        0.6,
         (
             Source(
-                "openai/clip-vit-base-patch32", (*_CLIP_FILES, _PICKLE), _CLIP_LICENCE,
+                "openai/clip-vit-base-patch32",
+                (*_CLIP_FILES, _PICKLE),
+                _CLIP_LICENCE,
                 "3d74acf9a28c67741b2f4f2ea7635f0aaf6f0268",
                 {_PICKLE: "a63082132ba4f97a80bea76823f544493bffa8082296d62d71581a4feff1576f"},
             ),
         ),
-        converter="recast.weights.convert:safetensors_of_pickle", converted=(_PICKLE,),
+        converter="recast.weights.fetch:safetensors_of_pickle",
+        converted=(_PICKLE,),
     ),
     Weights(
-        "clip-flant5-xxl", "VQAScore: CLIP-FlanT5 XXL", ("--vqa",), 22.9,
-        (_flant5("xxl", None), _VISION_TOWER), "VQA scorer",
+        "clip-flant5-xxl",
+        "VQAScore: CLIP-FlanT5 XXL",
+        ("--vqa",),
+        22.9,
+        (_flant5("xxl", None), _VISION_TOWER),
+        "VQA scorer",
     ),
     Weights(
-        "clip-flant5-xl", "VQAScore: CLIP-FlanT5 XL", ("--vqa",), 6.3,
-        (_flant5("xl", "2cee5afb3386792d9b21066a89232687dfce2c62"), _VISION_TOWER), "VQA scorer",
+        "clip-flant5-xl",
+        "VQAScore: CLIP-FlanT5 XL",
+        ("--vqa",),
+        6.3,
+        (_flant5("xl", "2cee5afb3386792d9b21066a89232687dfce2c62"), _VISION_TOWER),
+        "VQA scorer",
     ),
     _one_file(
-        "alexnet", "LPIPS: AlexNet", "--lpips-weights", 0.2, _TORCHVISION, _PYTORCH,
+        "alexnet",
+        "LPIPS: AlexNet",
+        "--lpips-weights",
+        0.2,
+        _TORCHVISION,
+        _PYTORCH,
         "alexnet-owt-7be5be79.pth",
         "7be5be791159472b1fbf3c69796f7cb30dca7ad8466c2df70058c37116cdee02",
     ),
     _one_file(
-        "vgg16", "LPIPS: VGG-16", "--lpips-weights", 0.6, _TORCHVISION, _PYTORCH,
+        "vgg16",
+        "LPIPS: VGG-16",
+        "--lpips-weights",
+        0.6,
+        _TORCHVISION,
+        _PYTORCH,
         "vgg16-397923af.pth",
         "397923af8e79cdbb6a7127f12361acd7a2f83e06b05044ddf496e83de57a5bf0",
     ),
     _one_file(
-        "inception", "Frechet distance: the FID's Inception v3", "--inception", 0.1,
+        "inception",
+        "Frechet distance: the FID's Inception v3",
+        "--inception",
+        0.1,
         Licence("Apache-2.0", "https://github.com/mseitzer/pytorch-fid/blob/master/LICENSE"),
         "https://github.com/mseitzer/pytorch-fid/releases/download/fid_weights",
         "pt_inception-2015-12-05-6726825d.pth",
         "6726825d0af5f729cebd5821db510b11b1cfad8faad88a03f1befd49fb9129b2",
     ),
     Weights(
-        "gtrs-dense", "planner: GTRS-Dense with V2-99 and 8192 trajectories", ("--planner",), 0.9,
+        "gtrs-dense",
+        "planner: GTRS-Dense with V2-99 and 8192 trajectories",
+        ("--planner",),
+        0.9,
         (
             Source(
-                "Zzxxxxxxxx/gtrs", ("gtrs_dense_vov.ckpt",),
+                "Zzxxxxxxxx/gtrs",
+                ("gtrs_dense_vov.ckpt",),
                 _hub_licence(
                     "not stated for the weights (code Apache-2.0); trained on nuPlan, whose terms "
-                    "are non-commercial", "Zzxxxxxxxx/gtrs", restricted=True,
+                    "are non-commercial",
+                    "Zzxxxxxxxx/gtrs",
+                    restricted=True,
                 ),
             ),
             Source(
@@ -331,11 +393,15 @@ _TABLE = (
                 },
             ),
         ),
-        part="planner", opens="planner", converter="recast.planning.gtrs.release:convert_release",
+        part="planner",
+        opens="planner",
+        converter="recast.planning.gtrs.folder:convert_release",
         converted=("gtrs_dense_vov.ckpt", "8192.npy"),
     ),
     _one_file(
-        "aesthetic", "aesthetic score of targets: Improved Aesthetic Predictor", "--predictor",
+        "aesthetic",
+        "aesthetic score of targets: Improved Aesthetic Predictor",
+        "--predictor",
         0.004,
         Licence("Apache-2.0", "https://github.com/christophschuhmann/improved-aesthetic-predictor"),
         "https://raw.githubusercontent.com/christophschuhmann/"
@@ -343,7 +409,7 @@ _TABLE = (
         "sac+logos+ava1-l14-linearMSE.pth",
         "21dd590f3ccdc646f0d53120778b296013b096a035a2718c9cb0d511bff0f1e0",
     ),
-)  # fmt: skip
+)
 
 PUBLISHED: Mapping[str, Weights] = {one.name: one for one in _TABLE}
 """All entries by name."""

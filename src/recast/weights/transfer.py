@@ -16,9 +16,9 @@ from typing import Any, BinaryIO, Self
 
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, ValidationError
 
-from recast import storage
-from recast.errors import InputError
-from recast.records import Record, validation_error
+from recast.core import files
+from recast.core.errors import InputError
+from recast.core.records import Record, validation_error
 from recast.weights.record import FileRecord, Sha256, file_record
 from recast.weights.table import HUB, Source
 
@@ -98,7 +98,7 @@ def repository_files(source: Source) -> tuple[str, dict[str, RemoteFile]]:
             actual(address), params={"blobs": "true"}, headers=_headers(address), timeout=30.0
         )
         hf_raise_for_status(answer)
-        told = storage.parse_json(actual(address), answer.content)
+        told = files.parse_json(actual(address), answer.content)
     try:
         found = _Repository.model_validate(told)
     except ValidationError as error:
@@ -106,7 +106,7 @@ def repository_files(source: Source) -> tuple[str, dict[str, RemoteFile]]:
     if source.revision not in (None, found.sha):
         problem = f"answers with commit {found.sha}, not {source.revision}"
         raise InputError(actual(address), "revision", problem, "check the mirror")
-    files = {
+    listed = {
         one.rfilename: RemoteFile(
             address=source.address(one.rfilename, found.sha),
             path=one.rfilename,
@@ -116,7 +116,7 @@ def repository_files(source: Source) -> tuple[str, dict[str, RemoteFile]]:
         )
         for one in found.siblings
     }
-    return found.sha, files
+    return found.sha, listed
 
 
 def web_file(address: str) -> RemoteFile:
@@ -152,8 +152,8 @@ def download(file: RemoteFile, target: Path, step: Step) -> FileRecord:
     """
     from huggingface_hub.file_download import http_get
 
-    part = storage.partial_name(target)
-    with storage.disk_errors(target):
+    part = files.partial_name(target)
+    with files.disk_errors(target):
         if target.is_file():
             found = file_record(target)
             if not _difference(file, found, target):
@@ -164,11 +164,15 @@ def download(file: RemoteFile, target: Path, step: Step) -> FileRecord:
         if had and (file.size is None or had > file.size):
             part.unlink()
             had = 0
-        with _answers(file.address), storage.disk_errors(target), part.open("ab") as stream:
+        with _answers(file.address), files.disk_errors(target), part.open("ab") as stream:
             http_get(
-                actual(file.address), stream, resume_size=had, headers=_headers(file.address),
-                expected_size=file.size, tqdm_class=_reporting(stream, step),
-            )  # fmt: skip
+                actual(file.address),
+                stream,
+                resume_size=had,
+                headers=_headers(file.address),
+                expected_size=file.size,
+                tqdm_class=_reporting(stream, step),
+            )
         found = file_record(part)
         problem = _difference(file, found, part)
         if problem:
@@ -237,9 +241,11 @@ def _answers(address: str) -> Iterator[None]:
         raise
     except OfflineModeIsEnabled:
         raise InputError(
-            asked, "network", "is switched off by HF_HUB_OFFLINE or TRANSFORMERS_OFFLINE",
+            asked,
+            "network",
+            "is switched off by HF_HUB_OFFLINE or TRANSFORMERS_OFFLINE",
             "unset it for `recast weights get`",
-        ) from None  # fmt: skip
+        ) from None
     except HfHubHTTPError as error:
         status = error.response.status_code
         if status in (401, 403):

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from actors import made_up
-from recast.actors.evidence import free_space
+from recast.actors.carve import free_space
 from recast.logs import DrivingLog, LidarStream, LidarSweep, Track, Trajectory
 
 CENTRE = np.array([10.0, 0.0, made_up.SIZE[2] / 2])
@@ -23,9 +23,12 @@ def log_of(points: np.ndarray, sweeps: int) -> DrivingLog:
     ]
     track = Track("7", "car", made_up.SIZE, Trajectory(times, poses))
     return DrivingLog(
-        "rays", {}, {"top": LidarStream("top", mount, times, made_up.Sweeps(sweep))},
-        Trajectory(times, still), {"7": track},
-    )  # fmt: skip
+        "rays",
+        {},
+        {"top": LidarStream("top", mount, times, made_up.Sweeps(sweep))},
+        Trajectory(times, still),
+        {"7": track},
+    )
 
 
 def cells(end: list[float], sweeps: int = 2, hits: np.ndarray | None = None) -> np.ndarray:

@@ -10,8 +10,9 @@ from safetensors.torch import load_file, save_file
 
 from actors import made_up
 from recast.actors import BoxLidarSegmenter
-from recast.actors.evidence import Evidence, gather_evidence, load_evidence, save_evidence
-from recast.errors import InputError
+from recast.actors.evidence import Evidence, load_evidence, save_evidence
+from recast.actors.gather_evidence import gather_evidence
+from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.scene import SceneConfig

@@ -49,9 +49,14 @@ class Glb:
         """Add numbers (N,) or (N, width); the index of their accessor."""
         width = 1 if values.ndim == 1 else values.shape[1]
         self.tree["accessors"].append(
-            {"bufferView": self.view(values.tobytes()), "count": len(values),
-             "componentType": TYPES[values.dtype.name], "type": KINDS[width], **more}
-        )  # fmt: skip
+            {
+                "bufferView": self.view(values.tobytes()),
+                "count": len(values),
+                "componentType": TYPES[values.dtype.name],
+                "type": KINDS[width],
+                **more,
+            }
+        )
         return len(self.tree["accessors"]) - 1
 
     def primitive(
@@ -105,8 +110,20 @@ def textured_square(pixels: np.ndarray) -> Glb:
 def box(low: Any, high: Any) -> tuple[np.ndarray, np.ndarray]:
     """Corners (8, 3) and faces (12, 3) of a box, wound counter-clockwise seen from outside."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
-    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7],
-             [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]  # fmt: skip
+    faces = [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+        [0, 6, 4],
+        [1, 5, 7],
+        [1, 7, 3],
+    ]
     placed = np.asarray(low) + corners * np.subtract(high, low)
     return placed.astype(np.float32), np.array(faces, np.uint16)
 
@@ -130,8 +147,10 @@ def car(glass: float = 0.3) -> Glb:
         glb.primitive((corners @ to_gltf.T).astype(np.float32), faces, material=material)
     paint = [[0.5, 0.02, 0.02, 1.0], [0.05, 0.05, 0.05, glass], [0.02, 0.02, 0.02, 1.0]]
     glb.tree["materials"] = [
-        {"pbrMetallicRoughness": {"baseColorFactor": colour},
-         "alphaMode": "BLEND" if colour[3] < 1 else "OPAQUE"}
+        {
+            "pbrMetallicRoughness": {"baseColorFactor": colour},
+            "alphaMode": "BLEND" if colour[3] < 1 else "OPAQUE",
+        }
         for colour in paint
-    ]  # fmt: skip
+    ]
     return glb

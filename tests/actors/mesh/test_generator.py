@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 import torch
 
-import recast.actors.mesh.surfels as making
+import recast.actors.mesh.generator as making
 from actors.mesh.made import CAR, HALVES, SQUARE, Glb, box, car
 from recast.actors import MeshGenerator, Observation, register
-from recast.actors.mesh.outside import Outside, outside
-from recast.actors.mesh.sample import sample
-from recast.actors.mesh.surfels import surfels
+from recast.actors.mesh.generator import surfels
+from recast.actors.mesh.sample import Outside, outside, sample
 from recast.actors.mesh.triangles import Material, Triangles
 from recast.actors.template.lighting import CLEAR_DAY, SH_C0
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from recast.splats import MIP, Gaussians, rasterize
 
@@ -41,9 +40,14 @@ def picture_from_above(gaussians: Gaussians, pixels: int = 40) -> tuple[np.ndarr
     pose[2, 3] = 10.0
     camera = torch.tensor([[1000.0, 0, pixels / 2], [0, 1000.0, pixels / 2], [0, 0, 1]])
     picture = rasterize(
-        gaussians, torch.from_numpy(pose).float(), camera, pixels, pixels,
-        eps2d=MIP.variance, antialiased=MIP.antialiased,
-    )  # fmt: skip
+        gaussians,
+        torch.from_numpy(pose).float(),
+        camera,
+        pixels,
+        pixels,
+        eps2d=MIP.variance,
+        antialiased=MIP.antialiased,
+    )
     return picture.rgb.numpy(), picture.alpha.numpy()
 
 

@@ -25,7 +25,7 @@ from actors.mesh.made import (
     textured_square,
 )
 from recast.actors.mesh.gltf import files_of_glb, read_glb
-from recast.errors import InputError
+from recast.core.errors import InputError
 
 RED = np.full((4, 4, 3), [200, 10, 10], np.uint8)
 
@@ -61,8 +61,9 @@ def test_texture_factor_and_coordinates(tmp_path: Path) -> None:
     glb = textured_square(RED)
     glb.tree["materials"][0] |= {"alphaMode": "MASK", "alphaCutoff": 0.25}
     glb.tree["materials"][0]["pbrMetallicRoughness"] |= {
-        "baseColorFactor": [0.001, 0.5, 1.0, 0.9], "roughnessFactor": 0.3
-    }  # fmt: skip
+        "baseColorFactor": [0.001, 0.5, 1.0, 0.9],
+        "roughnessFactor": 0.3,
+    }
     (part,) = read_glb(glb.write(tmp_path / "a.glb"))
     material = part.material
     assert material.texture is not None
@@ -119,12 +120,18 @@ def test_vertex_colours_become_linear_shares(tmp_path: Path) -> None:
         ({"KHR_materials_transmission": {"transmissionFactor": 0.6}}, [1, 1, 1, 0.4], "BLEND", 0),
         ({"KHR_materials_transmission": {"transmissionFactor": 1.0}}, [1, 1, 1, 0.08], "BLEND", 0),
         (
-            {"KHR_materials_pbrSpecularGlossiness": {"diffuseFactor": [0.1, 0.2, 0.3, 1.0],
-                                                     "glossinessFactor": 0.8}},
-            [0.1, 0.2, 0.3, 1.0], "OPAQUE", 0.8,
+            {
+                "KHR_materials_pbrSpecularGlossiness": {
+                    "diffuseFactor": [0.1, 0.2, 0.3, 1.0],
+                    "glossinessFactor": 0.8,
+                }
+            },
+            [0.1, 0.2, 0.3, 1.0],
+            "OPAQUE",
+            0.8,
         ),
     ],
-)  # fmt: skip
+)
 def test_materials_of_extensions(
     tmp_path: Path, extension: dict, factor: list[float], alpha: str, gloss: float
 ) -> None:
@@ -286,10 +293,17 @@ def test_a_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "data",
-    [b"", b"glTF", packed(b"[]", b""), packed(b"{", b""), packed(b'{"a":' * 5000, b""),
-     packed(json.dumps({"nodes": 7}).encode(), b""), struct.pack("<4sII", b"glTF", 1, 9) + bytes(9),
-     struct.pack("<4sIII4s", b"glTF", 2, 24, 2**32 - 1, b"JSON") + bytes(8)],
-)  # fmt: skip
+    [
+        b"",
+        b"glTF",
+        packed(b"[]", b""),
+        packed(b"{", b""),
+        packed(b'{"a":' * 5000, b""),
+        packed(json.dumps({"nodes": 7}).encode(), b""),
+        struct.pack("<4sII", b"glTF", 1, 9) + bytes(9),
+        struct.pack("<4sIII4s", b"glTF", 2, 24, 2**32 - 1, b"JSON") + bytes(8),
+    ],
+)
 def test_what_is_no_glb(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "a.glb"
     path.write_bytes(data)

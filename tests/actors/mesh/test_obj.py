@@ -10,8 +10,8 @@ import trimesh
 
 from actors.mesh.made import box, picture
 from recast.actors.mesh.obj import files_of_obj, read_obj
-from recast.actors.mesh.triangles import to_linear
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.geometry.colour import srgb_to_linear
 
 RED = np.full((4, 4, 3), [200, 10, 10], np.uint8)
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
@@ -36,9 +36,10 @@ def test_polygons_and_relative_indices(tmp_path: Path, face: str) -> None:
     (tmp_path / "red.png").write_bytes(picture(RED))
     more = "v 9 9 9\nvt 9 9\n"  # relative indices count from the face's own line
     path = write(
-        tmp_path, f"# made by hand\nmtllib a.mtl\nusemtl m\n{SQUARE}{face}\n{more}",
+        tmp_path,
+        f"# made by hand\nmtllib a.mtl\nusemtl m\n{SQUARE}{face}\n{more}",
         "newmtl m\nmap_Kd red.png\n",
-    )  # fmt: skip
+    )
     (part,) = read_obj(path)
     fan = [[0, 1, 2], [0, 2, 3]]
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
@@ -57,18 +58,21 @@ def test_a_line_may_go_on_in_the_next(tmp_path: Path) -> None:
         ("newmtl m\nKd 0.5 0.25 1\n", [0.5, 0.25, 1, 1], "OPAQUE"),
         ("newmtl other\nKd 1 1 1\nnewmtl m\nKd 0.5 0.25 1\nd 0.3\n", [0.5, 0.25, 1, 0.3], "BLEND"),
         ("newmtl m\nTr 0.7\nKd 0.5 0.25 1\n", [0.5, 0.25, 1, 0.3], "BLEND"),
-        ("newmtl m\nmap_Kd -s 1 1 1 -clamp on my red.png\nKd 0 0 0\nd 0.4\n", [1, 1, 1, 0.4],
-         "BLEND"),
+        (
+            "newmtl m\nmap_Kd -s 1 1 1 -clamp on my red.png\nKd 0 0 0\nd 0.4\n",
+            [1, 1, 1, 0.4],
+            "BLEND",
+        ),
         ("newmtl m\nmap_Kd sub\\red.png\n", [1, 1, 1, 1], "OPAQUE"),
     ],
-)  # fmt: skip
+)
 def test_materials(tmp_path: Path, library: str, rgba: list[float], alpha: str) -> None:
     (tmp_path / "sub").mkdir()
     for name in ("my red.png", "sub/red.png"):
         (tmp_path / name).write_bytes(picture(RED))
     path = write(tmp_path, f"mtllib a.mtl\n{SQUARE}usemtl m\nf 1/1 2/2 3/3\n", library)
     (part,) = read_obj(path)
-    expected = np.append(to_linear(np.array(rgba[:3])), rgba[3])
+    expected = np.append(srgb_to_linear(np.array(rgba[:3])), rgba[3])
     np.testing.assert_allclose(part.material.factor, expected, atol=1e-12)
     assert part.material.alpha == alpha
     assert (part.material.texture is not None) == ("map_Kd" in library)
@@ -82,7 +86,7 @@ def test_without_materials_it_is_grey_or_of_its_vertex_colours(tmp_path: Path) -
     (red,) = read_obj(write(tmp_path, coloured))
     assert red.colours is not None
     np.testing.assert_array_equal(red.material.factor, np.ones(4))
-    np.testing.assert_allclose(red.colours[0, 0], [1, 0, to_linear(np.array(0.5)), 1])
+    np.testing.assert_allclose(red.colours[0, 0], [1, 0, srgb_to_linear(np.array(0.5)), 1])
 
 
 def test_every_file_that_counts_is_named(tmp_path: Path) -> None:

@@ -81,9 +81,15 @@ def test_texels_larger_than_the_lattice_are_found_again() -> None:
 
 @pytest.mark.parametrize(
     ("alpha", "value", "seen"),
-    [("OPAQUE", 0.3, 1.0), ("MASK", 0.3, None), ("MASK", 0.6, 1.0), ("BLEND", 0.3, 0.3),
-     ("BLEND", 0.99, 1.0), ("BLEND", 0.01, None)],
-)  # fmt: skip
+    [
+        ("OPAQUE", 0.3, 1.0),
+        ("MASK", 0.3, None),
+        ("MASK", 0.6, 1.0),
+        ("BLEND", 0.3, 0.3),
+        ("BLEND", 0.99, 1.0),
+        ("BLEND", 0.01, None),
+    ],
+)
 def test_alpha(alpha: str, value: float, seen: float | None) -> None:
     material = Material(np.array([1.0, 1.0, 1.0, value]), alpha=alpha)  # type: ignore[arg-type]
     found, _ = sample([square(np.eye(3), material)], 0.1)

@@ -11,7 +11,7 @@ from actors import made_up, made_up_evidence
 from recast.actors import Actor, insert, load_actor, save_actor
 from recast.actors.evidence import Evidence
 from recast.actors.refine import LEAST_IMAGES, Steps, refine
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.scene import StreetScene
 from recast.splats import CLASSIC, Gaussians

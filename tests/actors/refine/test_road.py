@@ -10,10 +10,9 @@ import torch
 
 from actors import made_up, made_up_evidence
 from recast.actors import Actor
-from recast.actors.hull import outer_surface
-from recast.actors.refine.layers import make_layers
-from recast.actors.refine.road import shadow_evidence
-from recast.actors.shadow import contact_shadow, darkened
+from recast.actors.icp import outer_surface
+from recast.actors.insert import contact_shadow, darkened
+from recast.actors.refine.surroundings import make_layers, shadow_evidence
 from recast.scene.light import CastShadow, SceneLight, SunBelief
 from recast.scene.light.sun import AZIMUTHS, DIRECTIONS, directions
 from recast.splats import CLASSIC, Gaussians, concatenate

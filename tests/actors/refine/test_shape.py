@@ -4,10 +4,9 @@ import numpy as np
 import torch
 
 from actors import made_up
-from recast.actors.refine.free import FreeGaussians, split, split_rows
-from recast.actors.refine.shape import Bend, PoseOffsets
+from recast.actors.refine.parameters import Bend, FreeGaussians, PoseOffsets, split, split_rows
 from recast.splats import Gaussians
-from recast.splats.rotations import quat_to_matrix
+from recast.splats.gaussians import quat_to_matrix
 
 
 def points(count: int = 200) -> torch.Tensor:

@@ -7,10 +7,9 @@ import pytest
 import torch
 
 from actors import made_up_evidence
-from recast.actors.refine.layers import Layers, make_layers
-from recast.actors.refine.paint import follow_paint
-from recast.actors.refine.visibility import pixel_weights, visibility_of
-from recast.actors.shares import Shares
+from recast.actors.coverage import Shares
+from recast.actors.refine.surroundings import Layers, make_layers
+from recast.actors.refine.visibility import follow_paint, pixel_weights, visibility_of
 from recast.splats import CLASSIC, Gaussians, rasterize
 from recast.splats.sh import C0
 

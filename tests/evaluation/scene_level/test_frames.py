@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.evaluation.scene_level.frames import (
     FrameRule,
     LoggedFrame,
     RolloutFrame,
     logged_frames,
+    shown_frames,
     spread_over_azimuth,
     visible_share,
 )
-from recast.evaluation.scene_level.records import shown_frames
 from recast.geometry import PinholeCamera, boxes
 from recast.logs import DrivingLog
 from recast.simulation import camera_mounts
@@ -102,10 +102,13 @@ def test_the_figure_shows_the_largest_of_each_motion_and_setting() -> None:
     frames = tuple(
         RolloutFrame(motion, setting, step, "front", (0, 0, side, 10))
         for motion, setting, step, side in (
-            ("cut-in", "a", 0, 20), ("cut-in", "a", 5, 40), ("cut-in", "b", 0, 30),
-            ("oncoming", "a", 0, 10), ("oncoming", "a", 5, 10),
+            ("cut-in", "a", 0, 20),
+            ("cut-in", "a", 5, 40),
+            ("cut-in", "b", 0, 30),
+            ("oncoming", "a", 0, 10),
+            ("oncoming", "a", 5, 10),
         )
-    )  # fmt: skip
+    )
     assert shown_frames(frames) == (1, 2, 3)
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pretrained.tiny import write_clip, write_clip_t5
-from recast.evaluation.scene_level.margins import (
+from recast.evaluation.scene_level.scores import (
     NEGATIVE,
     POSITIVE,
     VEHICLE,

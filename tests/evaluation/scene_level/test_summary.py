@@ -10,12 +10,16 @@ import numpy as np
 import pytest
 
 from pretrained.tiny import write_clip
-from recast.errors import InputError
-from recast.evaluation.scene_level.features import Features, load_features, save_features
+from recast.core.errors import InputError
 from recast.evaluation.scene_level.files import table_markdown, warnings
 from recast.evaluation.scene_level.frames import LoggedFrame, RolloutFrame
 from recast.evaluation.scene_level.networks import Networks, SeenImage
-from recast.evaluation.scene_level.scores import image_scores
+from recast.evaluation.scene_level.scores import (
+    Features,
+    image_scores,
+    load_features,
+    save_features,
+)
 from recast.evaluation.scene_level.summary import LevelRow, MeasuredScene, summarise
 
 IMAGES, WIDTH = 12, 8
@@ -109,9 +113,10 @@ def test_the_order_of_arms_changes_no_number() -> None:
     for arm in ("native", "other"):
         for name, value in one[arm].values.items():
             assert (value.value, value.low, value.high) == (
-                other[arm].values[name].value, other[arm].values[name].low,
+                other[arm].values[name].value,
+                other[arm].values[name].low,
                 other[arm].values[name].high,
-            )  # fmt: skip
+            )
 
 
 def test_an_image_that_fails_for_one_arm_leaves_all() -> None:

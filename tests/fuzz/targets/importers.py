@@ -14,8 +14,7 @@ from recast.logs.importers.drivestudio import load_drivestudio
 from recast.logs.importers.kitti import load_kitti
 from recast.logs.importers.nuscenes import load_nuscenes
 from recast.logs.importers.street_gaussians import load_street_gaussians
-from recast.logs.importers.waymo import load_waymo
-from recast.logs.importers.waymo2 import load_waymo2
+from recast.logs.importers.waymo import load_waymo, load_waymo2
 from support import (
     tiny_argoverse2,
     tiny_drive,
@@ -48,8 +47,10 @@ def _importer(
 
 TARGETS = (
     _importer(
-        "kitti", tiny_drive.write_tiny_drive,
-        lambda root: load_kitti(root, tiny_drive.DRIVE, root / "labels.txt", refine=False), 0.4,
+        "kitti",
+        tiny_drive.write_tiny_drive,
+        lambda root: load_kitti(root, tiny_drive.DRIVE, root / "labels.txt", refine=False),
+        0.4,
     ),
     _importer(
         "kitti-tracklets",
@@ -60,29 +61,38 @@ TARGETS = (
         lambda root: load_kitti(
             root, tiny_drive.DRIVE, root / tiny_drive.DATE / "tracklets.xml", refine=False
         ),
-        weight=0.4, files=("*tracklets.xml",),
+        weight=0.4,
+        files=("*tracklets.xml",),
     ),
     _importer(
-        "argoverse2", tiny_argoverse2.write_tiny_log,
-        lambda root: load_argoverse2(root, tiny_argoverse2.LOG), 2.0,
+        "argoverse2",
+        tiny_argoverse2.write_tiny_log,
+        lambda root: load_argoverse2(root, tiny_argoverse2.LOG),
+        2.0,
     ),
     _importer(
         "waymo", tiny_waymo.write_segment, lambda root: load_waymo(root, tiny_waymo.FILE), 2.0
     ),
     _importer(
-        "waymo-v2", write_waymo2_segment,
-        lambda root: load_waymo2(root, tiny_waymo.NAME), 2.0,
+        "waymo-v2",
+        write_waymo2_segment,
+        lambda root: load_waymo2(root, tiny_waymo.NAME),
+        2.0,
     ),
     _importer(
-        "nuscenes", tiny_nuscenes.write_tiny_nuscenes,
-        lambda root: load_nuscenes(root, tiny_nuscenes.SCENE), 2.0,
+        "nuscenes",
+        tiny_nuscenes.write_tiny_nuscenes,
+        lambda root: load_nuscenes(root, tiny_nuscenes.SCENE),
+        2.0,
     ),
     _importer(
-        "street-gaussians-folder", tiny_processed.write_street_gaussians,
+        "street-gaussians-folder",
+        tiny_processed.write_street_gaussians,
         lambda root: load_street_gaussians(root, tiny_processed.SCENE),
     ),
     _importer(
-        "drivestudio-folder", tiny_processed.write_drivestudio,
+        "drivestudio-folder",
+        tiny_processed.write_drivestudio,
         lambda root: load_drivestudio(root, tiny_processed.SCENE),
     ),
-)  # fmt: skip
+)

@@ -30,7 +30,12 @@ def _write_map(folder: Path) -> None:
 
 TARGETS = (
     Target("log", _write_log, lambda folder, out: taste(read_log(folder / "log")), weight=3.0),
-    Target("log-record", _write_log, lambda folder, out: taste(read_log(folder / "log")),
-           files=("*.json",), weight=3.0),
+    Target(
+        "log-record",
+        _write_log,
+        lambda folder, out: taste(read_log(folder / "log")),
+        files=("*.json",),
+        weight=3.0,
+    ),
     Target("map", _write_map, lambda folder, out: read_map(folder / "map.json").lanes, weight=1.5),
-)  # fmt: skip
+)

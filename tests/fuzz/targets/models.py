@@ -11,8 +11,8 @@ from fuzz.target import Target
 from planning.gtrs.conftest import TINY, VIEWS, fan
 from recast.actors.grounded_segmenter import GroundedSamSegmenter
 from recast.planning.gtrs import GtrsPlanner, load_gtrs, new_model, save_gtrs
-from recast.planning.gtrs.vocabulary import read_vocabulary
-from recast.trellis.image_to_3d import ImageTo3D
+from recast.planning.gtrs.scores import read_vocabulary
+from recast.trellis.generate import ImageTo3D
 from support.tiny_networks import write_tiny_networks
 from support.trellis_folder import write_golden_model
 
@@ -23,16 +23,38 @@ def _write_gtrs(folder: Path) -> None:
 
 
 TARGETS = (
-    Target("vocabulary", lambda f: np.save(f / "v.npy", fan(12)),
-           lambda f, out: read_vocabulary(f / "v.npy"), weight=12.0),
+    Target(
+        "vocabulary",
+        lambda f: np.save(f / "v.npy", fan(12)),
+        lambda f, out: read_vocabulary(f / "v.npy"),
+        weight=12.0,
+    ),
     Target("gtrs", _write_gtrs, lambda f, out: load_gtrs(f / "planner"), weight=3.0),
-    Target("gtrs-record", _write_gtrs, lambda f, out: load_gtrs(f / "planner"),
-           files=("*.json",), weight=3.0),
-    Target("trellis", lambda f: write_golden_model(f / "model"),
-           lambda f, out: ImageTo3D.load(f / "model"), weight=0.3),
-    Target("trellis-record", lambda f: write_golden_model(f / "model"),
-           lambda f, out: ImageTo3D.load(f / "model"), files=("*.json",), weight=0.7),
-    Target("segmenter", lambda f: write_tiny_networks(f / "networks"),
-           lambda f, out: GroundedSamSegmenter(f / "networks"), files=("*.json", "*.safetensors"),
-           weight=0.5),
-)  # fmt: skip
+    Target(
+        "gtrs-record",
+        _write_gtrs,
+        lambda f, out: load_gtrs(f / "planner"),
+        files=("*.json",),
+        weight=3.0,
+    ),
+    Target(
+        "trellis",
+        lambda f: write_golden_model(f / "model"),
+        lambda f, out: ImageTo3D.load(f / "model"),
+        weight=0.3,
+    ),
+    Target(
+        "trellis-record",
+        lambda f: write_golden_model(f / "model"),
+        lambda f, out: ImageTo3D.load(f / "model"),
+        files=("*.json",),
+        weight=0.7,
+    ),
+    Target(
+        "segmenter",
+        lambda f: write_tiny_networks(f / "networks"),
+        lambda f, out: GroundedSamSegmenter(f / "networks"),
+        files=("*.json", "*.safetensors"),
+        weight=0.5,
+    ),
+)

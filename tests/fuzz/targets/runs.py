@@ -7,6 +7,7 @@ from pathlib import Path
 from evaluation.rollouts import make_rollout
 from fuzz.target import Target
 from recast.actors.coverage import NOTHING, Coverage
+from recast.core.files import write_json
 from recast.pipeline.config import RunConfig, read_run_config
 from recast.pipeline.layout import use_name
 from recast.pipeline.run_folder import RunFolder
@@ -14,7 +15,6 @@ from recast.simulation import MOTIONS, load_rollout, save_rollout, scenario_reco
 from recast.simulation.coverage import ImageCoverage, RolloutCoverage
 from recast.simulation.rollout_files import load_coverage, save_coverage
 from recast.simulation.scenario_file import read_scenario
-from recast.storage import write_json
 
 _COVERAGE = RolloutCoverage(
     (
@@ -59,11 +59,23 @@ def _open_run(folder: Path) -> None:
 
 TARGETS = (
     Target("scenario", _write_scenario, lambda f, out: read_scenario(f / "my.yaml"), weight=10.0),
-    Target("run-config", lambda f: write_json(f / "config.json", _config().resolved()),
-           lambda f, out: read_run_config(f / "config.json"), weight=10.0),
+    Target(
+        "run-config",
+        lambda f: write_json(f / "config.json", _config().resolved()),
+        lambda f, out: read_run_config(f / "config.json"),
+        weight=10.0,
+    ),
     Target("run-folder", _write_run, lambda f, out: _open_run(f), weight=6.0),
-    Target("coverage", lambda f: save_coverage(_COVERAGE, f / "coverage.parquet"),
-           lambda f, out: load_coverage(f / "coverage.parquet"), weight=6.0),
-    Target("rollout", lambda f: save_rollout(make_rollout(steps=20), f / "states"),
-           lambda f, out: load_rollout(f / "states"), weight=8.0),
-)  # fmt: skip
+    Target(
+        "coverage",
+        lambda f: save_coverage(_COVERAGE, f / "coverage.parquet"),
+        lambda f, out: load_coverage(f / "coverage.parquet"),
+        weight=6.0,
+    ),
+    Target(
+        "rollout",
+        lambda f: save_rollout(make_rollout(steps=20), f / "states"),
+        lambda f, out: load_rollout(f / "states"),
+        weight=8.0,
+    ),
+)

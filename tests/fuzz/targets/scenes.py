@@ -23,6 +23,7 @@ from recast.actors import (
 )
 from recast.actors.mesh import files_of_mesh, read_triangles
 from recast.actors.mesh.generator import sampled
+from recast.core.files import write_json
 from recast.logs import DrivingLog
 from recast.scene import (
     SceneActor,
@@ -35,8 +36,7 @@ from recast.scene import (
 )
 from recast.scene.importers import import_drivestudio, import_ply, import_street_gaussians
 from recast.splats import read_ply, write_ply
-from recast.storage import write_json
-from recast.synthetic.vehicles.read_mesh import read_mesh
+from recast.synthetic.vehicles.shapes import read_mesh
 from scene.importers import test_drivestudio, test_street_gaussians
 from support import trained_scenes
 
@@ -121,33 +121,67 @@ def _write_street_gaussians(folder: Path) -> None:
 def _import_street_gaussians(folder: Path, out: Path) -> object:
     return import_street_gaussians(
         folder / "iteration.pth", _log(), out, processed=folder / "processed"
-    )  # fmt: skip
+    )
 
 
 TARGETS = (
-    Target("ply", lambda f: write_ply(f / "car.ply", trained_scenes.make_car(1)),
-           lambda f, out: read_ply(f / "car.ply"), weight=12.0),
-    Target("scene", lambda f: save_scene(_scene(), f / "scene"),
-           lambda f, out: load_scene(f / "scene"), weight=6.0),
-    Target("scene-record", lambda f: save_scene(_scene(), f / "scene"),
-           lambda f, out: load_scene(f / "scene"), files=("*.json",), weight=4.0),
-    Target("actor", lambda f: save_actor(_actor(), f / "actor"),
-           lambda f, out: load_actor(f / "actor"), weight=6.0),
-    Target("actor-record", lambda f: save_actor(_actor(), f / "actor"),
-           lambda f, out: load_actor(f / "actor"), files=("*.json",), weight=4.0),
-    Target("scene-config", _write_config, lambda f, out: read_config(f / "config.json"),
-           weight=8.0),
+    Target(
+        "ply",
+        lambda f: write_ply(f / "car.ply", trained_scenes.make_car(1)),
+        lambda f, out: read_ply(f / "car.ply"),
+        weight=12.0,
+    ),
+    Target(
+        "scene",
+        lambda f: save_scene(_scene(), f / "scene"),
+        lambda f, out: load_scene(f / "scene"),
+        weight=6.0,
+    ),
+    Target(
+        "scene-record",
+        lambda f: save_scene(_scene(), f / "scene"),
+        lambda f, out: load_scene(f / "scene"),
+        files=("*.json",),
+        weight=4.0,
+    ),
+    Target(
+        "actor",
+        lambda f: save_actor(_actor(), f / "actor"),
+        lambda f, out: load_actor(f / "actor"),
+        weight=6.0,
+    ),
+    Target(
+        "actor-record",
+        lambda f: save_actor(_actor(), f / "actor"),
+        lambda f, out: load_actor(f / "actor"),
+        files=("*.json",),
+        weight=4.0,
+    ),
+    Target(
+        "scene-config", _write_config, lambda f, out: read_config(f / "config.json"), weight=8.0
+    ),
     Target("mesh", _write_mesh, lambda f, out: read_mesh(f / "car.obj", forward="x"), weight=4.0),
-    Target("glb", _write_glb, lambda f, out: _read_triangles(f / "car.glb"),
-           files=("*.glb",), weight=5.0),
+    Target(
+        "glb",
+        _write_glb,
+        lambda f, out: _read_triangles(f / "car.glb"),
+        files=("*.glb",),
+        weight=5.0,
+    ),
     Target("obj", _write_obj, lambda f, out: _read_triangles(f / "car.obj"), weight=4.0),
-    Target("ply-scene", lambda f: write_ply(f / "scene.ply", trained_scenes.make_background(1)),
-           lambda f, out: import_ply(f / "scene.ply", _log(), out), weight=2.0),
-    Target("street-gaussians-checkpoint", _write_street_gaussians, _import_street_gaussians,
-           weight=2.0),
-    Target("drivestudio-checkpoint",
-           lambda f: torch.save(test_drivestudio.checkpoint(), f / "checkpoint_final.pth"),
-           lambda f, out: import_drivestudio(f / "checkpoint_final.pth", _log(), out,
-                                             first_frame=2),
-           weight=2.0),
-)  # fmt: skip
+    Target(
+        "ply-scene",
+        lambda f: write_ply(f / "scene.ply", trained_scenes.make_background(1)),
+        lambda f, out: import_ply(f / "scene.ply", _log(), out),
+        weight=2.0,
+    ),
+    Target(
+        "street-gaussians-checkpoint", _write_street_gaussians, _import_street_gaussians, weight=2.0
+    ),
+    Target(
+        "drivestudio-checkpoint",
+        lambda f: torch.save(test_drivestudio.checkpoint(), f / "checkpoint_final.pth"),
+        lambda f, out: import_drivestudio(f / "checkpoint_final.pth", _log(), out, first_frame=2),
+        weight=2.0,
+    ),
+)

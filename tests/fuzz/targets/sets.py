@@ -10,10 +10,10 @@ import numpy as np
 from fuzz.target import Target
 from recar.photographs import SETTINGS, write_photos
 from recar.sets import write_set
-from recast.recar.assets.asset import TrainingAsset, read_asset, write_asset
+from recast.core.files import write_json
 from recast.recar.ingest import ingest_photographs
-from recast.recar.ingest.table import read_table
-from recast.recar.perturb.config import (
+from recast.recar.ingest.settings import read_table
+from recast.recar.perturb.compose import (
     PerturbationConfig,
     read_perturbations,
     write_perturbations,
@@ -21,8 +21,8 @@ from recast.recar.perturb.config import (
 from recast.recar.real_crops import read_real_crops
 from recast.recar.shards import open_set, pack_set
 from recast.recar.targets import TargetCache
-from recast.recar.training.stage_presets import read_stage_config
-from recast.storage import write_json
+from recast.recar.training.assets import TrainingAsset, read_asset, write_asset
+from recast.recar.training.stage_config import read_stage_config
 from support import target_caches
 from support.crops import write_crops
 from support.tiny_stage import tiny_config
@@ -60,19 +60,41 @@ TARGETS = (
     Target("vehicle-set", lambda f: write_set(f / "cars", 3), _read_set, weight=6.0),
     Target("vehicle-set-record", lambda f: write_set(f / "cars", 3), _read_set, ("*.json",), 6.0),
     Target("shards", _write_shards, _read_set, weight=8.0),
-    Target("vehicle-table", lambda f: write_photos(f, 3),
-           lambda f, out: read_table(f / "vehicles.csv"), ("*.csv",), 10.0),
-    Target("photographs", lambda f: write_photos(f, 2),
-           lambda f, out: ingest_photographs(f, out, SETTINGS, None), ("*.png",), 2.0, True),
-    Target("real-crops", lambda f: write_crops(f / "crops"),
-           lambda f, out: [(v, [w.rgba() for w in v.inputs]) for v in read_real_crops(f / "crops")],
-           weight=4.0),
-    Target("target-cache", lambda f: target_caches.write_cache(f / "cache"), _read_cache,
-           weight=4.0),
-    Target("perturbations",
-           lambda f: write_perturbations(f / "p.json", PerturbationConfig()),
-           lambda f, out: read_perturbations(f / "p.json"), weight=8.0),
-    Target("stage", lambda f: write_json(f / "stage.json", tiny_config().model_dump(mode="json")),
-           lambda f, out: read_stage_config(f / "stage.json"), weight=8.0),
+    Target(
+        "vehicle-table",
+        lambda f: write_photos(f, 3),
+        lambda f, out: read_table(f / "vehicles.csv"),
+        ("*.csv",),
+        10.0,
+    ),
+    Target(
+        "photographs",
+        lambda f: write_photos(f, 2),
+        lambda f, out: ingest_photographs(f, out, SETTINGS, None),
+        ("*.png",),
+        2.0,
+        True,
+    ),
+    Target(
+        "real-crops",
+        lambda f: write_crops(f / "crops"),
+        lambda f, out: [(v, [w.rgba() for w in v.inputs]) for v in read_real_crops(f / "crops")],
+        weight=4.0,
+    ),
+    Target(
+        "target-cache", lambda f: target_caches.write_cache(f / "cache"), _read_cache, weight=4.0
+    ),
+    Target(
+        "perturbations",
+        lambda f: write_perturbations(f / "p.json", PerturbationConfig()),
+        lambda f, out: read_perturbations(f / "p.json"),
+        weight=8.0,
+    ),
+    Target(
+        "stage",
+        lambda f: write_json(f / "stage.json", tiny_config().model_dump(mode="json")),
+        lambda f, out: read_stage_config(f / "stage.json"),
+        weight=8.0,
+    ),
     Target("training-asset", _write_asset, lambda f, out: read_asset(f / "asset.npz"), weight=6.0),
-)  # fmt: skip
+)

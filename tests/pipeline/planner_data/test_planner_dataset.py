@@ -11,13 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recast.core.errors import InputError
 from recast.dynamics import PACIFICA
-from recast.errors import InputError
 from recast.pipeline.planner_data.dataset import FIRST_SEED, make_dataset
-from recast.pipeline.planner_data.placed_actor import place_actor
 from recast.pipeline.planner_data.situation import draw_situation
-from recast.pipeline.planner_data.stage import Stage, make_stage
-from recast.planning.gtrs_training.store import DatasetRecord, SampleStore, world_folder
+from recast.pipeline.planner_data.stage import Stage, make_stage, place_actor
+from recast.planning.gtrs_training.samples import DatasetRecord, SampleStore, world_folder
 from recast.planning.gtrs_training.targets import touched
 from recast.planning.gtrs_training.vocabulary import make_vocabulary
 
@@ -92,7 +91,7 @@ def test_killed_and_repeated_it_has_the_same_bytes(tmp_path: Path) -> None:
         "import sys, numpy as np\n"
         "from pathlib import Path\n"
         "from recast.pipeline.planner_data.dataset import make_dataset\n"
-        "from recast.planning.gtrs_training.store import DatasetRecord\n"
+        "from recast.planning.gtrs_training.samples import DatasetRecord\n"
         f"record = DatasetRecord.model_validate({RECORD.model_dump()!r})\n"
         "folder = Path(sys.argv[1])\n"
         "make_dataset(folder / 'parts', 4, record, np.load(folder / 'vocabulary.npy'))\n"

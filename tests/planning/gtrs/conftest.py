@@ -44,9 +44,14 @@ TINY = GtrsConfig(
 """The sizes of the golden tiny model, whose backbone is a stand-in."""
 
 VIEWS = ViewLayout(
-    width=48, height=32, crop_rows=4, crop_columns=8, input_width=112, input_height=24,
+    width=48,
+    height=32,
+    crop_rows=4,
+    crop_columns=8,
+    input_width=112,
+    input_height=24,
     field_of_view=61.93,
-)  # fmt: skip
+)
 CAMERA = PinholeCamera(48, 32, 40.0, 40.0, 24.0, 16.0)
 
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from recast.planning.gtrs import GtrsModel, new_model
-from recast.planning.gtrs.cache import TensorCache
+from recast.planning.gtrs.head import TensorCache
 
 from .conftest import TINY, fan
 

@@ -15,7 +15,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.planning.gtrs import (
     WAYMO_NATIVE,
     GtrsModel,
@@ -26,7 +26,7 @@ from recast.planning.gtrs import (
     save_gtrs,
     write_vocabulary,
 )
-from recast.planning.gtrs.weights import PREFIX, VOCABULARY
+from recast.planning.gtrs.folder import PREFIX, VOCABULARY
 
 from .conftest import TINY, fan
 

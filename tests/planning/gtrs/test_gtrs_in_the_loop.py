@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import se2
 from recast.logs import DrivingLog, Track, Trajectory
 from recast.planning.gtrs import GtrsPlanner

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+from recast.core.errors import InputError
 from recast.dynamics import make_state
-from recast.errors import InputError
 from recast.logs import Trajectory
 from recast.planning import (
     CameraMount,
@@ -54,8 +54,10 @@ def test_it_is_a_planner_that_says_what_it_wants_to_see(planner: GtrsPlanner) ->
     assert isinstance(planner, Planner)
     assert planner.needs_images and planner.camera_names is None
     assert [(view.name, view.yaw) for view in planner.wanted_views] == [
-        ("front_left", 45.0), ("front", 0.0), ("front_right", -45.0)
-    ]  # fmt: skip
+        ("front_left", 45.0),
+        ("front", 0.0),
+        ("front_right", -45.0),
+    ]
     for view in planner.wanted_views:
         assert (view.camera.width, view.camera.height) == (48, 32)
         assert view.camera.fx == view.camera.fy == pytest.approx(40.0, abs=0.01)

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from recast.core.errors import InputError
 from recast.dynamics import make_state
-from recast.errors import InputError
 from recast.geometry import se2, se3
 from recast.planning import DrivingCommand
 from recast.planning.gtrs import (
@@ -104,8 +104,9 @@ def test_the_small_models_layout() -> None:
     assert mini.fitted(dict.fromkeys(mini.cameras, (480, 320))) is mini
     twice = mini.fitted(dict.fromkeys(mini.cameras, (960, 640)))
     assert twice.model_dump() == WAYMO_NATIVE.model_dump() | {
-        "input_width": 1024, "input_height": 256
-    }  # fmt: skip
+        "input_width": 1024,
+        "input_height": 256,
+    }
     half = NUPLAN_VIRTUAL.fitted(dict.fromkeys(NUPLAN_VIRTUAL.cameras, (960, 540)))
     assert (half.crop_rows, half.crop_columns) == (14, 208)  # 544 + 960 + 544 columns, 512 rows
 

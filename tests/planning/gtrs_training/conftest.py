@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import shapely
 
+from recast.core.files import write_json
 from recast.dynamics import make_state
 from recast.planning import DrivingCommand
-from recast.planning.gtrs.vocabulary import write_vocabulary
-from recast.planning.gtrs_training.collisions import FORESEEN, Obstacle
-from recast.planning.gtrs_training.store import (
+from recast.planning.gtrs.scores import write_vocabulary
+from recast.planning.gtrs_training.samples import (
     CLUES,
     RECORD_FILE,
     VOCABULARY_FILE,
@@ -21,12 +21,11 @@ from recast.planning.gtrs_training.store import (
     world_folder,
     write_world,
 )
-from recast.planning.gtrs_training.targets import Road, score_vocabulary
+from recast.planning.gtrs_training.targets import FORESEEN, Obstacle, Road, score_vocabulary
 from recast.planning.gtrs_training.vocabulary import make_vocabulary
 from recast.planning.map import PlannerLane, PlannerMap
 from recast.planning.pdm import LanePath
-from recast.planning.status import ego_status
-from recast.storage import write_json
+from recast.planning.types import ego_status
 
 
 def straight_road(speed: float = 10.0) -> Road:

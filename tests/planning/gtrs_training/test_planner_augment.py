@@ -1,14 +1,14 @@
 import numpy as np
 
 from recast.planning import DrivingCommand
-from recast.planning.gtrs_training.augment import (
+from recast.planning.gtrs_training.samples import (
+    CLUES,
     augment,
     mirror_clues,
     mirror_image,
     mirror_status,
 )
-from recast.planning.gtrs_training.store import CLUES
-from recast.planning.status import ego_status
+from recast.planning.types import ego_status
 
 
 def picture() -> np.ndarray:

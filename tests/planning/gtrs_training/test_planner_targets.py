@@ -8,14 +8,13 @@ from gtrs_training.conftest import moving, straight_road
 from recast.dynamics import PACIFICA, make_state, plan_to_poses, track
 from recast.dynamics import state as ego
 from recast.geometry import boxes
-from recast.planning.gtrs_training.collisions import FORESEEN, Obstacle, collisions, overlapping
+from recast.geometry.boxes import bev_touching
 from recast.planning.gtrs_training.judge import true_scores
-from recast.planning.gtrs_training.targets import score_vocabulary
+from recast.planning.gtrs_training.targets import FORESEEN, Obstacle, collisions, score_vocabulary
 from recast.planning.gtrs_training.vocabulary import mirror_index
 from recast.planning.pdm import Forecast, Kind
-from recast.planning.pdm.collisions import at_fault_collisions, time_to_collision
-from recast.planning.pdm.ego_areas import EgoAreas
-from recast.planning.pdm.footprint import box_corners
+from recast.planning.pdm.forecast import EgoAreas, box_corners
+from recast.planning.pdm.scorer import at_fault_collisions, time_to_collision
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -33,14 +32,24 @@ def test_collisions_are_those_of_pdm_s_own_loops(vocabulary: np.ndarray, seed: i
         poses = car.poses[2 * (np.arange(FORESEEN + 1) // 2)]
         obstacles.append(Obstacle(token, poses, car.size))
     polygons = np.array(
-        [[shapely.Polygon(boxes.bev_corners(o.poses[min(2 * m, FORESEEN)], *o.size[:2]))
-          for o in obstacles] for m in range(26)], np.object_,
-    )  # fmt: skip
+        [
+            [
+                shapely.Polygon(boxes.bev_corners(o.poses[min(2 * m, FORESEEN)], *o.size[:2]))
+                for o in obstacles
+            ]
+            for m in range(26)
+        ],
+        np.object_,
+    )
     still = np.array([np.ptp(o.poses[:, :2]) == 0 for o in obstacles])
     seen = Forecast(
-        tuple("abc"), (Kind.VEHICLE,) * 3, np.zeros(3), np.where(still, 0.0, 4.0), polygons,
+        tuple("abc"),
+        (Kind.VEHICLE,) * 3,
+        np.zeros(3),
+        np.where(still, 0.0, 4.0),
+        polygons,
         np.zeros(3, np.bool_),
-    )  # fmt: skip
+    )
     everywhere, nowhere = np.ones(states.shape[:2], np.bool_), np.zeros(states.shape[:2], np.bool_)
     areas = EgoAreas(everywhere, nowhere, nowhere, nowhere)
     corners = box_corners(states[..., ego.POSE], PACIFICA)
@@ -65,7 +74,7 @@ def _nudged(poses: np.ndarray) -> np.ndarray:
 def test_overlap_is_that_of_polygons() -> None:
     rng = np.random.default_rng(0)
     a, b = rng.uniform(-4, 4, (2, 300, 3))
-    found = overlapping(a, (5, 2), b, (4, 1.8))
+    found = bev_touching(a, (5, 2), b, (4, 1.8))
     wanted = [
         shapely.Polygon(p).intersects(shapely.Polygon(q))
         for p, q in zip(boxes.bev_corners(a, 5, 2), boxes.bev_corners(b, 4, 1.8), strict=True)

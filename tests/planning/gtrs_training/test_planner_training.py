@@ -5,21 +5,25 @@ import pytest
 import torch
 from rich.console import Console
 
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.core.files import write_json
 from recast.planning import make_planner
 from recast.planning.gtrs import BackboneConfig, GtrsConfig, StageConfig
-from recast.planning.gtrs_training.clue_reader import ClueReader
-from recast.planning.gtrs_training.network import HALF_VIEWS, MINI, MINI_VIEWS, first_model
-from recast.planning.gtrs_training.settings import PlannerTrainingConfig, chosen_training
-from recast.planning.gtrs_training.sheet import truth_sheet
-from recast.planning.gtrs_training.store import SampleStore
-from recast.planning.gtrs_training.task import GtrsTask
+from recast.planning.gtrs_training.judge import truth_sheet
+from recast.planning.gtrs_training.samples import SampleStore
+from recast.planning.gtrs_training.settings import (
+    HALF_VIEWS,
+    MINI,
+    MINI_VIEWS,
+    PlannerTrainingConfig,
+    chosen_training,
+    first_model,
+)
+from recast.planning.gtrs_training.task import ClueReader, GtrsTask
 from recast.planning.gtrs_training.train import export_planner, train_planner
 from recast.planning.gtrs_training.vocabulary import mirror_index
-from recast.recar.training.log import LOG_FILE, read_log_lines
-from recast.recar.training.settings import TrainerSettings
 from recast.recar.training.state import STATE_FILE
-from recast.storage import write_json
+from recast.recar.training.task import LOG_FILE, TrainerSettings, read_log_lines
 
 TINY = GtrsConfig(
     backbone=BackboneConfig(
@@ -28,8 +32,13 @@ TINY = GtrsConfig(
         layers=1,
         frozen_norm=False,
     ),
-    channels=16, feedforward=16, heads=2, decoder_layers=1, token_rows=2, token_columns=8,
-)  # fmt: skip
+    channels=16,
+    feedforward=16,
+    heads=2,
+    decoder_layers=1,
+    token_rows=2,
+    token_columns=8,
+)
 QUIET = Console(quiet=True)
 
 

@@ -1,9 +1,13 @@
 import numpy as np
 import pytest
 
-from recast.errors import InputError
-from recast.planning.gtrs_training.driving import sample_driving
-from recast.planning.gtrs_training.vocabulary import make_vocabulary, mirror_index, mirrored
+from recast.core.errors import InputError
+from recast.planning.gtrs_training.vocabulary import (
+    make_vocabulary,
+    mirror_index,
+    mirrored,
+    sample_driving,
+)
 
 
 def speeds(trajectories: np.ndarray) -> np.ndarray:

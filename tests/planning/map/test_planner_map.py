@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 import shapely
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import se2
 from recast.logs.hdmap import HdMap, Lane
 from recast.logs.types import Trajectory
 from recast.planning import ReferenceRoute
-from recast.planning.map import continued_route, planner_map, route_blocks
-from recast.planning.map.from_hdmap import with_headings
+from recast.planning.map_from_log import continued_route, planner_map, route_blocks, with_headings
 
 HALF = 1.75
 
@@ -30,9 +29,17 @@ def lane(key: str, points, successors=(), left=None, right=None, inside=False) -
     outline = np.concatenate([offset(-HALF), offset(HALF)[::-1]])[:, :2]
     centre = np.c_[points, np.zeros(len(points))]
     return Lane(
-        key, centre, offset(HALF), offset(-HALF), outline, 10.0, tuple(successors), left, right,
+        key,
+        centre,
+        offset(HALF),
+        offset(-HALF),
+        outline,
+        10.0,
+        tuple(successors),
+        left,
+        right,
         inside,
-    )  # fmt: skip
+    )
 
 
 def junction() -> HdMap:

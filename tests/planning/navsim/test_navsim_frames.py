@@ -6,18 +6,17 @@ import numpy as np
 import pytest
 
 from recast.geometry import se2
-from recast.planning import Planner, make_planner, probes
+from recast.planning import Planner, make_planner, simple
 from recast.planning.navsim import NavsimPlanner
-from recast.planning.navsim.probes import ProbeAgent
-from recast.planning.probes import PROBE_CURVATURES, arc
+from recast.planning.simple import PROBE_CURVATURES, ProbeAgent, arc
 from recast.simulation import PerfectController, probe_path
 
 
 def _planners(name: str) -> dict[str, Planner]:
     attribute = name.replace("-", "_")
     return {
-        "native": make_planner(f"recast.planning.probes:{attribute}"),
-        "0.5 s": make_planner(f"navsim:recast.planning.navsim.probes:{attribute}"),
+        "native": make_planner(f"recast.planning.simple:{attribute}"),
+        "0.5 s": make_planner(f"navsim:recast.planning.simple:{attribute}_agent"),
         "0.1 s": NavsimPlanner(ProbeAgent(name, 0.1)),
     }
 
@@ -42,7 +41,7 @@ def test_executed_without_lag_the_arc_is_met_to_the_millimetre(seam: str) -> Non
 
 
 def test_an_adapter_that_mixes_left_and_right_is_caught() -> None:
-    class Mirrored(probes.ProbePlanner):
+    class Mirrored(simple.ProbePlanner):
         def plan(self, observation):  # type: ignore[no-untyped-def]
             plan = super().plan(observation)
             plan.waypoints[:, 1:] *= -1

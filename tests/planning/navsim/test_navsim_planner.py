@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from recast.core.errors import InputError
 from recast.dynamics import state as ego
-from recast.errors import InputError
 from recast.geometry import PinholeCamera, se2
 from recast.logs import DrivingLog, Track, Trajectory
 from recast.planning import (
@@ -96,9 +96,13 @@ def _log(curvature: float = 0.0) -> DrivingLog:
 
 def _run(planner: Planner, log: DrivingLog | None = None, start: int = 0, **more: Any) -> Rollout:
     setup = RolloutSetup(
-        log or _log(), "7", MOTIONS["advancing-a"], steps=15, start_timestamp_us=start * 100_000,
+        log or _log(),
+        "7",
+        MOTIONS["advancing-a"],
+        steps=15,
+        start_timestamp_us=start * 100_000,
         **more,
-    )  # fmt: skip
+    )
     return run_rollout(setup, planner, Numbered(WAYMO))
 
 
@@ -203,7 +207,7 @@ def test_what_is_no_agent() -> None:
     with pytest.raises(InputError, match="requires_scene: is true"):
         NavsimPlanner(agent)
     with pytest.raises(InputError, match="ProbePlanner: lacks initialize"):
-        make_planner("navsim:recast.planning.probes:straight")
+        make_planner("navsim:recast.planning.simple:straight")
     with pytest.raises(InputError, match="cannot be imported"):
         make_planner("navsim:no_such_module:Agent")
 

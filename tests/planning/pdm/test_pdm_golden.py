@@ -10,7 +10,7 @@ from recast.dynamics import state as ego
 from recast.dynamics import track
 from recast.dynamics.tracker import PDM_REFERENCE
 from recast.planning.pdm import PdmClosed, PdmConfig, PdmPlan
-from recast.planning.pdm.comfort import comfort_signals
+from recast.planning.pdm.scorer import comfort_signals
 
 GOLDEN = np.load(FOLDER / "pdm_closed.npz")
 LOOPS = np.load(FOLDER / "pdm_closed_loop.npz")

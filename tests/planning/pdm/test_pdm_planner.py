@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from recast.core.errors import InputError
 from recast.dynamics import PACIFICA, make_state, track
 from recast.dynamics import state as ego
-from recast.errors import InputError
 from recast.geometry import boxes, se2
 from recast.logs.hdmap import HdMap, Lane
 from recast.logs.types import Trajectory

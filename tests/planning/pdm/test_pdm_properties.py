@@ -5,14 +5,14 @@ import pytest
 import shapely
 from pdm_golden import DATA, ego_state, golden_map, golden_scene, mirrored, moved, vehicle
 
+from recast.core.errors import InputError
 from recast.dynamics import PACIFICA
 from recast.dynamics import state as ego
-from recast.errors import InputError
 from recast.geometry import se2
 from recast.planning.map import PlannerMap
 from recast.planning.pdm import LanePath, PdmClosed, PdmConfig, PdmPlan, forecast
-from recast.planning.pdm.emergency import brake_plan, brakes
-from recast.planning.pdm.footprint import outline
+from recast.planning.pdm.forecast import outline
+from recast.planning.pdm.proposals import brake_plan, brakes
 
 QUIRKS = {"quirks": PdmConfig(reference_quirks=True), "sane": PdmConfig()}
 MOTION = np.array([310.0, -125.0, 2.1])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.scene import load_scene, render_scene

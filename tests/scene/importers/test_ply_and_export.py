@@ -11,10 +11,10 @@ import pytest
 import torch
 
 from recast.cli.main import main
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.core.names import folder_name
 from recast.geometry import se3
 from recast.logs import DrivingLog
-from recast.names import folder_name
 from recast.pipeline.scene import evaluate_and_print
 from recast.scene import (
     SceneActor,
@@ -26,9 +26,8 @@ from recast.scene import (
     render_scene,
     save_scene,
 )
-from recast.scene.cubemap import sample_cubemap, sky_from_cubemap
 from recast.scene.importers import import_ply
-from recast.scene.sky_image import read_sky, write_sky
+from recast.scene.sky import read_sky, sample_cubemap, sky_from_cubemap, write_sky
 from recast.splats import read_ply, write_ply
 from support import trained_scenes as made
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import torch
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.scene import load_scene, render_scene
 from recast.scene.importers import import_street_gaussians
 from recast.scene.importers.street_gaussians import frozen_constant
-from recast.scene.importers.street_gaussians_slots import assign_slots
+from recast.scene.importers.street_gaussians_tracks import assign_slots
 from support import trained_scenes as made
 
 SCENE_ORIGIN = np.mean([made.world_from_rig(f)[:3, 3] for f in range(made.FRAMES)], axis=0)
@@ -77,8 +77,13 @@ def test_the_import_draws_what_the_checkpoint_draws(
     time = int(trajectory.timestamps_us[middle])
     # Colours as the layout has them: in scene axes, at half the Fourier time.
     t = 0.5
-    basis = [1, math.sin(2 * math.pi * t), math.cos(2 * math.pi * t),
-             math.sin(4 * math.pi * t), math.cos(4 * math.pi * t)]  # fmt: skip
+    basis = [
+        1,
+        math.sin(2 * math.pi * t),
+        math.cos(2 * math.pi * t),
+        math.sin(4 * math.pi * t),
+        math.cos(4 * math.pi * t),
+    ]
     car = made.make_car(1)
     car.sh[:, 0] = sum(b * fourier()[:, k] for k, b in enumerate(basis))
     scene_from_world = se3.inverse(WORLD_FROM_SCENE)
@@ -162,8 +167,13 @@ def test_what_cannot_be_carried_over_is_named(
 def test_fourier_basis_begins_as_published() -> None:
     one = torch.eye(FOURIER)[None].expand(3, FOURIER, FOURIER).permute(1, 2, 0)
     values = frozen_constant(one.contiguous(), 0.1)[:, 0]
-    expected = [1, math.sin(0.2 * math.pi), math.cos(0.2 * math.pi),
-                math.sin(0.4 * math.pi), math.cos(0.4 * math.pi)]  # fmt: skip
+    expected = [
+        1,
+        math.sin(0.2 * math.pi),
+        math.cos(0.2 * math.pi),
+        math.sin(0.4 * math.pi),
+        math.cos(0.4 * math.pi),
+    ]
     assert torch.allclose(values, torch.tensor(expected), atol=1e-6)
 
 

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from recast.geometry import PinholeCamera, se3
+from recast.geometry.colour import GAMMA
 from recast.scene import SceneActor, SceneRasterizer
 from recast.scene.light import ActorLight, CastShadow, LitSurface, SceneLight, recorded_light
 from recast.scene.light.place import PlaceLight
 from recast.scene.light.relight import COAT, Paint, rounded
-from recast.scene.light.surfaces import GAMMA
 from recast.splats import Gaussians
 from recast.splats.sh import C0
 from scene.light import made_up

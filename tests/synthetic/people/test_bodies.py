@@ -3,13 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recast.synthetic.people import body, sample_cyclist, sample_pedestrian
-from recast.synthetic.people.cyclist import GEAR, RADIUS, Ride
-from recast.synthetic.people.limbs import between, middle_joint
-from recast.synthetic.people.pedestrian import STANCE, Walk
+from recast.synthetic import limbs
+from recast.synthetic.gaits import GEAR, STANCE, WHEEL_RADIUS, Ride, Walk
+from recast.synthetic.limbs import between, middle_joint
+from recast.synthetic.people import sample_cyclist, sample_pedestrian
 from recast.synthetic.world import VehicleModel
 
-LOOK = body.Look(1.75, 1.0, (0.5, 0.4, 0.3), (0.1,) * 3, (0.4, 0, 0), (0, 0, 0.3), (0, 0, 0))
+LOOK = limbs.Look(1.75, 1.0, (0.5, 0.4, 0.3), (0.1,) * 3, (0.4, 0, 0), (0, 0, 0.3), (0, 0, 0))
 
 
 @pytest.fixture(scope="module", params=["pedestrian", "cyclist"])
@@ -45,7 +45,7 @@ def test_shape_and_triangles_are_the_same_at_any_time(models: list[VehicleModel]
 
 @pytest.mark.parametrize("height", [1.1, 1.75, 1.95])
 def test_feet_on_the_ground_do_not_slip(height: float) -> None:
-    walk = Walk(body.Look(height, 1.0, *[(0.5, 0.5, 0.5)] * 5))
+    walk = Walk(limbs.Look(height, 1.0, *[(0.5, 0.5, 0.5)] * 5))
     ways = np.linspace(0.0, 2 * walk.cycle, 161)
     for foot, shift in ((2, 0.0), (5, 0.5)):
         phase = (ways / walk.cycle + shift) % 1.0
@@ -79,15 +79,15 @@ def test_wheels_roll_and_feet_stay_on_the_pedals() -> None:
     ride = Ride(LOOK, (0.1, 0.1, 0.5))
     for way in np.linspace(0.0, ride.cycle, 17):
         poses = ride.poses(way)
-        rim = poses[1] @ [0.0, 0.0, RADIUS, 1.0]
-        turn = way / RADIUS
+        rim = poses[1] @ [0.0, 0.0, WHEEL_RADIUS, 1.0]
+        turn = way / WHEEL_RADIUS
         centre = poses[1][:3, 3]
-        expected = centre + RADIUS * np.array([np.sin(turn), 0.0, np.cos(turn)])
+        expected = centre + WHEEL_RADIUS * np.array([np.sin(turn), 0.0, np.cos(turn)])
         np.testing.assert_allclose(rim[:3], expected, atol=1e-12)
         for foot, side in ((6, 1.0), (9, -1.0)):
             pedal = poses[3] @ [0.0, 0.0, side * 0.165, 1.0]
             assert np.linalg.norm((poses[foot][:3, 3] - pedal[:3])[[0, 2]]) < 0.12
-    assert ride.cycle == pytest.approx(2 * np.pi * RADIUS * GEAR)
+    assert ride.cycle == pytest.approx(2 * np.pi * WHEEL_RADIUS * GEAR)
 
 
 def test_a_joint_lies_where_both_limbs_end() -> None:

@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import boxes, se2
 from recast.logs import DrivingLog, Trajectory, read_log
 from recast.synthetic import Oracle, populate, read_truth, world_metadata, world_of
-from recast.synthetic.clearance import touching
-from recast.synthetic.people.footing import Footing
+from recast.synthetic.people import Footing
 from recast.synthetic.surface import Surface, concatenate
-from recast.synthetic.world import World
+from recast.synthetic.world import World, touching
 from recast.synthetic.write import synthesize_log
 from synthetic.small_street import box_car, small_street
 

@@ -5,15 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recast.synthetic.materials import MATERIALS
+from recast.geometry.colour import linear_to_srgb
 from recast.synthetic.rendering import RayScene
-from recast.synthetic.rendering.light_filter import LightFilter
-from recast.synthetic.rendering.lighting import Light
-from recast.synthetic.rendering.sampling import cosine_directions
-from recast.synthetic.rendering.sky_light import SkyLight, sky_light
-from recast.synthetic.rendering.surface_points import SurfacePoints, surface_points
-from recast.synthetic.rendering.textures import surface_coordinates, textured
-from recast.synthetic.rendering.tone import WHITE_LEVEL, develop, filmic, srgb
+from recast.synthetic.rendering.lighting import Light, LightFilter
+from recast.synthetic.rendering.rays import cosine_directions
+from recast.synthetic.rendering.shading import WHITE_LEVEL, develop, filmic
+from recast.synthetic.rendering.sky import SkyLight, sky_light
+from recast.synthetic.rendering.surface_points import (
+    SurfacePoints,
+    surface_coordinates,
+    surface_points,
+    textured,
+)
+from recast.synthetic.surface import MATERIALS
 from synthetic.rendering.shapes import box, plane, pose, sky
 
 TEXTURED = sorted({m.name for m in MATERIALS if m.texture != "none"})
@@ -115,7 +119,7 @@ def test_filter_does_not_cross_edges() -> None:
 def test_developed_levels_follow_the_curve() -> None:
     radiance = np.linspace(0, 40, 9000, dtype=np.float32)
     grey = develop(np.repeat(radiance[:, None], 3, axis=1), white=2.0, exposure=0.7)
-    expected = 255 * srgb(filmic(radiance * 0.7 * WHITE_LEVEL / 2.0))
+    expected = 255 * linear_to_srgb(filmic(radiance * 0.7 * WHITE_LEVEL / 2.0))
     assert np.abs(grey[:, 0] - expected).max() <= 1.0
     assert np.all(np.diff(grey[:, 0].astype(int)) >= 0)
     assert grey[0, 0] == 0 and grey[-1, 0] == 255

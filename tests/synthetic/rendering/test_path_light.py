@@ -10,13 +10,12 @@ import subprocess
 import numpy as np
 import pytest
 
-from recast.errors import InputError
-from recast.synthetic.rendering import RayScene, mitsuba_probe, render_camera
+from recast.core.errors import InputError
+from recast.synthetic.rendering import RayScene, render_camera
 from recast.synthetic.rendering.lighting import sample_light
-from recast.synthetic.rendering.path_light import path_light
-from recast.synthetic.rendering.sky_light import sky_light
+from recast.synthetic.rendering.rays import normalise
+from recast.synthetic.rendering.sky import path_light, sky_light, working_llvm
 from recast.synthetic.rendering.surface_points import surface_points
-from recast.synthetic.rendering.vectors import normalise
 from recast.synthetic.surface import concatenate
 from synthetic.rendering.shapes import CAMERA, box, camera_at, nothing, plane, pose, sky
 
@@ -25,7 +24,7 @@ from synthetic.rendering.shapes import CAMERA, box, camera_at, nothing, plane, p
 def mitsuba() -> None:
     pytest.importorskip("mitsuba")
     try:
-        mitsuba_probe.working_llvm()
+        working_llvm()
     except InputError as error:
         pytest.skip(str(error))
 
@@ -73,9 +72,14 @@ def test_image(mitsuba: None) -> None:
 
     def render(quality: str, seed: int = 0):
         return render_camera(
-            scene, sky(), CAMERA, camera_at(0, 0, 2), {"car": pose(9, 1)},
-            rng=np.random.default_rng(seed), quality=quality,
-        )  # fmt: skip
+            scene,
+            sky(),
+            CAMERA,
+            camera_at(0, 0, 2),
+            {"car": pose(9, 1)},
+            rng=np.random.default_rng(seed),
+            quality=quality,
+        )
 
     standard, traced, again = render("standard"), render("mitsuba"), render("mitsuba")
     assert traced.rgb.tobytes() == again.rgb.tobytes()
@@ -91,7 +95,7 @@ def test_missing_mitsuba_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(subprocess, "run", fail)
     with pytest.raises(InputError, match=r"not installed.*recast-sim\[mitsuba\]"):
-        mitsuba_probe.working_llvm.__wrapped__()
+        working_llvm.__wrapped__()
 
 
 def test_wrong_llvm_names_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,12 +104,17 @@ def test_wrong_llvm_names_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(subprocess, "run", abort_trial)
     with pytest.raises(InputError, match=r"LLVM.*libllvm19"):
-        mitsuba_probe.working_llvm.__wrapped__()
+        working_llvm.__wrapped__()
 
 
 def test_unknown_quality_is_refused() -> None:
     with pytest.raises(ValueError, match="quality"):
         render_camera(
-            RayScene(plane(), {}), sky(), CAMERA, camera_at(0, 0, 2), {},
-            rng=np.random.default_rng(0), quality="best",
-        )  # fmt: skip
+            RayScene(plane(), {}),
+            sky(),
+            CAMERA,
+            camera_at(0, 0, 2),
+            {},
+            rng=np.random.default_rng(0),
+            quality="best",
+        )

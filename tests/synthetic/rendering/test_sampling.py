@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recast.synthetic.rendering.sampling import cosine_directions, disc_directions, pixel_samples
+from recast.synthetic.rendering.rays import cosine_directions, disc_directions, pixel_samples
 
 
 @pytest.mark.parametrize("block", [2, 4, 8])

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from recast.synthetic import scenery
-from recast.synthetic.materials import MATERIAL_INDEX
-from recast.synthetic.surface import Surface
+from recast.synthetic.surface import MATERIAL_INDEX, Surface
 
 
 def rng(seed: int = 0) -> np.random.Generator:

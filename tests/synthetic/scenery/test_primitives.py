@@ -5,10 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recast.synthetic.scenery.foliage import directions, icosphere
-from recast.synthetic.scenery.glyphs import STROKES, text_quads
-from recast.synthetic.scenery.panels import Panels
-from recast.synthetic.scenery.primitives import at, boxes, lathe, prism, tube
+from recast.synthetic.scenery.primitives import (
+    STROKES,
+    Panels,
+    at,
+    boxes,
+    lathe,
+    prism,
+    text_quads,
+    tube,
+)
+from recast.synthetic.scenery.trees import directions, icosphere
 from recast.synthetic.surface import Surface
 
 GREY = (0.5, 0.5, 0.5)

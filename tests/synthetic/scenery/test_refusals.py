@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.synthetic import scenery
 
 RNG = np.random.default_rng(0)

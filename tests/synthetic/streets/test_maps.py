@@ -9,14 +9,18 @@ import pytest
 import shapely
 
 from recast.geometry import Polyline, se2
-from recast.logs.drivable_region import drivable_region
+from recast.logs.hdmap import drivable_region
 from recast.logs.map_json import read_map, write_map
 from recast.synthetic.streets import EGO_START, SCENES
 from synthetic.streets.built import LENGTH, built
 
 ONE_LANE_KINDS = (
-    "suburban-curve", "rural-two-lane", "parked-street", "roundabout-approach", "industrial",
-)  # fmt: skip
+    "suburban-curve",
+    "rural-two-lane",
+    "parked-street",
+    "roundabout-approach",
+    "industrial",
+)
 
 
 def route_line(name: str) -> Polyline:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import shapely
 
-from recast.errors import InputError
-from recast.synthetic.materials import MATERIAL_INDEX
+from recast.core.errors import InputError
 from recast.synthetic.streets import SCENES, make_street
+from recast.synthetic.surface import MATERIAL_INDEX
 from recast.synthetic.world import Street
 from synthetic.streets.built import LENGTH, built
 

@@ -10,10 +10,16 @@ from hypothesis import strategies as st
 
 from recast.synthetic.streets.ground import GRASS, PAVING, Band, Edge, Ground
 from recast.synthetic.streets.network import Arm, Network
-from recast.synthetic.streets.placement import Placer, Prop
-from recast.synthetic.streets.reference_line import Pose, ReferenceLine
 from recast.synthetic.streets.road import Road, Section
-from recast.synthetic.streets.triangles import Decals, flat, triangulate, without_holes
+from recast.synthetic.streets.shapes import (
+    Decals,
+    Pose,
+    ReferenceLine,
+    flat,
+    triangulate,
+    without_holes,
+)
+from recast.synthetic.streets.site import Placer, Prop
 from recast.synthetic.surface import Surface
 
 angles = st.floats(-3.0, 3.0)
@@ -115,8 +121,10 @@ class TestNetwork:
 
     def test_route(self) -> None:
         assert crossroads().route("west-00-b1", "north-00-f1") == (
-            "west-00-b1", "x-west-north-left", "north-00-f1",
-        )  # fmt: skip
+            "west-00-b1",
+            "x-west-north-left",
+            "north-00-f1",
+        )
 
 
 class TestTriangles:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.synthetic.vehicles import SHAPES, read_mesh, sample_shape
 
 trimesh = pytest.importorskip("trimesh")

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recast.errors import InputError
-from recast.synthetic.materials import MATERIAL_INDEX
+from recast.core.errors import InputError
+from recast.synthetic.surface import MATERIAL_INDEX
 from recast.synthetic.vehicles import (
     COLOURS,
     KINDS,
@@ -20,7 +20,7 @@ from recast.synthetic.vehicles import (
     sample_vehicle,
     vehicle_parts,
 )
-from recast.synthetic.vehicles.kinds import KIND_SHARES
+from recast.synthetic.vehicles.build import KIND_SHARES
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -122,13 +122,26 @@ def test_front_differs_from_rear(built):
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("length", -1.0), ("length", float("nan")), ("width", 9.0), ("height", 0.2),
-        ("wheel_radius", 0.0), ("wheelbase", 9.0), ("front_overhang", 0.1),
-        ("ground_clearance", 0.9), ("tyre_width", 0.9), ("nose_height", 0.1),
-        ("cowl_height", 3.0), ("deck_height", 0.1), ("belt_height", 2.0), ("deck_length", 3.0),
-        ("windscreen_rake", 1.5), ("spokes", 0), ("rim_share", 1.2), ("kind", "hovercraft"),
+        ("length", -1.0),
+        ("length", float("nan")),
+        ("width", 9.0),
+        ("height", 0.2),
+        ("wheel_radius", 0.0),
+        ("wheelbase", 9.0),
+        ("front_overhang", 0.1),
+        ("ground_clearance", 0.9),
+        ("tyre_width", 0.9),
+        ("nose_height", 0.1),
+        ("cowl_height", 3.0),
+        ("deck_height", 0.1),
+        ("belt_height", 2.0),
+        ("deck_length", 3.0),
+        ("windscreen_rake", 1.5),
+        ("spokes", 0),
+        ("rim_share", 1.2),
+        ("kind", "hovercraft"),
     ],
-)  # fmt: skip
+)
 def test_impossible_sizes_are_one_line_that_names_the_field(field, value):
     parameters = sample_parameters("sedan", np.random.default_rng(0))
     with pytest.raises(InputError) as error:
@@ -197,11 +210,15 @@ def test_kinds_are_told_apart_by_their_outline():
     """The nearest of one outline of each kind names another vehicle's kind most of the time."""
     outlines = {
         kind: np.stack(
-            [_outline(build_vehicle(sample_parameters(kind, np.random.default_rng([s])), "white"))
-             for s in range(2)]
+            [
+                _outline(
+                    build_vehicle(sample_parameters(kind, np.random.default_rng([s])), "white")
+                )
+                for s in range(2)
+            ]
         )
         for kind in KINDS
-    }  # fmt: skip
+    }
     means = {kind: lines[0] for kind, lines in outlines.items()}
     hits = 0
     for kind, lines in outlines.items():

@@ -1,22 +1,26 @@
-"""The JSON chunk of a glTF 2.0 file, as far as geometry and base colour go."""
+"""The JSON chunk of a glTF 2.0 file, as far as geometry and base colour go, and what it draws."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.alias_generators import to_camel
 
+from recast.actors.mesh.triangles import require_few
+from recast.arrays import Array
 from recast.geometry import se3
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from recast.actors.mesh.gltf import GlbFile
+
 Four = tuple[float, float, float, float]
 Share = Field(1.0, ge=0, le=1)
 
 MOST_NODES = 100_000
+_MOST_PRIMITIVES = 20_000
 TRIANGLES, STRIP, FAN = 4, 5, 6
 """Modes of a primitive that is drawn as triangles."""
 
@@ -173,3 +177,60 @@ class Tree(Part):
     buffer_views: tuple[View, ...] = ()
     buffers: tuple[Data, ...] = ()
     extensions_required: tuple[str, ...] = ()
+
+
+def placed_primitives(file: GlbFile) -> list[tuple[Primitive, Array, str]]:
+    """Primitives of the scene that are triangles, `scene_from_mesh` (4, 4), and their names.
+
+    Raises:
+        InputError: the nodes are no tree, one is rigged, or there are too many triangles.
+    """
+    tree = file.tree
+    children = {child for node in tree.nodes for child in node.children}
+    roots: Sequence[int] = [i for i in range(len(tree.nodes)) if i not in children]
+    if tree.scenes:
+        roots = file.at(tree.scenes, tree.scene, "scene").nodes
+    waiting = [(root, np.eye(4), "scenes.nodes") for root in roots]
+    seen: set[int] = set()
+    found: list[tuple[Primitive, Array, str]] = []
+    total = 0
+    while waiting:
+        index, pose, named = waiting.pop()
+        node, field = file.at(tree.nodes, index, named), f"nodes.{index}"
+        if index in seen:
+            raise file.fault(field, "has two parents")
+        seen.add(index)
+        if node.skin is not None:
+            raise file.fault(f"{field}.skin", "is rigged, which is not read")
+        try:
+            pose = pose @ node.pose()
+        except ValueError:
+            raise file.fault(f"{field}.rotation", "is a quaternion of norm zero") from None
+        waiting += [(child, pose, f"{field}.children") for child in node.children]
+        if node.mesh is None:
+            continue
+        primitives = file.at(tree.meshes, node.mesh, f"{field}.mesh").primitives
+        for number, one in enumerate(primitives):
+            name = f"meshes.{node.mesh}.primitives.{number}"
+            if one.mode in (TRIANGLES, STRIP, FAN):
+                count = corner_count(file, one, name)
+                total += count // 3 if one.mode == TRIANGLES else count
+                require_few(file.path, total)
+                found.append((one, pose, name))
+        if len(found) > _MOST_PRIMITIVES:
+            raise file.fault("nodes", f"draw more than {_MOST_PRIMITIVES} primitives")
+    return found
+
+
+def corner_count(file: GlbFile, primitive: Primitive, field: str) -> int:
+    """How many corners a primitive has.
+
+    Raises:
+        InputError: it has no positions.
+    """
+    if "POSITION" not in primitive.attributes:
+        raise file.fault(f"{field}.attributes", "lack POSITION")
+    index = primitive.indices
+    if index is None:
+        index = primitive.attributes["POSITION"]
+    return file.at(file.tree.accessors, index, field).count

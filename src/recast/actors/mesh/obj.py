@@ -18,18 +18,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from recast import storage
-from recast.actors.mesh.named_files import MOST_TEXTURES, decoded, named_file
 from recast.actors.mesh.triangles import (
+    MOST_TEXTURES,
     Alpha,
     Array,
     Material,
     Triangles,
     checked,
+    decoded,
+    named_file,
     require_few,
-    to_linear,
 )
-from recast.errors import InputError
+from recast.core import files
+from recast.core.errors import InputError
+from recast.geometry.colour import srgb_to_linear
 
 _MOST_BYTES = 1 << 28
 _MEND = "export it again, with its .mtl and textures in the same folder"
@@ -77,7 +79,7 @@ def read_obj(path: Path) -> list[Triangles]:
         materials |= _read_library(library)
     vertices = np.array(points).reshape(-1, 3)
     coloured = len(colours) == len(points) > 0
-    paints = to_linear(np.clip(np.array(colours).reshape(-1, 3), 0, 1)) if coloured else None
+    paints = srgb_to_linear(np.clip(np.array(colours).reshape(-1, 3), 0, 1)) if coloured else None
     uv = np.array(uvs).reshape(-1, 2) * [1, -1] + [0, 1]  # the first row is on top here
     plain = Material(np.ones(4)) if coloured else _GREY
     parts = [
@@ -107,7 +109,7 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str], str]]:
     Raises:
         InputError: see `storage.read_bytes`.
     """
-    data = storage.read_bytes(path, _MOST_BYTES).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    data = files.read_bytes(path, _MOST_BYTES).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
     for number, line in enumerate(io.BytesIO(data), 1):
         text = line.decode(errors="surrogateescape").strip()
         if text and text[0] != "#":
@@ -177,7 +179,7 @@ def _read_library(path: Path) -> dict[str, Material]:
     if len(named) > MOST_TEXTURES:
         raise InputError(path, "map_Kd", f"names {len(named)} textures", f"{MOST_TEXTURES} at most")
     pictures = {
-        one: decoded(path, storage.read_bytes(one, _MOST_BYTES), f"map_Kd {one.name}")
+        one: decoded(path, files.read_bytes(one, _MOST_BYTES), f"map_Kd {one.name}")
         for one in named
     }
     return {
@@ -206,7 +208,7 @@ def _parse_library(path: Path) -> dict[str, tuple[Material, Path | None]]:
                     found[name] = _GREY, None
                     continue
                 case "kd":
-                    factor = np.append(to_linear(_shares(words[1:4], 3)), factor[3])
+                    factor = np.append(srgb_to_linear(_shares(words[1:4], 3)), factor[3])
                 case "d":
                     factor = np.append(factor[:3], _shares(words[-1:], 1))
                 case "tr":  # transparency: the same, the other way round

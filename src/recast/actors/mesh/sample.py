@@ -1,4 +1,4 @@
-"""Points evenly over textured triangles.
+"""Points evenly over textured triangles, and which of them can be seen from outside.
 
 A lattice, as in mesh2splat (Electronic Arts, github.com/electronicarts/mesh2splat): every triangle
 is projected along its dominant axis onto a grid of squares that all triangles share, and has a
@@ -9,22 +9,25 @@ however small they are, and nothing is random.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.actors.mesh.triangles import Array, Material, Triangles, to_linear
-
-Ints = NDArray[np.int64]
+from recast.actors.icp import require_volume, seen_from_outside
+from recast.actors.mesh.triangles import Array, Material, Triangles
+from recast.arrays import Int64Array
+from recast.geometry.colour import srgb_to_linear
 
 MOST_POINTS = 1_500_000
 MOST_ROWS = 6_000_000  # of the lattice, over all triangles: slivers have many and few points
 _SOLID = 0.98  # alpha above which nothing shines through
 _NOTHING = 0.02  # alpha below which nothing is seen
 _LEAST_AREA = 1e-9  # of a triangle, in squares: less is rounding
-_LINEAR = to_linear(np.arange(256) / 255).astype(np.float32)
+_LINEAR = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
+_CABIN_LIGHT = 0.3  # share of the daylight that falls on what stands behind glass
+_BEHIND = 0.3  # cosine to the outer normal from which on a view is one of the inner side
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class Samples:
     def __len__(self) -> int:
         return len(self.points)
 
-    def select(self, index: NDArray[np.bool_] | Ints) -> Samples:
+    def select(self, index: NDArray[np.bool_] | Int64Array) -> Samples:
         """The points at `index`."""
         return Samples(*(getattr(self, one.name)[index] for one in fields(self)))
 
@@ -111,7 +114,7 @@ def _alpha(material: Material, alpha: Array) -> Array:
     return np.where(alpha > _SOLID, 1.0, np.clip(alpha, 0.0, 1.0))
 
 
-def _lattice(corners: Array, axis: Ints, step: float) -> tuple[Ints, Array]:
+def _lattice(corners: Array, axis: Int64Array, step: float) -> tuple[Int64Array, Array]:
     """Face (N,) and barycentric weights (N, 3) of the lattice's points on triangles (F, 3, 3).
 
     Rows of the lattice are cut with the triangles' edges; half-open intervals on both axes give
@@ -137,7 +140,7 @@ def _lattice(corners: Array, axis: Ints, step: float) -> tuple[Ints, Array]:
     return face, np.clip(parts / parts.sum(axis=1, keepdims=True), 0.0, 1.0)
 
 
-def _between(low: Array, high: Array, owner: Ints) -> tuple[Ints, Ints]:
+def _between(low: Array, high: Array, owner: Int64Array) -> tuple[Int64Array, Int64Array]:
     """Owner and integer i of every i + 0.5 in the half-open intervals [low, high)."""
     first = np.ceil(np.where(low <= high, low, 0.0) - 0.5).astype(np.int64)
     count = np.maximum(np.ceil(np.where(low <= high, high, 0.0) - 0.5).astype(np.int64) - first, 0)
@@ -153,7 +156,7 @@ def _twice_area(a: Array, b: Array, c: Array) -> Array:
 
 
 def _texels(
-    part: Triangles, texture: NDArray[np.uint8], face: Ints, weights: Array, step: float
+    part: Triangles, texture: NDArray[np.uint8], face: Int64Array, weights: Array, step: float
 ) -> Array:
     """(N, 4) linear colour and alpha: texels as large as the lattice's squares, bilinear."""
     assert part.uv is not None
@@ -185,3 +188,48 @@ def _bilinear(picture: NDArray[np.float32], uv: Array) -> Array:
     below = (1 - u) * picture[lower, left] + u * picture[lower, right]
     mixed: Array = (1 - v) * above + v * below
     return mixed
+
+
+@dataclass(frozen=True)
+class Outside:
+    """The visible surface of a vehicle.
+
+    Attributes:
+        samples: with normals towards where they are seen from.
+        closed: (N,) whether the sample is opaque and has the vehicle's inside behind it: no view
+            from outside shows its back, as of a mirror or a spoiler.
+    """
+
+    samples: Samples
+    closed: NDArray[np.bool_]
+
+
+def outside(samples: Samples) -> Outside:
+    """What can be seen from outside, directly or through glass.
+
+    Files wind their triangles either way, and hold engines and the insides of doors; light must
+    fall on the outer side. What only glass shows gets less of it. All normals of glass point to
+    one half of space, so that the two faces of a pane become one layer.
+
+    Raises:
+        ValueError: what is opaque has no volume, see `require_volume`.
+    """
+    opaque = samples.alpha >= 1
+    require_volume(samples.points[opaque])
+    directions, seen = seen_from_outside(samples.points[opaque])
+    direct = seen
+    if not opaque.all():
+        direct = seen_from_outside(samples.points)[1][:, opaque]
+    kept = ~opaque
+    kept[opaque] = seen.any(axis=0)
+    towards = np.eye(3)[np.argmax(np.abs(samples.normals), axis=1)]
+    towards[opaque] = -(seen.T.astype(np.float64) @ directions)
+    inward = np.sum(towards * samples.normals, axis=1) < 0
+    normals = np.where(inward[:, None], -samples.normals, samples.normals)
+    light = np.ones(len(samples))
+    light[opaque] = np.where(direct.any(axis=0), 1.0, _CABIN_LIGHT)
+    closed = opaque.copy()
+    from_behind = directions @ normals[opaque].T > _BEHIND
+    closed[opaque] = direct.any(axis=0) & ~(direct & from_behind).any(axis=0)
+    shown = replace(samples, normals=normals, albedo=samples.albedo * light[:, None])
+    return Outside(shown.select(kept), closed[kept])

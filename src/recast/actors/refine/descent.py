@@ -1,4 +1,4 @@
-"""The two descents of a refinement: the whole body, then every Gaussian."""
+"""What refinement minimises, and its two descents: the whole body, then every Gaussian."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from recast.actors.actor import Actor
-from recast.actors.hull import outer_surface
-from recast.actors.refine.free import FIELDS, FreeGaussians
-from recast.actors.refine.layers import Layers
-from recast.actors.refine.objective import mean_loss, view_loss
-from recast.actors.refine.shape import Bend, PoseOffsets
-from recast.scene.chance import generator, picked_view
-from recast.scene.mirror import mirrored
-from recast.splats import Gaussians, LowPass
+from recast.actors.icp import outer_surface
+from recast.actors.refine.parameters import FIELDS, Bend, FreeGaussians, PoseOffsets
+from recast.actors.refine.surroundings import Layers
+from recast.scene.appearance import mirrored
+from recast.scene.losses import photometric_loss
+from recast.scene.schedule import generator, picked_view
+from recast.splats import Gaussians, LowPass, rasterize
 
+SSIM_WEIGHT = 0.2
+OUTLINE_WEIGHT = 0.5
 Step = Callable[[], None]
 
 _MIRROR_CHANCE, _MIRROR_WEIGHT = 0.35, 0.5
@@ -32,8 +33,82 @@ _LIDAR_POINTS, _LIDAR_NOISE, _NEAREST_EVERY = 1500, 0.04, 15
 _SHAPE_RATES = {"move": 4e-3, "turn": 1e-3, "grow": 2e-3, "offsets": 2e-3}
 _POSE_RATE = 1e-3
 _FREE_RATES = {
-    "means": 1e-3, "quats": 2e-3, "log_scales": 6e-3, "logit_opacities": 3e-2, "sh": 6e-3
-}  # fmt: skip
+    "means": 1e-3,
+    "quats": 2e-3,
+    "log_scales": 6e-3,
+    "logit_opacities": 3e-2,
+    "sh": 6e-3,
+}
+
+
+@dataclass(frozen=True)
+class ViewLoss:
+    """Terms of one image, each a mean over the pixels that it compares.
+
+    Attributes:
+        colour: 0.8 |x - y| + 0.2 (1 - SSIM) on the vehicle.
+        outline: |opacity - mask|, weighted by trust, over the vehicle's pixels.
+    """
+
+    colour: Tensor
+    outline: Tensor
+
+    @property
+    def total(self) -> Tensor:
+        """The weighted sum."""
+        return self.colour + OUTLINE_WEIGHT * self.outline
+
+
+def view_loss(
+    gaussians: Gaussians, low_pass: LowPass, layers: Layers, offset: Tensor | None = None
+) -> ViewLoss:
+    """Compare a vehicle with one image; differentiable in all but the layers.
+
+    Args:
+        gaussians: actor frame.
+        low_pass: the filter that they are drawn through.
+        offset: (4, 4) correction of the vehicle's pose, in its own frame.
+    """
+    pose = layers.camera_from_world @ layers.world_from_object
+    if offset is not None:
+        pose = pose @ offset
+    camera = layers.sighting.camera
+    drawn = rasterize(
+        gaussians,
+        pose,
+        layers.K,
+        camera.width,
+        camera.height,
+        eps2d=low_pass.variance,
+        antialiased=low_pass.antialiased,
+    )
+    compared = layers.compared[..., None]
+    shown = layers.around(drawn.rgb, drawn.alpha)
+    # Beside the vehicle both are the target, so that nothing there is explained by the vehicle.
+    shown = compared * shown + (1 - compared) * layers.target
+    area = layers.compared.sum().clamp(min=1.0) / layers.compared.numel()
+    wanted = layers.mask * layers.through
+    missed = (drawn.alpha * layers.through - wanted).abs() * layers.trust
+    return ViewLoss(
+        photometric_loss(shown, layers.target, SSIM_WEIGHT) / area,
+        missed.sum() / layers.compared.sum().clamp(min=1.0),
+    )
+
+
+def mean_loss(
+    gaussians: Gaussians,
+    low_pass: LowPass,
+    views: Sequence[Layers],
+    offsets: Sequence[Tensor | None],
+) -> float:
+    """Mean loss over images, each weighted as its sighting; nan without one."""
+    with torch.no_grad():
+        losses = [
+            float(view_loss(gaussians, low_pass, view, offset).total) * view.sighting.weight
+            for view, offset in zip(views, offsets, strict=True)
+        ]
+    weight = sum(view.sighting.weight for view in views)
+    return sum(losses) / weight if weight else float("nan")
 
 
 @dataclass(frozen=True)
@@ -104,9 +179,13 @@ class Task:
 
 
 def fit_shape(
-    task: Task, actor: Actor, hits: np.ndarray[Any, np.dtype[np.float32]], bend: Bend,
-    poses: PoseOffsets, step: Step,
-) -> None:  # fmt: skip
+    task: Task,
+    actor: Actor,
+    hits: np.ndarray[Any, np.dtype[np.float32]],
+    bend: Bend,
+    poses: PoseOffsets,
+    step: Step,
+) -> None:
     """Move and bend a body, and correct its track, in place.
 
     Args:

@@ -20,22 +20,18 @@ from numpy.typing import NDArray
 
 from recast.actors.actor import Actor, Refinement
 from recast.actors.evidence import Evidence
+from recast.actors.insert import darkened
 from recast.actors.refine.descent import FreeDescent, Steps, Task, fit_shape
-from recast.actors.refine.free import FreeGaussians, split, split_rows
-from recast.actors.refine.layers import make_layers
-from recast.actors.refine.paint import follow_paint
-from recast.actors.refine.road import shadow_evidence
-from recast.actors.refine.shape import Bend, PoseOffsets
-from recast.actors.refine.visibility import visibility_of
-from recast.actors.shadow import darkened
+from recast.actors.refine.parameters import Bend, FreeGaussians, PoseOffsets, split, split_rows
+from recast.actors.refine.surroundings import make_layers, shadow_evidence
+from recast.actors.refine.visibility import follow_paint, visibility_of
 from recast.logs import Trajectory
 from recast.scene import StreetScene
-from recast.scene.mirror import DEFORMABLE
+from recast.scene.appearance import DEFORMABLE
 from recast.scene.tensor_file import read_tensors, write_tensors
 from recast.splats import Gaussians
 
 Progress = Callable[[int, int], None]
-Array = NDArray[np.float64]
 
 LEAST_IMAGES = 5
 """Fewer images than this cannot both teach and judge."""
@@ -181,11 +177,23 @@ def _identity(actor: Actor, evidence: Evidence, seed: int) -> str:
 
 def _unrefined(actor: Actor, evidence: Evidence, note: str) -> Actor:
     nothing = Refinement(
-        images=len(evidence.sightings), held_back=0, left_out=dict(Counter(evidence.left_out)),
-        loss_before=None, loss_bent=None, loss_after=None, kept=False, steps=0,
-        moved=(0.0, 0.0, 0.0), turned=0.0, grew=(1.0, 1.0, 1.0), pose_correction=0.0, shadow=1.0,
-        seen=0.0, mirrored=0.0, notes=(note,),
-    )  # fmt: skip
+        images=len(evidence.sightings),
+        held_back=0,
+        left_out=dict(Counter(evidence.left_out)),
+        loss_before=None,
+        loss_bent=None,
+        loss_after=None,
+        kept=False,
+        steps=0,
+        moved=(0.0, 0.0, 0.0),
+        turned=0.0,
+        grew=(1.0, 1.0, 1.0),
+        pose_correction=0.0,
+        shadow=1.0,
+        seen=0.0,
+        mirrored=0.0,
+        notes=(note,),
+    )
     return _reported(actor, nothing)
 
 

@@ -1,8 +1,12 @@
-"""How much of a vehicle was seen, how much is mirrored, and how much is invented.
+"""How much of a vehicle was seen, mirrored or invented, and the paint of what nobody saw.
 
 The weight that a Gaussian has in a picture is the sum over pixels of its transmittance times its
 alpha. The rasterizer gives it as the derivative of the picture's sum by a constant colour, so that
 occlusion, opacity and the vehicle's own parts in between are all in it.
+
+A generator misses the paint's colour a little, and misses it everywhere alike. Where images have
+corrected it, the correction is known; parts that no image shows take over that of parts which the
+generator gave the same look.
 """
 
 from __future__ import annotations
@@ -16,10 +20,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from recast.actors.refine.layers import Layers
-from recast.actors.shares import Shares
-from recast.scene.mirror import mirrored
+from recast.actors.coverage import Shares
+from recast.actors.refine.surroundings import Layers
+from recast.arrays import Array
+from recast.scene.appearance import mirrored
 from recast.splats import Gaussians, LowPass, rasterize
+from recast.splats.gaussians import quat_to_matrix
 from recast.splats.sh import C0
 
 _PATCH = 0.06  # metres around a Gaussian that are seen or not seen together
@@ -28,6 +34,13 @@ _SHOWN = 0.5  # pixels of a Gaussian's own over all images that put it in the pi
 _SEEN = 20.0  # pixels of a patch over all images that make it two thirds seen
 _NEIGHBOURS = 8
 _MIRRORED = 0.6  # of the freedom, for what only the other side's images show
+
+_KNOWN = 0.6  # share of images in a Gaussian that may lend its correction
+# Differences that count as one: display colour, share of "up" in the normal, metres of height and
+# of place.
+_LOOK, _UP, _HEIGHT, _PLACE = 0.08, 0.4, 0.5, 3.0
+_LENDERS = 32
+_DOUBT = 2.0  # lenders' worth of evidence for no correction
 
 
 @dataclass(frozen=True)
@@ -76,10 +89,14 @@ def pixel_weights(
     # One constant colour of its own a Gaussian, far from the clamp at zero.
     white = gaussians.sh.new_zeros(len(gaussians), 1, 3).requires_grad_()
     drawn = rasterize(
-        replace(gaussians.detach(), sh=white), layers.camera_from_world @ layers.world_from_object,
-        layers.K, layers.sighting.camera.width, layers.sighting.camera.height,
-        eps2d=low_pass.variance, antialiased=low_pass.antialiased,
-    )  # fmt: skip
+        replace(gaussians.detach(), sh=white),
+        layers.camera_from_world @ layers.world_from_object,
+        layers.K,
+        layers.sighting.camera.width,
+        layers.sighting.camera.height,
+        eps2d=low_pass.variance,
+        antialiased=low_pass.antialiased,
+    )
     (drawn.rgb[..., 0] * pixels).sum().backward()
     assert white.grad is not None
     return white.grad[:, 0, 0].abs() / C0
@@ -134,3 +151,45 @@ def _metres_a_pixel(view: Layers) -> float:
     """Size of a pixel at the vehicle's middle, metres."""
     depth = (view.camera_from_world @ view.world_from_object)[2, 3]
     return float(depth / view.K[0, 0])
+
+
+def follow_paint(prior: Gaussians, refined: Gaussians, shares: Shares) -> Gaussians:
+    """The refined Gaussians, the invented ones with the correction of those that look alike.
+
+    Args:
+        prior: as the generator made them, row by row those of `refined`.
+        refined: actor frame.
+        shares: where each comes from; the invented share of the correction is taken over.
+    """
+    known = (shares.seen + shares.mirrored).numpy()
+    lenders = np.flatnonzero(known > _KNOWN)
+    if len(lenders) == 0:
+        return refined
+    features = _features(prior)
+    change = (refined.sh[:, 0] - prior.sh[:, 0]).numpy().astype(np.float64)
+    borrowers = np.flatnonzero(known < 1 - 1e-3)
+    count = min(_LENDERS, len(lenders))
+    distance, near = cKDTree(features[lenders]).query(features[borrowers], k=count)
+    distance, near = distance.reshape(len(borrowers), -1), near.reshape(len(borrowers), -1)
+    weight = np.exp(-0.5 * distance**2) * known[lenders][near]
+    lent = np.einsum("nk,nkc->nc", weight, change[lenders][near])
+    lent /= (weight.sum(axis=1) + _DOUBT)[:, None]
+    sh = refined.sh.clone()
+    share = shares.invented.numpy()[borrowers, None]
+    sh[borrowers, 0] += torch.from_numpy(share * (lent - change[borrowers])).float()
+    return replace(refined, sh=sh)
+
+
+def _features(gaussians: Gaussians) -> Array:
+    """(N, 8) look, normal, height and place, each over what counts as one."""
+    axes = quat_to_matrix(gaussians.quats)
+    thin = gaussians.log_scales.argmin(dim=1)
+    up = axes[:, 2].gather(1, thin[:, None]).abs()
+    look: Tensor = (0.5 + C0 * gaussians.sh[:, 0]).clamp(0, 1)
+    parts = (
+        look / _LOOK,
+        up / _UP,
+        gaussians.means[:, 2:] / _HEIGHT,
+        gaussians.means[:, :2] * torch.tensor([1.0, 0.0]) / _PLACE,
+    )
+    return torch.cat(parts, dim=1).detach().numpy().astype(np.float64)

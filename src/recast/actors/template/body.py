@@ -1,22 +1,26 @@
-"""A car body as an implicit surface: negative inside, about metres near the surface.
+"""A car body as an implicit surface, negative inside, about metres nearby; and its fittings.
 
 Box frame shifted to the ground: x forward from the middle, y left, z up from the ground. The lower
 body and the greenhouse are each a rounded intersection of curved half spaces (one for every panel),
 joined by a rounded union; wheel wells are cut out. A panel's own function also tells how far a
-surface point lies from the panel's border, which is how windows get their frames.
+surface point lies from the panel's border, which is how windows get their frames. Wheels and
+mirrors are points of the left side; the right side mirrors them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from recast.actors.template.proportions import Proportions
+from recast.actors.template.materials import Material
+from recast.arrays import Array, Int64Array
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from recast.actors.template.proportions import Proportions
 
 
 def smooth_max(a: Array, b: Array, radius: float) -> Array:
@@ -65,10 +69,12 @@ class Body:
             (1.02, p.deck_z - 0.015),
             (max(0.985, p.tail_x + 0.006), p.deck_z),
             (p.tail_x, p.tail_z),
-            (0.55, 0.5 * (p.cowl_z + p.belt_rear_z)), (p.cowl_x, p.cowl_z),
+            (0.55, 0.5 * (p.cowl_z + p.belt_rear_z)),
+            (p.cowl_x, p.cowl_z),
             (0.5 * p.cowl_x + 0.02, 0.45 * p.bonnet_z + 0.55 * p.cowl_z),
-            (min(0.045, 0.3 * p.cowl_x), p.bonnet_z), (-0.02, p.bonnet_z - 0.05),
-        ]  # fmt: skip
+            (min(0.045, 0.3 * p.cowl_x), p.bonnet_z),
+            (-0.02, p.bonnet_z - 0.05),
+        ]
         if p.tail_x < 0.7:  # a bed, not a boot: flat behind the cab
             knots[2] = (0.62, p.deck_z)
         knots = sorted((self.x_at(fraction), z * self.height) for fraction, z in knots)
@@ -101,9 +107,13 @@ class Body:
             start=np.zeros_like(x),
         )
         return (
-            self.width / 2 - 0.016 - s * (0.055 * above**2 + 0.05 * below**2)
-            - taper + crease + 0.012 * s * flare
-        )  # fmt: skip
+            self.width / 2
+            - 0.016
+            - s * (0.055 * above**2 + 0.05 * below**2)
+            - taper
+            + crease
+            + 0.012 * s * flare
+        )
 
     @property
     def arch_radius(self) -> float:
@@ -119,15 +129,19 @@ class Body:
         middle_z = 0.36 * H
 
         nose = (
-            x - L / 2 + p.nose_bow * lateral * across**2.6
+            x
+            - L / 2
+            + p.nose_bow * lateral * across**2.6
             + p.nose_lean * (np.maximum(z - middle_z, 0.0) / (0.2 * H)) ** 2
             + 0.035 * (np.maximum(middle_z - z, 0.0) / (0.22 * H)) ** 2
-        )  # fmt: skip
+        )
         tail = (
-            -L / 2 - x + p.tail_bow * lateral * across**3
+            -L / 2
+            - x
+            + p.tail_bow * lateral * across**3
             + p.tail_lean * (np.maximum(z - middle_z, 0.0) / (0.25 * H)) ** 2
             + 0.06 * (np.maximum(middle_z - z, 0.0) / (0.22 * H)) ** 2
-        )  # fmt: skip
+        )
         side = np.abs(y) - self.half_width(x, z)
         shoulder = (z - self.shoulder_z(x) + 0.055 * lateral * across**2) * 0.95
         ends = np.maximum(np.abs(x) - 0.36 * L, 0.0)
@@ -140,9 +154,14 @@ class Body:
             x + 0.13 * lateral * across**2, z, p.cowl_x, p.cowl_z, p.roof_front_x, 0.985, 1.0
         )
         rear_window = self._raked(
-            x - 0.09 * lateral * across**2, z, p.tail_x, p.tail_z, p.roof_rear_x,
-            p.roof_rear_z, -1.0,
-        )  # fmt: skip
+            x - 0.09 * lateral * across**2,
+            z,
+            p.tail_x,
+            p.tail_z,
+            p.roof_rear_x,
+            p.roof_rear_z,
+            -1.0,
+        )
         crown_x = self.x_at(0.55 * p.roof_front_x + 0.45 * p.roof_rear_x)
         reach = self.x_at(p.roof_rear_x) - crown_x
         drop = (1 - p.roof_rear_z) * np.minimum(((x - crown_x) / reach) ** 2, 2.0)
@@ -150,16 +169,28 @@ class Body:
         belt = p.cowl_z * H
         rise = np.clip((z - belt) / max(H - belt, 0.2), -0.5, 1.2)
         plan = 0.30 * self.tumblehome * (2 * (x + 0.05 * L) / L) ** 2
-        side_window = np.abs(y) - (self.width / 2 - 0.055 * lateral - plan
-                                   - self.tumblehome * rise - 0.03 * rise**2)  # fmt: skip
+        side_window = np.abs(y) - (
+            self.width / 2 - 0.055 * lateral - plan - self.tumblehome * rise - 0.03 * rise**2
+        )
         radius = p.edge_radius * lateral
         greenhouse = smooth_max(smooth_max(windscreen, rear_window, 0.05), side_window, radius)
         greenhouse = smooth_max(greenhouse, roof, radius)
         greenhouse = smooth_max(
             greenhouse, np.maximum(np.maximum(nose, tail), 0.6 * belt - z), 0.04
         )
-        return Panels(windscreen, rear_window, roof, side_window, shoulder, side, nose, tail,
-                      bottom, greenhouse, lower)  # fmt: skip
+        return Panels(
+            windscreen,
+            rear_window,
+            roof,
+            side_window,
+            shoulder,
+            side,
+            nose,
+            tail,
+            bottom,
+            greenhouse,
+            lower,
+        )
 
     def _raked(
         self,
@@ -192,3 +223,84 @@ class Body:
         union = -smooth_max(-panels.lower, -panels.greenhouse, 0.04)
         beyond = np.max(np.abs(points[:, :2]) - self.size[:2] / 2, axis=1)
         return np.maximum(np.maximum(union, -self.wells(points)), beyond)
+
+
+def wheel(body: Body, axle_x: float, spacing: float) -> tuple[Array, Array, Int64Array]:
+    """Points (N, 3), outward normals (N, 3) and materials (N,) of the left wheel on one axle.
+
+    A lathed tyre and rim; the gaps between the ten spokes lie 5 cm behind them.
+
+    Args:
+        spacing: metres between points.
+    """
+    r, w = body.wheel_radius, body.wheel_width
+    profile = np.array(
+        [
+            (0.0, -0.03),
+            (0.14 * r, -0.03),
+            (0.18 * r, -0.045),
+            (0.58 * r, -0.025),
+            (0.64 * r, -0.005),
+            (0.69 * r, -0.018),
+            (0.84 * r, 0.0),
+            (0.95 * r, -0.018),
+            (r, -0.05),
+            (r, -w + 0.05),
+            (0.95 * r, -w + 0.018),
+            (0.8 * r, -w),
+            (0.5 * r, -w),
+        ]
+    )
+    radii, depths, slopes = [], [], []
+    for (r0, d0), (r1, d1) in pairwise(profile):
+        n = max(1, int(np.ceil(np.hypot(r1 - r0, d1 - d0) / spacing)))
+        t = (np.arange(n) + 0.5) / n
+        radii.append(r0 + t * (r1 - r0))
+        depths.append(d0 + t * (d1 - d0))
+        slopes.append(np.tile([(d0 - d1), (r1 - r0)], (n, 1)) / np.hypot(r1 - r0, d1 - d0))
+    rings = np.concatenate(radii), np.concatenate(depths), np.concatenate(slopes)
+    per_ring = np.maximum(6, np.ceil(2 * np.pi * rings[0] / spacing)).astype(int)
+    ring = np.repeat(np.arange(len(per_ring)), per_ring)
+    within = np.arange(len(ring)) - np.repeat(np.cumsum(per_ring) - per_ring, per_ring)
+    angle = 2 * np.pi * (within + 0.5 * (ring % 2)) / per_ring[ring]
+    radius, depth, slope = rings[0][ring], rings[1][ring], rings[2][ring]
+
+    labels = np.full(len(ring), int(Material.TYRE))
+    outer = depth > -0.06
+    rim = outer & (radius < 0.67 * r)
+    labels[rim] = Material.ALLOY
+    fold = np.abs((angle / (2 * np.pi) * 10) % 1 - 0.5)
+    gap = rim & (radius > 0.2 * r) & (radius < 0.57 * r) & (fold > 0.17 + 0.02 * r / radius)
+    labels[gap] = Material.DARK
+    labels[rim & (radius > 0.655 * r)] = Material.DARK
+    labels[outer & (radius < 0.05 * r)] = Material.TRIM
+    depth = np.where(gap, depth - 0.05, depth)
+
+    cos, sin = np.cos(angle), np.sin(angle)
+    centre = np.array([axle_x, body.width / 2 - 0.012, r])
+    points = centre + np.stack([radius * cos, depth, radius * sin], axis=-1)
+    normals = np.stack([slope[:, 0] * cos, slope[:, 1], slope[:, 0] * sin], axis=-1)
+    return points, normals, labels
+
+
+def mirror(body: Body, spacing: float) -> tuple[Array, Array, Int64Array]:
+    """Points, normals and materials of the left outside mirror, 8 cm beyond the box."""
+    p = body.proportions
+    scale = np.clip(body.height / 1.5, 1.0, 1.8)
+    radii = np.array([0.06, 0.095, 0.065 * scale]) * np.array([1.0, 1.0, scale])
+    x = body.x_at(p.cowl_x) - 0.42 * body.height / 1.5
+    x = min(x, body.x_at(p.cowl_x + 0.02))
+    z = p.cowl_z * body.height + 0.07 * scale
+    centre = np.array([x, body.width / 2 - 0.01, z])
+    count = int(4 * np.pi * 0.075**2 * scale**2 / spacing**2) + 50
+    index = np.arange(count) + 0.5
+    up = 1 - 2 * index / count  # Fibonacci sphere
+    around = np.pi * (1 + 5**0.5) * index
+    ring = np.sqrt(1 - up**2)
+    unit = np.stack([ring * np.cos(around), ring * np.sin(around), up], axis=-1)
+    labels = np.full(count, int(Material.PAINT))
+    labels[unit[:, 0] < -0.5] = Material.GLASS
+    labels[unit[:, 2] < -0.8] = Material.TRIM
+    normals = unit / radii
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return centre + unit * radii, normals, labels

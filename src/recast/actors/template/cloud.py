@@ -1,4 +1,7 @@
-"""The vehicle's surface as a dense cloud of small patches with their material properties."""
+"""The vehicle's surface: a dense cloud of small patches with materials, made flat Gaussians.
+
+Few Gaussians where nothing changes, many where colours do.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +9,87 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from recast.actors.template import decals, fittings
-from recast.actors.template.body import Body
-from recast.actors.template.lighting import to_linear
-from recast.actors.template.materials import GLASS, GLOSS, PAINTED, RIM, SRGB, Material
-from recast.actors.template.surface import sample
+from recast.actors.template.body import Body, mirror, wheel
+from recast.actors.template.materials import GLASS, GLOSS, PAINTED, RIM, SRGB, Material, label_body
+from recast.arrays import Array, Int64Array
+from recast.geometry import se3
+from recast.geometry.colour import gamma_to_linear
+from recast.splats.gaussians import Gaussians
 
-Array = NDArray[np.float64]
-Labels = NDArray[np.int64]
-Labeller = Callable[[Array, Array], Labels]
+Distance = Callable[[Array], Array]
+Labeller = Callable[[Array, Array], Int64Array]
 
 _MIRROR = np.array([1.0, -1.0, 1.0])
+
+_THICKNESS = 0.002
+COVERAGE = (1.75, 2.1)
+"""Standard deviation of a Gaussian over that of its patch, and of a group of patches."""
+
+
+def gradient(distance: Distance, points: Array, value: Array, step: float = 1e-3) -> Array:
+    """Forward-difference gradient (N, 3) of `distance` at points (N, 3) of known `value` (N,)."""
+    return np.stack(
+        [(distance(points + step * axis) - value) / step for axis in np.eye(3)], axis=-1
+    )
+
+
+def project(distance: Distance, points: Array, steps: int) -> Array:
+    """Move points (N, 3) to the zero level by Newton steps of at most 5 cm."""
+    for _ in range(steps):
+        value = distance(points)
+        slope = gradient(distance, points, value)
+        move = slope * (value / np.maximum(np.sum(slope * slope, axis=1), 1e-3))[:, None]
+        length = np.linalg.norm(move, axis=1, keepdims=True)
+        points = points - move * np.minimum(1.0, 0.05 / np.maximum(length, 1e-12))
+    return points
+
+
+def voxel_ids(points: Array, spacing: float) -> NDArray[np.int64]:
+    """One integer (N,) per voxel of edge `spacing` metres; equal ids share a voxel."""
+    cells = np.floor(points / spacing).astype(np.int64)
+    cells -= cells.min(axis=0)
+    extent = cells.max(axis=0) + 1
+    return (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
+
+
+def voxel_means(points: Array, spacing: float) -> Array:
+    """Mean of the points in each occupied voxel, (M, 3), ordered by voxel."""
+    _, group, count = np.unique(voxel_ids(points, spacing), return_inverse=True, return_counts=True)
+    return np.stack(
+        [np.bincount(group, weights=points[:, axis]) / count for axis in range(3)], axis=-1
+    )
+
+
+def sample(
+    distance: Distance, low: Array, high: Array, spacing: float, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Points (M, 3) about `spacing` metres apart on the zero level, with outward unit normals.
+
+    A coarse grid finds the cells the surface crosses; random points in them are projected to the
+    surface and thinned to one mean a voxel.
+
+    Args:
+        low, high: (3,) corners of a box around the surface.
+        spacing: metres.
+    """
+    cell = 0.08
+    axes = [np.arange(a, b + cell, cell) + cell / 2 for a, b in zip(low, high, strict=True)]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    centres = centres[np.abs(distance(centres)) < 0.8 * cell]
+    seeds_per_cell = max(4, int(np.ceil(1.5 * (cell / spacing) ** 2)))
+    seeds = np.repeat(centres, seeds_per_cell, axis=0)
+    seeds = seeds + rng.uniform(-cell / 2, cell / 2, seeds.shape)
+    seeds = project(distance, seeds, steps=2)
+    seeds = seeds[np.all((seeds >= low) & (seeds <= high), axis=1)]
+    points = project(distance, voxel_means(seeds, spacing), steps=2)
+    value = distance(points)
+    points, value = points[np.abs(value) < 2e-3], value[np.abs(value) < 2e-3]
+    normals = gradient(distance, points, value)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return points, normals
 
 
 @dataclass(frozen=True)
@@ -43,7 +114,7 @@ class SurfaceCloud:
     paint: Array
     glass: Array
     rim: Array
-    twin: Labels
+    twin: Int64Array
     on_body: NDArray[np.bool_]
 
     def painted(self, paint: Array) -> Array:
@@ -68,12 +139,13 @@ def build_cloud(body: Body, spacing: float, rng: np.random.Generator) -> Surface
     low = np.array([-body.length / 2 - 0.01, 0.0, 0.0])
     high = np.array([body.length / 2 + 0.01, body.width / 2 + 0.01, body.height + 0.02])
     points, normals = sample(body.distance, low, high, spacing, rng)
-    left = _refined(points, normals, spacing, lambda p, n: decals.label_body(body, p, n))
-    right = _appearance(left[0] * _MIRROR, left[1] * _MIRROR, left[2],
-                        lambda p, n: decals.label_body(body, p, n))  # fmt: skip
+    left = _refined(points, normals, spacing, lambda p, n: label_body(body, p, n))
+    right = _appearance(
+        left[0] * _MIRROR, left[1] * _MIRROR, left[2], lambda p, n: label_body(body, p, n)
+    )
     sides = [(*left, *right)]
-    extras = [fittings.wheel(body, axle, spacing) for axle in body.axles]
-    extras.append(fittings.mirror(body, spacing))
+    extras = [wheel(body, axle, spacing) for axle in body.axles]
+    extras.append(mirror(body, spacing))
     for points, normals, labels in extras:
         look = _look(labels)
         sides.append((points, normals, np.full(len(points), spacing), *look, *look))
@@ -94,10 +166,10 @@ def build_cloud(body: Body, spacing: float, rng: np.random.Generator) -> Surface
     )
 
 
-def _look(labels: Labels) -> tuple[Array, ...]:
+def _look(labels: Int64Array) -> tuple[Array, ...]:
     """Albedo, gloss, and the shares of paint, window and rim."""
     paint = PAINTED[labels]
-    albedo: Array = to_linear(SRGB)[labels] * (1 - paint)[..., None]
+    albedo: Array = gamma_to_linear(SRGB)[labels] * (1 - paint)[..., None]
     return albedo, GLOSS[labels], paint, GLASS[labels], RIM[labels]
 
 
@@ -105,8 +177,9 @@ def _children(points: Array, normals: Array, spacing: Array) -> Array:
     """Centres (4, N, 3) of the quarters of each patch."""
     first, second = tangents(normals)
     step = spacing[:, None] / 4
-    return np.stack([points + a * step * first + b * step * second
-                     for a in (-1, 1) for b in (-1, 1)])  # fmt: skip
+    return np.stack(
+        [points + a * step * first + b * step * second for a in (-1, 1) for b in (-1, 1)]
+    )
 
 
 def _appearance(
@@ -130,3 +203,108 @@ def _refined(
     edge = np.concatenate([edge[~mixed], np.full(len(finer), spacing / 2)])
     normals = np.concatenate([normals[~mixed], np.tile(normals[mixed], (4, 1))])
     return (points, normals, edge, *_appearance(points, normals, edge, labeller))
+
+
+def group_patches(
+    points: Array, normals: Array, colours: Array, cells: tuple[float, ...], tolerance: float
+) -> Int64Array:
+    """Group (N,) of each patch: all patches of a voxel that look alike, else each one alone.
+
+    Args:
+        points, normals: (N, 3).
+        colours: (N, C) display values that must agree within `tolerance` (standard deviation).
+        cells: voxel edges in metres, coarsest first; what does not fit tries the next.
+    """
+    group = np.full(len(points), -1, np.int64)
+    next_group = 0
+    for cell in cells:
+        open_ = np.flatnonzero(group < 0)
+        if len(open_) == 0:
+            break
+        _, ids, count = np.unique(
+            _directional_voxels(points[open_], normals[open_], cell),
+            return_inverse=True,
+            return_counts=True,
+        )
+        mean_normal = _means(ids, normals[open_], count)
+        mean = _means(ids, colours[open_], count)
+        spread = np.sqrt(np.maximum(_means(ids, colours[open_] ** 2, count) - mean**2, 0)).max(
+            axis=1
+        )
+        flat = np.linalg.norm(mean_normal, axis=1) > 0.985
+        good = flat & (spread < tolerance)
+        numbers = np.cumsum(good) - 1 + next_group
+        group[open_] = np.where(good[ids], numbers[ids], -1)
+        next_group += int(good.sum())
+    alone = group < 0
+    group[alone] = next_group + np.arange(alone.sum())
+    return group
+
+
+def shell_groups(points: Array, normals: Array, cell: float) -> Int64Array:
+    """Group (N,) of each patch by voxel and main direction alone, whatever they look like."""
+    group: Int64Array = np.unique(_directional_voxels(points, normals, cell), return_inverse=True)[
+        1
+    ]
+    return group
+
+
+def _directional_voxels(points: Array, normals: Array, cell: float) -> Int64Array:
+    """Voxel number times six plus the main direction of the normal: thin sheets stay apart."""
+    axis = np.argmax(np.abs(normals), axis=1)
+    sign = np.take_along_axis(normals, axis[:, None], axis=1)[:, 0] > 0
+    return voxel_ids(points, cell) * 6 + 2 * axis + sign
+
+
+def _means(group: Int64Array, values: Array, count: Int64Array) -> Array:
+    return np.stack(
+        [np.bincount(group, weights=column, minlength=len(count)) / count for column in values.T],
+        -1,
+    )
+
+
+def group_means(group: Int64Array, *arrays: Array) -> list[Array]:
+    """Mean of each array (N, ...) within each group, (G, ...)."""
+    count = np.bincount(group)
+    results = []
+    for array in arrays:
+        columns = array.reshape(len(array), -1)
+        results.append(_means(group, columns, count).reshape(len(count), *array.shape[1:]))
+    return results
+
+
+def flat_gaussians(
+    group: Int64Array, points: Array, normals: Array, spacing: Array, sh: Array, opacity: float
+) -> Gaussians:
+    """One Gaussian a group, as wide as its patches and flat along their mean normal.
+
+    Args:
+        group: (N,) from `group_patches`.
+        points, normals: (N, 3).
+        spacing: (N,) edges of the patches, metres.
+        sh: (G, K, 3).
+    """
+    centre, normal, edge = group_means(group, points, normals, spacing)
+    normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    offset = points - centre[group]
+    scatter = group_means(group, offset[:, :, None] * offset[:, None, :])[0]
+    scatter += (edge**2 / 12)[:, None, None] * np.eye(3)
+    # leave out the normal direction before the main axes are taken
+    project = np.eye(3) - normal[:, :, None] * normal[:, None, :]
+    values, vectors = np.linalg.eigh(project @ scatter @ project)
+    minor, major = np.sqrt(np.maximum(values[:, 1:], 1e-8)).T
+    minor = np.maximum(minor, 0.35 * major)
+    rotation = np.stack([vectors[:, :, 2], np.cross(normal, vectors[:, :, 2]), normal], axis=-1)
+    cover = np.where(np.bincount(group) > 1, COVERAGE[1], COVERAGE[0])
+    deviations = np.stack([major * cover, minor * cover, np.full_like(major, _THICKNESS)], -1)
+
+    def tensor(values: Array) -> torch.Tensor:
+        return torch.as_tensor(values, dtype=torch.float32)
+
+    return Gaussians(
+        means=tensor(centre),
+        quats=tensor(se3.matrix_to_quat(rotation)),
+        log_scales=tensor(np.log(deviations)),
+        logit_opacities=tensor(np.full(len(centre), np.log(opacity / (1 - opacity)))),
+        sh=tensor(sh),
+    )

@@ -7,26 +7,32 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recast.actors.axes import VEHICLE
 from recast.actors.generate import Asset
 from recast.actors.observation import Observation
 from recast.actors.template.body import Body
-from recast.actors.template.cloud import SurfaceCloud, build_cloud, tangents
-from recast.actors.template.contours import contour
-from recast.actors.template.estimate import estimate_light, estimate_rims, estimate_windows
-from recast.actors.template.fit import ShapeFit, fit_shape
+from recast.actors.template.cloud import (
+    SurfaceCloud,
+    build_cloud,
+    flat_gaussians,
+    group_means,
+    group_patches,
+    shell_groups,
+    tangents,
+)
 from recast.actors.template.lighting import (
     CLEAR_DAY,
     SH_C0,
     Daylight,
+    estimate_light,
+    estimate_rims,
+    estimate_windows,
     fit_harmonics,
     sh_basis,
-    to_display,
 )
-from recast.actors.template.merge import flat_gaussians, group_means, group_patches, shell_groups
-from recast.actors.template.placement import find_axles, place
+from recast.actors.template.placement import contour, find_axles, place
+from recast.actors.template.proportions import ShapeFit, fit_shape
 from recast.actors.template.texture import (
     Texture,
     balanced,
@@ -34,10 +40,9 @@ from recast.actors.template.texture import (
     mirrored_texture,
     view_surface,
 )
+from recast.arrays import Array, Int64Array
+from recast.geometry.colour import linear_to_gamma
 from recast.splats import MIP, Gaussians, concatenate
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _OPACITY = 0.99
 _STYLES = 3  # offered to choose from
@@ -122,7 +127,7 @@ class TemplateGenerator:
             details={
                 "style": fit.style,
                 "views": len(views),
-                "paint_srgb": " ".join(f"{v:.3f}" for v in to_display(paint)),
+                "paint_srgb": " ".join(f"{v:.3f}" for v in linear_to_gamma(paint)),
                 "light": round(light.level, 3),
                 "mirrored": " ".join(f"{v:.3f}" for v in light.mirrored),
                 "windows": round(windows, 3),
@@ -148,7 +153,7 @@ def _gaussians(
     """Merge the patches, bake light and photograph into harmonics, and back them with a shell."""
     albedo = cloud.painted(paint)
     weight = texture.weight[:, None]
-    look = (1 - weight) * to_display(light.level * albedo) + weight * texture.colour
+    look = (1 - weight) * linear_to_gamma(light.level * albedo) + weight * texture.colour
     group = group_patches(
         cloud.points, cloud.normals, np.c_[look, 0.1 * cloud.gloss], _CELLS, _TOLERANCE
     )
@@ -168,19 +173,29 @@ def _backing(body: Body, cloud: SurfaceCloud, sh: Array) -> Gaussians:
     kept = np.flatnonzero(covered)
     shell = shell_groups(cloud.points[kept], cloud.normals[kept], _BACKING_CELL)
     return flat_gaussians(
-        shell, inner[kept], cloud.normals[kept], cloud.spacing[kept],
-        group_means(shell, sh[kept])[0], _OPACITY,
-    )  # fmt: skip
+        shell,
+        inner[kept],
+        cloud.normals[kept],
+        cloud.spacing[kept],
+        group_means(shell, sh[kept])[0],
+        _OPACITY,
+    )
 
 
 def _harmonics(
-    group: Ints, cloud: SurfaceCloud, albedo: Array, texture: Texture, light: Daylight
+    group: Int64Array, cloud: SurfaceCloud, albedo: Array, texture: Texture, light: Daylight
 ) -> Array:
     """Harmonics (G, 4, 3) of each group: the lit model, moved onto the photograph where seen."""
     points, normals, albedo, gloss, colour, weight, views = group_means(
-        group, cloud.points, cloud.normals, albedo, cloud.gloss, texture.colour, texture.weight,
+        group,
+        cloud.points,
+        cloud.normals,
+        albedo,
+        cloud.gloss,
+        texture.colour,
+        texture.weight,
         texture.views,
-    )  # fmt: skip
+    )
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     views = views / np.maximum(np.linalg.norm(views, axis=1, keepdims=True), 1e-9)
     sh = fit_harmonics(albedo, gloss, normals, points[:, 2], light)

@@ -1,18 +1,32 @@
-"""Daylight baked into spherical harmonics: diffuse light plus the sky mirrored in clear coat.
+"""Daylight baked into spherical harmonics, and what photographs tell of it and of the materials.
 
-A black car is read by what it mirrors: bonnet and roof show the sky, flanks the dark horizon. The
-mirrored light moves with the viewer, so colours are computed for many view directions and fitted
-by harmonics of degree one, Gaussian by Gaussian.
+Diffuse light plus the sky mirrored in clear coat: a black car is read by what it mirrors. Bonnet
+and roof show the sky, flanks the dark horizon. The mirrored light moves with the viewer, so colours
+are computed for many view directions and fitted by harmonics of degree one, Gaussian by Gaussian.
+
+One photograph cannot tell a white car in the shade from a grey one in the sun. The road beside it
+says how much light there is; how bright the painted parts are is kept whatever the split.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from recast.actors.observation import Observation
+from recast.actors.template.materials import SRGB, Material
+from recast.arrays import Array
+from recast.geometry import se3
+from recast.geometry.colour import gamma_to_linear, linear_to_gamma
+
+if TYPE_CHECKING:
+    from recast.actors.template.cloud import SurfaceCloud
+    from recast.actors.template.texture import SurfaceView
+
 
 SH_C0 = 0.28209479177387814
 SH_C1 = 0.4886025119029199
@@ -22,6 +36,16 @@ _SKY = np.array([0.24, 0.44, 0.82])
 _HAZE = np.array([0.50, 0.62, 0.76])
 _TREES = np.array([0.045, 0.050, 0.045])
 _ROAD = np.array([0.09, 0.09, 0.09])
+_ASPHALT = 0.11  # linear reflectance of worn asphalt
+_ROAD_TRUST = (
+    0.6  # how far the road's brightness decides the level: roads differ by a factor of two
+)
+_LEVEL = (0.25, 1.4)
+_WHITEST = 0.80  # reflectance of white paint: the light must explain at least that
+_MIRROR_SPREAD = 0.35  # of the mirrored light's factors around the level
+_MISFIT = 0.15  # the model's shading is off by this share of the paint's brightness
+_EFFECTIVE = 40.0  # independent measurements among the patches, however many there are
+_FEW = 50
 
 
 @dataclass(frozen=True)
@@ -38,16 +62,6 @@ class Daylight:
 
 
 CLEAR_DAY = Daylight(1.0, np.ones(3))
-
-
-def to_linear(srgb: Array) -> Array:
-    """Linear light of display values in [0, 1], by the power law 2.2."""
-    return np.power(np.clip(srgb, 0.0, 1.0), 2.2)
-
-
-def to_display(linear: Array) -> Array:
-    """Display values of linear light, clipped to [0, 1]."""
-    return np.power(np.clip(linear, 0.0, 1.0), 1 / 2.2)
 
 
 def environment(direction: Array) -> Array:
@@ -97,7 +111,7 @@ def shade(
         light: what falls on it.
     """
     scattered = light.level * albedo * diffuse(normals, heights)
-    return to_display(scattered + light.mirrored * mirrored(normals, views, gloss))
+    return linear_to_gamma(scattered + light.mirrored * mirrored(normals, views, gloss))
 
 
 def view_directions() -> Array:
@@ -133,6 +147,135 @@ def fit_harmonics(
         right[seen] += (facing[seen, v, None] * basis[v])[:, :, None] * (colour - 0.5)[:, None, :]
     # a Gaussian seen from nowhere takes this ridge's target: its diffuse colour in the shade
     ridge = np.array([1e-3, 0.15, 0.15, 0.15])
-    right[:, 0] += ridge[0] * (to_display(0.3 * light.level * albedo) - 0.5) / SH_C0
+    right[:, 0] += ridge[0] * (linear_to_gamma(0.3 * light.level * albedo) - 0.5) / SH_C0
     coefficients: Array = np.linalg.solve(normal + np.diag(ridge), right)
     return coefficients
+
+
+def estimate_light(
+    cloud: SurfaceCloud, seen: Sequence[SurfaceView], observation: Observation
+) -> tuple[Daylight, Array]:
+    """The photographs' light, and the linear reflectance (3,) of the body paint under it.
+
+    Painted patches obey `found = radiance * diffuse + factor * mirrored`, per channel. The
+    factors of the mirrored light are held at the level of the light as far as the paint's own
+    brightness drowns them: on a white car nothing can be seen of them, on a black one nothing else.
+    """
+    level = road_level(observation, [view.gain for view in seen])
+    painted, colour, views = _shown(seen, cloud.paint > 0.9)
+    if len(painted) < _FEW:
+        return Daylight(level, np.full(3, level)), gamma_to_linear(SRGB[Material.PAINT])
+    normals, heights = cloud.normals[painted], cloud.points[painted, 2]
+    found = gamma_to_linear(colour)
+    across = diffuse(normals, heights)[:, 0]
+    sky = mirrored(normals, views, cloud.gloss[painted])
+    fits = [_split(found[:, c], across, sky[:, c], level) for c in range(3)]
+    radiance, factors = np.array(fits).T
+    level = max(level, float(radiance.mean()) / _WHITEST)
+    return Daylight(level, factors), np.clip(radiance / level, 0.003, 0.85)
+
+
+def _split(found: Array, across: Array, sky: Array, level: float) -> tuple[float, float]:
+    """Paint radiance and mirror factor of one channel, by reweighted least squares (Huber)."""
+    spread = _MISFIT * float(np.median(found)) + 0.004
+    weight = np.ones(len(found))
+    basis = np.stack([across, sky], axis=-1)
+    prior = np.diag([0.0, (spread / (_MIRROR_SPREAD * level)) ** 2])
+    answer = np.zeros(2)
+    for _ in range(10):
+        share = weight * min(_EFFECTIVE / len(found), 1.0)
+        normal = basis.T @ (share[:, None] * basis) + prior
+        answer = np.linalg.solve(normal, basis.T @ (share * found) + prior @ [0.0, level])
+        error = np.abs(found - basis @ answer)
+        weight = 1 / np.maximum(error / spread, 1.0)
+    factor = float(np.clip(answer[1], 0.6 * level, 1.6 * level))
+    rest = (weight * across) @ (found - factor * sky) / ((weight * across) @ across)
+    return max(float(rest), 0.0), factor
+
+
+def road_level(observation: Observation, gains: Sequence[float] = ()) -> float:
+    """Level of the light by the brightness of the road around the vehicle, 1 on a clear day.
+
+    Args:
+        observation: with its further views.
+        gains: on the linear light of each view, 1 if none are given.
+    """
+    gains = gains or [1.0] * len(observation.views)
+    levels = [_road(view) * gain for view, gain in zip(observation.views, gains, strict=True)]
+    bright = np.array([level for level in levels if np.isfinite(level)])
+    if len(bright) == 0:
+        return 1.0
+    return float(np.clip((np.median(bright) / _ASPHALT) ** _ROAD_TRUST, *_LEVEL))
+
+
+def _road(observation: Observation) -> float:
+    """Linear light of the road around the vehicle in one view; nan where too little is seen."""
+    half = observation.size / 2
+    x, y = np.meshgrid(
+        np.linspace(-half[0] - 3, half[0] + 3, 60), np.linspace(-half[1] - 3, half[1] + 3, 50)
+    )
+    apart = (np.abs(x) > half[0] + 0.5) | (np.abs(y) > half[1] + 0.5)  # outside its own shadow
+    ground = np.stack([x[apart], y[apart], np.full(int(apart.sum()), -half[2])], axis=-1)
+    pixels, depth = observation.camera.project(se3.apply(observation.camera_from_object, ground))
+    height, width = observation.rgba.shape[:2]
+    inside = (depth > 0.5) & np.all((pixels >= 0) & (pixels < [width, height]), axis=1)
+    u, v = pixels[inside].astype(int).T
+    road = observation.rgba[v, u]
+    # where the background was cut out, black stands for nothing seen
+    road = road[(road[:, 3] == 0) & road[:, :3].any(axis=1)]
+    if len(road) < _FEW:
+        return float("nan")
+    return float(np.median(gamma_to_linear(road[:, :3] / 255.0).mean(axis=1)))
+
+
+def estimate_windows(cloud: SurfaceCloud, seen: Sequence[SurfaceView], light: Daylight) -> float:
+    """Brightness of the windows seen over the model's, 0.5 to 1; 0.7 where none is seen."""
+    ratio = _ratio(cloud, seen, light, cloud.glass > 0.9, quantile=0.5, usual=0.7)
+    return float(np.clip(ratio, 0.5, 1.0))
+
+
+def estimate_rims(cloud: SurfaceCloud, seen: Sequence[SurfaceView], light: Daylight) -> float:
+    """Brightness of the wheels' metal over the model's, 0.3 to 1.2; 0.4 where none is seen.
+
+    The photographed spokes are not where the model has its own: the brightest fifth counts.
+    """
+    ratio = _ratio(cloud, seen, light, cloud.rim > 0.9, quantile=0.8, usual=0.4)
+    return float(np.clip(ratio, 0.3, 1.2))
+
+
+def _ratio(
+    cloud: SurfaceCloud,
+    seen: Sequence[SurfaceView],
+    light: Daylight,
+    where: NDArray[np.bool_],
+    quantile: float,
+    usual: float,
+) -> float:
+    """Quantile of found over median modelled light, near the usual one where few are seen."""
+    chosen, colour, views = _shown(seen, where)
+    count = len(chosen)
+    if count == 0:
+        return usual
+    modelled = gamma_to_linear(
+        shade(
+            cloud.albedo[chosen],
+            cloud.gloss[chosen],
+            cloud.normals[chosen],
+            cloud.points[chosen, 2],
+            views,
+            light,
+        )
+    ).mean(axis=1)
+    found = gamma_to_linear(colour).mean(axis=1)
+    ratio = float(np.quantile(found, quantile)) / max(float(np.median(modelled)), 1e-3)
+    return (count * ratio + _FEW * usual) / (count + _FEW)
+
+
+def _shown(
+    seen: Sequence[SurfaceView], where: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Patches (M,) of `where` (N,) that a view shows, once a view; colours, view directions."""
+    chosen = [np.flatnonzero(where & (view.weight > 0.5)) for view in seen]
+    colours = [view.colour[one] for view, one in zip(seen, chosen, strict=True)]
+    views = [view.views[one] for view, one in zip(seen, chosen, strict=True)]
+    return np.concatenate(chosen), np.concatenate(colours), np.concatenate(views)

@@ -1,7 +1,10 @@
-"""Where the photographed vehicle really stands and how large it is, against its logged box.
+"""Where the photographed vehicle really stands and how large it is; and the outlines of its masks.
 
 Labelled boxes are off by up to a decimetre in place and a tenth in size, which is many pixels
 nearby. The mask and the LiDAR points tell better; colours are then read from the right pixels.
+
+Each line of sight through an outline grazes the vehicle. How near it comes to the body is a
+distance in metres like that of a LiDAR point, so masks and points are fitted together.
 """
 
 from __future__ import annotations
@@ -18,18 +21,22 @@ from scipy.optimize import minimize
 from recast.actors.observation import Observation
 from recast.actors.template.body import Body
 from recast.actors.template.proportions import Proportions
+from recast.arrays import Array, Mask
 from recast.geometry import se3
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
-_NOISE = 0.04  # metres, see fit.py
+_NOISE = 0.04  # metres: as where the body is fitted
 _SHIFT_SPREAD = np.array([0.12, 0.10, 0.05])  # metres along, across, up
-_VIEW_SPREAD = 0.06  # metres across one view, see fit.py
+_VIEW_SPREAD = 0.06  # metres across one view, as there
 _STRETCH_SPREAD = np.array([0.06, 0.07, 0.04])
 _OVERLAP_WEIGHT = 60.0
 _VIEW_OVERLAP_WEIGHT = 10.0  # masks are off by more than the last centimetres would gain
 _LIDAR_WEIGHT = 3.0
+_LINES = 48  # about a view's outline; neighbours tell the same
+_FROM_BORDER = 2  # pixels: where the crop ends, the outline is not the vehicle's
+_LOWEST = 0.4  # of the height: below it are wheels and shadow
+_AROUND = 0.25  # metres around the box within which the body is looked for
+_COARSE, _FINE = 24, 9  # steps along a line
+_PIXELS = 1.5  # by which masks are off
 
 
 @dataclass(frozen=True)
@@ -100,11 +107,16 @@ def _minimum(cost: Callable[[Array], float], count: int, evaluations: int) -> Ar
     """Where a function of `count` numbers is least, near 0; one is a usual deviation."""
     simplex = np.concatenate([np.zeros((1, count)), 0.6 * np.eye(count)])
     found: Array = minimize(
-        cost, np.zeros(count), method="Nelder-Mead",
+        cost,
+        np.zeros(count),
+        method="Nelder-Mead",
         options={
-            "initial_simplex": simplex, "maxfev": evaluations, "xatol": 0.02, "fatol": 0.01,
+            "initial_simplex": simplex,
+            "maxfev": evaluations,
+            "xatol": 0.02,
+            "fatol": 0.01,
         },
-    ).x  # fmt: skip
+    ).x
     return found
 
 
@@ -191,10 +203,13 @@ def _clearest(
     scores = []
     for fraction in candidates:
         disc = np.stack(
-            [body.x_at(fraction) + body.wheel_radius * (radius * np.cos(angle)).ravel(),
-             np.full(radius.size, side * body.width / 2),
-             body.wheel_radius * (1 + (radius * np.sin(angle)).ravel())], -1
-        )  # fmt: skip
+            [
+                body.x_at(fraction) + body.wheel_radius * (radius * np.cos(angle)).ravel(),
+                np.full(radius.size, side * body.width / 2),
+                body.wheel_radius * (1 + (radius * np.sin(angle)).ravel()),
+            ],
+            -1,
+        )
         pixels, _ = view.camera.project(se3.apply(view.camera_from_object, placement.points(disc)))
         u, v = (pixels - 0.5).astype(np.float32).T
         values = cv2.remap(grey, u[None], v[None], cv2.INTER_LINEAR)[0]
@@ -202,3 +217,74 @@ def _clearest(
         scores.append(contrast / (values[tyre].std() + 12.0) - 0.3 * abs(fraction - usual) / 0.07)
     best = int(np.argmax(scores))
     return float(scores[best]), float(candidates[best])
+
+
+@dataclass(frozen=True)
+class Contour:
+    """The outline of one mask as M lines of sight, in the box frame with the ground at z = 0.
+
+    Attributes:
+        eye: (3,) position of the camera.
+        rays: (M, 3) unit directions.
+        near, far: (M,) metres along each line between which the body may be.
+        across: (2, 3) unit vectors to the right and down in the image.
+        noise: metres by which a line is off.
+    """
+
+    eye: Array
+    rays: Array
+    near: Array
+    far: Array
+    across: Array
+    noise: float
+
+    def points(self, along: Array, shift: Array) -> Array:
+        """(..., M, 3) at distances (..., M), all moved by `shift` (2,) metres across the view."""
+        return self.eye + shift @ self.across + along[..., None] * self.rays
+
+    def nearest(self, distance: Callable[[Array], Array], shift: Array) -> Array:
+        """Distances along the lines (M,) at which they come nearest to a body, or enter deepest."""
+        low, high = self.near, self.far
+        for steps in (_COARSE, _FINE):
+            along = low + np.linspace(0.0, 1.0, steps)[:, None] * (high - low)
+            values = distance(self.points(along, shift).reshape(-1, 3)).reshape(along.shape)
+            best = np.take_along_axis(along, np.argmin(values, axis=0)[None], axis=0)[0]
+            step = (high - low) / (steps - 1)
+            low, high = best - step, best + step
+        return best
+
+
+def contour(observation: Observation) -> Contour:
+    """The upper part of the outline of an observation's mask, without what the crop cuts off."""
+    pixels = _border(observation.rgba[..., 3] > 127)
+    size = np.array([observation.camera.width, observation.camera.height])
+    pixels = pixels[np.all((pixels > _FROM_BORDER) & (pixels < size - _FROM_BORDER), axis=1)]
+    pixels = pixels[np.linspace(0, len(pixels), _LINES, endpoint=False).astype(int)[: len(pixels)]]
+    rotation = observation.camera_from_object[:3, :3]
+    rays = observation.camera.rays(pixels) @ rotation
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    eye = observation.eye + np.array([0.0, 0.0, observation.size[2] / 2])
+    near, far = _crossing(eye, rays, observation.size)
+    height = eye[2] + (near + far) / 2 * rays[:, 2]
+    kept = (near < far) & (near > 0) & (height > _LOWEST * observation.size[2])
+    metres_per_pixel = float(np.linalg.norm(observation.eye)) / observation.camera.fx
+    return Contour(eye, rays[kept], near[kept], far[kept], rotation[:2], _PIXELS * metres_per_pixel)
+
+
+def _border(mask: NDArray[np.bool_]) -> Array:
+    """Places (N, 2) between pixels in and out of a mask (H, W), in order around its middle."""
+    beside, below = (np.argwhere(np.diff(mask, axis=axis)) for axis in (1, 0))
+    places = np.concatenate([beside[:, ::-1] + [1.0, 0.5], below[:, ::-1] + [0.5, 1.0]])
+    if len(places) == 0:  # the mask fills the crop
+        return places
+    x, y = (places - places.mean(axis=0)).T
+    return places[np.argsort(np.arctan2(y, x), kind="stable")]
+
+
+def _crossing(eye: Array, rays: Array, size: Array) -> tuple[Array, Array]:
+    """Where lines (M, 3) from `eye` enter and leave the grown box on the ground, metres (M,)."""
+    step = np.where(np.abs(rays) < 1e-9, 1e-9, rays)
+    half = np.array([*size[:2] / 2, size[2]]) + _AROUND
+    low = np.array([-half[0], -half[1], 0.0])
+    first, last = (low - eye) / step, (half - eye) / step
+    return np.minimum(first, last).max(axis=1), np.maximum(first, last).min(axis=1)

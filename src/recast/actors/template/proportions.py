@@ -1,11 +1,31 @@
-"""Where a vehicle's bonnet, windscreen, roof and wheels lie, from its class and box."""
+"""Where bonnet, windscreen, roof and wheels lie: by class and box, fitted to LiDAR and outlines."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+
+from recast.actors.template.body import Body
+from recast.arrays import Array
+
+if TYPE_CHECKING:
+    from recast.actors.template.placement import Contour
+
+
+_POINTS = 800
+_NOISE = 0.04  # metres: LiDAR noise, label jitter and what the model cannot follow
+_EFFECTIVE = 250.0  # independent measurements in a cloud, however many points it has
+_OUTLINE = 24.0  # and in the outline of a mask
+_VIEW_SPREAD = 0.06  # metres by which a label is off in one frame, across the view
+_STEP = 0.05  # of the spreads, for slopes
+_SPREAD = {"tumblehome": 0.05, "tail_bow": 0.05, "tail_lean": 0.05}
+_SPREAD_DEFAULT = 0.022
+_SHIFT_SPREAD = np.array([0.10, 0.08, 0.03])  # label errors: along, across (metres), scale
 
 
 @dataclass(frozen=True)
@@ -63,69 +83,196 @@ class Proportions:
 
 STYLES: dict[str, Proportions] = {
     "sedan": Proportions(
-        bonnet_z=0.50, cowl_x=0.29, cowl_z=0.665, roof_front_x=0.44, roof_rear_x=0.67,
-        roof_rear_z=0.965, tail_x=0.835, tail_z=0.715, deck_z=0.67, belt_rear_z=0.69,
-        side_pillars_x=(0.515, 0.70), tail_lean=0.08,
+        bonnet_z=0.50,
+        cowl_x=0.29,
+        cowl_z=0.665,
+        roof_front_x=0.44,
+        roof_rear_x=0.67,
+        roof_rear_z=0.965,
+        tail_x=0.835,
+        tail_z=0.715,
+        deck_z=0.67,
+        belt_rear_z=0.69,
+        side_pillars_x=(0.515, 0.70),
+        tail_lean=0.08,
     ),
     "hatchback": Proportions(
-        bonnet_z=0.49, cowl_x=0.245, cowl_z=0.645, roof_front_x=0.41, roof_rear_x=0.855,
-        roof_rear_z=0.93, tail_x=0.955, tail_z=0.665, deck_z=0.62, belt_rear_z=0.69,
-        rear_axle_x=0.81, side_pillars_x=(0.51, 0.74),
+        bonnet_z=0.49,
+        cowl_x=0.245,
+        cowl_z=0.645,
+        roof_front_x=0.41,
+        roof_rear_x=0.855,
+        roof_rear_z=0.93,
+        tail_x=0.955,
+        tail_z=0.665,
+        deck_z=0.62,
+        belt_rear_z=0.69,
+        rear_axle_x=0.81,
+        side_pillars_x=(0.51, 0.74),
     ),
     "estate": Proportions(
-        bonnet_z=0.50, cowl_x=0.285, cowl_z=0.66, roof_front_x=0.43, roof_rear_x=0.875,
-        roof_rear_z=0.935, tail_x=0.975, tail_z=0.675, deck_z=0.65, belt_rear_z=0.69,
-        side_pillars_x=(0.505, 0.70), rear_axle_x=0.79,
+        bonnet_z=0.50,
+        cowl_x=0.285,
+        cowl_z=0.66,
+        roof_front_x=0.43,
+        roof_rear_x=0.875,
+        roof_rear_z=0.935,
+        tail_x=0.975,
+        tail_z=0.675,
+        deck_z=0.65,
+        belt_rear_z=0.69,
+        side_pillars_x=(0.505, 0.70),
+        rear_axle_x=0.79,
     ),
     "mpv": Proportions(
-        bonnet_z=0.51, cowl_x=0.185, cowl_z=0.625, roof_front_x=0.355, roof_rear_x=0.90,
-        roof_rear_z=0.955, tail_x=0.975, tail_z=0.62, deck_z=0.58, belt_rear_z=0.66,
-        tumblehome=0.15, rear_axle_x=0.82, side_pillars_x=(0.485, 0.73), nose_lean=0.14,
-        tail_lamp_z=(0.50, 0.76), tail_lamp_inner=0.84,
+        bonnet_z=0.51,
+        cowl_x=0.185,
+        cowl_z=0.625,
+        roof_front_x=0.355,
+        roof_rear_x=0.90,
+        roof_rear_z=0.955,
+        tail_x=0.975,
+        tail_z=0.62,
+        deck_z=0.58,
+        belt_rear_z=0.66,
+        tumblehome=0.15,
+        rear_axle_x=0.82,
+        side_pillars_x=(0.485, 0.73),
+        nose_lean=0.14,
+        tail_lamp_z=(0.50, 0.76),
+        tail_lamp_inner=0.84,
     ),
     "suv": Proportions(
-        bonnet_z=0.56, cowl_x=0.265, cowl_z=0.665, roof_front_x=0.395, roof_rear_x=0.885,
-        roof_rear_z=0.955, tail_x=0.97, tail_z=0.655, deck_z=0.62, belt_rear_z=0.69,
-        clearance_z=0.17, wheel_radius=0.36, tumblehome=0.15, nose_lean=0.06,
-        side_pillars_x=(0.49, 0.71), tail_lamp_z=(0.47, 0.66), tail_lamp_inner=0.72,
+        bonnet_z=0.56,
+        cowl_x=0.265,
+        cowl_z=0.665,
+        roof_front_x=0.395,
+        roof_rear_x=0.885,
+        roof_rear_z=0.955,
+        tail_x=0.97,
+        tail_z=0.655,
+        deck_z=0.62,
+        belt_rear_z=0.69,
+        clearance_z=0.17,
+        wheel_radius=0.36,
+        tumblehome=0.15,
+        nose_lean=0.06,
+        side_pillars_x=(0.49, 0.71),
+        tail_lamp_z=(0.47, 0.66),
+        tail_lamp_inner=0.72,
     ),
     "pickup": Proportions(
-        bonnet_z=0.56, cowl_x=0.265, cowl_z=0.66, roof_front_x=0.36, roof_rear_x=0.565,
-        roof_rear_z=0.97, tail_x=0.595, tail_z=0.66, deck_z=0.60, belt_rear_z=0.63,
-        clearance_z=0.18, wheel_radius=0.37, tumblehome=0.13, nose_lean=0.05, tail_bow=0.05,
-        edge_radius=0.10, side_pillars_x=(0.46,), tail_lamp_z=(0.38, 0.57), tail_lamp_inner=0.84,
+        bonnet_z=0.56,
+        cowl_x=0.265,
+        cowl_z=0.66,
+        roof_front_x=0.36,
+        roof_rear_x=0.565,
+        roof_rear_z=0.97,
+        tail_x=0.595,
+        tail_z=0.66,
+        deck_z=0.60,
+        belt_rear_z=0.63,
+        clearance_z=0.18,
+        wheel_radius=0.37,
+        tumblehome=0.13,
+        nose_lean=0.05,
+        tail_bow=0.05,
+        edge_radius=0.10,
+        side_pillars_x=(0.46,),
+        tail_lamp_z=(0.38, 0.57),
+        tail_lamp_inner=0.84,
     ),
     "van": Proportions(
-        bonnet_z=0.45, cowl_x=0.13, cowl_z=0.54, roof_front_x=0.27, roof_rear_x=0.96,
-        roof_rear_z=0.985, tail_x=0.985, tail_z=0.55, deck_z=0.50, belt_rear_z=0.56,
-        rear_axle_x=0.77, front_axle_x=0.17, clearance_z=0.10, wheel_radius=0.34,
-        tumblehome=0.11, tail_bow=0.06, edge_radius=0.14, rear_windows=False,
-        side_pillars_x=(0.38,), nose_lean=0.20, tail_lamp_z=(0.30, 0.50), tail_lamp_inner=0.88,
+        bonnet_z=0.45,
+        cowl_x=0.13,
+        cowl_z=0.54,
+        roof_front_x=0.27,
+        roof_rear_x=0.96,
+        roof_rear_z=0.985,
+        tail_x=0.985,
+        tail_z=0.55,
+        deck_z=0.50,
+        belt_rear_z=0.56,
+        rear_axle_x=0.77,
+        front_axle_x=0.17,
+        clearance_z=0.10,
+        wheel_radius=0.34,
+        tumblehome=0.11,
+        tail_bow=0.06,
+        edge_radius=0.14,
+        rear_windows=False,
+        side_pillars_x=(0.38,),
+        nose_lean=0.20,
+        tail_lamp_z=(0.30, 0.50),
+        tail_lamp_inner=0.88,
     ),
     "bus": Proportions(
-        bonnet_z=0.36, cowl_x=0.012, cowl_z=0.40, roof_front_x=0.03, roof_rear_x=0.98,
-        roof_rear_z=0.99, tail_x=0.99, tail_z=0.52, deck_z=0.50, belt_rear_z=0.44,
-        rear_axle_x=0.72, front_axle_x=0.22, clearance_z=0.09, wheel_radius=0.48,
-        tumblehome=0.06, nose_bow=0.14, tail_bow=0.08, nose_lean=0.02, edge_radius=0.12,
-        side_pillars_x=(0.16, 0.30, 0.44, 0.58, 0.72, 0.86), tail_lamp_z=(0.24, 0.42),
+        bonnet_z=0.36,
+        cowl_x=0.012,
+        cowl_z=0.40,
+        roof_front_x=0.03,
+        roof_rear_x=0.98,
+        roof_rear_z=0.99,
+        tail_x=0.99,
+        tail_z=0.52,
+        deck_z=0.50,
+        belt_rear_z=0.44,
+        rear_axle_x=0.72,
+        front_axle_x=0.22,
+        clearance_z=0.09,
+        wheel_radius=0.48,
+        tumblehome=0.06,
+        nose_bow=0.14,
+        tail_bow=0.08,
+        nose_lean=0.02,
+        edge_radius=0.12,
+        side_pillars_x=(0.16, 0.30, 0.44, 0.58, 0.72, 0.86),
+        tail_lamp_z=(0.24, 0.42),
         tail_lamp_inner=0.82,
     ),
     "truck": Proportions(
-        bonnet_z=0.34, cowl_x=0.02, cowl_z=0.42, roof_front_x=0.06, roof_rear_x=0.985,
-        roof_rear_z=0.995, tail_x=0.995, tail_z=0.45, deck_z=0.42, belt_rear_z=0.43,
-        rear_axle_x=0.76, front_axle_x=0.16, clearance_z=0.12, wheel_radius=0.48,
-        tumblehome=0.03, nose_bow=0.10, tail_bow=0.02, nose_lean=0.02, edge_radius=0.07,
-        rear_windows=False, side_pillars_x=(0.19,), tail_lamp_z=(0.19, 0.25),
+        bonnet_z=0.34,
+        cowl_x=0.02,
+        cowl_z=0.42,
+        roof_front_x=0.06,
+        roof_rear_x=0.985,
+        roof_rear_z=0.995,
+        tail_x=0.995,
+        tail_z=0.45,
+        deck_z=0.42,
+        belt_rear_z=0.43,
+        rear_axle_x=0.76,
+        front_axle_x=0.16,
+        clearance_z=0.12,
+        wheel_radius=0.48,
+        tumblehome=0.03,
+        nose_bow=0.10,
+        tail_bow=0.02,
+        nose_lean=0.02,
+        edge_radius=0.07,
+        rear_windows=False,
+        side_pillars_x=(0.19,),
+        tail_lamp_z=(0.19, 0.25),
         tail_lamp_inner=0.66,
     ),
-}  # fmt: skip
+}
 """Body styles, drawn by eye from side views of common cars."""
 
 # Fitted to the evidence: those landmarks that a LiDAR cloud of one or two sides can tell.
 FITTED = (
-    "bonnet_z", "cowl_x", "cowl_z", "roof_front_x", "roof_rear_x", "roof_rear_z", "tail_x",
-    "tail_z", "deck_z", "tumblehome", "tail_bow", "tail_lean",
-)  # fmt: skip
+    "bonnet_z",
+    "cowl_x",
+    "cowl_z",
+    "roof_front_x",
+    "roof_rear_x",
+    "roof_rear_z",
+    "tail_x",
+    "tail_z",
+    "deck_z",
+    "tumblehome",
+    "tail_bow",
+    "tail_lean",
+)
 
 
 def candidate_styles(category: str, size: ArrayLike) -> dict[str, float]:
@@ -141,12 +288,165 @@ def candidate_styles(category: str, size: ArrayLike) -> dict[str, float]:
         return {fixed[category]: 0.0}
     # typical (length, height) of each style; the cost is the squared distance in units of spread
     typical = {
-        "sedan": (4.65, 1.45), "hatchback": (4.0, 1.48), "estate": (4.6, 1.47),
-        "mpv": (4.2, 1.63), "suv": (4.55, 1.70), "pickup": (5.4, 1.85),
-    }  # fmt: skip
+        "sedan": (4.65, 1.45),
+        "hatchback": (4.0, 1.48),
+        "estate": (4.6, 1.47),
+        "mpv": (4.2, 1.63),
+        "suv": (4.55, 1.70),
+        "pickup": (5.4, 1.85),
+    }
     costs = {
         style: ((length - usual[0]) / 0.4) ** 2 + ((height - usual[1]) / 0.12) ** 2
         for style, usual in typical.items()
     }
     least = min(costs.values())
     return {style: cost - least for style, cost in costs.items() if cost - least < 5.0}
+
+
+@dataclass(frozen=True)
+class ShapeFit:
+    """A fitted body and where the real vehicle stands in its logged box.
+
+    Attributes:
+        style: name in `STYLES`.
+        proportions: bent to the points.
+        offset: (2,) forward, left shift of the vehicle from the box, metres.
+        scale: size of the vehicle over that of its box.
+        median_distance: of the points used to the fitted surface, metres; nan without points.
+        costs: style to cost, for the record.
+    """
+
+    style: str
+    proportions: Proportions
+    offset: Array
+    scale: float
+    median_distance: float
+    costs: dict[str, float]
+
+
+def fit_shape(
+    category: str,
+    size: Array,
+    points: NDArray[np.floating],
+    rng: np.random.Generator,
+    style: str | None = None,
+    contours: Sequence[Contour] = (),
+) -> ShapeFit:
+    """Fit every plausible style and keep the cheapest.
+
+    Cost: robust (Cauchy) squared distances of the points and of the lines of sight along the masks'
+    outlines to the implicit body, plus squared deviations from the style's landmarks and from the
+    logged box, plus the style's prior.
+
+    Args:
+        category: class of the track.
+        size: (3,) of the logged box, metres.
+        points: (N, 3) LiDAR points in the box frame, origin at its centre.
+        style: take this one instead of choosing.
+        contours: of the masks, see `contour`.
+    """
+    priors = candidate_styles(category, size) if style is None else {style: 0.0}
+    cloud = np.asarray(points, np.float64) + np.array([0.0, 0.0, size[2] / 2])
+    if len(cloud) > _POINTS:
+        cloud = cloud[np.sort(rng.choice(len(cloud), _POINTS, replace=False))]
+    contours = [one for one in contours if len(one.rays)]
+    if len(cloud) == 0 and not contours:
+        chosen = min(priors, key=lambda name: priors[name])
+        return ShapeFit(chosen, STYLES[chosen], np.zeros(2), 1.0, float("nan"), dict(priors))
+    fits = {name: _Problem(STYLES[name], size, cloud, contours).solve() for name in priors}
+    costs = {name: cost + priors[name] for name, (_, cost) in fits.items()}
+    chosen = min(costs, key=lambda name: costs[name])
+    solution = fits[chosen][0]
+    distance = _Problem(STYLES[chosen], size, cloud, contours).distance(solution)(cloud)
+    place = solution[len(FITTED) :]
+    return ShapeFit(
+        style=chosen,
+        proportions=_bent(STYLES[chosen], solution),
+        offset=place[:2].copy(),
+        scale=float(1 + place[2]),
+        median_distance=float(np.median(np.abs(distance))) if len(cloud) else float("nan"),
+        costs=costs,
+    )
+
+
+def _bent(style: Proportions, solution: Array) -> Proportions:
+    deltas = zip(FITTED, solution, strict=False)
+    changes: dict[str, Any] = {name: float(getattr(style, name) + delta) for name, delta in deltas}
+    return replace(style, **changes)
+
+
+class _Problem:
+    """Least squares of one style: landmarks, place in the box, and a shift of each mask.
+
+    Args:
+        points: (N, 3), z up from the ground; those in the wheels are no part of the body.
+    """
+
+    def __init__(
+        self, style: Proportions, size: Array, points: Array, contours: Sequence[Contour]
+    ) -> None:
+        self._style, self._size, self._contours = style, size, contours
+        self._points = points[Body(size, style).wells(points) > -0.02]
+        landmarks = [_SPREAD.get(name, _SPREAD_DEFAULT) for name in FITTED]
+        self._spreads = np.array(
+            [*landmarks, *_SHIFT_SPREAD, *[_VIEW_SPREAD] * (2 * len(contours))]
+        )
+        told = [(len(self._points), _EFFECTIVE, 0.0)]
+        told += [(len(one.rays), _OUTLINE, one.noise) for one in contours]
+        self._weights = np.concatenate([_shares(count, effective) for count, effective, _ in told])
+        self._noise = np.concatenate([np.full(n, np.hypot(_NOISE, noise)) for n, _, noise in told])
+
+    def solve(self) -> tuple[Array, float]:
+        """The solution and its cost."""
+        result = least_squares(
+            self._residuals,
+            np.zeros(len(self._spreads)),
+            jac=self._slopes,
+            bounds=(-2.5, 2.5),
+            max_nfev=12,
+            x_scale=1.0,
+        )
+        return result.x * self._spreads, float(np.sum(result.fun**2))
+
+    def distance(self, solution: Array) -> Callable[[Array], Array]:
+        """Distance in metres of points (N, 3) to the body as a solution bends and places it."""
+        body = Body(self._size, _bent(self._style, solution))
+        forward, left, grow = solution[len(FITTED) : len(FITTED) + 3]
+        return lambda points: (
+            body.distance((points - [forward, left, 0.0]) / (1 + grow)) * (1 + grow)
+        )
+
+    def _nearest(self, scaled: Array) -> list[Array]:
+        solution = scaled * self._spreads
+        distance, shifts = self.distance(solution), self._shifts(solution)
+        return [
+            one.nearest(distance, shift) for one, shift in zip(self._contours, shifts, strict=True)
+        ]
+
+    def _shifts(self, solution: Array) -> Array:
+        return solution[len(FITTED) + 3 :].reshape(-1, 2)
+
+    def _residuals(self, scaled: Array, along: list[Array] | None = None) -> Array:
+        """Of points, lines and prior; `along` says where the lines are looked at."""
+        solution = scaled * self._spreads
+        along = self._nearest(scaled) if along is None else along
+        seen = [
+            one.points(where, shift)
+            for one, where, shift in zip(self._contours, along, self._shifts(solution), strict=True)
+        ]
+        distance = self.distance(solution)(np.concatenate([self._points, *seen])) / self._noise
+        return np.concatenate([self._weights * np.sqrt(np.log1p(distance**2)), scaled])
+
+    def _slopes(self, scaled: Array) -> Array:
+        """Forward differences; where a line comes nearest is held, which changes no derivative."""
+        along = self._nearest(scaled)
+        here = self._residuals(scaled, along)
+        steps = _STEP * np.eye(len(scaled))
+        return np.stack(
+            [(self._residuals(scaled + one, along) - here) / _STEP for one in steps], -1
+        )
+
+
+def _shares(count: int, effective: float) -> Array:
+    """Weights (count,) of measurements of which only so many are independent."""
+    return np.full(count, np.sqrt(min(effective, count) / max(count, 1)))

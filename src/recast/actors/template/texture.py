@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from recast.actors.observation import Observation
 from recast.actors.template.cloud import SurfaceCloud
-from recast.actors.template.lighting import to_display, to_linear
 from recast.actors.template.placement import Placement
+from recast.arrays import Array
 from recast.geometry import se3
-
-Array = NDArray[np.float64]
+from recast.geometry.colour import gamma_to_linear, linear_to_gamma
 
 _FEW = 50  # patches
 _GAIN = (0.4, 2.5)
@@ -128,11 +127,15 @@ def balanced(views: Sequence[SurfaceView]) -> list[SurfaceView]:
     for view in views[1:]:
         known = blended(done)
         shared = np.minimum(known.weight, view.weight) > 0.5
-        here, there = (to_linear(v.colour[shared]).mean(axis=1) + 0.002 for v in (view, known))
+        here, there = (
+            gamma_to_linear(v.colour[shared]).mean(axis=1) + 0.002 for v in (view, known)
+        )
         count = int(shared.sum())
         ratio = float(np.median(np.log(there / here))) if count else 0.0
         gain = float(np.exp(np.clip(ratio * count / (count + _FEW), *np.log(_GAIN))))
-        done.append(replace(view, colour=to_display(gain * to_linear(view.colour)), gain=gain))
+        done.append(
+            replace(view, colour=linear_to_gamma(gain * gamma_to_linear(view.colour)), gain=gain)
+        )
     return done
 
 
@@ -155,9 +158,11 @@ def blended(views: Sequence[SurfaceView]) -> SurfaceView:
     direction = _mix(merit, towards)
     direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
     return SurfaceView(
-        _mix(merit, colour), 1 - np.prod(1 - weight, axis=0), direction,
+        _mix(merit, colour),
+        1 - np.prod(1 - weight, axis=0),
+        direction,
         _mix(merit, sharpness[..., None])[:, 0],
-    )  # fmt: skip
+    )
 
 
 def _mix(weights: Array, values: Array) -> Array:

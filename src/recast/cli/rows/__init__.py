@@ -1,1 +1,1 @@
-"""The tables of commands as rows for `recast.cli.output.print_json`."""
+"""What commands print: tables for people, and rows for `recast.cli.output.print_json`."""

@@ -13,7 +13,7 @@ from recast.evaluation.scene_level.summary import LevelRow
 from recast.evaluation.verdicts import Agreement
 from recast.pipeline.bench.results import GridResults
 from recast.pipeline.layout import METRICS_FILE
-from recast.pipeline.results_files import read_metrics
+from recast.pipeline.scores import read_metrics
 
 
 def run_rows(folder: Path) -> Rows:

@@ -1,38 +1,160 @@
-"""Rows of `recast doctor`, `recast store list` and `recast weights list`."""
+"""What `recast doctor` and `recast weights` look at and print: this machine, published weights."""
 
 from __future__ import annotations
 
+import ctypes
+import os
+import platform
+import shutil
+import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    DownloadColumn,
+    Progress,
+    TextColumn,
+    TimeRemainingColumn,
+    TransferSpeedColumn,
+)
+from rich.table import Table
+
+from recast import __version__, kernel
 from recast.cli.output import Rows
-from recast.core import Store
-from recast.pipeline.doctor import Finding
-from recast.weights import PUBLISHED, weights_folder
-from recast.weights.place import is_fetched
-from recast.weights.record import read_weights_record
+from recast.core.errors import InputError
+from recast.core.parts import GENERATORS, IMPORTERS, PLANNERS, SEGMENTERS
+from recast.crews.crew import usable_cores
+from recast.weights import PUBLISHED, Weights, published, weights_folder
+from recast.weights.fetch import fetch, is_whole
+from recast.weights.record import is_fetched, read_weights_record, verify
+
+_OPTIONAL = {
+    "embreex": ("synthetic worlds, the demo", "pip install 'recast-sim[synthetic]'"),
+    "mitsuba": ("better light in synthetic worlds", "pip install 'recast-sim[mitsuba]'"),
+    "gsplat": ("rasterize on CUDA", "pip install 'recast-sim[cuda]'"),
+    "ray": ("batches on several machines", "pip install 'recast-sim[distributed]'"),
+    "accelerate": ("training on several GPUs", "pip install 'recast-sim[distributed]'"),
+}
+_SEAMS = (IMPORTERS, PLANNERS, GENERATORS, SEGMENTERS)
+_DRIVERS = ("libcuda.so.1", "nvcuda.dll")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the examination.
+
+    Attributes:
+        part: what was looked at.
+        present: whether it is there; None for plain information.
+        detail: version or state.
+        mend: how to get it, empty where nothing is missing.
+    """
+
+    part: str
+    present: bool | None
+    detail: str
+    mend: str = ""
+
+
+def examine() -> list[Finding]:
+    """Look at everything recast can use."""
+    return [*_platform(), _kernel(), *_cuda(), *_optional(), *_seams(), _weights()]
+
+
+def findings_table(findings: list[Finding]) -> Table:
+    """The examination as a table for the console."""
+    table = Table(title=f"recast {__version__}", title_justify="left")
+    for heading in ("part", "", "found", "to get it"):
+        table.add_column(heading, overflow="fold")
+    marks = {True: "[green]yes[/green]", False: "[yellow]no[/yellow]", None: ""}
+    for finding in findings:
+        table.add_row(
+            finding.part, marks[finding.present], escape(finding.detail), escape(finding.mend)
+        )
+    return table
+
+
+def _platform() -> list[Finding]:
+    packages = ", ".join(f"{name} {version(name)}" for name in ("torch", "numpy", "nvidia-ncore"))
+    return [
+        Finding("python", None, f"{platform.python_version()} on {platform.platform()}"),
+        Finding("packages", None, packages),
+        Finding("cpu", None, _cores()),
+    ]
+
+
+def _kernel() -> Finding:
+    info = kernel.info()
+    if info.available:
+        detail = (
+            f"{info.isa} (this machine offers {', '.join(info.isas)}), {info.threads} threads, "
+            f"{info.library}"
+        )
+        return Finding("CPU kernel", True, detail)
+    compiler = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
+    mend = (
+        "reinstall: pip install --force-reinstall --no-deps recast-sim"
+        if compiler
+        else "install a C++17 compiler (g++ or clang++), then reinstall recast-sim"
+    )
+    return Finding("CPU kernel", False, f"{info.reason}; the slow reference is used", mend)
+
+
+def _cores() -> str:
+    machine, usable = os.cpu_count(), usable_cores()
+    share = "" if usable == machine else f", {usable} of them for this process"
+    return f"{platform.machine()}, {machine} cores{share}"
+
+
+def _cuda() -> list[Finding]:
+    mend = "not needed: everything runs on a CPU"
+    if not any(_loads(driver) for driver in _DRIVERS):
+        return [Finding("CUDA", False, "no NVIDIA driver", mend)]
+    import torch  # takes seconds, so not without a driver
+
+    if torch.version.cuda is None:
+        found, mend = f"torch {torch.__version__} has no CUDA", "see pytorch.org/get-started"
+        return [Finding("CUDA", False, f"a driver, but {found}", mend)]
+    if not torch.cuda.is_available():
+        return [Finding("CUDA", False, "a driver, but torch sees no GPU", mend)]
+    name = torch.cuda.get_device_name(0)
+    return [Finding("CUDA", True, f"{name}, CUDA {torch.version.cuda}")]
+
+
+def _loads(library: str) -> bool:
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
+
+
+def _optional() -> list[Finding]:
+    findings = []
+    for package, (purpose, mend) in _OPTIONAL.items():
+        try:
+            findings.append(Finding(package, True, f"{version(package)} ({purpose})"))
+        except PackageNotFoundError:
+            findings.append(Finding(package, False, purpose, mend))
+    return findings
+
+
+def _seams() -> list[Finding]:
+    return [Finding(f"{seam.kind}s", None, ", ".join(seam.labels())) for seam in _SEAMS]
+
+
+def _weights() -> Finding:
+    here = ", ".join(name for name in PUBLISHED if is_fetched(name)) or "none"
+    return Finding("weights", None, f"{here} in {weights_folder()}", "recast weights list")
 
 
 def finding_rows(findings: Sequence[Finding]) -> Rows:
     """One row for each part of the machine; `present` is null for plain information."""
     return {"parts": [vars(finding) for finding in findings]}
-
-
-def store_rows(store: Store) -> Rows:
-    """One row for each artefact of a local store."""
-    users = store.users().values()
-    return {
-        "artefacts": [
-            {
-                "kind": one.record.kind,
-                "key": one.record.key,
-                "name": one.record.name,
-                "size_bytes": one.size,
-                "making_s": one.record.seconds,
-                "runs": sum(one.reference in names for names in users),
-            }
-            for one in store.artefacts()
-        ]
-    }
 
 
 def weights_rows() -> Rows:
@@ -55,3 +177,98 @@ def weights_rows() -> Rows:
             }
         )
     return {"weights": rows}
+
+
+def weights_table() -> Table:
+    """All entries of the table, and which of them are here; made to fit 80 columns."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 1, 0))
+    for title in ("name, options", "for, licence, commits", "GB"):
+        table.add_column(title, overflow="fold", justify="right" if title == "GB" else "left")
+    for name, weights in PUBLISHED.items():
+        here = is_fetched(name)
+        pins = "pinned by recast" if weights.pinned else "pinned on first use"
+        licences = "; ".join(one.name for one in weights.licences)
+        lines = [weights.use, licences + (" (to accept)" if weights.restricted else ""), pins]
+        if here:
+            record = read_weights_record(weights_folder(name))
+            lines += [f"{where} {commit}" for where, commit in record.revisions.items()]
+        first = "\n".join((name, *weights.options, "here" if here else "not here"))
+        table.add_row(escape(first), escape("\n".join(lines)), f"{weights.gigabytes:.3g}")
+    return table
+
+
+def get_weights(name: str, accepted: bool, console: Console) -> None:
+    """Show the licences, ask for consent where it is needed, and fetch.
+
+    Args:
+        accepted: consent from the command line; else a terminal is asked.
+
+    Raises:
+        InputError: see `fetch`.
+    """
+    weights = published(name)
+    folder = weights_folder(name)
+    if is_whole(weights, folder):
+        path = fetch(weights)
+        console.print(f"{name} is here: {path}", markup=False, soft_wrap=True)
+        return
+    for source in weights.sources:
+        console.print(
+            f"{source.where}: {source.licence.name}, {source.licence.link}",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
+    if weights.restricted and not accepted and sys.stdin.isatty():
+        accepted = console.input("accept these terms? [y/N] ", markup=False).strip().lower() == "y"
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        DownloadColumn(),
+        TransferSpeedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as bars:
+        tasks: dict[str, int] = {}
+
+        def progress(file: str, came: int, of: int | None) -> None:
+            if file not in tasks:
+                tasks[file] = bars.add_task(file, total=of)
+            bars.update(tasks[file], completed=came, visible=came != of)  # type: ignore[arg-type]
+
+        path = fetch(weights, accepted=accepted, progress=progress)
+    console.print(_told(weights, f"fetched to {path}"), markup=False, soft_wrap=True)
+
+
+def verify_weights(name: str | None, console: Console) -> None:
+    """Read every byte of fetched weights.
+
+    Args:
+        name: of an entry; None for all that are here.
+
+    Raises:
+        InputError: no such entry, not here, or the first file at fault; the others are checked too.
+    """
+    names = [name] if name else [one for one in PUBLISHED if is_fetched(one)]
+    faults: list[InputError] = []
+    for one in names:
+        weights, folder = published(one), weights_folder(one)
+        try:
+            if not is_fetched(one):
+                get = f"run `recast weights get {one}`"
+                raise InputError("weights", one, "are not here", get)
+            verify(folder, read_weights_record(folder))
+            told = _told(weights, "as fetched")
+        except InputError as error:
+            faults.append(error)
+            told = f"{one}: {error}"
+        console.print(told, markup=False, highlight=False, soft_wrap=True)
+    if faults:
+        raise faults[0]
+    if not names:
+        console.print(f"no weights in {weights_folder()}", markup=False, soft_wrap=True)
+
+
+def _told(weights: Weights, what: str) -> str:
+    record = read_weights_record(weights_folder(weights.name))
+    return f"{weights.name}: {len(record.files)} files, {record.size / 1e9:.2f} GB, {what}"

@@ -1,4 +1,4 @@
-"""scene_level.parquet, results.json and table.md of a scene-level evaluation."""
+"""The files of a scene-level evaluation: scene_level.parquet, results.json and table.md."""
 
 from __future__ import annotations
 
@@ -10,12 +10,25 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from recast import storage
-from recast.evaluation.rounding import rounded
-from recast.evaluation.scene_level.published import PUBLISHED
+from recast.core import files
 from recast.evaluation.scene_level.scores import COLUMNS, IMAGE_SCORES, image_scores
 from recast.evaluation.scene_level.summary import LevelRow, MeasuredScene, Value
+from recast.evaluation.table import rounded
 
+_COLUMNS = ("fd_scene", "clip_margin", "vqa_margin", "fd_crop", "clip_img", "clip_veh", "lpips")
+_ROWS = {
+    "streetgs": (129.35, 0.14, -294.91, 193.56, 65.43, 20.62, 0.6920),
+    "streetgs+TRELLIS": (112.84, 2.86, -172.36, 126.14, 69.54, 21.28, 0.6809),
+    "streetgs+AssetHarvester": (110.00, 1.95, -156.42, 124.61, 70.17, 21.03, 0.6818),
+    "omnire": (138.52, 0.04, -314.18, 197.41, 65.72, 20.87, 0.6931),
+    "omnire+TRELLIS": (121.47, 2.93, -216.82, 133.04, 69.99, 21.32, 0.6824),
+    "omnire+AssetHarvester": (119.10, 1.96, -197.11, 129.11, 70.23, 21.11, 0.6823),
+    "recast": (112.10, 3.47, -131.04, 124.74, 70.67, 21.43, 0.6800),
+}
+PUBLISHED: Mapping[str, Mapping[str, float]] = {
+    arm: dict(zip(_COLUMNS, values, strict=True)) for arm, values in _ROWS.items()
+}
+"""Published values by arm and column, on the nine Waymo scenes."""
 SCHEMA = pa.schema(
     [
         *((name, pa.string()) for name in ("arm", "scene", "motion", "setting")),
@@ -39,14 +52,21 @@ def write_images(scenes: Mapping[str, MeasuredScene], path: Path) -> None:
                 left, top, right, bottom = frame.rectangle
                 rows.append(
                     {
-                        "arm": arm, "scene": name, "motion": frame.motion,
-                        "setting": frame.setting, "step": frame.step, "camera": frame.camera,
-                        "left": left, "top": top, "right": right, "bottom": bottom,
+                        "arm": arm,
+                        "scene": name,
+                        "motion": frame.motion,
+                        "setting": frame.setting,
+                        "step": frame.step,
+                        "camera": frame.camera,
+                        "left": left,
+                        "top": top,
+                        "right": right,
+                        "bottom": bottom,
                         "drawn": bool(features["drawn"][index]),
                         **{key: _number(values[index]) for key, values in scores.items()},
                     }
-                )  # fmt: skip
-    with storage.atomic_file(path) as partial:
+                )
+    with files.atomic_file(path) as partial:
         pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), partial)
 
 

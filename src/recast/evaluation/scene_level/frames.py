@@ -2,24 +2,31 @@
 
 The rule looks at boxes and at what hides them in any of the streets, never at what an arm draws in
 the box, so that all arms are judged on the same images. The paper says neither how many images it
-takes nor which; the numbers here are settings of ours.
+takes nor which; the numbers here are settings of ours. Files keep the images that count.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, NonNegativeInt
 
-from recast.actors.view_score import score_frame
-from recast.errors import InputError
+from recast.actors.views import score_frame
+from recast.arrays import Array
+from recast.core.errors import InputError
+from recast.core.records import Record, read_record
 from recast.evaluation.oracle_scores import Rectangle, box_pixels
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.logs import DrivingLog
 
-Array = NDArray[np.float64]
+FRAMES_FILE, REFERENCES_FILE = "frames.json", "references.json"
+_VERSION: Literal[1] = 1
+_MEND = "remove the artefact that holds it, and run again"
 
 
 @dataclass(frozen=True)
@@ -166,3 +173,56 @@ def spread_over_azimuth(frames: list[LoggedFrame], most: int) -> list[int]:
         apart[chosen] = -1.0
         chosen.append(int(np.argmax(apart)))
     return sorted(chosen)
+
+
+class FramesRecord(Record):
+    """frames.json.
+
+    Attributes:
+        frames: in the order of motions, steps and cameras.
+        shown: indices of the frames that stand in the figure.
+        failures: motion with its setting to the reason why it was not driven.
+    """
+
+    version: Literal[1] = _VERSION
+    frames: tuple[RolloutFrame, ...]
+    shown: tuple[NonNegativeInt, ...]
+    failures: dict[str, str] = Field(default_factory=dict)
+
+
+class ReferencesRecord(Record):
+    """references.json.
+
+    Attributes:
+        frames: logged images that count.
+        compared: indices of those whose crops LPIPS and the CLIP image score compare with.
+    """
+
+    version: Literal[1] = _VERSION
+    frames: tuple[LoggedFrame, ...]
+    compared: tuple[NonNegativeInt, ...]
+
+
+def read_frames(folder: Path) -> FramesRecord:
+    """Read frames.json; InputError if it is missing or damaged."""
+    return read_record(folder / FRAMES_FILE, FramesRecord, _VERSION, _MEND)
+
+
+def read_references(folder: Path) -> ReferencesRecord:
+    """Read references.json; InputError if it is missing or damaged."""
+    return read_record(folder / REFERENCES_FILE, ReferencesRecord, _VERSION, _MEND)
+
+
+def shown_frames(frames: tuple[RolloutFrame, ...]) -> tuple[int, ...]:
+    """For each motion and setting, the frame with the largest rectangle, the first of equals."""
+    best: dict[tuple[str, str], int] = {}
+    for index, frame in enumerate(frames):
+        key = (frame.motion, frame.setting)
+        if key not in best or _area(frame.rectangle) > _area(frames[best[key]].rectangle):
+            best[key] = index
+    return tuple(sorted(best.values()))
+
+
+def _area(rectangle: Rectangle) -> int:
+    left, top, right, bottom = rectangle
+    return (right - left) * (bottom - top)

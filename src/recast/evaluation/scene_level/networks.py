@@ -11,17 +11,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.arrays import Array, Image
 from recast.evaluation.actor_scores import Cutout
-from recast.evaluation.generation_features import ToyFeatures
+from recast.evaluation.features import ToyFeatures
 from recast.evaluation.generation_inception import load_inception
 from recast.evaluation.oracle_scores import Rectangle
-from recast.evaluation.perceptual_lpips import load_lpips
-from recast.evaluation.scene_level.features import Features
-from recast.evaluation.scene_level.margins import NEGATIVE, POSITIVE, VEHICLE
+from recast.evaluation.perceptual import load_lpips
+from recast.evaluation.scene_level.scores import NEGATIVE, POSITIVE, VEHICLE, Features
 from recast.pretrained import Clip, checked_scores, load_vqa_scorer, square_crop
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 Measure = Callable[[Sequence[Image]], NDArray[np.generic]]
 """From images to an array with a row for each."""
 
@@ -87,7 +85,7 @@ class Networks:
             )
 
     def look(self, images: Iterable[SeenImage | None], compared: Sequence[SeenImage]) -> Features:
-        """Features of images, see `recast.evaluation.scene_level.features`.
+        """Features of images, see `recast.evaluation.scene_level.scores`.
 
         Args:
             images: in order; None for one that could not be rendered.

@@ -1,25 +1,125 @@
-"""Scores of single images, and the columns of the scene-level tables."""
+"""What networks make of the images of an arm in a scene, and the scores of single images.
+
+Features are arrays by name, in one file:
+
+| array | shape | |
+|---|---|---|
+| `drawn` | (N,) bool | whether the image could be rendered; the rows of others are NaN |
+| `frame_toy`, `crop_toy` | (N, 128) | `ToyFeatures` |
+| `frame_inception`, `crop_inception` | (N, 2048) | |
+| `frame_clip`, `frame_clip_padded`, `crop_clip` | (N, D) | unit length |
+| `text_clip` | (7, D) | of the positive prompts, the negative ones and "vehicle" |
+| `lpips` | (N,) | mean over the scene's reference crops |
+| `vqa` | (N, 6) | scores of the positive prompts, then the negative ones |
+
+Margins are between what prompts claim of a picture, and cosines are of crops (paper, table 2). The
+prompts are the paper's. It does not say how scores of several prompts are joined: here each list is
+averaged. Cosines are raw, without CLIP's logit scale.
+"""
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.evaluation.scene_level.features import Features
-from recast.evaluation.scene_level.margins import (
-    NEGATIVE,
-    POSITIVE,
-    SHOWN,
-    clip_image_score,
-    clip_margin,
-    clip_text_score,
-    vqa_margin,
-)
+from recast.arrays import Array
+from recast.core import files
+from recast.core.errors import InputError
 
-Array = NDArray[np.float64]
+Features = Mapping[str, NDArray[np.generic]]
+
+FEATURES_FILE = "features.npz"
+OF_TEXTS = ("text_clip",)
+"""Arrays without a row an image."""
+_MEND = "remove the artefact that holds it, and run again"
+_LARGEST = 1 << 32  # bytes
+_PREFIX = "A driving-camera image with"
+POSITIVE = (
+    f"{_PREFIX} realistic vehicles",
+    f"{_PREFIX} complete and recognizable vehicles",
+    f"{_PREFIX} vehicles that have normal shapes and intact geometry",
+)
+NEGATIVE = (
+    f"{_PREFIX} unrealistic vehicles",
+    f"{_PREFIX} incomplete or unrecognizable vehicles",
+    f"{_PREFIX} vehicles that have distorted shapes or fragmented geometry",
+)
+VEHICLE = "vehicle"
+SHOWN = 1000.0
+"""Factor of both margins in tables."""
+
+
+def save_features(features: Features, path: Path) -> None:
+    """Write arrays, whole or not at all; the same arrays give the same bytes."""
+    with files.atomic_file(path) as partial, partial.open("wb") as file:
+        np.savez(file, allow_pickle=False, **features)
+
+
+def load_features(path: Path) -> Features:
+    """Read what `save_features` wrote.
+
+    Raises:
+        InputError: the file is missing or damaged, or an array has another number of rows.
+    """
+    if not path.is_file():
+        raise InputError(path, "features", "are missing", _MEND)
+    if path.stat().st_size > _LARGEST:
+        raise InputError(path, "features", "are larger than 4 GiB", _MEND)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            found = {name: file[name] for name in file.files}
+    except (OSError, ValueError, zipfile.BadZipFile, MemoryError) as error:
+        raise InputError(path, "features", f"cannot be read ({error})", _MEND) from None
+    drawn = found.get("drawn")
+    if drawn is None or drawn.dtype != np.bool_ or drawn.ndim != 1:
+        raise InputError(path, "drawn", "is missing or not boolean", _MEND)
+    for name, array in found.items():
+        if name not in OF_TEXTS and len(array) != len(drawn):
+            raise InputError(path, name, f"has {len(array)} rows, not {len(drawn)}", _MEND)
+    return found
+
+
+def clip_margin(frames: Array, positive: Array, negative: Array) -> Array:
+    """(N,) mean cosine with the positive prompts less that with the negative ones.
+
+    Args:
+        frames: (N, D) embeddings of whole frames, of unit length as those below.
+        positive, negative: (P, D) and (Q, D) embeddings of prompts.
+    """
+    return vqa_margin(frames @ positive.T, frames @ negative.T)
+
+
+def vqa_margin(positive: Array, negative: Array) -> Array:
+    """(N,) mean score of the positive prompts less that of the negative ones.
+
+    Args:
+        positive, negative: (N, P) and (N, Q) scores of whole frames, see
+            `recast.pretrained.VqaScorer`.
+    """
+    margin: Array = positive.mean(axis=1) - negative.mean(axis=1)
+    return margin
+
+
+def clip_text_score(crops: Array, text: Array) -> Array:
+    """(N,) 100 times the cosine of crops (N, D) with a text (D,), all of unit length."""
+    score: Array = 100.0 * (crops @ text)
+    return score
+
+
+def clip_image_score(crops: Array, references: Array) -> tuple[Array, Array]:
+    """Mean (N,) and maximum (N,) over references of 100 times the cosine.
+
+    Args:
+        crops: (N, D), of unit length.
+        references: (R, D) of one scene, at least one.
+    """
+    cosines = 100.0 * (crops @ references.T)
+    return cosines.mean(axis=1), cosines.max(axis=1)
 
 
 @dataclass(frozen=True)
@@ -61,7 +161,7 @@ def image_scores(features: Features, references: Features, compared: Array) -> d
     """Scores (N,) of the images of an arm in a scene, by column; those there are networks for.
 
     Args:
-        features: features of the arm's images, see `recast.evaluation.scene_level.features`.
+        features: features of the arm's images, see `recast.evaluation.scene_level.scores`.
         references: features of the scene's logged images.
         compared: (K,) indices of the references that crops are compared with.
     """

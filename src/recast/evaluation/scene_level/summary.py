@@ -12,14 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.errors import InputError
+from recast.arrays import Array
+from recast.core.errors import InputError
 from recast.evaluation.bootstrap import cluster_bootstrap
 from recast.evaluation.frechet import FeatureStats, frechet_between, frechet_bootstrap
-from recast.evaluation.scene_level.features import Features
 from recast.evaluation.scene_level.frames import LoggedFrame, RolloutFrame
-from recast.evaluation.scene_level.scores import COLUMNS, image_scores
+from recast.evaluation.scene_level.scores import COLUMNS, Features, image_scores
 
-Array = NDArray[np.float64]
 _LEVEL = 0.95
 
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
+from recast.core.parts import IMPORTERS
 from recast.logs.types import DrivingLog
-from recast.parts import IMPORTERS
 
 
 class LogImporter(Protocol):

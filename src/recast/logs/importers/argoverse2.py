@@ -11,25 +11,31 @@ from pathlib import Path
 
 import numpy as np
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import motion
-from recast.logs.importers.argoverse2_files import POSES, TimedFiles, find_log, list_frames
-from recast.logs.importers.argoverse2_labels import read_tracks
-from recast.logs.importers.argoverse2_map import city_of, find_map, read_map
-from recast.logs.importers.argoverse2_sensors import (
+from recast.logs.images import ImageFiles
+from recast.logs.importers.argoverse2_files import (
     INTRINSICS,
     LASERS,
+    POSE,
+    POSES,
+    TIME,
     TURN_US,
     Argoverse2Sweeps,
     Calibration,
+    TimedFiles,
     check_sensors,
+    find_log,
+    list_frames,
+    poses,
     read_calibration,
+    read_columns,
+    times_of,
 )
-from recast.logs.importers.argoverse2_tables import POSE, TIME, poses, read_columns, times_of
-from recast.logs.importers.cameras import chosen_cameras
-from recast.logs.importers.image_files import ImageFiles
-from recast.logs.importers.valid import returns_valid
+from recast.logs.importers.argoverse2_labels import read_tracks
+from recast.logs.importers.argoverse2_map import city_of, find_map, read_map
+from recast.logs.importers.common import chosen_cameras, returns_valid
 from recast.logs.types import Array, CameraStream, DrivingLog, LidarStream, Trajectory
 
 LICENCE = "CC BY-NC-SA 4.0"

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.logs import checks, motion
-from recast.logs.importers.argoverse2_sensors import TURN_US
-from recast.logs.importers.argoverse2_tables import (
+from recast.logs.importers.argoverse2_files import (
     POSE,
     TIME,
+    TURN_US,
     Columns,
     poses,
     read_columns,

@@ -10,13 +10,13 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from recast import storage
-from recast.errors import InputError
+from recast.core import files
+from recast.core.errors import InputError
+from recast.core.records import validation_error
 from recast.logs import checks
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
-from recast.logs.importers.map_place import NEAR, metres_beside
+from recast.logs.importers.common import NEAR, metres_beside
 from recast.logs.types import Array
-from recast.records import validation_error
 from recast.tables import read_npy
 
 _STEP = 1.0
@@ -102,7 +102,7 @@ def read_map(log: Path, ego: Array, offset: Array) -> HdMap:
     """
     path = find_map(log)
     try:
-        model = _Map.model_validate(storage.read_json(path))
+        model = _Map.model_validate(files.read_json(path))
     except ValidationError as error:
         raise validation_error(path, error, _MEND) from None
     driven = {
@@ -229,7 +229,7 @@ def _read_ground(folder: Path, offset: Array) -> GroundHeight | None:
         problem = f"is {height.dtype} of shape {height.shape}, not two-dimensional numbers"
         raise InputError(raster, "array", problem, _MEND)
     try:
-        sim2 = _Sim2.model_validate(storage.read_json(placing))
+        sim2 = _Sim2.model_validate(files.read_json(placing))
     except ValidationError as error:
         raise validation_error(placing, error, _MEND) from None
     if not np.allclose(sim2.R, (1.0, 0.0, 0.0, 1.0), atol=1e-9) or sim2.s <= 0:

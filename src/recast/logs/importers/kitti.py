@@ -13,26 +13,28 @@ from pathlib import Path
 
 import numpy as np
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.logs import motion
 from recast.logs.derive_map import derive_map, ego_path
+from recast.logs.images import ImageFiles
 from recast.logs.importers import kitti_files
-from recast.logs.importers.cameras import chosen_cameras
-from recast.logs.importers.image_files import ImageFiles
-from recast.logs.importers.kitti_calibration import KittiCalibration, read_calibration
-from recast.logs.importers.kitti_check import check_labels_fit
-from recast.logs.importers.kitti_files import KittiDrive, SensorFiles
-from recast.logs.importers.kitti_oxts import poses_from_oxts, read_oxts
-from recast.logs.importers.kitti_tracks import place_tracks, read_labels
-from recast.logs.importers.kitti_velodyne import (
+from recast.logs.importers.common import chosen_cameras, first_jump, returns_valid
+from recast.logs.importers.kitti_files import (
+    KittiCalibration,
+    KittiDrive,
+    SensorFiles,
+    read_calibration,
+)
+from recast.logs.importers.kitti_labels import check_labels_fit, place_tracks, read_labels
+from recast.logs.importers.kitti_sensors import (
     VelodyneSweeps,
     VelodyneTurns,
     list_turns,
+    poses_from_oxts,
+    read_oxts,
     turn_times,
 )
-from recast.logs.importers.pose_jumps import first_jump
-from recast.logs.importers.valid import returns_valid
 from recast.logs.refine_trajectory import heading_offset, refine_trajectory
 from recast.logs.types import (
     Array,

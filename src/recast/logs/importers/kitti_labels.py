@@ -1,19 +1,28 @@
-"""KITTI box labels: tracking label files and tracklet_labels.xml."""
+"""KITTI box labels, of tracking label files and tracklet_labels.xml, to tracks in the world.
+
+Boxes were drawn on sweeps as recorded, smeared by the ego motion of the turn. So a box of frame i
+holds, like the points in it, at the moment at which the scanner pointed there in turn i.
+"""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from recast import storage
-from recast.errors import InputError
+from recast.core import files
+from recast.core.errors import InputError
 from recast.geometry import se3
+from recast.logs import motion
 from recast.logs.checks import BOX_SIDE, SENSOR_REACH, check_reach, refused
-from recast.logs.importers.kitti_files import TEXT_LIMIT
-from recast.logs.types import Array, Int64Array
+from recast.logs.importers.kitti_files import TEXT_LIMIT, KittiCalibration
+from recast.logs.importers.kitti_sensors import firing_times
+from recast.logs.motion import all_track_points
+from recast.logs.types import Array, DrivingLog, Int64Array, Track, Trajectory
 
 MOST_FRAMES = 10_000_000
 """Frames of a drive: eleven days of them."""
@@ -31,6 +40,11 @@ CATEGORIES = {
     "tram": "tram",
     "misc": "misc",
 }
+RANGE = 40.0  # metres; farther boxes can be empty, hidden behind others
+SWEEP_US = 60_000  # a label and its sweep are less than half a turn apart
+MIN_POINTS = 5
+MIN_BOXES = 5
+MIN_FRACTION = 0.5  # right labels fill nearly all; shifted or mirrored ones a third or less
 
 
 @dataclass(frozen=True)
@@ -61,7 +75,7 @@ def read_tracking_labels(path: Path) -> list[LabelledTrack]:
         InputError: missing, or a row is malformed.
     """
     rows: dict[int, list[tuple[str, Array]]] = {}
-    for number, line in enumerate(storage.read_text(path, TEXT_LIMIT).split("\n"), start=1):
+    for number, line in enumerate(files.read_text(path, TEXT_LIMIT).split("\n"), start=1):
         words = line.split()
         if not words or words[2:3] == ["DontCare"]:
             continue
@@ -125,7 +139,7 @@ def read_tracklets(path: Path) -> list[LabelledTrack]:
         InputError: missing, not XML, or a tracklet lacks a field.
     """
     mend = "download it again"
-    text = storage.read_text(path, TEXT_LIMIT)
+    text = files.read_text(path, TEXT_LIMIT)
     if "<!ENTITY" in text:  # which can multiply; KITTI has none
         raise InputError(path, "XML", "defines entities", mend)
     try:
@@ -175,3 +189,94 @@ def _category(name: str, path: Path, where: str) -> str:
         return CATEGORIES[name.strip().lower()]
     except KeyError:
         raise InputError(path, where, f"unknown type {name!r}", "name a KITTI label file") from None
+
+
+def read_labels(path: Path, frame_count: int) -> list[LabelledTrack]:
+    """Read tracklet_labels.xml or a tracking label file (any other suffix).
+
+    Raises:
+        InputError: missing or malformed, or a frame is beyond the drive's `frame_count`.
+    """
+    tracks = read_tracklets(path) if path.suffix == ".xml" else read_tracking_labels(path)
+    for track in tracks:
+        if track.frames[-1] >= frame_count:
+            raise InputError(
+                path,
+                f"track {track.track_id}",
+                f"frame {track.frames[-1]}, but the drive has {frame_count} frames",
+                "name the label file of this drive",
+            )
+    return tracks
+
+
+def place_tracks(
+    labelled: Sequence[LabelledTrack],
+    path: Path,
+    turns: tuple[Int64Array, Int64Array, Int64Array],
+    calibration: KittiCalibration,
+    trajectory: Trajectory,
+) -> dict[str, Track]:
+    """Tracks by id, as far as the ego trajectory goes.
+
+    Args:
+        path: the label file, which tells the frame the boxes are given in.
+        turns: trigger, start and end times of all turns of the drive.
+    """
+    trigger, start, end = turns
+    is_tracklets = path.suffix == ".xml"
+    rig_from_sensor = (
+        calibration.rig_from_velodyne if is_tracklets else calibration.rig_from_rectified
+    )
+    velodyne_from_rig = se3.inverse(calibration.rig_from_velodyne)
+    tracks = {}
+    for track in labelled:
+        frames = track.frames
+        rig_from_box = rig_from_sensor @ track.sensor_from_box
+        centres = se3.apply(velodyne_from_rig, rig_from_box[:, :3, 3])
+        times = firing_times(centres, trigger[frames], start[frames], end[frames])
+        first, last = trajectory.timestamps_us[[0, -1]]
+        kept = (first <= times) & (times <= last)
+        # Behind the car one turn ends and the next begins: a box there can be met twice at once.
+        kept[1:] &= np.diff(times) > 0
+        if not np.any(kept):
+            continue
+        poses = trajectory.at(times[kept]) @ rig_from_box[kept]
+        # A labelled frame counts as the whole turn: its image may come before the scanner did.
+        turn = max(start[frames[0]], first), min(end[frames[-1]], last)
+        boxes = motion.extended(Trajectory(times[kept], poses), *turn)
+        tracks[track.track_id] = Track(track.track_id, track.category, track.size, boxes)
+    return tracks
+
+
+def check_labels_fit(log: DrivingLog, tracks: Mapping[str, Track], path: Path) -> None:
+    """Check that the boxes near the car hold LiDAR points.
+
+    With fewer than five boxes to judge by, nothing is said.
+
+    Raises:
+        InputError: most boxes are empty: the labels belong to another drive.
+    """
+    times = np.concatenate([lidar.timestamps_us for lidar in log.lidars.values()])
+    tested = filled = 0
+    for name, points in all_track_points(log, tracks, margin=0.1, clearance=0.25).items():
+        near = _near_sweeps(log, tracks[name], times)
+        counts = np.bincount(points.sweep, minlength=len(times))
+        tested += len(near)
+        filled += int(np.count_nonzero(counts[near] >= MIN_POINTS))
+    if tested >= MIN_BOXES and filled < MIN_FRACTION * tested:
+        raise InputError(
+            path,
+            "boxes",
+            f"{tested - filled} of {tested} boxes within {RANGE:.0f} m hold no LiDAR points: "
+            "labels of another drive",
+            "name the label file of this drive",
+        )
+
+
+def _near_sweeps(log: DrivingLog, track: Track, times: Int64Array) -> NDArray[np.intp]:
+    """Indices of the sweeps in which the object is labelled and near."""
+    gaps = np.abs(track.trajectory.timestamps_us[:, None] - times)
+    boxes, sweeps = np.nonzero(gaps < SWEEP_US)
+    places = track.trajectory.poses[boxes, :2, 3]
+    ego = log.world_from_rig.at(times[sweeps])[:, :2, 3]
+    return np.unique(sweeps[np.linalg.norm(places - ego, axis=1) < RANGE])

@@ -1,28 +1,116 @@
-"""nuScenes cameras and LiDAR: calibration, and sweeps read on demand."""
+"""Sensors of a nuScenes scene: calibration, images and sweeps, and the ego poses of them all."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.core.names import member
 from recast.geometry import PinholeCamera, se3
+from recast.logs import motion
+from recast.logs.importers.common import first_jump, read_points
 from recast.logs.importers.nuscenes_tables import (
     AnnotationRow,
     CalibratedSensorRow,
     EgoPoseRow,
     SampleDataRow,
+    SampleRow,
+    SensorRow,
+    linked,
+    select,
 )
-from recast.logs.importers.point_files import read_points
-from recast.logs.types import Array, Int64Array, LidarSweep
+from recast.logs.types import Array, Int64Array, LidarSweep, Trajectory
 
 POINT_FLOATS = 5  # x, y, z, intensity, ring
 OWN_ROOF = 1.0
 """Metres beside the LiDAR within which it sees nothing but the roof it stands on."""
 _UNIT = 1e-3
 _MEND = "unpack the split's metadata archive again"
+LONGEST_GAP_US = 1_000_000
+_MEND_POSES = "take all tables from one metadata archive"
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A camera or LiDAR of a scene.
+
+    Attributes:
+        kind: "camera" or "lidar".
+        frames: in the order of time.
+    """
+
+    name: str
+    kind: str
+    mount: CalibratedSensorRow
+    frames: list[SampleDataRow]
+
+
+def read_sensors(
+    root: Path, tables: Path, samples: Sequence[SampleRow], cameras: Sequence[str] = ()
+) -> list[Sensor]:
+    """Cameras and LiDARs of the scene whose key frames are `samples`, by name; no radars.
+
+    Where the dataset's folder `root` has no folder sweeps, frames between key frames are left out.
+    Only the files of LiDARs and of the `cameras` wanted (all if empty) must be there.
+
+    Raises:
+        InputError: a table, column or file is missing, a token leads nowhere, a sensor has two
+            calibrations or two frames of one time.
+    """
+    path = tables / "sample_data.json"
+    frames = select(path, SampleDataRow, "sample_token", {sample.token for sample in samples})
+    if not (root / "sweeps").is_dir():
+        frames = [frame for frame in frames if frame.is_key_frame]
+    mounts = linked(
+        tables,
+        "calibrated_sensor",
+        CalibratedSensorRow,
+        frames,
+        "sample_data",
+        "calibrated_sensor_token",
+    )
+    kinds = linked(
+        tables, "sensor", SensorRow, list(mounts.values()), "calibrated_sensor", "sensor_token"
+    )
+    sensors: dict[str, Sensor] = {}
+    for frame in sorted(frames, key=lambda frame: frame.timestamp):
+        mount = mounts[frame.calibrated_sensor_token]
+        kind = kinds[mount.sensor_token]
+        if kind.modality not in ("camera", "lidar"):  # radar
+            continue
+        sensor = sensors.setdefault(kind.channel, Sensor(kind.channel, kind.modality, mount, []))
+        _check_frame(path, frame, sensor)
+        if sensor.kind == "lidar" or not cameras or sensor.name in cameras:
+            _check_file(root, path, frame)
+        sensor.frames.append(frame)
+    return [sensors[name] for name in sorted(sensors)]
+
+
+def _check_frame(path: Path, frame: SampleDataRow, sensor: Sensor) -> None:
+    def refuse(column: str, problem: str, mend: str) -> InputError:
+        return InputError(path, f"token {frame.token}: {column}", problem, mend)
+
+    if frame.calibrated_sensor_token != sensor.mount.token:
+        problem = f"{sensor.name} has a second calibration within the scene"
+        raise refuse("calibrated_sensor_token", problem, "use tables as published")
+    if sensor.frames and frame.timestamp == sensor.frames[-1].timestamp:
+        problem = f"{frame.timestamp} is there twice for {sensor.name}"
+        raise refuse("timestamp", problem, "use tables as published")
+    formats = ("jpg", "jpeg", "png") if sensor.kind == "camera" else ("pcd", "bin")
+    if frame.fileformat not in formats:
+        problem = f"is {frame.fileformat!r}, not {' or '.join(formats)}"
+        raise refuse("fileformat", problem, "use files as published")
+
+
+def _check_file(root: Path, path: Path, frame: SampleDataRow) -> None:
+    field = f"token {frame.token}: filename"
+    if not member(root, frame.filename, path, field).is_file():
+        problem = f"{frame.filename} is missing under {root}"
+        raise InputError(path, field, problem, "unpack the file archives of this scene")
 
 
 def pose_of(path: Path, row: EgoPoseRow | CalibratedSensorRow | AnnotationRow) -> Array:
@@ -103,3 +191,46 @@ class NuScenesSweeps:
         points = se3.apply(self.rig_from_lidar, rows[:, :3]).astype(np.float32)
         intensity = np.clip(rows[:, 3] / np.float32(255), 0.0, 1.0)
         return LidarSweep(int(self.timestamps_us[index]), points, intensity)
+
+
+def read_ego(
+    tables: Path, samples: Sequence[SampleRow], sensors: Sequence[Sensor]
+) -> tuple[Trajectory, Array]:
+    """The ego trajectory near the origin, and the offset taken off it.
+
+    The dataset's ego frame has its origin on the ground under the rear axle, as our rig frame.
+
+    Raises:
+        InputError: poses are missing, broken, far apart in time, not all of one frame, or do not
+            cover the frames.
+    """
+    frames = [frame for sensor in sensors for frame in sensor.frames]
+    rows = linked(tables, "ego_pose", EgoPoseRow, frames, "sample_data", "ego_pose_token")
+    path = tables / "ego_pose.json"
+    ordered = sorted(rows.values(), key=lambda row: row.timestamp)
+    if len({row.timestamp for row in ordered}) < 2:
+        raise InputError(path, "rows", f"{len(ordered)} of this scene, 2 are needed", _MEND_POSES)
+    placed = np.stack([pose_of(path, row) for row in ordered])
+    all_times = np.array([row.timestamp for row in ordered], np.int64)
+    jump = first_jump(all_times, placed)
+    if jump is not None:
+        problem = f"is {jump[1]:.0f} m from the pose before: mixed coordinate frames"
+        raise InputError(path, f"token {ordered[jump[0]].token}: translation", problem, _MEND_POSES)
+    times, first = np.unique(all_times, return_index=True)
+    gaps = np.flatnonzero(np.diff(times) > LONGEST_GAP_US)
+    if len(gaps):
+        problem = f"the next pose comes {(times[gaps[0] + 1] - times[gaps[0]]) / 1e6:.1f} s later"
+        field = f"token {ordered[first[gaps[0]]].token}: timestamp"
+        raise InputError(path, field, problem, "use a scene without the gap")
+    poses = placed[first]
+    offset: Array = poses[0, :3, 3].copy()
+    poses[:, :3, 3] -= offset
+    sensed = [frame.timestamp for frame in frames] + [sample.timestamp for sample in samples]
+    trajectory = motion.extended(Trajectory(times, poses), min(sensed), max(sensed))
+    for table, timed in (("sample", samples), ("sample_data", frames)):
+        for row in timed:
+            if not trajectory.covers(row.timestamp):
+                problem = f"{row.timestamp} lies outside the scene's ego poses"
+                where = tables / f"{table}.json"
+                raise InputError(where, f"token {row.token}: timestamp", problem, _MEND_POSES)
+    return trajectory, offset

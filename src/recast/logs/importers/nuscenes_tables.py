@@ -14,10 +14,10 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.core.files import disk_errors
+from recast.core.records import validation_error
 from recast.logs import checks
-from recast.records import validation_error
-from recast.storage import disk_errors
 
 _CHUNK = 1 << 20
 _LONGEST_ROW = 1 << 22

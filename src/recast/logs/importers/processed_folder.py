@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.core.files import read_text
 from recast.geometry import PinholeCamera, se3
 from recast.logs import checks
-from recast.logs.importers.drive_names import check_drive
-from recast.logs.importers.image_files import image_size
+from recast.logs.images import image_size
+from recast.logs.importers.common import check_drive
 from recast.logs.importers.waymo_schema import CAMERA_NAME
 from recast.logs.types import Array
-from recast.storage import read_text
 
 CAMERAS = tuple(CAMERA_NAME.names.values())
 """Waymo's cameras by their number in file names, which is Waymo's CameraName less one."""

@@ -6,21 +6,28 @@ Source: Yan et al., "Street Gaussians: Modeling Dynamic Urban Scenes with Gaussi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from recast.errors import InputError
-from recast.logs.importers.cameras import chosen_cameras
-from recast.logs.importers.image_files import ImageFiles
-from recast.logs.importers.processed_folder import CameraFolder, find_scene, read_cameras
-from recast.logs.importers.street_gaussians_ego import Drive, read_drive
-from recast.logs.importers.street_gaussians_points import read_lidar
-from recast.logs.importers.street_gaussians_tracks import read_tracks
-from recast.logs.importers.valid import returns_valid
+from recast.core.errors import InputError
+from recast.core.files import read_text
+from recast.geometry import se3
+from recast.logs import checks
+from recast.logs.images import ImageFiles
+from recast.logs.importers.common import chosen_cameras, returns_valid
+from recast.logs.importers.processed_folder import FARTHEST, CameraFolder, find_scene, read_cameras
+from recast.logs.importers.street_gaussians_frames import Drive, read_drive, read_lidar
 from recast.logs.importers.waymo_schema import LICENCE
-from recast.logs.types import CameraStream, DrivingLog
+from recast.logs.types import Array, CameraStream, DrivingLog, Track, Trajectory
+
+CATEGORIES = {"vehicle": "car", "pedestrian": "pedestrian", "cyclist": "cyclist"}
+"""Ours by the classes of the file that are reconstructed; it may hold others."""
+_COLUMNS = (11, 12)  # frame track class alpha h w l cx cy cz heading [speed]
+LEFT_OUT = ("sign", "misc")
+_MEND = "process the scene again, or name another file with --labels"
 
 
 @returns_valid
@@ -76,3 +83,107 @@ def _camera(scene: Path, camera: CameraFolder, drive: Drive) -> CameraStream:
         timestamps_us=stamps,
         images=ImageFiles(paths, width, height, "its first image"),
     )
+
+
+@dataclass(frozen=True)
+class BoxRow:
+    """One line.
+
+    Attributes:
+        where: the line, for messages.
+        frame: number of the frame.
+        track: as written.
+        kind: class in lower case, whatever it is.
+        size: (3,) length, width, height in metres, not checked.
+        centre: (3,) metres, vehicle frame at the frame's time.
+        heading: radians, counter-clockwise from the vehicle's x axis.
+    """
+
+    where: str
+    frame: int
+    track: str
+    kind: str
+    size: Array
+    centre: Array
+    heading: float
+
+
+def read_box_rows(path: Path, mend: str) -> Iterator[BoxRow]:
+    """All rows in the order of the file.
+
+    Args:
+        mend: what the user can do about any fault.
+
+    Raises:
+        InputError: the file is missing, or a line has too few or too many columns, or something
+            else than numbers in range.
+    """
+    if not path.is_file():
+        raise InputError(path, "file", "is missing", mend)
+    lines = read_text(path).splitlines()
+    for number, line in enumerate(lines[1:], start=2):  # the first names the columns
+        words = line.split()
+        if words:
+            yield _row(path, f"line {number}", words, mend)
+
+
+def _row(path: Path, where: str, words: list[str], mend: str) -> BoxRow:
+    if len(words) not in _COLUMNS:
+        raise InputError(path, where, f"has {len(words)} columns, not 11 or 12", mend)
+    try:
+        frame = int(words[0])
+        height, width, length, x, y, z, heading = (float(word) for word in words[4:11])
+    except ValueError:
+        raise InputError(path, where, "holds words where numbers belong", mend) from None
+    if not np.all(np.abs([height, width, length, x, y, z, heading]) <= checks.WORLD_REACH):
+        problem = f"holds NaN or infinity, or a number not within {checks.WORLD_REACH:g}"
+        raise InputError(path, where, problem, mend)
+    size, centre = np.array([length, width, height]), np.array([x, y, z])
+    return BoxRow(where, frame, words[1], words[2].lower(), size, centre, heading)
+
+
+def read_tracks(path: Path, drive: Drive) -> dict[str, Track]:
+    """Tracks by the file's own numbers, each box placed with its frame's vehicle pose.
+
+    Raises:
+        InputError: the file is missing, a line has too few or wrong values, an unknown class or
+            frame, a box comes twice, or is not in the vehicle's frame.
+    """
+    grouped: dict[str, dict[int, BoxRow]] = {}
+    for row in read_box_rows(path, _MEND):
+        _check(path, row, drive)
+        if row.kind in LEFT_OUT:
+            continue
+        track = grouped.setdefault(row.track, {})
+        if row.frame in track:
+            problem = f"track {row.track} is there twice in frame {row.frame}"
+            raise InputError(path, f"{row.where}: track", problem, "keep one of them")
+        track[row.frame] = row
+    tracks = {}
+    for name, boxes in grouped.items():
+        frames = sorted(boxes)
+        times = np.array([drive.frame_times[frame] for frame in frames], np.int64)
+        poses = [
+            drive.world_from_frame[frame] @ _vehicle_from_box(boxes[frame]) for frame in frames
+        ]
+        size = np.median([boxes[frame].size for frame in frames], axis=0)
+        category = CATEGORIES[boxes[frames[0]].kind]
+        tracks[name] = Track(name, category, size, Trajectory(times, np.stack(poses)))
+    return tracks
+
+
+def _vehicle_from_box(row: BoxRow) -> Array:
+    return se3.from_rotation_translation(se3.rotation_z(row.heading), row.centre)
+
+
+def _check(path: Path, row: BoxRow, drive: Drive) -> None:
+    if row.kind not in (*CATEGORIES, *LEFT_OUT):
+        raise InputError(path, f"{row.where}: class", f"{row.kind!r} is unknown", _MEND)
+    if row.frame not in drive.frame_times:
+        problem = f"{row.frame} has no ego_pose/{row.frame:06d}.txt"
+        raise InputError(path, f"{row.where}: frame", problem, "take the tracks of this scene")
+    if not checks.are_box_sides(row.size).all():
+        raise InputError(path, f"{row.where}: size", "is not a box's", "remove the box")
+    if (distance := float(np.linalg.norm(row.centre))) > FARTHEST:
+        problem = f"the box is {distance:.0f} m from the ego: not in the vehicle's frame"
+        raise InputError(path, f"{row.where}: centre", problem, "give boxes in the vehicle frame")

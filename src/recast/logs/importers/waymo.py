@@ -1,24 +1,49 @@
-"""Waymo Open Dataset v1: a segment's cameras, LiDARs, labels and map as a driving log.
+"""Waymo Open Dataset: a segment's cameras, LiDARs, labels and map as a driving log.
 
 Source: Sun et al., "Scalability in Perception for Autonomous Driving: Waymo Open Dataset" (CVPR
 2020), and the proto files of the dataset. Neither TensorFlow nor a protocol buffer library is
-needed. Scenarios of the motion dataset are read too: tracks and map, no sensors.
+needed. Version 1 is read from its TFRecords, and so are scenarios of the motion dataset: tracks
+and map, no sensors. Version 2 is read from its parquet tables and holds the same, but for the map.
 """
 
 from __future__ import annotations
 
+import glob
 from collections.abc import Sequence
 from pathlib import Path
 
-from recast.errors import InputError
-from recast.logs.importers.cameras import chosen_cameras
-from recast.logs.importers.valid import returns_valid
-from recast.logs.importers.waymo_drive import driving_log
-from recast.logs.importers.waymo_files import find_drive, is_motion
-from recast.logs.importers.waymo_frames import read_segment
+import numpy as np
+
+from recast.core.errors import InputError
+from recast.geometry import se3
+from recast.logs import motion
+from recast.logs.importers import waymo2_segment, waymo_frames
+from recast.logs.importers.common import check_drive, chosen_cameras, returns_valid
+from recast.logs.importers.waymo2_tables import find_segment
+from recast.logs.importers.waymo_cameras import read_cameras, shutter_notes
+from recast.logs.importers.waymo_lidar import TURN_US, read_lidars, scan_times
+from recast.logs.importers.waymo_map import read_map
 from recast.logs.importers.waymo_motion import load_scenario
 from recast.logs.importers.waymo_schema import LICENCE
-from recast.logs.types import DrivingLog
+from recast.logs.importers.waymo_segment import LabelEntry, Segment, record_errors
+from recast.logs.importers.waymo_tfrecord import read_records
+from recast.logs.importers.waymo_wire import BYTES, fields
+from recast.logs.types import Array, DrivingLog, Int64Array, Track, Trajectory
+
+CATEGORIES = {
+    "vehicle": "car",
+    "pedestrian": "pedestrian",
+    "cyclist": "cyclist",
+    "sign": "misc",
+    "unknown": "misc",
+}
+"""The dataset does not tell cars from trucks and buses."""
+_NEXT_TURN_US = TURN_US // 2
+LONGEST_GAP_US = 1_000_000
+_SAME_POSE = 1e-3
+"""Metres (and radians) within which a camera's pose is the frame's own."""
+_LISTED = 5
+"""Names of other files in a message; a split has hundreds."""
 
 
 @returns_valid
@@ -43,4 +68,190 @@ def load_waymo(
     if scenario is not None or is_motion(path):
         chosen_cameras(path, (), cameras)
         return load_scenario(path, scenario, LICENCE)
-    return driving_log(read_segment(path), "Waymo Open Dataset v1", cameras)
+    return driving_log(waymo_frames.read_segment(path), "Waymo Open Dataset v1", cameras)
+
+
+@returns_valid
+def load_waymo2(
+    root: Path, drive: str, labels: Path | None = None, cameras: Sequence[str] = ()
+) -> DrivingLog:
+    """Read a segment; images and sweeps are decoded when asked for. Version 2 has no map.
+
+    Args:
+        root: folder that holds the components (`vehicle_pose` and so on), or the splits.
+        drive: the segment's name.
+        labels: must be None, since a segment holds its own.
+        cameras: names of the cameras to read, such as FRONT; all if empty.
+
+    Raises:
+        InputError: files are missing, damaged or do not belong together.
+    """
+    if labels is not None:
+        raise InputError(labels, "labels", "a segment holds its own", "leave the option out")
+    segment = waymo2_segment.read_segment(find_segment(Path(root), drive))
+    return driving_log(segment, "Waymo Open Dataset v2", cameras)
+
+
+def find_drive(root: Path, drive: str) -> tuple[Path, str | None]:
+    """The file of a drive, in `root` or one level below, and the scenario of FILE:SCENARIO.
+
+    Raises:
+        InputError: the folder or the file does not exist, or several files have the name.
+    """
+    if not root.is_dir():
+        raise InputError(root, "Waymo folder", "does not exist", "check the path")
+    name, colon, scenario = drive.partition(":")
+    check_drive(root, name)
+    known = glob.escape(name)
+    patterns = [known, f"{known}.tfrecord", f"segment-{known}*.tfrecord", f"{known}_*.tfrecord"]
+    for pattern in patterns:
+        found = sorted(
+            path for path in (*root.glob(pattern), *root.glob(f"*/{pattern}")) if path.is_file()
+        )
+        if len(found) > 1:
+            listed = ", ".join(str(path.relative_to(root)) for path in found[:_LISTED])
+            raise InputError(root, f"drive {name}", f"may be {listed}", "name the folder of one")
+        if found:
+            return found[0], scenario if colon else None
+    others = sorted(path.name for path in (*root.glob("*.tfrecord*"), *root.glob("*/*.tfrecord*")))
+    shown = ", ".join(others[:_LISTED])
+    if len(others) > _LISTED:
+        shown += f" and {len(others) - _LISTED} more"
+    mend = f"choose one of {shown}" if others else "name the folder that holds the TFRecord files"
+    raise InputError(root, f"drive {name}", "does not exist", mend)
+
+
+def is_motion(path: Path) -> bool:
+    """Whether a file holds scenarios of the motion dataset, and not frames.
+
+    Field 2 of a frame is its time, of a scenario a track.
+
+    Raises:
+        InputError: the first record is damaged or is no protocol buffer.
+    """
+    record = next(read_records(path))
+    with record_errors(path, record.number):
+        for number, wire, _ in fields(record.data, 0, len(record.data), "message"):
+            if number == 2:
+                return wire == BYTES
+    return False
+
+
+def driving_log(segment: Segment, dataset: str, cameras: Sequence[str] = ()) -> DrivingLog:
+    """The log of a segment; images and sweeps stay in its files until asked for.
+
+    Args:
+        segment: what was read.
+        dataset: its name, for the metadata.
+        cameras: names of the cameras to keep; all if empty.
+
+    Raises:
+        InputError: a calibration is missing, a sensor's frames do not belong together, there is a
+            gap in the drive, or the map is faulty.
+    """
+    streams = read_cameras(segment)
+    chosen = chosen_cameras(Path(segment.name), streams, cameras)
+    times = _frame_times(segment)
+    trajectory, offset = _ego(segment, times)
+    world_from_global = se3.from_rotation_translation(np.eye(3), -offset)
+    return DrivingLog(
+        name=segment.name,
+        cameras={name: streams[name] for name in chosen},
+        lidars=read_lidars(segment, times, world_from_global, trajectory),
+        world_from_rig=trajectory,
+        tracks=read_tracks(segment, world_from_global),
+        map=None
+        if segment.map is None
+        else read_map(segment.map, world_from_global, trajectory.poses[:, :2, 3]),
+        world_offset=offset,
+        metadata={
+            "dataset": dataset,
+            "drive": segment.name,
+            "licence": LICENCE,
+            **segment.notes,
+            **shutter_notes(segment),
+        },
+    )
+
+
+def _frame_times(segment: Segment) -> Int64Array:
+    """Times (F,) of the frames' own poses: the dataset tells only when the turn began.
+
+    In the real frame it is exactly the pose of one camera's image; else the turn's middle is taken.
+    """
+    times = []
+    for frame in segment.frames:
+        apart = {
+            image.time_us: float(np.abs(se3.inverse(frame.pose) @ image.pose - np.eye(4)).max())
+            for image in frame.images.values()
+        }
+        nearest = min(apart, key=lambda time: (apart[time], time), default=0)
+        same = bool(apart) and apart[nearest] < _SAME_POSE
+        times.append(nearest if same else frame.start_us + TURN_US // 2)
+    return np.array(times, np.int64)
+
+
+def _ego(segment: Segment, times: Int64Array) -> tuple[Trajectory, Array]:
+    """The ego trajectory, near the origin, and the offset taken off it.
+
+    Its poses are those of the images, so that each image has its own; a frame without images gives
+    the frame's.
+    """
+    known: dict[int, Array] = {}
+    for frame, time in zip(segment.frames, times.tolist(), strict=True):
+        known.update((image.time_us, image.pose) for image in frame.images.values())
+        if not frame.images:
+            known[time] = frame.pose
+    sorted_times = np.array(sorted(known), np.int64)
+    gaps = np.diff(sorted_times)
+    if np.any(gaps > LONGEST_GAP_US):
+        late = sorted_times[int(np.argmax(gaps)) + 1]
+        frame = next(f for f in segment.frames if f.start_us + LONGEST_GAP_US > late)
+        raise frame.place.inside("pose").error(
+            f"comes {gaps.max() / 1e6:.1f} s after the one before", "use a segment without the gap"
+        )
+    poses = np.stack([known[time] for time in sorted_times.tolist()])
+    offset: Array = poses[0, :3, 3].copy()
+    poses[:, :3, 3] -= offset
+    first, last = segment.frames[0].start_us, segment.frames[-1].start_us + TURN_US
+    return motion.extended(Trajectory(sorted_times, poses), first, last), offset
+
+
+def read_tracks(segment: Segment, world_from_global: Array) -> dict[str, Track]:
+    """Tracks by id.
+
+    Boxes are drawn on the points of a frame, which the TOP LiDAR scans one direction after the
+    other while everything else moves on. So a box holds when the scanner pointed at it, as the
+    image of the camera that looks there does. A labelled frame counts as its whole turn: the first
+    and last boxes are continued to its ends, so that they cover the frame's images.
+
+    Raises:
+        InputError: a label comes twice in a frame.
+    """
+    found: dict[str, list[tuple[int, int, LabelEntry, Array]]] = {}
+    for frame in segment.frames:
+        world_from_vehicle = world_from_global @ frame.pose
+        seen = set()
+        for label in frame.labels:
+            if label.label_id in seen:
+                raise label.place.error(f"{label.label_id} is there twice")
+            seen.add(label.label_id)
+            x, y = label.vehicle_from_box[:2, 3]
+            time = int(scan_times(np.arctan2(y, x), frame.start_us))
+            row = (time, frame.start_us, label, world_from_vehicle @ label.vehicle_from_box)
+            found.setdefault(label.label_id, []).append(row)
+    return {name: _track(name, rows) for name, rows in found.items()}
+
+
+def _track(name: str, rows: list[tuple[int, int, LabelEntry, Array]]) -> Track:
+    # Behind the car one turn ends and the next begins: a box there can be met twice at once.
+    kept = rows[:1]
+    for row in rows[1:]:
+        if row[0] - kept[-1][0] >= _NEXT_TURN_US:
+            kept.append(row)
+    times = np.array([time for time, *_ in kept], np.int64)
+    poses = np.stack([pose for *_, pose in kept])
+    turn = min(kept[0][1], int(times[0])), max(kept[-1][1] + TURN_US, int(times[-1]))
+    trajectory = motion.extended(Trajectory(times, poses), *turn)
+    size = np.median([label.size for _, _, label, _ in rows], axis=0)
+    return Track(name, CATEGORIES[rows[0][2].category], size, trajectory)

@@ -1,7 +1,7 @@
 """Tables of Waymo v2: one parquet file for each component of a segment, checked as they are read.
 
 A file lies at COMPONENT/SEGMENT.parquet. Columns are named `key.NAME` (what the row is of) and
-`[Component].field`.
+`[Component].field`. What holds for a whole segment is here too: calibrations, when and where.
 """
 
 from __future__ import annotations
@@ -13,13 +13,32 @@ from typing import Any
 
 import numpy as np
 
-from recast.logs.importers.waymo_segment import MEND, Place
-from recast.logs.importers.waymo_values import rigid
+from recast.core.errors import InputError
+from recast.logs.importers.common import check_drive
+from recast.logs.importers.waymo_schema import CAMERA_NAME, LASER_NAME, ROLLING_SHUTTER
+from recast.logs.importers.waymo_segment import MEND, CameraCalibration, LaserCalibration, Place
+from recast.logs.importers.waymo_values import camera_calibration, laser_calibration, rigid
 from recast.logs.importers.waymo_wire import Choice, FieldError
 from recast.logs.types import Array
 from recast.tables import ROW_LIMIT, ParquetRows
 
 SEGMENT, TIME = "key.segment_context_name", "key.frame_timestamp_micros"
+COMPONENTS = {
+    "vehicle_pose": "VehiclePoseComponent",
+    "camera_calibration": "CameraCalibrationComponent",
+    "camera_image": "CameraImageComponent",
+    "lidar_calibration": "LiDARCalibrationComponent",
+    "lidar": "LiDARComponent",
+    "lidar_pose": "LiDARPoseComponent",
+    "lidar_box": "LiDARBoxComponent",
+    "stats": "StatsComponent",
+}
+"""Folders that are read, and the name of the component in the names of its columns."""
+_LISTED = 5
+CAMERA, LASER = "key.camera_name", "key.laser_name"
+_INTRINSIC = [f"intrinsic.{n}" for n in ("f_u", "f_v", "c_u", "c_v", "k1", "k2", "p1", "p2", "k3")]
+_BEAMS = "beam_inclination"
+_STATS = ["time_of_day", "location", "weather"]
 
 
 @dataclass(frozen=True)
@@ -136,3 +155,119 @@ class Table:
             name = row.text(SEGMENT)
             if name != self.path.stem:
                 raise FieldError(SEGMENT, f"is {name!r}, the file is of {self.path.stem!r}")
+
+
+@dataclass(frozen=True)
+class Components:
+    """The files of a segment: `folder`/COMPONENT/`segment`.parquet."""
+
+    folder: Path
+    segment: str
+
+    def has(self, name: str) -> bool:
+        """Whether a component was downloaded: people take only those they need."""
+        return (self.folder / name).is_dir()
+
+    def table(self, name: str) -> Table:
+        """The table of a component.
+
+        Raises:
+            InputError: it is missing.
+        """
+        path = self.folder / name / f"{self.segment}.parquet"
+        if not path.is_file():
+            raise InputError(path, "file", "is missing", f"download the component {name}")
+        return Table(path, COMPONENTS[name])
+
+    def left_out(self) -> list[str]:
+        """Components that are not there."""
+        return [name for name in COMPONENTS if not self.has(name)]
+
+
+def find_segment(root: Path, drive: str) -> Components:
+    """The segment `drive` in `root`, which holds the components or the splits that hold them.
+
+    Raises:
+        InputError: the folder or the segment does not exist, or is in several splits.
+    """
+    if not root.is_dir():
+        raise InputError(root, "Waymo v2 folder", "does not exist", "check the path")
+    splits = [root, *sorted(path for path in root.iterdir() if path.is_dir())]
+    name = drive.removesuffix(".parquet")
+    check_drive(root, name)
+    found = [split for split in splits if (split / "vehicle_pose" / f"{name}.parquet").is_file()]
+    if len(found) > 1:
+        listed = ", ".join(split.name for split in found)
+        raise InputError(root, f"drive {name}", f"is in {listed}", "name the folder of one split")
+    if found:
+        return Components(found[0], name)
+    others = sorted(path.stem for split in splits for path in split.glob("vehicle_pose/*.parquet"))
+    shown = ", ".join(others[:_LISTED])
+    if len(others) > _LISTED:
+        shown += f" and {len(others) - _LISTED} more"
+    mend = f"choose one of {shown}" if others else "name the folder that holds vehicle_pose"
+    raise InputError(root, f"drive {name}", "has no file in vehicle_pose", mend)
+
+
+def read_cameras(components: Components) -> dict[str, CameraCalibration]:
+    """Cameras by name; none where neither calibrations nor images were downloaded.
+
+    Raises:
+        InputError: the file is missing or damaged, or a calibration is wrong or there twice.
+    """
+    found: dict[str, CameraCalibration] = {}
+    if not components.has("camera_calibration") and not components.has("camera_image"):
+        return found
+    fields = ["width", "height", *_INTRINSIC, "extrinsic.transform", "rolling_shutter_direction"]
+    for row in components.table("camera_calibration").rows([CAMERA, *fields]):
+        with row.place.errors():
+            name = _new_name(row, CAMERA, CAMERA_NAME, found)
+            found[name] = camera_calibration(
+                row.column("intrinsic"),
+                (row.integer("width"), row.integer("height")),
+                [row.number(field) for field in _INTRINSIC],
+                row.pose("extrinsic"),
+                row.choice("rolling_shutter_direction", ROLLING_SHUTTER),
+            )
+    return found
+
+
+def read_lasers(components: Components) -> dict[str, LaserCalibration]:
+    """LiDARs by name; none where no range images were downloaded.
+
+    Raises:
+        InputError: the file is missing or damaged, or a calibration is wrong or there twice.
+    """
+    found: dict[str, LaserCalibration] = {}
+    if not components.has("lidar"):
+        return found
+    beams, ends = f"{_BEAMS}.values", (f"{_BEAMS}.min", f"{_BEAMS}.max")
+    fields = [beams, *ends, "extrinsic.transform"]
+    for row in components.table("lidar_calibration").rows([LASER, *fields]):
+        with row.place.errors():
+            values = row.numbers(beams)
+            found[_new_name(row, LASER, LASER_NAME, found)] = laser_calibration(
+                (row.column(beams), values),
+                {} if len(values) else {row.column(end): row.number(end) for end in ends},
+                row.pose("extrinsic"),
+            )
+    return found
+
+
+def _new_name(row: Row, column: str, choice: Choice, known: Mapping[str, Any]) -> str:
+    name = row.choice(column, choice)
+    if name in known:
+        raise FieldError(column, f"{name} is there twice")
+    return name
+
+
+def read_notes(components: Components) -> dict[str, str]:
+    """Statistics of the first frame, and which components are not there."""
+    notes: dict[str, str] = {}
+    if components.has("stats"):
+        for row in components.table("stats").rows(_STATS):
+            with row.place.errors():
+                notes = {field: row.text(field) for field in _STATS}
+            break
+    left_out = ", ".join(components.left_out())
+    return notes | ({"components_left_out": left_out} if left_out else {})

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import PinholeCamera
-from recast.logs.image_bytes import decode, require_size, size_of
+from recast.logs.images import decode, require_size, size_of
 from recast.logs.importers.waymo_segment import ImageEntry, Segment
 from recast.logs.types import CameraStream, Image
 

@@ -1,15 +1,19 @@
-"""Frames of a Waymo TFRecord segment, read once and one at a time."""
+"""Frames of a Waymo TFRecord segment, read once and one at a time; large fields when asked for."""
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from recast.logs.importers.waymo_parts import FilePart, PackedMatrix
-from recast.logs.importers.waymo_schema import FRAME, MAP_FEATURE
+from recast.core.errors import InputError
+from recast.core.files import disk_errors
+from recast.logs.importers.waymo_schema import FRAME, MAP_FEATURE, MATRIX_FLOAT
 from recast.logs.importers.waymo_segment import (
+    MEND,
     CameraCalibration,
     FrameEntry,
     ImageEntry,
@@ -28,9 +32,13 @@ from recast.logs.importers.waymo_values import (
     label_entry,
     laser_calibration,
     rigid,
+    shaped,
 )
 from recast.logs.importers.waymo_wire import FieldError, Message, decode
-from recast.logs.types import Array
+from recast.logs.types import Array, Float32Array
+
+_LARGEST = 1 << 24
+"""Bytes of an unpacked matrix; the largest of the dataset has four million."""
 
 
 def read_segment(path: Path) -> Segment:
@@ -171,3 +179,65 @@ def _map_offset(message: Message) -> Array:
     if offset is None:
         return np.zeros(3)
     return np.array([offset.get(axis, 0.0) for axis in "xyz"])
+
+
+@dataclass(frozen=True)
+class FilePart:
+    """Bytes of a file; `StoredBytes`.
+
+    Attributes:
+        place: for messages.
+        offset, size: in bytes.
+        sealed: the record's checksum has been compared.
+    """
+
+    place: Place
+    offset: int
+    size: int
+    sealed: bool = True
+
+    def read(self) -> bytes:
+        """The bytes."""
+        with disk_errors(self.place.path), self.place.path.open("rb") as file:
+            file.seek(self.offset)
+            return file.read(self.size)
+
+    def error(self, problem: str, mend: str = MEND) -> InputError:
+        """An error that names file, record and field."""
+        return self.place.error(problem, mend)
+
+
+@dataclass(frozen=True)
+class PackedMatrix:
+    """A matrix as a zlib stream of a MatrixFloat message; `StoredMatrix`."""
+
+    part: FilePart
+
+    def error(self, problem: str, mend: str = MEND) -> InputError:
+        """An error that names file, record and field."""
+        return self.part.error(problem, mend)
+
+    def read(self, channels: int) -> Float32Array:
+        """The (H, W, channels) float32 matrix.
+
+        Raises:
+            InputError: it is empty, damaged, or of another shape.
+        """
+        if self.part.size == 0:
+            raise self.error("is empty")
+        try:
+            stream = zlib.decompressobj()
+            data = stream.decompress(self.part.read(), _LARGEST)
+        except zlib.error as error:
+            raise self.error(f"is no zlib stream ({error})") from None
+        if not stream.eof:
+            raise self.error("is cut off or too large")
+        try:
+            message = decode(MATRIX_FLOAT, data)
+            values, dims = message["data"], message["shape"]["dims"]
+        except FieldError as error:
+            raise self.error(f"holds no matrix: {error}") from None
+        try:
+            return shaped(values, dims, channels)
+        except ValueError as error:
+            raise self.error(str(error)) from None

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import checks
 from recast.logs.importers.waymo_map import hd_map

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.geometry import PinholeCamera
 from recast.logs.importers.waymo_wire import FieldError, Message
 from recast.logs.types import Array, Float32Array

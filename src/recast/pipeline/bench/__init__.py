@@ -1,9 +1,13 @@
 """The paper's closed-loop protocol: scenes x motions x settings x arms, as one command."""
 
 from recast.pipeline.bench.closed_loop import run_closed_loop
-from recast.pipeline.bench.options import resolve_bench
-from recast.pipeline.bench.scenes import BenchScene, parse_scenes
-from recast.pipeline.bench.settings import BenchSettings, DriveSize
+from recast.pipeline.bench.settings import (
+    BenchScene,
+    BenchSettings,
+    DriveSize,
+    parse_scenes,
+    resolve_bench,
+)
 
 __all__ = [
     "BenchScene",

@@ -17,26 +17,28 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-from recast import storage
-from recast.actors import segmenter_of
-from recast.core import Store, open_store
+from recast.actors import make_generator, segmenter_of
+from recast.core import Store, files, open_store
+from recast.core.errors import InputError, printable
 from recast.crews import Crew, crew_of
-from recast.errors import InputError, printable
-from recast.evaluation.grid_file import write_rows
+from recast.evaluation.verdicts import write_rows
 from recast.logs import read_log
-from recast.pipeline.actor import generator_of
 from recast.pipeline.arms import truth_of
-from recast.pipeline.bench.courier import Courier, work_off
-from recast.pipeline.bench.desk import SceneDesk
-from recast.pipeline.bench.display import differences_table, grid_table, times_line, truth_table
-from recast.pipeline.bench.results import GridResults, results_json, summarise
-from recast.pipeline.bench.schedule import Schedule
+from recast.pipeline.bench.desk import SceneDesk, Schedule, Times
+from recast.pipeline.bench.results import (
+    GridResults,
+    differences_table,
+    grid_table,
+    results_json,
+    summarise,
+    times_line,
+    truth_table,
+)
+from recast.pipeline.bench.scene_run import Outcome, RolloutTask, Task
 from recast.pipeline.bench.settings import RESULTS_FILE, ROLLOUTS_FILE, BenchSettings, begin
-from recast.pipeline.bench.tasks import Outcome, RolloutTask, Task
-from recast.pipeline.bench.times import Times
-from recast.pipeline.bench.worker import BenchWorker, start_worker
+from recast.pipeline.bench.worker import BenchWorker, Courier, start_worker, work_off
 from recast.pipeline.display import FrameProgress, failure_lines
-from recast.pipeline.planner import (
+from recast.pipeline.rollouts import (
     announce_planner,
     planner_mounts,
     require_distinct_planners,
@@ -92,11 +94,18 @@ def run_closed_loop(
     names = {word: planner.name for word, planner in planners.items()}
     if ray is not None:
         settings = settings.absolute()
-    with storage.alone_in(out):  # for its workers, too, which ask for nothing
+    with files.alone_in(out):  # for its workers, too, which ask for nothing
         results, spent = _make(
-            settings, out, console, crew, names, opened, place if ray is None else None, workers,
+            settings,
+            out,
+            console,
+            crew,
+            names,
+            opened,
+            place if ray is None else None,
+            workers,
             retry_failures,
-        )  # fmt: skip
+        )
     _print(results, settings, console)
     console.print(f"time: {times_line(spent)}", markup=False, highlight=False)
     console.print(f"wrote {out}", markup=False)
@@ -142,7 +151,7 @@ def _make(
     spent = times.write(time.perf_counter() - began, settings, desk.seconds())
     results = summarise(schedule.rows(), settings)
     write_rows(results.rows, out / ROLLOUTS_FILE, truth_of(settings.run.arms))
-    storage.write_json(out / RESULTS_FILE, results_json(results, settings))
+    files.write_json(out / RESULTS_FILE, results_json(results, settings))
     return results, spent
 
 
@@ -158,7 +167,7 @@ def check_grid(settings: BenchSettings) -> dict[str, Planner]:
     for scene in settings.scenes:
         for arm in (config.arm(arm.name).of_scene(scene.id) for arm in config.arms):
             if arm.generates:
-                generator_of(str(arm.generator), str(arm.axes))
+                make_generator(str(arm.generator), str(arm.axes))
                 segmenter_of(str(arm.segmenter))
     synthetic = [scene for scene in settings.scenes if scene.log is None]
     compares = truth_of(config.arms) is not None

@@ -1,24 +1,29 @@
-"""results.json: the table of a grid, the paired differences, and the agreement with the truth."""
+"""The table of a grid, paired differences, agreement with the truth: in a file and printed."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
 from recast.evaluation.bootstrap import Bootstrap
-from recast.evaluation.grid_row import GridRow
-from recast.evaluation.grid_summary import (
+from recast.evaluation.grid import (
     ArmSummary,
+    GridRow,
     PairedDifference,
     arm_summaries,
     paired_summaries,
 )
-from recast.evaluation.rounding import rounded
-from recast.evaluation.table import COLUMNS
+from recast.evaluation.table import COLUMNS, rounded
 from recast.evaluation.verdicts import Agreement, agreements
 from recast.pipeline.arms import truth_of
 from recast.pipeline.bench.settings import BENCH_FORMAT, BENCH_VERSION, BenchSettings
+
+_HEADLINE = {name: column for name, column in COLUMNS.items() if column.headline}
+_DIGITS = {"s": 2, "%": 1}
 
 
 @dataclass(frozen=True)
@@ -123,3 +128,135 @@ def _failure(row: GridRow) -> dict[str, Any]:
         "error": row.failure,
         "reason": row.failure_reason,
     }
+
+
+def grid_table(lines: Sequence[ArmSummary], title: str) -> Table:
+    """A line for each arm: means with their intervals over scenes.
+
+    Below the names stands how many rollouts were scored, of how many. A metric that not every one
+    of them has says over how many it is.
+    """
+    table = _table(title)
+    _add_columns(table, ["arm"], [column.heading for column in _HEADLINE.values()])
+    for line in lines:
+        row = line.row
+        told = [broken_name(row.arm), f"{row.rollouts} of {row.asked}", f"{row.plans} plans"]
+        told += [f"{n} {what}" for n, what in ((row.failed, "failed"), (row.cut, "cut")) if n]
+        table.add_row("\n".join(told), *(_mean(line, name) for name in _HEADLINE))
+    return table
+
+
+def differences_table(differences: Sequence[PairedDifference]) -> Table:
+    """A line for each headline metric of each arm: its difference from the first arm."""
+    level = 100 * differences[0].sampled.level
+    scenes = max(one.scenes for one in differences)
+    baseline = f"minus\n{broken_name(differences[0].baseline)}"
+    table = _table(f"paired differences, {scenes} scenes drawn whole")
+    figures = ["mean", f"{level:g} % sampled", "exact", "pairs", "plans"]
+    _add_columns(table, [baseline, "metric"], figures)
+    for one in differences:
+        if one.metric not in _HEADLINE:
+            continue
+        column = _HEADLINE[one.metric]
+        digits = _DIGITS[column.unit]
+        table.add_row(
+            broken_name(one.candidate),
+            f"{column.label} {column.unit}",
+            f"{one.sampled.point:+.{digits}f}",
+            _signed(one.sampled, digits),
+            "n/a" if one.exact is None else _signed(one.exact, digits),
+            _pairs(one),
+            str(one.plans),
+        )
+    return table
+
+
+def truth_table(lines: Sequence[Agreement]) -> Table:
+    """A line for each arm: whether its rollouts end as the truth's do.
+
+    False are collisions that the truth's rollouts do not have, missed are those that they have.
+    """
+    table = _table("against the truth")
+    figures = ["same verdict", "%", "false", "missed", "TTC error s", "pairs", "plans"]
+    _add_columns(table, ["arm"], figures)
+    for one in lines:
+        share = replace(
+            one.share,
+            point=100 * one.share.point,
+            low=100 * one.share.low,
+            high=100 * one.share.high,
+        )
+        table.add_row(
+            broken_name(one.arm),
+            f"{one.agreeing}/{one.pairs}",
+            f"{share.point:.1f}\n{_range(share, 1)}",
+            str(one.false_collisions),
+            str(one.missed_collisions),
+            "n/a"
+            if one.ttc_error is None
+            else f"{one.ttc_error.point:.3f}\n{_range(one.ttc_error, 3)}",
+            _pairs(one),
+            str(one.plans),
+        )
+    return table
+
+
+def times_line(times: Mapping[str, Any]) -> str:
+    """Where the time went, in one line."""
+    whole, session = times["all"], times["sessions"][-1]
+    shares = ", ".join(
+        f"{name} {100 * share:.0f} %"
+        for name, share in whole["shares"].items()
+        if share is not None
+    )
+    return (
+        f"{session['seconds']:.0f} s with --workers {session['workers']} for "
+        f"{session['rollouts']} rollouts; all {whole['rollouts']} took {whole['seconds']:.0f} s"
+        + (f": {shares}" if shares else "")
+    )
+
+
+def _table(title: str) -> Table:
+    return Table(
+        title=title, title_justify="left", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False
+    )
+
+
+def _add_columns(table: Table, words: Sequence[str], figures: Sequence[str]) -> None:
+    # Where a line is too long, only the first column, the arm's name, may give way.
+    for heading in words:
+        table.add_column(heading, overflow="fold", no_wrap=heading != words[0])
+    for heading in figures:
+        table.add_column(heading, no_wrap=True, justify="right")
+
+
+def broken_name(arm: str) -> str:
+    """The name of an arm as narrow columns break it."""
+    return arm.replace("+", "+\n")
+
+
+def _mean(line: ArmSummary, name: str) -> str:
+    mean, digits = line.row.means[name], _DIGITS[COLUMNS[name].unit]
+    if mean is None:
+        return "n/a"
+    shown = [f"{mean:.{digits}f}", _range(line.intervals[name], digits)]
+    count = line.row.counts[name]
+    if COLUMNS[name].passes:
+        shown.insert(1, f"{round(mean * count / 100)}/{count}")
+    elif count < line.row.rollouts:
+        shown.insert(1, f"of {count}")
+    return "\n".join(shown)
+
+
+def _pairs(one: PairedDifference | Agreement) -> str:
+    """How many of how many, and how many of them end where one of the two was cut."""
+    pairs = f"{one.pairs}/{one.asked}"
+    return f"{pairs}\n{one.cut} cut" if one.cut else pairs
+
+
+def _range(one: Bootstrap, digits: int) -> str:
+    return f"{one.low:.{digits}f}-{one.high:.{digits}f}".replace("100.0", "100")
+
+
+def _signed(one: Bootstrap, digits: int) -> str:
+    return f"[{one.low:+.{digits}f}, {one.high:+.{digits}f}]".replace("100.0", "100")

@@ -1,22 +1,30 @@
-"""One scene of a grid: its log, and the artefacts of an ordinary run on it."""
+"""One scene of a grid: its log, its pieces of work, their artefacts, and its rows at the end."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from recast.core import Artefact, Store, folder_hash
+from recast.evaluation.grid import GridRow
+from recast.evaluation.pairs import script_difference
 from recast.pipeline.artefacts import Artefacts
-from recast.pipeline.bench.scenes import BenchScene
-from recast.pipeline.bench.settings import BenchSettings
-from recast.pipeline.drive import drive_log
+from recast.pipeline.bench.settings import BenchScene, BenchSettings
+from recast.pipeline.config import RunConfig
+from recast.pipeline.layout import rollout_name
 from recast.pipeline.making import copy_folder
-from recast.pipeline.source_log import SourceLog
-from recast.pipeline.sources import RECIPES, Sources
+from recast.pipeline.rollouts import read_rollout
+from recast.pipeline.sources import RECIPES, SourceLog, Sources, drive_log
+from recast.simulation import Rollout
 from recast.synthetic import World, make_world, world_metadata
 
 LOG_FOLDER = "log"
+OTHER_SCRIPT = "OtherScript"
+"""Error of a row whose actor, route or start is not that of the other arms."""
 
 
 def log_artefact(store: Store, scene: BenchScene, settings: BenchSettings) -> Artefact:
@@ -28,20 +36,26 @@ def log_artefact(store: Store, scene: BenchScene, settings: BenchSettings) -> Ar
     if scene.log is not None:
         path = scene.log
         return store.make(
-            "logs", {"content": folder_hash(path)},
-            lambda out: copy_folder(path, out / LOG_FOLDER), name=scene.id,
-        )  # fmt: skip
+            "logs",
+            {"content": folder_hash(path)},
+            lambda out: copy_folder(path, out / LOG_FOLDER),
+            name=scene.id,
+        )
     assert scene.world is not None and scene.seed is not None
     size, cameras = settings.drive, settings.run.scene.cameras
     world = make_world(scene.world, scene.seed, size.seconds)
     inputs = {
-        "world": world_metadata(world), "image_size": [size.width, size.height],
-        "cameras": list(cameras), "recipe": RECIPES["log"],
-    }  # fmt: skip
+        "world": world_metadata(world),
+        "image_size": [size.width, size.height],
+        "cameras": list(cameras),
+        "recipe": RECIPES["log"],
+    }
     return store.make(
-        "logs", inputs,
-        lambda out: _drive(world, out / LOG_FOLDER, settings), name=scene.id,
-    )  # fmt: skip
+        "logs",
+        inputs,
+        lambda out: _drive(world, out / LOG_FOLDER, settings),
+        name=scene.id,
+    )
 
 
 def _drive(world: World, path: Path, settings: BenchSettings) -> None:
@@ -102,3 +116,148 @@ class SceneRun:
     def used(self) -> dict[str, str]:
         """References by use."""
         return {use: one.reference for use, one in self.artefacts.used.items()}
+
+
+@dataclass(frozen=True)
+class Task:
+    """A piece of work on a scene.
+
+    Attributes:
+        scene: which.
+        log: reference of its log in the store; None while there is none, or where it lies in a
+            folder of its own.
+        tickets: of the artefacts that it needs, where workers share no folder with this process.
+    """
+
+    scene: BenchScene
+    log: str | None = None
+    tickets: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SceneTask(Task):
+    """From nothing to log, streets and vehicles, as far as the rollouts need them."""
+
+
+@dataclass(frozen=True)
+class RolloutTask(Task):
+    """One rollout of a scene that is there."""
+
+    motion: str = ""
+    planner: str = ""
+    arm: str = ""
+
+    @property
+    def use(self) -> str:
+        """What the run of the scene calls the rollout."""
+        return rollout_name(self.motion, self.planner, self.arm)
+
+
+@dataclass(frozen=True)
+class RolloutTimes:
+    """Wall-clock seconds of a rollout that was made now.
+
+    Attributes:
+        render, plan, control: see `recast.simulation.Timings`.
+        total: of everything, loading and writing included.
+        frames: rendered.
+    """
+
+    render: float
+    plan: float
+    control: float
+    total: float
+    frames: int
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a task.
+
+    Attributes:
+        used: references of the artefacts by use, see `Artefacts.used`.
+        log: reference of the log in the store, if it lies there.
+        error, reason, traceback: of what the task raised; None if it is done.
+        times: of a rollout that was made now.
+        parcels: artefacts that were made, by reference, where no folder is shared.
+    """
+
+    used: Mapping[str, str] = field(default_factory=dict)
+    log: str | None = None
+    error: str | None = None
+    reason: str | None = None
+    traceback: str | None = None
+    times: RolloutTimes | None = None
+    parcels: Mapping[str, bytes] = field(default_factory=dict)
+
+
+def blank_row(scene: BenchScene, config: RunConfig, motion: str, planner: str, arm: str) -> GridRow:
+    """The row of a rollout of which nothing is known yet.
+
+    Args:
+        planner: its name in results.
+    """
+    found = config.motion(motion)
+    return GridRow(
+        scene=scene.id,
+        world=scene.world,
+        seed=scene.seed,
+        motion=found.name,
+        setting=found.setting,
+        arm=arm,
+        planner=planner,
+    )
+
+
+def scene_rows(
+    scene: BenchScene,
+    config: RunConfig,
+    log: str,
+    names: Mapping[str, str],
+    metrics: Mapping[str, Any],
+    used: Mapping[str, Artefact],
+    errors: Mapping[str, Outcome],
+) -> list[GridRow]:
+    """The rows of a scene, by motion, then by planner, then by arm.
+
+    Every arm must have been given the same route and start, and the same states of actors that do
+    not react to the ego: a row that was not is a failure.
+
+    Args:
+        log: name of the log.
+        names: planners' names in results, by the word that asks for them.
+        metrics: of the scene's run, see `read_metrics`.
+        used: artefacts by use.
+        errors: of rollouts that could not begin, by use.
+    """
+    scored = {_key(one): one for one in metrics["rollouts"]}
+    failures = {_key(one): one for one in metrics["failures"]}
+    rows = []
+    for motion in config.motions:
+        first: Rollout | None = None
+        for planner in config.planners:
+            for arm in config.arms:
+                row = blank_row(scene, config, motion, names[planner], arm.name)
+                row = row.of_log(log, config.track)
+                key = (row.motion, row.setting, row.planner, row.arm)
+                use = rollout_name(motion, planner, arm.name)
+                if use in errors:
+                    error = errors[use]
+                    rows.append(row.failed(error.error or "Error", error.reason or ""))
+                    continue
+                if key in failures:
+                    rows.append(row.failed(failures[key]["error"], failures[key]["reason"]))
+                    continue
+                rollout = read_rollout(used[use].path)
+                assert isinstance(rollout, Rollout)  # or else it is among the failures
+                first = first or rollout
+                differs = script_difference(first, rollout)
+                if differs is None:
+                    rows.append(row.scored(scored[key]))
+                else:
+                    rows.append(row.failed(OTHER_SCRIPT, f"{differs}, compared with {first.name}"))
+    return rows
+
+
+def _key(entry: Mapping[str, Any]) -> tuple[str, str, str, str]:
+    return entry["motion"], entry["setting"], entry["planner"], entry["arm"]

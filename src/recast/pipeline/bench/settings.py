@@ -1,27 +1,119 @@
-"""What a grid is asked to be, and the record of it in its folder."""
+"""What a grid is asked to be, on the command line and in a file, and its record in its folder."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
-from recast import storage
-from recast.core import folder_hash
-from recast.errors import InputError
+from recast.core import files, folder_hash
+from recast.core.errors import InputError
+from recast.core.names import folder_name
 from recast.evaluation.bootstrap import SAMPLES
-from recast.pipeline.bench.scenes import BenchScene
-from recast.pipeline.config import RunConfig
+from recast.logs import read_log
+from recast.pipeline.config import RunConfig, resolve_config
+from recast.pipeline.paper import AUTO_TRACK, choose_target
 from recast.pipeline.run_folder import claim_empty
+from recast.synthetic import SCENES
 
+ALL_SYNTHETIC = "synthetic"
+"""The word for every synthetic scene."""
 RECORD_FILE, ROLLOUTS_FILE, RESULTS_FILE = "bench.json", "rollouts.parquet", "results.json"
 TIMES_FILE, SCENES_FOLDER = "times.json", "scenes"
 BENCH_FORMAT, BENCH_VERSION = "recast-closed-loop", 2
-
 ANY_TRACK = "*"
 """Stands in `BenchSettings.run` for the track, which every scene has its own of."""
+MOTIONS = ("cut-in", "oncoming", "stationary")
+"""The paper's, with both settings each."""
+
+
+@dataclass(frozen=True)
+class BenchScene:
+    """A scene of a grid.
+
+    Attributes:
+        id: its name in results and its folder below OUT/scenes.
+        world, seed: of a synthetic one, else None.
+        log, track: of a recorded one, else None.
+    """
+
+    id: str
+    world: str | None = None
+    seed: int | None = None
+    log: Path | None = None
+    track: str | None = None
+
+
+def parse_scenes(words: Sequence[str], seed: int, track: str | None = None) -> list[BenchScene]:
+    """The scenes that words stand for, in their order.
+
+    Args:
+        words: a synthetic scene, such as "urban-straight" or "urban-straight:3" with its seed; the
+            word "synthetic", for all of them; a log folder with its target, LOG:TRACK; or a log
+            folder alone, if `track` is given.
+        seed: of synthetic scenes without one.
+        track: of log folders without one. The track `auto` is the one that `choose_target`
+            chooses.
+
+    Raises:
+        InputError: no scene; an unknown one; a log that cannot be read or lacks the track; the same
+            scene twice.
+    """
+    scenes = [scene for word in words for scene in _parse(word, seed, track)]
+    if not scenes:
+        raise InputError("--scenes", "value", "names none", f"choose of {', '.join(SCENES)}")
+    seen: set[str] = set()
+    for scene in scenes:
+        if scene.id in seen:
+            raise InputError("--scenes", scene.id, "is named twice", "name each scene once")
+        seen.add(scene.id)
+    return scenes
+
+
+def _parse(word: str, seed: int, track: str | None) -> list[BenchScene]:
+    if word == ALL_SYNTHETIC:
+        return [_synthetic(name, seed) for name in SCENES]
+    name, colon, rest = word.rpartition(":")
+    if not colon:
+        name, rest = word, ""
+    if name in SCENES:
+        if colon and not re.fullmatch(r"[0-9]+", rest):
+            problem = f"{rest!r} is no seed"
+            raise InputError("--scenes", word, problem, "give a number, 0 or more")
+        return [_synthetic(name, int(rest) if colon else seed)]
+    # a whole word that is a folder wins, since paths may hold colons
+    if Path(word).is_dir() and track is not None:
+        return [_recorded(Path(word), track)]
+    if colon and Path(name).is_dir():
+        return [_recorded(Path(name), rest)]
+    if Path(word).is_dir():
+        raise InputError(
+            "--scenes", word, "names no track to control", "write LOG:TRACK, or give --track"
+        )
+    raise InputError(
+        "--scenes",
+        word,
+        "is neither a synthetic scene nor a log folder",
+        f"choose of {', '.join(SCENES)}, say {ALL_SYNTHETIC} for all, or give LOG:TRACK",
+    )
+
+
+def _synthetic(name: str, seed: int) -> BenchScene:
+    return BenchScene(f"{name}-{seed}", world=name, seed=seed)
+
+
+def _recorded(path: Path, track: str) -> BenchScene:
+    log = read_log(path)
+    if track == AUTO_TRACK:
+        track = choose_target(log)
+    if track not in log.tracks:
+        raise InputError(
+            path, f"track {track}", "is not in the log", f"choose one of {', '.join(log.tracks)}"
+        )
+    return BenchScene(folder_name(f"{log.name}-{track}"), log=path, track=track)
 
 
 @dataclass(frozen=True)
@@ -91,18 +183,20 @@ def begin(out: Path, record: Mapping[str, Any]) -> None:
     """
     path = out / RECORD_FILE
     if path.is_file():
-        found = storage.read_json(path)
+        found = files.read_json(path)
         if not isinstance(found, dict) or found.get("format") != record["format"]:
             raise InputError(path, "format", "is no grid's", "name another --out")
         for name, value in json.loads(json.dumps(record)).items():
             if found.get(name) != value:
                 raise InputError(
-                    path, _where(name, found.get(name), value), "differs: another grid lies there",
+                    path,
+                    _where(name, found.get(name), value),
+                    "differs: another grid lies there",
                     "name another --out, or repeat the options of the grid that lies there",
-                )  # fmt: skip
+                )
         return
     claim_empty(out, RECORD_FILE)
-    storage.write_json(path, record)
+    files.write_json(path, record)
 
 
 def _where(name: str, found: Any, wanted: Any) -> str:
@@ -118,3 +212,54 @@ def _scene_record(scene: BenchScene) -> dict[str, Any]:
     if scene.log is None:
         return {"id": scene.id, "world": scene.world, "seed": scene.seed}
     return {"id": scene.id, "log": folder_hash(scene.log), "track": scene.track}
+
+
+_QUICK_DRIVE = DriveSize(8.0, 192, 128)
+_QUICK_RUN = {"steps": 40}
+_QUICK_SCENE = {"cameras": ("front",), "iterations": 300}
+_SCENE = {"scale": 1.0}
+
+
+def resolve_bench(
+    *,
+    words: Sequence[str],
+    track: str | None,
+    motions: Sequence[str],
+    quick: bool,
+    config_file: Path | None,
+    scene_config_file: Path | None,
+    samples: int,
+    drive_options: Mapping[str, Any],
+    run_options: Mapping[str, Any],
+    scene_options: Mapping[str, Any],
+) -> BenchSettings:
+    """Merge files and options; an option that is None was not given.
+
+    Args:
+        words, track: see `parse_scenes`.
+        motions: names; none for the paper's.
+        quick: small sizes where no option says otherwise.
+        samples: of the bootstrap.
+
+    Raises:
+        InputError: a file, a scene or an option is wrong.
+    """
+    given = {name: value for name, value in drive_options.items() if value is not None}
+    drive = replace(_QUICK_DRIVE if quick else DriveSize(), **given)
+    if samples < 1:
+        raise InputError("--samples", "value", f"is {samples}", "give 1 or more")
+    from_files = config_file is not None or scene_config_file is not None
+    scene_defaults = {**({} if from_files else _SCENE), **(_QUICK_SCENE if quick else {})}
+    run = resolve_config(
+        ANY_TRACK,
+        tuple(motions) or MOTIONS,
+        config_file,
+        scene_config_file,
+        _over(_QUICK_RUN if quick else {}, run_options),
+        _over(scene_defaults, scene_options),
+    )
+    return BenchSettings(tuple(parse_scenes(words, run.seed, track)), run, drive, samples)
+
+
+def _over(defaults: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
+    return {**defaults, **{k: v for k, v in options.items() if v is not None}}

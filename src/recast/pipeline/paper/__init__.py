@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.evaluation.scene_level.frames import FrameRule, logged_frames
 from recast.logs import DrivingLog
 from recast.scene import SceneConfig
@@ -19,7 +19,6 @@ PAPER = "paper"
 """The word for the paper's file, where a file of arms or a configuration is asked for."""
 AUTO_TRACK = "auto"
 """The word for the target that `choose_target` chooses."""
-
 SEGMENTS: Mapping[str, str] = {
     "002": "segment-1005081002024129653_5313_150_5333_150",
     "011": "segment-10153695247769592104_787_000_807_000",

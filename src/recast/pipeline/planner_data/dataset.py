@@ -8,14 +8,20 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from recast.arrays import Image
+from recast.core.errors import InputError
+from recast.core.files import alone_in, write_json
+from recast.core.records import read_record
 from recast.crews import crew_of
-from recast.errors import InputError
-from recast.pipeline.planner_data.sample import describe, render
+from recast.dynamics import state as ego
+from recast.geometry import se2
 from recast.pipeline.planner_data.situation import Situation, draw_situation
 from recast.pipeline.planner_data.stage import Stage, make_stage
-from recast.planning.gtrs.vocabulary import Trajectories, read_vocabulary, write_vocabulary
-from recast.planning.gtrs_training.store import (
+from recast.planning.gtrs.scores import Trajectories, read_vocabulary, write_vocabulary
+from recast.planning.gtrs_training.samples import (
+    CLUES,
     MEND,
     RECORD_FILE,
     VOCABULARY_FILE,
@@ -24,11 +30,16 @@ from recast.planning.gtrs_training.store import (
     world_folder,
     write_world,
 )
+from recast.planning.gtrs_training.settings import HALF_VIEWS
+from recast.planning.gtrs_training.targets import score_vocabulary
 from recast.planning.gtrs_training.vocabulary import mirror_index
-from recast.records import read_record
-from recast.storage import alone_in, write_json
+from recast.planning.types import ego_status
 from recast.synthetic.oracle import Oracle
+from recast.synthetic.rig import exposure, make_rig
 
+_LOOK_AHEAD = (10.0, 20.0, 30.0)
+"""Metres at which the route's offset is told as a clue."""
+_SEEN = np.deg2rad(68.0)
 FIRST_SEED = 1000
 """Of training worlds; those below are for evaluation."""
 _WORLDS_PER_SEED = 100_000
@@ -126,9 +137,11 @@ def _next(
         found = draw_situation(stage, False, speeds, rng)
     if found is None:
         raise InputError(
-            stage.world.name, f"seed {stage.world.seed}", "has no room for the ego",
+            stage.world.name,
+            f"seed {stage.world.seed}",
+            "has no room for the ego",
             "this should not happen; take another --seed",
-        )  # fmt: skip
+        )
     return found, False
 
 
@@ -145,3 +158,67 @@ def _open(out: Path, record: DatasetRecord, vocabulary: Trajectories) -> None:
         raise InputError(out, "output folder", "holds something else", "name another one")
     write_vocabulary(out / VOCABULARY_FILE, vocabulary)
     write_json(path, record.model_dump(mode="json"))  # last: where it is, the vocabulary is
+
+
+def render(oracle: Oracle, stage: Stage, situation: Situation, rng: np.random.Generator) -> Image:
+    """(128, 512, 3) uint8: the three views cropped and stitched; only what is kept is rendered."""
+    poses = (
+        {}
+        if situation.actor is None
+        else {situation.actor.obstacle.token: situation.actor.world_from_actor}
+    )
+    for other in situation.others:
+        vehicle = stage.world.vehicles[other.token]
+        poses[other.token] = stage.surface.actor_poses(other.poses[:1], vehicle.model.size)[0]
+    world_from_rig = stage.surface.ego_poses(situation.states[0, ego.POSE])
+    layout = HALF_VIEWS
+    rig = make_rig(layout.width, layout.height, layout.cameras)
+    parts = []
+    for name in layout.cameras:
+        mounted = rig.cameras[name]
+        margin = 0 if name == layout.cameras[1] else layout.crop_columns
+        camera = mounted.camera.cropped(
+            margin,
+            layout.crop_rows,
+            layout.width - 2 * margin,
+            layout.height - 2 * layout.crop_rows,
+        )
+        frame = oracle.render(
+            camera,
+            world_from_rig @ mounted.rig_from_camera,
+            poses,
+            exposure=exposure(stage.world.seed, name),
+            rng=rng,
+        )
+        parts.append(frame.rgb)
+    return np.concatenate(parts, axis=1)
+
+
+def describe(stage: Stage, situation: Situation, image: Image, vocabulary: Trajectories) -> Sample:
+    """The sample of a situation and its picture."""
+    targets = [
+        score_vocabulary(vocabulary, state, stage.road, situation.obstacles)
+        for state in situation.states
+    ]
+    return Sample(
+        image=image,
+        status=np.stack([ego_status(situation.command, state) for state in situation.states]),
+        scores=np.stack([found.scores for found in targets]),
+        best=np.array([found.best for found in targets], np.int32),
+        clues=_clues(stage, situation),
+    )
+
+
+def _clues(stage: Stage, situation: Situation) -> NDArray[np.float32]:
+    """What the picture tells, see `CLUES`."""
+    pose = situation.states[0, ego.POSE]
+    clues = np.zeros(len(CLUES), np.float32)
+    if situation.actor is not None:
+        x, y, heading = se2.relative(pose, situation.actor.obstacle.poses[0])
+        if x > 0 and abs(np.arctan2(y, x)) < _SEEN:
+            clues[:5] = 1.0, x, y, np.cos(heading), np.sin(heading)
+    s, lateral = stage.route.project(pose)
+    turn = se2.wrap_angle(pose[2] - stage.route.heading(s))
+    ahead = se2.relative(pose, stage.route.pose(s + np.array(_LOOK_AHEAD)))[:, 1]
+    clues[5:] = lateral, turn, *ahead
+    return clues

@@ -7,18 +7,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from recast.core.hashing import value_hash
-from recast.errors import InputError
+from recast.arrays import Image
+from recast.core.artefact import value_hash
+from recast.core.errors import InputError
 from recast.evaluation.collision import no_collision
 from recast.logs import DrivingLog, Track
 from recast.pipeline.sources import RECIPES, planner_source
 from recast.planning import CameraMount, Planner, make_planner
 from recast.planning.gtrs import GtrsPlanner
-from recast.planning.gtrs_training.network import HALF_VIEWS, MINI_VIEWS
+from recast.planning.gtrs_training.settings import HALF_VIEWS, MINI_VIEWS
 from recast.simulation import (
     Rollout,
     RolloutSetup,
@@ -36,8 +36,6 @@ from recast.simulation import (
 from recast.simulation.oracle_renderer import OracleRenderer
 from recast.synthetic import make_rig, make_world
 from recast.synthetic.world import World
-
-Image = NDArray[np.uint8]
 
 VISIBLE, ERASED = "visible", "erased"
 _FAR_BELOW = 1000.0
@@ -143,16 +141,24 @@ def probe(request: ProbeRequest, on_row: Callable[[ProbeRow], None]) -> list[Pro
 def probe_table(rows: Sequence[ProbeRow]) -> Table:
     """Collisions by scenario, with the target visible and erased, and over all."""
     table = Table(box=SIMPLE_HEAD)
-    for column in ("scenario", "rollouts", "hit, visible", "hit, erased", "driven m, visible",
-                   "driven m, erased"):  # fmt: skip
+    for column in (
+        "scenario",
+        "rollouts",
+        "hit, visible",
+        "hit, erased",
+        "driven m, visible",
+        "driven m, erased",
+    ):
         table.add_column(column, justify="left" if column == "scenario" else "right")
     good = [row for row in rows if row.problem is None]
     names = list(dict.fromkeys(row.scenario for row in good))
     for name in [*names, "all"]:
         some = [row for row in good if name in (row.scenario, "all")]
         hits = [sum(r.collided[how] is not None for r in some) for how in (VISIBLE, ERASED)]
-        metres = [float(np.mean([r.driven[how] for r in some])) if some else float("nan")
-                  for how in (VISIBLE, ERASED)]  # fmt: skip
+        metres = [
+            float(np.mean([r.driven[how] for r in some])) if some else float("nan")
+            for how in (VISIBLE, ERASED)
+        ]
         table.add_row(name, str(len(some)), *map(str, hits), *(f"{m:.0f}" for m in metres))
     if len(good) < len(rows):
         table.caption = f"{len(rows) - len(good)} rollouts could not be run"
@@ -160,9 +166,13 @@ def probe_table(rows: Sequence[ProbeRow]) -> Table:
 
 
 def _drive_twice(
-    request: ProbeRequest, source: str, planner: Planner, world: World, renderer: OracleRenderer,
+    request: ProbeRequest,
+    source: str,
+    planner: Planner,
+    world: World,
+    renderer: OracleRenderer,
     motion: ScriptedMotion,
-) -> ProbeRow:  # fmt: skip
+) -> ProbeRow:
     vehicle = world.vehicles[world.target]
     track = Track(world.target, vehicle.model.category, vehicle.model.size, vehicle.trajectory)
     name = f"{world.name}-{world.seed}"

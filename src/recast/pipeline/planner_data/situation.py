@@ -5,19 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recast.arrays import Array
 from recast.dynamics import PACIFICA, make_state
 from recast.dynamics import state as ego
 from recast.geometry import se2
-from recast.pipeline.planner_data.placed_actor import ABOUT, PlacedActor, place_actor
-from recast.pipeline.planner_data.stage import Stage
+from recast.pipeline.planner_data.stage import ABOUT, PlacedActor, Stage, place_actor
 from recast.planning import DrivingCommand
-from recast.planning.gtrs_training.collisions import FORESEEN, Obstacle
-from recast.planning.gtrs_training.targets import touched
-from recast.planning.pdm.footprint import box_corners
-
-Array = NDArray[np.float64]
+from recast.planning.gtrs_training.targets import FORESEEN, Obstacle, touched
+from recast.planning.pdm.forecast import box_corners
 
 _TRIES = 60
 _TRAFFIC_SHARE = 0.35
@@ -110,9 +106,13 @@ def _perturbed(stage: Stage, s: float, rng: np.random.Generator) -> Array:
 
 
 def _states(
-    stage: Stage, pose: Array, s: float, actor: PlacedActor | None, count: int,
+    stage: Stage,
+    pose: Array,
+    s: float,
+    actor: PlacedActor | None,
+    count: int,
     rng: np.random.Generator,
-) -> Array:  # fmt: skip
+) -> Array:
     """(count, 11): at about the log's speed, or the one that the ego comes with; the last ones,
     less than half, at any from which the situation can mostly be mastered."""
     turn = float(se2.wrap_angle(stage.route.heading(s + 4.0) - stage.route.heading(s - 1.0)))
@@ -161,7 +161,8 @@ def _without_crashes(situation: Situation) -> Situation:
     """Without logged vehicles that would stand in the ego or run into the actor."""
     state, actor = situation.states[0], situation.actor
     kept = tuple(
-        other for other in situation.others
+        other
+        for other in situation.others
         if not touched(state, [other], PACIFICA) and not (actor and actor.meets(other))
-    )  # fmt: skip
+    )
     return replace(situation, others=kept)

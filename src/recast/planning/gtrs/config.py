@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from recast.records import Record
+from recast.core.records import Record
 
 Count = Annotated[int, Field(gt=0, le=65536, strict=True)]
 """A positive whole number; the upper bound keeps a typing error from asking for all memory."""

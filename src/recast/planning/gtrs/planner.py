@@ -1,29 +1,77 @@
-"""GTRS-Dense as a planner."""
+"""GTRS-Dense as a planner, and what it thought: a score for every trajectory, not only the best."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from recast.errors import InputError
+from recast.arrays import Float32Array
+from recast.core.errors import InputError
 from recast.planning.cameras import require_cameras
-from recast.planning.gtrs.decision import GtrsDecision
 from recast.planning.gtrs.head import IMITATION
 from recast.planning.gtrs.model import GtrsModel
-from recast.planning.gtrs.scores import COMBINED, VOCABULARY_ONLY, ScoreWeights, final_score
+from recast.planning.gtrs.scores import (
+    COMBINED,
+    VOCABULARY_ONLY,
+    ScoreWeights,
+    Trajectories,
+    check_vocabulary,
+    final_score,
+)
 from recast.planning.gtrs.views import ViewLayout, network_input
-from recast.planning.gtrs.vocabulary import Trajectories, check_vocabulary
-from recast.planning.matching import directions
-from recast.planning.status import ego_status
-from recast.planning.types import CameraMount, Plan, PlannerInput, PlanningContext
-from recast.planning.views import View, choose_views
+from recast.planning.types import (
+    CameraMount,
+    Candidates,
+    Plan,
+    PlannerInput,
+    PlanningContext,
+    ego_status,
+)
+from recast.planning.views import View, choose_views, directions
 
 _DT = 0.1
+
+
+@dataclass(frozen=True)
+class GtrsDecision:
+    """Scores of all trajectories at one moment.
+
+    Attributes:
+        trajectories: (N, 40, 3) x, y, heading of the rear axle in the present ego frame; the
+            vocabulary, and behind it the external proposals, where there were any.
+        scores: (N,) log scores, see `final_score`.
+        sub_scores: by head, (N,): expected sub-scores in [0, 1]; of "imi", the probability that a
+            human drives the trajectory.
+        first: index from which on trajectories may be chosen; those before are only scored.
+    """
+
+    trajectories: Float32Array
+    scores: Float32Array
+    sub_scores: Mapping[str, Float32Array]
+    first: int = 0
+
+    def order(self) -> NDArray[np.int64]:
+        """Indices that may be chosen, best first; equal scores in the vocabulary's order."""
+        best: NDArray[np.int64] = np.argsort(-self.scores[self.first :], kind="stable") + self.first
+        return best
+
+    @property
+    def best(self) -> int:
+        """Index of the chosen trajectory."""
+        return int(np.argmax(self.scores[self.first :])) + self.first
+
+    def top(self, count: int) -> Candidates:
+        """The best trajectories, best first; fewer than `count` where there are no more."""
+        chosen = self.order()[:count]
+        return Candidates(
+            waypoints=self.trajectories[chosen].astype(np.float64),
+            scores=self.scores[chosen].astype(np.float64),
+        )
 
 
 class GtrsPlanner:
@@ -101,9 +149,11 @@ class GtrsPlanner:
         self._fitted = self._fit(context.cameras)
         if abs(context.dt - _DT) > 1e-9:
             raise InputError(
-                self._who, "dt", f"is {context.dt:g} s, its trajectories have a pose every {_DT} s",
+                self._who,
+                "dt",
+                f"is {context.dt:g} s, its trajectories have a pose every {_DT} s",
                 "simulate with dt 0.1",
-            )  # fmt: skip
+            )
         self.model.eval()
 
     def plan(self, observation: PlannerInput) -> Plan:
@@ -165,11 +215,12 @@ class GtrsPlanner:
         for view in self.wanted_views:
             if view.name not in chosen:
                 raise InputError(
-                    self._who, f"view {view.name}",
+                    self._who,
+                    f"view {view.name}",
                     f"is {view.look} at {view.camera.width}:{view.camera.height}, and no camera "
                     "shows it",
                     f"there are {directions(mounts)}; add recast.planning.virtual_mounts",
-                )  # fmt: skip
+                )
         names = tuple(chosen.get(name, name) for name in self.views.cameras)
         require_cameras(names, mounts, self._who)
         cameras = {
@@ -201,9 +252,11 @@ class GtrsPlanner:
         if not np.isfinite(decision.scores).all():
             bad = ~np.isfinite(decision.scores)
             raise InputError(
-                self._who, "scores", f"are NaN or infinite ({int(bad.sum())} of {len(bad)})",
+                self._who,
+                "scores",
+                f"are NaN or infinite ({int(bad.sum())} of {len(bad)})",
                 "check the weights: the images and the ego state are finite",
-            )  # fmt: skip
+            )
         return decision
 
 

@@ -1,17 +1,108 @@
-"""From the heads' logits to one score per trajectory."""
+"""Vocabularies of trajectories from files, one score for each trajectory, and the training loss."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from pydantic import NonNegativeFloat, PositiveFloat
 from torch import Tensor
 from torch.nn import functional
 
+from recast.core.errors import InputError
+from recast.core.files import atomic_file
+from recast.core.records import Record
 from recast.planning.gtrs.head import IMITATION
-from recast.records import Record
+from recast.planning.types import WAYPOINTS
+
+Trajectories = NDArray[np.float32]
+
+_MEND = f"give a .npy file of shape (L, {WAYPOINTS}, 3): x, y, heading every 0.1 s"
+METRIC_WEIGHTS: Mapping[str, float] = MappingProxyType(
+    {
+        "no_at_fault_collisions": 3.0,
+        "drivable_area_compliance": 3.0,
+        "time_to_collision_within_bound": 4.0,
+        "ego_progress": 2.0,
+        "driving_direction_compliance": 1.0,
+        "lane_keeping": 2.0,
+        "traffic_light_compliance": 3.0,
+    }
+)
+"""Weights of the binary cross-entropies in the released training."""
+
+HALF_COUNTS_AS_ZERO = ("no_at_fault_collisions", "driving_direction_compliance")
+"""Sub-scores of 0, 0.5 or 1 of which the heads learn only whether they are 1."""
+
+DEMONSTRATED = slice(4, 40, 5)
+"""Indices of the eight waypoints, 0.5 s .. 4 s, that are compared with the human's."""
+
+_SOFTNESS = 0.5
+
+
+def read_vocabulary(path: str | Path) -> Trajectories:
+    """Read trajectories (L, 40, 3) from a `.npy` file, as float32.
+
+    Each is x, y, heading of the rear axle in the present ego frame, metres and radians, at 0.1 s ..
+    4 s. No pickle is read.
+
+    Raises:
+        InputError: the file is missing, is no array of numbers, or `check_vocabulary` refuses it.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "vocabulary", "is missing or no file", "check the path")
+    try:
+        # Mapped first: what the header claims is checked before memory is asked for.
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except Exception as error:  # NumPy reads headers as Python literals, and raises as that does
+        raise InputError(path, "vocabulary", f"cannot be read ({error})", _MEND) from None
+    if not isinstance(array, np.ndarray):
+        raise InputError(path, "vocabulary", "holds several arrays", _MEND)
+    return check_vocabulary(path, array)
+
+
+def check_vocabulary(where: str | Path, array: NDArray[np.generic] | Tensor) -> Trajectories:
+    """A copy of `array` as a vocabulary, float32.
+
+    Args:
+        where: the file, for the message.
+
+    Raises:
+        InputError: it is not (L, 40, 3) with L at least 1, holds no floating-point numbers, or NaN
+            or infinite ones.
+    """
+    shape = tuple(array.shape)
+    if len(shape) != 3 or shape[1:] != (WAYPOINTS, 3) or shape[0] == 0:
+        raise InputError(where, "vocabulary", f"has shape {shape}", _MEND)
+    if isinstance(array, Tensor):
+        if not array.is_floating_point():
+            raise InputError(where, "vocabulary", f"holds {array.dtype}, not numbers", _MEND)
+        array = array.detach().to(torch.float64).numpy()
+    if not np.issubdtype(array.dtype, np.floating):
+        raise InputError(where, "vocabulary", f"holds {array.dtype}, not numbers", _MEND)
+    with np.errstate(over="ignore"):  # becomes infinite, which is refused
+        trajectories = np.array(array, np.float32)
+    bad = np.flatnonzero(~np.isfinite(trajectories).all(axis=(1, 2)))
+    if len(bad):
+        raise InputError(
+            where,
+            "vocabulary",
+            f"trajectory {bad[0]} holds NaN or infinity ({len(bad)} of {len(trajectories)} do)",
+            _MEND,
+        )
+    return trajectories
+
+
+def write_vocabulary(path: str | Path, trajectories: Trajectories) -> None:
+    """Write trajectories (L, 40, 3) as `.npy`, float32, whole or not at all."""
+    with atomic_file(path) as partial, partial.open("wb") as file:
+        np.save(file, check_vocabulary(path, trajectories), allow_pickle=False)
 
 
 class ScoreWeights(Record):
@@ -103,12 +194,70 @@ def product_score(logits: Mapping[str, Tensor]) -> Tensor:
         5 * p["time_to_collision_within_bound"] + 5 * p["ego_progress"] + 2 * p["lane_keeping"]
     ) / 12
     return (
-        p["traffic_light_compliance"] * p["no_at_fault_collisions"]
-        * p["drivable_area_compliance"] * p["driving_direction_compliance"] * average
-    )  # fmt: skip
+        p["traffic_light_compliance"]
+        * p["no_at_fault_collisions"]
+        * p["drivable_area_compliance"]
+        * p["driving_direction_compliance"]
+        * average
+    )
 
 
 def combined_trajectories(vocabulary: Tensor, proposals: Tensor) -> Tensor:
     """(L, 40, 3) and external proposals (B, N, 40, 3) as one set (B, L + N, 40, 3) to be scored."""
     shared = vocabulary.expand(len(proposals), -1, -1, -1)
     return torch.cat([shared, proposals.to(vocabulary)], dim=1)
+
+
+def training_loss(
+    logits: Mapping[str, Tensor],
+    targets: Mapping[str, Tensor],
+    trajectories: Tensor,
+    demonstration: Tensor,
+    metric_weights: Mapping[str, float] = METRIC_WEIGHTS,
+) -> dict[str, Tensor]:
+    """The weighted terms of the loss, scalars by head; their sum is minimised.
+
+    Metric heads: mean binary cross-entropy against the sub-scores; targets may be soft, as
+    progress is. Imitation: cross-entropy against softmax over L of the negative squared distance,
+    in metres and radians over eight poses, to the human's trajectory, divided by 0.5.
+
+    Args:
+        logits: head name to (B, L).
+        targets: metric name to sub-scores (B, L) in [0, 1] of the trajectories as a controller
+            would drive them; names without a weight are ignored.
+        trajectories: (L, 40, 3) or (B, L, 40, 3), those that were scored.
+        demonstration: (B, 8, 3) the human's poses at 0.5 s .. 4 s in the present ego frame.
+        metric_weights: a metric that is left out is not trained.
+
+    Source: the released training of GTRS (Li et al. 2025).
+    """
+    terms = {}
+    for name, weight in metric_weights.items():
+        target = targets[name].to(logits[name].dtype)
+        if name in HALF_COUNTS_AS_ZERO:
+            target = (target > 0.5).to(target.dtype)
+        terms[name] = weight * functional.binary_cross_entropy_with_logits(logits[name], target)
+    distance = (trajectories[..., DEMONSTRATED, :] - demonstration[:, None]).square().sum((-2, -1))
+    likeness = torch.softmax(-distance / _SOFTNESS, dim=-1)
+    terms[IMITATION] = functional.cross_entropy(
+        logits[IMITATION], likeness.to(logits[IMITATION].dtype)
+    )
+    return terms
+
+
+def vocabulary_dropout(size: int, kept: int, generator: torch.Generator) -> Tensor:
+    """Indices (kept,) of a random part of the vocabulary, to be scored in one training step.
+
+    The released training keeps 8192 of 16384; trajectories and targets are indexed alike.
+
+    Args:
+        size: of the whole vocabulary.
+        kept: at most `size`.
+        generator: source of all random numbers.
+
+    Raises:
+        ValueError: `kept` is not in 1 .. `size`.
+    """
+    if not 1 <= kept <= size:
+        raise ValueError(f"vocabulary_dropout: kept must be in 1 .. {size}, got {kept}")
+    return torch.randperm(size, generator=generator, device=generator.device)[:kept]

@@ -1,4 +1,4 @@
-"""Three camera images as the one image that the network sees."""
+"""Three camera images as the one image that the network sees; nuPlan's rig, and lenses."""
 
 from __future__ import annotations
 
@@ -8,20 +8,59 @@ from typing import Annotated, Self
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from recast.errors import InputError
+from recast.arrays import Image
+from recast.core.errors import InputError
+from recast.core.records import Record
 from recast.geometry import PinholeCamera
 from recast.planning.cameras import require_cameras
 from recast.planning.gtrs.config import Count
-from recast.planning.gtrs.rig import NUPLAN_CAMERAS
-from recast.planning.views import View
-from recast.records import Record
+from recast.planning.types import CameraMount
+from recast.planning.views import View, camera_pose
 
-Image = NDArray[np.uint8]
+NUPLAN_CAMERAS = ("nuplan_l0", "nuplan_f0", "nuplan_r0")
+"""Left, front and right."""
+
+NUPLAN_CAMERA = PinholeCamera(
+    width=1920,
+    height=1080,
+    fx=1545.0,
+    fy=1545.0,
+    cx=960.0,
+    cy=560.0,
+    distortion=(-0.356123, 0.172545, -0.002130, 0.000464, -0.052310),
+)
+"""Intrinsics shared by all three; the images are as distorted as this says."""
+
+_MOUNTS = (
+    ((1.646, 0.143, 1.521), 55.2, -0.5),
+    ((1.670, -0.026, 1.523), 0.2, -1.5),
+    ((1.626, -0.162, 1.526), -55.5, 0.4),
+)
 Yaw = Annotated[float, Field(ge=-180.0, le=180.0)]
+
+
+def nuplan_rig(scale: float = 1.0) -> dict[str, CameraMount]:
+    """The virtual rig by camera name, in the rear-axle frame.
+
+    NAVSIM feeds the planner the raw images, with their distortion. A renderer of pinhole images
+    renders with `Lens(camera).source` and bends the result: see
+    `recast.simulation.scene_renderer.through_lenses`.
+
+    Args:
+        scale: of width and height, rounded to whole pixels.
+
+    Source: nuPlan's published calibration, rounded: position in metres, yaw to the left, pitch
+    upwards (the optical axis of the front camera points 1.5 degrees below the horizon), no roll.
+    """
+    size = round(NUPLAN_CAMERA.width * scale), round(NUPLAN_CAMERA.height * scale)
+    camera = NUPLAN_CAMERA.resized(*size)
+    return {
+        name: CameraMount(camera, camera_pose(position, yaw, pitch))
+        for name, (position, yaw, pitch) in zip(NUPLAN_CAMERAS, _MOUNTS, strict=True)
+    }
 
 
 class ViewLayout(Record):
@@ -93,9 +132,11 @@ class ViewLayout(Record):
             image = np.asarray(images[name])
             if image.shape != (self.height, self.width, 3) or image.dtype != np.uint8:
                 raise InputError(
-                    where, f"camera {name}", f"gives {image.shape} {image.dtype} images",
+                    where,
+                    f"camera {name}",
+                    f"gives {image.shape} {image.dtype} images",
                     f"give ({self.height}, {self.width}, 3) uint8 RGB",
-                )  # fmt: skip
+                )
             parts.append(image[rows, columns])
         stitched = np.concatenate(parts, axis=1)
         size = (self.input_width, self.input_height)
@@ -125,11 +166,12 @@ class ViewLayout(Record):
             width, height = sizes[name]
             if (width, height) != first or abs(height - scale * self.height) > 1.0:
                 raise InputError(
-                    where, f"camera {name}",
+                    where,
+                    f"camera {name}",
                     f"renders {width}x{height}, the planner needs three images in the proportion "
                     f"{self.width}x{self.height}",
                     "render it at such a size, or take a planner made for this one",
-                )  # fmt: skip
+                )
         if first == (self.width, self.height):
             return self
         width, height = first
@@ -162,3 +204,41 @@ NUPLAN_VIRTUAL = ViewLayout(
 def network_input(stitched: Image) -> Tensor:
     """(H, W, 3) uint8 to (3, H, W) float32 in [0, 1]; no mean, no standard deviation."""
     return torch.from_numpy(stitched).permute(2, 0, 1).to(torch.float32) / 255
+
+
+class Lens:
+    """Bends pinhole images to those of a camera with distortion.
+
+    Render with `source`, then call `bend`. The map is computed once.
+
+    Args:
+        camera: of the images to be made.
+
+    Attributes:
+        camera: as given.
+        source: rectified camera at the same place, with the same focal lengths, just large enough
+            to see all that `camera` sees.
+    """
+
+    def __init__(self, camera: PinholeCamera) -> None:
+        self.camera = camera
+        rays = camera.rays(camera.pixel_grid())[..., :2] * [camera.fx, camera.fy]
+        # Half a pixel beyond the outermost centres is what the outermost pixels cover.
+        low = np.floor(rays.min((0, 1)) - 0.5 + 1e-6)
+        width, height = np.ceil(rays.max((0, 1)) + 0.5 - 1e-6 - low).astype(int).tolist()
+        self.source = PinholeCamera(width, height, camera.fx, camera.fy, *(-low).tolist())
+        # OpenCV counts from the centre of the first pixel.
+        x, y = np.moveaxis(rays - low - 0.5, -1, 0).astype(np.float32)
+        self._x, self._y = np.ascontiguousarray(x), np.ascontiguousarray(y)
+
+    def bend(self, image: Image) -> Image:
+        """A `source` image (h, w, 3) uint8 as `camera` sees it (height, width, 3).
+
+        Raises:
+            ValueError: the image does not have the size of `source`.
+        """
+        if image.shape[:2] != (self.source.height, self.source.width):
+            expected = (self.source.height, self.source.width)
+            raise ValueError(f"Lens.bend: expected {expected} pixels, got {image.shape[:2]}")
+        bent = cv2.remap(image, self._x, self._y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(bent, np.uint8)

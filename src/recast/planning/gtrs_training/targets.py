@@ -1,4 +1,9 @@
-"""What the network learns to foretell: sub-scores of every trajectory, and the best of them."""
+"""What the network learns to foretell: sub-scores of every trajectory, and the best of them.
+
+Collisions are scored for hundreds of trajectories at once, against known futures: the same verdicts
+as `recast.planning.pdm.scorer` gives where the ego is always to blame for contacts from the side
+(its areas say "multiple lanes" everywhere), without its loops over pairs.
+"""
 
 from __future__ import annotations
 
@@ -9,21 +14,24 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from recast.arrays import Array
 from recast.dynamics import PACIFICA, VehicleParameters, plan_to_poses, track
 from recast.dynamics import state as ego
+from recast.geometry import se2
+from recast.geometry.boxes import bev_touching
 from recast.planning.gtrs.head import METRICS
-from recast.planning.gtrs.vocabulary import Trajectories
-from recast.planning.gtrs_training.collisions import Obstacle, collisions, overlapping
+from recast.planning.gtrs.scores import Trajectories
 from recast.planning.map import PlannerMap
 from recast.planning.pdm import LanePath
-from recast.planning.pdm.comfort import is_comfortable
-from recast.planning.pdm.ego_areas import ego_areas
-from recast.planning.pdm.footprint import box_centres, box_corners
-from recast.planning.pdm.scorer import direction_compliance
+from recast.planning.pdm.forecast import box_centres, box_corners, ego_areas
+from recast.planning.pdm.scorer import direction_compliance, is_comfortable
 from recast.planning.types import WAYPOINTS
 
-Array = NDArray[np.float64]
+FORESEEN = WAYPOINTS + 9
+"""Steps that obstacles are known ahead: the time to collision looks 0.9 s further."""
 
+_LOOK_AHEAD = np.array([0, 3, 6, 9])
+_STOPPED, _STOPPED_TTC, _BEHIND = 0.05, 0.005, np.deg2rad(150)
 SCORED = METRICS[:6]
 """Heads with targets of their own, in their order; the last one, traffic lights, is always 1."""
 STRIDE = 2
@@ -131,7 +139,7 @@ def touched(state: Array, obstacles: Sequence[Obstacle], vehicle: VehicleParamet
     """Whether the ego (11,) touches an obstacle now, the margins counted in."""
     here = box_centres(state[ego.POSE], vehicle)
     size = (vehicle.length, vehicle.width)
-    return any(bool(overlapping(here, size, o.poses[0], o.size)) for o in map(_grown, obstacles))
+    return any(bool(bev_touching(here, size, o.poses[0], o.size)) for o in map(_grown, obstacles))
 
 
 def _grown(obstacle: Obstacle) -> Obstacle:
@@ -162,3 +170,69 @@ def _lane_keeping(centres: Array, in_intersection: NDArray[np.bool_], middle: La
         running = np.where(off[:, step] > _OFF_LANE, running + STRIDE, 0)
         longest = np.maximum(longest, running)
     return np.where((longest >= _OFF_LANE_STEPS) | left, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A road user whose future is known.
+
+    Attributes:
+        token: its id.
+        poses: (FORESEEN + 1, 3) x, y, heading of its box centre from now on, world.
+        size: (>=2,) length and width, metres.
+    """
+
+    token: str
+    poses: Array
+    size: Array
+
+
+def collisions(
+    states: Array, obstacles: Sequence[Obstacle], vehicle: VehicleParameters, dt: float = 0.1
+) -> tuple[Array, Array]:
+    """NC and TTC (P,), 0 or 1, of simulated states (P, 41, 11).
+
+    Each obstacle counts by its first contact: not the ego's fault where the ego stands or is hit
+    from behind (more than 150 degrees off its heading), and ignored from then on. For TTC the box
+    is moved on at constant velocity by 0, 0.3, 0.6 and 0.9 s.
+    """
+    count, steps = states.shape[:2]
+    safe, clear = np.ones(count), np.ones(count)
+    poses = states[..., ego.POSE]
+    speed = np.hypot(states[..., ego.VX], states[..., ego.VY])
+    heading = poses[..., 2]
+    way = np.stack([np.cos(heading), np.sin(heading)], axis=-1) * (dt * speed)[..., None]
+    # (P, T, F, 3): boxes now and moved on.
+    boxes = np.repeat(box_centres(poses, vehicle)[:, :, None], len(_LOOK_AHEAD), axis=2)
+    boxes[..., :2] += _LOOK_AHEAD[:, None] * way[:, :, None]
+    when = np.arange(steps)[:, None] + _LOOK_AHEAD  # (T, F)
+    rows = np.arange(count)
+    for obstacle in obstacles:
+        there = obstacle.poses[when]  # (T, F, 3)
+        if not _near(boxes, there, obstacle, vehicle):
+            continue
+        size = (vehicle.length, vehicle.width)
+        touching = bev_touching(boxes, size, there, obstacle.size)
+        offset = there[..., :2] - poses[:, :, None, :2]
+        bearing = np.abs(
+            se2.wrap_angle(np.arctan2(offset[..., 1], offset[..., 0]) - heading[..., None])
+        )
+        now = touching[..., 0]
+        first = now.argmax(axis=1)
+        # The obstacle's speed now decides, as in PDM.
+        standing = np.hypot(*(obstacle.poses[1, :2] - obstacle.poses[0, :2])) / dt <= _STOPPED
+        fault = now.any(axis=1) & (speed[rows, first] > _STOPPED)
+        safe[fault & (standing | (bearing[rows, first, 0] <= _BEHIND))] = 0.0
+        soon = (touching & (speed >= _STOPPED_TTC)[..., None]).reshape(count, -1)
+        first = soon.argmax(axis=1)
+        clear[soon.any(axis=1) & (bearing.reshape(count, -1)[rows, first] <= _BEHIND)] = 0.0
+    return safe, clear
+
+
+def _near(boxes: Array, there: Array, obstacle: Obstacle, vehicle: VehicleParameters) -> bool:
+    """Whether any box comes close to an obstacle's at all."""
+    reach = (np.hypot(vehicle.length, vehicle.width) + np.hypot(*obstacle.size[:2])) / 2
+    low, high = boxes[..., :2].min(axis=(0, 1, 2)), boxes[..., :2].max(axis=(0, 1, 2))
+    points = there[..., :2]
+    inside = (points >= low - reach) & (points <= high + reach)
+    return bool(inside.all(axis=-1).any())

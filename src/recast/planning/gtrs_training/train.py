@@ -12,22 +12,24 @@ from numpy.typing import NDArray
 from rich.console import Console
 from torch import nn
 
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.core.files import write_json
+from recast.core.records import Record, read_record
 from recast.planning.gtrs import GtrsModel, GtrsPlanner, load_gtrs, save_gtrs
 from recast.planning.gtrs.folder import CONFIG_FILE, WEIGHTS_FILE
-from recast.planning.gtrs_training.clue_reader import ClueReader
-from recast.planning.gtrs_training.judge import FIRST_SPEED, Judgement, judge
-from recast.planning.gtrs_training.network import MINI_VIEWS, NAME, first_model
-from recast.planning.gtrs_training.settings import PlannerTrainingConfig
-from recast.planning.gtrs_training.sheet import decision_sheet
-from recast.planning.gtrs_training.store import RECORD_FILE, VOCABULARY_FILE, SampleStore
-from recast.planning.gtrs_training.task import GtrsTask
-from recast.recar.training.display import TrainingDisplay
+from recast.planning.gtrs_training.judge import FIRST_SPEED, Judgement, decision_sheet, judge
+from recast.planning.gtrs_training.samples import RECORD_FILE, VOCABULARY_FILE, SampleStore
+from recast.planning.gtrs_training.settings import (
+    MINI_VIEWS,
+    NAME,
+    PlannerTrainingConfig,
+    first_model,
+)
+from recast.planning.gtrs_training.task import ClueReader, GtrsTask
+from recast.recar.progress import TrainingDisplay
 from recast.recar.training.loop import train
+from recast.recar.training.output import hash_files
 from recast.recar.training.state import TrainingState
-from recast.recar.training.training_record import hash_files
-from recast.records import Record, read_record
-from recast.storage import write_json
 
 TRAINING_FILE = "planner_training.json"
 _MEND = "name another output folder"
@@ -104,10 +106,13 @@ def train_planner(
                 sheet.write(out / "sheets" / f"{state.step:07d}.png")
 
         state = train(
-            task, trainer, out, after_step=after_step,
+            task,
+            trainer,
+            out,
+            after_step=after_step,
             probe=lambda: judge(task, shown, config.scoring).means(),
             watch=lambda step, values: display.means(step, values, trainer.rate(step - 1)),
-        )  # fmt: skip
+        )
     _take_averages(state, task, trainer.seed)
     reached = judge(task, setting.held_out, config.scoring)
     last = decision_sheet(task, _spread(shown, _SHEET_ROWS), config.scoring)
@@ -125,9 +130,12 @@ def export_planner(training: Path, dataset: Path, out: Path) -> GtrsPlanner:
         InputError: no training is there, or it is of another dataset; `out` exists.
     """
     found = read_record(
-        training / TRAINING_FILE, PlannerTrainingRecord, 1, "name a folder of recast planner train",
+        training / TRAINING_FILE,
+        PlannerTrainingRecord,
+        1,
+        "name a folder of recast planner train",
         "recast-planner-training",
-    )  # fmt: skip
+    )
     setting = _open(dataset, found.config)
     begun = setting.record.model_copy(update={"start_sha256": found.start_sha256})
     _check_same(training, begun)
@@ -138,9 +146,12 @@ def export_planner(training: Path, dataset: Path, out: Path) -> GtrsPlanner:
         raise InputError(training, "checkpoint", "is missing", "train for some steps first")
     _take_averages(state, setting.task, trainer.seed)
     planner = GtrsPlanner(
-        setting.task.model, setting.store.vocabulary, MINI_VIEWS,
-        name=NAME, weights=found.config.scoring,
-    )  # fmt: skip
+        setting.task.model,
+        setting.store.vocabulary,
+        MINI_VIEWS,
+        name=NAME,
+        weights=found.config.scoring,
+    )
     save_gtrs(out, planner, torch.float16)
     return planner
 
@@ -150,10 +161,11 @@ def _open(dataset: Path, config: PlannerTrainingConfig, start: Path | None = Non
     train_on, held_out = np.flatnonzero(~store.held_out), np.flatnonzero(store.held_out)
     if len(train_on) < config.batch or len(held_out) < 2:
         raise InputError(
-            dataset, "samples",
+            dataset,
+            "samples",
             f"{len(train_on)} to train on and {len(held_out)} held out are too few",
             f"make at least {config.batch} and 2: every tenth world is held out",
-        )  # fmt: skip
+        )
     seed = config.trainer.seed
     model = first_model(seed, config.network)
     if start is not None:
@@ -176,9 +188,11 @@ def _begin_from(model: GtrsModel, folder: Path) -> None:
     found = load_gtrs(folder).model
     if found.config != model.config:
         raise InputError(
-            folder / CONFIG_FILE, "model", "has other sizes than those to be trained",
+            folder / CONFIG_FILE,
+            "model",
+            "has other sizes than those to be trained",
             "name another planner, or give its sizes as network with --config",
-        )  # fmt: skip
+        )
     model.load_state_dict(found.state_dict())
 
 

@@ -1,9 +1,9 @@
 """NAVSIM agents as planners, in this process and without the `navsim` package."""
 
-from recast.planning.navsim.cameras import NAVSIM_CAMERAS, NUPLAN_RIG
-from recast.planning.navsim.planner import NavsimAgent, NavsimPlanner
-from recast.planning.navsim.resample import resample
+from recast.planning.navsim.planner import NavsimAgent, NavsimPlanner, resample
 from recast.planning.navsim.types import (
+    NAVSIM_CAMERAS,
+    NUPLAN_RIG,
     AgentInput,
     Camera,
     Cameras,

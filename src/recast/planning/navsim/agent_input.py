@@ -1,25 +1,25 @@
-"""What the simulator shows, in NAVSIM's form."""
+"""What the simulator shows, in NAVSIM's form: in classes of the installed package, or in ours."""
 
 from __future__ import annotations
 
+import importlib
+import sys
 from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recast.arrays import Array, Image
+from recast.core.errors import InputError
 from recast.dynamics import state as ego
-from recast.errors import InputError
 from recast.geometry import se2
-from recast.planning.navsim.cameras import NAVSIM_CAMERAS
-from recast.planning.navsim.classes import NavsimClasses
-from recast.planning.navsim.types import HISTORY_FRAMES, HISTORY_INTERVAL
-from recast.planning.status import ego_status
-from recast.planning.types import CameraMount, PlannerInput, PlanningContext
+from recast.planning.navsim import types
+from recast.planning.navsim.types import HISTORY_FRAMES, HISTORY_INTERVAL, NAVSIM_CAMERAS
+from recast.planning.types import CameraMount, PlannerInput, PlanningContext, ego_status
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
+_MODULE = "navsim.common.dataclasses"
 
 _INTERVAL_US = round(HISTORY_INTERVAL * 1e6)
 
@@ -55,16 +55,21 @@ class InputBuilder:
         self._stride = round(HISTORY_INTERVAL / context.dt)
         if abs(self._stride * context.dt - HISTORY_INTERVAL) > 1e-6:
             raise InputError(
-                where, "dt", f"is {context.dt:g} s, of which its history of {HISTORY_INTERVAL} s "
-                "holds no whole number", "simulate with dt 0.1",
-            )  # fmt: skip
+                where,
+                "dt",
+                f"is {context.dt:g} s, of which its history of {HISTORY_INTERVAL} s "
+                "holds no whole number",
+                "simulate with dt 0.1",
+            )
         past = {name for name, wanted in frames.items() if set(wanted) - {HISTORY_FRAMES - 1}}
         if past and self._stride % context.plan_every:
             raise InputError(
-                where, f"camera {min(past)}",
+                where,
+                f"camera {min(past)}",
                 f"is wanted every {HISTORY_INTERVAL} s and rendered every "
-                f"{context.plan_every * context.dt:g} s", "set plan_every to 5",
-            )  # fmt: skip
+                f"{context.plan_every * context.dt:g} s",
+                "set plan_every to 5",
+            )
         self._images: deque[tuple[int, Mapping[str, Image]]] = deque()
 
     def build(self, observation: PlannerInput) -> Any:
@@ -128,3 +133,44 @@ class InputBuilder:
             intrinsics=intrinsics,
             distortion=np.array(mount.camera.distortion),
         )
+
+
+@dataclass(frozen=True)
+class NavsimClasses:
+    """Classes with NAVSIM's field names."""
+
+    agent_input: Any
+    camera: Any
+    cameras: Any
+    ego_status: Any
+    lidar: Any
+
+    @classmethod
+    def of(cls, module: Any) -> NavsimClasses:
+        """Those of a module that calls them as NAVSIM does."""
+        return cls(module.AgentInput, module.Camera, module.Cameras, module.EgoStatus, module.Lidar)
+
+
+def navsim_classes(installed: bool | None) -> NavsimClasses:
+    """The classes to use.
+
+    Args:
+        installed: True for those of the `navsim` package, False for ours. None for the package's
+            where it is loaded already, as it is when the agent's module imports it.
+
+    Raises:
+        InputError: the package's are asked for, and it cannot be imported.
+    """
+    if installed is None:
+        installed = _MODULE in sys.modules
+    if not installed:
+        return NavsimClasses.of(types)
+    try:
+        return NavsimClasses.of(importlib.import_module(_MODULE))
+    except ImportError as error:
+        raise InputError(
+            "navsim",
+            "package",
+            f"cannot be imported ({error})",
+            "install it, or leave installed_classes out: agents need not import it",
+        ) from None

@@ -1,4 +1,4 @@
-"""A NAVSIM agent as a planner."""
+"""A NAVSIM agent as a planner; trajectories at any interval become waypoints at the simulator's."""
 
 from __future__ import annotations
 
@@ -7,15 +7,18 @@ from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 
-from recast.errors import InputError
+from recast.arrays import Array
+from recast.core.errors import InputError
+from recast.geometry import se2
 from recast.planning.cameras import require_cameras
-from recast.planning.navsim.agent_input import InputBuilder
-from recast.planning.navsim.cameras import NAVSIM_CAMERAS, rig_cameras
-from recast.planning.navsim.classes import navsim_classes
-from recast.planning.navsim.resample import resample
-from recast.planning.navsim.types import HISTORY_FRAMES
+from recast.planning.navsim.agent_input import InputBuilder, navsim_classes
+from recast.planning.navsim.types import HISTORY_FRAMES, NAVSIM_CAMERAS, rig_cameras
 from recast.planning.types import WAYPOINTS, CameraMount, Plan, PlannerInput, PlanningContext
+
+_SAME_TIME = 1e-6
 
 
 @runtime_checkable
@@ -64,14 +67,18 @@ class NavsimPlanner:
             methods = ("initialize", "get_sensor_config", "compute_trajectory")
             missing = [method for method in methods if not hasattr(agent, method)]
             raise InputError(
-                self._who, type(agent).__name__, f"lacks {', '.join(missing)}",
+                self._who,
+                type(agent).__name__,
+                f"lacks {', '.join(missing)}",
                 "name a class or function that gives a NAVSIM agent",
-            )  # fmt: skip
+            )
         if getattr(agent, "requires_scene", False):
             raise InputError(
-                self._who, "requires_scene", "is true: it wants to see the recorded future",
+                self._who,
+                "requires_scene",
+                "is true: it wants to see the recorded future",
                 "take an agent that drives from its AgentInput alone",
-            )  # fmt: skip
+            )
         self.agent = agent
         self._classes = navsim_classes(installed_classes)
         agent.initialize()
@@ -125,16 +132,20 @@ class NavsimPlanner:
             poses, interval = answer.poses, float(answer.trajectory_sampling.interval_length)
         except (AttributeError, TypeError):
             raise InputError(
-                self._who, "compute_trajectory", f"returned {type(answer).__name__}",
+                self._who,
+                "compute_trajectory",
+                f"returned {type(answer).__name__}",
                 "return a Trajectory with poses and trajectory_sampling",
-            ) from None  # fmt: skip
+            ) from None
         try:
             return Plan(resample(poses, interval, self._times))
         except ValueError as error:
             raise InputError(
-                self._who, "compute_trajectory", str(error),
+                self._who,
+                "compute_trajectory",
+                str(error),
                 "return finite poses x, y, heading that reach 4 s",
-            ) from None  # fmt: skip
+            ) from None
 
     def _match(self, mounts: Mapping[str, CameraMount]) -> dict[str, str]:
         if self._given is not None:
@@ -159,9 +170,11 @@ def _wanted_frames(config: Any, where: str) -> dict[str, tuple[int, ...]]:
     """
     if getattr(config, "lidar_pc", False):
         raise InputError(
-            where, "lidar_pc", "is wanted, and no LiDAR is simulated",
+            where,
+            "lidar_pc",
+            "is wanted, and no LiDAR is simulated",
             "take an agent that drives by its cameras, or one without sensors",
-        )  # fmt: skip
+        )
     wanted: dict[str, tuple[int, ...]] = {}
     for name in NAVSIM_CAMERAS:
         frames = getattr(config, name, False)
@@ -171,7 +184,54 @@ def _wanted_frames(config: Any, where: str) -> dict[str, tuple[int, ...]]:
         bad = [frame for frame in wanted[name] if not 0 <= frame < HISTORY_FRAMES]
         if bad:
             raise InputError(
-                where, f"sensor config, {name}", f"wants frame {bad[0]}",
+                where,
+                f"sensor config, {name}",
+                f"wants frame {bad[0]}",
                 f"there are frames 0 (oldest) to {HISTORY_FRAMES - 1} (now)",
-            )  # fmt: skip
+            )
     return {name: frames for name, frames in wanted.items() if frames}
+
+
+def resample(poses: ArrayLike, interval: float, times: ArrayLike) -> Array:
+    """Waypoints (M, 3) at `times` from poses (N, 3) that are `interval` seconds apart.
+
+    x, y and the unwrapped heading are each a cubic spline over time (not-a-knot, so continuous in
+    acceleration) through the present pose at 0 and all the given ones. So every given pose, its
+    heading included, is met exactly, and constant acceleration stays constant; linear
+    interpolation would jerk at each pose. Headings are never derived from the path, so that they
+    survive standing still. Poses that have the asked times are returned as they are.
+
+    Args:
+        poses: x, y, heading in the present ego frame at interval, 2 interval, ...
+        times: (M,) seconds from now, none later than the last pose.
+
+    Raises:
+        ValueError: the poses end before `times`, or are not finite (N, 3).
+    """
+    try:
+        poses = np.asarray(poses, np.float64)
+    except (TypeError, ValueError):
+        raise ValueError("its poses are no array of numbers") from None
+    times = np.asarray(times, np.float64)
+    if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) == 0:
+        raise ValueError(f"its poses have shape {poses.shape}, not (N, 3)")
+    if not np.isfinite(poses).all():
+        first = int(np.argmax(~np.isfinite(poses).all(axis=1)))
+        raise ValueError(f"pose {first} holds NaN or infinity")
+    if not (np.isfinite(interval) and interval > 0):
+        raise ValueError(f"its poses are {interval} s apart")
+    knots = interval * np.arange(len(poses) + 1)
+    if knots[-1] < times[-1] - _SAME_TIME:
+        raise ValueError(
+            f"its {len(poses)} poses every {interval:g} s end at {knots[-1]:g} s, "
+            f"{times[-1]:g} s are needed"
+        )
+    if len(poses) >= len(times) and np.allclose(
+        knots[1 : len(times) + 1], times, rtol=0, atol=_SAME_TIME
+    ):
+        return poses[: len(times)].copy()
+    through = np.concatenate([np.zeros((1, 3)), poses])
+    through[:, 2] = np.unwrap(through[:, 2])
+    waypoints: Array = CubicSpline(knots, through)(times)
+    waypoints[:, 2] = se2.wrap_angle(waypoints[:, 2])
+    return waypoints

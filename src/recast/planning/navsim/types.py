@@ -1,4 +1,4 @@
-"""NAVSIM's data classes, by its field names, for agents that do not import the package.
+"""NAVSIM's cameras and data classes, by its field names, for agents that do not import the package.
 
 Frames: x forward, y left, heading counter-clockwise, rear axle; metres, radians, seconds. Histories
 are half a second apart, oldest first, the present last.
@@ -6,14 +6,38 @@ are half a second apart, oldest first, the present last.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.planning.navsim.cameras import NAVSIM_CAMERAS
+from recast.core.errors import InputError
+from recast.planning.types import CameraMount
+from recast.planning.views import WITHIN_DEGREES, Look, directions, match_cameras
 
+NAVSIM_CAMERAS: Mapping[str, float] = {
+    "cam_f0": 0.0,
+    "cam_l0": 55.0,
+    "cam_l1": 110.0,
+    "cam_l2": 145.0,
+    "cam_r0": -55.0,
+    "cam_r1": -110.0,
+    "cam_r2": -145.0,
+    "cam_b0": 180.0,
+}
+"""By name the direction in which nuPlan's camera looks, rounded: degrees to the left of ahead."""
+
+NUPLAN_RIG: Mapping[str, str] = {
+    "cam_l0": "nuplan_l0",
+    "cam_f0": "nuplan_f0",
+    "cam_r0": "nuplan_r0",
+}
+"""For `NavsimPlanner(cameras=...)`: nuPlan's own cameras, rendered for agents that need them."""
+
+_FIELD = 63.7
+"""Horizontal field of view of nuPlan's cameras, degrees, between the edges of a pinhole image."""
 HISTORY_FRAMES = 4
 """Frames that an agent is shown: 1.5 s, 1.0 s and 0.5 s ago, and the present."""
 
@@ -158,3 +182,32 @@ class Trajectory:
     trajectory_sampling: TrajectorySampling = field(
         default_factory=lambda: TrajectorySampling(time_horizon=4.0, interval_length=0.5)
     )
+
+
+def rig_cameras(
+    wanted: Sequence[str], mounts: Mapping[str, CameraMount], where: str
+) -> dict[str, str]:
+    """NAVSIM name to the rig's camera, see `match_cameras`.
+
+    Args:
+        wanted: NAVSIM names.
+        mounts: the rig.
+        where: who asks, for messages.
+
+    Raises:
+        InputError: no camera looks where a wanted one should.
+    """
+    found = match_cameras(
+        {name: Look.level(NAVSIM_CAMERAS[name], _FIELD) for name in wanted}, mounts
+    )
+    for name in wanted:
+        if name not in found:
+            raise InputError(
+                where,
+                f"camera {name}",
+                f"is wanted, and no free camera looks within {WITHIN_DEGREES:g} degrees of "
+                f"{NAVSIM_CAMERAS[name]:.0f} (to the left of ahead)",
+                f"there are {directions(mounts)}; use a log that has it, or name the cameras "
+                "yourself",
+            )
+    return found

@@ -1,4 +1,4 @@
-"""Where the other road users will be, at constant velocity: occupancy maps every 0.2 s."""
+"""Where others will be, at constant velocity, every 0.2 s, and where simulated egos are."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
+from recast.arrays import Array, BoolArray
+from recast.dynamics import VehicleParameters
 from recast.geometry import boxes, se2
+from recast.planning.map import PlannerMap
 from recast.planning.types import ActorState
-
-Array = NDArray[np.float64]
 
 STRIDE = 2
 """Steps of 0.1 s between occupancy maps; step i reads map i // 2."""
@@ -187,3 +188,78 @@ def _nearest(
         for kind, found in near.items()
         for _, obstacle in sorted(found, key=lambda item: item[0])[: kind.value[1]]
     ]
+
+
+def box_centres(poses: ArrayLike, vehicle: VehicleParameters) -> Array:
+    """Centres (..., 3), headings included, of the boxes of rear-axle poses (..., 3)."""
+    return se2.compose(poses, np.array([vehicle.centre_offset, 0.0, 0.0]))
+
+
+def box_corners(poses: ArrayLike, vehicle: VehicleParameters) -> Array:
+    """Corners (..., 4, 2) front left, rear left, rear right, front right of rear-axle poses."""
+    return boxes.bev_corners(box_centres(poses, vehicle), vehicle.length, vehicle.width)
+
+
+def outline(pose: ArrayLike, vehicle: VehicleParameters) -> shapely.Polygon:
+    """The box of one rear-axle pose (3,) as a polygon."""
+    return shapely.Polygon(box_corners(pose, vehicle))
+
+
+@dataclass(frozen=True)
+class EgoAreas:
+    """Flags (...) of ego boxes.
+
+    Attributes:
+        multiple_lanes: more than one lane holds a corner, and none holds all four.
+        non_drivable: some corner lies in no drivable polygon.
+        oncoming: the centre lies in no lane of the route.
+        in_intersection: the rear axle lies inside an intersection.
+    """
+
+    multiple_lanes: BoolArray
+    non_drivable: BoolArray
+    oncoming: BoolArray
+    in_intersection: BoolArray
+
+    @property
+    def irregular(self) -> BoolArray:
+        """Where the ego is to blame for a collision from the side."""
+        flags: BoolArray = self.multiple_lanes | self.non_drivable
+        return flags
+
+
+def ego_areas(
+    planner_map: PlannerMap,
+    route_lanes: Iterable[str],
+    corners: ArrayLike,
+    centres: ArrayLike,
+    rear_axles: ArrayLike,
+) -> EgoAreas:
+    """Flags of ego boxes; a point on a polygon's edge is outside it.
+
+    Args:
+        route_lanes: ids of the lanes of the route.
+        corners: (..., 4, 2) of the boxes.
+        centres: (..., >=2) of the boxes.
+        rear_axles: (..., >=2).
+    """
+    corners = np.asarray(corners, np.float64)
+    centres = np.asarray(centres, np.float64)[..., None, :2]
+    shape = corners.shape[:-2]
+    on_route = set(route_lanes)
+    drivable = planner_map.drivable_hits(corners)
+    touched = np.zeros(shape, np.int64)
+    whole, with_route = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
+    for lane, hits in planner_map.lane_hits(np.concatenate([corners, centres], axis=-2)).items():
+        of_corners = hits[..., :4]
+        drivable |= of_corners
+        touched += of_corners.any(axis=-1)
+        whole |= of_corners.all(axis=-1)
+        if lane in on_route:
+            with_route |= hits[..., 4]
+    return EgoAreas(
+        multiple_lanes=np.asarray((touched > 1) & ~whole),
+        non_drivable=np.asarray(~drivable.all(axis=-1)),
+        oncoming=~with_route,
+        in_intersection=planner_map.in_intersection(np.asarray(rear_axles, np.float64)[..., :2]),
+    )

@@ -7,9 +7,9 @@ Or walk-arounds at irregular azimuths with poses, see `recast.recar.ingest.walka
 docs/recar.md.
 """
 
-from recast.recar.ingest.background import BackgroundRemover, Cutout
+from recast.recar.ingest.duplicates import DUPLICATE_BITS, perceptual_hash
 from recast.recar.ingest.ingest import IngestReport, ingest_photographs
-from recast.recar.ingest.perceptual_hash import DUPLICATE_BITS, perceptual_hash
+from recast.recar.ingest.photograph import BackgroundRemover, Cutout
 from recast.recar.ingest.settings import EXPERIMENTAL, LAYOUTS, IngestSettings
 
 __all__ = [

@@ -1,26 +1,38 @@
-"""Photographs of vehicles become a vehicle set."""
+"""Photographs of vehicles become a vehicle set, prepared by one process or several."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import multiprocessing
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from recast import storage
-from recast.errors import InputError
-from recast.recar.ingest.background import BackgroundRemover
+from recast.core import files
+from recast.core.errors import InputError
+from recast.crews.crew import end_with_parent, worker_faults
+from recast.recar.ingest.duplicates import (
+    REPORT_FILE,
+    SeenPictures,
+    read_entry,
+    write_entry,
+    write_report,
+)
 from recast.recar.ingest.folder import check_sizes, photographs_of
-from recast.recar.ingest.journal import REPORT_FILE, read_entry, write_entry, write_report
-from recast.recar.ingest.pool import prepare_all
-from recast.recar.ingest.prepare import Candidate, Prepared
-from recast.recar.ingest.seen_pictures import SeenPictures
-from recast.recar.ingest.settings import LAYOUTS, IngestSettings
-from recast.recar.ingest.table import VehicleRow, find_table, read_table
+from recast.recar.ingest.photograph import BackgroundRemover, Candidate, Prepared, prepare
+from recast.recar.ingest.settings import LAYOUTS, IngestSettings, VehicleRow, find_table, read_table
 from recast.recar.ingest.walkaround import pick_photographs
-from recast.recar.record import IDENTITY_FILE, IdentityRecord, SetRecord, view_file
-from recast.recar.split import split_of
-from recast.recar.vehicle_set import Identity, VehicleSet, read_identities, read_set
-from recast.recar.writer import begin_set, check_begin, finish_set
+from recast.recar.record import IDENTITY_FILE, IdentityRecord, SetRecord, split_of, view_file
+from recast.recar.vehicle_set import (
+    Identity,
+    VehicleSet,
+    begin_set,
+    check_begin,
+    finish_set,
+    read_identities,
+    read_set,
+)
 
 
 @dataclass(frozen=True)
@@ -86,7 +98,7 @@ def ingest_photographs(
     names = [one.row.id for one in candidates]
     check_begin(out, record, [*names, *work.skipped])
     begin_set(out, record, [*names, *work.skipped])
-    with storage.alone_in(out):
+    with files.alone_in(out):
         left = work.already_there(candidates, record)
         done, total_pictures = len(names) - len(left), len(names) * settings.views
         for candidate, found in prepare_all(left, settings, remover, workers):
@@ -146,9 +158,7 @@ class _Ingest:
         layout = LAYOUTS[settings.layout]
         if layout is None:
             return Candidate(row, photographs_of(self.photos, row, settings))
-        picked = pick_photographs(
-            self.photos, row, settings.views, settings.azimuth_within, layout
-        )  # fmt: skip
+        picked = pick_photographs(self.photos, row, settings.views, settings.azimuth_within, layout)
         check_sizes(picked.photographs, settings)
         return Candidate(row, picked.photographs, picked.masks, picked.doubts)
 
@@ -162,9 +172,11 @@ class _Ingest:
                 left.append(candidate)
             elif identity.record != self._record(candidate.row):
                 raise InputError(
-                    identity.folder / IDENTITY_FILE, "record",
-                    "differs from its row in the table", "remove the folder to have it made anew",
-                )  # fmt: skip
+                    identity.folder / IDENTITY_FILE,
+                    "record",
+                    "differs from its row in the table",
+                    "remove the folder to have it made anew",
+                )
         asked = {candidate.row.id for candidate in left}
         for name, identity in finished.items():
             if name not in asked:  # also one whose photographs have gone since
@@ -184,19 +196,20 @@ class _Ingest:
                 self.skip(
                     identity.id,
                     InputError(
-                        candidate.photographs[0].parent, "duplicate",
+                        candidate.photographs[0].parent,
+                        "duplicate",
                         f"{count} of {record.views} photographs are those of {other}"
                         f"{', which is in the other split' if len(splits) == 2 else ''}",
                         "keep one of the two; if both are right, lower --duplicate-bits",
                     ),
-                )  # fmt: skip
+                )
                 return
             doubts.append(f"{count} of {record.views} photographs are like those of {other}")
         write_entry(self.out, identity.id, found.hashes, tuple(doubts))
-        with storage.atomic_folder(self.out / identity.id) as partial:
+        with files.atomic_folder(self.out / identity.id) as partial:
             for index, picture in enumerate(found.pictures):
                 (partial / view_file(index)).write_bytes(picture)
-            storage.write_json(partial / IDENTITY_FILE, identity.model_dump(mode="json"))
+            files.write_json(partial / IDENTITY_FILE, identity.model_dump(mode="json"))
         self._remember(Identity(self.out / identity.id, identity, record))
 
     def skip(self, name: str, error: InputError) -> None:
@@ -210,11 +223,12 @@ class _Ingest:
         name, first = next(iter(self.skipped.items()))
         report = f"all are listed in {self.out / REPORT_FILE}" if others else "all are listed above"
         return InputError(
-            self.photos, "vehicles",
+            self.photos,
+            "vehicles",
             f"{len(self.skipped)} of {total} cannot be taken, such as {name} "
             f"({first.field}: {first.problem}, in {Path(first.where).name}); {report}{others}",
             "mend them and run again, or leave them out with --skip-bad",
-        )  # fmt: skip
+        )
 
     def _remember(self, identity: Identity) -> None:
         hashes, doubts = read_entry(self.out, identity)
@@ -236,3 +250,54 @@ class _Ingest:
             source=row.source,
             licence=row.licence,
         )
+
+
+def prepare_all(
+    candidates: Sequence[Candidate],
+    settings: IngestSettings,
+    remover: BackgroundRemover | None,
+    workers: int,
+) -> Iterator[tuple[Candidate, Prepared | InputError]]:
+    """Every vehicle, or why it cannot be taken; not more than two for each worker in memory."""
+    if workers == 1 or len(candidates) < 2:
+        for candidate in candidates:
+            yield candidate, _prepared(candidate, settings, remover)
+        return
+    # Spawned, not forked: the display of the parent draws from a thread, which may hold a lock.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, _set_up_worker, (settings, remover)) as pool:
+        running: deque[tuple[Candidate, Future[Prepared | InputError]]] = deque()
+        with worker_faults(pool, "finished vehicles"):
+            for candidate in candidates:
+                running.append((candidate, pool.submit(_prepare_in_worker, candidate)))
+                if len(running) >= 2 * workers:
+                    first, future = running.popleft()
+                    yield first, future.result()
+            while running:
+                first, future = running.popleft()
+                yield first, future.result()
+
+
+def _prepared(
+    candidate: Candidate, settings: IngestSettings, remover: BackgroundRemover | None
+) -> Prepared | InputError:
+    try:
+        return prepare(candidate, settings, remover)
+    except InputError as error:
+        return error
+
+
+_shared: tuple[IngestSettings, BackgroundRemover | None]
+
+
+def _set_up_worker(settings: IngestSettings, remover: BackgroundRemover | None) -> None:
+    global _shared
+    _shared = (settings, remover)
+    import cv2
+
+    cv2.setNumThreads(1)
+    end_with_parent()
+
+
+def _prepare_in_worker(candidate: Candidate) -> Prepared | InputError:
+    return _prepared(candidate, *_shared)

@@ -1,4 +1,4 @@
-"""One photograph: read, brought to the size of the set."""
+"""The photographs of one vehicle, brought to size and cut out: files of the set, in memory."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ import struct
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -15,10 +17,12 @@ from numpy.typing import NDArray
 from PIL import Image as Pillow
 from PIL import ImageOps
 
-from recast.errors import InputError
-from recast.recar.picture import Image
+from recast.core.errors import InputError
+from recast.core.files import disk_errors
+from recast.recar.ingest.duplicates import Hashes, first_twice, perceptual_hash
+from recast.recar.ingest.settings import IngestSettings, VehicleRow
 from recast.recar.record import LARGEST_SIDE
-from recast.storage import disk_errors
+from recast.recar.views import Image, encode_picture
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
 MOST_PIXELS = LARGEST_SIDE**2
@@ -79,9 +83,11 @@ def read_mask(path: Path, size: tuple[int, ...]) -> NDArray[np.uint8]:
         pixels = np.asarray(ImageOps.exif_transpose(picture).convert("L"))
     if pixels.shape[::-1] != tuple(size):
         raise InputError(
-            path, "size", f"is {pixels.shape[1]}x{pixels.shape[0]}, the photograph's "
-            f"{size[0]}x{size[1]}", "cut the mask like its photograph",
-        )  # fmt: skip
+            path,
+            "size",
+            f"is {pixels.shape[1]}x{pixels.shape[0]}, the photograph's {size[0]}x{size[1]}",
+            "cut the mask like its photograph",
+        )
     return np.ascontiguousarray(pixels)
 
 
@@ -149,6 +155,101 @@ def _check_header(path: Path, picture: Pillow.Image) -> None:
     width, height = picture.size
     if width * height > MOST_PIXELS:
         raise InputError(
-            path, "size", f"is {width}x{height}, more than {MOST_PIXELS / 1e6:.0f} megapixels",
+            path,
+            "size",
+            f"is {width}x{height}, more than {MOST_PIXELS / 1e6:.0f} megapixels",
             "scale it down",
-        )  # fmt: skip
+        )
+
+
+class Cutout(Protocol):
+    """What a remover found; `recast.actors.Segmentation` is one."""
+
+    @property
+    def alpha(self) -> NDArray[np.uint8]:
+        """(H, W), 255 on the vehicle."""
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What a person should look at."""
+
+
+class BackgroundRemover(Protocol):
+    """Finds the one vehicle in a photograph; see `recast.actors.cutout` for two that do."""
+
+    def remove(self, image: NDArray[np.uint8], category: str) -> Cutout:
+        """The mask of the vehicle in a picture (H, W, 3) uint8 RGB.
+
+        Raises:
+            InputError: no vehicle was found.
+        """
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A vehicle to bring in.
+
+    Attributes:
+        row: of the table.
+        photographs: by azimuth.
+        masks: of each photograph, None where there is none; empty where there are none at all.
+        doubts: what a person should look at.
+    """
+
+    row: VehicleRow
+    photographs: tuple[Path, ...]
+    masks: tuple[Path | None, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """PNG and hash of each view of a vehicle, and what a person should look at."""
+
+    pictures: tuple[bytes, ...]
+    hashes: Hashes
+    doubts: tuple[str, ...]
+
+
+def prepare(
+    candidate: Candidate, settings: IngestSettings, remover: BackgroundRemover | None
+) -> Prepared:
+    """Remove backgrounds, bring to size, encode, and compare the views with each other.
+
+    Raises:
+        InputError: a photograph or a mask is broken, a photograph without alpha where there is
+            neither a mask nor a remover, or transparent everywhere; or two are the same.
+    """
+    pictures: list[bytes] = []
+    hashes: list[Hashes] = []
+    doubts = list(candidate.doubts)
+    masks = candidate.masks or (None,) * len(candidate.photographs)
+    for path, mask in zip(candidate.photographs, masks, strict=True):
+        rgb, alpha = read_photograph(path)
+        if mask is not None:
+            alpha = read_mask(mask, rgb.shape[1::-1])
+        elif alpha is None:
+            if remover is None:
+                raise InputError(
+                    path, "alpha", "is absent", "cut out the background, or name a --remover"
+                )
+            cutout = remover.remove(rgb, candidate.row.category)
+            alpha = cutout.alpha
+            doubts += [f"{path.name}: {doubt}" for doubt in cutout.doubts]
+        picture = fit(rgb, alpha, settings.width, settings.height)
+        if not picture[..., 3].any():
+            raise InputError(
+                path, "alpha", "is zero everywhere: no vehicle was found", "cut it out by hand"
+            )
+        pictures.append(encode_picture(picture))
+        hashes.append(perceptual_hash(picture))
+    stacked = np.stack(hashes)
+    if twice := first_twice(stacked, settings.duplicate_bits):
+        first, second = (candidate.photographs[index] for index in twice)
+        raise InputError(
+            second,
+            "duplicate",
+            f"is the same picture as {first.name}",
+            "replace it; if both are right, lower --duplicate-bits",
+        )
+    return Prepared(tuple(pictures), stacked, tuple(doubts))

@@ -2,7 +2,7 @@
 
     PHOTOS/ID/images/*                      photographs; or PHOTOS/ID/*
     PHOTOS/ID/masks/*                       optional, by the photographs' names; 255 on the vehicle
-    PHOTOS/ID/transforms.json, images.txt or sparse/0/images.txt    see `recast.recar.ingest.poses`
+    PHOTOS/ID/transforms.json, images.txt or sparse/0/images.txt    see `recast.recar.ingest.folder`
 
 So come 3DRealCar and MAD-CARS into a vehicle set. What is known of them is what the RECAST paper
 says (section 2): number of vehicles, photographs a vehicle, size, neither regular nor cut out. How
@@ -15,18 +15,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from recast.errors import InputError
-from recast.names import member
-from recast.recar.ingest.folder import AZIMUTH_WITHIN
+from recast.arrays import Array
+from recast.core.errors import InputError
+from recast.core.files import disk_errors
+from recast.core.names import member
+from recast.recar.ingest.folder import AZIMUTH_WITHIN, read_poses
 from recast.recar.ingest.photograph import SUFFIXES, natural_order, photograph_size
-from recast.recar.ingest.poses import read_poses
-from recast.recar.ingest.settings import Layout
-from recast.recar.ingest.table import VehicleRow
-from recast.storage import disk_errors
-
-Array = NDArray[np.float64]
+from recast.recar.ingest.settings import Layout, VehicleRow
 
 _FLAT = 0.5  # spread of the cameras across their ring, over that along it, at most
 
@@ -70,9 +66,11 @@ def pick_photographs(
     found = _photographs(folder)
     if len(found) < views:
         raise InputError(
-            folder, "photographs", f"are {len(found)} where the set has {views} views",
+            folder,
+            "photographs",
+            f"are {len(found)} where the set has {views} views",
             "give fewer --views",
-        )  # fmt: skip
+        )
     known, azimuths, elevations = _directions(folder, found, row)
     taken, off = _nearest(folder, azimuths, elevations, views, within_deg)
     photographs = tuple(known[index] for index in taken)
@@ -136,27 +134,35 @@ def _directions(
     if row.azimuths_deg is not None:
         if len(row.azimuths_deg) != len(found):
             raise InputError(
-                folder, "azimuths_deg", f"are {len(row.azimuths_deg)} for {len(found)} photographs",
+                folder,
+                "azimuths_deg",
+                f"are {len(row.azimuths_deg)} for {len(found)} photographs",
                 "give one for each",
-            )  # fmt: skip
+            )
         return found, np.array(row.azimuths_deg) % 360.0, np.zeros(len(found))
     poses = read_poses(folder)
     if poses is None:
         raise InputError(
-            folder, "poses", "are missing", "add transforms.json or COLMAP's images.txt, or give "
-            "azimuths_deg in the table",
-        )  # fmt: skip
+            folder,
+            "poses",
+            "are missing",
+            "add transforms.json or COLMAP's images.txt, or give azimuths_deg in the table",
+        )
     if "front" not in row.model_fields_set:
         raise InputError(
-            row.id, "front", "is not given: poses do not say where the vehicle looks",
+            row.id,
+            "front",
+            "is not given: poses do not say where the vehicle looks",
             "give the number of the photograph that shows its front, from 1",
-        )  # fmt: skip
+        )
     known = [path for path in found if path.name in poses]
     if row.front > len(found) or found[row.front - 1] not in known:
         raise InputError(
-            row.id, "front", f"is {row.front}, which has no pose, of {len(found)} photographs",
+            row.id,
+            "front",
+            f"is {row.front}, which has no pose, of {len(found)} photographs",
             "name another one",
-        )  # fmt: skip
+        )
     stacked = np.stack([poses[path.name] for path in known])
     try:
         return known, *around(stacked, known.index(found[row.front - 1]))
@@ -177,9 +183,11 @@ def _nearest(
         fits[taken] = False
         if not fits.any():
             raise InputError(
-                folder, "azimuths", f"no photograph within {within_deg:g} degrees of {goal:g}",
+                folder,
+                "azimuths",
+                f"no photograph within {within_deg:g} degrees of {goal:g}",
                 "give fewer --views, or a larger --azimuth-within",
-            )  # fmt: skip
+            )
         taken.append(int(np.argmin(np.where(fits, off + unlike, np.inf))))
         worst = max(worst, float(off[taken[-1]]))
     return taken, worst

@@ -1,8 +1,9 @@
 """Faults of pictures from driving logs, put on clean conditioning pictures (paper, Stage II)."""
 
-from recast.recar.perturb.compose import Perturbed, perturb
-from recast.recar.perturb.config import (
+from recast.recar.perturb.compose import (
     PerturbationConfig,
+    Perturbed,
+    perturb,
     read_perturbations,
     write_perturbations,
 )

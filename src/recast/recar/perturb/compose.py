@@ -1,23 +1,108 @@
-"""Drawing perturbations and putting them one on the other."""
+"""Drawing perturbations, as a file says that people can edit, and putting them one on the other."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, Self
 
 import cv2
 import numpy as np
+from pydantic import AfterValidator, Field, model_validator
 
-from recast.errors import InputError
-from recast.recar.perturb.config import PerturbationConfig
-from recast.recar.perturb.extent import find_object, shrinking
-from recast.recar.perturb.kind import Kind, Picture
-from recast.recar.perturb.premultiplied import premultiplied, straight
+from recast.arrays import Image
+from recast.core import files
+from recast.core.errors import InputError
+from recast.core.records import Record, read_record
+from recast.recar.perturb.camera import Compression, Defocus, Fog, LowLight, MotionBlur, Resampling
+from recast.recar.perturb.kind import Kind, Share, find_object, premultiplied, shrinking, straight
+from recast.recar.perturb.masks import Dilation, Erosion, Holes, Jagged, Leak
+from recast.recar.perturb.occlusion import Border, Cropping, OtherVehicle, Pole
 from recast.trellis import check_crop
-from recast.trellis.conditioning.read import OPAQUE
+from recast.trellis.conditioning.crop import OPAQUE
 
+PERTURBATIONS_FORMAT = "recast-perturbations"
+PERTURBATIONS_VERSION = 1
 _TRIES = 16
 _ROOM = 0.25
 """Kept on each side of the object, over the extent: no kind makes it larger by more."""
+
+
+def _at_least_one(interval: tuple[int, int]) -> tuple[int, int]:
+    if not 1 <= interval[0] <= interval[1]:
+        raise ValueError("two numbers from 1 up are needed, the larger one last")
+    return interval
+
+
+class PerturbationConfig(Record):
+    """How conditioning pictures are perturbed in Stage II.
+
+    The default weights make the paper's eight groups equally likely: down-up sampling, blur,
+    compression, low light, fog, occlusion, cropping, and mask errors. Kinds are listed, and
+    applied, in the order in which a picture comes about: the scene, the air, the lens, the sensor,
+    the recorder, the segmenter.
+
+    Attributes:
+        rho_clean: chance that a picture stays as it is (paper, Stage II: 0.2).
+        composed: fewest and most kinds on one picture, drawn uniformly.
+        least_visible: share of the object's opaque area that must be left; draws that leave less
+            are drawn again.
+        finest: longest extent, in pixels, of a spoilt object; larger ones are brought down to it,
+            which is finer than what a crop of 518 pixels shows and spares most of the time.
+    """
+
+    format: Literal["recast-perturbations"] = "recast-perturbations"
+    version: Literal[1] = 1
+    rho_clean: Share = 0.2
+    composed: Annotated[tuple[int, int], AfterValidator(_at_least_one)] = (1, 3)
+    least_visible: Share = 0.3
+    finest: Annotated[float, Field(ge=64, allow_inf_nan=False)] = 448.0
+    other_vehicle: OtherVehicle = OtherVehicle()
+    pole: Pole = Pole()
+    border: Border = Border()
+    cropping: Cropping = Cropping()
+    fog: Fog = Fog()
+    motion_blur: MotionBlur = MotionBlur()
+    defocus: Defocus = Defocus()
+    low_light: LowLight = LowLight()
+    resampling: Resampling = Resampling()
+    compression: Compression = Compression()
+    erosion: Erosion = Erosion()
+    dilation: Dilation = Dilation()
+    holes: Holes = Holes()
+    leak: Leak = Leak()
+    jagged: Jagged = Jagged()
+
+    def kinds(self) -> tuple[Kind, ...]:
+        """All kinds, switched off ones included, in the order in which they are applied."""
+        members = (getattr(self, name) for name in type(self).model_fields)
+        return tuple(member for member in members if isinstance(member, Kind))
+
+    @model_validator(mode="after")
+    def _something_to_draw(self) -> Self:
+        if self.rho_clean < 1 and not any(kind.weight > 0 for kind in self.kinds()):
+            raise ValueError("all kinds have weight 0: give one a weight, or set rho_clean to 1")
+        return self
+
+
+def read_perturbations(path: str | Path) -> PerturbationConfig:
+    """Read what `write_perturbations` wrote, or a part of it: what is absent has its default.
+
+    Raises:
+        InputError: missing, no JSON, another format or version, or a wrong member.
+    """
+    return read_record(
+        path,
+        PerturbationConfig,
+        PERTURBATIONS_VERSION,
+        "mend it, or start from `recast recar perturb --write-config FILE`",
+        PERTURBATIONS_FORMAT,
+    )
+
+
+def write_perturbations(path: str | Path, config: PerturbationConfig) -> None:
+    """Write a configuration as JSON, every figure of it."""
+    files.write_json(path, config.model_dump(mode="json"))
 
 
 @dataclass(frozen=True)
@@ -30,11 +115,11 @@ class Perturbed:
         applied: names and severities in the order of application; empty for a clean picture.
     """
 
-    rgba: Picture
+    rgba: Image
     applied: tuple[tuple[str, float], ...]
 
 
-def perturb(rgba: Picture, config: PerturbationConfig, rng: np.random.Generator) -> Perturbed:
+def perturb(rgba: Image, config: PerturbationConfig, rng: np.random.Generator) -> Perturbed:
     """Leave a picture clean with probability rho_clean, or spoil it by one to three kinds.
 
     A spoilt picture is cut to the object's surroundings, and brought down to `finest` pixels of
@@ -74,8 +159,8 @@ def draw(config: PerturbationConfig, rng: np.random.Generator) -> tuple[tuple[Ki
 
 
 def compose(
-    rgba: Picture, drawn: tuple[tuple[Kind, float], ...], rng: np.random.Generator
-) -> Picture | None:
+    rgba: Image, drawn: tuple[tuple[Kind, float], ...], rng: np.random.Generator
+) -> Image | None:
     """Apply kinds one after the other; None where nothing of the object is left."""
     for kind, severity in drawn:
         rgba = kind(rgba, severity, rng)
@@ -84,7 +169,7 @@ def compose(
     return rgba
 
 
-def surroundings(rgba: Picture, finest: float) -> Picture:
+def surroundings(rgba: Image, finest: float) -> Image:
     """Cut to a rectangle around the object, as far as the picture has it; shrink if need be.
 
     Args:
@@ -104,11 +189,11 @@ def surroundings(rgba: Picture, finest: float) -> Picture:
     return straight(np.asarray(small, np.float32))
 
 
-def _opaque(rgba: Picture) -> int:
+def _opaque(rgba: Image) -> int:
     return int(np.count_nonzero(rgba[..., 3] > OPAQUE))
 
 
-def _passes(rgba: Picture) -> bool:
+def _passes(rgba: Image) -> bool:
     try:
         check_crop(rgba, "perturbed picture")
     except InputError:

@@ -1,17 +1,25 @@
-"""What every kind of perturbation has in common."""
+"""What all kinds of perturbation share: the seam, the object's box, alpha, light, masks and noise.
+
+Colour beside an object's edge means nothing where alpha is zero, so whatever mixes neighbouring
+pixels works on colour times alpha.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Annotated, ClassVar, Protocol
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from recast.records import Record
+from recast.arrays import Image
+from recast.core.records import Record
+from recast.trellis.conditioning.crop import OPAQUE, object_box
 
-Picture = NDArray[np.uint8]
+Floats = NDArray[np.floating[Any]]
 
 
 def _in_order(interval: tuple[float, float]) -> tuple[float, float]:
@@ -32,7 +40,7 @@ class Perturbation(Protocol):
 
     name: ClassVar[str]
 
-    def __call__(self, rgba: Picture, severity: float, rng: np.random.Generator) -> Picture:
+    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
         """Spoil a picture.
 
         Args:
@@ -64,5 +72,199 @@ class Kind(Record, ABC):
     severity: Shares = (0.1, 1.0)
 
     @abstractmethod
-    def __call__(self, rgba: Picture, severity: float, rng: np.random.Generator) -> Picture:
+    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
         """Spoil a picture; see `Perturbation`."""
+
+
+@dataclass(frozen=True)
+class ObjectBox:
+    """The object's box in its picture: where alpha exceeds 0.8.
+
+    Attributes:
+        left, top: first column and row, pixels.
+        width, height: of the box, pixels.
+    """
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    @property
+    def extent(self) -> int:
+        """The longer side, pixels."""
+        return max(self.width, self.height)
+
+    @property
+    def bottom(self) -> int:
+        """The first row below the box."""
+        return self.top + self.height
+
+    @property
+    def right(self) -> int:
+        """The first column beyond the box."""
+        return self.left + self.width
+
+
+def find_object(rgba: Image) -> ObjectBox:
+    """The box of a picture that passes `recast.trellis.check_crop`."""
+    left, top, right, bottom = object_box(rgba[..., 3])
+    return ObjectBox(left, top, right - left + 1, bottom - top + 1)
+
+
+def shrinking(extent: float, smallest: float, severity: float) -> float:
+    """Scale factor in (0, 1] that brings an object to `smallest` pixels at severity 1.
+
+    Geometric in between: equal steps of severity lose equal shares. An object that is smaller
+    already keeps its size.
+    """
+    return float(np.minimum(1.0, smallest / extent) ** severity)
+
+
+def premultiplied(rgba: Image) -> Floats:
+    """(H, W, 4) float32 in [0, 1]: colour times alpha, and alpha."""
+    unit = np.asarray(rgba, np.float32) / 255
+    unit[..., :3] *= unit[..., 3:]
+    return unit
+
+
+def straight(mixed: Floats) -> Image:
+    """(H, W, 4) uint8 with straight alpha of premultiplied values; black where alpha is zero."""
+    alpha = np.clip(mixed[..., 3], 0, 1)
+    return with_alpha(mixed[..., :3] / np.maximum(alpha, 1e-6)[..., None], alpha)
+
+
+def with_alpha(colour: Floats, alpha: Floats) -> Image:
+    """(H, W, 4) uint8 of straight colours (H, W, 3) and alpha (H, W), both in [0, 1]."""
+    levels = np.round(255 * np.clip(alpha, 0, 1)).astype(np.uint8)
+    rgb = np.round(255 * np.clip(colour, 0, 1)).astype(np.uint8)
+    rgb[levels == 0] = 0
+    return np.dstack([rgb, levels])
+
+
+def colour_and_alpha(rgba: Image) -> tuple[Floats, Floats]:
+    """Straight colours (H, W, 3), black where alpha is zero, and alpha (H, W); in [0, 1]."""
+    unit = np.asarray(rgba, np.float32) / 255
+    unit[rgba[..., 3] == 0] = 0
+    return unit[..., :3], unit[..., 3]
+
+
+def value_noise(
+    height: int, width: int, cell: float, rng: np.random.Generator, octaves: int = 3
+) -> Floats:
+    """Random field (height, width) float32 with mean about 0 and standard deviation about 1.
+
+    Args:
+        height, width: pixels.
+        cell: size of its largest lumps, pixels.
+        rng: of the lumps.
+        octaves: each has lumps of half the size and of 0.5 times the strength.
+    """
+    total, power = np.zeros((height, width), np.float32), 0.0
+    for octave in range(octaves):
+        size = max(cell / 2**octave, 1.0)
+        rows, columns = int(height / size) + 2, int(width / size) + 2
+        grid = rng.standard_normal((rows, columns), np.float32)
+        # Two knots beyond the field at most, so lumps keep their size at its borders.
+        large = cv2.resize(
+            grid, (round(columns * size) + 1, round(rows * size) + 1), interpolation=cv2.INTER_CUBIC
+        )
+        total += 0.5**octave * large[:height, :width]
+        power += 0.25**octave
+    return total / np.float32(0.75 * np.sqrt(power))
+
+
+def signed_distance(alpha: Floats) -> Floats:
+    """Pixels to the nearest pixel across the edge, less a half: positive where alpha > 0.5.
+
+    Args:
+        alpha: (H, W) float32 in [0, 1].
+
+    Returns:
+        (H, W) float32: 0.5 in the first pixel inside, -0.5 in the first one outside.
+    """
+    inside = (alpha > 0.5).astype(np.uint8)
+    within = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    beyond = cv2.distanceTransform(1 - inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.where(inside > 0, within - 0.5, 0.5 - beyond).astype(np.float32)
+
+
+def reveal(rgba: Image, alpha: Floats, behind: Floats) -> Image:
+    """Give a picture another mask; where that is larger, the background is seen through it.
+
+    Args:
+        rgba: (H, W, 4) uint8, straight alpha.
+        alpha: (H, W) in [0, 1], the new mask.
+        behind: (H, W, 3) in [0, 1], display colours.
+
+    Returns:
+        (H, W, 4) uint8, straight alpha.
+    """
+    colour, before = colour_and_alpha(rgba)
+    added = np.maximum(alpha - before, 0) / np.maximum(alpha, 1e-6)
+    return with_alpha(colour + (behind - colour) * added[..., None], alpha)
+
+
+_BEHIND = np.array(
+    [
+        (0.62, 0.55, 0.46),  # plaster
+        (0.42, 0.30, 0.25),  # brick
+        (0.52, 0.52, 0.52),  # concrete
+        (0.18, 0.23, 0.13),  # hedge
+        (0.12, 0.15, 0.11),  # trees in the shade
+        (0.66, 0.74, 0.84),  # sky
+        (0.28, 0.28, 0.31),  # another vehicle, a dark window
+    ],
+    np.float32,
+)
+
+
+_DAYLIGHT = 0.6  # the brightest parts of a dark car by day, in display colours
+
+
+def backdrop(rgba: Image, box: ObjectBox, rng: np.random.Generator) -> Floats:
+    """A road, and what stands beyond it, in the light in which the object is seen.
+
+    The horizon runs through the upper part of the object, as a car's camera sees other cars.
+
+    Args:
+        rgba: (H, W, 4) uint8 of the object; where even its brightest parts are dark, it is dark.
+        box: of the object.
+        rng: of everything random.
+
+    Returns:
+        (H, W, 3) float32 display colours in [0, 1].
+    """
+    height, width = rgba.shape[:2]
+    extent = box.extent
+    rows = np.arange(height, dtype=np.float32)[:, None]
+    columns = np.arange(width, dtype=np.float32)[None, :]
+    fine = value_noise(height, width, 0.06 * extent, rng)
+    coarse = value_noise(height, width, 0.3 * extent, rng)
+
+    grey = rng.uniform(0.22, 0.5) * np.array([1.0, 0.99, rng.uniform(0.92, 1.05)], np.float32)
+    road = grey * (1 + 0.05 * fine + 0.08 * coarse)[..., None]
+
+    standing = np.sort(rng.uniform(box.left - extent / 2, box.right + extent / 2, 4))
+    colours = _BEHIND[rng.integers(len(_BEHIND), size=5)] * rng.uniform(0.6, 1.25, (5, 1))
+    beyond = colours.astype(np.float32)[np.searchsorted(standing, columns[0])][None]
+    beyond = beyond * (1 + 0.12 * fine + 0.12 * coarse)[..., None]
+
+    horizon = box.top + rng.uniform(0.0, 0.55) * box.height + 0.02 * extent * coarse
+    brightest = float(np.quantile(rgba[rgba[..., 3] > OPAQUE][:, :3], 0.97)) / 255
+    light = rng.uniform(0.7, 1.15) * min(1.0, brightest / _DAYLIGHT)
+    street = np.where((rows > horizon)[..., None], road, beyond) * light
+    return np.clip(street, 0, 1).astype(np.float32)
+
+
+def segmented(alpha: Floats, width: float) -> Floats:
+    """Sharpen a blurred coverage about one half, as segmenters cut sharply through any blur.
+
+    Args:
+        alpha: (H, W) in [0, 1], blurred.
+        width: of the blurred edge, pixels; up to 1 the mask stays as it is.
+
+    Returns:
+        (H, W) in [0, 1] with edges about a pixel wide.
+    """
+    return np.clip((alpha - 0.5) * max(width, 1.0) + 0.5, 0, 1)

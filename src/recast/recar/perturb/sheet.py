@@ -10,12 +10,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from recast.recar.perturb.compose import Perturbed, perturb, surroundings
-from recast.recar.perturb.config import PerturbationConfig
-from recast.recar.perturb.extent import find_object
-from recast.recar.perturb.kind import Kind, Picture
-from recast.recar.perturb.premultiplied import premultiplied
-from recast.storage import atomic_file
+from recast.arrays import Image
+from recast.core.files import atomic_file
+from recast.recar.perturb.compose import PerturbationConfig, Perturbed, perturb, surroundings
+from recast.recar.perturb.kind import Kind, find_object, premultiplied
 from recast.trellis import crop_to_object
 
 SEVERITIES = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -27,7 +25,7 @@ _INK, _MUTED = "#1f2430", "#6b7280"
 _DPI = 100
 
 
-def write_sheet(rgba: Picture, config: PerturbationConfig, seed: int, path: Path) -> None:
+def write_sheet(rgba: Image, config: PerturbationConfig, seed: int, path: Path) -> None:
     """Draw the sheet of one picture as PNG.
 
     Each kind is a row of five severities over light grey, with equal random draws, so that one
@@ -54,31 +52,59 @@ def write_sheet(rgba: Picture, config: PerturbationConfig, seed: int, path: Path
 
     canvas = np.full((height, width, 3), 255, np.uint8)
 
-    def put(picture: Picture, left: float, top: float) -> None:
+    def put(picture: Image, left: float, top: float) -> None:
         row, column = round(top), round(left)
         canvas[row : row + picture.shape[0], column : column + picture.shape[1]] = picture
 
     def write(text: str, x: float, y: float, **style: Any) -> None:
         figure.text(x / width, 1 - y / height, text, **style)
 
-    write("Perturbations from severity 0 to 1", 12, 24, fontsize=14, color=_INK, weight="bold",
-          va="center")  # fmt: skip
+    write(
+        "Perturbations from severity 0 to 1",
+        12,
+        24,
+        fontsize=14,
+        color=_INK,
+        weight="bold",
+        va="center",
+    )
     for index, kind in enumerate(kinds):
         column, row = divmod(index, rows)
         left = column * (width + gap) / 2
         top = head + row * (cell_height + 6)
-        write(kind.name + ("\n(off)" if kind.weight == 0 else ""), left + label - 8,
-              top + cell_height / 2, fontsize=10, color=_INK, ha="right", va="center")  # fmt: skip
+        write(
+            kind.name + ("\n(off)" if kind.weight == 0 else ""),
+            left + label - 8,
+            top + cell_height / 2,
+            fontsize=10,
+            color=_INK,
+            ha="right",
+            va="center",
+        )
         for place, severity in enumerate(SEVERITIES):
             x = left + label + place * (cell_width + 4)
             if row == 0:
-                write(f"{severity:g}", x + cell_width / 2, head - 10, fontsize=9, color=_MUTED,
-                      ha="center", va="center")  # fmt: skip
+                write(
+                    f"{severity:g}",
+                    x + cell_width / 2,
+                    head - 10,
+                    fontsize=9,
+                    color=_MUTED,
+                    ha="center",
+                    va="center",
+                )
             put(_cell(_spoil(around, kind, severity, seed, index)), x, top)
     top = head + rows * (cell_height + 6) + 14
-    write(f"Drawn by this configuration, as the model gets them (clean with probability "
-          f"{config.rho_clean:g})", 12, top + 10, fontsize=12, color=_INK, weight="bold",
-          va="center")  # fmt: skip
+    write(
+        f"Drawn by this configuration, as the model gets them (clean with probability "
+        f"{config.rho_clean:g})",
+        12,
+        top + 10,
+        fontsize=12,
+        color=_INK,
+        weight="bold",
+        va="center",
+    )
     side = min((width - 24) // _DRAWS - 4, _CELL)
     for place in range(_DRAWS):
         drawn = perturb(rgba, config, np.random.default_rng([seed, len(kinds), place]))
@@ -93,7 +119,7 @@ def write_sheet(rgba: Picture, config: PerturbationConfig, seed: int, path: Path
         figure.savefig(partial, format="png", metadata={"Software": None})
 
 
-def _spoil(rgba: Picture, kind: Kind, severity: float, seed: int, index: int) -> Picture:
+def _spoil(rgba: Image, kind: Kind, severity: float, seed: int, index: int) -> Image:
     return kind(rgba, severity, np.random.default_rng([seed, index]))
 
 
@@ -101,7 +127,7 @@ def _caption(drawn: Perturbed) -> str:
     return "\n".join(f"{name} {severity:.2f}" for name, severity in drawn.applied) or "clean"
 
 
-def _with_margin(rgba: Picture) -> Picture:
+def _with_margin(rgba: Image) -> Image:
     """Cut to the object and some room around it, transparent where the picture ends."""
     box = find_object(rgba)
     edge = round(_MARGIN * box.extent)
@@ -109,7 +135,7 @@ def _with_margin(rgba: Picture) -> Picture:
     return padded[box.top : box.bottom + 2 * edge, box.left : box.right + 2 * edge]
 
 
-def _cell(rgba: Picture) -> Picture:
+def _cell(rgba: Image) -> Image:
     """Over the panel, scaled to the size of a cell."""
     scale = _CELL / max(rgba.shape[:2])
     size = (max(round(rgba.shape[1] * scale), 1), max(round(rgba.shape[0] * scale), 1))

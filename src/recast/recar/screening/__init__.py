@@ -4,12 +4,13 @@ The server of the page is in `recast.recar.screening.server`. See docs/data.md.
 """
 
 from recast.recar.screening.catalogue import Catalogue, Entry, Filter
-from recast.recar.screening.decisions import Conflict, Screening
-from recast.recar.screening.record import (
+from recast.recar.targets.decisions import (
     DECISIONS,
     SCREENING_FILE,
     Change,
+    Conflict,
     Decision,
+    Screening,
     ScreeningRecord,
 )
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Literal
 
-from recast.recar.screening.record import DECISIONS, Decision
+from recast.recar.targets.decisions import DECISIONS, Decision
 
 Order = Literal["id", "lowest", "highest"]
 ORDERS: tuple[Order, ...] = ("lowest", "highest", "id")
@@ -94,18 +94,26 @@ class Catalogue:
         return self._entries[name]
 
     def after(
-        self, name: str | None, order: Order, wanted: Filter,
-        decisions: Mapping[str, Decision], limit: int,
-    ) -> list[Entry]:  # fmt: skip
+        self,
+        name: str | None,
+        order: Order,
+        wanted: Filter,
+        decisions: Mapping[str, Decision],
+        limit: int,
+    ) -> list[Entry]:
         """Up to `limit` targets that a filter shows, those that follow `name`, or the first."""
         start = 0 if name is None else self._place[order][name] + 1
         following = islice(self._sorted[order], start, None)
         return list(islice(_shown(following, wanted, decisions), limit))
 
     def before(
-        self, name: str, order: Order, wanted: Filter,
-        decisions: Mapping[str, Decision], limit: int,
-    ) -> list[Entry]:  # fmt: skip
+        self,
+        name: str,
+        order: Order,
+        wanted: Filter,
+        decisions: Mapping[str, Decision],
+        limit: int,
+    ) -> list[Entry]:
         """Up to `limit` targets that a filter shows, those that lead up to `name`."""
         leading = self._sorted[order][: self._place[order][name]]
         return list(islice(_shown(reversed(leading), wanted, decisions), limit))[::-1]

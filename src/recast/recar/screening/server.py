@@ -7,18 +7,34 @@ import json
 import re
 import sys
 from collections.abc import Callable, Mapping
+from functools import cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
 from typing import Any
 from urllib.parse import parse_qsl, unquote, urlsplit
 
-from recast.errors import InputError
-from recast.recar.screening.page import CONTENT_POLICY, page
+from recast.core.errors import InputError
+from recast.core.files import parse_json
 from recast.recar.screening.service import RefusedError, ScreeningService
-from recast.storage import parse_json
 
+CONTENT_POLICY = (
+    "default-src 'none'; img-src 'self' data:; connect-src 'self'; style-src 'unsafe-inline'; "
+    "script-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""What the browser lets the page do: ask its own server, nothing else."""
 HOST = "127.0.0.1"
 _NAMES = (HOST, "localhost")
 _LENGTH = re.compile("[0-9]{1,4}")  # of a body
+
+
+@cache
+def page() -> bytes:
+    """HTML with style and script inside."""
+    folder = files("recast.recar.screening") / "web"
+    text = (folder / "page.html").read_text(encoding="utf-8")
+    for name, mark in (("page.css", "/* STYLE */"), ("page.js", "/* SCRIPT */")):
+        text = text.replace(mark, (folder / name).read_text(encoding="utf-8"))
+    return text.encode()
 
 
 class ScreeningServer(ThreadingHTTPServer):

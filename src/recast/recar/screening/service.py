@@ -6,13 +6,12 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.recar.screening.catalogue import ORDERS, SHOWS, Catalogue, Entry, Filter, Order
-from recast.recar.screening.decisions import Conflict, Screening
-from recast.recar.screening.record import DECISIONS
-from recast.recar.source import VehicleSource
 from recast.recar.targets import TargetCache
+from recast.recar.targets.decisions import DECISIONS, Conflict, Screening
 from recast.recar.targets.views import nearest_views
+from recast.recar.views import VehicleSource
 
 MOST_ITEMS = 200
 """Of an answer."""
@@ -56,9 +55,11 @@ class ScreeningService:
             raise InputError(cache.folder, "targets", "none to screen", "make them first")
         if pictures is not None and pictures.record.name != cache.record.vehicle_set:
             raise InputError(
-                pictures.folder, "set", f"is {pictures.record.name!r}, the targets are of "
-                f"{cache.record.vehicle_set!r}", "name the set they were made from",
-            )  # fmt: skip
+                pictures.folder,
+                "set",
+                f"is {pictures.record.name!r}, the targets are of {cache.record.vehicle_set!r}",
+                "name the set they were made from",
+            )
         self._pictures = pictures
         self._views = () if pictures is None else nearest_views(pictures.record)
 

@@ -7,11 +7,14 @@
 The tars are WebDataset shards. See docs/data.md.
 """
 
-from recast.recar.shards.byte_size import parse_byte_size
 from recast.recar.shards.opening import open_set, read_shards
-from recast.recar.shards.pack import SHARD_BYTES, pack_set
-from recast.recar.shards.sharded_set import ShardedIdentity, ShardedSet
-from recast.recar.shards.stream import LoadedIdentity, stream_identities
+from recast.recar.shards.pack import SHARD_BYTES, pack_set, parse_byte_size
+from recast.recar.shards.sharded_set import (
+    LoadedIdentity,
+    ShardedIdentity,
+    ShardedSet,
+    stream_identities,
+)
 
 __all__ = [
     "SHARD_BYTES",

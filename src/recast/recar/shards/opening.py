@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.core.records import read_record
 from recast.recar.record import SetRecord
 from recast.recar.shards.layout import (
     INDEX_FILE,
@@ -14,11 +15,11 @@ from recast.recar.shards.layout import (
     SHARDS_VERSION,
     IndexRecord,
     ShardRecord,
+    cut_short,
+    shard_members,
 )
-from recast.recar.shards.members import cut_short, shard_members
 from recast.recar.shards.sharded_set import ShardedIdentity, ShardedSet
 from recast.recar.vehicle_set import VehicleSet, read_set
-from recast.records import read_record
 
 OnBad = Callable[[InputError], None]
 
@@ -50,9 +51,11 @@ def read_shards(folder: str | Path, on_bad: OnBad | None = None) -> ShardedSet:
     index = read_record(folder / INDEX_FILE, IndexRecord, SHARDS_VERSION, MEND, SHARDS_FORMAT)
     if not index.complete:
         raise InputError(
-            folder / INDEX_FILE, "complete", "is false: the shards are still in the making",
+            folder / INDEX_FILE,
+            "complete",
+            "is false: the shards are still in the making",
             "run `recast recar pack` again; it resumes",
-        )  # fmt: skip
+        )
     _check_identities(folder, index)
     identities: dict[str, ShardedIdentity] = {}
     for shard in index.shards:
@@ -69,17 +72,20 @@ def _check_identities(folder: Path, index: IndexRecord) -> None:
                 first = place[name]
                 how = "in both splits" if first.split != shard.split else "packed twice"
                 raise InputError(
-                    folder / INDEX_FILE, name,
+                    folder / INDEX_FILE,
+                    name,
                     f"is {how}: in {first.file} ({first.split}) and {shard.file} ({shard.split})",
                     "pack the set again",
-                )  # fmt: skip
+                )
             place[name] = shard
     if len(place) != index.identities or index.identities != index.set.identities:
         raise InputError(
-            folder / INDEX_FILE, "identities",
+            folder / INDEX_FILE,
+            "identities",
             f"{len(place)} in the shards, {index.identities} counted, {index.set.identities} in "
-            "the set", "pack the set again",
-        )  # fmt: skip
+            "the set",
+            "pack the set again",
+        )
 
 
 def _readable(

@@ -1,17 +1,21 @@
-"""Packing a vehicle set into shards."""
+"""Packing a vehicle set into shards: which identity goes into which, and how large they are."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from recast import storage
-from recast.errors import InputError
-from recast.recar.picture import MOST_BYTES, check_encoded_header
-from recast.recar.record import IDENTITY_FILE, SetRecord
+from recast.core import files
+from recast.core.errors import InputError
+from recast.core.files import disk_errors
+from recast.core.records import read_record
+from recast.recar.record import IDENTITY_FILE, SPLITS, SetRecord, Split, view_file
 from recast.recar.shards.layout import (
+    END,
     INDEX_FILE,
     SHARDS_FORMAT,
     SHARDS_VERSION,
@@ -19,16 +23,105 @@ from recast.recar.shards.layout import (
     Member,
     MembersRecord,
     ShardRecord,
+    member_header,
+    member_names,
     members_file,
+    padding,
+    shard_file,
+    stored_bytes,
 )
-from recast.recar.shards.plan import PlannedMember, PlannedShard, members_of, plan_shards
-from recast.recar.shards.tar import END, member_header, padding
-from recast.recar.vehicle_set import VehicleSet
-from recast.records import read_record
+from recast.recar.vehicle_set import Identity, VehicleSet
+from recast.recar.views import MOST_BYTES, check_encoded_header
 
 SHARD_BYTES = 256 * 10**6
 
 _MEND = "name another folder, or repeat the options of the shards that lie there"
+_UNITS = {
+    "": 1,
+    "b": 1,
+    "kb": 10**3,
+    "mb": 10**6,
+    "gb": 10**9,
+    "tb": 10**12,
+    "kib": 2**10,
+    "mib": 2**20,
+    "gib": 2**30,
+    "tib": 2**40,
+}
+
+
+@dataclass(frozen=True)
+class PlannedMember:
+    """A file of the set, and what it is called in the shard."""
+
+    name: str
+    path: Path
+
+
+@dataclass(frozen=True)
+class PlannedShard:
+    """A shard to write.
+
+    Attributes:
+        file: its name.
+        split: of all identities in it.
+        identities: in the order in which they lie in it.
+        sizes: bytes that each of them takes in the archive.
+    """
+
+    file: str
+    split: Split
+    identities: list[Identity] = field(default_factory=list)
+    sizes: list[int] = field(default_factory=list)
+
+
+def plan_shards(vehicle_set: VehicleSet, shard_bytes: int) -> list[PlannedShard]:
+    """Fill one shard after the other; none holds both splits, no identity lies in two.
+
+    Within a split identities are ordered by a hash of their names, so that a shard is a fair sample
+    of the set although neighbours by name are often of one kind. Only sizes of files are looked at,
+    and one number is kept of each identity.
+
+    Args:
+        vehicle_set: in folders.
+        shard_bytes: that a shard may have; an identity that alone takes more has its own.
+
+    Raises:
+        InputError: a file is missing.
+    """
+    plan: list[PlannedShard] = []
+    for split in SPLITS:
+        filled = 0
+        for identity in sorted(vehicle_set.of_split(split), key=_mixed):
+            size = sum(
+                stored_bytes(member.name, _size(member.path)) for member in members_of(identity)
+            )
+            if filled == 0 or filled + size > shard_bytes:
+                plan.append(PlannedShard(shard_file(len(plan)), split))
+                filled = len(END)
+            plan[-1].identities.append(identity)
+            plan[-1].sizes.append(size)
+            filled += size
+    return plan
+
+
+def members_of(identity: Identity) -> tuple[PlannedMember, ...]:
+    """The files of an identity in the order in which they lie in a shard."""
+    views = identity.set_record.views
+    files = (IDENTITY_FILE, *(view_file(index) for index in range(views)))
+    names = member_names(identity.record.id, views)
+    return tuple(
+        PlannedMember(name, identity.folder / file) for name, file in zip(names, files, strict=True)
+    )
+
+
+def _mixed(identity: Identity) -> bytes:
+    return hashlib.sha256(identity.record.id.encode()).digest()
+
+
+def _size(path: Path) -> int:
+    with disk_errors(path):
+        return path.stat().st_size
 
 
 def pack_set(
@@ -60,13 +153,18 @@ def pack_set(
     plan = plan_shards(vehicle_set, shard_bytes)
     pictures = len(vehicle_set.identities) * vehicle_set.record.views
     index = IndexRecord(
-        complete=False, shard_bytes=shard_bytes, set=vehicle_set.record,
-        identities=len(vehicle_set.identities), pictures=pictures, bytes=0, shards=(),
-    )  # fmt: skip
+        complete=False,
+        shard_bytes=shard_bytes,
+        set=vehicle_set.record,
+        identities=len(vehicle_set.identities),
+        pictures=pictures,
+        bytes=0,
+        shards=(),
+    )
     _write_index(out, index)
     shards: list[ShardRecord] = []
     done = 0
-    with storage.alone_in(out):
+    with files.alone_in(out):
         for planned in plan:
             shards.append(_write_shard(out, planned, vehicle_set.record))
             done += len(planned.identities) * vehicle_set.record.views
@@ -103,7 +201,7 @@ def _check_out(out: Path, record: SetRecord, shard_bytes: int) -> None:
 
 
 def _write_index(out: Path, index: IndexRecord) -> None:
-    storage.write_json(out / INDEX_FILE, index.model_dump(mode="json"))
+    files.write_json(out / INDEX_FILE, index.model_dump(mode="json"))
 
 
 def _write_shard(out: Path, planned: PlannedShard, record: SetRecord) -> ShardRecord:
@@ -111,12 +209,12 @@ def _write_shard(out: Path, planned: PlannedShard, record: SetRecord) -> ShardRe
     writing = _Shard(planned, record)
     if not _already_there(path, writing):
         writing = _Shard(planned, record)
-        with storage.atomic_file(path) as partial, partial.open("wb") as file:
+        with files.atomic_file(path) as partial, partial.open("wb") as file:
             for piece in writing.pieces():
                 file.write(piece)
     members = MembersRecord(shard=planned.file, members=writing.members)
     text = json.dumps(members.model_dump(mode="json"), separators=(",", ":")) + "\n"
-    storage.write_text(out / members_file(planned.file), text)
+    files.write_text(out / members_file(planned.file), text)
     return ShardRecord(
         file=planned.file,
         split=planned.split,
@@ -139,7 +237,7 @@ def _already_there(path: Path, writing: _Shard) -> bool:
 def _remove_strangers(out: Path, wanted: set[str]) -> None:
     # Of a set whose pictures have become smaller since; a reader that takes all tars of the
     # folder would meet their identities twice.
-    with storage.disk_errors(out):
+    with files.disk_errors(out):
         for path in out.glob("shard-*.tar"):
             if path.name not in wanted:
                 path.unlink()
@@ -172,9 +270,11 @@ class _Shard:
                 yield self._counted(data + padding(len(data)))
             if self.size - start != planned:
                 raise InputError(
-                    identity.folder, "files", "have changed while the set is being packed",
+                    identity.folder,
+                    "files",
+                    "have changed while the set is being packed",
                     "run again",
-                )  # fmt: skip
+                )
             self.members[identity.record.id] = tuple(written)
         yield self._counted(END)
 
@@ -185,7 +285,24 @@ class _Shard:
 
 
 def _read(member: PlannedMember, record: SetRecord) -> bytes:
-    data = storage.read_bytes(member.path, MOST_BYTES)
+    data = files.read_bytes(member.path, MOST_BYTES)
     if member.path.name != IDENTITY_FILE:
         check_encoded_header(data, member.path, record.width, record.height)
     return data
+
+
+def parse_byte_size(text: str, option: str) -> int:
+    """Bytes of a size such as "256MB" (10^6) or "256MiB" (2^20).
+
+    Args:
+        text: number and unit.
+        option: that the user gave it as, for the message.
+
+    Raises:
+        InputError: no such unit, less than one byte, or 2^63 and more.
+    """
+    found = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]+)?)\s*([A-Za-z]*)\s*", text)
+    size = float(found[1]) * _UNITS.get(found[2].lower(), 0) if found else 0
+    if not 1 <= size < 2**63:
+        raise InputError(option, "value", f"is {text!r}", "give a size such as 256MB or 1GiB")
+    return round(size)

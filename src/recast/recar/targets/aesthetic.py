@@ -1,4 +1,4 @@
-"""The Improved Aesthetic Predictor (Schuhmann 2022) on renders of targets."""
+"""The Improved Aesthetic Predictor (Schuhmann 2022) on renders of targets, embedded by CLIP."""
 
 from __future__ import annotations
 
@@ -10,20 +10,17 @@ import torch
 from PIL import Image as PilImage
 from torch import Tensor, nn
 
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.core.files import read_json
+from recast.core.torch_file import read_tensors
 from recast.pretrained import ClipImages
-from recast.recar.targets.clip import check_clip, load_clip_embedding
-from recast.recar.targets.model_source import file_hash
 from recast.recar.targets.quality import Candidate, Quality
-from recast.recar.targets.render import render
-from recast.recar.targets.views import Viewpoint
+from recast.recar.targets.record import file_hash
+from recast.recar.targets.views import Viewpoint, render
 from recast.splats import Gaussians
-from recast.torch_file import read_tensors
 
 WIDTHS = (768, 1024, 128, 64, 16, 1)
-_DROPPED_AFTER = (
-    3  # layers of the published network that a dropout follows, which does nothing here
-)
+_DROPPED_AFTER = 3  # layers that a dropout follows in the published network; none is needed here
 
 AZIMUTHS_DEG = (0.0, 90.0, 180.0, 270.0)
 PIXELS = 512
@@ -130,3 +127,38 @@ def weight_hashes(predictor: Path, clip: Path) -> dict[str, str]:
         "predictor": file_hash(iter([predictor])),
         "clip": file_hash(iter(ClipImages.folder(clip).files())),
     }
+
+
+def check_clip(folder: Path, width: int) -> None:
+    """Refuse a folder that holds no CLIP with image embeddings of `width` values.
+
+    Raises:
+        InputError: a file is missing, or of another network.
+    """
+    ClipImages.folder(folder).check()
+    config = read_json(folder / "config.json")
+    inner = config.get("vision_config", {}) if config["model_type"] == "clip" else config
+    found = config.get("projection_dim", inner.get("projection_dim"))
+    if found != width:
+        raise InputError(
+            folder / "config.json",
+            "projection_dim",
+            f"is {found}, the predictor wants {width}",
+            "name a folder with the files of openai/clip-vit-large-patch14",
+        )
+
+
+def load_clip_embedding(folder: Path, width: int) -> Callable[[list[PilImage.Image]], Tensor]:
+    """From pictures to image embeddings (N, width), not normalised.
+
+    Raises:
+        InputError: see `check_clip` and `PretrainedFolder.read`.
+    """
+    check_clip(folder, width)
+    clip = ClipImages.read(folder)
+
+    def embedding(pictures: list[PilImage.Image]) -> Tensor:
+        pixels = clip.processor(images=pictures, return_tensors="pt")["pixel_values"]
+        return clip.embedding(pixels.float())
+
+    return embedding

@@ -1,22 +1,27 @@
-"""Pseudo-targets of a vehicle set, made once and cached."""
+"""Pseudo-targets of a vehicle set, made once and cached; and what is in a cache, in figures."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection
+from dataclasses import dataclass
 from pathlib import Path
 
-from recast import storage
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from recast.core import files
+from recast.core.errors import InputError, printable
 from recast.crews import alone, crew_of
-from recast.errors import InputError
-from recast.recar.source import VehicleSource
+from recast.recar.record import SPLITS
 from recast.recar.targets.cache import TargetCache
-from recast.recar.targets.crews import absolute, start_maker
-from recast.recar.targets.maker import Job
-from recast.recar.targets.model_source import ModelSource
-from recast.recar.targets.quality import filter_record
-from recast.recar.targets.record import CACHE_FILE, CacheRecord
-from recast.recar.targets.settings import TargetSettings
+from recast.recar.targets.maker import Job, absolute, filter_record, start_maker
+from recast.recar.targets.record import CACHE_FILE, CacheRecord, ModelSource, TargetSettings
 from recast.recar.targets.views import encoded_view, nearest_views
+from recast.recar.views import VehicleSource
 from recast.trellis.generation import TRAINED_VOXEL_SHARE
 
 Progress = Callable[[int, int], None]
@@ -77,7 +82,7 @@ def build_targets(
         if ray is None and len(left) == 1:
             crew = alone
         plan = (model, settings) if ray is None else absolute(model, settings)
-        with storage.alone_in(out):
+        with files.alone_in(out):
             for _, outcome in crew(start_maker, plan, lambda: next(jobs, None), "finished targets"):
                 cache.write_target(outcome.record, outcome.target, outcome.preview)
                 done += 1
@@ -129,7 +134,7 @@ def _begin(out: Path, record: CacheRecord) -> TargetCache:
     if not (out / CACHE_FILE).is_file():
         # a kill at the very start leaves no more than the beginning of cache.json
         inside = {path.name for path in out.iterdir()} if out.is_dir() else set()
-        if not out.exists() or (out.is_dir() and inside <= {storage.partial_name(CACHE_FILE).name}):
+        if not out.exists() or (out.is_dir() and inside <= {files.partial_name(CACHE_FILE).name}):
             return TargetCache(out, record, {}, {})
         raise InputError(
             out, "output folder", "exists and is no target cache", "name a new or empty folder"
@@ -137,9 +142,11 @@ def _begin(out: Path, record: CacheRecord) -> TargetCache:
     cache = TargetCache.open(out, complete=False)
     if name := _first_difference(cache.record, record):
         raise InputError(
-            out / CACHE_FILE, name, "differs: targets of another configuration lie there",
+            out / CACHE_FILE,
+            name,
+            "differs: targets of another configuration lie there",
             "name another folder, or repeat the options of the targets that lie there",
-        )  # fmt: skip
+        )
     return cache
 
 
@@ -156,7 +163,7 @@ def _write_record(cache: TargetCache, record: CacheRecord) -> None:
     """Write cache.json, unless it says so already."""
     path = cache.folder / CACHE_FILE
     if cache.record != record or not path.exists():
-        storage.write_json(path, record.model_dump(mode="json"))
+        files.write_json(path, record.model_dump(mode="json"))
         cache.record = record
 
 
@@ -171,3 +178,95 @@ def _job(vehicles: VehicleSource, name: str, views: tuple[int, ...]) -> Job:
             reason = f"view {index}: {error.field} {error.problem}"
             return Job(own.id, own.split, own.kind, own.colour, (), reason)
     return Job(own.id, own.split, own.kind, own.colour, tuple(encoded))
+
+
+@dataclass(frozen=True)
+class TargetStatistics:
+    """Figures of a cache.
+
+    Attributes:
+        done: vehicles with a record.
+        failures: reasons with how often, the most frequent first.
+        rejected: by a person.
+        below: not rejected, below the threshold.
+        accepted: by split.
+        doubtful: targets nobody decided about that score higher with front and rear exchanged.
+        voxels: least, median and most of accepted targets; zeros where there is none.
+        scores: of all targets that have one, sorted.
+    """
+
+    done: int
+    failures: dict[str, int]
+    rejected: int
+    below: int
+    accepted: dict[str, int]
+    doubtful: int
+    voxels: tuple[int, int, int]
+    scores: tuple[float, ...]
+
+
+def target_statistics(cache: TargetCache) -> TargetStatistics:
+    """Count targets; see `TargetCache.statistics` for the values of their latents."""
+    made, accepted = cache.ids(accepted_only=False), cache.ids()
+    rejected = sum(cache.decisions.get(one) == "reject" for one in made)
+    splits = Counter(cache.records[one].split for one in accepted)
+    voxels = [cache.records[one].voxels for one in accepted]
+    failures = Counter(one.failure for one in cache.records.values() if one.failure is not None)
+    return TargetStatistics(
+        done=len(cache.records),
+        failures=dict(sorted(failures.items(), key=lambda item: (-item[1], item[0]))),
+        rejected=rejected,
+        below=len(made) - rejected - len(accepted),
+        accepted={split: splits[split] for split in SPLITS},
+        doubtful=sum(_rear_to_front(cache, one) for one in made),
+        voxels=(min(voxels), int(np.median(voxels)), max(voxels)) if voxels else (0, 0, 0),
+        scores=tuple(sorted(r.score for r in cache.records.values() if r.score is not None)),
+    )
+
+
+def _rear_to_front(cache: TargetCache, identity: str) -> bool:
+    record = cache.records[identity]
+    if identity in cache.decisions or record.score is None or record.score_flipped is None:
+        return False
+    return record.score_flipped > record.score
+
+
+def target_table(cache: TargetCache, statistics: TargetStatistics) -> Group:
+    """The figures for a terminal."""
+    record, score = cache.record, statistics.scores
+    title = Text(printable(record.vehicle_set))
+    summary = Table(title=title, title_justify="left", box=SIMPLE_HEAD, show_header=False)
+    failed = sum(statistics.failures.values())
+    accepted = sum(statistics.accepted.values())
+    rows = [
+        ("model", f"{printable(record.model.name)} ({record.model.sha256[:12]})"),
+        ("vehicles", f"{statistics.done:,} done, {failed:,} without a target"),
+        (
+            "accepted",
+            f"{accepted:,}: {statistics.accepted['train']:,} train, "
+            f"{statistics.accepted['held-out']:,} held out",
+        ),
+        ("left out", f"{statistics.below:,} below the threshold, {statistics.rejected:,} rejected"),
+        ("rear to front", f"{statistics.doubtful:,} agree better so: look at them"),
+        ("voxels", "{:,} to {:,}, median {:,}".format(*(statistics.voxels[i] for i in (0, 2, 1)))),
+    ]
+    if score:
+        tenth, median, most = (score[int(q * (len(score) - 1))] for q in (0.1, 0.5, 0.9))
+        rows.append(
+            (
+                record.filter.score or "score",
+                f"median {median:.3f}, 80 % in {tenth:.3f} to {most:.3f}, "
+                f"threshold {record.filter.threshold:g}",
+            )
+        )
+    for name, text in rows:
+        summary.add_row(name, Text(text))
+    parts: list[Table] = [summary]
+    if statistics.failures:
+        reasons = Table(box=SIMPLE_HEAD)
+        reasons.add_column("why there is no target")
+        reasons.add_column("vehicles", justify="right")
+        for reason, count in statistics.failures.items():
+            reasons.add_row(Text(printable(reason)), f"{count:,}")
+        parts.append(reasons)
+    return Group(*parts)

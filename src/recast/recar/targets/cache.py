@@ -5,22 +5,24 @@ CACHE/ss_latents/MODEL/ID.npz     mean (C, r, r, r) float32
 CACHE/latents/MODEL/ID.npz        feats (T, C) float32, coords (T, 3) uint8
 CACHE/previews/ID.png             contact sheet for people
 CACHE/records/ID.json             written last
-CACHE/screening.json              decisions of a person, if there are any: `recast.recar.screening`
+CACHE/screening.json              decisions of a person, if any: `recast.recar.screening`
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from recast import storage
-from recast.errors import InputError
-from recast.recar.arrays import write_arrays
+from recast.arrays import Array
+from recast.core import files
+from recast.core.errors import InputError
+from recast.core.records import read_record
 from recast.recar.record import Split
-from recast.recar.screening import Decision, Screening
-from recast.recar.targets.channels import ChannelMoments, ChannelStatistics
+from recast.recar.targets.decisions import Decision, Screening
 from recast.recar.targets.record import (
     CACHE_FILE,
     CACHE_FORMAT,
@@ -31,14 +33,90 @@ from recast.recar.targets.record import (
     CacheRecord,
     TargetRecord,
 )
-from recast.recar.targets.target import Target
-from recast.records import read_record
+from recast.recar.views import write_arrays
 from recast.tables import read_npz
 
 _MOST_BYTES = 1 << 28  # most of the arrays of a target; published ones have 2 MB
 STRUCTURES = "ss_latents"
 LATENTS = "latents"
 _REMAKE = "make the target again: remove its record and run the command that made it"
+
+
+@dataclass(frozen=True)
+class ChannelStatistics:
+    """Mean and standard deviation by channel, float64 (C,), over all values of all targets."""
+
+    mean: Array
+    std: Array
+
+
+class ChannelMoments:
+    """Adds up values, without losing digits to a large mean (Chan et al. 1979)."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._mean: Array = np.zeros(0)
+        self._squares: Array = np.zeros(0)
+
+    def add(self, values: NDArray[np.float32]) -> None:
+        """Add values (N, C) with N >= 1."""
+        block = values.astype(np.float64)
+        count, mean = len(block), block.mean(axis=0)
+        squares = np.square(block - mean).sum(axis=0)
+        if self._count == 0:
+            self._count, self._mean, self._squares = count, mean, squares
+            return
+        total, delta = self._count + count, mean - self._mean
+        self._squares = self._squares + squares + delta**2 * self._count * count / total
+        self._mean = self._mean + delta * count / total
+        self._count = total
+
+    def statistics(self) -> ChannelStatistics | None:
+        """Over all values, dividing by their number; None where there are none."""
+        if self._count == 0:
+            return None
+        return ChannelStatistics(self._mean, np.sqrt(self._squares / self._count))
+
+
+@dataclass(frozen=True)
+class Target:
+    """What the multi-image pipeline made of one vehicle (S, P and Z of the paper, section 2).
+
+    Attributes:
+        structure: (C, r, r, r) float32 sparse-structure latent as sampled; axes x, y, z.
+        coords: (T, 3) int32 active voxels x, y, z in [0, R), in lexicographic order.
+        latent: (T, C) float32 structured latent on them, raw: not normalised.
+
+    Raises:
+        ValueError: other shapes, no voxel, voxels in another order or twice, or values that are
+            not finite.
+    """
+
+    structure: NDArray[np.float32]
+    coords: NDArray[np.int32]
+    latent: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        shape = self.structure.shape
+        if len(shape) != 4 or len(set(shape[1:])) != 1:
+            raise ValueError(f"structure latent of shape {shape}, expected (C, r, r, r)")
+        count = len(self.coords)
+        if self.coords.shape != (count, 3) or self.latent.ndim != 2 or len(self.latent) != count:
+            raise ValueError(
+                f"coords {self.coords.shape} and latent {self.latent.shape}, not (T, 3), (T, C)"
+            )
+        if count == 0:
+            raise ValueError("no active voxel")
+        if self.coords.min() < 0 or not _rising(self.coords):
+            raise ValueError("coords are below zero, not in order, or there twice")
+        if not (np.isfinite(self.structure).all() and np.isfinite(self.latent).all()):
+            raise ValueError("values that are not finite")
+
+
+def _rising(coords: NDArray[np.int32]) -> bool:
+    """Whether rows (T, 3) ascend strictly, the first column first."""
+    x, y, z = np.diff(coords.astype(np.int64), axis=0).T
+    return bool(np.all((x > 0) | ((x == 0) & ((y > 0) | ((y == 0) & (z > 0))))))
 
 
 class TargetCache:
@@ -80,15 +158,19 @@ class TargetCache:
         record = read_record(folder / CACHE_FILE, CacheRecord, CACHE_VERSION, MEND, CACHE_FORMAT)
         if complete and not record.complete:
             raise InputError(
-                folder / CACHE_FILE, "complete", "is false: targets are still being made",
+                folder / CACHE_FILE,
+                "complete",
+                "is false: targets are still being made",
                 "run the command that makes them again; it resumes",
-            )  # fmt: skip
+            )
         records = read_records(folder)
         if record.complete and len(records) != record.identities:
             raise InputError(
-                folder / RECORDS, "records", f"{len(records)} where cache.json says "
-                f"{record.identities}", "make the targets again",
-            )  # fmt: skip
+                folder / RECORDS,
+                "records",
+                f"{len(records)} where cache.json says {record.identities}",
+                "make the targets again",
+            )
         return cls(folder, record, records, Screening(folder).decisions)
 
     def ids(self, split: Split | None = None, accepted_only: bool = True) -> tuple[str, ...]:
@@ -140,9 +222,12 @@ class TargetCache:
         voxels, largest = self.records[identity].voxels, target.coords.max()
         if len(target.latent) != voxels or largest >= model.resolution:
             raise InputError(
-                latent_path, "coords", f"{len(target.coords)} voxels up to {largest}, not the "
-                f"{voxels} below {model.resolution} of the record", MEND,
-            )  # fmt: skip
+                latent_path,
+                "coords",
+                f"{len(target.coords)} voxels up to {largest}, not the "
+                f"{voxels} below {model.resolution} of the record",
+                MEND,
+            )
         return target
 
     def write_target(
@@ -168,9 +253,9 @@ class TargetCache:
             coords = target.coords.astype(np.uint8)
             write_arrays(latent_path, feats=target.latent.astype(np.float32), coords=coords)
         if preview is not None:
-            storage.write_bytes(self.preview_path(record.id), preview)
+            files.write_bytes(self.preview_path(record.id), preview)
         path = self.folder / RECORDS / f"{record.id}.json"
-        storage.write_json(path, record.model_dump(mode="json"))
+        files.write_json(path, record.model_dump(mode="json"))
         self.records[record.id] = record
 
     def statistics(self) -> tuple[ChannelStatistics, ChannelStatistics]:

@@ -2,24 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 
-from recast.errors import InputError
-from recast.recar.picture import Image
+from recast.core.errors import InputError
 from recast.recar.record import Split
-from recast.recar.targets.heading import find_heading
-from recast.recar.targets.model_source import ModelSource
-from recast.recar.targets.preview import contact_sheet
-from recast.recar.targets.quality import Candidate, Quality, QualityScore, open_score
-from recast.recar.targets.record import TargetRecord
-from recast.recar.targets.settings import TargetSettings, identity_seed
-from recast.recar.targets.target import Target
-from recast.recar.targets.views import EncodedView
+from recast.recar.targets.cache import Target
+from recast.recar.targets.quality import AgreementScore, Candidate, Quality, QualityScore
+from recast.recar.targets.record import (
+    FilterRecord,
+    FilterSettings,
+    ModelSource,
+    TargetRecord,
+    TargetSettings,
+    identity_seed,
+)
+from recast.recar.targets.views import (
+    EncodedView,
+    Viewpoint,
+    find_heading,
+    of_picture,
+    render,
+    resized,
+    turned,
+)
+from recast.recar.views import Image
+from recast.splats import Gaussians
 from recast.trellis import GeneratedVehicle, GenerationLimits, ImageTo3D, generate
+
+TILE = 192
+"""Pixels a side of a tile."""
+
+_GREY = 0.55  # behind the vehicles, so that black ones are seen too
+_COLUMNS = (0, 2, 1, 3)  # front, left, rear, right: the way around the vehicle
+_CAPTIONS = ("front", "left", "rear", "right")
 
 
 @dataclass(frozen=True)
@@ -90,9 +111,10 @@ class TargetMaker:
         except InputError as error:
             return Outcome(blank.model_copy(update={"failure": error.problem}))
         target = Target(
-            made.structure.float().numpy(), made.coords.numpy().astype(np.int32),
+            made.structure.float().numpy(),
+            made.coords.numpy().astype(np.int32),
             made.latent.float().numpy(),
-        )  # fmt: skip
+        )
         viewpoints = [view.viewpoint for view in job.views]
         heading = None
         if self._settings.heading == "any":
@@ -105,14 +127,23 @@ class TargetMaker:
     def _generate(self, pictures: Sequence[Image], seed: int, name: str) -> GeneratedVehicle:
         settings = self._settings
         made = generate(
-            self._model, [pictures], [seed], names=[name], mode=settings.mode,
-            structure=settings.structure, latent=settings.latent,
+            self._model,
+            [pictures],
+            [seed],
+            names=[name],
+            mode=settings.mode,
+            structure=settings.structure,
+            latent=settings.latent,
             limits=GenerationLimits(settings.max_voxels, settings.retries),
-        ).vehicles[0]  # fmt: skip
+        ).vehicles[0]
         values = (made.structure, made.latent, made.gaussians.means, made.gaussians.log_scales)
         if not all(bool(torch.isfinite(value).all()) for value in values):
-            raise InputError(name, f"seed {seed}", "the model gives values that are not finite",
-                             "check the model")  # fmt: skip
+            raise InputError(
+                name,
+                f"seed {seed}",
+                "the model gives values that are not finite",
+                "check the model",
+            )
         return made
 
 
@@ -130,9 +161,122 @@ def _pictures(views: Sequence[EncodedView]) -> list[Image]:
 
 def _record(blank: TargetRecord, made: GeneratedVehicle, quality: Quality | None) -> TargetRecord:
     found: dict[str, object] = {
-        "seed": made.seed, "voxels": len(made.coords), "gaussians": len(made.gaussians),
-    }  # fmt: skip
+        "seed": made.seed,
+        "voxels": len(made.coords),
+        "gaussians": len(made.gaussians),
+    }
     if quality is not None:
-        found |= {"score": quality.score, "score_flipped": quality.flipped,
-                  "parts": dict(quality.parts)}  # fmt: skip
+        found |= {
+            "score": quality.score,
+            "score_flipped": quality.flipped,
+            "parts": dict(quality.parts),
+        }
     return blank.model_copy(update=found)
+
+
+def start_maker(
+    number: int, source: ModelSource, settings: TargetSettings
+) -> Callable[[Job], Outcome]:
+    """What worker `number` makes targets with; CUDA devices go round where none is named."""
+    device = source.device
+    if device is None and torch.cuda.is_available():
+        device = f"cuda:{number % torch.cuda.device_count()}"
+    return TargetMaker.load(source, settings, device).make
+
+
+def absolute(source: ModelSource, settings: TargetSettings) -> tuple[ModelSource, TargetSettings]:
+    """The same with paths that do not depend on the working folder, which is another on a cluster.
+
+    The model folder must lie under the same path on every machine of it.
+    """
+
+    def path(given: Path | None) -> Path | None:
+        return None if given is None else given.absolute()
+
+    judge = settings.filter
+    files = {"predictor": path(judge.predictor), "clip": path(judge.clip)}
+    return (
+        replace(source, folder=source.folder.absolute(), image_encoder=path(source.image_encoder)),
+        settings.model_copy(update={"filter": judge.model_copy(update=files)}),
+    )
+
+
+def contact_sheet(candidate: Candidate) -> bytes:
+    """PNG of 4 x 3 tiles: the four pictures, the target from there, and 45 degrees further on.
+
+    The columns go around the vehicle: front, left, rear, right. A target whose heading is not
+    `candidate.heading_deg` shows another side under each picture, such as its tail under the front.
+    """
+    rows: list[list[Image]] = [[], [], []]
+    for column, index in enumerate(_COLUMNS):
+        view = turned(candidate.viewpoints[index], candidate.heading_deg)
+        shown = resized(of_picture(candidate.pictures[index]), TILE).before(_GREY)
+        rows[0].append(_captioned(shown, f"picture: {_CAPTIONS[column]}"))
+        rows[1].append(_captioned(_tile(candidate.gaussians, view), "target"))
+        rows[2].append(_tile(candidate.gaussians, turned(view, 45.0)))
+    sheet = np.vstack([np.hstack(row) for row in rows])
+    written, data = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))
+    assert written
+    return data.tobytes()
+
+
+def _tile(gaussians: Gaussians, viewpoint: Viewpoint) -> Image:
+    # Not framed: floaters and a target of the wrong size must be seen.
+    return render(gaussians, viewpoint, TILE).before(_GREY)
+
+
+def _captioned(tile: Image, text: str) -> Image:
+    tile = np.ascontiguousarray(tile)
+    cv2.putText(tile, text, (5, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1, cv2.LINE_AA)
+    return tile
+
+
+def open_score(settings: FilterSettings) -> QualityScore | None:
+    """The score that settings ask for, its weights read; None for no filter.
+
+    Raises:
+        InputError: weights are not named, missing or of another network.
+    """
+    if settings.kind == "none":
+        return None
+    if settings.kind == "agreement":
+        return AgreementScore()
+    from recast.recar.targets.aesthetic import AestheticScore
+
+    return AestheticScore.load(*_aesthetic_files(settings))
+
+
+def filter_record(settings: FilterSettings) -> FilterRecord:
+    """What the cache says of the filter; the weights are checked as far as is quick.
+
+    Raises:
+        InputError: as `open_score`.
+    """
+    if settings.kind == "none":
+        if settings.threshold is not None:
+            raise InputError("--threshold", "value", "needs a filter", "choose one, or leave it")
+        return FilterRecord()
+    weights: dict[str, str] = {}
+    if settings.kind == "agreement":
+        name, threshold = AgreementScore.name, AgreementScore.threshold
+    else:
+        from recast.recar.targets.aesthetic import AestheticScore, weight_hashes
+
+        name, threshold = AestheticScore.name, AestheticScore.threshold
+        weights = weight_hashes(*_aesthetic_files(settings))
+    if settings.threshold is not None:
+        threshold = settings.threshold
+    return FilterRecord(score=name, threshold=threshold, weights=weights)
+
+
+def _aesthetic_files(settings: FilterSettings) -> tuple[Path, Path]:
+    if settings.predictor is None or settings.clip is None:
+        missing = "--predictor" if settings.predictor is None else "--clip"
+        raise InputError(
+            missing,
+            "weights",
+            "are not named",
+            "the aesthetic filter needs the predictor's .pth file and a folder of CLIP ViT-L/14; "
+            "small models use --filter agreement",
+        )
+    return settings.predictor, settings.clip

@@ -1,16 +1,25 @@
-"""The records of a cache of pseudo-targets: cache.json, and records/ID.json of every vehicle."""
+"""How targets are made, by which model, and their records: cache.json, records/ID.json."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat
 
+from recast.core.records import Record
 from recast.recar.record import IdentityName, Split, Text
-from recast.recar.targets.settings import Heading
-from recast.records import Record
-from recast.trellis import MultiImageMode, SamplerSettings
+from recast.trellis import ImageTo3D, MultiImageMode, SamplerSettings
+from recast.trellis.checkpoints import GENERATION_ROLES, PipelineRecord, read_pipeline
+from recast.trellis.checkpoints.load import BACKBONE_FOLDER
+from recast.trellis.checkpoints.model_files import model_files
+from recast.trellis.checkpoints.record import LATENT_FLOW, PIPELINE_FILE
 
+FilterKind = Literal["agreement", "aesthetic", "none"]
+Heading = Literal["any", "+x"]
 CACHE_FORMAT = "recast-target-cache"
 CACHE_VERSION = 1
 CACHE_FILE = "cache.json"
@@ -22,6 +31,58 @@ VIEWS_DEG = (0.0, 180.0, 90.0, 270.0)
 """Azimuths of front, rear, left and right, the order in which the pipeline gets them."""
 
 Azimuth = Annotated[FiniteFloat, Field(ge=0, lt=360)]
+_BLOCK = 1 << 22
+
+
+class FilterSettings(Record):
+    """The quality filter.
+
+    Attributes:
+        kind: "aesthetic" is that of the paper, the Improved Aesthetic Predictor; "agreement" a
+            stand-in for small models, see `AgreementScore`; "none" scores nothing.
+        threshold: least score of a target that is used; None takes that of the score.
+        predictor: weights of the predictor, such as sac+logos+ava1-l14-linearMSE.pth.
+        clip: folder of CLIP ViT-L/14 as Hugging Face has it.
+    """
+
+    kind: FilterKind = "agreement"
+    threshold: FiniteFloat | None = None
+    predictor: Path | None = None
+    clip: Path | None = None
+
+
+class TargetSettings(Record):
+    """How targets are made; the defaults are the paper's, where it says something.
+
+    Attributes:
+        seed: from which the seed of every vehicle is derived.
+        mode: of the multi-image pipeline.
+        structure, latent: samplers; None takes those of the checkpoint.
+        retries: further seeds for a structure that is empty or too large.
+        max_voxels: more of them are too many; None takes 8 R^2, the published limit.
+        heading: where vehicles of the model look: along +x, as those of models that were trained so
+            do, and a target that does not is one that failed; or any way, as those of the published
+            ones, which is then found by the pictures.
+        filter: quality filter.
+    """
+
+    seed: int = Field(default=0, ge=0)
+    mode: MultiImageMode = "stochastic"
+    structure: SamplerSettings | None = None
+    latent: SamplerSettings | None = None
+    retries: int = Field(default=3, ge=0, le=1000)
+    max_voxels: int | None = Field(default=None, ge=1)
+    heading: Heading = "any"
+    filter: FilterSettings = FilterSettings()
+
+
+def identity_seed(seed: int, identity: str) -> int:
+    """Seed of the noise of one vehicle in [0, 2^31): it depends on no other vehicle.
+
+    Retries count on from it; the seeds of two vehicles are rarely near each other.
+    """
+    digest = hashlib.sha256(f"{seed}/{identity}".encode()).digest()
+    return int.from_bytes(digest[:8], "big") % 2**31
 
 
 class ModelRecord(Record):
@@ -124,3 +185,73 @@ class TargetRecord(Record):
     parts: dict[str, FiniteFloat] = Field(default_factory=dict)
     heading_deg: Azimuth | None = None
     failure: Text | None = None
+
+
+@dataclass(frozen=True)
+class ModelSource:
+    """A model folder in the published layout; every process loads a model of its own from it.
+
+    Attributes:
+        folder: with pipeline.json and ckpts/.
+        image_encoder: weights of the published image encoder, where the folder has none.
+        device: None takes CUDA where there is some, one device a process in turn.
+    """
+
+    folder: Path
+    image_encoder: Path | None = None
+    device: str | None = None
+
+    def load(self, device: str | None = None) -> ImageTo3D:
+        """The model, on `device` or its own.
+
+        Raises:
+            InputError: see `ImageTo3D.load`.
+        """
+        return ImageTo3D.load(
+            self.folder, device=device or self.device, image_encoder=self.image_encoder
+        )
+
+    def record(self) -> ModelRecord:
+        """What the cache says of the model, all its files read for the hash.
+
+        Raises:
+            InputError: no such folder, or a file is missing or wrong.
+        """
+        pipeline = read_pipeline(self.folder)
+        config: Any = model_files(self.folder, pipeline, LATENT_FLOW).meta_model().config
+        mean, std = pipeline.slat_statistics
+        return ModelRecord(
+            name=self.folder.absolute().name,
+            sha256=file_hash(self._files(pipeline)),
+            resolution=int(config.resolution),
+            latent_mean=mean,
+            latent_std=std,
+        )
+
+    def pipeline(self) -> PipelineRecord:
+        """pipeline.json, for its samplers."""
+        return read_pipeline(self.folder)
+
+    def _files(self, pipeline: PipelineRecord) -> Iterator[Path]:
+        yield self.folder / PIPELINE_FILE
+        roles = list(GENERATION_ROLES)
+        if pipeline.encoder_role is not None:
+            roles.append(pipeline.encoder_role)
+        for role in roles:
+            files = model_files(self.folder, pipeline, role)
+            yield from (files.config, files.weights)
+        if pipeline.encoder_role is None:
+            backbone = self.image_encoder or self.folder / BACKBONE_FOLDER
+            inside = backbone.rglob("*") if backbone.is_dir() else iter([backbone])
+            yield from sorted(path for path in inside if path.is_file())
+
+
+def file_hash(paths: Iterator[Path]) -> str:
+    """SHA-256 of the contents of files, one after the other with their lengths before them."""
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.stat().st_size.to_bytes(8, "big"))
+        with path.open("rb") as stream:
+            while block := stream.read(_BLOCK):
+                digest.update(block)
+    return digest.hexdigest()

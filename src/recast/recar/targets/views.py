@@ -1,22 +1,50 @@
-"""The four views of a vehicle that its target is made from."""
+"""The pictures of a vehicle beside the renders of its target: four views, cut-outs, heading."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
 
+import cv2
 import numpy as np
+import torch
+from numpy.typing import NDArray
 
-from recast.errors import InputError
-from recast.recar.camera import ELEVATION_DEG, FOV_DEG
-from recast.recar.picture import Image, decode_picture
+from recast.core.errors import InputError
+from recast.geometry import se3
 from recast.recar.record import SetRecord
-from recast.recar.source import IdentitySource
 from recast.recar.targets.record import VIEWS_DEG
+from recast.recar.views import (
+    ELEVATION_DEG,
+    FOV_DEG,
+    IdentitySource,
+    Image,
+    camera_pose,
+    decode_picture,
+    pinhole,
+)
+from recast.splats import MIP, Gaussians, rasterize
 
 FARTHEST_DEG = 22.5
 """A picture farther than this from front, rear, left or right does not stand for it."""
 
 _DISTANCE = 2.0  # of the published camera helper, in units of the vehicle's longest side
+FloatImage = NDArray[np.float32]
+
+MARGIN = 1.2
+"""Side of a cut-out over the longer side of the vehicle's box, as in the crops of the model."""
+
+_OPAQUE = 0.5
+_PSNR_RANGE = (5.0, 25.0)
+STEPS = 24
+"""Headings that are tried around the circle, 15 degrees apart."""
+
+WITHIN_DEG = 1.0
+"""Largest last step: the best of them is then moved by ever smaller ones."""
+
+_PIXELS = 64  # side of the cut-outs that are compared
 
 
 def nearest_views(record: SetRecord) -> tuple[int, ...]:
@@ -32,9 +60,11 @@ def nearest_views(record: SetRecord) -> tuple[int, ...]:
         index = int(np.argmin(np.round(error, 6)))
         if error[index] > FARTHEST_DEG:
             raise InputError(
-                record.name, "azimuths", f"no view within {FARTHEST_DEG:g} degrees of {wanted:g}",
+                record.name,
+                "azimuths",
+                f"no view within {FARTHEST_DEG:g} degrees of {wanted:g}",
                 "targets need a view of front, rear, left and right",
-            )  # fmt: skip
+            )
         chosen.append(index)
     return tuple(chosen)
 
@@ -96,3 +126,155 @@ def encoded_view(identity: IdentitySource, index: int) -> EncodedView:
     return EncodedView(
         f"view {index}", identity.encoded(index), shared.width, shared.height, viewpoint
     )
+
+
+@dataclass(frozen=True)
+class Cutout:
+    """A square picture of a vehicle.
+
+    Attributes:
+        rgb: (S, S, 3) float32 in [0, 1], times alpha: on black.
+        alpha: (S, S) float32 in [0, 1].
+    """
+
+    rgb: FloatImage
+    alpha: FloatImage
+
+    @property
+    def mask(self) -> NDArray[np.bool_]:
+        """(S, S) where the vehicle is."""
+        return np.asarray(self.alpha > _OPAQUE)
+
+    def before(self, grey: float) -> Image:
+        """(S, S, 3) uint8 before a grey background."""
+        shown = self.rgb + grey * (1.0 - self.alpha[..., None])
+        return np.rint(np.clip(shown, 0, 1) * 255).astype(np.uint8)
+
+
+def iou(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
+    """Intersection over union of two masks; 0 where both are empty."""
+    union = np.count_nonzero(first | second)
+    return float(np.count_nonzero(first & second) / union) if union else 0.0
+
+
+def closeness(first: Cutout, second: Cutout) -> float:
+    """PSNR in dB of the colours where either shows the vehicle, from 5 to 25 dB as 0 to 1."""
+    seen = first.mask | second.mask
+    if not seen.any():
+        return 0.0
+    error = float(np.mean(np.square(first.rgb[seen] - second.rgb[seen])))
+    low, high = _PSNR_RANGE
+    return float(np.clip((-10.0 * np.log10(max(error, 1e-6)) - low) / (high - low), 0, 1))
+
+
+def render(gaussians: Gaussians, viewpoint: Viewpoint, pixels: int) -> Cutout:
+    """A square render of an asset in the unit cube, with the filter of the published renderer.
+
+    Args:
+        gaussians: z up, about the origin.
+        viewpoint: place of the camera, its azimuth from +x.
+        pixels: side of the picture.
+    """
+    camera = pinhole(pixels, pixels, viewpoint.fov_deg)
+    pose = camera_pose(viewpoint.azimuth_deg, viewpoint.elevation_deg, viewpoint.distance)
+    with torch.no_grad():
+        made = rasterize(
+            gaussians,
+            torch.from_numpy(se3.inverse(pose)).float(),
+            torch.from_numpy(camera.matrix).float(),
+            pixels,
+            pixels,
+            eps2d=MIP.variance,
+            antialiased=MIP.antialiased,
+        )
+    return Cutout(made.rgb.clamp(0, 1).numpy(), made.alpha.clamp(0, 1).numpy())
+
+
+def of_picture(rgba: Image) -> Cutout:
+    """A picture (H, W, 4) with straight alpha, made square by transparent borders."""
+    height, width = rgba.shape[:2]
+    side = max(height, width)
+    top, left = (side - height) // 2, (side - width) // 2
+    values = np.zeros((side, side, 4), np.float32)
+    values[top : top + height, left : left + width] = rgba.astype(np.float32) / 255
+    return Cutout(values[..., :3] * values[..., 3:], values[..., 3])
+
+
+def resized(cutout: Cutout, pixels: int) -> Cutout:
+    """The whole of a square picture at another size."""
+    if len(cutout.alpha) == pixels:
+        return cutout
+    method = cv2.INTER_AREA if len(cutout.alpha) > pixels else cv2.INTER_LINEAR
+    values: Any = np.dstack([cutout.rgb, cutout.alpha])
+    values = cv2.resize(values, (pixels, pixels), interpolation=method)
+    return Cutout(np.ascontiguousarray(values[..., :3]), np.ascontiguousarray(values[..., 3]))
+
+
+def framed(cutout: Cutout, pixels: int) -> Cutout:
+    """The square around the vehicle at a scale of its own, so that size and place do not matter.
+
+    Args:
+        cutout: of any size; empty ones stay as they are.
+        pixels: side of the result.
+    """
+    rows, columns = np.nonzero(cutout.mask)
+    if len(rows) == 0:
+        return Cutout(
+            np.zeros((pixels, pixels, 3), np.float32), np.zeros((pixels,) * 2, np.float32)
+        )
+    extent = max(np.ptp(rows), np.ptp(columns)) + 1
+    scale = pixels / (MARGIN * extent)
+    centre = np.array([columns.min() + columns.max() + 1, rows.min() + rows.max() + 1]) / 2
+    values: Any = np.dstack([cutout.rgb, cutout.alpha])
+    if scale < 1:  # smooth before shrinking, so that no pixel is skipped
+        sigma = 0.35 / scale
+        values = cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+    # Pixel centres are at +0.5 in both frames; OpenCV's are at whole numbers.
+    shift = pixels / 2 - scale * centre
+    affine = np.array(
+        [[scale, 0, shift[0] + 0.5 * scale - 0.5], [0, scale, shift[1] + 0.5 * scale - 0.5]]
+    )
+    values = cv2.warpAffine(values, affine, (pixels, pixels), flags=cv2.INTER_LINEAR)
+    return Cutout(np.ascontiguousarray(values[..., :3]), np.ascontiguousarray(values[..., 3]))
+
+
+def find_heading(
+    gaussians: Gaussians, pictures: Sequence[Image], viewpoints: Sequence[Viewpoint]
+) -> float:
+    """Degrees in [0, 360) about z, from +x, to which the vehicle's front points.
+
+    The heading under which renders agree best with all pictures, in outline and in colours. Both
+    are cut out at one scale, so that size and place of the asset do not matter. Where a vehicle
+    looks alike from several sides, such as front and rear, any of them may come out; its agreement
+    is then alike too.
+
+    Args:
+        gaussians: the target, in the unit cube, z up.
+        pictures: the vehicle, RGBA with straight alpha.
+        viewpoints: where the pictures were taken from, azimuth 0 ahead of the vehicle.
+    """
+    wanted = [framed(of_picture(picture), _PIXELS) for picture in pictures]
+
+    @cache  # views a quarter apart see the same pictures, one after the other
+    def shown(viewpoint: Viewpoint) -> Cutout:
+        return framed(render(gaussians, viewpoint, 2 * _PIXELS), _PIXELS)
+
+    def agreement(heading: float) -> float:
+        seen = [shown(turned(view, heading)) for view in viewpoints]
+        return float(
+            np.mean(
+                [iou(a.mask, b.mask) + closeness(a, b) for a, b in zip(wanted, seen, strict=True)]
+            )
+        )
+
+    step = 360.0 / STEPS
+    best = max((step * index for index in range(STEPS)), key=agreement)
+    while step > WITHIN_DEG:
+        step /= 2
+        best = max((best, best - step, best + step), key=agreement)
+    return best % 360.0
+
+
+def turned(viewpoint: Viewpoint, heading_deg: float) -> Viewpoint:
+    """The viewpoint in the frame of an asset whose front points to `heading_deg`."""
+    return replace(viewpoint, azimuth_deg=(viewpoint.azimuth_deg + heading_deg) % 360.0)

@@ -1,24 +1,28 @@
-"""Where the pictures that condition a flow come from: a vehicle set, or training assets."""
+"""What conditions a flow: the vehicles of a step, a picture of each, and its image tokens."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
-from recast.errors import InputError
-from recast.recar.assets.asset import TrainingAsset, read_asset
-from recast.recar.picture import Image
+from recast.core.errors import InputError
 from recast.recar.record import SET_FILE, Split
 from recast.recar.shards.layout import INDEX_FILE
 from recast.recar.shards.opening import open_set
-from recast.recar.source import IdentitySource
+from recast.recar.training.assets import TrainingAsset, read_asset
+from recast.recar.views import IdentitySource, Image
+from recast.trellis.conditioning import ImageEncoder, crop_to_object, images_from_crops
 
 _ASSETS_KEPT = 1024  # whose crops are decoded at a time, half a megabyte each
+Perturb = Callable[[Image, np.random.Generator], Image]
 
 
 class ConditionSource(Protocol):
@@ -112,9 +116,11 @@ def open_conditions(folder: Path) -> ConditionSource:
     paths = sorted(folder.glob("[!.]*.npz"))
     if not paths:
         raise InputError(
-            folder, "pictures", f"no {SET_FILE}, no {INDEX_FILE} and no assets (*.npz) there",
+            folder,
+            "pictures",
+            f"no {SET_FILE}, no {INDEX_FILE} and no assets (*.npz) there",
             "name a vehicle set, or a folder of training assets",
-        )  # fmt: skip
+        )
     return AssetConditions(paths)
 
 
@@ -122,3 +128,123 @@ def missing_pictures(source: ConditionSource, identities: Iterable[str]) -> tupl
     """Of some identities those that a source has no picture of."""
     known = set(source.ids)
     return tuple(one for one in identities if one not in known or source.count(one) == 0)
+
+
+def draw_identities(
+    identities: Sequence[str], count: int, rng: np.random.Generator
+) -> tuple[str, ...]:
+    """Draw the vehicles of a batch: no one twice before all were drawn once."""
+    drawn: list[str] = []
+    while len(drawn) < count:
+        order = rng.permutation(len(identities))[: count - len(drawn)]
+        drawn += [identities[i] for i in order]
+    return tuple(drawn)
+
+
+def balanced_parts(loads: Sequence[int], parts: int) -> list[list[int]]:
+    """Split a batch into parts of about the same load, such as voxels.
+
+    The heaviest sample first, each goes to the part with the least load so far (Graham 1969,
+    longest processing time first); no part stays empty.
+
+    Args:
+        loads: of each sample, above zero.
+        parts: at most as many as samples.
+
+    Returns:
+        Indices of the samples of each part, ascending.
+
+    Raises:
+        ValueError: more parts than samples.
+    """
+    if parts > len(loads):
+        raise ValueError(f"a batch of {len(loads)} does not split into {parts} parts")
+    groups: list[list[int]] = [[] for _ in range(parts)]
+    totals = [0] * parts
+    for index in sorted(range(len(loads)), key=lambda i: (-loads[i], i)):
+        lightest = min(range(parts), key=lambda p: (totals[p], len(groups[p]), p))
+        groups[lightest].append(index)
+        totals[lightest] += loads[index]
+    return [sorted(group) for group in groups]
+
+
+@dataclass(frozen=True)
+class View:
+    """One picture of one identity."""
+
+    identity: str
+    index: int
+
+
+class ConditionTokens:
+    """Tokens of views; those of a frozen encoder are kept in memory up to a bound.
+
+    Every picture is encoded alone: a batch of several would round differently, and a resumed
+    training, whose memory is empty, would not come out the same.
+
+    Args:
+        encoder: turns crops into tokens.
+        source: of the pictures.
+        device: of the encoder.
+        frozen: encode without gradients.
+        kept_bytes: of tokens kept; nothing is dropped, what comes later is encoded each time.
+    """
+
+    def __init__(
+        self,
+        encoder: ImageEncoder,
+        source: ConditionSource,
+        device: torch.device,
+        *,
+        frozen: bool = True,
+        kept_bytes: int = 0,
+    ) -> None:
+        self.encoder = encoder
+        self.source = source
+        self.device = device
+        self.frozen = frozen
+        self.kept_bytes = kept_bytes
+        self.used_bytes = 0
+        self._kept: dict[View, Tensor] = {}
+
+    def crop(self, view: View, alter: Perturb | None, rng: np.random.Generator) -> Image:
+        """The square crop (S, S, 3) on black that the encoder sees.
+
+        Args:
+            view: which picture.
+            alter: what happens to it first.
+            rng: for that.
+
+        Raises:
+            InputError: nothing to see in the picture, or it cannot be read.
+        """
+        rgba = self.source.picture(view.identity, view.index)
+        if alter is not None:
+            rgba = alter(rgba, rng)
+        where = f"{view.identity} picture {view.index}"
+        return crop_to_object(rgba, self.encoder.image_size, where=where)
+
+    def of(
+        self,
+        views: Sequence[View],
+        alters: Sequence[Perturb | None],
+        rng: np.random.Generator,
+    ) -> Tensor:
+        """Tokens (B, L, C) of views, each altered by its own function or left clean."""
+        if self.frozen:
+            with torch.no_grad():
+                tokens = [self._one(v, a, rng) for v, a in zip(views, alters, strict=True)]
+            return torch.stack(tokens).to(self.device)
+        crops = [self.crop(v, a, rng) for v, a in zip(views, alters, strict=True)]
+        return self.encoder.encode(images_from_crops(crops).to(self.device))
+
+    def _one(self, view: View, alter: Perturb | None, rng: np.random.Generator) -> Tensor:
+        if alter is None and view in self._kept:
+            return self._kept[view]
+        images = images_from_crops([self.crop(view, alter, rng)]).to(self.device)
+        tokens = self.encoder.encode(images)[0].detach()
+        size = tokens.numel() * tokens.element_size()
+        if alter is None and self.used_bytes + size <= self.kept_bytes:
+            self._kept[view] = tokens = tokens.cpu()
+            self.used_bytes += size
+        return tokens.to(self.device)

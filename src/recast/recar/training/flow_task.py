@@ -4,19 +4,128 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.recar.targets import Target, TargetCache
-from recast.recar.training.batches import balanced_parts, draw_identities
-from recast.recar.training.latents import Flow
+from recast.recar.training.conditions import (
+    ConditionTokens,
+    Perturb,
+    View,
+    balanced_parts,
+    draw_identities,
+)
 from recast.recar.training.stage_config import FlowObjective
 from recast.recar.training.task import StepLoss, StepRandom
-from recast.recar.training.tokens import ConditionTokens, Perturb, View
-from recast.trellis.flow import FlowLoss, FlowMatching, drop_condition, sample_timesteps
+from recast.trellis.flow_matching import FlowLoss, FlowMatching, sample_timesteps
+from recast.trellis.models.flow_transformer import SLatFlowModel, SparseStructureFlowModel
+from recast.trellis.sampler import Velocity, drop_condition
+from recast.trellis.sparse import SparseTensor
+
+_SEED = 20_260
+
+
+@dataclass(frozen=True)
+class FlowData:
+    """A batch as the flow-matching loss takes it.
+
+    Attributes:
+        x0: dense (B, ...) or sparse (T, C) data.
+        batch: (T,) sample of each row of sparse data.
+        velocity: the network on this batch.
+    """
+
+    x0: Tensor
+    batch: Tensor | None
+    velocity: Velocity
+
+
+class Flow(Protocol):
+    """One of the two flows."""
+
+    @property
+    def model(self) -> torch.nn.Module:
+        """What is trained."""
+        ...
+
+    def load(self, voxels: int) -> int:
+        """How much work a target of so many voxels is, in any unit."""
+        ...
+
+    def data(self, targets: Sequence[Target]) -> FlowData:
+        """A batch on the network's device."""
+        ...
+
+
+@dataclass(frozen=True)
+class StructureFlow:
+    """Structure latents, as sampled, whatever their spread: the published ones are not normalised.
+
+    Attributes:
+        model: the network.
+    """
+
+    model: SparseStructureFlowModel
+
+    def load(self, voxels: int) -> int:
+        """All alike."""
+        return 1
+
+    def data(self, targets: Sequence[Target]) -> FlowData:
+        """Dense (B, C, r, r, r).
+
+        Raises:
+            InputError: a target's structure is of another shape.
+        """
+        config = self.model.config
+        shape = (config.in_channels, *[config.resolution] * 3)
+        for one in targets:
+            if one.structure.shape != shape:
+                raise InputError(
+                    "targets",
+                    "structure",
+                    f"is {one.structure.shape}, the network takes {shape}",
+                    "make the targets with a model of the same size",
+                )
+        stacked = torch.stack([torch.from_numpy(one.structure) for one in targets])
+        return FlowData(stacked.to(self.model.device), None, self.model)
+
+
+@dataclass(frozen=True)
+class LatentFlow:
+    """Structured latents on the voxels of the target, normalised as the checkpoint says.
+
+    Attributes:
+        model: the network.
+        mean, std: (C,) of the checkpoint.
+    """
+
+    model: SLatFlowModel
+    mean: Tensor
+    std: Tensor
+
+    def load(self, voxels: int) -> int:
+        """Voxels."""
+        return voxels
+
+    def data(self, targets: Sequence[Target]) -> FlowData:
+        """Sparse (T, C), the voxels of all samples one after another."""
+        raw = SparseTensor.stack(
+            [torch.from_numpy(one.coords).int() for one in targets],
+            [torch.from_numpy(one.latent) for one in targets],
+        ).to(self.model.device)
+        start = raw.with_feats((raw.feats - self.mean) / self.std)
+
+        def velocity(x: Tensor, t: Tensor, cond: Tensor) -> Tensor:
+            out: SparseTensor = self.model(start.with_feats(x), t, cond)
+            return out.feats
+
+        return FlowData(start.feats, start.batch, velocity)
 
 
 class FlowTask:
@@ -53,10 +162,11 @@ class FlowTask:
     ) -> None:
         if len(identities) < 2:
             raise InputError(
-                targets.folder, "train identities",
+                targets.folder,
+                "train identities",
                 f"{len(identities)} can be used, at least two are needed",
                 "accept more targets, or name the set that they were made from",
-            )  # fmt: skip
+            )
         self.flow = flow
         self.targets = targets
         self.identities = tuple(identities)
@@ -117,3 +227,35 @@ def autocast(device: torch.device, dtype: str | None) -> contextlib.AbstractCont
     if dtype is None:
         return contextlib.nullcontext()
     return torch.autocast(device.type, getattr(torch, dtype))
+
+
+class ConditionGap:
+    """Losses of fixed held-out vehicles, always at the same times and with the same noise.
+
+    A flow that ignores its picture has the same loss when every vehicle is given that of another:
+    a gap of zero. Small flows fall into that for good, so it is watched from the start.
+
+    Args:
+        task: whose flow is measured.
+        tokens: of held-out pictures.
+        identities: at least two.
+    """
+
+    def __init__(self, task: FlowTask, tokens: ConditionTokens, identities: Sequence[str]) -> None:
+        rng = np.random.default_rng(_SEED)
+        self._task = task
+        self._tokens = tokens
+        self._targets = [task.targets.target(one) for one in identities]
+        self._views = [View(one, int(rng.integers(tokens.source.count(one)))) for one in identities]
+
+    @torch.no_grad()
+    def __call__(self) -> dict[str, float]:
+        """`held_out` (loss), `shuffled` (loss with exchanged pictures) and `gap` between them."""
+        clean = [None] * len(self._views)
+        cond = self._tokens.of(self._views, clean, np.random.default_rng(_SEED))
+        losses = []
+        for tokens in (cond, cond.roll(1, dims=0)):
+            generator = torch.Generator().manual_seed(_SEED)
+            losses.append(float(self._task.flow_loss(self._targets, tokens, generator).loss))
+        true, shuffled = losses
+        return {"held_out": true, "shuffled": shuffled, "gap": shuffled - true}

@@ -11,30 +11,26 @@ import torch
 from rich.console import Console
 from torch import nn
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.recar.perturb import PerturbationConfig, perturb
-from recast.recar.picture import Image
-from recast.recar.training.display import TrainingDisplay, tensorboard_writer
-from recast.recar.training.flow_task import FlowTask
-from recast.recar.training.latents import Flow, LatentFlow, StructureFlow
-from recast.recar.training.log import LOG_FILE, Means, read_log_lines
-from recast.recar.training.loop import train
-from recast.recar.training.model_output import write_trained_model
-from recast.recar.training.probe import ConditionGap
-from recast.recar.training.processes import Processes
-from recast.recar.training.settings import TrainerSettings
-from recast.recar.training.stage_config import FlowName
-from recast.recar.training.stage_parts import StageParts, StageRequest, open_stage
-from recast.recar.training.stage_sheets import StageSheets
-from recast.recar.training.state import TrainingState, steps_done
-from recast.recar.training.tokens import ConditionTokens, Perturb
-from recast.recar.training.training_record import (
+from recast.recar.progress import TrainingDisplay, tensorboard_writer
+from recast.recar.training.conditions import ConditionTokens, Perturb
+from recast.recar.training.flow_task import ConditionGap, Flow, FlowTask, LatentFlow, StructureFlow
+from recast.recar.training.loop import Processes, train
+from recast.recar.training.output import (
     FlowRecord,
     TrainingRecord,
     check_same_inputs,
+    write_trained_model,
 )
-from recast.trellis.checkpoints.roles import LATENT_FLOW, STRUCTURE_FLOW
-from recast.trellis.stopwatch import Stopwatch
+from recast.recar.training.sheets import StageSheets
+from recast.recar.training.stage_config import FlowName
+from recast.recar.training.stage_parts import StageParts, StageRequest, open_stage
+from recast.recar.training.state import TrainingState, steps_done
+from recast.recar.training.task import LOG_FILE, Means, TrainerSettings, read_log_lines
+from recast.recar.views import Image
+from recast.trellis.checkpoints.record import LATENT_FLOW, STRUCTURE_FLOW
+from recast.trellis.generation import Stopwatch
 
 ROLES: dict[FlowName, str] = {"structure": STRUCTURE_FLOW, "latent": LATENT_FLOW}
 TRAINING = "training"
@@ -95,8 +91,9 @@ class _Stage:
             self.console.print(
                 f"{self.request.targets}: nobody screened {self.parts.unscreened} of the "
                 f"{len(self.parts.train)} targets to train on; recast recar screen shows them",
-                markup=False, soft_wrap=True,
-            )  # fmt: skip
+                markup=False,
+                soft_wrap=True,
+            )
         for model in self.model.checkpoint.models.values():
             model.requires_grad_(False)
         for parameter in _parameters(self.model.encoder):
@@ -106,9 +103,11 @@ class _Stage:
         first = [n for n in self.config.settings if n in asked or self._is_trained(n)]
         if self.config.train_encoder and "structure" not in first:
             raise InputError(
-                "--flow", "latent", "needs the image encoder, which trains with the structure flow",
+                "--flow",
+                "latent",
+                "needs the image encoder, which trains with the structure flow",
                 "train the structure flow first",
-            )  # fmt: skip
+            )
         trained = self._train_all(first)
         # Another process may have finished the other flow by now.
         others = [n for n in self.config.settings if n not in first]
@@ -160,10 +159,14 @@ class _Stage:
                     sheets(state)
 
             state = train(
-                task, settings, folder, probe=probe, after_step=after_step,
+                task,
+                settings,
+                folder,
+                probe=probe,
+                after_step=after_step,
                 watch=lambda step, values: display.means(step, values, settings.rate(step - 1)),
                 processes=self.processes,
-            )  # fmt: skip
+            )
         if self.config.weights == "average":
             for key, average in state.averages.items():
                 average.copy_to(state.modules[key])
@@ -191,14 +194,23 @@ class _Stage:
             objective = objective.model_copy(update={"autocast": None})
         encoder: Any = model.encoder if config.train_encoder and name == "structure" else None
         tokens = ConditionTokens(
-            model.encoder, self.parts.pictures, model.device,
-            frozen=encoder is None, kept_bytes=config.token_memory_mib << 20,
-        )  # fmt: skip
+            model.encoder,
+            self.parts.pictures,
+            model.device,
+            frozen=encoder is None,
+            kept_bytes=config.token_memory_mib << 20,
+        )
         alter, clean_share = _perturbation(config.perturbation)
         return FlowTask(
-            flow, self.parts.targets, self.parts.train, tokens, objective, alter, clean_share,
+            flow,
+            self.parts.targets,
+            self.parts.train,
+            tokens,
+            objective,
+            alter,
+            clean_share,
             encoder,
-        )  # fmt: skip
+        )
 
     def _sheets(self, name: FlowName, tokens: ConditionTokens) -> StageSheets | None:
         """What draws sheets after steps, where some are wanted."""
@@ -207,9 +219,14 @@ class _Stage:
         if config.sheet_every == 0 or not identities:
             return None
         return StageSheets(
-            self.model, self.parts.targets, identities, tokens,
-            self.request.out / SHEETS / name, config.sheet_every, config.weights == "average",
-        )  # fmt: skip
+            self.model,
+            self.parts.targets,
+            identities,
+            tokens,
+            self.request.out / SHEETS / name,
+            config.sheet_every,
+            config.weights == "average",
+        )
 
     def _record(self, complete: bool) -> None:
         if not self.processes.first:

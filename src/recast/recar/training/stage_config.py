@@ -1,14 +1,18 @@
-"""How the flows are trained in one stage: every figure."""
+"""How the flows are trained in one stage: every figure, those of the paper, and files of them."""
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal, Self
 
-from pydantic import Field, FiniteFloat, model_validator
+from pydantic import Field, FiniteFloat, ValidationError, model_validator
 
+from recast.core.errors import InputError
+from recast.core.files import read_json
+from recast.core.records import Record, validation_error
 from recast.recar.perturb import PerturbationConfig
-from recast.recar.training.settings import TrainerSettings
-from recast.records import Record
+from recast.recar.training.task import TrainerSettings
 
 FlowName = Literal["structure", "latent"]
 FLOWS: tuple[FlowName, ...] = ("structure", "latent")
@@ -85,6 +89,125 @@ class StageConfig(Record):
     def settings(self) -> dict[FlowName, TrainerSettings]:
         """How each flow that is trained is trained, the structure first."""
         pairs: tuple[tuple[FlowName, TrainerSettings | None], ...] = (
-            ("structure", self.structure), ("latent", self.latent),
-        )  # fmt: skip
+            ("structure", self.structure),
+            ("latent", self.latent),
+        )
         return {name: settings for name, settings in pairs if settings is not None}
+
+
+def _trainer(steps: int, lr: float, **changes: Any) -> TrainerSettings:
+    fields = {"ema_decay": 0.9999, "checkpoint_every": 500, "log_every": 50} | changes
+    return TrainerSettings.model_validate({"steps": steps, "lr": lr, **fields})
+
+
+STAGE_1 = StageConfig(
+    name="stage-1", structure=_trainer(10_000, 1e-5), latent=_trainer(16_000, 1e-5)
+)
+"""Vehicles (paper, section 2): clean pictures, towards the pseudo-targets."""
+
+STAGE_2 = StageConfig(
+    name="stage-2",
+    structure=_trainer(12_000, 2e-6),
+    latent=_trainer(12_000, 2e-6),
+    perturbation=PerturbationConfig(),
+)
+"""Robustness (paper, section 2): the same targets, four pictures in five perturbed."""
+
+BASE = StageConfig(
+    name="base",
+    structure=_trainer(9_000, 1e-3, schedule="cosine", warmup=400, ema_decay=0.999),
+    latent=_trainer(3_000, 1e-3, schedule="cosine", warmup=200, ema_decay=0.998),
+    objective=FlowObjective(batch=4),
+    checkpointing=False,
+)
+"""The small model before its adaptation; its image encoder was trained before and stays."""
+
+BASE_2 = BASE.model_copy(
+    update={
+        "name": "base-2",
+        "structure": _trainer(12_000, 8e-4, schedule="cosine", warmup=200, ema_decay=0.999),
+        "latent": _trainer(4_800, 1e-3, schedule="cosine", warmup=100, ema_decay=0.998),
+    }
+)
+"""A second round of the base, from the weights of the first."""
+
+_MINI = STAGE_1.model_copy(update={"objective": FlowObjective(batch=4), "checkpointing": False})
+
+MINI_STAGE_1 = _MINI.model_copy(
+    update={
+        "name": "mini-stage-1",
+        "structure": _trainer(2_500, 3e-4, schedule="cosine", warmup=50, ema_decay=0.998),
+        "latent": _trainer(1_000, 3e-4, schedule="cosine", warmup=50, ema_decay=0.998),
+    }
+)
+"""Stage I of the small model: higher rates and fewer steps than those of half a billion weights."""
+
+MINI_STAGE_2 = MINI_STAGE_1.model_copy(
+    update={"name": "mini-stage-2", "perturbation": STAGE_2.perturbation}
+)
+"""Stage II of the small model."""
+
+PRESETS: Mapping[str, StageConfig] = {
+    one.name: one for one in (STAGE_1, STAGE_2, BASE, BASE_2, MINI_STAGE_1, MINI_STAGE_2)
+}
+COMMAND_NAMES: Mapping[str, StageConfig] = {
+    "1": STAGE_1,
+    "2": STAGE_2,
+    "base": BASE,
+    "base-2": BASE_2,
+    "mini-1": MINI_STAGE_1,
+    "mini-2": MINI_STAGE_2,
+}
+"""What `--stage` takes."""
+
+
+def read_stage_config(path: Path) -> StageConfig:
+    """Read a JSON file: all members of a `StageConfig`, or "preset" and what differs from it.
+
+    Raises:
+        InputError: no such file or preset, a member unknown or out of range.
+    """
+    mend = "see docs/recar.md, section Training"
+    values = read_json(path)
+    if not isinstance(values, dict):
+        raise InputError(path, "JSON", "is no object", mend)
+    preset = values.pop("preset", None)
+    if preset is not None and preset not in PRESETS:
+        raise InputError(path, "preset", f"is {preset!r}", f"take one of {', '.join(PRESETS)}")
+    start = {} if preset is None else PRESETS[preset].model_dump(mode="json")
+    try:
+        return StageConfig.model_validate(_merged(start, values))
+    except ValidationError as error:
+        raise validation_error(path, error, mend) from None
+
+
+def _merged(start: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Members replaced; objects member by member."""
+    merged = dict(start)
+    for name, value in changes.items():
+        old = merged.get(name)
+        both = isinstance(old, Mapping) and isinstance(value, Mapping)
+        merged[name] = _merged(old, value) if both else value  # type: ignore[arg-type]
+    return merged
+
+
+def chosen_stage(stage: str | None, file: Path | None) -> StageConfig:
+    """The stage that a command names, or a file; exactly one of them.
+
+    Args:
+        stage: one of `COMMAND_NAMES`.
+        file: see `read_stage_config`.
+
+    Raises:
+        InputError: none or both are given, or the file is wrong.
+    """
+    if (stage is None) == (file is None):
+        raise InputError(
+            "--stage",
+            "value",
+            "neither it nor --config is given" if stage is None else "--config is given too",
+            "give one of the two",
+        )
+    if file is not None:
+        return read_stage_config(file)
+    return COMMAND_NAMES[str(stage)]

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.recar.record import SET_FILE
 from recast.recar.shards.layout import INDEX_FILE
 from recast.recar.targets import TargetCache
@@ -19,10 +19,9 @@ from recast.recar.training.conditions import (
     missing_pictures,
     open_conditions,
 )
-from recast.recar.training.model_output import model_paths
-from recast.recar.training.processes import Processes
+from recast.recar.training.loop import Processes
+from recast.recar.training.output import StageInputs, hash_files, model_paths
 from recast.recar.training.stage_config import FlowName, StageConfig
-from recast.recar.training.training_record import StageInputs, hash_files
 from recast.trellis import ImageTo3D
 
 _SHOWN = 3
@@ -95,25 +94,30 @@ def open_stage(request: StageRequest, processes: Processes) -> StageParts:
         parts = settings.accumulate * processes.count
         if parts > config.objective.batch:
             raise InputError(
-                "stage", "objective.batch",
+                "stage",
+                "objective.batch",
                 f"is {config.objective.batch}, less than {parts} parts of {name} "
                 f"({processes.count} processes, accumulate {settings.accumulate})",
                 "raise it, or take fewer processes",
-            )  # fmt: skip
+            )
     targets = TargetCache.open(request.targets)
     pictures = open_conditions(request.pictures)
     train, held_out = targets.ids("train"), targets.ids("held-out")
     _check_pictures(request, pictures, train, held_out)
     device = processes.device or request.device
     model = ImageTo3D.load(
-        request.model, device=None if device is None else str(device),
-        torso_dtype=torch.float32, image_encoder=request.image_encoder,
-    )  # fmt: skip
+        request.model,
+        device=None if device is None else str(device),
+        torso_dtype=torch.float32,
+        image_encoder=request.image_encoder,
+    )
     if config.train_encoder and model.checkpoint.record.encoder_role is None:
         raise InputError(
-            request.model, "image encoder", "is the published one, which stays as it is",
+            request.model,
+            "image encoder",
+            "is the published one, which stays as it is",
             "set train_encoder to false",
-        )  # fmt: skip
+        )
     _check_sizes(request, model, targets, (*train, *held_out))
     inputs = StageInputs(
         config=config,
@@ -138,19 +142,21 @@ def _check_pictures(
     missing = missing_pictures(pictures, (*train, *held_out))
     if missing:
         raise InputError(
-            request.pictures, "pictures",
+            request.pictures,
+            "pictures",
             f"{len(missing)} vehicles with a target have none: {_listed(missing)}",
             "name the set that the targets were made from",
-        )  # fmt: skip
+        )
     if isinstance(pictures, SetConditions):
         wrong = tuple(one for one in train if pictures.split(one) != "train")
         wrong += tuple(one for one in held_out if pictures.split(one) != "held-out")
         if wrong:
             raise InputError(
-                request.targets, "split",
+                request.targets,
+                "split",
                 f"of {len(wrong)} vehicles differs from that of the set: {_listed(wrong)}",
                 "make the targets again from this set",
-            )  # fmt: skip
+            )
 
 
 def _check_sizes(
@@ -159,20 +165,23 @@ def _check_sizes(
     latent: Any = model.latent_flow.config
     if targets.record.model.resolution != latent.resolution:
         raise InputError(
-            request.targets, "resolution",
+            request.targets,
+            "resolution",
             f"of the targets is {targets.record.model.resolution}, the model makes "
-            f"{latent.resolution}", "make the targets with a model of the same size",
-        )  # fmt: skip
+            f"{latent.resolution}",
+            "make the targets with a model of the same size",
+        )
     for identity in identities[:1]:
         one = targets.target(identity)
         found = [*one.structure.shape, one.latent.shape[1]]
         expected = [*model.structure_shape, model.latent_channels]
         if found != expected:
             raise InputError(
-                request.targets, identity,
+                request.targets,
+                identity,
                 f"has structure and latent of {found}, the model makes {expected}",
                 "make the targets with a model of the same size",
-            )  # fmt: skip
+            )
 
 
 def _target_files(folder: Path) -> list[Path]:

@@ -15,13 +15,12 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from recast.errors import InputError
-from recast.recar.training.log import Means
-from recast.recar.training.settings import TrainerSettings
-from recast.records import Record, validation_error
-from recast.storage import atomic_file, parse_json
-from recast.torch_file import read_safetensors
-from recast.trellis.flow import AdaptiveGradClipper, ExponentialMovingAverage
+from recast.core.errors import InputError
+from recast.core.files import atomic_file, parse_json
+from recast.core.records import Record, validation_error
+from recast.core.torch_file import read_safetensors
+from recast.recar.training.task import Means, TrainerSettings
+from recast.trellis.flow_matching import AdaptiveGradClipper, ExponentialMovingAverage
 
 STATE_FILE = "state.safetensors"
 _HEADER = "recast-training"
@@ -75,14 +74,18 @@ class TrainingState:
         return TrainingState(
             modules,
             torch.optim.AdamW(
-                parameters, lr=settings.lr, betas=settings.betas,
+                parameters,
+                lr=settings.lr,
+                betas=settings.betas,
                 weight_decay=settings.weight_decay,
             ),
-            {} if decay is None else {
+            {}
+            if decay is None
+            else {
                 name: ExponentialMovingAverage(module, decay) for name, module in modules.items()
             },
             AdaptiveGradClipper() if settings.clip == "adaptive" else None,
-        )  # fmt: skip
+        )
 
     def parameters(self) -> list[Tensor]:
         """What the optimiser changes, in its order."""

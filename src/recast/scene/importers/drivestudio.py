@@ -13,39 +13,48 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from recast.core.files import require_new
 from recast.logs import DrivingLog
 from recast.logs.importers.processed_folder import read_pose
-from recast.scene.cubemap import sky_from_cubemap
-from recast.scene.exposure import exposed, exposed_colours
 from recast.scene.importers.actors import (
+    SUSPICIOUS_M,
     TURNING,
     check_names,
     check_share,
+    choose_tracks,
     colours_in_own_frame,
     read_track_names,
 )
-from recast.scene.importers.cubemap import NO_SKY, RESAMPLED, read_faces
-from recast.scene.importers.drivestudio_nodes import (
+from recast.scene.importers.checkpoint import (
+    NO_SKY,
+    RESAMPLED,
+    Table,
+    read_checkpoint,
+    read_faces,
+    read_gaussians,
+    unused_members,
+)
+from recast.scene.importers.drivestudio_tables import (
     CONSTANT,
     INSTANCES,
     NAMES,
     Instance,
+    mean_affine,
     read_constant,
     read_instances,
 )
-from recast.scene.importers.exposure import mean_affine
-from recast.scene.importers.matching import SUSPICIOUS_M, choose_tracks
-from recast.scene.importers.parts import read_gaussians, unused_members
-from recast.scene.importers.placing import (
+from recast.scene.importers.placement import (
+    Imported,
+    ImportRecord,
     Placement,
     frame_times,
     given_placement,
+    write_imported,
 )
-from recast.scene.importers.record import Imported, ImportRecord, write_imported
-from recast.scene.importers.table import Table, read_checkpoint
+from recast.scene.sky import sky_from_cubemap
 from recast.scene.street_scene import SceneActor, StreetScene
+from recast.scene.trainable_parts import exposed, exposed_colours
 from recast.splats import Gaussians
-from recast.storage import require_new
 
 CUBE_FROM_SCENE = torch.tensor([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """The sky is looked up in direction (x, z, -y)."""

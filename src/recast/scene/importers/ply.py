@@ -6,15 +6,19 @@ from pathlib import Path
 
 import torch
 
-from recast.errors import InputError
+from recast.core.errors import InputError
+from recast.core.files import require_new
 from recast.logs import DrivingLog
-from recast.scene.importers.placing import Placement, given_placement
-from recast.scene.importers.record import Imported, ImportRecord, write_imported
-from recast.scene.sky import SkyMap
-from recast.scene.sky_image import read_sky
+from recast.scene.importers.placement import (
+    Imported,
+    ImportRecord,
+    Placement,
+    given_placement,
+    write_imported,
+)
+from recast.scene.sky import SkyMap, read_sky
 from recast.scene.street_scene import StreetScene
 from recast.splats import read_ply
-from recast.storage import require_new
 
 
 def import_ply(

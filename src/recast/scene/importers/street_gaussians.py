@@ -13,10 +13,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from recast.core.files import require_new
 from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.scene.appearance import fourier_basis
-from recast.scene.cubemap import sky_from_cubemap
 from recast.scene.importers.actors import (
     TURNING,
     check_names,
@@ -25,15 +25,28 @@ from recast.scene.importers.actors import (
     read_track_names,
     track_of,
 )
-from recast.scene.importers.cubemap import NO_SKY, RESAMPLED, read_faces
-from recast.scene.importers.parts import Names, read_gaussians, unused_members
-from recast.scene.importers.placing import Placement, frame_times, given_placement
-from recast.scene.importers.record import Imported, ImportRecord, write_imported
+from recast.scene.importers.checkpoint import (
+    NO_SKY,
+    RESAMPLED,
+    Names,
+    Table,
+    read_checkpoint,
+    read_faces,
+    read_gaussians,
+    unused_members,
+)
+from recast.scene.importers.placement import (
+    Imported,
+    ImportRecord,
+    Placement,
+    frame_times,
+    given_placement,
+    write_imported,
+)
 from recast.scene.importers.street_gaussians_tracks import ProcessedDrive, read_processed
-from recast.scene.importers.table import Table, read_checkpoint
+from recast.scene.sky import sky_from_cubemap
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.splats import Gaussians
-from recast.storage import require_new
 
 NAMES = Names("xyz", "feature_rest", "scaling", "rotation", "opacity")
 CONSTANT = "feature_dc"

@@ -1,8 +1,7 @@
 """Light: what a street says of it, and vehicles lit where they stand."""
 
-from recast.scene.light.cast_shadow import CastShadow
 from recast.scene.light.place import LitSurface, PlaceLight, SceneLight
-from recast.scene.light.relight import ActorLight, recorded_light
+from recast.scene.light.relight import ActorLight, CastShadow, recorded_light
 from recast.scene.light.sun import SunBelief
 
 __all__ = [

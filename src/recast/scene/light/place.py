@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from recast.arrays import Array
 from recast.geometry import se3
+from recast.geometry.colour import gamma_to_linear
 from recast.scene.light.sun import SUN_OVER_SKY, SunBelief, find_sun
-from recast.scene.light.surfaces import Patches, street_surfaces, to_linear
+from recast.scene.light.surfaces import Patches, street_surfaces
 from recast.scene.street_scene import StreetScene
 from recast.splats.sh import basis, rotate
-
-Array = NDArray[np.float64]
 
 _LANE_M = 1.5  # from vehicles' paths: there it is road that is seen
 _ROAD_OVER_SKY = 0.35  # least brightness of sunlit road over that of the sky near the horizon
@@ -203,4 +203,4 @@ def _sky_radiance(scene: StreetScene) -> float:
     rows = scene.sky.colours.shape[0]
     elevation = np.pi / 2 - (np.arange(rows) + 0.5) * np.pi / rows
     band = (elevation > _SKY_BAND[0]) & (elevation < _SKY_BAND[1])
-    return float(to_linear(scene.sky.colours.cpu().numpy()[band].astype(np.float64)).mean())
+    return float(gamma_to_linear(scene.sky.colours.cpu().numpy()[band].astype(np.float64)).mean())

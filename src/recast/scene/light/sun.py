@@ -12,14 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
-from recast.scene.light.occupancy import Occupancy
-from recast.scene.light.surfaces import Patches
+from recast.arrays import Array
+from recast.scene.light.surfaces import Occupancy, Patches
 from recast.splats.sh import basis
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 AZIMUTHS, ELEVATIONS = 24, np.radians([20.0, 30.0, 40.0, 50.0, 60.0, 70.0])
 DIRECTIONS = AZIMUTHS * len(ELEVATIONS)

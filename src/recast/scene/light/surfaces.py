@@ -1,4 +1,4 @@
-"""Patches of a street's surface: which way they face, and how bright they are."""
+"""What light meets in a street: patches of its surface, and a grid of what stands in the way."""
 
 from __future__ import annotations
 
@@ -8,16 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from recast.arrays import Array, Mask
 from recast.geometry import se3
-from recast.scene.light.occupancy import VOXEL_M, Occupancy
+from recast.geometry.colour import gamma_to_linear
 from recast.splats import Gaussians
 from recast.splats.sh import C0
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+VOXEL_M = 0.5
+MOST_VOXELS = 8_000_000
+_DENSITY = 1.5  # optical depth of a voxel that is filled by one Gaussian
+_NEAR, _FAR = 16, 64  # voxels: every one up to here, every second beyond, none farther
+_STEPS = np.array([*range(1, _NEAR), *range(_NEAR, _FAR, 2)], np.float32)
+_STRIDES = np.where(_STEPS < _NEAR, 1, 2).astype(np.float32)
 
-GAMMA = 2.2
-"""Power law between display values and linear light."""
 PATCH_M = 1.0
 """Edge of the cells whose Gaussians make one patch."""
 _REACH_M = 45.0  # from the vehicles' paths: farther off, a street is a blur
@@ -26,11 +29,6 @@ _OPAQUE, _FLAT, _WIDEST_M = 0.3, 0.5, 1.5
 _LEVEL = 0.9  # a normal with more of "up" is that of the ground or of a roof
 _GREEN = 0.2  # logarithm of green over red and blue from which on a patch is leaves or grass
 _BLACK = 0.004  # linear light
-
-
-def to_linear(display: Array) -> Array:
-    """Linear light of display values, by the power law."""
-    return np.power(np.clip(display, 0.0, 1.0), GAMMA)
 
 
 @dataclass(frozen=True)
@@ -124,7 +122,7 @@ class _Arrays:
             quats=array(g.quats),
             deviations=np.exp(array(g.log_scales)),
             opacity=1 / (1 + np.exp(-array(g.logit_opacities))),
-            colours=to_linear(0.5 + C0 * array(g.sh[:, 0])),
+            colours=gamma_to_linear(0.5 + C0 * array(g.sh[:, 0])),
         )
 
 
@@ -156,3 +154,50 @@ def _gathered(points: Array, normals: Array, colours: Array, areas: Array) -> Pa
     facing = mean(normals)
     length = np.linalg.norm(facing, axis=1, keepdims=True)
     return Patches(mean(points), facing / np.maximum(length, 1e-9), mean(colours))
+
+
+class Occupancy:
+    """Filled voxels.
+
+    Args:
+        points: (N, 3) centres of Gaussians, metres.
+        filled: (N,) share of a voxel that each fills.
+        around: (M, 3) places that stay inside where the grid would be too large.
+
+    Raises:
+        ValueError: neither points nor places.
+    """
+
+    def __init__(self, points: Array, filled: Array, around: Array) -> None:
+        everything = np.concatenate([points, around])
+        if len(everything) == 0:
+            raise ValueError("Occupancy: no points")
+        low, high = everything.min(axis=0) - VOXEL_M, everything.max(axis=0) + VOXEL_M
+        middle = around.mean(axis=0) if len(around) else (low + high) / 2
+        while np.prod(np.ceil((high - low) / VOXEL_M)) > MOST_VOXELS:
+            low, high = 0.9 * low + 0.1 * middle, 0.9 * high + 0.1 * middle
+        # A rim of empty voxels: whoever leaves the grid is taken to be there.
+        self._low = low - VOXEL_M
+        self._shape = np.ceil((high - low) / VOXEL_M).astype(np.int32) + 2
+        inside = np.all((points >= low) & (points < high), axis=1)
+        index = self._index(((points[inside] - self._low) / VOXEL_M).T)
+        depth = np.bincount(index, _DENSITY * filled[inside], int(self._shape.prod()))
+        self._depth = depth.astype(np.float32)
+
+    def _index(self, places: NDArray[np.floating]) -> NDArray[np.int32]:
+        """Flat index (...) of places (3, ...) in voxels."""
+        x, y, z = (
+            np.clip(place, 0, size - 1).astype(np.int32)
+            for place, size in zip(places, self._shape, strict=True)
+        )
+        index: NDArray[np.int32] = (x * self._shape[1] + y) * self._shape[2] + z
+        return index
+
+    def through(self, points: Array, towards: Array) -> Array:
+        """Share (N,) of light from a unit direction (3,) that reaches points (N, 3)."""
+        start = np.ascontiguousarray(((points - self._low) / VOXEL_M).T, np.float32)
+        step = towards.astype(np.float32)[:, None, None]
+        index = self._index(start[:, None] + _STEPS[:, None] * step)
+        depth = _STRIDES @ self._depth[index]
+        passed: Array = np.exp(-depth.astype(np.float64))
+        return passed

@@ -4,12 +4,11 @@
 `synthetic` (embreex) when a scene is made, not when this package is imported.
 """
 
-from recast.synthetic.rendering.camera import render_camera
-from recast.synthetic.rendering.camera_frame import CameraFrame
-from recast.synthetic.rendering.embree import require_embree
+from recast.synthetic.rendering.camera import CameraFrame, render_camera
 from recast.synthetic.rendering.lidar import WAYMO_TOP, LidarScan, LidarSpec, scan_lidar
-from recast.synthetic.rendering.mitsuba_probe import working_llvm
 from recast.synthetic.rendering.ray_scene import SKY, STREET, Hits, RayScene
+from recast.synthetic.rendering.rays import require_embree
+from recast.synthetic.rendering.sky import working_llvm
 
 __all__ = [
     "SKY",

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from recast.synthetic.rendering.embree import Float32Array
+from recast.arrays import Array
 from recast.synthetic.rendering.ray_scene import SKY, Poses, RayScene
-from recast.synthetic.rendering.surface_points import TABLE, surface_points
-from recast.synthetic.rendering.tone import LUMINANCE
-from recast.synthetic.rendering.vectors import dot, scaled
-
-Array = NDArray[np.float64]
+from recast.synthetic.rendering.rays import Float32Array, dot, scaled
+from recast.synthetic.rendering.surface_points import LUMINANCE, TABLE, surface_points
 
 MID_GREY = np.float32(0.18)
 """Luminance of the face for which `Material.lidar` is given."""

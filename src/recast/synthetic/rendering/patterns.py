@@ -9,13 +9,43 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from recast.synthetic.rendering.embree import Float32Array
-from recast.synthetic.rendering.noise import spectral_noise
+from recast.synthetic.rendering.rays import Float32Array
 
 SIZE = 512
 """Pixels of a pattern's side."""
+
+
+def spectral_noise(
+    size: int,
+    rng: np.random.Generator,
+    *,
+    slope: float = 1.0,
+    low: float = 1.0,
+    high: float = np.inf,
+    stretch: float = 1.0,
+) -> Float32Array:
+    """Noise (size, size) of mean 0 and standard deviation 1 that repeats without a seam.
+
+    White noise filtered in the Fourier domain, whatever repeats there being periodic here.
+
+    Args:
+        size: pixels of a period.
+        rng: the only source of randomness.
+        slope: amplitude falls as frequency ** -slope.
+        low, high: band of frequencies kept, in cycles a period.
+        stretch: above 1, streaks along the vertical axis.
+    """
+    spectrum = np.fft.rfft2(rng.standard_normal((size, size)))
+    vertical = np.fft.fftfreq(size, 1 / size)[:, None] * stretch
+    frequency = np.hypot(vertical, np.fft.rfftfreq(size, 1 / size)[None])
+    keep = (frequency >= low) & (frequency <= high)
+    spectrum *= np.where(keep, np.maximum(frequency, 1e-6) ** -slope, 0.0)
+    noise = np.fft.irfft2(spectrum, s=(size, size))
+    return ((noise - noise.mean()) / noise.std()).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -32,7 +62,7 @@ class Pattern:
 
 
 def fine_patterns() -> dict[str, Pattern]:
-    """The detail of each texture of `recast.synthetic.materials`."""
+    """The detail of each texture of `recast.synthetic.surface`."""
     makers: dict[str, tuple[float, Callable[[np.random.Generator], Float32Array]]] = {
         "asphalt": (3.0, _asphalt),
         "concrete": (2.4, _concrete),
@@ -205,3 +235,21 @@ def _meadow(rng: np.random.Generator) -> Float32Array:
 
 def _stains(rng: np.random.Generator, strength: float) -> Float32Array:
     return _grey(np.exp(strength * spectral_noise(SIZE, rng, slope=1.3)))
+
+
+def gather_image(image: NDArray, x: Float32Array, y: Float32Array) -> NDArray:
+    """Bilinear samples (at least N, channels) of an image at pixel coordinates x, y (N,).
+
+    Pixel centres at whole numbers. The points are folded into a grid, as `cv2.remap` takes no side
+    longer than 32767; the result is padded to full rows of that grid.
+    """
+    row = 1024
+    count = len(x)
+    height = -(-count // row)
+    if not count:
+        return np.zeros((0, image.shape[-1]), image.dtype)
+    places = np.zeros((2, height * row), np.float32)
+    places[0, :count], places[1, :count] = x, y
+    columns, rows = places.reshape(2, height, row)
+    samples = cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return samples.reshape(height * row, -1)

@@ -7,25 +7,67 @@ triangles, this costs 1 to 3 ms for a camera's rays.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from recast.arrays import Array
 from recast.geometry import se3
-from recast.synthetic.rendering.embree import BoolArray, Float32Array, Mesh
-from recast.synthetic.rendering.face_attributes import FaceAttributes
-from recast.synthetic.rendering.vectors import dot, rows, shift
+from recast.synthetic.rendering.rays import BoolArray, Float32Array, Mesh, dot, rows, shift
 from recast.synthetic.surface import Surface
 
-Array = NDArray[np.float64]
 Poses = Mapping[str, Array]
 
 STREET = 0
 """Instance id of what never moves; the i-th of the sorted model names has i + 1."""
 SKY = 65535
 """Instance id of rays that meet nothing."""
+
+
+class FaceAttributes:
+    """Attributes of the faces of several surfaces, each in its own frame, one after the other.
+
+    Attributes:
+        first: (S + 1,) row of each surface's first face.
+        corner_normals: (F, 3, 3) float32 unit shading normals.
+        flat_normals: (F, 3) float32 unit normals; zero for a face without area.
+        colours: (F, 3) float32.
+        materials: (F,) uint8.
+    """
+
+    def __init__(self, surfaces: Sequence[Surface]) -> None:
+        self.first = np.cumsum([0, *(len(surface) for surface in surfaces)])
+        self.corner_normals = np.concatenate([surface.normals for surface in surfaces])
+        self.colours = np.concatenate([surface.colours for surface in surfaces])
+        self.materials = np.concatenate([surface.materials for surface in surfaces])
+        flat = []
+        for surface in surfaces:
+            corners = surface.vertices[surface.faces]
+            cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            length = np.linalg.norm(cross, axis=1, keepdims=True)
+            flat.append((cross / np.maximum(length, 1e-20)).astype(np.float32))
+        self.flat_normals = np.concatenate(flat)
+
+    def with_surfaces(self, changed: Mapping[int, Surface]) -> FaceAttributes:
+        """The attributes with other surfaces, of as many faces, in the places of some.
+
+        Raises:
+            ValueError: a surface has another number of faces than the one in its place.
+        """
+        places, parts = list(changed), FaceAttributes([*changed.values()])
+        found = copy(self)
+        for name in ("corner_normals", "flat_normals", "colours", "materials"):
+            setattr(found, name, getattr(self, name).copy())
+        for k, place in enumerate(places):
+            own, new = slice(*self.first[[place, place + 1]]), slice(*parts.first[[k, k + 1]])
+            if own.stop - own.start != new.stop - new.start:
+                raise ValueError(f"surface {place}: {new.stop - new.start} faces, not as before")
+            for name in ("corner_normals", "flat_normals", "colours", "materials"):
+                getattr(found, name)[own] = getattr(parts, name)[new]
+        return found
 
 
 @dataclass(frozen=True)
@@ -222,3 +264,54 @@ def _move(
     rotation = local_from_world[:3, :3].astype(np.float32)
     offset = local_from_world[:3, 3].astype(np.float32)
     return shift(origins @ rotation.T, offset), directions @ rotation.T
+
+
+def brute_force_cast(
+    scene: RayScene, origins: ArrayLike, directions: ArrayLike, poses: Poses
+) -> Hits:
+    """The readable reference of `RayScene.cast`: float64, N x F work and memory."""
+    origins = np.asarray(origins, np.float64)
+    directions = np.asarray(directions, np.float64)
+    count = len(directions)
+    distance, face = np.full(count, np.inf), np.full(count, -1, np.int32)
+    instance = np.full(count, SKY, np.uint16)
+    u, v = np.zeros(count), np.zeros(count)
+    placed = [(0, scene.static.vertices[scene.static.faces])]
+    for index, name in enumerate(scene.names, 1):
+        if name in poses:
+            model = scene.models[name]
+            placed.append((index, se3.apply(poses[name], model.vertices)[model.faces]))
+    for index, triangles in placed:
+        if not len(triangles):
+            continue
+        t, at_u, at_v = intersect(origins, directions, triangles)
+        nearest = np.argmin(t, axis=1)
+        rays = np.arange(count)
+        closer = t[rays, nearest] < distance
+        distance = np.where(closer, t[rays, nearest], distance)
+        face = np.where(closer, nearest, face).astype(np.int32)
+        instance[closer] = index
+        u = np.where(closer, at_u[rays, nearest], u)
+        v = np.where(closer, at_v[rays, nearest], v)
+    return Hits(
+        distance.astype(np.float32), instance, face, u.astype(np.float32), v.astype(np.float32)
+    )
+
+
+def intersect(origins: Array, directions: Array, triangles: Array) -> tuple[Array, Array, Array]:
+    """Distances (N, F), inf where missed, and barycentric u, v of rays (N, 3) on (F, 3, 3).
+
+    Moller and Trumbore, "Fast, minimum storage ray-triangle intersection" (1997), both sides.
+    """
+    first = triangles[:, 1] - triangles[:, 0]
+    second = triangles[:, 2] - triangles[:, 0]
+    across = np.cross(directions[:, None], second[None])
+    determinant = np.sum(across * first, axis=-1)
+    safe = np.where(np.abs(determinant) < 1e-14, np.nan, determinant)
+    offset = origins[:, None] - triangles[None, :, 0]
+    u = np.sum(offset * across, axis=-1) / safe
+    turned = np.cross(offset, first[None])
+    v = np.sum(directions[:, None] * turned, axis=-1) / safe
+    t = np.sum(second[None] * turned, axis=-1) / safe
+    hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)
+    return np.where(hit, t, np.inf), u, v

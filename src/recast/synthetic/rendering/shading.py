@@ -1,17 +1,102 @@
-"""The radiance that leaves surfaces towards the viewer."""
+"""From light to image: radiance that leaves surfaces, reflections, rays at edges, and sRGB."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from recast.synthetic.rendering.embree import Float32Array
-from recast.synthetic.rendering.lighting import PI, Light, sun_cosine
+from recast.arrays import Array
+from recast.geometry.colour import linear_to_srgb
+from recast.synthetic.rendering.lighting import PI, PLANE_TOLERANCE, Light, incoming, sun_cosine
 from recast.synthetic.rendering.ray_scene import PosedScene
-from recast.synthetic.rendering.reflection import fresnel, reflected
-from recast.synthetic.rendering.sky_light import HAZE_LENGTH, SkyLight
-from recast.synthetic.rendering.surface_points import TABLE, SurfacePoints
-from recast.synthetic.rendering.textures import textured
-from recast.synthetic.rendering.vectors import outer, rows, scale, scaled
+from recast.synthetic.rendering.rays import (
+    BoolArray,
+    Float32Array,
+    dot,
+    normalise,
+    outer,
+    rows,
+    scale,
+    scaled,
+)
+from recast.synthetic.rendering.sky import HAZE_LENGTH, SkyLight
+from recast.synthetic.rendering.surface_points import LUMINANCE, TABLE, SurfacePoints, textured
+
+MIRROR_ROUGHNESS = 0.1
+"""Up to here a surface mirrors; beyond, its reflection is a blur like its diffuse light."""
+HIGHLIGHT_ROUGHNESS = np.float32(0.2)
+"""Least width of the sun's highlight: a mirror's would be a few pixels far beyond white."""
+HIGHLIGHT_LIMIT = np.float32(20.0)
+"""Most that the lobe of the highlight may be, 1/sr."""
+WHITE_LEVEL = 0.78
+"""What a white level surface in the open becomes before the tone curve, at exposure 1."""
+CLIP = 4.0
+"""Radiance, in units of a white surface, at which a pixel's samples saturate before averaging."""
+
+SATURATION = np.float32(1.12)
+"""Cameras render colours a little stronger than they are."""
+_TABLE_SIZE = 4096
+
+OFFSETS = np.array([[-1, -3], [3, -1], [1, 3], [-3, 1]], np.float64) / 8
+"""Places of the further rays in a pixel, from its centre: a rotated grid."""
+COLOUR_STEP = np.float32(0.04)
+"""Difference of two face colours that makes an edge."""
+CONTRAST = np.float32(0.15)
+"""Difference of what two mirrors show, in square roots of white, that makes an edge."""
+LEAST_LIKENESS = np.float32(0.2)
+"""Sum of weights that neighbours must have for light to be borrowed from them."""
+
+
+def fresnel(points: SurfacePoints) -> Float32Array:
+    """Reflectance (N, 3) of materials with a specular part; metals take the colour of the face.
+
+    Schlick, "An inexpensive BRDF model for physically-based rendering" (1994).
+    """
+    base = TABLE.specular[points.material][:, None]
+    metallic = TABLE.metallic[points.material][:, None]
+    base = base * np.where(metallic, points.colour, np.float32(1))
+    grazing = (1 - points.cosine) ** 5
+    # Rough surfaces hide themselves at grazing angles.
+    grazing *= 1 - TABLE.roughness[points.material]
+    return base + (1 - base) * grazing[:, None]
+
+
+def reflected(
+    posed: PosedScene, light: SkyLight, points: SurfacePoints, arriving: Light
+) -> Float32Array:
+    """Radiance (N, 3) that a perfect coat on the points would reflect, sun included.
+
+    Args:
+        points: all of materials that have a specular part.
+        arriving: the light at the points: sun seen, and blurred surroundings.
+    """
+    radiance = arriving.sky.copy()
+    mirror = np.flatnonzero(TABLE.roughness[points.material] <= MIRROR_ROUGHNESS)
+    coat = points.take(mirror)
+    directions = mirror_directions(coat.view, coat.normal, coat.flat)
+    radiance[mirror] = incoming(posed, light, coat.origin, directions)
+    radiance += _highlight(light, points, arriving.sun)
+    return radiance
+
+
+def mirror_directions(view: Float32Array, normal: Float32Array, flat: Float32Array) -> Float32Array:
+    """Unit directions (N, 3) of `view` mirrored at `normal`, kept outside the face `flat`."""
+    directions = view - scaled(normal, 2 * dot(view, normal))
+    below = np.minimum(dot(directions, flat) - np.float32(0.01), 0)
+    directions -= scaled(flat, 2 * below)
+    return normalise(directions)
+
+
+def _highlight(light: SkyLight, points: SurfacePoints, sun: Float32Array) -> Float32Array:
+    """The sun in a slightly rough surface (N, 3): lobe of Blinn (1977), energy kept."""
+    towards = light.sun_direction.astype(np.float32)
+    half = normalise(towards - points.view + np.float32(1e-6))
+    width = np.maximum(TABLE.roughness[points.material], HIGHLIGHT_ROUGHNESS) ** 2
+    exponent = 2 / width**2 - 2
+    cosine = np.clip(dot(points.normal, half), 0, 1)
+    lobe = np.minimum((exponent + 2) / (8 * PI) * cosine**exponent, HIGHLIGHT_LIMIT)
+    facing = points.normal @ towards > 0
+    return outer(lobe * facing * sun, light.sun)
 
 
 def shade(
@@ -44,3 +129,156 @@ def shade(
     scale(radiance, clear)
     radiance += outer(1 - clear, light.haze)
     return radiance
+
+
+def filmic(linear: Float32Array) -> Float32Array:
+    """Film-like curve from scene-linear to display-linear [0, 1]: toe, straight part, shoulder.
+
+    The rational form of K. Narkowicz, "ACES filmic tone mapping curve" (2015), with its toe raised
+    from 0.03 to 0.12: cameras on cars keep shadows readable.
+    """
+    curve = linear * (2.51 * linear + 0.12) / (linear * (2.43 * linear + 0.59) + 0.14)
+    return np.clip(curve, 0, 1)
+
+
+def _table() -> NDArray[np.float32]:
+    level = (np.linspace(0, 1, _TABLE_SIZE) ** 2 * 16).astype(np.float32)
+    return (linear_to_srgb(filmic(level)) * 255).astype(np.float32)
+
+
+_CURVE = _table()
+
+
+def develop(radiance: Float32Array, white: float, exposure: float) -> NDArray[np.uint8]:
+    """Image (..., 3) uint8 of linear radiance (..., 3).
+
+    Args:
+        white: radiance of a white level surface in the open.
+        exposure: factor on the light; 1 is right for the day.
+    """
+    scale = np.float32(exposure * WHITE_LEVEL / white / 16)
+    grey = radiance @ LUMINANCE
+    vivid = radiance * SATURATION + ((1 - SATURATION) * grey)[..., None]
+    position = np.sqrt(np.clip(vivid * scale, 0, 1)) * np.float32(_TABLE_SIZE - 1)
+    below = np.minimum(position.astype(np.int32), _TABLE_SIZE - 2)
+    value = np.take(_CURVE, below)
+    value += (np.take(_CURVE, below + 1) - value) * (position - below)
+    return (value + np.float32(0.5)).astype(np.uint8)
+
+
+def edge_pixels(
+    points: SurfacePoints,
+    pixels: NDArray[np.int64],
+    radiance: Float32Array,
+    white: float,
+    height: int,
+    width: int,
+) -> NDArray[np.int64]:
+    """Pixels (row major) whose surface differs from that of a neighbour.
+
+    Differs in instance, material, normal, distance or colour, and for mirrors in what they show.
+    """
+    count = height * width
+    # Sky keeps zeros: its normal differs from all.
+    flat_planes = np.zeros((8, count), np.float32)
+    flat_planes[0:3, pixels] = points.flat.T
+    flat_planes[3, pixels] = 1 / np.maximum(points.distance, np.float32(1e-3))
+    flat_planes[4, pixels] = points.colour @ np.array([0.5, 0.9, 0.25], np.float32)
+    mirror = (TABLE.specular[points.material] > 0) & (
+        TABLE.roughness[points.material] <= MIRROR_ROUGHNESS
+    )
+    shown = np.sqrt(np.minimum(radiance[:, 1] / np.float32(white), 2))
+    flat_planes[5, pixels] = np.where(mirror, shown, 0) / CONTRAST
+    flat_planes[6, pixels] = points.material
+    flat_planes[7, pixels] = points.instance
+    planes = flat_planes.reshape(8, height, width)
+    edge = np.zeros((height, width), bool)
+    for axis in (0, 1):
+        first = (slice(None),) * axis + (slice(None, -1),)
+        second = (slice(None),) * axis + (slice(1, None),)
+        differs = _differ(planes[:, *first], planes[:, *second])
+        edge[first] |= differs
+        edge[second] |= differs
+    return np.flatnonzero(edge)
+
+
+def _differ(first: Float32Array, second: Float32Array) -> BoolArray:
+    dot = first[0] * second[0]
+    dot += first[1] * second[1]
+    dot += first[2] * second[2]
+    hit = (first[3] > 0) | (second[3] > 0)
+    differs = (dot < 0.9) & hit
+    # The inverse of distance is linear on a plane: a step is an edge, a slope is not.
+    steep = np.minimum(first[3], second[3]) < np.float32(0.8) * np.maximum(first[3], second[3])
+    differs |= steep & (np.minimum(first[3], second[3]) > 0)
+    differs |= np.abs(first[4] - second[4]) > COLOUR_STEP
+    differs |= (first[6] == second[6]) & (np.abs(first[5] - second[5]) > 1)
+    differs |= first[6] != second[6]
+    differs |= first[7] != second[7]
+    return differs
+
+
+def borrow_light(
+    points: SurfacePoints,
+    pixels: NDArray[np.int64],
+    arriving: Light,
+    others: SurfacePoints,
+    other_pixels: NDArray[np.int64],
+    place: Array,
+    height: int,
+    width: int,
+) -> tuple[Light, NDArray[np.int64]]:
+    """Light of further points from smoothed light in the 3 x 3 pixels about them.
+
+    Args:
+        points, pixels, arriving: of the centre rays.
+        others, other_pixels: the further points and the pixel that each lies in.
+        place: (2,) where in the pixel, one of `OFFSETS`.
+
+    Returns:
+        their light, and the indices of those that found no like surface nearby.
+    """
+    wide = width + 2
+    table = np.zeros(((height + 2) * wide, 10), np.float32)
+    row = (pixels // width + 1) * wide + pixels % width + 1
+    table[row, 0:3], table[row, 3:6] = points.position, points.normal
+    table[row, 6], table[row, 7:] = arriving.sun, arriving.sky
+    centre = (other_pixels // width + 1) * wide + other_pixels % width + 1
+    borrowed = np.zeros((len(others), 4), np.float32)
+    # The four pixels whose centres lie nearest serve most; the rest look further.
+    right, down = (1 if offset > 0 else -1 for offset in place)
+    near = ((0, 0), (right, 0), (0, down), (right, down))
+    far = [(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1) if (x, y) not in near]
+    left = np.arange(len(others))
+    for steps in (near, far):
+        total, value = _gather(
+            table,
+            [rows(centre, left) + x + y * wide for x, y in steps],
+            others.take(left) if len(left) < len(others) else others,
+        )
+        found = total >= LEAST_LIKENESS
+        index = np.flatnonzero(found)
+        borrowed[left[index]] = rows(value, index) / rows(total, index)[:, None]
+        left = left[~found]
+    return Light(borrowed[:, 0].copy(), np.ascontiguousarray(borrowed[:, 1:])), left
+
+
+def _gather(
+    table: Float32Array, places: list[NDArray[np.int64]], points: SurfacePoints
+) -> tuple[Float32Array, Float32Array]:
+    """Sums of likeness (N,) and of light times likeness (N, 4) over rows of `table`."""
+    tolerance = 1 / (PLANE_TOLERANCE * (1 + np.float32(0.1) * points.distance))
+    foot = dot(points.position, points.normal)
+    total = np.zeros(len(points), np.float32)
+    value = np.zeros((len(points), 4), np.float32)
+    for place in places:
+        near = rows(table, place)
+        weight = np.maximum(dot(near[:, 3:6], points.normal), 0)
+        weight *= weight
+        weight *= weight
+        weight *= weight
+        off = (dot(near[:, :3], points.normal) - foot) * tolerance
+        weight /= 1 + off * off
+        total += weight
+        value += scaled(near[:, 6:], weight)
+    return total, value

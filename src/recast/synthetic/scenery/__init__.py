@@ -1,16 +1,19 @@
 """What stands beside roads: every function gives a `Surface` that stands on z = 0."""
 
-from recast.synthetic.scenery.barriers import WALL_STYLES, guard_rail, wall
-from recast.synthetic.scenery.bridges import bridge
+from recast.synthetic.scenery.bridges import WALL_STYLES, bridge, guard_rail, wall
 from recast.synthetic.scenery.buildings import BUILDING_STYLES, building
-from recast.synthetic.scenery.bushes import bush, hedge
-from recast.synthetic.scenery.fences import FENCE_STYLES, fence
-from recast.synthetic.scenery.furniture import bench, bollard, hydrant, litter_bin, parking_meter
-from recast.synthetic.scenery.hoardings import hoarding
-from recast.synthetic.scenery.industry import container, pallets
-from recast.synthetic.scenery.poles import lamp_post, pole_line
-from recast.synthetic.scenery.signals import SIGNAL_STATES, traffic_signal
-from recast.synthetic.scenery.signs import SIGN_KINDS, road_sign
+from recast.synthetic.scenery.fences import FENCE_STYLES, bush, fence, hedge
+from recast.synthetic.scenery.furniture import (
+    bench,
+    bollard,
+    hydrant,
+    lamp_post,
+    litter_bin,
+    parking_meter,
+    pole_line,
+)
+from recast.synthetic.scenery.industry import container, hoarding, pallets
+from recast.synthetic.scenery.signs import SIGN_KINDS, SIGNAL_STATES, road_sign, traffic_signal
 from recast.synthetic.scenery.trees import TREE_STYLES, tree
 
 __all__ = [

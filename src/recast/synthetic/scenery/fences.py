@@ -1,17 +1,25 @@
-"""Fences of boards, pickets, wire mesh and iron bars, from x = 0 to x = length."""
+"""Fences of boards, pickets, wire mesh and iron bars, and hedges and bushes."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from recast.synthetic.scenery.arguments import require_known, require_size
-from recast.synthetic.scenery.primitives import boxes, quads, stations, tube
+from recast.synthetic.scenery.primitives import (
+    boxes,
+    quads,
+    require_known,
+    require_size,
+    stations,
+    tube,
+)
+from recast.synthetic.scenery.trees import CORE_SHADE, GREENS, cores, directions, sprays
 from recast.synthetic.surface import Surface, concatenate
 
 FENCE_STYLES = ("wood", "picket", "mesh", "iron")
 
 STEEL = (0.62, 0.63, 0.64)
+BLOSSOMS = np.array([(0.62, 0.60, 0.52), (0.55, 0.16, 0.26), (0.60, 0.42, 0.05), (0.32, 0.20, 0.5)])
 
 
 def fence(rng: np.random.Generator, length: float, style: str = "wood") -> Surface:
@@ -128,3 +136,125 @@ def _iron(rng: np.random.Generator, length: float) -> Surface:
     return concatenate(
         [bars, boxes(rails, rails + np.array([length, 0.04, 0.04]), paint, "plastic"), posts]
     )
+
+
+def bush(rng: np.random.Generator, height: float = 1.0) -> Surface:
+    """A bush at the origin, within 0.9 * height of it sideways; one in five is in flower.
+
+    Args:
+        rng: chooses the shape and the greens.
+        height: metres, 0.2 to 4.
+
+    Raises:
+        InputError: for impossible heights.
+    """
+    require_size("bush", "height", height, 0.2, 4.0)
+    green = GREENS[rng.integers(len(GREENS))] * rng.uniform(0.85, 1.2)
+    blossom = BLOSSOMS[rng.integers(len(BLOSSOMS))] if rng.random() < 0.2 else None
+    count = int(rng.integers(3, 6))
+    angle = 2 * np.pi * np.arange(count) / count + rng.uniform(0, 6.3)
+    away = height * rng.uniform(0.18, 0.34, count)
+    across = height * rng.uniform(0.3, 0.42, count)
+    up = height * rng.uniform(0.30, 0.44, count)
+    up[0] = 0.46 * height
+    centres = np.column_stack([away * np.cos(angle), away * np.sin(angle), up])
+    radii = np.column_stack([across, across, 0.98 * up])
+    skins = []
+    for centre, radius in zip(centres, radii, strict=True):
+        out = directions(rng, 130)
+        points = centre + out * radius * rng.uniform(0.8, 1.08, (130, 1))
+        depth = np.linalg.norm((points - centres[:, None]) / radii[:, None], axis=2).min(axis=0)
+        seen = (points[:, 2] > 0.08 * height) & (depth > 0.75)
+        colour = np.tile(green, (len(points), 1))
+        if blossom is not None:
+            colour[rng.random(len(points)) < 0.25] = blossom
+        skins.append(sprays(rng, points[seen], out[seen], 0.19 * height, colour[seen], 0.6))
+    body = cores(rng, centres, 0.78 * radii, green, 1)
+    return _above_ground(concatenate([body, *skins]))
+
+
+def hedge(
+    rng: np.random.Generator, length: float, height: float = 1.4, width: float = 0.8
+) -> Surface:
+    """A clipped hedge from x = 0 to x = length, centred on y = 0; about 110 triangles a metre.
+
+    Args:
+        rng: chooses unevenness and greens.
+        length, height, width: metres, 0.5 to 500, 0.3 to 4 and 0.2 to 3.
+
+    Raises:
+        InputError: for impossible sizes.
+    """
+    require_size("hedge", "length", length, 0.5, 500.0)
+    require_size("hedge", "height", height, 0.3, 4.0)
+    require_size("hedge", "width", width, 0.2, 3.0)
+    green = GREENS[rng.integers(len(GREENS))] * rng.uniform(0.8, 1.1)
+    return _above_ground(
+        concatenate(
+            [_body(rng, length, height, width, green), _skin(rng, length, height, width, green)]
+        )
+    )
+
+
+def _body(
+    rng: np.random.Generator, length: float, height: float, width: float, green: np.ndarray
+) -> Surface:
+    """A long uneven body with rounded shoulders, closed at both ends."""
+    half = width / 2
+    section = np.array(
+        [
+            (-half, 0.0),
+            (-half, 0.55 * height),
+            (-0.8 * half, 0.93 * height),
+            (0.0, 0.97 * height),
+            (0.8 * half, 0.93 * height),
+            (half, 0.55 * height),
+            (half, 0.0),
+        ]
+    ) * [0.92, 1.0]
+    steps = max(2, round(length / 0.7))
+    xs = np.linspace(0.02, length - 0.02, steps + 1)
+    rings = np.concatenate(
+        [
+            np.broadcast_to(xs[:, None, None], (steps + 1, 7, 1)),
+            np.broadcast_to(section, (steps + 1, 7, 2)),
+        ],
+        axis=2,
+    )
+    rings = rings + rng.normal(0, 0.02, rings.shape) * [0.5, 1, 1]
+    a = (7 * np.arange(steps)[:, None] + np.arange(6)).ravel()
+    faces = [np.stack([a, a + 1, a + 8], 1)[:, ::-1], np.stack([a, a + 8, a + 7], 1)[:, ::-1]]
+    fan = np.array([(0, k, k + 1) for k in range(1, 6)])
+    faces += [fan[:, ::-1], fan + 7 * steps]
+    joined = np.concatenate(faces)
+    shade = CORE_SHADE * rng.uniform(0.9, 1.1, (len(joined), 1))
+    return Surface.make(rings.reshape(-1, 3), joined, green * shade, "foliage")
+
+
+def _skin(
+    rng: np.random.Generator, length: float, height: float, width: float, green: np.ndarray
+) -> Surface:
+    """Sprays on both sides and the top, 44 a metre, and on the ends."""
+    half = width / 2
+    count = max(30, round(44 * length))
+    x = rng.uniform(0.03, length - 0.03, count)
+    girth = 2 * height + width
+    s = rng.uniform(0, girth, count)
+    left, top = s < height, (s >= height) & (s < height + width)
+    y = np.where(left, -half, np.where(top, s - height - half, half))
+    z = np.where(left, s, np.where(top, height, girth - s))
+    out = np.column_stack([np.zeros(count), np.where(left, -1.0, np.where(top, 0, 1)), 1.0 * top])
+    cap = rng.random(count) < min(0.5, 1.2 * width / (length + width))
+    x = np.where(cap, np.where(rng.random(count) < 0.5, 0.0, length), x)
+    y = np.where(cap, rng.uniform(-half, half, count), y)
+    z = np.where(cap, rng.uniform(0, height, count), z)
+    out[cap] = np.column_stack([np.where(x[cap] > 0, 1.0, -1.0), np.zeros((cap.sum(), 2))])
+    points = np.column_stack([x, y, z]) * [1, 1.0, 0.99] + rng.normal(0, 0.015, (count, 3))
+    light = 0.75 + 0.35 * points[:, 2:] / height
+    return sprays(rng, points, out, 0.26, green * light, 0.45)
+
+
+def _above_ground(surface: Surface) -> Surface:
+    """With what hangs below the ground pushed up to it."""
+    surface.vertices[:, 2] = np.maximum(surface.vertices[:, 2], 0.0)
+    return surface

@@ -1,11 +1,13 @@
-"""Roofs over a rectangle x in [-width/2, width/2], y in [0, depth]."""
+"""Roofs over a rectangle x in [-width/2, width/2], y in [0, depth], and trims of facades."""
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
-from recast.synthetic.scenery.openings import Colour
-from recast.synthetic.scenery.panels import Panels
+from recast.synthetic.scenery.facades import GLASS, Colour, Look, Opening, bars, reveal
+from recast.synthetic.scenery.primitives import Panels
 
 FELT: Colour = (0.10, 0.10, 0.105)
 TILES = np.array(
@@ -17,6 +19,19 @@ TILES = np.array(
         (0.24, 0.11, 0.07),
         (0.10, 0.11, 0.12),
         (0.15, 0.125, 0.11),
+    ]
+)
+IRON: Colour = (0.025, 0.027, 0.03)
+SHOP_PAINTS = np.array(
+    [
+        (0.03, 0.07, 0.05),
+        (0.04, 0.06, 0.14),
+        (0.16, 0.025, 0.03),
+        (0.02, 0.02, 0.022),
+        (0.45, 0.42, 0.35),
+        (0.30, 0.17, 0.03),
+        (0.06, 0.20, 0.22),
+        (0.24, 0.08, 0.16),
     ]
 )
 
@@ -49,11 +64,8 @@ def flat_roof(
         )
     if width > 7 and depth > 7:
         for _ in range(int(rng.integers(1, 4))):
-            w, d, h = (
-                rng.uniform(0.8, min(4.0, width / 3)),
-                rng.uniform(0.8, 3.0),
-                rng.uniform(0.7, 2.4),
-            )
+            w, d = rng.uniform(0.8, min(4.0, width / 3)), rng.uniform(0.8, 3.0)
+            h = rng.uniform(0.7, 2.4)
             x = rng.uniform(-half + 1, half - 1 - w)
             y = rng.uniform(0.3 * depth, depth - 1 - d)
             grey = rng.uniform(0.2, 0.5)
@@ -159,29 +171,13 @@ def mansard(
     """A steep tiled front and back up to a flat top, between party walls."""
     half, back = width / 2, 0.35 * rise
     top = low + rise
-    panels.polygon(
-        [(-half, 0, low), (half, 0, low), (half, back, top), (-half, back, top)], colour, "tiles"
-    )
-    panels.polygon(
-        [
-            (half, depth, low),
-            (-half, depth, low),
-            (-half, depth - back, top),
-            (half, depth - back, top),
-        ],
-        colour,
-        "tiles",
-    )
-    panels.polygon(
-        [
-            (-half, back, top),
-            (half, back, top),
-            (half, depth - back, top),
-            (-half, depth - back, top),
-        ],
-        FELT,
-        "concrete",
-    )
+    end = depth - back
+    front = [(-half, 0, low), (half, 0, low), (half, back, top), (-half, back, top)]
+    rear = [(half, depth, low), (-half, depth, low), (-half, end, top), (half, end, top)]
+    flat = [(-half, back, top), (half, back, top), (half, end, top), (-half, end, top)]
+    panels.polygon(front, colour, "tiles")
+    panels.polygon(rear, colour, "tiles")
+    panels.polygon(flat, FELT, "concrete")
     for x, order in ((-half, -1), (half, 1)):
         side = [(x, 0, low), (x, depth, low), (x, depth - back, top), (x, back, top)]
         panels.polygon(side[::order], wall, wall_material)
@@ -204,3 +200,119 @@ def chimney(panels: Panels, x: float, y: float, low: float, high: float, colour:
             "matte",
             "b",
         )
+
+
+def cornice(
+    panels: Panels, width: float, z: float, reach: float, height: float, colour: Colour
+) -> None:
+    """Two steps that stand out of the wall's top, the upper further."""
+    middle = z + 0.45 * height
+    panels.box((0, -0.5 * reach, z), (width, 0, middle), colour, "concrete", "tk")
+    panels.box((0, -reach, middle), (width, 0, z + height), colour, "concrete", "k")
+
+
+def course(panels: Panels, width: float, z: float, colour: Colour) -> None:
+    """A string course, a flat band across the facade."""
+    panels.box((0, -0.07, z - 0.1), (width, 0, z + 0.12), colour, "concrete", "klr")
+
+
+def balcony(panels: Panels, left: float, right: float, floor: float, colour: Colour) -> None:
+    """A slab with an iron railing, 1 m deep."""
+    panels.box((left, -1.0, floor - 0.16), (right, 0, floor), colour, "concrete", "k")
+    top = floor + 1.0
+    panels.box((left, -1.0, top - 0.05), (right, -0.95, top), IRON, "plastic")
+    for x in (left, right - 0.05):
+        panels.box((x, -0.95, top - 0.05), (x + 0.05, 0, top), IRON, "plastic", "fk")
+    for x in np.linspace(left, right - 0.03, max(3, round((right - left) / 0.24))):
+        panels.rect(x, x + 0.03, floor, top - 0.05, -0.975, IRON, "plastic")
+    for y in (-0.65, -0.3):
+        for x in (left + 0.02, right - 0.02):
+            panels.polygon(
+                [(x, y, floor), (x, y + 0.03, floor), (x, y + 0.03, top), (x, y, top)],
+                IRON,
+                "plastic",
+            )
+
+
+def shop_front(
+    panels: Panels, rng: np.random.Generator, left: float, right: float, high: float, look: Look
+) -> Opening:
+    """Show windows, a door and a sign board; returns the hole that the wall must leave."""
+    paint = SHOP_PAINTS[rng.integers(len(SHOP_PAINTS))] * rng.uniform(0.8, 1.2)
+    board = rng.uniform(0.5, 0.75)
+    hole = Opening(left, right, 0.0, high - board, "none")
+    depth = 0.22
+    reveal(panels, hole, depth, tuple(paint), "plastic")
+    door = left + (right - left) * rng.choice([0.0, 0.35, 0.72])
+    door_end = min(right, door + 1.1)
+    riser = rng.uniform(0.3, 0.6)
+    for a, b in ((left, door), (door_end, right)):
+        if b - a > 0.2:
+            _show_window(panels, rng, Opening(a, b, riser, hole.high), depth, paint)
+            panels.rect(a, b, 0.0, riser, depth - 0.04, 0.8 * paint, "plastic")
+    entrance = Opening(door, door_end, 0.0, hole.high)
+    panels.rect(door, door_end, 0.0, hole.high, depth + 0.01, GLASS[0], "window")
+    bars(panels, entrance, depth - 0.03, 0.08, (1, 1), tuple(paint))
+    panels.rect(door, door_end, 2.1, 2.2, depth - 0.035, paint, "plastic")
+    _sign_board(panels, rng, left, right, hole.high, high, paint)
+    if rng.random() < 0.35:
+        _awning(panels, rng, left, right, hole.high)
+    return hole
+
+
+def _show_window(
+    panels: Panels, rng: np.random.Generator, hole: Opening, depth: float, paint: np.ndarray
+) -> None:
+    """Glass over goods: darker above, patches of colour below."""
+    panes = max(1, round((hole.right - hole.left) / 1.5))
+    edges = np.linspace(hole.left, hole.right, panes + 1)
+    for a, b in pairwise(edges):
+        split = hole.low + rng.uniform(0.25, 0.5) * (hole.high - hole.low)
+        panels.rect(a, b, split, hole.high, depth, GLASS[rng.integers(4)] * 1.3, "window")
+        goods = rng.uniform(0.04, 0.2) * (1 + 0.35 * rng.normal(0, 1, 3).clip(-1, 1))
+        panels.rect(a, b, hole.low, split, depth, goods, "window")
+    bars(panels, hole, depth - 0.03, 0.07, (panes, 1), tuple(paint))
+
+
+def _sign_board(
+    panels: Panels,
+    rng: np.random.Generator,
+    left: float,
+    right: float,
+    low: float,
+    high: float,
+    paint: np.ndarray,
+) -> None:
+    """The board over a shop with letters as blocks."""
+    panels.box((left, -0.12, low), (right, 0, high), paint, "plastic", "k")
+    ink = np.array([(0.7, 0.68, 0.6), (0.62, 0.5, 0.12), (0.75, 0.75, 0.75)])[rng.integers(3)]
+    if paint.mean() > 0.25:
+        ink = np.array((0.03, 0.03, 0.03))
+    count = int(rng.integers(4, 10))
+    pitch = min(0.34, 0.8 * (right - left) / count)
+    x = 0.5 * (left + right - count * pitch)
+    bottom, top = low + 0.28 * (high - low), low + 0.72 * (high - low)
+    for k in range(count):
+        a = x + k * pitch
+        wide = pitch * rng.uniform(0.45, 0.75)
+        stem = 0.3 * wide
+        panels.rect(a, a + stem, bottom, top, -0.125, ink, "plastic")
+        bar = rng.choice([bottom, 0.5 * (bottom + top), top - 0.06])
+        panels.rect(a + stem, a + wide, bar, bar + 0.06, -0.125, ink, "plastic")
+        if rng.random() < 0.5:
+            panels.rect(a + wide - stem, a + wide, bottom, top, -0.125, ink, "plastic")
+
+
+def _awning(panels: Panels, rng: np.random.Generator, left: float, right: float, z: float) -> None:
+    """Striped cloth that slopes out 1.2 m over the pavement."""
+    first = SHOP_PAINTS[rng.integers(len(SHOP_PAINTS))] * 1.3
+    second = np.array((0.6, 0.58, 0.52))
+    stripes = max(2, round((right - left) / 0.6))
+    edges = np.linspace(left + 0.05, right - 0.05, stripes + 1)
+    for k, (a, b) in enumerate(pairwise(edges)):
+        colour = first if k % 2 else second
+        top, out, drop = z + 0.1, z - 0.45, z - 0.65
+        panels.polygon(
+            [(a, -1.2, out), (b, -1.2, out), (b, -0.13, top), (a, -0.13, top)], colour, "fabric"
+        )
+        panels.rect(a, b, drop, out, -1.2, colour, "fabric")

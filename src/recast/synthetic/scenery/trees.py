@@ -1,17 +1,218 @@
-"""Trees: trunk, boughs and a crown of leaf clumps, or tiers of drooping branches."""
+"""Trees: a trunk and a crown of leaves, or tiers of drooping branches.
+
+Leaves are lumpy opaque cores, and a skin of small irregular sprays that breaks up the outline.
+"""
 
 from __future__ import annotations
 
+from functools import cache
+from itertools import combinations
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from recast.synthetic.scenery.arguments import require_known, require_size
-from recast.synthetic.scenery.conifers import conifer
-from recast.synthetic.scenery.foliage import GREENS, cores, directions, sprays
-from recast.synthetic.scenery.primitives import tube
-from recast.synthetic.surface import Surface, concatenate
+from recast.arrays import Array
+from recast.synthetic.scenery.primitives import lathe, require_known, require_size, tube
+from recast.synthetic.surface import MATERIAL_INDEX, Surface, concatenate
 
-Array = NDArray[np.float64]
+GREENS = np.array(
+    [
+        (0.125, 0.205, 0.040),
+        (0.090, 0.175, 0.045),
+        (0.165, 0.215, 0.042),
+        (0.105, 0.160, 0.055),
+        (0.170, 0.185, 0.035),
+        (0.080, 0.150, 0.038),
+    ]
+)
+"""Linear RGB of leaves by species, with the light that shines through them."""
+
+SPRAY_SHAPE = np.array([1.25, 0.6, 1.1, 0.6])
+"""How far a spray's four corners reach: pointed at both ends."""
+
+CORE_SHADE = 0.55
+"""Leaves deep inside get this share of the outer leaves' colour: they shade each other."""
+NEEDLES = np.array([(0.042, 0.090, 0.032), (0.058, 0.096, 0.058), (0.066, 0.098, 0.030)])
+TIERS = 17
+FANS = 15
+"""Branches in the lowest tier of full detail, 4 triangles each; fewer further up."""
+
+
+@cache
+def icosphere(level: int) -> tuple[Array, NDArray[np.int32]]:
+    """Unit sphere of 20 * 4^level triangles: vertices (V, 3), faces (F, 3)."""
+    golden = (1 + 5**0.5) / 2
+    first = [(-1, golden, 0), (1, golden, 0), (-1, -golden, 0), (1, -golden, 0)]
+    vertices = np.array([np.roll(v, k) for k in (0, 1, 2) for v in first], np.float64)
+    vertices /= np.linalg.norm(vertices[0])
+    # The 20 faces are the triples of vertices at edge length from each other.
+    near = np.linalg.norm(vertices[:, None] - vertices, axis=2) < 1.1
+    np.fill_diagonal(near, False)
+    faces = np.array([t for t in combinations(range(12), 3) if near[np.ix_(t, t)].sum() == 6])
+    inward = np.linalg.det(vertices[faces]) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    for _ in range(level):
+        edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
+        unique, index = np.unique(edges, axis=0, return_inverse=True)
+        middle = vertices[unique].mean(axis=1)
+        middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+        m = index.reshape(-1, 3) + len(vertices)
+        vertices = np.concatenate([vertices, middle])
+        a, b, c = faces.T
+        ab, bc, ca = m.T
+        quarters = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
+        faces = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
+    return vertices, faces.astype(np.int32)
+
+
+def directions(rng: np.random.Generator, count: int) -> Array:
+    """(count, 3) unit vectors spread evenly over the sphere, turned and jittered at random."""
+    k = np.arange(count) + 0.5
+    z = 1 - 2 * k / count
+    angle = np.pi * (1 + 5**0.5) * k + rng.uniform(0, 2 * np.pi)
+    flat = np.sqrt(1 - z**2)
+    points = np.column_stack([flat * np.cos(angle), flat * np.sin(angle), z])
+    points += rng.normal(0, 0.6 / np.sqrt(count), points.shape)
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def cores(
+    rng: np.random.Generator, centres: Array, radii: Array, colour: ArrayLike, level: int
+) -> Surface:
+    """Lumpy closed bodies.
+
+    Args:
+        rng: chooses the lumps.
+        centres: (N, 3) metres.
+        radii: (N, 3) half axes, metres.
+        colour: (3,) of outer leaves; the cores are darker.
+        level: of the icosphere, see `icosphere`.
+    """
+    sphere, faces = icosphere(level)
+    count = len(centres)
+    swell = 1 + rng.normal(0, 0.11, (count, len(sphere), 1))
+    vertices = centres[:, None] + sphere * swell * radii[:, None]
+    all_faces = (faces + len(sphere) * np.arange(count)[:, None, None]).reshape(-1, 3)
+    shade = CORE_SHADE * rng.uniform(0.75, 1.2, (len(all_faces), 1))
+    return Surface.make(
+        vertices.reshape(-1, 3), all_faces, np.asarray(colour) * shade, "foliage", np.pi / 2
+    )
+
+
+def sprays(
+    rng: np.random.Generator,
+    points: Array,
+    outward: Array,
+    size: float,
+    colour: ArrayLike,
+    tilt: float = 0.8,
+) -> Surface:
+    """Small ragged pieces of two triangles each, that overlap like leaves on twigs.
+
+    Args:
+        rng: chooses outlines, tilts and shades.
+        points: (N, 3) metres, their middles.
+        outward: (N, 3) unit vectors that they face, roughly; also their shading normal, so that a
+            crown is shaded as one body.
+        size: metres across.
+        colour: (3,) or (N, 3) linear RGB.
+        tilt: random tilt, as the standard deviation added to the unit vectors.
+    """
+    count = len(points)
+    facing = outward + rng.normal(0, tilt, (count, 3))
+    facing /= np.linalg.norm(facing, axis=1, keepdims=True)
+    # A spray that faces inwards would be seen from behind; turn it round.
+    facing *= np.where(np.einsum("ij,ij->i", facing, outward) < 0, -1.0, 1.0)[:, None]
+    side = np.cross(facing, rng.normal(0, 1, (count, 3)))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    up = np.cross(facing, side)
+    angle = 2 * np.pi * (np.arange(4) + rng.uniform(-0.3, 0.3, (count, 4))) / 4
+    reach = 0.5 * size * rng.uniform(0.7, 1.3, (count, 4)) * SPRAY_SHAPE
+    corners = (
+        points[:, None]
+        + (reach * np.cos(angle))[..., None] * side[:, None]
+        + (reach * np.sin(angle))[..., None] * up[:, None]
+    )
+    first = 4 * np.arange(count, dtype=np.int32)[:, None]
+    faces = np.concatenate(
+        [first + np.array([0, 1, 2]), first + np.array([0, 2, 3])], axis=1
+    ).reshape(-1, 3)
+    normal = 0.75 * outward + 0.45 * facing
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    shade = rng.uniform(0.72, 1.3, (count, 1)) * np.column_stack(
+        [rng.uniform(0.85, 1.2, count), np.ones(count), rng.uniform(0.8, 1.1, count)]
+    )
+    colours = np.repeat(np.clip(np.asarray(colour) * shade, 0, 1), 2, axis=0)
+    return Surface(
+        corners.reshape(-1, 3),
+        faces.astype(np.int32),
+        np.repeat(np.repeat(normal, 2, axis=0)[:, None], 3, axis=1).astype(np.float32),
+        colours.astype(np.float32),
+        np.full(2 * count, MATERIAL_INDEX["foliage"], np.uint8),
+    )
+
+
+def conifer(rng: np.random.Generator, height: float, detail: float) -> Surface:
+    """A conifer of `height` metres at the origin: tiers of drooping branches round a dark core."""
+    green = NEEDLES[rng.integers(len(NEEDLES))] * rng.uniform(0.85, 1.25)
+    low = height * rng.uniform(0.06, 0.14)
+    half = height * rng.uniform(0.18, 0.27)
+    stem = [(0.022 * height, -0.2), (0.016 * height, 0.1 * height), (0.006 * height, 0.8 * height)]
+    cone = [(0.0, low + 0.02 * height), (0.45 * half, low + 0.04 * height), (0.0, 0.96 * height)]
+    trunk = lathe(stem, 7, (0.09, 0.065, 0.05), "bark")
+    core = lathe(cone, 9, 0.4 * green, "foliage")
+    tiers = max(6, round(TIERS * detail**0.5))
+    parts = [trunk, core]
+    for k in range(tiers):
+        share = k / (tiers - 1)
+        reach = half * (1 - share) ** 0.9 + 0.012 * height
+        count = max(5, round(FANS * detail**0.5 * (1 - 0.6 * share)))
+        z = low + (0.97 * height - low) * share
+        parts.append(_tier(rng, count, z, reach, height, green * (0.8 + 0.35 * share)))
+    return concatenate(parts)
+
+
+def _tier(
+    rng: np.random.Generator, count: int, z: float, reach: float, height: float, green: np.ndarray
+) -> Surface:
+    """One whorl: each branch is a folded kite from the trunk to a hanging tip."""
+    angle = 2 * np.pi * (np.arange(count) + rng.uniform(-0.35, 0.35, count)) / count
+    angle += rng.uniform(0, 2 * np.pi)
+    length = reach * rng.uniform(0.72, 1.12, count)
+    droop = length * rng.uniform(0.22, 0.5, count)
+    level = z + rng.normal(0, 0.012 * height, count)
+    wide = length * np.pi / count * rng.uniform(0.9, 1.5, count) + 0.006 * height
+    radial = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)])
+    across = np.column_stack([-np.sin(angle), np.cos(angle), np.zeros(count)])
+    up = np.array([0, 0, 1.0])
+
+    def point(share: float, side: float, fall: float) -> np.ndarray:
+        return (
+            radial * (share * length)[:, None]
+            + across * (side * wide)[:, None]
+            + up * (level - fall * droop)[:, None]
+        )
+
+    # Root, ridge, tip, and the two hanging edges beside the ridge.
+    places = ((0.0, 0, -0.35), (0.6, 0, 0.25), (1.0, 0, 1.0), (0.55, -1, 0.75), (0.62, 1, 0.75))
+    corners = np.stack([point(*place) for place in places], axis=1)
+    corners[..., 2] = np.clip(corners[..., 2], 0.05, height)
+    kite = np.array([(0, 3, 1), (3, 2, 1), (1, 2, 4), (0, 1, 4)], np.int32)
+    faces = (kite + 5 * np.arange(count, dtype=np.int32)[:, None, None]).reshape(-1, 3)
+    normal = radial * 0.8 + up * 0.6
+    normal = normal[:, None] + np.array([-0.35, -0.35, 0.35, 0.35])[:, None] * across[:, None]
+    normal = (normal / np.linalg.norm(normal, axis=2, keepdims=True)).reshape(-1, 3)
+    shade = np.repeat(rng.uniform(0.7, 1.25, (count, 1)), 4, axis=0)
+    # The new growth at the tips is lighter.
+    shade *= np.tile([0.85, 1.2, 1.2, 0.85], count)[:, None]
+    return Surface(
+        corners.reshape(-1, 3),
+        faces,
+        np.repeat(normal[:, None], 3, axis=1).astype(np.float32),
+        np.clip(green * shade, 0, 1).astype(np.float32),
+        np.full(len(faces), MATERIAL_INDEX["foliage"], np.uint8),
+    )
+
 
 TREE_STYLES = ("round", "conifer", "tall")
 

@@ -9,17 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 from numpy.random import Generator
-from numpy.typing import NDArray
 
+from recast.arrays import Array
 from recast.synthetic import scenery
 from recast.synthetic.streets.ground import KERB_HEIGHT, Colour, forest_belt
-from recast.synthetic.streets.placement import Prop
-from recast.synthetic.streets.reference_line import Pose
 from recast.synthetic.streets.road import Road
-from recast.synthetic.streets.site import Site
+from recast.synthetic.streets.shapes import Pose
+from recast.synthetic.streets.site import Prop, Site
 from recast.synthetic.surface import Surface
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 from numpy.random import Generator
-from numpy.typing import NDArray
 
+from recast.arrays import Array
 from recast.logs import GroundHeight
 from recast.synthetic.scenery.primitives import quads
-from recast.synthetic.streets.triangles import flat, ribbon, soup
+from recast.synthetic.streets.shapes import flat, ribbon, soup
 from recast.synthetic.surface import Surface
 
-Array = NDArray[np.float64]
 Colour = tuple[float, float, float]
 
 KERB_HEIGHT = 0.12
@@ -159,9 +158,11 @@ class Ground:
         """All triangles, of the asphalt and to the horizon."""
         parts = [flat(self.asphalt, 0.0, self.colour, "asphalt")]
         if self.edge.kerb or self.islands:
-            lines = self.asphalt if self.edge.kerb else shapely.union_all(
-                [island.outline for island in self.islands]
-            )  # fmt: skip
+            lines = (
+                self.asphalt
+                if self.edge.kerb
+                else shapely.union_all([island.outline for island in self.islands])
+            )
             parts += _kerbs(lines, not self.edge.kerb, rng)
         for island in self.islands:
             top = island.outline.buffer(-0.02)
@@ -246,8 +247,9 @@ def _kerb_ring(points: Array, rng: Generator) -> list[Surface]:
     return [ribbon(top, rear, colour, "concrete"), ribbon(foot, top, colour * 0.92, "concrete")]
 
 
-def forest_belt(centre: Array, radius: float, start: float, turn: float, height: float,
-                rng: Generator) -> Surface:  # fmt: skip
+def forest_belt(
+    centre: Array, radius: float, start: float, turn: float, height: float, rng: Generator
+) -> Surface:
     """Woods far off: a jagged wall of foliage on an arc around `centre`, seen from within."""
     count = max(int(abs(turn) * radius / 1.8), 3)
     angle = np.linspace(start, start + turn, count + 1)

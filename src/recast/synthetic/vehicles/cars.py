@@ -1,32 +1,193 @@
-"""Hatchbacks, sedans, estates, SUVs, pickups and vans: one body with a bonnet."""
+"""Hatchbacks, sedans, estates, SUVs, pickups and vans: the shape of one body, and its openings."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recast.arrays import Array
 from recast.synthetic.vehicles import fittings
-from recast.synthetic.vehicles.car_openings import open_bed, rear_window, side_layout
-from recast.synthetic.vehicles.car_shape import car_body, screen_run
-from recast.synthetic.vehicles.details import Parts
-from recast.synthetic.vehicles.finishes import (
+from recast.synthetic.vehicles.bodywork import Parts, doors, front_face, rear_face, seam
+from recast.synthetic.vehicles.fittings import SideGlass, screen, side_windows, wheel
+from recast.synthetic.vehicles.loft import Body, Profile, underside, wheel_wells
+from recast.synthetic.vehicles.parameters import VehicleParameters
+from recast.synthetic.vehicles.solid import (
     CHROME,
+    CLADDING,
+    GLASS,
     SEAM,
     TRIM,
     Area,
+    Finish,
+    Solid,
+    smooth_max,
     strip,
     xyz,
 )
-from recast.synthetic.vehicles.front import front_face
-from recast.synthetic.vehicles.glazing import screen, side_windows
-from recast.synthetic.vehicles.loft import Body
-from recast.synthetic.vehicles.panels import doors, seam, underside, wheel_wells
-from recast.synthetic.vehicles.parameters import VehicleParameters
-from recast.synthetic.vehicles.rear import rear_face
-from recast.synthetic.vehicles.solid import Finish, Solid
-from recast.synthetic.vehicles.wheels import wheel
 
-Array = NDArray[np.float64]
+
+def car_body(p: VehicleParameters) -> Body:
+    """The shape of the body."""
+    front, rear = p.axles
+    radius = p.wheel_radius
+    gap = 1.12 if p.kind in ("suv", "pickup") else 1.09
+    boxy = p.kind == "van"
+    return Body(
+        length=p.length,
+        width=p.width,
+        top=_outline(p),
+        bottom=p.ground_clearance,
+        belt=p.belt_height + p.wedge * front,
+        wedge=p.wedge,
+        tumblehome=p.tumblehome,
+        shoulder=p.shoulder,
+        crown=0.06 if boxy else 0.05,
+        wrap=0.16 if boxy else 0.14,
+        wrap_rear=0.0 if boxy else min(0.14, 0.25 * p.rear_rake),
+        bow_front=p.bow,
+        bow_rear=0.4 * p.bow,
+        lean_front=0.22 if not boxy else 0.12,
+        lean_rear=float(np.tan(p.rear_rake)) if boxy else 0.1,
+        corner=p.corner,
+        taper=0.05,
+        edge=0.11,
+        arches=((front, radius, gap * radius + 0.01), (rear, radius, gap * radius + 0.01)),
+        flare=p.flare,
+        crease=p.crease,
+        bumper=0.5 * (p.ground_clearance + p.nose_height) - 0.05,
+        cells=(34, 4, 9),
+    )
+
+
+def screen_run(p: VehicleParameters) -> float:
+    """Length of the windscreen seen from above."""
+    return (p.height - p.roof_arch - p.cowl_height) * float(np.tan(p.windscreen_rake))
+
+
+def _outline(p: VehicleParameters) -> Profile:
+    roof = p.height - p.roof_arch
+    screen_end = p.bonnet_length + screen_run(p)
+    deck = p.length - p.deck_length
+    gutter_height = p.height - p.roof_drop
+    gutter = deck - (gutter_height - p.deck_height) * float(np.tan(p.rear_rake))
+    gutter = max(gutter, screen_end + 0.2)
+    peak = screen_end + 0.35 * (gutter - screen_end)
+    half = 0.5 * p.bonnet_length
+    rise = p.cowl_height - p.nose_height
+    bed = p.kind == "pickup"
+    if p.kind == "van":
+        # The rear is one upright face up to the roof.
+        tail = [(p.length - 0.25, gutter_height + 0.02, 0.3), (p.length, gutter_height - 0.03, 0.0)]
+    else:
+        tail = [
+            (gutter, gutter_height, 0.12 if p.rear_rake < 0.4 else 0.25),
+            (deck, p.deck_height, 0.06 if bed else 0.12),
+            (p.length, p.deck_height - (0.0 if bed else 0.02), 0.0),
+        ]
+    return Profile.rounded(
+        [
+            (0.0, p.nose_height, 0.0),
+            (half, p.nose_height + 0.66 * rise, 0.4),
+            (p.bonnet_length, p.cowl_height, 0.12),
+            (screen_end, roof, 0.3),
+            (peak, p.height, 0.6),
+            *tail,
+        ]
+    )
+
+
+def side_layout(
+    p: VehicleParameters, body: Body, gutter: float
+) -> tuple[SideGlass, list[float], list[float]]:
+    """Outline of the side glass, x of the pillars, x of the door edges."""
+    front, rear = p.axles
+    first = front - p.wheel_radius - 0.16
+    if p.kind == "van":
+        middle = first - 1.05
+        if p.side_windows == 0:
+            return SideGlass(middle + 0.03, 0.02, 0.13, tall=0.72), [], [first, middle]
+        glass = SideGlass(-p.length / 2 + 0.25, 0.03, 0.13, tall=0.72)
+        posts = [middle, middle - 0.5 * (middle + p.length / 2)]
+        return glass, posts[: p.side_windows], [first, middle, middle - 1.1]
+    if p.kind == "pickup":
+        middle = first - 0.98
+        glass = SideGlass(gutter + 0.12, -0.05, 0.1)
+        return glass, [middle], [first, middle, gutter + 0.06]
+    share = {"hatchback": 0.52, "sedan": 0.49, "estate": 0.47, "suv": 0.48}[p.kind]
+    middle = first - share * (first - rear) - 0.14
+    third = rear + 0.12
+    if p.kind == "sedan":
+        # The rear pillar stands wide: the glass ends above the rear axle.
+        glass = SideGlass(rear - 0.12, 0.55, 0.085)
+        return glass, [middle] if p.side_windows == 1 else [middle, third], [first, middle, third]
+    end = {"hatchback": rear - 0.12, "estate": rear - 0.62, "suv": rear - 0.42}[p.kind]
+    end = max(end, -p.length / 2 + 0.3)
+    glass = SideGlass(end, 0.45 if p.kind == "hatchback" else 0.7, 0.085)
+    posts = [middle] if p.side_windows == 1 else [middle, third]
+    return glass, posts, [first, middle, third]
+
+
+def rear_window(solid: Solid, body: Body, p: VehicleParameters, deck: float, gutter: float) -> None:
+    """Glass in the rear, of the form that the kind has."""
+    if p.kind == "van":
+        _van_rear(solid, p)
+        return
+    if p.kind == "pickup":
+        _cab_back(solid, p, deck, gutter)
+        return
+    run = gutter - deck
+    upper, lower = gutter - 0.04 * run - 0.02, deck + 0.1 * run
+    if p.kind == "sedan":
+        lower = deck + 0.06
+    screen(solid, body, lower, upper, 0.1, low_z=p.deck_height + 0.05)
+
+
+def _cab_back(solid: Solid, p: VehicleParameters, deck: float, gutter: float) -> None:
+    def pane(s: Solid) -> Array:
+        x, y, z = xyz(s)
+        fields = [y - 0.34 * p.width, p.deck_height + 0.1 - z, z - p.height + 0.19]
+        limits = [x - gutter - 0.15, deck - 0.2 - x, 0.75 - s.coords[:, 2]]
+        return np.maximum(smooth_max(fields, 0.06), np.maximum.reduce(limits))
+
+    solid.paint(pane, TRIM)
+    solid.paint(lambda s: pane(s) + 0.03, GLASS)
+
+
+def _van_rear(solid: Solid, p: VehicleParameters) -> None:
+    """Two doors behind, glazed where the sides are."""
+    rear = -p.length / 2
+    low, high = p.belt_height + 0.05, p.height - 0.25
+
+    def joint(s: Solid) -> Area:
+        return strip(s.points[:, 1], 0.005), [s.points[:, 0] - rear - 0.3]
+
+    def pane(s: Solid) -> Array:
+        x, y, z = xyz(s)
+        fields = [0.07 - y, y - 0.38 * p.width, low - z, z - min(high, low + 0.65)]
+        return np.maximum(smooth_max(fields, 0.07), x - rear - 0.4)
+
+    solid.paint(joint, SEAM)
+    if p.side_windows:
+        solid.paint(lambda s: pane(s) - 0.02, TRIM)
+        solid.paint(pane, GLASS)
+
+
+def open_bed(solid: Solid, p: VehicleParameters, front: float, rear: float) -> None:
+    """Hollow out the bed of a pickup between two x."""
+    # Above the wheel wells.
+    floor = p.wheel_radius * 2.12 + 0.06
+
+    def area(s: Solid) -> Array:
+        x, y, _ = xyz(s)
+        fields = [x - front + 0.06, rear + 0.17 - x, y - p.width / 2 + 0.13]
+        return np.maximum(smooth_max(fields, 0.04), 0.8 - s.coords[:, 2])
+
+    def down(points: Array) -> Array:
+        moved = points.copy()
+        moved[:, 2] = floor
+        return moved
+
+    solid.paint(lambda s: area(s) - 0.06, TRIM)
+    solid.push(area, down, CLADDING)
 
 
 def car(p: VehicleParameters, paint: Finish) -> Parts:
@@ -79,9 +240,14 @@ def _bonnet_lines(solid: Solid, p: VehicleParameters, end: float, cowl: float) -
 
 
 def _fittings(
-    p: VehicleParameters, body: Body, paint: Finish, cowl: float, edges: list[float],
-    brow: float, gutter: float,
-) -> Parts:  # fmt: skip
+    p: VehicleParameters,
+    body: Body,
+    paint: Finish,
+    cowl: float,
+    edges: list[float],
+    brow: float,
+    gutter: float,
+) -> Parts:
     """Parts of the left side."""
 
     def skin(x: float, z: float) -> float:

@@ -1,16 +1,31 @@
-"""Small closed parts: mirrors, door handles, rails, beams."""
+"""What is fitted to a body: windows and their pillars, wheels, mirrors, handles, rails, beams."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
-from numpy.typing import NDArray
 
-from recast.synthetic.surface import Surface
-from recast.synthetic.vehicles.finishes import CHROME, TRIM
-from recast.synthetic.vehicles.loft import half_box
-from recast.synthetic.vehicles.solid import Finish, Solid
-
-Array = NDArray[np.float64]
+from recast.arrays import Array
+from recast.synthetic.surface import Surface, corner_normals
+from recast.synthetic.vehicles.loft import Body, half_box
+from recast.synthetic.vehicles.parameters import VehicleParameters
+from recast.synthetic.vehicles.solid import (
+    ALLOY,
+    CHROME,
+    DARK_GLASS,
+    GLASS,
+    STEEL,
+    TRIM,
+    TYRE,
+    Area,
+    Finish,
+    Solid,
+    smooth_max,
+    strip,
+    xyz,
+)
 
 
 def pebble(
@@ -104,8 +119,13 @@ def rail(start: tuple[float, float, float], end: tuple[float, float, float]) -> 
     pitch = np.arctan2(b[2] - a[2], b[0] - a[0])
     cos, sin = np.cos(pitch), np.sin(pitch)
     bar.points = bar.points @ np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]) + middle
-    return [bar, *(pebble((p[0], p[1], p[2] - 0.025), (0.12, 0.04, 0.07), TRIM, 4.0, (4, 8))
-                   for p in (a * 0.94 + b * 0.06, b * 0.94 + a * 0.06))]  # fmt: skip
+    return [
+        bar,
+        *(
+            pebble((p[0], p[1], p[2] - 0.025), (0.12, 0.04, 0.07), TRIM, 4.0, (4, 8))
+            for p in (a * 0.94 + b * 0.06, b * 0.94 + a * 0.06)
+        ),
+    ]
 
 
 def mirrored(part: Surface) -> Surface:
@@ -125,3 +145,187 @@ def both(side: list[tuple[str, Surface]]) -> list[tuple[str, Surface]]:
     return [(f"{name}-left", part) for name, part in side] + [
         (f"{name}-right", mirrored(part)) for name, part in side
     ]
+
+
+def wheel(
+    radius: float, width: float, rim_share: float, spokes: int, dished: bool = False
+) -> Surface:
+    """One closed wheel about the origin that turns about y and shows its rim at +y.
+
+    Args:
+        radius: of the tyre, metres.
+        width: of the tyre.
+        rim_share: rim radius over tyre radius.
+        spokes: of the rim.
+        dished: a steel rim with holes, as heavy vehicles have.
+    """
+    per_spoke = 6 if spokes == 5 else 4
+    count = spokes * per_spoke
+    angle = np.arange(count) * 2 * np.pi / count
+    rim, half = radius * rim_share, width / 2
+    # Rings from the hub outwards, over the tread and back to the axle: (radius, y).
+    rings: list[tuple[float, float]] = [
+        (0.2 * rim, half - 0.035),
+        (0.34 * rim, half - 0.04),
+        (0.62 * rim, half - 0.03),
+        (0.88 * rim, half - 0.02),
+        (0.97 * rim, half - 0.012),
+        (1.03 * rim, half - 0.004),
+        (0.5 * (rim + radius), half + 0.002),
+        (0.96 * radius, half - 0.01),
+        (radius, 0.5 * half),
+        (radius, -0.5 * half),
+        (0.96 * radius, -half),
+        (0.6 * rim, -half),
+    ]
+    r = np.array([ring[0] for ring in rings])
+    y = np.tile(np.array([ring[1] for ring in rings])[:, None], (1, count))
+    phase = (np.arange(count) % per_spoke) / per_spoke
+    gap = phase >= 0.5
+    gap_columns = gap & np.roll(gap, 1) if per_spoke > 4 else gap
+    # The holes lie between ring 1 and ring 3; dished rims bulge inwards instead.
+    deep = 0.07 if not dished else 0.035
+    for ring in (1, 2, 3):
+        y[ring] -= np.where(gap_columns, deep, 0.0)
+    if dished:
+        y[:2] += 0.05 - half * 0.3
+        y[2:4] -= half * 0.35
+    x, z = r[:, None] * np.cos(angle), r[:, None] * np.sin(angle)
+    ends = np.array([[0, y[0, 0] + 0.008, 0], [0, y[-1, 0], 0]])
+    points = np.concatenate([np.stack([x, y, z], axis=-1).reshape(-1, 3), ends])
+    index = np.arange(len(rings) * count).reshape(len(rings), count)
+    after = np.roll(index, -1, axis=1)
+    a, b, c, d = index[:-1], after[:-1], after[1:], index[1:]
+    body = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2)
+    hub, axle = len(points) - 2, len(points) - 1
+    cap = np.stack([np.full(count, hub), after[0], index[0]], axis=1)
+    back = np.stack([np.full(count, axle), index[-1], after[-1]], axis=1)
+    faces = np.concatenate([body.reshape(-1, 3), cap, back])
+    ring_of = np.repeat(np.arange(len(rings) - 1), 2 * count)
+    ring_of = np.concatenate([ring_of, np.full(count, -1), np.full(count, len(rings))])
+    solid = Solid.of(points, faces, TYRE)
+    bright = STEEL if dished else ALLOY
+    solid.paint_faces((ring_of >= -1) & (ring_of <= 4), bright)
+    low = y.ravel()[np.minimum(faces, y.size - 1)].min(axis=1)
+    in_disc = (ring_of >= 0) & (ring_of <= 3)
+    face_y = np.array([ring[1] for ring in rings])[np.clip(ring_of, 0, len(rings) - 1)]
+    solid.paint_faces(in_disc & (low < face_y - deep * 0.8 - (half if dished else 0)), STEEL)
+    if not dished:
+        pressed = in_disc & (low < face_y - 0.045)
+        solid.paint_faces(pressed, Finish((0.02, 0.02, 0.02), "matte"))
+    solid.normals = corner_normals(points, faces.astype(np.int32), np.deg2rad(40)).astype(float)
+    return solid.surface()
+
+
+def steel_wheels(
+    p: VehicleParameters, front: list[float], rear: list[float]
+) -> list[tuple[str, Surface]]:
+    """Wheels of a heavy vehicle on axles at these x; the rear ones are twins."""
+    turned = wheel(p.wheel_radius, p.tyre_width, p.rim_share, 8, dished=True)
+    side: list[tuple[str, Surface]] = []
+    edge = p.width / 2 - p.tyre_width / 2 - 0.04
+    for k, x in enumerate([*front, *rear]):
+        inset = 0.04 * p.width if x in front and p.kind == "box-truck" else 0.0
+        for inner in (False, True) if x in rear else (False,):
+            pose = np.eye(4)
+            shift = (p.tyre_width + 0.03) if inner else 0.0
+            pose[:3, 3] = x, edge - inset - shift, p.wheel_radius
+            side.append((f"wheel-{k}{'-inner' if inner else ''}", turned.transformed(pose)))
+    return both(side)
+
+
+@dataclass(frozen=True)
+class SideGlass:
+    """The outline of the side windows in the side view.
+
+    Attributes:
+        rear: x at the belt line where the glass ends.
+        rear_lean: metres that the rear end moves forward per metre of height.
+        pillar: width of the windscreen pillar and the roof rail above the glass.
+        front: x at the belt line where it begins; None follows the windscreen.
+        sill: height of the lower edge over the belt line.
+        tall: greatest height of the glass over the belt line.
+    """
+
+    rear: float
+    rear_lean: float
+    pillar: float = 0.1
+    front: float | None = None
+    sill: float = 0.015
+    tall: float = 2.0
+
+    def field(self, body: Body, solid: Solid) -> Array:
+        """Negative inside."""
+        x, _, z = xyz(solid)
+        station, across, _ = solid.coords.T
+        slope = body.top.slope(body.length / 2 - station)
+        over = (z - body.outline(station)) / np.sqrt(1 + slope**2) + self.pillar
+        belt = body.belt_at(x)
+        fields = [belt + self.sill - z, over, z - belt - self.tall]
+        fields.append((self.rear + self.rear_lean * (z - belt)) - x)
+        if self.front is not None:
+            fields.append(x - self.front)
+        return np.maximum(smooth_max(fields, 0.06), 0.8 - across)
+
+
+def side_windows(
+    solid: Solid, body: Body, glass: SideGlass, pillars: Sequence[float], chrome: bool
+) -> None:
+    """Glass with a trim around it, divided at the pillars' x."""
+    solid.paint(lambda s: glass.field(body, s) - 0.018, CHROME if chrome else TRIM)
+    solid.paint(lambda s: glass.field(body, s), GLASS)
+    for k, pillar in enumerate(pillars):
+        half = 0.045 if k == 0 else 0.032
+
+        def post(s: Solid, x: float = pillar, half: float = half) -> Area:
+            lean = 0.08 * (s.points[:, 2] - body.belt_at(s.points[:, 0]))
+            return strip(s.points[:, 0] - x + lean, half), [glass.field(body, s)]
+
+        solid.paint(post, TRIM, over=("glass",))
+
+
+def screen(
+    solid: Solid,
+    body: Body,
+    low_x: float,
+    high_x: float,
+    inset: float,
+    paint: Finish | None = None,
+    low_z: float = 0.0,
+) -> None:
+    """A window in the upper skin between two stations, such as the windscreen.
+
+    Args:
+        solid: half of the body.
+        body: its shape.
+        low_x, high_x: where the glass begins and ends, x in the middle plane.
+        inset: metres from the glass to the upper edge of the side.
+        paint: finish of the frame; None gives a black band of ceramic ink.
+        low_z: the glass stays above.
+    """
+
+    def field(s: Solid) -> Array:
+        station, across, up = s.coords.T
+        slope = np.sqrt(1 + body.top.slope(body.length / 2 - station) ** 2)
+        half = body.half_width(s.points[:, 0], s.points[:, 2])
+        sides = (across - 1) * half + inset
+        fields = [(low_x - station) * slope, (station - high_x) * slope, sides]
+        fields.append(low_z - s.points[:, 2])
+        return np.maximum(smooth_max(fields, 0.07), 0.8 - up)
+
+    solid.paint(field, paint or TRIM)
+    solid.paint(lambda s: field(s) + 0.035, GLASS)
+
+
+def face_window(
+    solid: Solid, sign: float, x_limit: float, half: float, low: float, high: float
+) -> None:
+    """Glass in an upright end of the body: front (sign 1) or rear (-1)."""
+
+    def field(s: Solid) -> Array:
+        x, y, z = xyz(s)
+        fields = [y - half, low - z, z - high]
+        return np.maximum(smooth_max(fields, 0.08), sign * (x_limit - x))
+
+    solid.paint(lambda s: field(s) - 0.03, TRIM)
+    solid.paint(field, DARK_GLASS if sign < 0 else GLASS)

@@ -1,19 +1,78 @@
-"""Smooth bodies: a box with rounded edges, bent to a side view, a plan and a cross-section."""
+"""Smooth bodies: a box with rounded edges, bent to a side view, a plan and a cross-section.
+
+Underbody and wheel wells follow the shape.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.synthetic.vehicles.profile import Profile
-from recast.synthetic.vehicles.solid import Finish, Solid
-
-Array = NDArray[np.float64]
+from recast.arrays import Array
+from recast.synthetic.vehicles.parameters import VehicleParameters
+from recast.synthetic.vehicles.solid import CLADDING, TRIM, UNDERSIDE, Finish, Solid
 
 WAIST = 0.58
 """Share of the cross-section's rows that lie below the belt line."""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A height over a station, piecewise linear at a few millimetres.
+
+    Attributes:
+        stations: (N,) increasing, metres.
+        heights: (N,) metres.
+    """
+
+    stations: Array
+    heights: Array
+
+    @classmethod
+    def rounded(cls, corners: Sequence[tuple[float, float, float]], steps: int = 12) -> Profile:
+        """Each inner corner (station, height, radius) becomes a quadratic Bezier curve.
+
+        The curve starts `radius` metres before the corner and ends as far after it, at most half
+        of the straight piece.
+        """
+        points = np.array([corner[:2] for corner in corners], np.float64)
+        t = np.linspace(0, 1, steps)[:, None]
+        pieces = [points[:1]]
+        for k in range(1, len(points) - 1):
+            before, after = points[k - 1] - points[k], points[k + 1] - points[k]
+            ends = []
+            for arm in (before, after):
+                length = float(np.linalg.norm(arm))
+                ends.append(points[k] + arm * min(corners[k][2] / max(length, 1e-9), 0.5))
+            a, b = ends
+            pieces.append((1 - t) ** 2 * a + 2 * t * (1 - t) * points[k] + t**2 * b)
+        curve = np.concatenate([*pieces, points[-1:]])
+        keep = np.concatenate([[True], np.diff(np.maximum.accumulate(curve[:, 0])) > 1e-6])
+        return cls(curve[keep, 0], curve[keep, 1])
+
+    def __call__(self, station: Array) -> Array:
+        """Heights at stations of any shape."""
+        return np.interp(station, self.stations, self.heights)
+
+    def slope(self, station: Array) -> Array:
+        """Rise per metre, over 2 cm."""
+        return (self(station + 0.01) - self(station - 0.01)) / 0.02
+
+    def spread(self, start: float, end: float, count: int, focus: float = 1.0) -> Array:
+        """(count,) stations from start to end, closer together where the curve is steep.
+
+        Args:
+            start, end: metres.
+            count: of stations.
+            focus: 0 spaces evenly along the station, 1 along the curve.
+        """
+        dense = np.linspace(start, end, 800)
+        rise = np.gradient(self(dense), dense)
+        path = np.concatenate([[0.0], np.cumsum(np.sqrt(1 + focus * rise[1:] ** 2))])
+        return np.interp(np.linspace(0, path[-1], count), path, dense)
 
 
 @dataclass(frozen=True)
@@ -153,8 +212,13 @@ class Body:
         r_low, r_high = self._radii()
         length = self.length
         inner = self.top.spread(r_high[0], length - r_low[0], nx + 1, focus=0.6)[::-1]
-        xs = np.concatenate([[-length / 2, -length / 2 + 0.42 * r_low[0]], length / 2 - inner,
-                             [length / 2 - 0.42 * r_high[0], length / 2]])  # fmt: skip
+        xs = np.concatenate(
+            [
+                [-length / 2, -length / 2 + 0.42 * r_low[0]],
+                length / 2 - inner,
+                [length / 2 - 0.42 * r_high[0], length / 2],
+            ]
+        )
         flat = np.linspace(0, high[1] - r_high[1], ny + 1)
         turn = high[1] - r_high[1] + r_high[1] * np.tan(np.linspace(0, np.pi / 4, 4)[1:])
         ys = np.concatenate([flat, turn])
@@ -190,10 +254,13 @@ def half_box(grid: tuple[Array, Array, Array]) -> tuple[Array, NDArray[np.int64]
 
     return points, np.concatenate(
         [
-            quads(index[nx], False), quads(index[0], True), quads(index[:, ny], True),
-            quads(index[:, :, nz], False), quads(index[:, :, 0], True),
+            quads(index[nx], False),
+            quads(index[0], True),
+            quads(index[:, ny], True),
+            quads(index[:, :, nz], False),
+            quads(index[:, :, 0], True),
         ]
-    )  # fmt: skip
+    )
 
 
 def _round(points: Array, extents: Array, radii: Array) -> Array:
@@ -204,3 +271,31 @@ def _round(points: Array, extents: Array, radii: Array) -> Array:
     offset = (points - core) / radius
     norm = (np.abs(offset) ** 2.2).sum(axis=1) ** (1 / 2.2)
     return core + radius * offset / np.maximum(norm, 1e-12)[:, None] * (norm > 0)[:, None]
+
+
+def underside(solid: Solid, p: VehicleParameters) -> None:
+    """Dark floor, and unpainted sills where the vehicle has cladding."""
+    sill = p.ground_clearance + (0.13 if p.cladding else 0.045)
+    solid.paint(lambda s: s.points[:, 2] - sill, CLADDING if p.cladding else TRIM)
+    solid.paint(lambda s: s.coords[:, 2] - 0.025, UNDERSIDE)
+
+
+def wheel_wells(solid: Solid, body: Body, p: VehicleParameters) -> None:
+    """Arches with cladding, opened inwards."""
+    inner = p.width / 2 - p.tyre_width - 0.13
+    for x, z, radius in body.arches:
+
+        def circle(s: Solid, x: float = x, z: float = z, radius: float = radius) -> Array:
+            field = np.hypot(s.points[:, 0] - x, s.points[:, 2] - z) - radius
+            return np.maximum(np.maximum(field, s.coords[:, 2] - 0.8), inner - s.points[:, 1])
+
+        if p.cladding:
+            solid.paint(lambda s, circle=circle: circle(s) - p.cladding, CLADDING)  # type: ignore[misc]
+
+        def inwards(points: Array) -> Array:
+            moved = points.copy()
+            # A little depth is kept so that no triangle collapses.
+            moved[:, 1] = inner + 0.03 * (points[:, 1] - inner)
+            return moved
+
+        solid.push(circle, inwards, UNDERSIDE)

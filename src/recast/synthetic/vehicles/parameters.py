@@ -6,11 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 
 KINDS: tuple[str, ...] = (
-    "hatchback", "sedan", "estate", "suv", "pickup", "van", "box-truck", "bus",
-)  # fmt: skip
+    "hatchback",
+    "sedan",
+    "estate",
+    "suv",
+    "pickup",
+    "van",
+    "box-truck",
+    "bus",
+)
 """All kinds of vehicles."""
 
 
@@ -142,7 +149,9 @@ class VehicleParameters:
             ("width", 0.2 * self.length if self.length < 6 else 1.8, 0.62 * self.length, "length"),
             ("front_overhang", radius + 0.1, 0.4 * self.length, "wheel_radius and length"),
             (
-                "wheelbase", 2.5 * radius + 0.3, self.length - self.front_overhang - radius - 0.1,
+                "wheelbase",
+                2.5 * radius + 0.3,
+                self.length - self.front_overhang - radius - 0.1,
                 "length, front_overhang and wheel_radius",
             ),
             ("ground_clearance", 0.08, 1.3 * radius, "wheel_radius"),
@@ -152,7 +161,7 @@ class VehicleParameters:
             ("deck_height", self.ground_clearance + 0.4, top, "height"),
             ("belt_height", self.ground_clearance + 0.35, top - 0.25, "height"),
             ("deck_length", 0.0, max(room - rear - 0.3, 0.0), "length, bonnet and windscreen"),
-        ]  # fmt: skip
+        ]
         if self.kind == "box-truck":
             rules[-1] = ("box_length", 1.5, self.length - 1.4, "length")
             rules.append(("cab_height", 1.6, self.height, "height"))

@@ -1,23 +1,155 @@
-"""Loads a folder in the published layout, strictly."""
+"""Loads a folder in the published layout, strictly: its models must fit; and cuts one down.
+
+The image encoder is the checkpoint's own, or the published backbone kept apart.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from recast.errors import InputError
-from recast.torch_file import read_safetensors
-from recast.trellis.checkpoints.agreement import check_agreement
-from recast.trellis.checkpoints.backbone import load_image_encoder
-from recast.trellis.checkpoints.model_files import ModelFiles, model_files
-from recast.trellis.checkpoints.record import PipelineRecord, read_pipeline
-from recast.trellis.checkpoints.roles import GENERATION_ROLES
-from recast.trellis.conditioning import ImageEncoder
+from recast.core.errors import InputError
+from recast.core.torch_file import read_safetensors
+from recast.trellis.checkpoints.model_files import ModelFiles, model_files, save_checkpoint
+from recast.trellis.checkpoints.record import (
+    GAUSSIAN_DECODER,
+    GENERATION_ROLES,
+    LATENT_ENCODER,
+    LATENT_FLOW,
+    PIPELINE_FILE,
+    PUBLISHED_BACKBONE,
+    STRUCTURE_DECODER,
+    STRUCTURE_ENCODER,
+    STRUCTURE_FLOW,
+    PipelineRecord,
+    read_pipeline,
+)
+from recast.trellis.conditioning import ImageEncoder, load_dinov2
 from recast.trellis.models.base import TrellisModel
+
+ROLE_CLASSES: Mapping[str, str] = {
+    STRUCTURE_FLOW: "SparseStructureFlowModel",
+    STRUCTURE_DECODER: "SparseStructureDecoder",
+    LATENT_FLOW: "SLatFlowModel",
+    GAUSSIAN_DECODER: "SLatGaussianDecoder",
+    STRUCTURE_ENCODER: "SparseStructureEncoder",
+    LATENT_ENCODER: "SLatEncoder",
+}
+BACKBONE_FOLDER = "dinov2"
+
+
+def check_agreement(
+    folder: Path,
+    record: PipelineRecord,
+    models: Mapping[str, TrellisModel],
+    encoder: ImageEncoder | None,
+) -> None:
+    """Check that models, which may be on the meta device, can work together.
+
+    Raises:
+        InputError: a model is not of its role's class, or channels or resolutions differ.
+    """
+    where = folder / PIPELINE_FILE
+    for role, model in models.items():
+        expected = ROLE_CLASSES.get(role, model.published_name)
+        if model.published_name != expected:
+            raise InputError(
+                where,
+                f"models.{role}",
+                f"is a {model.published_name}, not a {expected}",
+                "correct the path",
+            )
+    for what, members in _facts(record, models, encoder).items():
+        if len(set(members.values())) > 1:
+            listed = ", ".join(f"{value} of {name}" for name, value in members.items())
+            raise InputError(where, what, f"differ ({listed})", "take all models from one training")
+
+
+def _facts(
+    record: PipelineRecord, models: Mapping[str, TrellisModel], encoder: ImageEncoder | None
+) -> dict[str, dict[str, int]]:
+    """Numbers that must be equal within each group, by who says so."""
+    condition: dict[str, int] = {} if encoder is None else {"the image encoder": encoder.channels}
+    structure: dict[str, int] = {}
+    latent = {"slat_normalization": len(record.slat_statistics[0])}
+    voxels: dict[str, int] = {}
+    for role, model in models.items():
+        config: Any = model.config
+        if role in (STRUCTURE_FLOW, LATENT_FLOW):
+            condition[role] = config.cond_channels
+            group = structure if role == STRUCTURE_FLOW else latent
+            group[f"{role} (in)"] = config.in_channels
+            group[f"{role} (out)"] = config.out_channels
+        if role in (STRUCTURE_DECODER, STRUCTURE_ENCODER):
+            structure[role] = config.latent_channels
+        if role in (GAUSSIAN_DECODER, LATENT_ENCODER):
+            latent[role] = config.latent_channels
+        if role in (LATENT_FLOW, GAUSSIAN_DECODER, LATENT_ENCODER):
+            voxels[role] = config.resolution
+    if STRUCTURE_FLOW in models:
+        flow: Any = models[STRUCTURE_FLOW].config
+        for role in (STRUCTURE_DECODER, STRUCTURE_ENCODER):
+            if role in models:
+                levels: Any = models[role].config
+                voxels[role] = flow.resolution * 2 ** (len(levels.channels) - 1)
+    return {
+        "condition channels": condition,
+        "channels of the structure": structure,
+        "channels of the structured latent": latent,
+        "voxels along an axis": voxels,
+    }
+
+
+def load_image_encoder(
+    folder: Path,
+    record: PipelineRecord,
+    models: Mapping[str, TrellisModel],
+    named: Path | None,
+    device: torch.device,
+) -> ImageEncoder:
+    """The image encoder that a record asks for.
+
+    Args:
+        folder: of the checkpoint.
+        record: its `pipeline.json`.
+        models: by role; an encoder of the folder's own is one of them, and is given back.
+        named: where the user says that the published backbone's weights lie; None takes the
+            checkpoint's subfolder `dinov2`.
+        device: where the published backbone goes.
+
+    Raises:
+        InputError: the weights are not there or cannot be read, the role names no image encoder, or
+            weights are named that the checkpoint does not use.
+    """
+    role = record.encoder_role
+    if role is None:
+        path = named or folder / BACKBONE_FOLDER
+        if not path.exists():
+            raise InputError(
+                path,
+                "image encoder",
+                f"the weights of {PUBLISHED_BACKBONE} are not there",
+                "name their file or folder with --image-encoder, or put them there",
+            )
+        return load_dinov2(path).to(device).eval()
+    if named is not None:
+        raise InputError(
+            named, "image encoder", f"{folder} has one of its own ({role})", "do not name one"
+        )
+    encoder = models[role]
+    if not isinstance(encoder, ImageEncoder):
+        raise InputError(
+            folder / PIPELINE_FILE,
+            "args.image_cond_model",
+            f"names {role}, and {encoder.published_name} is no image encoder",
+            "name the role of an image encoder",
+        )
+    return encoder
 
 
 @dataclass(frozen=True)
@@ -45,9 +177,11 @@ class Checkpoint:
         """
         if self.image_encoder is None:
             raise InputError(
-                self.folder or "checkpoint", "image encoder", "was not loaded",
+                self.folder or "checkpoint",
+                "image encoder",
+                "was not loaded",
                 "load the checkpoint with its image encoder",
-            )  # fmt: skip
+            )
         return self.image_encoder
 
 
@@ -139,3 +273,23 @@ def _fill(
             if bool(torch.isfinite(tensors[name]).all()):
                 problem = f"exceeds the range of {loaded.dtype}, to which it was converted"
             raise InputError(files.weights, name, problem, "fetch or write the file anew")
+
+
+def export_model(folder: str | Path, out: str | Path) -> None:
+    """Write the four models of generation, and the folder's own image encoder, in half precision.
+
+    As in the published checkpoints the blocks of the networks are float16, input and output layers
+    float32; a CPU computes in float32 all the same.
+
+    Args:
+        folder: model in the published layout.
+        out: folder to make.
+
+    Raises:
+        InputError: see `load_checkpoint` and `save_checkpoint`.
+    """
+    own_encoder = read_pipeline(Path(folder)).encoder_role is not None
+    found = load_checkpoint(folder, torso_dtype=torch.float16, with_encoder=own_encoder)
+    named = {role: found.record.models[role] for role in found.models}
+    args = found.record.args.model_copy(update={"models": named})
+    save_checkpoint(out, found.record.model_copy(update={"args": args}), found.models)

@@ -18,12 +18,29 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from recast.errors import InputError
-from recast.records import validation_error
-from recast.storage import JSON_LIMIT, read_bytes, write_json
-from recast.trellis.checkpoints.roles import PUBLISHED_BACKBONE
-from recast.trellis.flow import SamplerSettings
+from recast.core.errors import InputError
+from recast.core.files import JSON_LIMIT, read_bytes, write_json
+from recast.core.records import validation_error
+from recast.trellis.sampler import SamplerSettings
 
+STRUCTURE_FLOW = "sparse_structure_flow_model"
+STRUCTURE_DECODER = "sparse_structure_decoder"
+LATENT_FLOW = "slat_flow_model"
+GAUSSIAN_DECODER = "slat_decoder_gs"
+STRUCTURE_ENCODER = "sparse_structure_encoder"
+LATENT_ENCODER = "slat_encoder"
+
+GENERATION_ROLES = (STRUCTURE_FLOW, STRUCTURE_DECODER, LATENT_FLOW, GAUSSIAN_DECODER)
+"""What an image needs to become Gaussians, besides the image encoder."""
+
+OPTIONAL_ROLES = (STRUCTURE_ENCODER, LATENT_ENCODER)
+"""What real assets need to become latents."""
+
+IMAGE_ENCODER = "image_encoder"
+"""Role of an image encoder that comes with the folder, where it is not the published backbone."""
+
+PUBLISHED_BACKBONE = "dinov2_vitl14_reg"
+"""`image_cond_model` of the published checkpoints: DINOv2 ViT-L/14 with registers, kept apart."""
 PIPELINE_FILE = "pipeline.json"
 _MEND = "fetch the file anew, or correct it"
 

@@ -9,14 +9,18 @@ from pathlib import Path
 from rich.markup import escape
 from rich.table import Table
 
-from recast.errors import InputError
-from recast.trellis.checkpoints.agreement import check_agreement
-from recast.trellis.checkpoints.backbone import BACKBONE_FOLDER
-from recast.trellis.checkpoints.check import ModelCheck
-from recast.trellis.checkpoints.load import read_tensors
+from recast.core.errors import InputError
+from recast.trellis.checkpoints.header import ModelCheck
+from recast.trellis.checkpoints.load import BACKBONE_FOLDER, check_agreement, read_tensors
 from recast.trellis.checkpoints.model_files import model_files
-from recast.trellis.checkpoints.record import PIPELINE_FILE, PipelineRecord, read_pipeline
-from recast.trellis.checkpoints.roles import GENERATION_ROLES, OPTIONAL_ROLES, PUBLISHED_BACKBONE
+from recast.trellis.checkpoints.record import (
+    GENERATION_ROLES,
+    OPTIONAL_ROLES,
+    PIPELINE_FILE,
+    PUBLISHED_BACKBONE,
+    PipelineRecord,
+    read_pipeline,
+)
 from recast.trellis.conditioning import ImageEncoder
 from recast.trellis.models.base import TrellisModel
 

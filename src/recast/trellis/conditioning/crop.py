@@ -1,4 +1,4 @@
-"""From a cut-out picture to the square crop that conditions the generation.
+"""Pictures of one cut-out object: read and checked, and cropped to the square that conditions.
 
 The published TRELLIS code crops in two ways: one rule in its pipeline, another in its training
 data. Recast uses the pipeline's rule, `crop_to_object`, in training and in generation alike. Not
@@ -13,15 +13,108 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image as PilImage
+from PIL import ImageOps
 
-from recast.trellis.conditioning.read import Picture, check_crop, object_box
+from recast.arrays import Image
+from recast.core.errors import InputError
 
+OPAQUE = 204
+"""Alpha above this value (0.8 of 255) belongs to the object, as in the published pipeline."""
+
+SMALLEST = 8
+"""Pixels of an object's longer side below which there is nothing to generate from."""
+
+_SEGMENT = (
+    "cut the object out (a mask as alpha, PNG), or let `recast actor make` cut it out of a log"
+)
+_ALPHA_MODES = ("RGBA", "RGBa", "LA", "PA")
 MARGIN = 1.2
 """Side of the square crop over the longer side of the object's box."""
 
 
-def crop_to_object(rgba: Picture, size: int, where: str | Path = "crop") -> Picture:
+def read_crop(path: str | Path) -> Image:
+    """Read and check the picture of one cut-out object.
+
+    Anything with alpha that Pillow decodes is taken: 8 and 16 bits, palettes, grey with alpha,
+    one transparent colour. A stored orientation (EXIF) is applied.
+
+    Returns:
+        (H, W, 4) uint8 RGBA, straight alpha (colours not multiplied by it).
+
+    Raises:
+        InputError: missing, unreadable or cut short, without alpha, or refused by `check_crop`.
+    """
+    try:
+        with PilImage.open(path) as file:
+            image = ImageOps.exif_transpose(file)
+            if image.mode not in _ALPHA_MODES and "transparency" not in image.info:
+                raise InputError(path, "alpha", f"is absent (mode {image.mode})", _SEGMENT)
+            rgba = np.array(image.convert("RGBA"))
+    except FileNotFoundError:
+        raise InputError(path, "picture", "is missing", "check the path") from None
+    except InputError:
+        raise
+    except (OSError, SyntaxError, ValueError, EOFError, PilImage.DecompressionBombError) as error:
+        reason = str(error).replace(f" {str(path)!r}", "").rstrip(".")
+        raise InputError(
+            path, "picture", f"cannot be read ({reason})", "save it anew as PNG with alpha"
+        ) from None
+    check_crop(rgba, path)
+    return rgba
+
+
+def check_crop(rgba: Image, where: str | Path) -> None:
+    """Refuse a picture that holds no cut-out object.
+
+    Args:
+        rgba: (H, W, 4) uint8, straight alpha.
+        where: file or source to name in the error.
+
+    Raises:
+        InputError: no alpha channel, transparent everywhere, opaque everywhere, alpha nowhere
+            above 0.8, or an object whose longer side is less than `SMALLEST` pixels.
+    """
+    if rgba.ndim != 3 or rgba.shape[2] != 4 or rgba.dtype != np.uint8:
+        shape = "x".join(str(n) for n in rgba.shape)
+        raise InputError(where, "alpha", f"is absent ({shape} {rgba.dtype})", _SEGMENT)
+    alpha = rgba[..., 3]
+    strongest = int(alpha.max(initial=0))
+    if strongest == 0:
+        raise InputError(
+            where, "alpha", "is zero everywhere: the picture shows nothing", "check the mask"
+        )
+    if strongest <= OPAQUE:
+        problem = f"never exceeds 0.8 (largest {strongest / 255:.2f}): no object stands out"
+        raise InputError(where, "alpha", problem, "make the mask opaque on the object")
+    if int(alpha.min()) > OPAQUE:
+        raise InputError(where, "alpha", "is opaque everywhere: no object is cut out", _SEGMENT)
+    left, top, right, bottom = object_box(alpha)
+    width, height = right - left + 1, bottom - top + 1
+    if max(width, height) < SMALLEST:
+        raise InputError(
+            where,
+            "object",
+            f"is {width}x{height} pixels, at least {SMALLEST} are needed",
+            "take a closer view, or clean the mask",
+        )
+
+
+def object_box(alpha: Image, threshold: int = OPAQUE) -> tuple[int, int, int, int]:
+    """First and last column and row with alpha above `threshold`, all inclusive.
+
+    Args:
+        alpha: (H, W) uint8 with at least one such pixel.
+
+    Returns:
+        left, top, right, bottom in pixels.
+    """
+    inside = alpha > threshold
+    columns, rows = np.flatnonzero(inside.any(axis=0)), np.flatnonzero(inside.any(axis=1))
+    return int(columns[0]), int(rows[0]), int(columns[-1]), int(rows[-1])
+
+
+def crop_to_object(rgba: Image, size: int, where: str | Path = "crop") -> Image:
     """Cut the square around the object, scale it, put it on black: recast's only rule.
 
     The object is where alpha exceeds 0.8. The square is centred on its box, has 1.2 times its
@@ -51,7 +144,7 @@ def crop_to_object(rgba: Picture, size: int, where: str | Path = "crop") -> Pict
     return np.asarray(unit[..., :3] * unit[..., 3:] * 255).astype(np.uint8)
 
 
-def training_crop(rgba: Picture, size: int, where: str | Path = "crop") -> NDArray[np.float32]:
+def training_crop(rgba: Image, size: int, where: str | Path = "crop") -> NDArray[np.float32]:
     """The rule of the published trainer, kept to compare with; recast itself never uses it.
 
     Differs from `crop_to_object` in three ways: the object is wherever alpha is not zero (a faint
@@ -79,6 +172,6 @@ def training_crop(rgba: Picture, size: int, where: str | Path = "crop") -> NDArr
     return np.ascontiguousarray((unit[..., :3] * unit[..., 3:]).transpose(2, 0, 1))
 
 
-def _scaled_crop(rgba: Picture, box: tuple[float, ...], size: int) -> Image.Image:
-    image = Image.fromarray(rgba)
-    return image.crop(box).resize((size, size), Image.Resampling.LANCZOS)  # type: ignore[arg-type]
+def _scaled_crop(rgba: Image, box: tuple[float, ...], size: int) -> PilImage.Image:
+    image = PilImage.fromarray(rgba)
+    return image.crop(box).resize((size, size), PilImage.Resampling.LANCZOS)  # type: ignore[arg-type]

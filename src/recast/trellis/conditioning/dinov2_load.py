@@ -10,12 +10,11 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor
 
-from recast import storage
-from recast.errors import InputError
-from recast.records import validation_error
-from recast.torch_file import read_tensors
-from recast.trellis.conditioning.dinov2 import Dinov2Config, Dinov2Encoder
-from recast.trellis.conditioning.dinov2_names import to_hub
+from recast.core import files
+from recast.core.errors import InputError
+from recast.core.records import validation_error
+from recast.core.torch_file import read_tensors
+from recast.trellis.conditioning.dinov2 import Dinov2Config, Dinov2Encoder, to_hub
 
 # Channels of an attention head in every published DINOv2; the weights alone do not tell.
 _HEAD_CHANNELS = 64
@@ -118,7 +117,7 @@ def config_from_shapes(state: Mapping[str, Tensor], where: str | Path) -> Dinov2
 
 def _read_transformers_folder(folder: Path) -> tuple[dict[str, Tensor], Dinov2Config]:
     file = folder / "config.json"
-    record = storage.read_json(file)
+    record = files.read_json(file)
     kind = record.get("model_type") if isinstance(record, dict) else None
     if kind != "dinov2_with_registers":
         raise InputError(file, "model_type", f"is {kind!r}, not 'dinov2_with_registers'", _MEND)
@@ -151,7 +150,7 @@ def _config_beside(path: Path) -> Dinov2Config | None:
     file = path.with_suffix(".json")
     if not file.exists():
         return None
-    record = storage.read_json(file)
+    record = files.read_json(file)
     if not isinstance(record, dict) or not isinstance(record.get("args"), dict):
         raise InputError(file, "args", "are missing", "write {'name': ..., 'args': {...}}")
     return _validated(file, record["args"])

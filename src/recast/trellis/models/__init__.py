@@ -1,15 +1,27 @@
 """The six networks of TRELLIS, under their published class names."""
 
-from recast.trellis.models.base import ModelConfig, TrellisModel
+from recast.trellis.models.base import ModelConfig, Posterior, TrellisModel
+from recast.trellis.models.flow_transformer import (
+    SLatFlowConfig,
+    SLatFlowModel,
+    SparseStructureFlowConfig,
+    SparseStructureFlowModel,
+)
 from recast.trellis.models.gaussians import RepresentationConfig, raw_to_gaussians
-from recast.trellis.models.posterior import Posterior
 from recast.trellis.models.registry import MODELS, build, model_class
-from recast.trellis.models.slat_decoder_gs import SLatGaussianDecoder, SLatGaussianDecoderConfig
-from recast.trellis.models.slat_encoder import SLatEncoder, SLatEncoderConfig, SparsePosterior
-from recast.trellis.models.slat_flow import SLatFlowConfig, SLatFlowModel
-from recast.trellis.models.ss_decoder import SparseStructureDecoder, SparseStructureDecoderConfig
-from recast.trellis.models.ss_encoder import SparseStructureEncoder, SparseStructureEncoderConfig
-from recast.trellis.models.ss_flow import SparseStructureFlowConfig, SparseStructureFlowModel
+from recast.trellis.models.slat_vae import (
+    SLatEncoder,
+    SLatEncoderConfig,
+    SLatGaussianDecoder,
+    SLatGaussianDecoderConfig,
+    SparsePosterior,
+)
+from recast.trellis.models.ss_vae import (
+    SparseStructureDecoder,
+    SparseStructureDecoderConfig,
+    SparseStructureEncoder,
+    SparseStructureEncoderConfig,
+)
 
 __all__ = [
     "MODELS",

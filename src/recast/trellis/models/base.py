@@ -1,8 +1,9 @@
-"""What all networks of a TRELLIS checkpoint share: configuration, precision, names, memory."""
+"""What the networks of a TRELLIS checkpoint share: configuration, precision, memory, posterior."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import torch
@@ -10,8 +11,9 @@ from pydantic import ConfigDict, Field, model_validator
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
-from recast.records import Record
-from recast.trellis.layers import ModulatedCrossBlock, MultiHeadRmsNorm, TimestepEmbedder
+from recast.core.records import Record
+from recast.trellis.attention import MultiHeadRmsNorm
+from recast.trellis.blocks import ModulatedCrossBlock, TimestepEmbedder
 
 Size = Annotated[int, Field(ge=1, le=65536)]
 """Channels, heads, cells along an axis: the bound keeps products of a few within 64 bits."""
@@ -170,3 +172,35 @@ def start_at_zero(layer: nn.Module) -> None:
     """Zero the parameters of an output, modulation or last convolution layer."""
     for parameter in layer.parameters():
         nn.init.zeros_(parameter)
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Independent normal distributions, one for each latent value.
+
+    Args:
+        mean: (B, C, R, R, R) for the sparse structure.
+        logvar: same shape, natural logarithm of the variance.
+    """
+
+    mean: Tensor
+    logvar: Tensor
+
+    @property
+    def mode(self) -> Tensor:
+        """The most probable latents: the mean, which is what latent caches hold."""
+        return self.mean
+
+    def sample(self, generator: torch.Generator) -> Tensor:
+        """Draw latents; gradients flow into mean and logvar.
+
+        The noise is drawn on the generator's device, so a CPU generator gives the same draw on
+        every device.
+        """
+        noise = torch.randn(
+            self.mean.shape,
+            generator=generator,
+            device=generator.device,
+            dtype=self.mean.dtype,
+        )
+        return self.mean + torch.exp(0.5 * self.logvar) * noise.to(self.mean.device)

@@ -9,7 +9,7 @@ import torch
 from pydantic import ConfigDict, Field
 from torch import Tensor
 
-from recast.records import Record
+from recast.core.records import Record
 from recast.splats import Gaussians
 
 

@@ -8,15 +8,12 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from recast.errors import InputError
-from recast.records import validation_error
+from recast.core.errors import InputError
+from recast.core.records import validation_error
 from recast.trellis.models.base import TrellisModel
-from recast.trellis.models.slat_decoder_gs import SLatGaussianDecoder
-from recast.trellis.models.slat_encoder import SLatEncoder
-from recast.trellis.models.slat_flow import SLatFlowModel
-from recast.trellis.models.ss_decoder import SparseStructureDecoder
-from recast.trellis.models.ss_encoder import SparseStructureEncoder
-from recast.trellis.models.ss_flow import SparseStructureFlowModel
+from recast.trellis.models.flow_transformer import SLatFlowModel, SparseStructureFlowModel
+from recast.trellis.models.slat_vae import SLatEncoder, SLatGaussianDecoder
+from recast.trellis.models.ss_vae import SparseStructureDecoder, SparseStructureEncoder
 
 MODELS: dict[str, type[TrellisModel]] = {
     model.published_name: model

@@ -5,11 +5,14 @@ from recast.trellis.sparse.convolution import (
     submanifold_convolution,
     submanifold_convolution_reference,
 )
-from recast.trellis.sparse.neighbours import NeighbourMap, neighbour_map
-from recast.trellis.sparse.packed import PackedTokens
 from recast.trellis.sparse.pooling import PoolIndex, pool, pool_reference, unpool
-from recast.trellis.sparse.tensor import SparseTensor
-from recast.trellis.sparse.windows import WindowedTokens, WindowPartition, window_partition
+from recast.trellis.sparse.tensor import NeighbourMap, SparseTensor, neighbour_map
+from recast.trellis.sparse.tokens import (
+    PackedTokens,
+    WindowedTokens,
+    WindowPartition,
+    window_partition,
+)
 
 __all__ = [
     "NeighbourMap",

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from recast.errors import InputError
+from recast.core.errors import InputError
 from recast.trellis.sparse.tensor import SparseTensor, voxel_keys
 
 

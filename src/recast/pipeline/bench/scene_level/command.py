@@ -1,4 +1,4 @@
-"""`recast bench scene-level`, from scenes to the paper's table of rendering quality.
+"""`recast bench scene-level`, from scenes to the paper's table of rendering quality, and figures.
 
 OUT/bench.json               what the evaluation is
 OUT/scene_level.parquet      one row an image of each arm
@@ -10,21 +10,24 @@ OUT/figure_MOTION.png        moments x arms
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
+from PIL import Image as PilImage
+from PIL import ImageDraw
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from recast import storage
-from recast.core import Store, open_store
+from recast.arrays import Image
+from recast.core import Store, files, open_store
+from recast.core.errors import printable
+from recast.core.names import folder_name
 from recast.crews import crew_of
-from recast.errors import printable
-from recast.evaluation.scene_level.features import FEATURES_FILE, Features, load_features
 from recast.evaluation.scene_level.files import (
     cell,
     results_json,
@@ -32,15 +35,12 @@ from recast.evaluation.scene_level.files import (
     warnings,
     write_images,
 )
+from recast.evaluation.scene_level.frames import RolloutFrame, read_frames, read_references
 from recast.evaluation.scene_level.networks import Networks
-from recast.evaluation.scene_level.records import read_frames, read_references
-from recast.evaluation.scene_level.scores import COLUMNS
+from recast.evaluation.scene_level.scores import COLUMNS, FEATURES_FILE, Features, load_features
 from recast.evaluation.scene_level.summary import LevelRow, MeasuredScene, summarise
-from recast.names import folder_name
 from recast.pipeline.bench.closed_loop import check_grid
-from recast.pipeline.bench.courier import Courier, work_off
-from recast.pipeline.bench.display import broken_name
-from recast.pipeline.bench.scene_level.figure import write_figures
+from recast.pipeline.bench.results import broken_name
 from recast.pipeline.bench.scene_level.scene import FEATURES, FRAMES, REFERENCES, REPLAY, shown_file
 from recast.pipeline.bench.scene_level.settings import LevelSettings
 from recast.pipeline.bench.scene_level.worker import (
@@ -49,12 +49,15 @@ from recast.pipeline.bench.scene_level.worker import (
     measured,
     start_level_worker,
 )
+from recast.pipeline.bench.scene_run import Outcome, Task
 from recast.pipeline.bench.settings import RESULTS_FILE, begin
-from recast.pipeline.bench.tasks import Outcome, Task
+from recast.pipeline.bench.worker import Courier, work_off
 from recast.pipeline.display import FrameProgress
 from recast.pipeline.layout import use_name
 from recast.pipeline.run import STORE_FOLDER
 
+MOST_ROWS = 8
+_WIDTH, _HEAD, _GAP = 360, 18, 4
 IMAGES_FILE, TABLE_FILE = "scene_level.parquet", "table.md"
 
 
@@ -97,15 +100,13 @@ def run_scene_level(
     courier = None
     if ray is not None:
         courier = Courier(opened, settings.grid, lambda finds: LevelWorker(finds, settings, None))
-    arguments = (
-        None if courier else place, settings, None if courier is None else courier.fetch
-    )  # fmt: skip
+    arguments = (None if courier else place, settings, None if courier is None else courier.fetch)
 
     def done(task: Task, outcome: Outcome) -> None:
         tasks.note(task, outcome)
         bar.reach(tasks.done, tasks.total)
 
-    with storage.alone_in(out):
+    with files.alone_in(out):
         with FrameProgress(console, tasks.total, "scenes and arms") as bar:
             work_off(crew, start_level_worker, arguments, tasks, courier, done)
         failures = {
@@ -129,10 +130,11 @@ def run_scene_level(
         write_figures(
             {name: scene.frames for name, scene in scenes.items()},
             [arm.name for arm in settings.grid.run.arms],
-            found.shown, out,
-        )  # fmt: skip
-        storage.write_json(out / RESULTS_FILE, results_json(rows, scenes, failures, record))
-        storage.write_text(out / TABLE_FILE, table_markdown(rows, notes))
+            found.shown,
+            out,
+        )
+        files.write_json(out / RESULTS_FILE, results_json(rows, scenes, failures, record))
+        files.write_text(out / TABLE_FILE, table_markdown(rows, notes))
     for name in (name for name in COLUMNS if any(name in row.values for row in rows)):
         console.print(_table(name, rows))
     for note in warned:
@@ -181,7 +183,7 @@ class _Found:
         """Put the features of an arm, or of the logged images, where users look for them."""
         target = out / FEATURES / folder_name(name) / f"{scene}.npz"
         path = self._path(scene, use_name(FEATURES, name)) / FEATURES_FILE
-        with storage.atomic_file(target) as partial:
+        with files.atomic_file(target) as partial:
             shutil.copyfile(path, partial)
 
     def shown(self, scene: str, arm: str) -> dict[int, Path]:
@@ -202,9 +204,12 @@ def _table(name: str, rows: Sequence[LevelRow]) -> Table:
     column = COLUMNS[name]
     better = "higher" if column.higher_is_better else "lower"
     table = Table(
-        title=f"{column.heading}, {better} is better", title_justify="left", box=SIMPLE_HEAD,
-        collapse_padding=True, pad_edge=False,
-    )  # fmt: skip
+        title=f"{column.heading}, {better} is better",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        collapse_padding=True,
+        pad_edge=False,
+    )
     table.add_column("arm", overflow="fold")
     for heading in ("images", "value", "95 % over scenes", f"minus {rows[0].arm}"):
         table.add_column(heading, justify="right", no_wrap=True)
@@ -212,3 +217,62 @@ def _table(name: str, rows: Sequence[LevelRow]) -> Table:
         told = [*cell(name, row.values.get(name)).split("\n"), "", "", ""][:3]
         table.add_row(Text(broken_name(printable(row.arm))), str(row.images), *told)
     return table
+
+
+def write_figures(
+    frames: Mapping[str, Sequence[RolloutFrame]],
+    arms: Sequence[str],
+    pictures: Callable[[str, str], Mapping[int, Path]],
+    out: Path,
+) -> None:
+    """Write a figure for each motion: a row for each scene and setting, a column for each arm.
+
+    Args:
+        frames: images by scene.
+        arms: names.
+        pictures: from scene and arm to pictures by number of the image.
+    """
+    motions = dict.fromkeys(frame.motion for scene in frames.values() for frame in scene)
+    shown = {scene: {arm: pictures(scene, arm) for arm in arms} for scene in frames}
+    for motion in motions:
+        rows = [
+            (
+                f"{scene}, {frames[scene][index].setting}, step {frames[scene][index].step}",
+                [of_arm.get(index) for of_arm in by_arm.values()],
+            )
+            for scene, by_arm in shown.items()
+            for index in next(iter(by_arm.values()), {})
+            if frames[scene][index].motion == motion
+        ]
+        if rows:
+            figure = _figure(rows[:MOST_ROWS], arms)
+            with files.atomic_file(out / f"figure_{folder_name(motion)}.png") as partial:
+                figure.save(partial, format="PNG")
+
+
+def _figure(
+    rows: Sequence[tuple[str, Sequence[Path | None]]], arms: Sequence[str]
+) -> PilImage.Image:
+    cells = [[_cell(path) for path in paths] for _, paths in rows]
+    heights = [_HEAD + max(len(cell) for cell in row) for row in cells]
+    size = ((_WIDTH + _GAP) * len(arms) - _GAP, _HEAD + sum(heights) + _GAP * len(rows))
+    figure = PilImage.new("RGB", size, "white")
+    draw = ImageDraw.Draw(figure)
+    for column, arm in enumerate(arms):
+        draw.text((column * (_WIDTH + _GAP) + 2, 3), printable(arm), fill="black")
+    top = _HEAD
+    for (title, _), row, height in zip(rows, cells, heights, strict=True):
+        draw.text((2, top + 3), printable(title), fill="black")
+        for column, picture in enumerate(row):
+            place = (column * (_WIDTH + _GAP), top + _HEAD)
+            figure.paste(PilImage.fromarray(picture), place)
+        top += height + _GAP
+    return figure
+
+
+def _cell(path: Path | None) -> Image:
+    if path is None:
+        return np.full((_WIDTH * 2 // 3, _WIDTH, 3), 200, np.uint8)
+    image = np.asarray(PilImage.open(path).convert("RGB"))
+    height = round(image.shape[0] * _WIDTH / image.shape[1])
+    return np.asarray(cv2.resize(image, (_WIDTH, height), interpolation=cv2.INTER_AREA), np.uint8)

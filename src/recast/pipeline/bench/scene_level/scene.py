@@ -11,35 +11,34 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image as PilImage
 
-from recast import storage
-from recast.core import Artefact
+from recast.arrays import Array, Image
+from recast.core import Artefact, files
 from recast.dynamics import EgoState
 from recast.dynamics.state import SIZE as EGO_SIZE
 from recast.evaluation.oracle_scores import Rectangle
-from recast.evaluation.scene_level.features import FEATURES_FILE, save_features
 from recast.evaluation.scene_level.frames import (
-    LoggedFrame,
-    logged_frames,
-    spread_over_azimuth,
-)
-from recast.evaluation.scene_level.networks import Networks, SeenImage
-from recast.evaluation.scene_level.records import (
     FRAMES_FILE,
     REFERENCES_FILE,
     FramesRecord,
+    LoggedFrame,
     ReferencesRecord,
+    logged_frames,
     read_frames,
     read_references,
     shown_frames,
+    spread_over_azimuth,
 )
+from recast.evaluation.scene_level.networks import Networks, SeenImage
+from recast.evaluation.scene_level.scores import FEATURES_FILE, save_features
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.pipeline.arms import Arm
-from recast.pipeline.bench.scene_level.settings import DRIVER, LEVEL_FORMAT, LevelSettings
-from recast.pipeline.bench.scene_level.visible import (
+from recast.pipeline.bench.scene_level.settings import (
+    DRIVER,
+    LEVEL_FORMAT,
     DepthOf,
+    LevelSettings,
     street_depth,
     true_depth,
     visible_frames,
@@ -58,15 +57,13 @@ from recast.simulation import (
     camera_mounts,
 )
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
+_LOG = logging.getLogger(__name__)
+
 
 FRAMES, REFERENCES, FEATURES = "frames", "references", "features"
 """Uses of artefacts; those of features have a name behind them."""
 REPLAY = "log-replay"
 """Control: the first street with its own vehicle at the logged poses, in the logged images."""
-
-_LOG = logging.getLogger(__name__)
 
 
 class LevelScene:
@@ -115,7 +112,7 @@ class LevelScene:
                 visible_frames(rollouts, self._mounts, self._settings.rule, self._depths())
             )
             record = FramesRecord(frames=frames, shown=shown_frames(frames), failures=failures)
-            storage.write_json(out / FRAMES_FILE, record.model_dump(mode="json"))
+            files.write_json(out / FRAMES_FILE, record.model_dump(mode="json"))
 
         return self._make(FRAMES, "images that count", inputs, make)
 
@@ -129,7 +126,7 @@ class LevelScene:
             )
             compared = spread_over_azimuth(frames, self._settings.most_references)
             record = ReferencesRecord(frames=tuple(frames), compared=tuple(compared))
-            storage.write_json(out / REFERENCES_FILE, record.model_dump(mode="json"))
+            files.write_json(out / REFERENCES_FILE, record.model_dump(mode="json"))
 
         inputs = {**self._of_log(), "most_references": self._settings.most_references}
         return self._make(REFERENCES, "logged images that count", inputs, make)

@@ -7,13 +7,12 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 from recast.core import Artefact, Store, open_store
-from recast.core.parcel import Fetch
+from recast.core.depot import Fetch
 from recast.crews.ray_cluster import node_folder
 from recast.evaluation.scene_level.networks import Networks
 from recast.pipeline.bench.scene_level.scene import FEATURES, REFERENCES, REPLAY, LevelScene
 from recast.pipeline.bench.scene_level.settings import LevelSettings
-from recast.pipeline.bench.scene_run import SceneRun
-from recast.pipeline.bench.tasks import Outcome, RolloutTimes, Task
+from recast.pipeline.bench.scene_run import Outcome, RolloutTimes, SceneRun, Task
 from recast.pipeline.bench.worker import BenchWorker
 from recast.splats import set_threads
 

@@ -1,0 +1,235 @@
+"""Vehicle sets of `recast recar`: ingest, pack, perturb and screen."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from recast.cli import shared
+from recast.cli.output import console_for
+
+
+@dataclass(frozen=True)
+class Ingest:
+    """Make a vehicle set from photographs: one folder for each vehicle, and a table."""
+
+    photos: tyro.conf.Positional[Path]
+    """Folder with vehicles.csv (or .json) and a folder of photographs for each vehicle."""
+    out: Path
+    """Set folder; the same command resumes, and a set of the same options grows."""
+    licence: str
+    """Licence of photographs whose row names no licence."""
+    source: str = "photographs"
+    """Source of the photographs, in words."""
+    table: Annotated[
+        Path | None,
+        shared.option(
+            "Table of the vehicles.", "vehicles.csv or .json in the folder", metavar="PATH"
+        ),
+    ] = None
+    layout: Literal["regular", "3drealcar", "mad-cars"] = "regular"
+    """Layout of the photographs: regular (at regular azimuths), 3drealcar or mad-cars (walk-arounds
+    with camera poses; experimental, never run on real data)."""
+    views: int = 30
+    """Number of views of each vehicle, at regular azimuths."""
+    azimuth_within: Annotated[
+        float | None,
+        shared.option(
+            "Maximum azimuth error of a walk-around's photograph in degrees.",
+            "half the step between two views",
+            metavar="FLOAT",
+        ),
+    ] = None
+    width: int = 1200
+    """Width of the set's pictures in pixels."""
+    height: int = 800
+    """Height of the set's pictures in pixels."""
+    clockwise: bool = False
+    """Read the photographs as clockwise around the vehicle, seen from above."""
+    elevation: Annotated[
+        float | None,
+        shared.option(
+            "Measured angle of the camera above the horizontal in degrees.",
+            "unknown",
+            metavar="FLOAT",
+        ),
+    ] = None
+    fov: Annotated[
+        float | None,
+        shared.option("Measured horizontal field of view in degrees.", "unknown", metavar="FLOAT"),
+    ] = None
+    remover: str = "grabcut"
+    """Method that removes the background of opaque pictures: grabcut, a folder with grounding-dino
+    and sam, or none."""
+    duplicate_bits: int = 20
+    """Maximum number of different hash bits (of 255) between two pictures that count as the
+    same."""
+    split_seed: int = 0
+    """Seed of the split into training and held-out vehicles."""
+    held_out: float = 0.05
+    """Share of the vehicles that is held out of training (0 to 1)."""
+    skip_bad: bool = False
+    """Skip faulty vehicles and list them in ingest.json."""
+    workers: Annotated[int, shared.WORKERS] = 1
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from recast.actors.cutout import remover_of
+        from recast.core.errors import InputError, printable
+        from recast.recar.ingest import EXPERIMENTAL, IngestSettings, ingest_photographs
+        from recast.recar.progress import PictureProgress
+
+        settings = IngestSettings(
+            self.licence,
+            self.source,
+            self.views,
+            self.width,
+            self.height,
+            self.clockwise,
+            self.elevation,
+            self.fov,
+            self.split_seed,
+            self.held_out,
+            self.duplicate_bits,
+            self.layout,
+            self.azimuth_within,
+        )
+        remover = None if self.remover == "none" else remover_of(self.remover)
+        console = console_for(False)
+        if self.layout in EXPERIMENTAL:
+            console.print(
+                f"note: {self.layout} is experimental, it has not met real data: look at the set",
+                markup=False,
+            )
+
+        def show(name: str, error: InputError) -> None:
+            console.print(f"{printable(name)}: {error}", markup=False, soft_wrap=True)
+
+        with PictureProgress("pictures", console) as progress:
+            report = ingest_photographs(
+                self.photos,
+                self.out,
+                settings,
+                remover,
+                table=self.table,
+                skip_bad=self.skip_bad,
+                workers=self.workers,
+                progress=progress,
+                on_bad=show,
+            )
+        doubtful = sum(1 for lines in report.doubts.values() if lines)
+        console.print(
+            f"wrote {self.out}: {len(report.vehicle_set.identities)} identities, "
+            f"{len(report.skipped)} left out, {doubtful} to look at, see ingest.json",
+            markup=False,
+            soft_wrap=True,
+        )
+
+
+@dataclass(frozen=True)
+class Pack:
+    """Pack a set into tar shards (WebDataset) for streaming and random access."""
+
+    set: tyro.conf.Positional[Path]
+    """Set folder."""
+    out: Path
+    """Folder of the shards; the same command resumes, and repairs damaged shards."""
+    shard_bytes: str = "256MB"
+    """Maximum size of a shard, such as 256MB or 1GiB."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from recast.recar import read_set
+        from recast.recar.progress import PictureProgress
+        from recast.recar.shards import pack_set, parse_byte_size
+
+        shard_bytes = parse_byte_size(self.shard_bytes, "--shard-bytes")
+        vehicle_set = read_set(self.set)
+        console = console_for(False)
+        with PictureProgress("pictures", console) as progress:
+            index = pack_set(vehicle_set, self.out, shard_bytes, progress)
+        console.print(
+            f"wrote {self.out}: {index.identities} identities in {len(index.shards)} shards, "
+            f"{index.bytes / 1e6:,.1f} MB",
+            markup=False,
+            soft_wrap=True,
+        )
+
+
+@dataclass(frozen=True)
+class Perturb:
+    """Draw all perturbations of Stage II on one picture, from weak to strong."""
+
+    crop: tyro.conf.Positional[Path]
+    """Picture of one cut-out vehicle, PNG with alpha."""
+    out: Path
+    """Picture to write (PNG)."""
+    config: Annotated[
+        Path | None,
+        shared.option("JSON file with changes to the perturbations.", "none", metavar="PATH"),
+    ] = None
+    write_config: Annotated[
+        Path | None,
+        shared.option("JSON file to write the whole configuration to.", metavar="PATH"),
+    ] = None
+    seed: Annotated[int, shared.SEED] = 0
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from recast.recar.perturb import (
+            PerturbationConfig,
+            read_perturbations,
+            write_perturbations,
+        )
+        from recast.recar.perturb.sheet import write_sheet
+        from recast.trellis import read_crop
+
+        config = PerturbationConfig() if self.config is None else read_perturbations(self.config)
+        crop = read_crop(self.crop)
+        console = console_for(False)
+        write_sheet(crop, config, self.seed, self.out)
+        console.print(f"wrote {self.out}", markup=False)
+        if self.write_config is not None:
+            write_perturbations(self.write_config, config)
+            console.print(f"wrote {self.write_config}", markup=False)
+
+
+@dataclass(frozen=True)
+class Screen:
+    """Accept, reject or flip pseudo-targets in the browser with single keys.
+
+    Each decision is written to CACHE/screening.json at once; the same command resumes.
+    """
+
+    cache: tyro.conf.Positional[Path]
+    """Cache of pseudo-targets; it may be unfinished."""
+    set: Annotated[
+        Path | None,
+        shared.option(
+            "Vehicle set of the cache, in folders or shards; its pictures are shown larger.",
+            metavar="PATH",
+        ),
+    ] = None
+    port: int = 8765
+    """Port of the page, which only this machine can open; 0 takes a free port."""
+
+    def __call__(self) -> None:
+        """Run the command."""
+        from recast.recar.screening.server import ScreeningServer
+        from recast.recar.screening.service import ScreeningService
+        from recast.recar.shards import open_set
+        from recast.recar.targets import TargetCache
+
+        cache = TargetCache.open(self.cache, complete=False)
+        service = ScreeningService(cache, None if self.set is None else open_set(self.set))
+        console = console_for(False)
+        with ScreeningServer(service, self.port) as server:
+            console.print(f"{len(service.catalogue)} targets: open {server.url}", markup=False)
+            console.print("Ctrl-C ends; every decision is saved when it is made", markup=False)
+            with suppress(KeyboardInterrupt):
+                server.serve_forever()
+        console.print(f"{self.cache}: {service.summary()}", markup=False, highlight=False)

@@ -1,0 +1,74 @@
+"""The one error that users see: which file, which field, what is wrong, and the mend."""
+
+from __future__ import annotations
+
+import unicodedata
+from pathlib import Path
+
+LINE_LIMIT = 300
+"""Characters of an `InputError`'s line, at most."""
+
+_UNPRINTABLE = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
+
+
+class InputError(ValueError):
+    """Bad input from outside: a file, a folder, a configuration or a command-line value.
+
+    The CLI prints it as one line and exits with code 2, so the message must stand alone. The line
+    has at most `LINE_LIMIT` characters, control characters in it are escaped; the attributes hold
+    the whole text.
+
+    Args:
+        where: file or folder at fault (or the command-line argument).
+        field: the field, record or member inside it.
+        problem: what is wrong, with the value found.
+        mend: what the user can do about it.
+        page: page of the documentation that helps, such as "docs/weights.md#names"; None for the
+            page of the part of recast that raises the error (`recast.cli.output.PAGES`).
+    """
+
+    def __init__(
+        self, where: str | Path, field: str, problem: str, mend: str, page: str | None = None
+    ) -> None:
+        self.where = str(where)
+        self.field = field
+        self.problem = problem
+        self.mend = mend
+        self.page = page
+        super().__init__(self.line(page))
+
+    def line(self, page: str | None) -> str:
+        """The whole message in one line; a page is named at its end."""
+        ending = "" if page is None else f"; see {page}"
+        names = printable(self.where), printable(self.field)
+        # Texts of libraries may span lines; names may not.
+        texts = (printable(" ".join(text.split())) for text in (self.problem, self.mend))
+        room = LINE_LIMIT - len(": : ; ") - len(ending)
+        where, field, problem, mend = _fitted([*names, *texts], room)
+        return f"{where}: {field}: {problem}; {mend}{ending}"
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str, str | None]]:
+        # Exceptions pickle through `args`, which holds the joined line; worker processes need the
+        # parts.
+        return (InputError, (self.where, self.field, self.problem, self.mend, self.page))
+
+
+def printable(text: str) -> str:
+    """`text` with control characters, marks of text direction and lone surrogates escaped."""
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(
+        one.encode("unicode_escape").decode() if unicodedata.category(one) in _UNPRINTABLE else one
+        for one in text
+    )
+
+
+def _fitted(parts: list[str], limit: int) -> list[str]:
+    """The parts, the longest of them shortened until all have `limit` characters together."""
+    cap = max(len(part) for part in parts)
+    while sum(min(len(part), cap) for part in parts) > limit:
+        cap -= 1
+    where, *others = parts
+    if len(where) > cap:
+        where = "…" + where[len(where) - cap + 1 :]  # a path is known by its end
+    return [where, *(part if len(part) <= cap else part[: cap - 1] + "…" for part in others)]

@@ -1,0 +1,282 @@
+"""Files and folders that are there whole or not at all.
+
+Everything is written to a temporary name beside its target and renamed, so that a crash, a kill or
+a full disk never leaves something half-written under the final name. While it is written, the
+temporary file or folder is locked; the lock ends with the process that holds it.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, NoReturn
+
+from recast.core.errors import InputError
+
+try:
+    import fcntl
+except ImportError:  # not on Windows, where nothing is locked
+    fcntl = None  # type: ignore[assignment]
+
+_NO_LOCKS = {errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}
+"""What file systems say that cannot lock this; NFS says the first of folders."""
+
+JSON_LIMIT = 1 << 28
+"""Bytes of a JSON file, at most."""
+
+_DISK_FULL = ("disk", "no space left while writing", "free some space and run again")
+_READ_ONLY = ("disk", "cannot be written to, it is read-only", "name a folder that can be written")
+_FORBIDDEN = ("file", "permission denied", "check who owns it and its permissions")
+_NO_FOLDER = ("file", "lies below something that is no folder", "check the path")
+_FAULTS = {
+    errno.ENOSPC: _DISK_FULL,
+    errno.EDQUOT: _DISK_FULL,
+    errno.EFBIG: ("disk", "the file system takes no file of this size", "name another folder"),
+    errno.EROFS: _READ_ONLY,
+    errno.EACCES: _FORBIDDEN,
+    errno.EPERM: _FORBIDDEN,
+    errno.ENOENT: ("file", "is missing", "check the path"),
+    errno.EISDIR: ("file", "is a folder", "check the path"),
+    errno.ENOTDIR: _NO_FOLDER,
+    errno.EEXIST: _NO_FOLDER,  # what mkdir says of a file among the parents
+    errno.ENAMETOOLONG: ("file", "has too long a name", "choose a shorter one"),
+    errno.ELOOP: ("file", "is a link that leads back to itself", "remove the link"),
+    errno.EIO: ("disk", "failed (input/output error)", "check the disk"),
+}
+
+
+@contextmanager
+def disk_errors(path: str | Path) -> Iterator[None]:
+    """What the file system refuses inside of the block is one clear line.
+
+    Args:
+        path: the file or folder at fault, if the error names none or the temporary one beside it.
+
+    Raises:
+        InputError: no space, read-only, forbidden, missing, a folder in place of a file, and so on;
+            or a path that cannot be one. Other errors pass.
+    """
+    try:
+        yield
+    except OSError as error:
+        fault = _FAULTS.get(error.errno or 0)
+        if fault is None:
+            raise
+        named = error.filename if isinstance(error.filename, str) else str(path)
+        temporary = named.startswith(str(partial_name(path))) if Path(path).name else False
+        raise InputError(path if temporary else named, *fault) from error
+    except ValueError as error:
+        if isinstance(error, InputError) or "null" not in str(error):
+            raise
+        raise InputError(path, "file", "has a NUL character in its name", "check it") from error
+
+
+def partial_name(path: str | Path) -> Path:
+    """The temporary name beside `path` of what is being written.
+
+    The same every time, so that what a kill left behind is gone with the next write.
+    """
+    path = Path(path)
+    return path.with_name(f".{path.name}.partial")
+
+
+@contextmanager
+def atomic_file(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary path beside `path`; rename it to `path` on success, remove it on failure.
+
+    What a killed write to `path` left behind is overwritten.
+
+    Raises:
+        InputError: another process is writing it, or the disk refuses (see `disk_errors`).
+    """
+    path = Path(path)
+    partial = partial_name(path)
+    with disk_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if partial.is_dir():  # a file is overwritten
+            shutil.rmtree(partial)
+        with _locked(os.open(partial, os.O_RDWR | os.O_CREAT, 0o666), path):
+            try:
+                yield partial
+                partial.replace(path)
+            except BaseException:
+                with suppress(OSError):
+                    partial.unlink(missing_ok=True)
+                raise
+
+
+@contextmanager
+def atomic_folder(path: str | Path) -> Iterator[Path]:
+    """Yield a fresh temporary folder beside `path`; rename it to `path` on success.
+
+    On failure the temporary folder is removed, and what a killed write to `path` left behind
+    before anything is written. An existing folder at `path` is never touched.
+
+    Raises:
+        InputError: `path` exists already, another process is writing it, or the disk refuses (see
+            `disk_errors`).
+    """
+    path = Path(path)
+    with disk_errors(path):
+        require_new(path)
+        partial = partial_name(path)
+        if not partial.is_dir():
+            partial.unlink(missing_ok=True)
+        partial.mkdir(parents=True, exist_ok=True)
+        with _locked(os.open(partial, os.O_RDONLY), path):
+            require_new(path)  # the process that held the lock may have finished it
+            try:
+                _clear(partial)
+                yield partial
+                partial.replace(path)
+            except BaseException:
+                shutil.rmtree(partial, ignore_errors=True)
+                raise
+
+
+def require_new(path: str | Path) -> None:
+    """Refuse an output that is there already, before anything that takes long.
+
+    Raises:
+        InputError: `path` exists.
+    """
+    if Path(path).exists():
+        raise InputError(path, "output folder", "exists already", "name another one or remove it")
+
+
+def _clear(folder: Path) -> None:
+    for entry in folder.iterdir():
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry)
+        else:
+            entry.unlink()
+
+
+@contextmanager
+def alone_in(folder: str | Path, wait: bool = False) -> Iterator[None]:
+    """Keep other processes that ask for the same folder out until the block ends.
+
+    Args:
+        folder: must exist.
+        wait: until another process is done with it, instead of raising.
+
+    Raises:
+        InputError: another process is at work there, or the folder cannot be opened.
+    """
+    with disk_errors(folder):
+        handle = os.open(folder, os.O_RDONLY)
+    with _locked(handle, Path(folder), wait):
+        yield
+
+
+@contextmanager
+def _locked(handle: int, what: Path, wait: bool = False) -> Iterator[None]:
+    """Lock an open file or folder; close it at the end, which unlocks."""
+    try:
+        if fcntl is not None:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            except BlockingIOError:
+                raise InputError(
+                    what,
+                    "lock",
+                    "another process is at work here",
+                    "wait until it is done, or name another output folder",
+                ) from None
+            except OSError as error:
+                if error.errno not in _NO_LOCKS:
+                    raise
+        yield
+    finally:
+        os.close(handle)
+
+
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write `data` to `path`, whole or not at all."""
+    with atomic_file(path) as partial:
+        partial.write_bytes(data)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write `text` as UTF-8 to `path`, whole or not at all; half a character is escaped."""
+    write_bytes(path, text.encode(errors="backslashreplace"))
+
+
+def write_json(path: str | Path, value: Any) -> None:
+    """Write `value` as JSON with a stable layout (insertion order, two blanks, no NaN)."""
+    write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def read_bytes(path: str | Path, limit: int) -> bytes:
+    """All of a file.
+
+    Raises:
+        InputError: no file, or not to be read, or of more than `limit` bytes.
+    """
+    path = Path(path)
+    with disk_errors(path):
+        size = path.stat().st_size
+        if size <= limit:
+            with path.open("rb") as stream:
+                data = stream.read(limit + 1)  # a device says 0 and never ends
+            size = max(size, len(data))
+        if size > limit:
+            problem = f"has {size} bytes, {limit} are read at most"
+            raise InputError(path, "size", problem, "check that it is the right file")
+        return data
+
+
+def read_text(path: str | Path, limit: int = JSON_LIMIT) -> str:
+    """All of a UTF-8 text file.
+
+    Raises:
+        InputError: see `read_bytes`; or not UTF-8.
+    """
+    try:
+        return read_bytes(path, limit).decode()
+    except UnicodeDecodeError as error:
+        problem = f"is not UTF-8 (byte {error.start})"
+        raise InputError(path, "text", problem, "save it as UTF-8") from None
+
+
+def read_json(path: str | Path) -> Any:
+    """Read a JSON file; its numbers are finite.
+
+    Raises:
+        InputError: see `read_bytes` and `parse_json`.
+    """
+    return parse_json(path, read_bytes(path, JSON_LIMIT))
+
+
+def parse_json(where: str | Path, data: str | bytes) -> Any:
+    """What JSON text stands for; `where` it was read from is for messages.
+
+    Raises:
+        InputError: not UTF-8, not JSON, nested too deeply, or with a number that is not finite
+            or has thousands of digits.
+    """
+    mend = "write the file anew"
+    try:
+        text = data.decode() if isinstance(data, bytes) else data
+        return json.loads(text, parse_float=_finite, parse_constant=_refused)
+    except RecursionError:
+        raise InputError(where, "JSON", "is nested too deeply", mend) from None
+    except ValueError as error:  # of the parser, of UTF-8, or of a number
+        reason = str(error).split("; use sys")[0]
+        raise InputError(where, "JSON", f"cannot be read ({reason})", mend) from None
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if value in (float("inf"), float("-inf")):
+        raise ValueError(f"{text[:20]} is too large a number")
+    return value
+
+
+def _refused(text: str) -> NoReturn:
+    raise ValueError(f"{text} is no number of JSON")

@@ -1,0 +1,166 @@
+"""Foreign files of tensors, of which nothing but tensors and plain values is ever unpickled."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
+
+import torch
+from safetensors import safe_open
+from torch import Tensor
+
+from recast.core.errors import InputError
+from recast.core.files import disk_errors
+
+
+def read_torch_file(path: Path, mend: str, field: str = "file") -> Any:
+    """What a file of `torch.save` holds, its tensors on the CPU.
+
+    Args:
+        mend: what the user can do about a damaged file.
+        field: what the file is, for messages.
+
+    Raises:
+        InputError: the file is missing or damaged, or holds other objects than tensors, plain
+            values, lists and dictionaries; no code in it is run. Or it would take more memory than
+            the file has bytes: compressed members, or tensors larger than what is stored of them.
+    """
+    try:
+        _require_stored(path, field)
+        found = torch.load(path, map_location="cpu", weights_only=True)
+        for tensor in _tensors(found):
+            _require_whole(tensor, path, field)
+        return found
+    except InputError:
+        raise
+    except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
+        problem = (error.strerror or "cannot be read").lower()
+        raise InputError(path, field, problem, "check the path") from None
+    except Exception as error:  # the unpickler lets through whatever broken bytes lead to
+        # PyTorch's own text is a page long and tells the reader to trust the file.
+        refused = re.search(r"nsupported (?:global: )?GLOBAL ([\w.]+)", str(error))
+        if refused is not None:
+            raise InputError(
+                path,
+                field,
+                f"holds {refused[1]}, which is no tensor and is never unpickled",
+                "where it was made, save its state dict alone",
+            ) from None
+        reason = "" if isinstance(error, UnpicklingError) else _reason(error)
+        problem = f"is damaged, or no PyTorch checkpoint{reason}"
+        raise InputError(path, field, problem, mend) from None
+
+
+def read_tensors(path: Path, field: str, mend: str) -> dict[str, Tensor]:
+    """Tensors by name, on the CPU, of a file that holds nothing else.
+
+    Args:
+        path: .safetensors, or anything else as `torch.save` writes it.
+        field: what the tensors are, for messages.
+        mend: what the user can do about any fault.
+
+    Raises:
+        InputError: no file; see `read_torch_file`; or it holds something else than a table of
+            tensors.
+    """
+    if not path.is_file():
+        raise InputError(path, field, "is no file", mend)
+    if path.suffix == ".safetensors":
+        return read_safetensors(path, field, mend)[0]
+    state = read_torch_file(path, mend, field)
+    if not isinstance(state, dict) or not all(isinstance(v, Tensor) for v in state.values()):
+        raise InputError(path, field, "is no table of tensors", mend)
+    return dict(state)
+
+
+def read_safetensors(path: Path, field: str, mend: str) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """Tensors by name, mapped from disk until they are copied, and the texts of the header.
+
+    The format has no gaps and no overlaps, so a tensor never has more values than the file holds.
+
+    Raises:
+        InputError: the file is missing or damaged, or has a type of numbers that torch lacks.
+    """
+    with disk_errors(path):
+        if not path.is_file():
+            raise InputError(path, field, "is missing or no file", "check the path")
+    try:
+        with safe_open(path, framework="pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            return tensors, dict(file.metadata() or {})
+    except Exception as error:  # of the parser, of torch, of the file system
+        raise InputError(path, field, f"cannot be read{_reason(error)}", mend) from None
+
+
+def _require_stored(path: Path, field: str) -> None:
+    """`torch.save` never compresses: what is compressed was made to grow."""
+    if not zipfile.is_zipfile(path):  # the format before PyTorch 1.6
+        return
+    size = path.stat().st_size
+    with zipfile.ZipFile(path) as archive:
+        for one in archive.infolist():
+            if one.compress_type != zipfile.ZIP_STORED or one.file_size > size:
+                raise InputError(
+                    path,
+                    field,
+                    "is compressed, which no PyTorch checkpoint is",
+                    "save it with torch.save",
+                )
+
+
+def _tensors(value: Any) -> Iterator[Tensor]:
+    waiting, seen = [value], set()
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, Tensor):
+            yield one
+        elif isinstance(one, dict | list | tuple | set) and id(one) not in seen:
+            seen.add(id(one))  # lists may hold themselves
+            waiting.extend(one.values() if isinstance(one, dict) else one)
+
+
+def _require_whole(tensor: Tensor, path: Path, field: str) -> None:
+    # A few bytes can be expanded to any shape; the first copy of it takes the memory.
+    if tensor.layout != torch.strided or tensor.device.type != "cpu" or tensor.is_quantized:
+        kind = "quantized" if tensor.is_quantized else str(tensor.layout)
+        raise InputError(
+            path, field, f"holds a {kind} tensor on {tensor.device}", "save dense tensors"
+        )
+    stored = tensor.untyped_storage().nbytes()
+    if tensor.numel() * tensor.element_size() > stored:
+        shape = "x".join(str(size) for size in tensor.shape)
+        raise InputError(
+            path,
+            field,
+            f"has a tensor of {shape} values, of which {stored} bytes are stored",
+            "save contiguous tensors",
+        )
+
+
+def _reason(error: Exception) -> str:
+    """The first sentence of a library's message in brackets; nothing where it has none."""
+    lines = str(error).strip().splitlines()
+    return f" ({re.split(r'[.] ', lines[0])[0].rstrip('.')})" if lines else ""
+
+
+def checked_weight(
+    state: Mapping[str, Tensor], name: str, shape: tuple[int, ...], path: Path, mend: str
+) -> Tensor:
+    """A tensor of the table in float32.
+
+    Raises:
+        InputError: it is missing, of another shape, or has a value that is not finite.
+    """
+    tensor = state.get(name)
+    if tensor is None:
+        raise InputError(path, name, "is missing", mend)
+    if tuple(tensor.shape) != shape:
+        raise InputError(path, name, f"has shape {tuple(tensor.shape)}, not {shape}", mend)
+    tensor = tensor.float()
+    if not bool(tensor.isfinite().all()):
+        raise InputError(path, name, "has values that are not finite", mend)
+    return tensor

@@ -1,0 +1,160 @@
+"""Encoded images, in bytes and in files, decoded only if they have the size that is expected."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL.JpegImagePlugin import JpegImageFile
+from PIL.PngImagePlugin import PngImageFile
+
+from recast.core.errors import InputError
+from recast.core.files import read_bytes
+from recast.logs.types import Image
+
+# Not PIL.Image.open: other formats call other programs, and it warns of large images, which are
+# measured here.
+_READERS: dict[str, type[PngImageFile] | type[JpegImageFile]] = {
+    "png": PngImageFile,
+    "jpeg": JpegImageFile,
+}
+_LARGEST = 1 << 28
+"""Bytes of an image file."""
+_PNG = b"\x89PNG"
+
+
+def decode(
+    data: bytes, kind: str, size: tuple[int, int], where: str | Path, says: str, mode: str = "RGB"
+) -> Image:
+    """The pixels of an encoded image: (height, width, 3) uint8 of mode "RGB", or (height, width) of
+    mode "L".
+
+    Args:
+        kind: "png" or "jpeg".
+        size: width and height in pixels that it must have.
+        where: file that holds it, for messages.
+        says: what says that size, for messages.
+
+    Raises:
+        InputError: it is of another kind or size, cut off or damaged.
+    """
+    with _opened(data, kind, where) as image:
+        require_size(image.size, size, where, says)
+        return np.array(image.convert(mode))
+
+
+def size_of(data: bytes, kind: str, where: str | Path) -> tuple[int, int]:
+    """Width and height that an encoded image says; its pixels are not decoded.
+
+    Args:
+        kind: "png" or "jpeg".
+        where: file that holds it, for messages.
+
+    Raises:
+        InputError: it is of another kind or damaged.
+    """
+    with _opened(data, kind, where) as image:
+        return image.size
+
+
+def require_size(
+    found: tuple[int, int], size: tuple[int, int], where: str | Path, says: str
+) -> None:
+    """Check the width and height of an image; arguments as of `decode`.
+
+    Raises:
+        InputError: they differ.
+    """
+    if found != size:
+        raise InputError(
+            where,
+            "image size",
+            f"is {found[0]}x{found[1]}, {says} says {size[0]}x{size[1]}",
+            "take images and calibration of the same recording",
+        )
+
+
+@contextmanager
+def _opened(data: bytes, kind: str, where: str | Path) -> Iterator[PngImageFile | JpegImageFile]:
+    """The image, its header read, its pixels not yet."""
+    if kind not in _READERS:
+        raise InputError(where, "image", f"is {kind!r}, not png or jpeg", "convert it")
+    try:
+        with _READERS[kind](io.BytesIO(data)) as image:
+            yield image
+    except InputError:
+        raise
+    except Exception as error:  # Pillow raises of many kinds for damaged files
+        problem = f"cannot be decoded ({error})"
+        raise InputError(where, "image", problem, "download it again") from None
+
+
+def kind_of(data: bytes) -> str:
+    """ "png" or "jpeg", by how the file begins: names of files may say otherwise."""
+    return "png" if data.startswith(_PNG) else "jpeg"
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height of a PNG or JPEG file; its pixels are not decoded.
+
+    Raises:
+        InputError: it is no such file.
+    """
+    data = read_bytes(path, _LARGEST)
+    return size_of(data, kind_of(data), path)
+
+
+@dataclass(frozen=True)
+class ImageFiles:
+    """PNG or JPEG files of one camera; an `EncodedImageSource`.
+
+    Attributes:
+        paths: F files in the order of time.
+        width, height: pixels that every image must have.
+        calibration: name of the file that says so, for messages.
+    """
+
+    paths: tuple[Path, ...]
+    width: int
+    height: int
+    calibration: str
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.paths)
+
+    def __getitem__(self, index: int) -> Image:
+        """Decode frame `index` to (height, width, 3) uint8 RGB.
+
+        Raises:
+            InputError: see `encoded`.
+        """
+        path = self.paths[index]
+        return self._decode(path, read_bytes(path, _LARGEST))
+
+    def encoded(self, index: int) -> tuple[bytes, str]:
+        """The file's own bytes, decoded once to be sure of them.
+
+        Raises:
+            InputError: it is cut off, is no image, or has another size.
+        """
+        path = self.paths[index]
+        data = read_bytes(path, _LARGEST)
+        self._decode(path, data)
+        return data, kind_of(data)
+
+    def check(self) -> None:
+        """Decode every file once.
+
+        Raises:
+            InputError: one is cut off, is no image, or has another size.
+        """
+        for index in range(len(self)):
+            self[index]
+
+    def _decode(self, path: Path, data: bytes) -> Image:
+        return decode(data, kind_of(data), (self.width, self.height), path, self.calibration)

@@ -1,0 +1,121 @@
+"""What importers have in common: checks of a drive's name, cameras, points, poses, map and log."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import wraps
+from pathlib import Path
+from typing import Concatenate, ParamSpec
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.core.errors import InputError
+from recast.core.files import disk_errors, read_bytes
+from recast.logs import checks
+from recast.logs.checks import refused
+from recast.logs.hdmap import Lane
+from recast.logs.types import Array, DrivingLog, Int64Array
+
+_NAME_BYTES = 240
+"""Longest name of a drive: file systems take 255 bytes, with its suffix."""
+_SWEEP_BYTES = 1 << 28
+"""Longest file of a sweep."""
+FASTEST = 100.0
+"""Metres a second that an ego may go between two poses, beside a metre of jitter."""
+NEAR = 200.0
+"""Metres that the ego may be beside the lanes' bounding box."""
+Rest = ParamSpec("Rest")
+
+
+def check_drive(root: Path, drive: str) -> None:
+    """Check that a drive's name is one file name, which leads to nowhere else.
+
+    Raises:
+        InputError: it is empty, too long, or holds a slash or a NUL.
+    """
+    wrong = not drive or drive in (".", "..") or len(os.fsencode(drive)) > _NAME_BYTES
+    if wrong or "/" in drive or "\\" in drive or "\0" in drive:
+        raise InputError(root, "drive", f"{drive!r} is no name of a drive", "give its name alone")
+
+
+def chosen_cameras(where: Path, there: Iterable[str], wanted: Sequence[str]) -> list[str]:
+    """Names of the cameras to import, in the order in which they are there.
+
+    Args:
+        where: the drive, for messages.
+        there: names of all cameras of the drive.
+        wanted: names of the cameras to import; all if empty.
+
+    Raises:
+        InputError: a wanted camera is not there; the message lists the cameras that are.
+    """
+    names = list(there)
+    for name in wanted:
+        if name not in names:
+            listed = ", ".join(names)
+            mend = f"choose from {listed}" if listed else "leave the option out"
+            raise InputError(where, "cameras", f"has no camera {name!r}", mend)
+    return [name for name in names if not wanted or name in wanted]
+
+
+def read_points(path: Path, width: int, used: Sequence[int], mend: str) -> NDArray[np.float32]:
+    """Rows (N >= 1, width) of a file of points: float32, as of nuScenes and DriveStudio.
+
+    Args:
+        used: columns that must be finite, and within what a log may hold.
+        mend: what the user can do about any fault.
+
+    Raises:
+        InputError: the file is missing, empty, cut off or too large, or a value is out of range.
+    """
+    data = read_bytes(path, _SWEEP_BYTES)
+    if not data or len(data) % (4 * width):
+        problem = f"{len(data)} bytes are not a whole number of {4 * width}-byte points"
+        raise InputError(path, "points", problem, mend)
+    rows = np.frombuffer(data, "<f4").reshape(-1, width)
+    wrong = ~(np.abs(rows[:, used]) <= checks.SENSOR_REACH)  # also NaN
+    if wrong.any():
+        point = int(np.argmax(wrong.any(axis=1)))
+        value = rows[point, used][wrong[point]][0]
+        problem = f"is NaN or infinite, or not within {checks.SENSOR_REACH:g} m ({value:g})"
+        raise InputError(path, f"point {point}", problem, mend)
+    return rows
+
+
+def first_jump(timestamps_us: Int64Array, poses: Array) -> tuple[int, float] | None:
+    """The first pose that is too far from the one before, and how far, in metres.
+
+    Args:
+        timestamps_us: (T,) int64, not decreasing.
+        poses: (T, 4, 4).
+    """
+    passed = np.diff(timestamps_us) / 1e6
+    moved = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    wrong = np.flatnonzero(moved > 1.0 + FASTEST * passed)
+    return (int(wrong[0]) + 1, float(moved[wrong[0]])) if len(wrong) else None
+
+
+def metres_beside(lanes: Mapping[str, Lane], ego: Array) -> float:
+    """How far the ego's places (T, 2) are beside the bounding box of all lanes, at the most."""
+    points = np.concatenate([lane.polygon for lane in lanes.values()])
+    beside = np.maximum(points.min(axis=0) - ego, ego - points.max(axis=0))
+    return float(np.linalg.norm(np.maximum(beside, 0.0), axis=1).max())
+
+
+def returns_valid(
+    load: Callable[Concatenate[Path, Rest], DrivingLog],
+) -> Callable[Concatenate[Path, Rest], DrivingLog]:
+    """A decorator: the log is valid, and what the disk refuses below the first argument, the
+    dataset's folder, is one line."""
+
+    @wraps(load)
+    def loaded(root: Path, /, *args: Rest.args, **options: Rest.kwargs) -> DrivingLog:
+        with disk_errors(root):
+            log = load(root, *args, **options)
+        with refused(f"{root}: log {log.name}", "use the dataset's files as published"):
+            log.validate()
+        return log
+
+    return loaded

@@ -1,0 +1,280 @@
+"""Samples on disk, a folder for each world, and changes of their pictures for the training.
+
+Pictures are memory-mapped, worlds are there whole or not at all. The changes leave what a picture
+shows: rendered scenes look worse than traced ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from recast.arrays import Image
+from recast.core.errors import InputError
+from recast.core.files import atomic_folder
+from recast.core.records import Record, read_record
+from recast.planning.gtrs.scores import Trajectories, read_vocabulary
+
+RECORD_FILE, VOCABULARY_FILE = "dataset.json", "vocabulary.npy"
+MEND = "name another folder, or make the samples again"
+CLUES = (
+    "present",
+    "x",
+    "y",
+    "cos",
+    "sin",
+    "lateral",
+    "turn",
+    "route_10",
+    "route_20",
+    "route_30",
+)
+"""What a picture tells, beside the scores: whether the vehicle placed is in sight, where its middle
+is and how it is turned (ego frame); how far the ego is off the route, to the left, and turned
+against it; how far to the left the route is 10, 20 and 30 m on. Metres and radians."""
+HELD_OUT_EVERY = 10
+"""Worlds; nine scenes take turns, so each is held out in turn."""
+
+_IMAGES, _REST = "images.npy", "samples.npz"
+_MEMBERS = ("status", "scores", "best", "clues", "twin")
+
+_CLEAN = 0.15
+_MIRRORED_CLUES = np.array([-1.0 if name not in ("present", "x", "cos") else 1.0 for name in CLUES])
+
+
+class DatasetRecord(Record):
+    """What all samples of a folder share, as written to `dataset.json`.
+
+    Attributes:
+        seed: of everything random; a world's samples depend on it and on the world's number alone.
+        per_world: samples of each world.
+        speeds: ego states of each sample.
+        seconds: of each world's drive.
+        scenes: by which worlds take turns.
+    """
+
+    format: Literal["recast-planner-dataset"] = "recast-planner-dataset"
+    version: Literal[1] = 1
+    seed: int = Field(default=0, ge=0)
+    per_world: int = Field(default=32, ge=2)
+    speeds: int = Field(default=3, ge=1)
+    seconds: float = Field(default=16.0, ge=14.0, le=20.0)
+    scenes: tuple[str, ...] = Field(min_length=1)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One picture, K speeds of the ego, L trajectories.
+
+    Attributes:
+        image: (128, 512, 3) uint8 RGB.
+        status: (K, 8) float32, see `ego_status`.
+        scores: (K, 6, L) uint8, see `Targets`.
+        best: (K,) int32, the best trajectory.
+        clues: (10,) float32, see `CLUES`.
+    """
+
+    image: NDArray[np.uint8]
+    status: NDArray[np.float32]
+    scores: NDArray[np.uint8]
+    best: NDArray[np.int32]
+    clues: NDArray[np.float32]
+
+
+def world_folder(folder: Path, number: int) -> Path:
+    """Where the samples of a world lie."""
+    return folder / f"world-{number:05d}"
+
+
+def write_world(folder: Path, samples: Sequence[Sample], twins: Sequence[int]) -> None:
+    """Write the samples of a world, whole or not at all.
+
+    Args:
+        twins: for each sample the number of the one that differs in the vehicle alone, or -1.
+    """
+    with atomic_folder(folder) as partial:
+        np.save(partial / _IMAGES, np.stack([one.image for one in samples]))
+        np.savez_compressed(
+            partial / _REST,
+            status=np.stack([one.status for one in samples]),
+            scores=np.stack([one.scores for one in samples]),
+            best=np.stack([one.best for one in samples]),
+            clues=np.stack([one.clues for one in samples]),
+            twin=np.array(twins, np.int32),
+        )
+
+
+class SampleStore:
+    """All samples of a dataset folder; pictures stay on disk until they are looked at.
+
+    Args:
+        folder: of `recast planner dataset`.
+
+    Raises:
+        InputError: it has no samples, its record or a world's files are wrong.
+
+    Attributes:
+        record, vocabulary: of the folder.
+        worlds: (N,) number of each sample's world.
+        status, scores, best, clues: of all samples, see `Sample`.
+        twin: (N,) index of the sample that differs in the vehicle alone, or -1.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.record = read_record(
+            folder / RECORD_FILE, DatasetRecord, 1, MEND, "recast-planner-dataset"
+        )
+        self.vocabulary: Trajectories = read_vocabulary(folder / VOCABULARY_FILE)
+        paths = sorted(folder.glob("world-*"))
+        if not paths:
+            raise InputError(folder, "samples", "there are none", "recast planner dataset")
+        self._images: list[NDArray[np.uint8]] = []
+        parts: dict[str, list[np.ndarray]] = {name: [] for name in _MEMBERS}
+        worlds, first = [], 0
+        for path in paths:
+            images, rest = _read_world(path)
+            self._images.append(images)
+            for name in _MEMBERS:
+                parts[name].append(rest[name])
+            twin = parts["twin"][-1]
+            parts["twin"][-1] = np.where(twin < 0, -1, twin + first)
+            worlds.append(np.full(len(images), int(path.name.removeprefix("world-"))))
+            first += len(images)
+        self.worlds = np.concatenate(worlds)
+        self.status, self.scores, self.best, self.clues, self.twin = (
+            np.concatenate(parts[name]) for name in _MEMBERS
+        )
+        self._first = np.cumsum([0, *(len(images) for images in self._images)])
+        if self.scores.shape[-1] != len(self.vocabulary):
+            raise InputError(
+                folder / VOCABULARY_FILE,
+                "vocabulary",
+                f"has {len(self.vocabulary)} trajectories, scored were {self.scores.shape[-1]}",
+                MEND,
+            )
+
+    def __len__(self) -> int:
+        return len(self.worlds)
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        """(128, 512, 3) uint8."""
+        part = int(np.searchsorted(self._first, index, side="right")) - 1
+        return np.array(self._images[part][index - self._first[part]])
+
+    @property
+    def held_out(self) -> NDArray[np.bool_]:
+        """(N,) samples of the worlds that are not trained on."""
+        found: NDArray[np.bool_] = self.worlds % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
+        return found
+
+
+def _read_world(path: Path) -> tuple[NDArray[np.uint8], dict[str, np.ndarray]]:
+    try:
+        images = np.load(path / _IMAGES, mmap_mode="r", allow_pickle=False)
+        with np.load(path / _REST, allow_pickle=False) as archive:
+            return images, {name: archive[name] for name in _MEMBERS}
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        said = " ".join(str(error).split())
+        raise InputError(path, "samples", f"cannot be read ({said})", f"remove {path}") from None
+
+
+def augment(image: Image, rng: np.random.Generator) -> Image:
+    """Colour, exposure, blur, speckle, floaters, noise, JPEG and a shift of some pixels.
+
+    As of reconstructed scenes: blurred patches, blobs of wrong colour in thin air, haze; as of
+    cameras: exposure, white balance, noise. One in seven stays as it is.
+
+    Args:
+        image: (H, W, 3) uint8.
+    """
+    if rng.uniform() < _CLEAN:
+        return image
+    picture = image
+    if rng.uniform() < 0.5:
+        picture = _shifted(picture, int(rng.integers(-3, 4)), int(rng.integers(-2, 3)))
+    if rng.uniform() < 0.5:
+        picture = _blurred(picture, float(rng.uniform(0.4, 1.5)))
+    if rng.uniform() < 0.35:
+        picture = _blurred_patches(picture, rng)
+    if rng.uniform() < 0.3:
+        picture = _floaters(picture, rng)
+    found = np.asarray(cv2.transform(picture.astype(np.float32), _colours(rng)), np.float32)
+    if rng.uniform() < 0.5:
+        noise = rng.standard_normal(picture.shape, np.float32)
+        found += np.float32(rng.uniform(1.0, 8.0)) * noise
+    picture = np.clip(found, 0, 255).astype(np.uint8)
+    if rng.uniform() < 0.3:
+        quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 90))]
+        _, coded = cv2.imencode(".jpg", picture, quality)
+        picture = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), np.uint8)
+    return np.ascontiguousarray(picture)
+
+
+def mirror_image(image: Image) -> Image:
+    """The stitched picture (H, W, 3) of the mirrored street: right becomes left, cameras too."""
+    return np.ascontiguousarray(image[:, ::-1])
+
+
+def mirror_clues(clues: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Clues (..., 10) of the mirrored street."""
+    return (clues * _MIRRORED_CLUES).astype(np.float32)
+
+
+def mirror_status(status: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Status (..., 8) of the mirrored street: left and right change places, vy and ay sign."""
+    found = status[..., [2, 1, 0, 3, 4, 5, 6, 7]].copy()
+    found[..., [5, 7]] *= -1.0
+    return found
+
+
+def _shifted(picture: Image, across: int, down: int) -> Image:
+    """Moved by some pixels; the edge fills what comes in."""
+    height, width = picture.shape[:2]
+    rows = np.clip(np.arange(height) - down, 0, height - 1)
+    columns = np.clip(np.arange(width) - across, 0, width - 1)
+    return picture[rows][:, columns]
+
+
+def _blurred(picture: Image, sigma: float) -> Image:
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma), np.uint8)
+
+
+def _colours(rng: np.random.Generator) -> NDArray[np.float64]:
+    """(3, 4): saturation, white balance, exposure, contrast around a middle grey, brightness."""
+    saturation, contrast = rng.uniform(0.6, 1.3), rng.uniform(0.8, 1.2)
+    gain = rng.uniform(0.75, 1.25) * rng.uniform(0.93, 1.07, 3)
+    mixed = saturation * np.eye(3) + (1.0 - saturation) / 3
+    brightness = 110.0 * (1.0 - contrast) + rng.uniform(-12.0, 12.0)
+    return np.concatenate([contrast * gain[:, None] * mixed, np.full((3, 1), brightness)], axis=1)
+
+
+def _blurred_patches(picture: Image, rng: np.random.Generator) -> Image:
+    height, width = picture.shape[:2]
+    soft = _blurred(picture, float(rng.uniform(2.0, 4.0)))
+    mask = np.zeros((height, width), np.uint8)
+    for _ in range(int(rng.integers(1, 5))):
+        centre = int(rng.integers(width)), int(rng.integers(height))
+        axes = int(rng.integers(8, 60)), int(rng.integers(5, 25))
+        cv2.ellipse(mask, centre, axes, 0.0, 0.0, 360.0, 255, -1)
+    return np.where(mask[..., None] > 0, soft, picture)
+
+
+def _floaters(picture: Image, rng: np.random.Generator) -> Image:
+    """Small translucent blobs, smaller than any vehicle that matters."""
+    height, width = picture.shape[:2]
+    drawn = picture.copy()
+    for _ in range(int(rng.integers(1, 10))):
+        centre = int(rng.integers(width)), int(rng.integers(height))
+        axes = int(rng.integers(1, 10)), int(rng.integers(1, 5))
+        colour = rng.integers(0, 256, 3).tolist()
+        cv2.ellipse(drawn, centre, axes, float(rng.uniform(0, 180)), 0.0, 360.0, colour, -1)
+    weight = float(rng.uniform(0.3, 0.9))
+    return np.asarray(cv2.addWeighted(drawn, weight, picture, 1.0 - weight, 0.0), np.uint8)

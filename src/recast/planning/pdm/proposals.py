@@ -1,0 +1,209 @@
+"""Proposals of PDM-Closed: its settings, the driver model along each path, the emergency brake."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike
+
+from recast.arrays import Array
+from recast.dynamics import IdmParameters, TrackerConfig, VehicleParameters, idm_step
+from recast.dynamics import state as ego
+from recast.dynamics.idm import PDM_BATCH
+from recast.dynamics.tracker import DEFAULT, PDM_REFERENCE
+from recast.geometry import se2
+from recast.planning.pdm.centreline import LanePath
+from recast.planning.pdm.forecast import STRIDE, Forecast, Kind, box_corners
+
+DT = 0.1
+"""Seconds per step. Its windows and look-aheads are counted in steps of this length."""
+_MAX_SPEED = 5.0
+_MAX_TIME = 2.0
+_MIN_ACCELERATION, _MAX_ACCELERATION = -4.05, 2.4
+_CRAWL = 0.2
+
+
+@dataclass(frozen=True)
+class PdmConfig:
+    """Settings of PDM-Closed; the defaults are the published planner's.
+
+    `reference_quirks` reproduces tuplan_garage to the last digit, its slips included. Off:
+
+    - Lead: known from the first step on. The reference takes a standing lead at its own bumper for
+      one step, which brakes with 3 m/s^2 for 0.1 s in every plan.
+    - Lead of one proposal: its own. The reference carries speed and length over from the proposal
+      before where it does not set them.
+    - End of the route: the front bumper stops there, not half the ego's length from the rear axle.
+    - Speed of a proposal: never below zero.
+    - Corridor: begins and ends where it should, not at the nearest vertices of the centreline.
+    - Simulation: nuPlan's jerk matrix instead of the defective one.
+    - Comfort: nuPlan's smoothing windows, not one over the whole proposal.
+    - Map: all of it, not only what comes within 50 m of the ego.
+    - Equal scores: the path nearest to the ego wins, then the slower proposal. The reference takes
+      the first in its list, the right-hand one before the left-hand one.
+    - Emergency brake: never backwards and, at a crawl, never forwards; see `brake_plan`.
+
+    Attributes:
+        reference_quirks: see above.
+        lateral_offsets: metres to the left of the centreline, of the paths beside it.
+        speed_fractions: target speeds as shares of the speed limit.
+        default_speed_limit: m/s, where the lane has none.
+        idm: the driver model of the proposals.
+        proposal_steps: steps of a proposal, which is simulated and scored.
+        plan_steps: steps of the plan, to which the best proposal is extended.
+        radius: metres around the ego in which road users (and, with the quirks, the map) count.
+    """
+
+    reference_quirks: bool = False
+    lateral_offsets: tuple[float, ...] = (-1.0, 1.0)
+    speed_fractions: tuple[float, ...] = (0.2, 0.4, 0.6, 0.8, 1.0)
+    default_speed_limit: float = 15.0
+    idm: IdmParameters = PDM_BATCH
+    proposal_steps: int = 40
+    plan_steps: int = 80
+    radius: float = 50.0
+
+    @property
+    def tracker(self) -> TrackerConfig:
+        """The controller in the simulation of proposals."""
+        return PDM_REFERENCE if self.reference_quirks else DEFAULT
+
+
+class Unroll:
+    """IDM states of all proposals; proposal = path index * number of speeds + speed index.
+
+    Attributes:
+        states: (P, plan_steps + 1, 2) progress in metres and speed in m/s.
+        leads: (P, plan_steps + 1, 3) the lead's progress, speed, and the length to take off the
+            gap, as used for the step to that index.
+
+    Args:
+        paths: the centreline and its parallels.
+        targets: (S,) target speeds in m/s, positive.
+        forecast: of the other road users.
+        state: (11,) of the ego; starts each proposal at its projection, at its speed vx.
+    """
+
+    def __init__(
+        self,
+        paths: Sequence[LanePath],
+        targets: ArrayLike,
+        forecast: Forecast,
+        state: ArrayLike,
+        vehicle: VehicleParameters,
+        config: PdmConfig,
+    ) -> None:
+        state = np.asarray(state, np.float64)
+        self._paths, self._forecast = paths, forecast
+        self._vehicle, self._config = vehicle, config
+        speeds = np.asarray(targets, np.float64)
+        self._per_path = len(speeds)
+        self._targets = np.tile(speeds, len(paths))
+        quirks = config.reference_quirks
+        self._reach = vehicle.length / 2 if quirks else vehicle.front_length
+        shape = (len(self._targets), config.plan_steps + 1)
+        self.states, self.leads = np.zeros((*shape, 2)), np.zeros((*shape, 3))
+        start = np.array([float(path.project(state[ego.POSE])) for path in paths])
+        self.states[:, 0, 0] = np.repeat(start, self._per_path)
+        self.states[:, 0, 1] = state[ego.VX]
+        reach = speeds.max() * config.plan_steps * DT
+        self._corridors = [
+            shapely.buffer(
+                path.stretch(s, s + reach, vertices_only=quirks),
+                vehicle.width / 2,
+                cap_style="square",
+            )
+            for path, s in zip(paths, start, strict=True)
+        ]
+        shapely.prepare(self._corridors)
+        for first in range(0, len(self._targets), self._per_path):
+            rows = list(range(first, first + self._per_path))
+            for step in range(1, config.proposal_steps + 1):
+                self._advance(rows, step)
+
+    def extend(self, proposal: int) -> None:
+        """Unroll one proposal to the length of a plan."""
+        for step in range(self._config.proposal_steps + 1, self._config.plan_steps + 1):
+            self._advance([proposal], step)
+
+    def poses(self, proposals: Sequence[int], steps: int) -> Array:
+        """World poses (len(proposals), steps + 1, 3) of the rear axle on the paths."""
+        return np.stack(
+            [self._paths[p // self._per_path].at(self.states[p, : steps + 1, 0]) for p in proposals]
+        )
+
+    def _advance(self, rows: list[int], step: int) -> None:
+        config = self._config
+        if step % STRIDE == 0 or (step == 1 and not config.reference_quirks):
+            self._refresh(rows, step)
+        else:
+            self.leads[rows, step] = self.leads[rows, step - 1]
+        moved = idm_step(
+            self.states[rows, step - 1],
+            self.leads[rows, step],
+            self._targets[rows],
+            config.idm,
+            DT,
+        )
+        if not config.reference_quirks:
+            moved[:, 1] = np.maximum(moved[:, 1], 0.0)
+        self.states[rows, step] = moved
+
+    def _refresh(self, rows: list[int], step: int) -> None:
+        """Find the leads (rows of one path) among what is in the corridor at a step."""
+        path, forecast = self._paths[rows[0] // self._per_path], self._forecast
+        shapes = forecast.at(step)
+        corridor = self._corridors[rows[0] // self._per_path]
+        inside = np.flatnonzero(shapely.intersects(corridor, shapes) & ~forecast.ignored)
+        centres = shapely.get_coordinates(shapely.centroid(shapes[inside]))
+        progress = path.project(centres)
+        before = self.states[rows, step - 1, 0]
+        poses = path.at(before)
+        outlines = shapely.polygons(box_corners(poses, self._vehicle))
+        lead = np.zeros(3)
+        for i, row in enumerate(rows):
+            if not self._config.reference_quirks:
+                lead = np.zeros(3)
+            ahead = inside[progress > before[i]]
+            if len(ahead) == 0:
+                lead[:] = path.length, 0.0, self._reach
+            else:
+                gaps = shapely.distance(outlines[i], shapes[ahead])
+                nearest = ahead[np.argmin(gaps)]
+                lead[0] = before[i] + gaps.min()
+                if forecast.kinds[nearest] is not Kind.RED_LIGHT:
+                    turn = poses[i, 2] - forecast.headings[nearest]
+                    lead[1] = forecast.speeds[nearest] * np.cos(turn)
+            self.leads[row, step] = lead
+
+
+def brakes(speed: float, collision_time: float) -> bool:
+    """Whether to brake: at 5 m/s or less, within 2 s of the best proposal's at-fault collision."""
+    return speed <= _MAX_SPEED and collision_time <= _MAX_TIME
+
+
+def brake_plan(state: Array, steps: int, dt: float, *, reference_quirks: bool) -> Array:
+    """Poses (steps + 1, 3) straight ahead at a constant speed near zero.
+
+    From the speed v, at more than 0.2 m/s: 1.1 (v + clip(-10 v, -4.05, 2.4)), else, with the
+    acceleration a, clip(-4 v - a, -4.05, 2.4). Below 4.05 m/s the former is negative: the
+    reference creeps backwards. With quirks off, speeds below zero are 0, and so is all of the
+    latter, which would start a standing ego that has just braked.
+
+    Args:
+        state: (11,) of the ego.
+    """
+    speed, acceleration = float(state[ego.VX]), float(state[ego.AX])
+    if speed > _CRAWL:
+        change = np.clip(-10.0 * speed, _MIN_ACCELERATION, _MAX_ACCELERATION)
+        target = 1.1 * (speed + change)
+    else:
+        target = np.clip(-4.0 * speed - acceleration, _MIN_ACCELERATION, _MAX_ACCELERATION)
+    if not reference_quirks:
+        target = max(target, 0.0) if speed > _CRAWL else 0.0
+    ahead = np.zeros((steps + 1, 3))
+    ahead[:, 0] = target * dt * np.arange(steps + 1)
+    return se2.compose(state[ego.POSE], ahead)

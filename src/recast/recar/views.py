@@ -1,0 +1,229 @@
+"""The views of a vehicle set: where their cameras stand, and how they lie on disk.
+
+The actor frame is that of all boxes: origin at the box centre, x forward, y left, z up. A camera at
+azimuth a and elevation e stands at `distance * (cos e cos a, cos e sin a, sin e)` and looks at the
+origin, level. So at azimuth 0 it looks at the front, and the vehicle's left side is to the right in
+the image; at azimuth 90 it looks at the left side, and the front points to the left in the image.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from recast.arrays import Array, Image
+from recast.core.errors import InputError
+from recast.core.files import atomic_file, disk_errors, read_bytes
+from recast.geometry import PinholeCamera, boxes, se3
+from recast.recar.record import LARGEST_SIDE, IdentityRecord, SetRecord, Split
+
+ELEVATION_DEG = 15.0
+FOV_DEG = 40.0
+MARGIN = 0.04
+"""Share of the image that stays free at each edge, at the azimuth where the vehicle is widest."""
+
+HEADER_BYTES = 26
+MOST_BYTES = 5 * LARGEST_SIDE**2
+"""Most bytes of an encoded view: the largest one of noise, which does not pack, and some text."""
+
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_RGBA = 6  # PNG colour type of truecolour with alpha
+_MEND = "replace the picture, or remove its identity from the set"
+
+
+def view_camera(
+    vehicle_set: SetRecord, identity: IdentityRecord, index: int
+) -> tuple[PinholeCamera, Array]:
+    """The camera of a view, and `actor_from_camera` (4, 4).
+
+    Raises:
+        IndexError: no such view.
+        ValueError: elevation, angle of view or distance was not measured.
+    """
+    if not 0 <= index < vehicle_set.views:
+        raise IndexError(f"view {index}: {identity.id} has views 0 to {vehicle_set.views - 1}")
+    elevation, fov, distance = vehicle_set.elevation_deg, vehicle_set.fov_deg, identity.distance_m
+    if elevation is None or fov is None or distance is None:
+        raise ValueError(
+            f"{identity.id}: no camera without elevation ({elevation}), fov ({fov}) and distance "
+            f"({distance})"
+        )
+    camera = pinhole(vehicle_set.width, vehicle_set.height, fov)
+    return camera, camera_pose(vehicle_set.azimuths_deg[index], elevation, distance)
+
+
+def pinhole(width: int, height: int, fov_deg: float) -> PinholeCamera:
+    """A camera with `fov_deg` across its width, square pixels, principal point in the middle."""
+    focal = width / 2 / float(np.tan(np.radians(fov_deg) / 2))
+    return PinholeCamera(width, height, focal, focal, width / 2, height / 2)
+
+
+def camera_pose(azimuth_deg: float, elevation_deg: float, distance: float) -> Array:
+    """`actor_from_camera` (4, 4) of the level OpenCV camera there that looks at the box centre."""
+    a, e = np.radians(azimuth_deg), np.radians(elevation_deg)
+    forward = -np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    right = np.array([-np.sin(a), np.cos(a), 0.0])
+    rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
+    return se3.from_rotation_translation(rotation, -distance * forward)
+
+
+def fitting_distance(
+    size: ArrayLike,
+    camera: PinholeCamera,
+    elevation_deg: float = ELEVATION_DEG,
+    margin: float = MARGIN,
+    azimuths_deg: Iterable[float] = range(91),
+) -> float:
+    """Metres at which a box of `size` (3,) just fits the image from all azimuths given.
+
+    Args:
+        size: length, width, height in metres.
+        camera: rectified, principal point in the middle.
+        elevation_deg: of the camera.
+        margin: share of width and height that stays free at each edge.
+        azimuths_deg: a quarter is as good as all of them, by symmetry of the box.
+    """
+    corners = boxes.corners(size)
+    least = 0.0
+    for azimuth in azimuths_deg:
+        # About the centre, in camera axes: a corner at depth d + z is inside while
+        # f |x| <= (1/2 - margin) width (d + z), and alike for y.
+        about = corners @ camera_pose(azimuth, elevation_deg, 0.0)[:3, :3]
+        across = np.abs(about[:, 0]) * camera.fx / ((0.5 - margin) * camera.width)
+        upright = np.abs(about[:, 1]) * camera.fy / ((0.5 - margin) * camera.height)
+        least = max(least, float(np.max(np.maximum(across, upright) - about[:, 2])))
+    return least
+
+
+def encode_picture(rgba: Image) -> bytes:
+    """PNG of an image (H, W, 4) uint8; colour without alpha becomes black, which packs better."""
+    rgba = np.where(rgba[..., 3:] > 0, rgba, np.uint8(0))
+    written, data = cv2.imencode(".png", cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA))
+    assert written
+    return data.tobytes()
+
+
+def check_header(path: Path, width: int, height: int) -> None:
+    """Look at size and channels of a view without decoding it.
+
+    Raises:
+        InputError: missing, no PNG, of another size, or without alpha.
+    """
+    with disk_errors(path), path.open("rb") as file:
+        head = file.read(HEADER_BYTES)
+    check_encoded_header(head, path, width, height)
+
+
+def check_encoded_header(head: bytes, where: str | Path, width: int, height: int) -> None:
+    """`check_header` of the first `HEADER_BYTES` of a view, or of all of it."""
+    head = head[:HEADER_BYTES]
+    if len(head) < HEADER_BYTES or not head.startswith(_SIGNATURE) or head[12:16] != b"IHDR":
+        raise InputError(where, "view", "is no PNG", _MEND)
+    found_width, found_height, depth, colour_type = struct.unpack(">IIBB", head[16:26])
+    if (found_width, found_height) != (width, height):
+        raise InputError(
+            where, "size", f"is {found_width}x{found_height} in a set of {width}x{height}", _MEND
+        )
+    if colour_type != _RGBA or depth != 8:
+        raise InputError(
+            where,
+            "alpha",
+            f"is absent (PNG colour type {colour_type}, {depth} bits)",
+            "write 8-bit RGBA with the background removed",
+        )
+
+
+def read_picture(path: Path, width: int, height: int) -> Image:
+    """Decode a view.
+
+    Returns:
+        (height, width, 4) uint8 RGBA, alpha straight (colours not multiplied by it).
+
+    Raises:
+        InputError: as `check_header`, or cut short, or transparent everywhere.
+    """
+    return decode_picture(read_bytes(path, MOST_BYTES), path, width, height)
+
+
+def decode_picture(data: bytes, where: str | Path, width: int, height: int) -> Image:
+    """`read_picture` of the bytes of a view; `where` is named by the errors."""
+    check_encoded_header(data, where, width, height)
+    try:
+        bgra = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        bgra = None
+    if bgra is None or bgra.shape != (height, width, 4) or bgra.dtype != np.uint8:
+        raise InputError(where, "view", "cannot be decoded", _MEND)
+    if not np.any(bgra[..., 3]):
+        raise InputError(where, "alpha", "is zero everywhere", _MEND)
+    return np.asarray(cv2.cvtColor(bgra, cv2.COLOR_BGRA2RGBA), np.uint8)
+
+
+def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
+    """Write named arrays; the same arrays give the same bytes.
+
+    Raises:
+        InputError: the disk is full.
+    """
+    with atomic_file(path) as partial, partial.open("wb") as stream:
+        np.savez_compressed(stream, allow_pickle=False, **arrays)
+
+
+class IdentitySource(Protocol):
+    """One vehicle; its pictures are decoded when asked for."""
+
+    @property
+    def record(self) -> IdentityRecord:
+        """What is known about it."""
+
+    @property
+    def set_record(self) -> SetRecord:
+        """What it shares with all of the set."""
+
+    def view(self, index: int) -> Image:
+        """(height, width, 4) uint8 RGBA with straight alpha."""
+
+    def encoded(self, index: int) -> bytes:
+        """The PNG of a view."""
+
+    def picture_bytes(self) -> int:
+        """Bytes of all its pictures."""
+
+    def camera(self, index: int) -> tuple[PinholeCamera, NDArray[np.float64]]:
+        """The camera of a view and `actor_from_camera` (4, 4)."""
+
+
+class VehicleSource(Protocol):
+    """A set: `VehicleSet` and `ShardedSet` alike."""
+
+    @property
+    def folder(self) -> Path:
+        """Where it lies."""
+
+    @property
+    def record(self) -> SetRecord:
+        """set.json."""
+
+    @property
+    def identities(self) -> Mapping[str, IdentitySource]:
+        """By id, sorted."""
+
+    def of_split(self, split: Split) -> Iterator[IdentitySource]:
+        """The identities of one split, sorted."""
+
+    def records(self) -> Iterator[tuple[IdentityRecord, int]]:
+        """Record and bytes of the pictures of every identity, in the order in which they lie.
+
+        Nothing is kept, so that statistics of a large set take little memory.
+        """
+
+    def check_pictures(
+        self, decode: bool = False, progress: Callable[[int, int], None] | None = None
+    ) -> None:
+        """Look at every picture: its header, or all of it."""

@@ -1,0 +1,231 @@
+"""First points: the background's from LiDAR and a plane sweep, and the Gaussians of an actor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import cv2
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from recast.arrays import Float32Array, Mask
+from recast.geometry import boxes, se3
+from recast.logs import Track
+from recast.scene.appearance import DEFORMABLE, with_other_side
+from recast.scene.bodies import Body
+from recast.scene.config import SceneConfig
+from recast.scene.dynamic import box_rectangle, deforms, pose_at
+from recast.scene.plane_sweep import sweep_depths
+from recast.scene.points import (
+    DepthSamples,
+    OwnedSweep,
+    PointCloud,
+    concatenate,
+    gaussians_from_points,
+    project_visible,
+    voxel_downsample,
+)
+from recast.scene.views import View, nearest_view
+from recast.splats import Gaussians
+from recast.splats.sh import C0
+
+COLOUR_LIMIT_US = 160_000
+"""A sweep takes its colours from images at most this far away in time."""
+LIDAR_REACH_PX = 5
+SWEEP_STRIDE = 3
+FEW_POINTS = 200
+GRID_SPACING_M = 0.15
+
+
+def near_samples(view: View, samples: DepthSamples) -> Mask:
+    """Pixels (H, W) within a few pixels of a LiDAR return."""
+    hit = np.zeros((view.camera.height, view.camera.width), np.uint8)
+    hit[samples.uv[:, 1].astype(np.int64), samples.uv[:, 0].astype(np.int64)] = 1
+    size = 2 * LIDAR_REACH_PX + 1
+    return cv2.dilate(hit, np.ones((size, size), np.uint8)) > 0
+
+
+def pixel_colours(view: View, uv: Float32Array) -> Float32Array:
+    """Image colours (M, 3) in [0, 1] at pixel coordinates (M, 2)."""
+    rows, columns = uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)
+    return (view.image[rows, columns] / 255.0).astype(np.float32)
+
+
+def usable_pixels(view: View, uv: Float32Array) -> Mask:
+    """Which pixel coordinates (M, 2) the view's mask lets count."""
+    if view.mask is None:
+        return np.ones(len(uv), bool)
+    usable: Mask = view.mask[uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)]
+    return usable
+
+
+def coloured_background(
+    sweep: OwnedSweep, views: Sequence[View], actors: Mapping[str, Track]
+) -> PointCloud:
+    """A sweep's background points with colours from the views nearest in time, one a camera."""
+    points = sweep.background
+    clouds = []
+    for name in dict.fromkeys(view.camera_name for view in views):
+        view = nearest_view(views, sweep.timestamp_us, name, COLOUR_LIMIT_US)
+        if view is None:
+            continue
+        index, uv, depth = project_visible(points, view)
+        keep = usable_pixels(view, uv) & ~_behind_actors(view, uv, depth, actors)
+        clouds.append(PointCloud(points[index[keep]], pixel_colours(view, uv[keep]), depth[keep]))
+    return concatenate(clouds)
+
+
+def _behind_actors(
+    view: View, uv: Float32Array, depth: Float32Array, actors: Mapping[str, Track]
+) -> Mask:
+    """Points whose pixel may show a moving object in front of them at the view's own time."""
+    hidden = np.zeros(len(uv), bool)
+    for track in actors.values():
+        pose = pose_at(track.trajectory, view.timestamp_us)
+        rectangle = None if pose is None else box_rectangle(track.size, pose, view)
+        if pose is None or rectangle is None:
+            continue
+        left, top, right, bottom = rectangle
+        inside = (uv[:, 0] >= left) & (uv[:, 0] < right) & (uv[:, 1] >= top) & (uv[:, 1] < bottom)
+        nearest = se3.apply(view.camera_from_world, boxes.corners(track.size, pose))[:, 2].min()
+        hidden |= inside & (depth > nearest)
+    return hidden
+
+
+def plane_sweep_points(
+    views: Sequence[View],
+    depths: Sequence[DepthSamples],
+    skies: Sequence[Mask],
+    actors: Mapping[str, Track],
+    threads: int,
+) -> PointCloud:
+    """Points at pixels without LiDAR near by, from every third view of each camera.
+
+    Sky, moving objects and unusable pixels are left out.
+
+    Args:
+        views: in order of time within a camera; depths and skies are those of each view.
+    """
+    clouds = []
+    for name in dict.fromkeys(view.camera_name for view in views):
+        own = [i for i, view in enumerate(views) if view.camera_name == name]
+        references = range(1, len(own) - 1, SWEEP_STRIDE)
+        wanted = []
+        for reference in references:
+            i = own[reference]
+            sky = cv2.dilate(skies[i].astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+            mask = ~sky & ~near_samples(views[i], depths[i])
+            wanted.append(mask & ~_actor_pixels(views[i], actors))
+        maps = sweep_depths([views[i] for i in own], references, wanted, threads=threads)
+        clouds += [
+            _unproject(views[own[reference]], depth)
+            for reference, depth in zip(references, maps, strict=True)
+        ]
+    return concatenate(clouds)
+
+
+def _actor_pixels(view: View, actors: Mapping[str, Track]) -> Mask:
+    covered = np.zeros((view.camera.height, view.camera.width), bool)
+    if view.mask is not None:
+        covered |= ~view.mask
+    for track in actors.values():
+        pose = pose_at(track.trajectory, view.timestamp_us)
+        rectangle = None if pose is None else box_rectangle(track.size, pose, view)
+        if rectangle is not None:
+            left, top = np.floor(rectangle[:2]).astype(int) - 3
+            right, bottom = np.ceil(rectangle[2:]).astype(int) + 3
+            covered[max(top, 0) : bottom, max(left, 0) : right] = True
+    return covered
+
+
+def _unproject(view: View, depth: Float32Array) -> PointCloud:
+    rows, columns = np.nonzero(depth)
+    distance = depth[rows, columns]
+    pixels = np.stack([columns, rows], axis=-1) + 0.5
+    points = se3.apply(view.world_from_camera, view.camera.unproject(pixels, distance))
+    colours = (view.image[rows, columns] / 255.0).astype(np.float32)
+    return PointCloud(points.astype(np.float32), colours, distance)
+
+
+def without_points_in_sky(
+    cloud: PointCloud, views: Sequence[View], skies: Sequence[Mask], strikes: int = 2
+) -> PointCloud:
+    """Drop points that `strikes` views see in front of plain sky: wrong matches, stray returns."""
+    hits = np.zeros(len(cloud), np.int64)
+    for view, sky in zip(views, skies, strict=True):
+        local = cloud.points @ view.camera_from_world[:3, :3].T.astype(np.float32)
+        local += view.camera_from_world[:3, 3].astype(np.float32)
+        front = np.flatnonzero(local[:, 2] > 1.0)
+        uv = local[front, :2] / local[front, 2:]
+        columns = np.floor(uv[:, 0] * view.camera.fx + view.camera.cx).astype(np.int64)
+        rows = np.floor(uv[:, 1] * view.camera.fy + view.camera.cy).astype(np.int64)
+        inside = (columns >= 0) & (rows >= 0) & (columns < sky.shape[1]) & (rows < sky.shape[0])
+        hits[front[inside]] += sky[rows[inside], columns[inside]]
+    return cloud.select(hits < strikes)
+
+
+def actor_cloud(
+    track: Track, sweeps: Sequence[OwnedSweep], views: Sequence[View], config: SceneConfig
+) -> PointCloud:
+    """Points in the box frame: the track's LiDAR points, or a grid where they are too few."""
+    clouds = []
+    for sweep in sweeps:
+        local = sweep.actors.get(track.track_id)
+        if local is None or len(local) == 0:
+            continue
+        for name in dict.fromkeys(view.camera_name for view in views):
+            view = nearest_view(views, sweep.timestamp_us, name, COLOUR_LIMIT_US)
+            now = None if view is None else pose_at(track.trajectory, view.timestamp_us)
+            if view is None or now is None:
+                continue
+            seen, uv, depth = project_visible(se3.apply(now, local).astype(np.float32), view)
+            keep = usable_pixels(view, uv)
+            clouds.append(PointCloud(local[seen[keep]], pixel_colours(view, uv[keep]), depth[keep]))
+    cloud = voxel_downsample(concatenate(clouds), config.actor_voxel_m)
+    if len(cloud) < FEW_POINTS:
+        return concatenate([cloud, _box_grid(track, cloud)])
+    return cloud
+
+
+def actor_gaussians(track: Track, cloud: PointCloud, config: SceneConfig) -> Gaussians:
+    """First Gaussians of an actor's points; with its other side, where steps see it mirrored."""
+    gaussians = gaussians_from_points(cloud, config.sh_degree, sigma_range=(0.01, 0.3))
+    return with_other_side(gaussians) if has_other_side(track, config) else gaussians
+
+
+def body_gaussians(track: Track, body: Body, cloud: PointCloud, config: SceneConfig) -> Gaussians:
+    """First Gaussians of a body at rest, one a vertex and in their order.
+
+    Their colours are those of the points nearest to where they are in the middle of their time.
+    """
+    vertices = body.vertices.astype(np.float32)
+    never = np.full(len(vertices), np.inf, np.float32)
+    grey = PointCloud(vertices, np.full((len(vertices), 3), 0.5, np.float32), never)
+    gaussians = gaussians_from_points(grey, config.sh_degree, sigma_range=(0.01, 0.3))
+    times = body.skinning.timestamps_us
+    middle = int(times[0] + times[-1]) // 2
+    placed = body.skinning.at(gaussians, track.trajectory, middle).means.numpy()
+    _, nearest = cKDTree(cloud.points).query(placed)
+    gaussians.sh[:, 0] = (torch.from_numpy(cloud.colours[nearest]) - 0.5) / C0
+    return gaussians
+
+
+def has_other_side(track: Track, config: SceneConfig) -> bool:
+    """Whether an actor begins with twice as many Gaussians as points."""
+    symmetric = track.category not in DEFORMABLE and not deforms(track, config)
+    return config.flip_probability > 0 and symmetric
+
+
+def _box_grid(track: Track, cloud: PointCloud) -> PointCloud:
+    """A grid on the faces of the box in the mean colour of the known points (grey without any)."""
+    axes = [
+        np.linspace(-size / 2, size / 2, max(2, round(size / GRID_SPACING_M) + 1))
+        for size in track.size
+    ]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    on_face = np.any(np.isclose(np.abs(grid), track.size / 2), axis=1)
+    points = grid[on_face].astype(np.float32)
+    mean = cloud.colours.mean(axis=0) if len(cloud) else np.full(3, 0.5, np.float32)
+    colours = np.broadcast_to(mean.astype(np.float32), points.shape).copy()
+    return PointCloud(points, colours, np.full(len(points), np.inf, np.float32))

@@ -1,0 +1,179 @@
+"""Checked reading of a checkpoint's nested tables: tensors, Gaussians, the sky's cubemap."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from recast.core.errors import InputError
+from recast.core.torch_file import read_torch_file
+from recast.splats import Gaussians
+
+MEND = "give a checkpoint of the published layout (docs/scenes.md)"
+REST_COUNTS = (0, 3, 8, 15)
+"""Harmonics above the constant one, by degree."""
+RESAMPLED = "sky cubemap, resampled"
+NO_SKY = "sky: the checkpoint has none; it is black"
+
+
+class Table:
+    """One table of a checkpoint; errors name the file and the whole key, such as obj_003.xyz."""
+
+    def __init__(self, path: Path, content: Mapping[str, Any], prefix: str = "") -> None:
+        self.path = path
+        self.prefix = prefix
+        self._content = content
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._content
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._content)
+
+    def is_table(self, name: str) -> bool:
+        """Whether there is a table under `name`."""
+        return isinstance(self._content.get(name), Mapping)
+
+    def key(self, name: str) -> str:
+        """The whole key of a member, for messages."""
+        return f"{self.prefix}.{name}" if self.prefix else name
+
+    def fault(self, name: str, problem: str, mend: str = MEND) -> InputError:
+        """The error for a member."""
+        return InputError(self.path, self.key(name), problem, mend)
+
+    def table(self, name: str) -> Table:
+        """The table under `name`.
+
+        Raises:
+            InputError: it is missing, no table, or has a name that is no text.
+        """
+        value = self._member(name)
+        if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+            raise self.fault(name, f"is {type(value).__name__}, not a table of tensors")
+        return Table(self.path, value, self.key(name))
+
+    def integer(self, name: str) -> int:
+        """A plain whole number, from 0 to 2^53.
+
+        Raises:
+            InputError: it is missing or something else.
+        """
+        value = self._member(name)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise self.fault(name, f"is {type(value).__name__}, not a whole number")
+        if not 0 <= value <= 1 << 53:
+            raise self.fault(name, "is no number of steps")
+        return value
+
+    def tensor(self, name: str, *shape: int | None) -> Tensor:
+        """A tensor as float32 without gradient; None in `shape` stands for any size.
+
+        Raises:
+            InputError: it is missing, no dense tensor, of another shape, or holds a value that is
+                not finite in float32.
+        """
+        value = self._member(name)
+        if (
+            not isinstance(value, Tensor)
+            or value.layout != torch.strided
+            or value.device.type != "cpu"
+            or value.is_quantized
+            or value.is_complex()
+        ):
+            raise self.fault(name, f"is {type(value).__name__}, not a dense tensor of real numbers")
+        found = tuple(value.shape)
+        if len(found) != len(shape) or any(
+            wanted not in (None, size) for size, wanted in zip(found, shape, strict=True)
+        ):
+            expected = ", ".join("any" if size is None else str(size) for size in shape)
+            raise self.fault(name, f"has shape {list(found)}, expected [{expected}]")
+        plain = value.detach().to(torch.float32).contiguous()
+        bad = ~torch.isfinite(plain)
+        if bool(bad.any()):
+            index = bad.nonzero()[0].tolist()
+            raise self.fault(name, f"is not finite at {index}", "take an earlier checkpoint")
+        return plain
+
+    def _member(self, name: str) -> Any:
+        if name not in self._content:
+            raise self.fault(name, "is missing")
+        return self._content[name]
+
+
+def read_checkpoint(path: str | Path) -> Table:
+    """Read a checkpoint; nothing but tensors and plain values is unpickled.
+
+    Raises:
+        InputError: see `recast.core.torch_file.read_torch_file`; or it holds no table.
+    """
+    path = Path(path)
+    content = read_torch_file(path, "copy it again")
+    if not isinstance(content, Mapping) or not all(isinstance(key, str) for key in content):
+        raise InputError(path, "file", f"holds {type(content).__name__}, not a table", MEND)
+    return Table(path, content)
+
+
+@dataclass(frozen=True)
+class Names:
+    """What a layout calls the fields of Gaussians but the constant harmonic."""
+
+    means: str
+    rest: str
+    log_scales: str
+    quats: str
+    logit_opacities: str
+
+
+def read_gaussians(table: Table, names: Names, constant: Tensor) -> Gaussians:
+    """The Gaussians of a table.
+
+    Args:
+        constant: (N, 3) constant harmonics, which layouts store in different ways.
+
+    Raises:
+        InputError: a field is missing, of another shape, not finite, or out of range
+            (`Gaussians.fault`).
+    """
+    n = len(constant)
+    rest = table.tensor(names.rest, n, None, 3)
+    if rest.shape[1] not in REST_COUNTS:
+        raise table.fault(
+            names.rest, f"has {rest.shape[1]} harmonics, expected one of {list(REST_COUNTS)}"
+        )
+    found = Gaussians(
+        means=table.tensor(names.means, n, 3),
+        quats=table.tensor(names.quats, n, 4),
+        log_scales=table.tensor(names.log_scales, n, 3),
+        logit_opacities=table.tensor(names.logit_opacities, n, 1)[:, 0],
+        sh=torch.cat([constant[:, None], rest], dim=1),
+    )
+    fault = found.fault()
+    if fault is not None:
+        field = names.rest if fault[0] == "sh" else getattr(names, fault[0])
+        raise table.fault(field, fault[1])
+    return found
+
+
+def unused_members(tables: Iterable[Table], names: Names, others: Sequence[str]) -> list[str]:
+    """A sentence on what the tables hold beside Gaussians and `others`; none where that is all."""
+    known = {*astuple(names), *others}
+    found = sorted({name for table in tables for name in table if name not in known})
+    return [f"in the models: {', '.join(found)}"] if found else []
+
+
+def read_faces(table: Table, name: str) -> Tensor:
+    """A checkpoint's cubemap (6, R, R, 3).
+
+    Raises:
+        InputError: it is missing, of another shape, or not finite.
+    """
+    faces = table.tensor(name, 6, None, None, 3)
+    if faces.shape[1] != faces.shape[2] or faces.shape[1] == 0:
+        raise table.fault(name, f"has faces of {list(faces.shape[1:3])}, which are no squares")
+    return faces

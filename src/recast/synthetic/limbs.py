@@ -1,0 +1,257 @@
+"""What all people of the synthetic streets have: limbs, sizes, clothes, phases of motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from recast.arrays import Array
+from recast.synthetic.scenery.primitives import lathe
+from recast.synthetic.surface import Surface, concatenate
+from recast.synthetic.world import VehicleModel
+
+Colour = tuple[float, float, float]
+
+_FORWARD = np.array([1.0, 0.0, 0.0])
+_SIDES = 10
+_PHASES = 64
+_BOX_MARGIN = 0.004
+"""Metres around the phases that were looked at: what moves between them."""
+
+
+def limb(
+    length: float,
+    upper: float,
+    lower: float,
+    colour: Colour,
+    *,
+    flat: float = 1.0,
+    material: str = "fabric",
+) -> Surface:
+    """A limb with round ends from the origin down to z = -length.
+
+    Args:
+        length: distance of its two joints, metres.
+        upper, lower: radii at the joints, metres; the round ends reach beyond them.
+        colour: linear RGB.
+        flat: factor of the extent along x.
+        material: a name in `MATERIALS`.
+    """
+    turn = np.linspace(-np.pi / 2, np.pi / 2, 7)
+    low = np.stack([lower * np.cos(turn[:4]), -length + lower * np.sin(turn[:4])], axis=1)
+    high = np.stack([upper * np.cos(turn[3:]), upper * np.sin(turn[3:])], axis=1)
+    profile = np.concatenate([low, high])
+    profile[[0, -1], 0] = 0.0
+    return scaled(lathe(profile, _SIDES, colour, material), (flat, 1.0, 1.0))
+
+
+def ball(radii: Sequence[float], colour: Colour, material: str = "matte") -> Surface:
+    """An ellipsoid about the origin with these half axes along x, y and z, metres."""
+    turn = np.linspace(-np.pi / 2, np.pi / 2, 8)
+    profile = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    profile[[0, -1], 0] = 0.0
+    return scaled(lathe(profile, 12, colour, material), radii)
+
+
+def scaled(surface: Surface, factors: Sequence[float]) -> Surface:
+    """A surface stretched along its axes by positive factors."""
+    scale = np.asarray(factors, np.float64)
+    normals = surface.normals / scale
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    return Surface(
+        surface.vertices * scale,
+        surface.faces,
+        normals.astype(np.float32),
+        surface.colours,
+        surface.materials,
+    )
+
+
+def between(start: ArrayLike, end: ArrayLike, forward: Array = _FORWARD) -> Array:
+    """Pose (4, 4) of a limb from one joint to another: its -z axis points from start to end.
+
+    Args:
+        start, end: (3,) metres, at different places.
+        forward: (3,) where its x axis points as far as possible; not parallel to the limb.
+    """
+    start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
+    up = (start - end) / np.linalg.norm(start - end)
+    left = np.cross(up, forward)
+    left /= np.linalg.norm(left)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([np.cross(left, up), left, up], axis=1)
+    pose[:3, 3] = start
+    return pose
+
+
+def turned(angle: float, place: ArrayLike) -> Array:
+    """Pose (4, 4) at `place` (3,), turned by `angle` radians about y: z towards x."""
+    pose = np.eye(4)
+    cos, sin = np.cos(angle), np.sin(angle)
+    pose[:3, :3] = [[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]
+    pose[:3, 3] = place
+    return pose
+
+
+def middle_joint(
+    root: ArrayLike, end: ArrayLike, upper: float, lower: float, towards: ArrayLike
+) -> Array:
+    """Place (3,) of a knee or elbow: `upper` metres from the root, `lower` from the end.
+
+    The two limbs form a triangle with the line from root to end (law of cosines). If the end is out
+    of reach, the limbs are stretched out straight and the lower one is too short for its end.
+
+    Args:
+        root, end: (3,) metres.
+        towards: (3,) direction in which the joint bends.
+    """
+    root, end = np.asarray(root, np.float64), np.asarray(end, np.float64)
+    reach = float(np.linalg.norm(end - root))
+    axis = (end - root) / reach
+    bend = np.asarray(towards, np.float64)
+    bend = bend - (bend @ axis) * axis
+    bend /= np.linalg.norm(bend)
+    along = (upper**2 - lower**2 + reach**2) / (2 * reach)
+    along = float(np.clip(along, -upper, upper))
+    joint: Array = root + along * axis + np.sqrt(upper**2 - along**2) * bend
+    return joint
+
+
+def assembled(parts: Sequence[Surface], poses: Sequence[Array], shift: Array) -> Surface:
+    """Parts at poses (4, 4), all moved by `shift` (3,)."""
+    offset = np.eye(4)
+    offset[:3, 3] = shift
+    placed = [part.transformed(offset @ at) for part, at in zip(parts, poses, strict=True)]
+    return concatenate(placed)
+
+
+@dataclass(frozen=True)
+class Look:
+    """A person's size and clothes.
+
+    Attributes:
+        height: metres, standing.
+        girth: factor of the limbs' thickness.
+        skin, hair, top, trousers, shoes: linear RGB.
+    """
+
+    height: float
+    girth: float
+    skin: Colour
+    hair: Colour
+    top: Colour
+    trousers: Colour
+    shoes: Colour
+
+
+class Motion(Protocol):
+    """Parts of a body, and where they are after some metres of way."""
+
+    @property
+    def parts(self) -> Sequence[Surface]:
+        """Shapes, each in its own frame."""
+
+    @property
+    def cycle(self) -> float:
+        """Metres after which the poses repeat, as far as the outline is concerned."""
+
+    def poses(self, travelled: float) -> Sequence[Array]:
+        """`body_from_part` (4, 4) of each part; the body stands on z = 0 above the origin."""
+
+
+@dataclass(frozen=True)
+class Gait:
+    """A body that moves with the way it has gone; see `recast.synthetic.world.Articulation`.
+
+    Attributes:
+        motion: parts and poses.
+        middle: (3,) box centre in the body's frame.
+    """
+
+    motion: Motion
+    middle: Array
+
+    def surface_at(self, travelled: float) -> Surface:
+        """Triangles in the actor-local frame; in number and order the same at any time."""
+        return assembled(self.motion.parts, self.motion.poses(travelled), -self.middle)
+
+
+def moving_model(kind: str, colour: str, motion: Motion) -> VehicleModel:
+    """A model whose box holds the body at every phase and stands on the ground."""
+    zero = np.zeros(3)
+    bounds = [
+        assembled(motion.parts, motion.poses(motion.cycle * k / _PHASES), zero).bounds()
+        for k in range(_PHASES)
+    ]
+    low = np.min([pair[0] for pair in bounds], axis=0) - _BOX_MARGIN
+    high = np.max([pair[1] for pair in bounds], axis=0) + _BOX_MARGIN
+    low[2] = 0.0
+    gait = Gait(motion, (low + high) / 2)
+    return VehicleModel(kind, kind, colour, high - low, gait.surface_at(0.0), gait)
+
+
+def upper_leg(look: Look, length: float) -> Surface:
+    """A thigh in trousers."""
+    return limb(length, 0.082 * look.girth, 0.058 * look.girth, look.trousers)
+
+
+def lower_leg(look: Look, length: float) -> Surface:
+    """A shin in trousers."""
+    return limb(length, 0.058 * look.girth, 0.042 * look.girth, look.trousers)
+
+
+def foot(look: Look) -> Surface:
+    """A shoe below and ahead of the ankle at the origin, its sole `ankle_height` lower."""
+    size = look.height / 1.75
+    shoe = ball((0.135 * size, 0.048 * size, 0.045 * size), look.shoes, "plastic")
+    shift = np.eye(4)
+    shift[:3, 3] = [0.055 * size, 0.0, 0.045 * size - ankle_height(look)]
+    return shoe.transformed(shift)
+
+
+def ankle_height(look: Look) -> float:
+    """Metres from the sole to the ankle."""
+    return 0.082 * look.height / 1.75
+
+
+def upper_arm(look: Look, length: float) -> Surface:
+    """An upper arm in a sleeve."""
+    return limb(length, 0.056 * look.girth, 0.044 * look.girth, look.top)
+
+
+def lower_arm(look: Look, length: float) -> Surface:
+    """A forearm in a sleeve."""
+    return limb(length, 0.044 * look.girth, 0.036 * look.girth, look.top)
+
+
+def hand(look: Look) -> Surface:
+    """A hand below the wrist at the origin."""
+    shift = np.eye(4)
+    shift[2, 3] = -0.05
+    return ball((0.04, 0.028, 0.075), look.skin).transformed(shift)
+
+
+def trunk(look: Look, length: float) -> Surface:
+    """Chest and belly from the shoulders' height at the origin down to the hips."""
+    torso = limb(length, 0.165, 0.135, look.top, flat=0.62)
+    return scaled(torso, (look.girth, look.girth, 1.0))
+
+
+def head(look: Look) -> Surface:
+    """A head about the origin, with a neck below."""
+    size = look.height / 1.75
+    skull = ball((0.098 * size, 0.078 * size, 0.118 * size), look.skin)
+    neck = limb(0.16 * size, 0.05 * size, 0.055 * size, look.skin)
+    return concatenate([skull, neck])
+
+
+def hair(look: Look) -> Surface:
+    """A cap of hair about a head's middle."""
+    size = look.height / 1.75
+    shift = np.eye(4)
+    shift[:3, 3] = np.array([-0.018, 0.0, 0.028]) * size
+    return ball((0.1 * size, 0.086 * size, 0.11 * size), look.hair, "fabric").transformed(shift)

@@ -1,1 +1,0 @@
-"""The nine kinds of street."""

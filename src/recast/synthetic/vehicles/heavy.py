@@ -1,0 +1,388 @@
+"""Heavy vehicles: box trucks with cab, frame and load box, and city buses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from recast.arrays import Array
+from recast.synthetic.surface import Surface
+from recast.synthetic.vehicles import fittings
+from recast.synthetic.vehicles.bodywork import (
+    Parts,
+    destination,
+    doors,
+    front_face,
+    number_plate,
+    seam,
+    tail_lamp,
+)
+from recast.synthetic.vehicles.fittings import (
+    SideGlass,
+    face_window,
+    screen,
+    side_windows,
+    steel_wheels,
+)
+from recast.synthetic.vehicles.loft import Body, Profile, underside, wheel_wells
+from recast.synthetic.vehicles.parameters import VehicleParameters
+from recast.synthetic.vehicles.solid import (
+    CHROME,
+    CLADDING,
+    GLASS,
+    INDICATOR,
+    REVERSE,
+    SEAM,
+    STEEL,
+    TAIL,
+    TRIM,
+    UNDERSIDE,
+    Area,
+    Finish,
+    Solid,
+    rectangle,
+    smooth_max,
+    strip,
+    xyz,
+)
+
+BOX = Finish((0.68, 0.68, 0.67), "plastic")
+
+
+def box_truck(p: VehicleParameters, paint: Finish) -> Parts:
+    """Closed parts of a truck: cab, frame and load box; heights above the ground."""
+    end = p.length / 2
+    front, rear = p.axles
+    cab_length = p.length - p.box_length - 0.12
+    offset = end - cab_length / 2
+    cab = replace(p, width=0.92 * p.width, height=p.cab_height, cladding=0.05)
+    parts: Parts = []
+    for name, part in _cab(cab, paint, cab_length, front - offset):
+        pose = np.eye(4)
+        pose[0, 3] = offset
+        parts.append((name, part.transformed(pose)))
+    floor = 2 * p.wheel_radius + 0.14
+    box = _load_box(p, paint, floor)
+    pose = np.eye(4)
+    pose[0, 3] = -end + p.box_length / 2
+    parts.append(("box", box.transformed(pose)))
+    parts += _frame(p, floor, end - cab_length)
+    return parts + steel_wheels(p, [front], [rear])
+
+
+def _cab(p: VehicleParameters, paint: Finish, length: float, axle: float) -> Parts:
+    end = length / 2
+    roof = p.height - p.roof_arch
+    run = (roof - p.cowl_height) * float(np.tan(p.windscreen_rake))
+    brow = p.bonnet_length + run
+    top = Profile.rounded(
+        [
+            (0.0, p.nose_height, 0.0),
+            (p.bonnet_length, p.cowl_height, 0.12),
+            (brow, roof, 0.3),
+            (brow + 0.45 * (length - brow), p.height, 0.5),
+            (length, p.height - 0.04, 0.0),
+        ]
+    )
+    arch = p.wheel_radius + 0.06
+    body = Body(
+        length=length,
+        width=p.width,
+        top=top,
+        bottom=p.ground_clearance,
+        belt=p.belt_height,
+        rise=0.0,
+        tumblehome=p.tumblehome,
+        crown=0.07,
+        wrap=0.1,
+        bow_front=p.bow,
+        bow_rear=0.0,
+        lean_front=0.1,
+        lean_rear=0.0,
+        corner=p.corner,
+        taper=0.02,
+        edge=0.14,
+        arches=((axle, p.wheel_radius, arch), (axle, p.wheel_radius, arch)),
+        flare=p.flare,
+        bumper=0.65,
+        cells=(20, 5, 11),
+    )
+    solid = body.half(paint)
+    underside(solid, p)
+    cowl = end - p.bonnet_length
+    screen(solid, body, cowl - run + 0.05, cowl - 0.02, 0.08)
+    back = max(-end + 0.16, cowl - run - 1.05)
+    side_windows(solid, body, SideGlass(back + 0.05, 0.0, 0.12, sill=0.02), [], False)
+    doors(solid, body, p, [min(cowl - 0.12, end - 0.3), back])
+    set_in = front_face(solid, p, end, p.nose_height)
+    wheel_wells(solid, replace(body, arches=body.arches[:1]), p)
+    parts: Parts = [("cab", solid.mirrored().surface()), *set_in]
+    x, z = min(cowl - 0.16, end - 0.32), p.belt_height + 0.12
+    y = float(body.half_width(np.array(x), np.array(z)))
+    pieces = fittings.mirror(x, y, z, paint, tall=True)
+    side: Parts = [(f"mirror-{k}", piece.surface()) for k, piece in enumerate(pieces)]
+    hx = back + 0.15
+    hy = float(body.half_width(np.array(hx), np.array(p.belt_height - 0.12)))
+    side.append(("handle", fittings.handle(hx, hy, p.belt_height - 0.12, TRIM).surface()))
+    return parts + fittings.both(side)
+
+
+def _load_box(p: VehicleParameters, paint: Finish, floor: float) -> Surface:
+    top = Profile.rounded([(0.0, p.height, 0.0), (p.box_length, p.height, 0.0)])
+    body = Body(
+        length=p.box_length,
+        width=p.width,
+        top=top,
+        bottom=floor,
+        belt=floor + 0.9,
+        rise=0.0,
+        tumblehome=0.0,
+        crown=0.0,
+        wrap=0.0,
+        bow_front=0.0,
+        bow_rear=0.0,
+        lean_front=0.0,
+        lean_rear=0.0,
+        corner=0.05,
+        taper=0.0,
+        edge=0.05,
+        bumper=floor,
+        cells=(14, 3, 7),
+    )
+    solid = body.half(paint if p.shade > 0.45 else BOX)
+    bright = ("paint", "plastic")
+    near = p.box_length / 2 - 0.06
+    ends = (floor, p.height)
+    # Aluminium edges, a band of the firm's colour, and two doors behind.
+    solid.paint(lambda s: s.points[:, 2] - floor - 0.09, STEEL)
+    solid.paint(lambda s: p.height - 0.07 - s.points[:, 2], STEEL)
+    if p.shade < 0.0:
+        low = floor + 0.45 * (p.height - floor)
+        solid.paint(
+            lambda s: (
+                [low - s.points[:, 2], s.points[:, 2] - low - 0.42],
+                [np.abs(s.points[:, 0]) - near],
+            ),
+            paint,
+            bright,
+        )
+    seam(solid, 0, near - 0.04, ends, half=0.012)
+    for y in (0.0, p.width / 2 - 0.09):
+
+        def joint(s: Solid, y: float = y) -> Area:
+            return strip(s.points[:, 1] - y, 0.008), [s.points[:, 0] + near]
+
+        solid.paint(joint, SEAM)
+
+    def bar(s: Solid) -> Area:
+        x, y, z = xyz(s)
+        return strip(y - 0.28 * p.width, 0.02), [x + near, floor + 0.12 - z, z - p.height + 0.1]
+
+    solid.paint(bar, CHROME)
+    return solid.mirrored().surface()
+
+
+def _frame(p: VehicleParameters, floor: float, cab_rear: float) -> Parts:
+    """Frame, bumper bar, lamps, side guards, mudguards and tank behind the cab."""
+    end, half = p.length / 2, p.width / 2
+    rear = p.axles[1]
+    low = p.wheel_radius * 1.15
+    parts: Parts = [
+        (
+            "frame",
+            fittings.block(
+                (-end + 0.1, -0.42, low), (cab_rear + 0.1, 0.42, floor - 0.02), UNDERSIDE
+            ).surface(),
+        ),
+        (
+            "bumper-bar",
+            fittings.block(
+                (-end, -0.92 * half, low - 0.02), (-end + 0.1, 0.92 * half, low + 0.13), STEEL
+            ).surface(),
+        ),
+    ]
+    bar = fittings.block((-end, -0.3, low), (-end + 0.05, 0.3, low + 0.1), TRIM)
+    parts.append(("plate-rear", number_plate(bar, low + 0.005, -1.0)))
+    side: Parts = []
+    for name, y, wide, finish in (
+        ("tail", 0.78, 0.13, TAIL),
+        ("turn", 0.88, 0.09, INDICATOR),
+        ("reverse", 0.69, 0.07, REVERSE),
+    ):
+        block = fittings.block(
+            (-end - 0.004, y * half - wide / 2, low + 0.14),
+            (-end + 0.08, y * half + wide / 2, low + 0.26),
+            finish,
+        )
+        side.append((f"lamp-{name}", block.surface()))
+    guard = (rear + p.wheel_radius + 0.3, cab_rear - 0.15)
+    for k, z in enumerate((0.48, 0.72)):
+        plank = fittings.block((guard[0], half - 0.12, z), (guard[1], half - 0.08, z + 0.1), STEEL)
+        side.append((f"guard-{k}", plank.surface()))
+    place = ((guard[0] + guard[1]) / 2, half - 0.42, 0.68)
+    tank = fittings.pebble(place, (0.9, 0.5, 0.5), STEEL, 4.0, (6, 12))
+    side.append(("tank", tank.surface()))
+    for k, x in enumerate((rear - p.wheel_radius - 0.12, rear + p.wheel_radius + 0.1)):
+        flap = fittings.block(
+            (x, half - 0.62, low - 0.12), (x + 0.03, half - 0.05, floor), CLADDING
+        )
+        side.append((f"flap-{k}", flap.surface()))
+    return parts + fittings.both(side)
+
+
+def bus(p: VehicleParameters, paint: Finish) -> Parts:
+    """Closed parts of a city bus, doors on the right; heights above the ground."""
+    end, half = p.length / 2, p.width / 2
+    front, rear = p.axles
+    roof = p.height - 0.16
+    radius = p.wheel_radius
+    top = Profile.rounded(
+        [
+            (0.0, roof - 0.14, 0.0),
+            (0.5, roof - 0.02, 0.5),
+            (2.0, roof, 0.5),
+            (p.length - 0.6, roof, 0.4),
+            (p.length, roof - 0.1 - p.roof_drop, 0.0),
+        ]
+    )
+    body = Body(
+        length=p.length,
+        width=p.width,
+        top=top,
+        bottom=p.ground_clearance,
+        belt=p.belt_height,
+        rise=0.08,
+        tumblehome=p.tumblehome,
+        crown=0.07,
+        wrap=0.0,
+        bow_front=p.bow,
+        bow_rear=0.05,
+        lean_front=float(np.tan(p.windscreen_rake)),
+        lean_rear=0.02,
+        corner=p.corner,
+        taper=0.01,
+        edge=0.16,
+        arches=((front, radius, radius + 0.06), (rear, radius, radius + 0.06)),
+        bumper=0.7,
+        cells=(28, 4, 7),
+    )
+    solid = body.half(paint)
+    underside(solid, p)
+    high = roof - 0.42
+    _side_band(solid, p, high)
+    face_window(solid, 1.0, end - 0.5, half - 0.1, p.cowl_height - 0.05, high - 0.02)
+    sign = _dress_end(solid, p, end, high, roof)
+    set_in = [("destination", sign), *front_face(solid, p, end, p.nose_height)]
+    face_window(solid, -1.0, -end + 0.4, half - 0.3, p.belt_height + 0.35, high)
+    tail_lamp(solid, p, -end, 1.0 + p.tail_height)
+    tail_lamp(solid, replace(p, tail_height=0.14, tail_width=0.2), -end, roof - 0.2)
+    _engine_grille(solid, p, -end)
+    set_in.append(("plate-rear", number_plate(solid, p.ground_clearance + 0.28, -1.0)))
+    wheel_wells(solid, body, p)
+    whole = solid.mirrored()
+    _bus_doors(whole, p)
+    parts: Parts = [("body", whole.surface()), *set_in]
+    size = (0.26 * p.length, 0.7 * p.width, 0.3)
+    pod = fittings.pebble((-0.1 * p.length, 0, p.height - 0.15), size, paint, 5.0, (8, 16))
+    parts.append(("air-conditioning", pod.surface()))
+    for side in (1.0, -1.0):
+        name = "left" if side > 0 else "right"
+        for piece in _bus_mirror(end, half, high):
+            surface = piece.surface()
+            part = surface if side > 0 else fittings.mirrored(surface)
+            parts.append((f"mirror-{name}", part))
+    return parts + steel_wheels(p, [front], [rear])
+
+
+def _side_band(solid: Solid, p: VehicleParameters, high: float) -> None:
+    """The dark band of side windows, divided by thin posts."""
+    end = p.length / 2
+
+    def band(s: Solid) -> Array:
+        x, _, z = xyz(s)
+        fields = [p.belt_height - z, z - high, x - end + 0.5, -end + 0.55 - x]
+        return np.maximum(smooth_max(fields, 0.1), 0.8 - s.coords[:, 1])
+
+    solid.paint(lambda s: band(s) - 0.03, TRIM)
+    solid.paint(band, GLASS)
+    panes = p.side_windows + 1
+    for k in range(1, panes):
+        x = end - 0.5 - k * (p.length - 1.05) / panes
+
+        def post(s: Solid, x: float = x) -> Area:
+            return strip(s.points[:, 0] - x, 0.045), [band(s)]
+
+        solid.paint(post, TRIM, over=("glass",))
+
+    def flap_line(s: Solid) -> Area:
+        return strip(s.points[:, 2] - high + 0.32, 0.014), [band(s) + 0.05]
+
+    solid.paint(flap_line, TRIM, over=("glass",))
+    seam(solid, 2, p.ground_clearance + 0.5, (-end + 0.3, end - 0.3), half=0.006)
+
+
+def _dress_end(solid: Solid, p: VehicleParameters, end: float, high: float, roof: float) -> Surface:
+    """The dark brow over the windscreen; returns the lit destination in it."""
+
+    def brow(s: Solid) -> Array:
+        x, y, z = xyz(s)
+        fields = [high - 0.04 - z, z - roof + 0.1, y - p.width / 2 + 0.14]
+        return np.maximum(smooth_max(fields, 0.05), end - 0.5 - x)
+
+    solid.paint(brow, GLASS)
+    return destination(solid, (high + roof - 0.1) / 2)
+
+
+def _engine_grille(solid: Solid, p: VehicleParameters, end: float) -> None:
+    low = p.ground_clearance + 0.5
+
+    def area(s: Solid) -> Array:
+        x, y, z = xyz(s)
+        fields = [y - 0.3 * p.width, low - z, z - p.belt_height - 0.1]
+        return np.maximum(smooth_max(fields, 0.05), x - end - 0.3)
+
+    solid.paint(area, CLADDING)
+    for k in range(3):
+
+        def slat(s: Solid, k: int = k) -> Area:
+            return strip(s.points[:, 2] - low - 0.1 - 0.14 * k, 0.03), [area(s) + 0.04]
+
+        solid.paint(slat, SEAM, over=("plastic",))
+
+
+def _bus_doors(solid: Solid, p: VehicleParameters) -> None:
+    """Two glazed doors on the right side: ahead of the front wheel and between the axles."""
+    front, _ = p.axles
+    low, high = p.ground_clearance + 0.07, p.height - 0.75
+    first = (front + p.wheel_radius + 0.12, p.length / 2 - 0.38)
+    second = (front - p.wheel_radius - 2.9, front - p.wheel_radius - 1.6)
+    for start, stop in (first, second):
+        centre, size = ((start + stop) / 2, (low + high) / 2), (stop - start, high - low)
+
+        def frame(s: Solid, centre=centre, size=size) -> Area:  # type: ignore[no-untyped-def]
+            x, _, z = xyz(s)
+            return rectangle(x, z, centre, size), [s.coords[:, 1] + 0.8]
+
+        solid.paint(frame, TRIM)
+        for side in (-0.25, 0.25):
+
+            def leaf(s: Solid, centre=centre, size=size, side=side) -> Area:  # type: ignore[no-untyped-def]
+                x, _, z = xyz(s)
+                middle = (centre[0] + side * size[0], centre[1])
+                return (
+                    rectangle(x, z, middle, (0.5 * size[0] - 0.09, size[1] - 0.16)),
+                    [s.coords[:, 1] + 0.8],
+                )
+
+            solid.paint(leaf, GLASS)
+
+
+def _bus_mirror(end: float, half: float, high: float) -> list[Solid]:
+    arm = fittings.pebble(
+        (end + 0.02, half - 0.05, high + 0.05), (0.5, 0.06, 0.06), TRIM, 4.0, (4, 8)
+    )
+    shell = fittings.pebble(
+        (end + 0.2, half + 0.02, high - 0.22), (0.12, 0.2, 0.5), TRIM, 3.0, (8, 10)
+    )
+    return [arm, shell]

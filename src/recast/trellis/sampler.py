@@ -1,0 +1,318 @@
+"""Euler sampling of a flow on the straight path from data to noise, conditioned on image tokens.
+
+With classifier-free guidance in an interval of time.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError, field_validator
+from torch import Tensor
+
+from recast.core.errors import InputError
+from recast.core.records import Record, validation_error
+
+MultiImageMode = Literal["stochastic", "multidiffusion"]
+TIME_SCALE = 1000.0
+"""The networks are given 1000 t."""
+
+Velocity = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""`velocity(x, 1000 t, cond)`: x of any shape, times (B,) float32, conditions (B, L, C).
+
+The result has the shape of x. A sparse network is closed over its coordinates, so that x is (T, C).
+"""
+PUBLISHED_SAMPLER = "FlowEulerGuidanceIntervalSampler"
+PUBLISHED_PARAMS = ("steps", "cfg_strength", "cfg_interval", "rescale_t")
+PUBLISHED_ARGS = ("sigma_min",)
+
+Time = Annotated[float, Field(ge=0, le=1, strict=True)]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Image tokens of the samples of a batch.
+
+    Attributes:
+        views: (V, B, L, C) tokens of V views of every sample; B = 1 serves any number of samples.
+        mode: of several views, "stochastic" uses one view in each step, in turn from the first,
+            the same for all samples; "multidiffusion" the mean of the velocities of all views.
+
+    Raises:
+        ValueError: not four axes, no view, or another mode.
+    """
+
+    views: Tensor
+    mode: MultiImageMode = "stochastic"
+
+    def __post_init__(self) -> None:
+        if self.views.ndim != 4 or len(self.views) == 0:
+            raise ValueError(f"condition: views {tuple(self.views.shape)}, expected (V, B, L, C)")
+        if self.mode not in ("stochastic", "multidiffusion"):
+            raise ValueError(f"condition: mode {self.mode!r}, no stochastic or multidiffusion")
+
+    def for_samples(self, samples: int) -> Tensor:
+        """The views (V, samples, L, C); tokens that serve all samples are not copied.
+
+        Raises:
+            ValueError: the tokens are of another number of samples.
+        """
+        count = self.views.shape[1]
+        if count not in (1, samples):
+            raise ValueError(f"condition: tokens of {count} samples for {samples}")
+        return self.views.expand(-1, samples, -1, -1)
+
+    def used_in(self, step: int) -> tuple[int, ...]:
+        """Indices of the views that step number `step`, from 0, uses."""
+        count = len(self.views)
+        return (step % count,) if self.mode == "stochastic" else tuple(range(count))
+
+
+def drop_condition(
+    cond: Tensor, probability: float, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Replace the tokens of random samples by zeros, so that the network learns both velocities.
+
+    Args:
+        cond: (B, L, C).
+        probability: for a sample to lose its tokens (published: 0.1).
+        generator: its device may differ from that of `cond`.
+
+    Returns:
+        The tokens, and which samples lost them (B,) bool.
+
+    Raises:
+        ValueError: no probability.
+    """
+    if not 0 <= probability <= 1:
+        raise ValueError(f"drop_condition: probability {probability}, expected 0 to 1")
+    draws = torch.rand(len(cond), generator=generator, device=generator.device)
+    dropped = (draws < probability).to(cond.device)
+    return cond.masked_fill(dropped[:, None, None], 0.0), dropped
+
+
+def noise_scale(t: Tensor | float, sigma_min: float) -> Tensor | float:
+    """Standard deviation sigma + (1 - sigma) t of the noise in x_t.
+
+    x_t = (1 - t) x_0 + (sigma + (1 - sigma) t) eps, the path of optimal transport of Lipman et al.
+    2023 ("Flow matching for generative modeling", section 4.1), with time reversed.
+    """
+    return sigma_min + (1 - sigma_min) * t
+
+
+def data_from_velocity(x_t: Tensor, velocity: Tensor, t: float, sigma_min: float) -> Tensor:
+    """x_0 of the path through `x_t` with `velocity`: (1 - sigma) x_t - (sigma + (1 - sigma) t) v.
+
+    Exact where the velocity is (1 - sigma) eps - x_0.
+    """
+    return (1 - sigma_min) * x_t - noise_scale(t, sigma_min) * velocity
+
+
+class SamplerSettings(Record):
+    """Settings of `sample`; the defaults are those of the published TRELLIS checkpoints.
+
+    Attributes:
+        steps: of Euler's method.
+        cfg_strength: s of classifier-free guidance, (1 + s) v(cond) - s v(zeros); 0 is none.
+        cfg_interval: first and last time t, both included, at which guidance acts (Kynkäänniemi et
+            al. 2024). t is 1 for noise and 0 for data, after rescaling.
+        rescale_t: r in t' = r t / (1 + (r - 1) t); above 1 more of the steps go to noisy times.
+        sigma_min: noise left at t = 0.
+    """
+
+    steps: int = Field(default=25, ge=1, le=1000, strict=True)
+    cfg_strength: float = Field(default=5.0, ge=0, le=1000, strict=True)
+    cfg_interval: tuple[Time, Time] = (0.5, 1.0)
+    rescale_t: float = Field(default=3.0, gt=0, le=1000, strict=True)
+    sigma_min: float = Field(default=1e-5, ge=0, lt=1, strict=True)
+
+    @field_validator("cfg_interval")
+    @classmethod
+    def _ordered(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if value[0] > value[1]:
+            raise ValueError("begins after its end")
+        return value
+
+    def merged(self, **overrides: Any) -> Self:
+        """These settings with some replaced; an override of None leaves the value as it is.
+
+        Raises:
+            InputError: an unknown name, or a value out of its range.
+        """
+        given = {name: value for name, value in overrides.items() if value is not None}
+        return self._checked({**self.model_dump(), **given}, "sampler settings")
+
+    @classmethod
+    def from_published(cls, record: Mapping[str, Any], where: str | Path) -> Self:
+        """Read one sampler of a `pipeline.json`: {"name", "args": {..}, "params": {..}}.
+
+        Nothing is filled in: the published code has other defaults than its checkpoints.
+
+        Args:
+            record: its `params` hold steps, cfg_strength, cfg_interval and rescale_t, its `args`
+                sigma_min.
+            where: the file, for the error message.
+
+        Raises:
+            InputError: another sampler class, a missing or unknown name, a value out of its range.
+        """
+        mend = "use a pipeline.json in the published layout"
+        name = record.get("name")
+        if name != PUBLISHED_SAMPLER:
+            raise InputError(where, "name", f"is {name!r}, not {PUBLISHED_SAMPLER}", mend)
+        values: dict[str, Any] = {}
+        for part, expected in (("args", PUBLISHED_ARGS), ("params", PUBLISHED_PARAMS)):
+            members = record.get(part)
+            if not isinstance(members, Mapping):
+                raise InputError(where, part, "is missing or no object", mend)
+            wrong = set(expected) ^ set(members)
+            if wrong:
+                first = min(wrong)
+                problem = "is missing" if first in expected else "is unknown"
+                raise InputError(where, f"{part}.{first}", problem, mend)
+            values.update(members)
+        return cls._checked(values, where)
+
+    def published(self) -> dict[str, Any]:
+        """The record that `from_published` reads."""
+        params: dict[str, Any] = {name: getattr(self, name) for name in PUBLISHED_PARAMS}
+        params["cfg_interval"] = list(self.cfg_interval)
+        return {
+            "name": PUBLISHED_SAMPLER,
+            "args": {"sigma_min": self.sigma_min},
+            "params": params,
+        }
+
+    @classmethod
+    def _checked(cls, values: Mapping[str, Any], where: str | Path) -> Self:
+        try:
+            return cls.model_validate(values)
+        except ValidationError as error:
+            raise validation_error(where, error, "correct the sampler setting") from None
+
+    def guided(self, t: float) -> bool:
+        """Whether guidance acts at time t."""
+        low, high = self.cfg_interval
+        return self.cfg_strength > 0 and low <= t <= high
+
+
+def time_steps(settings: SamplerSettings) -> NDArray[np.float64]:
+    """Times (steps + 1,) from exactly 1 (noise) down to exactly 0 (data), strictly decreasing.
+
+    t = r u / (1 + (r - 1) u) for u evenly spaced (Esser et al. 2024, section 5.3.2).
+    """
+    r = settings.rescale_t
+    even = np.linspace(1.0, 0.0, settings.steps + 1)
+    times = r * even / (1 + (r - 1) * even)
+    times[0] = 1.0  # rounding may leave it above 1, and so outside the guidance interval
+    return times
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """One step that was taken, from `t` to `t_next`.
+
+    Attributes:
+        step: its number, from 0.
+        t, t_next: times, 1 is noise.
+        guided: whether guidance acted.
+        views: indices of the views used.
+        before: x at `t`, of the shape of the noise.
+        velocity: of the step, guidance included.
+        after: x at `t_next`.
+        sigma_min: of the settings.
+    """
+
+    step: int
+    t: float
+    t_next: float
+    guided: bool
+    views: tuple[int, ...]
+    before: Tensor
+    velocity: Tensor
+    after: Tensor
+    sigma_min: float
+
+    def predicted_data(self) -> Tensor:
+        """The data x_0 that this step alone points at; made only when asked for."""
+        return data_from_velocity(self.before, self.velocity, self.t, self.sigma_min)
+
+
+@torch.no_grad()
+def sample(
+    velocity: Velocity,
+    noise: Tensor,
+    condition: Condition,
+    settings: SamplerSettings,
+    *,
+    samples: int | None = None,
+    on_step: Callable[[StepRecord], None] | None = None,
+) -> Tensor:
+    """Follow the flow from noise to data by Euler's method, as the published TRELLIS samplers do.
+
+    x(t') = x(t) - (t - t') v. Inside `settings.cfg_interval` v = (1 + s) v(cond) - s v(zeros): a
+    strength s of 5 weighs the condition sixfold (Ho and Salimans 2022 in that form). Outside, and
+    for s = 0, v = v(cond) and the network runs once per view.
+
+    Args:
+        velocity: the network; see `Velocity`.
+        noise: standard normal, (B, ...) dense or (T, C) sparse. Left as it is.
+        condition: tokens of the samples.
+        settings: number of steps, times and guidance.
+        samples: number B of samples; needed for sparse noise, whose rows are not samples.
+        on_step: called after each step. Tensors of the record that it keeps stay in memory.
+
+    Returns:
+        Data of the shape of `noise`; no graph is kept.
+
+    Raises:
+        InputError: a velocity holds NaN or infinity; the message names the step.
+        ValueError: tokens of another number of samples, or a velocity of another shape than x.
+    """
+    samples = len(noise) if samples is None else samples
+    views = condition.for_samples(samples)
+    if condition.mode == "stochastic" and len(views) > settings.steps:
+        warnings.warn(
+            f"{len(views)} views but {settings.steps} sampling steps: the last views are not used",
+            RuntimeWarning,
+            stacklevel=3,  # through no_grad's wrapper
+        )
+    nothing = torch.zeros_like(views[0, :1]).expand_as(views[0])
+    times = time_steps(settings).tolist()
+    x = noise
+    for step, (t, t_next) in enumerate(pairwise(times)):
+        model_t = torch.full((samples,), TIME_SCALE * t, dtype=torch.float32, device=x.device)
+        used, guided = condition.used_in(step), settings.guided(t)
+        v = velocity(x, model_t, views[used[0]])
+        if len(used) > 1:
+            for view in used[1:]:
+                v = v + velocity(x, model_t, views[view])
+            v = v / len(used)
+        if guided:
+            s = settings.cfg_strength
+            v = (1 + s) * v - s * velocity(x, model_t, nothing)
+        _check(v, x, step, settings.steps, t)
+        before, x = x, x - (t - t_next) * v
+        if on_step is not None:
+            on_step(StepRecord(step, t, t_next, guided, used, before, v, x, settings.sigma_min))
+    return x
+
+
+def _check(v: Tensor, x: Tensor, step: int, steps: int, t: float) -> None:
+    if v.shape != x.shape:
+        raise ValueError(f"sample: velocity {tuple(v.shape)} for x {tuple(x.shape)}")
+    if not bool(torch.isfinite(v).all()):
+        raise InputError(
+            "sampler",
+            f"step {step + 1} of {steps} (t = {t:.4g})",
+            "the velocity is not finite",
+            "run the model in float32, and check its weights and the condition",
+        )

@@ -1,0 +1,161 @@
+"""Voxels as tokens: attention in each sample, or within cubic windows (Swin on sparse voxels)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.functional import scaled_dot_product_attention
+
+from recast.trellis.sparse.tensor import SparseTensor, voxel_keys
+
+
+class PackedTokens:
+    """Tokens (T,C) of several samples, in the rows of a sparse tensor; full attention per sample.
+
+    Args:
+        x: the voxels; its features are not used.
+    """
+
+    def __init__(self, x: SparseTensor) -> None:
+        self.x = x
+
+    def spread(self, per_sample: Tensor) -> Tensor:
+        """(B,...) values of the samples, to be combined with their tokens: (T,...) or (1,...)."""
+        if self.x.batch_size == 1:
+            return per_sample
+        # Expanding adds the gradient up per sample in one fixed order; indexing would scatter it.
+        shape = per_sample.shape[1:]
+        return torch.cat(
+            [row.expand(n, *shape) for row, n in zip(per_sample, self.x.counts, strict=True)]
+        )
+
+    def attend(self, q: Tensor, k: Tensor, v: Tensor) -> Tensor:
+        """softmax(q k^T / sqrt(D)) v within each sample; all (T,H,D)."""
+        counts = self.x.counts
+        parts = zip(q.split(counts), k.split(counts), v.split(counts), strict=True)
+        rows = [attention(*part) for part in parts]
+        return rows[0] if len(rows) == 1 else torch.cat(rows)
+
+    def attend_reference(self, q: Tensor, k: Tensor, v: Tensor) -> Tensor:
+        """Readable twin of `attend`: one sample after another, weights written out."""
+        return torch.cat([attention_reference(q[s], k[s], v[s]) for s in self.x.slices])
+
+    def attend_to(self, q: Tensor, k: Tensor, v: Tensor) -> Tensor:
+        """Queries (T,H,D) of each sample over that sample's context k, v (B,L,H,D)."""
+        parts = zip(q.split(self.x.counts), k.unbind(), v.unbind(), strict=True)
+        rows = [attention(*part) for part in parts]
+        return rows[0] if len(rows) == 1 else torch.cat(rows)
+
+
+def attention(q: Tensor, k: Tensor, v: Tensor) -> Tensor:
+    """softmax(q k^T / sqrt(D)) v of (...,N,H,D) queries over (...,M,H,D) keys and values."""
+    if q.numel() == 0:
+        return q + 0 * v.sum()  # no token; still a part of the graph
+    if q.ndim == 3:
+        # Without an axis for the batch, torch writes out the matrix of weights.
+        return attention(q[None], k[None], v[None])[0]
+    out = scaled_dot_product_attention(
+        q.transpose(-3, -2), k.transpose(-3, -2), v.transpose(-3, -2)
+    )
+    return out.transpose(-3, -2)
+
+
+def attention_reference(q: Tensor, k: Tensor, v: Tensor) -> Tensor:
+    """Readable twin of `attention`: the matrix of weights, written out."""
+    scores = torch.einsum("...nhd,...mhd->...hnm", q, k) / q.shape[-1] ** 0.5
+    return torch.einsum("...hnm,...mhd->...nhd", scores.softmax(-1), v)
+
+
+@dataclass(frozen=True, eq=False)
+class WindowPartition:
+    """The voxels of a sparse tensor, ordered so that windows of equal size lie together.
+
+    Args:
+        order: (T,) int64 rows, window after window, small windows first.
+        inverse: (T,) int64 place of every row in `order`.
+        buckets: (number of windows, voxels in each), in the order in which they lie in `order`.
+    """
+
+    order: Tensor
+    inverse: Tensor
+    buckets: list[tuple[int, int]]
+
+
+def window_partition(x: SparseTensor, window: int, shift: int) -> WindowPartition:
+    """Windows (batch, floor((c + shift) / window)) of the voxels of `x`, computed once."""
+    key = ("windows", window, shift)
+    cached: dict[Any, WindowPartition] = x.cache
+    if key not in cached:
+        keys = voxel_keys(window_cells(x, window, shift), margin=0).keys
+        _, cell, counts = keys.unique(return_inverse=True, return_counts=True)
+        # By size, then by window: equal sizes become one batch without padding.
+        order = torch.argsort(counts[cell] * max(len(counts), 1) + cell, stable=True)
+        inverse = torch.empty_like(order)
+        inverse[order] = torch.arange(len(order), device=order.device)
+        sizes, numbers = counts.unique(return_counts=True)
+        buckets = list(zip(numbers.tolist(), sizes.tolist(), strict=True))
+        cached[key] = WindowPartition(order, inverse, buckets)
+    return cached[key]
+
+
+class WindowedTokens(PackedTokens):
+    """Tokens (T,C) in the rows of a sparse tensor; self attention within windows of voxels.
+
+    A window holds the voxels of one sample with equal floor((c + shift) / window) on all axes: a
+    plain shift, not a cyclic one, and windows at the border are smaller. Cross attention is as in
+    `PackedTokens`.
+    """
+
+    def __init__(self, x: SparseTensor, window: int, shift: int) -> None:
+        super().__init__(x)
+        self.window = window
+        self.shift = shift
+
+    def attend(self, q: Tensor, k: Tensor, v: Tensor) -> Tensor:
+        """softmax(q k^T / sqrt(D)) v within each window; all (T,H,D)."""
+        partition = window_partition(self.x, self.window, self.shift)
+        if not partition.buckets:
+            return q + 0 * v.sum()
+        q, k, v = (_Permute.apply(t, partition.order, partition.inverse) for t in (q, k, v))
+        # Splitting gives one gradient for all parts; slices would give one of full size each.
+        sizes = [number * size for number, size in partition.buckets]
+        rows = [
+            attention(*(t.unflatten(0, bucket) for t in part)).flatten(0, 1)
+            for bucket, *part in zip(
+                partition.buckets, q.split(sizes), k.split(sizes), v.split(sizes), strict=True
+            )
+        ]
+        out: Tensor = _Permute.apply(torch.cat(rows), partition.inverse, partition.order)
+        return out
+
+    def attend_reference(self, q: Tensor, k: Tensor, v: Tensor) -> Tensor:
+        """Readable twin of `attend`: one window after another."""
+        cells = window_cells(self.x, self.window, self.shift)
+        out = torch.zeros_like(q)
+        for cell in cells.unique(dim=0):
+            rows = torch.nonzero((cells == cell).all(1)).squeeze(1)
+            out[rows] = attention_reference(q[rows], k[rows], v[rows])
+        return out
+
+
+def window_cells(x: SparseTensor, window: int, shift: int) -> Tensor:
+    """(T,4) int32 window [batch, i, j, k] of every voxel."""
+    moved = (x.coords[:, 1:] + shift).div(window, rounding_mode="floor")
+    return torch.cat([x.coords[:, :1], moved], dim=1)
+
+
+class _Permute(torch.autograd.Function):
+    """Rows in another order; the gradient gathers by the inverse instead of scattering."""
+
+    @staticmethod
+    def forward(ctx: Any, rows: Tensor, order: Tensor, inverse: Tensor) -> Tensor:
+        ctx.save_for_backward(order, inverse)
+        return rows.index_select(0, order)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:
+        order, inverse = ctx.saved_tensors
+        return _Permute.apply(grads[0], inverse, order), None, None
