@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from recast.actors.actor import Actor, CandidateRecord, CandidateScore
 from recast.actors.evidence import Evidence, Sighting
-from recast.actors.generate import ActorGenerator, Asset, candidates_of, recast_mini_generator
+from recast.actors.generate import ActorGenerator, Asset, candidates_of
 from recast.actors.icp import fit_of, outer_surface
+from recast.actors.image_to_3d import recast_mini_generator
 from recast.actors.observation import Observation
 from recast.actors.register import register
 from recast.actors.template import TemplateGenerator

@@ -31,12 +31,12 @@ GENERATORS = Registry(
     "recast.generators",
     {
         "auto": "recast.actors.candidates:AutoGenerator",
-        "recast-mini": "recast.actors.generate:recast_mini_generator",
+        "recast-mini": "recast.actors.image_to_3d:recast_mini_generator",
         "template": "recast.actors.template:TemplateGenerator",
     },
     members=("name", "generate"),
     protocol="recast.actors.ActorGenerator",
-    folder="recast.actors.generate:model_generator",
+    folder="recast.actors.image_to_3d:model_generator",
     files={".ply": _VEHICLE_FILE, ".glb": _VEHICLE_FILE, ".obj": _VEHICLE_FILE},
     prefixes={"library:": "recast.actors.library:LibraryGenerator"},
 )

@@ -22,7 +22,7 @@ class Record(BaseModel):
 def read_record(
     path: str | Path, model: type[Model], version: int, mend: str, kind: str | None = None
 ) -> Model:
-    """Read a JSON file; see `parse_record`, and `storage.read_json` for what else it raises."""
+    """Read a JSON file; see `parse_record`, and `files.read_json` for what else it raises."""
     return parse_record(path, files.read_json(path), model, version, mend, kind)
 
 

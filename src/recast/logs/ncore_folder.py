@@ -134,7 +134,7 @@ def check_store(path: Path) -> None:
     """Check index and metadata of a store file; arrays themselves are not read.
 
     Raises:
-        InputError: the disk refuses (see `storage.disk_errors`).
+        InputError: the disk refuses (see `files.disk_errors`).
         ValueError: anything in it is not as NCore writes it. Damaged files also raise what lzma and
             cbor2 raise.
     """

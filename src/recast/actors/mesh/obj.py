@@ -107,7 +107,7 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str], str]]:
     """Number, words and what follows the first word, of lines that are neither empty nor comment.
 
     Raises:
-        InputError: see `storage.read_bytes`.
+        InputError: see `files.read_bytes`.
     """
     data = files.read_bytes(path, _MOST_BYTES).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
     for number, line in enumerate(io.BytesIO(data), 1):

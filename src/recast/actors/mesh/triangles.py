@@ -124,7 +124,7 @@ def data_of(path: Path, uri: str, what: str) -> bytes:
     """The bytes of a glTF URI: base64 in place, or a file.
 
     Raises:
-        InputError: the base64 is broken, or see `named_file` and `storage.read_bytes`.
+        InputError: the base64 is broken, or see `named_file` and `files.read_bytes`.
     """
     file = named_uri(path, uri, what)
     if file is not None:

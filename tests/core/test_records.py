@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from recast.core import records
+import recast
 from recast.core.records import Record
 
-SOURCE = Path(records.__file__).parent
+SOURCE = Path(recast.__file__).parent
 
 
 def models() -> Iterator[type[BaseModel]]:

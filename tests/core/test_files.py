@@ -153,8 +153,8 @@ def test_two_processes_do_not_write_the_same(tmp_path: Path) -> None:
 
 def test_a_lock_ends_with_the_process_that_holds_it(tmp_path: Path) -> None:
     script = (
-        "import sys, time; from recast import storage\n"
-        "with storage.alone_in(sys.argv[1]):\n"
+        "import sys, time; from recast.core import files\n"
+        "with files.alone_in(sys.argv[1]):\n"
         "    print('locked', flush=True); time.sleep(60)"
     )
     child = subprocess.Popen(

@@ -13,7 +13,7 @@ from recast.core.parts import GENERATORS, IMPORTERS, PLANNERS, SCENES, SEGMENTER
 from recast.core.plugins import Registry
 
 KINDS = (PLANNERS, GENERATORS, SEGMENTERS, IMPORTERS, SCENES)
-DATA_PAGE = Path(__file__).parents[1] / "docs" / "data.md"
+DATA_PAGE = Path(__file__).parents[2] / "docs" / "data.md"
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.kind)
