@@ -24,6 +24,7 @@ from recast.actors.register import register
 from recast.actors.template import TemplateGenerator
 from recast.arrays import Array
 from recast.core.errors import InputError
+from recast.core.progress import Progress
 from recast.logs import DrivingLog
 from recast.splats import LowPass, rasterize
 
@@ -81,7 +82,7 @@ def choose(
     observation: Observation,
     log: DrivingLog,
     evidence: Evidence,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Choice:
     """Register and judge every candidate, and take the best.
 

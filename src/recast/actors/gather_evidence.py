@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
@@ -16,6 +15,7 @@ from recast.actors.segment import SegmentationTarget, Segmenter, hull_mask, run_
 from recast.actors.views import NearestSweeps, ViewScore, check_lidar, score_frame
 from recast.arrays import Array
 from recast.core.errors import InputError
+from recast.core.progress import Progress
 from recast.geometry import PinholeCamera, boxes
 from recast.logs import DrivingLog, Track, track_points
 from recast.scene import SceneConfig
@@ -38,7 +38,7 @@ def gather_evidence(
     *,
     segmenter: Segmenter,
     config: SceneConfig,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Evidence:
     """All training images of a track with masks, its LiDAR points and the free space in its box.
 

@@ -1,12 +1,17 @@
-"""Bars on the terminal while a block runs."""
+"""Progress: the callback of long functions, and bars on a terminal."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
-from rich.console import Console
-from rich.progress import Progress, ProgressColumn
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import ProgressColumn
+
+Progress = Callable[[int, int], None]
+"""Called with the number of pieces that are done, and the number of all."""
 
 
 class Bars:
@@ -21,7 +26,9 @@ class Bars:
     def __init__(
         self, *columns: ProgressColumn, console: Console | None, disable: bool = False
     ) -> None:
-        self._bars = Progress(*columns, console=console, disable=disable)
+        from rich import progress
+
+        self._bars = progress.Progress(*columns, console=console, disable=disable)
 
     def __enter__(self) -> Self:
         """Start drawing."""

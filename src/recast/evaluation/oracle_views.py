@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Protocol
@@ -15,6 +15,7 @@ from recast.actors.coverage import CoverageMeter, Shares
 from recast.arrays import Array, Image
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, write_json
+from recast.core.progress import Progress
 from recast.evaluation.oracle_poses import (
     PlacedView,
     ViewSettings,
@@ -176,7 +177,7 @@ def evaluate_oracle_views(
     settings: ViewSettings | None = None,
     exposures: Mapping[str, float] | None = None,
     shares: Shares | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> OracleViews:
     """Compare both actors with the truth where a closed loop may put them.
 

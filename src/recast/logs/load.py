@@ -19,12 +19,13 @@ from recast.core.errors import InputError
 from recast.core.files import alone_in, atomic_folder, disk_errors
 from recast.core.names import member
 from recast.core.parts import IMPORTERS
+from recast.core.progress import Progress
 from recast.core.remote import answering, cache_folder, digest, local_path, remote_path
 from recast.logs.checks import refused
 from recast.logs.store import LOG_FILE, read_log
 from recast.logs.types import DrivingLog
 
-CopyProgress = Callable[[int, int], None]
+CopyProgress = Progress
 """Called with the bytes copied so far, and with all there are."""
 
 _BLOCK = 1 << 23

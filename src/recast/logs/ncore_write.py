@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -41,6 +41,7 @@ from upath import UPath
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.names import folder_name
+from recast.core.progress import Progress
 from recast.geometry import PinholeCamera, se3
 from recast.logs import motion
 from recast.logs.checks import refused
@@ -62,7 +63,7 @@ REFERENCE = "reference_timestamp_us"
 SEQUENCE_FILE = "ncore.json"
 
 
-def write_ncore(log: DrivingLog, folder: Path, progress: Callable[[int, int], None]) -> None:
+def write_ncore(log: DrivingLog, folder: Path, progress: Progress) -> None:
     """Write the NCore V4 stores of `log` into `folder`, and ncore.json that lists them.
 
     Args:
@@ -113,7 +114,7 @@ def _repeatable_compression() -> Iterator[None]:
 
 
 def _write_stores(
-    writer: SequenceComponentGroupsWriter, log: DrivingLog, progress: Callable[[int, int], None]
+    writer: SequenceComponentGroupsWriter, log: DrivingLog, progress: Progress
 ) -> list[str]:
     _write_poses(writer, log)
     _write_calibration(writer, log)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
@@ -11,6 +10,7 @@ from pydantic import field_validator
 
 from recast.core import files, records
 from recast.core.errors import InputError
+from recast.core.progress import Progress
 from recast.geometry import PinholeCamera
 from recast.logs import ncore_read
 from recast.logs.checks import refused
@@ -23,7 +23,7 @@ VERSION = 1
 LOG_FILE = "log.json"
 MAP_FILE = "map.json"
 
-WriteProgress = Callable[[int, int], None]
+WriteProgress = Progress
 """Called with the images and sweeps written so far, and with all there are."""
 
 

@@ -37,6 +37,7 @@ from recast.actors.refine import refine
 from recast.actors.views import Usable
 from recast.core import files
 from recast.core.errors import InputError
+from recast.core.progress import Progress
 from recast.evaluation import evaluate_oracle_views
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog
@@ -160,7 +161,7 @@ def refine_actor(
     return refined
 
 
-def _stage(progress: StageProgress | None, name: str) -> Callable[[int, int], None] | None:
+def _stage(progress: StageProgress | None, name: str) -> Progress | None:
     return None if progress is None else partial(progress, name)
 
 

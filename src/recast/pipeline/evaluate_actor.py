@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from recast.actors.observe import observation_of_view
 from recast.actors.place import PlacementReport, place_asset
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, write_json
+from recast.core.progress import Progress
 from recast.evaluation.actor_scores import (
     ACTOR_COLUMNS,
     drawn,
@@ -96,7 +97,7 @@ def evaluate_actors(
     limit: int | None = None,
     views: int = 1,
     distances: Sequence[ImageDistance] = (),
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> ActorEvaluation:
     """Make every vehicle of a set, place it, and compare it with its reserved views.
 

@@ -10,7 +10,7 @@ OUT/truth/ID, OUT/cells/CONDITION/MODEL/ID   see `recast.evaluation.generation_c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from PIL import Image
 
 from recast.core.errors import InputError
 from recast.core.files import atomic_file, read_json, write_json, write_text
+from recast.core.progress import Progress
 from recast.evaluation.cases import ActorCase
 from recast.evaluation.generation_cell import Cell, cell_is, read_cell, read_strip
 from recast.evaluation.generation_report import StudyFacts, study_json, study_markdown
@@ -45,7 +46,7 @@ def run_study(
     out: Path,
     *,
     workers: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[StudyBlock, ...]:
     """Make every vehicle by every model from every input, score, compare, and write it all.
 
@@ -150,7 +151,7 @@ def _make(
     out: Path,
     workers: int,
     total: int,
-    progress: Callable[[int, int], None] | None,
+    progress: Progress | None,
 ) -> None:
     done = total - len(left)
     seconds: dict[str, dict[str, float]] = {}

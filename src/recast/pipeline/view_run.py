@@ -14,6 +14,7 @@ from recast.actors.insert import insert
 from recast.core import Artefact, Store
 from recast.core.errors import InputError
 from recast.core.names import folder_name
+from recast.core.progress import Progress
 from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.pipeline.arms import Arm
 from recast.pipeline.config import RunConfig
@@ -33,7 +34,6 @@ from recast.simulation import (
 )
 from recast.simulation.scene_renderer import SceneRenderer, through_lenses
 from recast.viewer import Drive, FilmFile, FilmFrames, Runner, ViewInputs, rollout_drive
-from recast.viewer.inputs import OnStep
 
 _PLANNERS = ("idm-follower", "constant-velocity", "log-replay")
 _STEPS = 80
@@ -228,7 +228,7 @@ def _runner(
     scenes: Mapping[str, StreetScene | None],
     own: Mapping[str, ScriptedMotion],
 ) -> Runner:
-    def run(motion: ScriptedMotion, word: str, arm: str, on_step: OnStep) -> Drive:
+    def run(motion: ScriptedMotion, word: str, arm: str, on_step: Progress) -> Drive:
         return _run(_Asked(log, hdmap, config, scenes.get(arm), arm), motion, word, on_step)
 
     planners = tuple(dict.fromkeys((*config.planners, *_PLANNERS)))
@@ -267,7 +267,7 @@ class _Asked:
 class _Counted:
     """A planner that tells how far the rollout has come."""
 
-    def __init__(self, planner: Planner, on_step: OnStep, steps: int) -> None:
+    def __init__(self, planner: Planner, on_step: Progress, steps: int) -> None:
         self._planner, self._on_step, self._steps = planner, on_step, steps
         self.name, self.needs_images = planner.name, planner.needs_images
 
@@ -284,7 +284,7 @@ class _Counted:
         return self._planner.plan(observation)
 
 
-def _run(asked: _Asked, motion: ScriptedMotion, word: str, on_step: OnStep) -> Drive:
+def _run(asked: _Asked, motion: ScriptedMotion, word: str, on_step: Progress) -> Drive:
     """Run one rollout, and film its first camera.
 
     Raises:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from recast.arrays import Array
-from recast.core.errors import InputError
 from recast.core.files import alone_in
-from recast.crews.crew import end_with_parent, worker_faults
+from recast.core.progress import Progress
+from recast.crews import crew_of
 from recast.geometry import PinholeCamera, se3
 from recast.recar.record import IdentityRecord, SetRecord
 from recast.recar.synthesis_plan import PlannedIdentity, SynthesisSettings, plan_identities
@@ -31,8 +28,6 @@ from recast.recar.views import Image, camera_pose, fitting_distance, pinhole
 if TYPE_CHECKING:  # readers of sets need no ray tracer
     from recast.synthetic.world import Sky, VehicleModel
 
-Progress = Callable[[int, int], None]
-"""Called with pictures done and all pictures."""
 
 _SHAPE, _LIGHT, _VIEWS = 0, 1, 2  # random streams of one identity
 
@@ -63,7 +58,7 @@ def synthesize_set(
         mesh_axes: their forward and up axes, such as "-y,z"; None takes "z,y" for glTF and
             "x,z" for all others.
         workers: processes.
-        progress: called as pictures are finished.
+        progress: called with the pictures of finished identities, and of all.
 
     Raises:
         InputError: impossible counts or sizes, a mesh that cannot be used, embreex not installed,
@@ -72,8 +67,7 @@ def synthesize_set(
     settings = settings or SynthesisSettings()
     out = Path(out)
     settings.validate()
-    if workers < 1:
-        raise InputError("--workers", "value", f"is {workers}", "give 1 or more")
+    crew_of(workers)  # refuses less than one
     plan = plan_identities(settings, vehicles, shapes, [Path(mesh) for mesh in meshes], mesh_axes)
     ids = [planned.id for planned in plan]
     record = settings.record(out.absolute().name, len(plan))
@@ -81,26 +75,18 @@ def synthesize_set(
     _check_renderable(plan, settings)
     finished = begin_set(out, record, ids)
     left = [planned for planned in plan if planned.id not in finished]
-    counter = _Counter(progress, len(plan) * record.views, len(finished) * record.views)
+    waiting, done = iter(left), len(finished)
     with alone_in(out):
-        if workers == 1 or len(left) < 2:
-            for planned in left:
-                _make(out, record, settings, planned, counter.advance)
-        else:
-            _make_in_processes(out, record, settings, left, min(workers, len(left)), counter)
+        if progress is not None:
+            progress(done * record.views, len(plan) * record.views)
+        crew = crew_of(min(workers, max(len(left), 1)))
+        arguments = out, record, settings
+        for _ in crew(_start, arguments, lambda: next(waiting, None), "finished identities"):
+            done += 1
+            if progress is not None:
+                progress(done * record.views, len(plan) * record.views)
         finish_set(out, record)
     return read_set(out)
-
-
-class _Counter:
-    def __init__(self, progress: Progress | None, total: int, done: int) -> None:
-        self._progress, self._total, self._done = progress, total, done
-        self.advance(0)
-
-    def advance(self, pictures: int) -> None:
-        self._done += pictures
-        if self._progress is not None:
-            self._progress(self._done, self._total)
 
 
 def _check_renderable(plan: Sequence[PlannedIdentity], settings: SynthesisSettings) -> None:
@@ -112,66 +98,17 @@ def _check_renderable(plan: Sequence[PlannedIdentity], settings: SynthesisSettin
             make_model(planned, settings)
 
 
-def _make(
-    out: Path,
-    record: SetRecord,
-    settings: SynthesisSettings,
-    planned: PlannedIdentity,
-    advance: Callable[[int], Any],
-) -> None:
-    model = make_model(planned, settings)
-    identity = identity_record(planned, model, record)
+def _start(
+    worker: int, out: Path, record: SetRecord, settings: SynthesisSettings
+) -> Callable[[PlannedIdentity], None]:
+    del worker
 
-    def pictures() -> Iterator[Image]:
-        for picture in render_views(model, identity, record):
-            yield picture
-            advance(1)
+    def make(planned: PlannedIdentity) -> None:
+        model = make_model(planned, settings)
+        identity = identity_record(planned, model, record)
+        write_identity(out, record, identity, render_views(model, identity, record))
 
-    write_identity(out, record, identity, pictures())
-
-
-def _make_in_processes(
-    out: Path,
-    record: SetRecord,
-    settings: SynthesisSettings,
-    left: Sequence[PlannedIdentity],
-    workers: int,
-    counter: _Counter,
-) -> None:
-    # Spawned, not forked: the display of the parent draws from a thread, which may hold a lock.
-    context = multiprocessing.get_context("spawn")
-    finished_pictures = context.SimpleQueue()
-    with ProcessPoolExecutor(workers, context, _set_up_worker, (finished_pictures,)) as pool:
-        waiting, pending = iter(left), set[Future[None]]()
-        with worker_faults(pool, "finished identities"):
-            while True:
-                # A few at a time: `wait` looks at every job that it is given.
-                for planned in islice(waiting, 2 * workers - len(pending)):
-                    pending.add(pool.submit(_make_in_worker, out, record, settings, planned))
-                if not pending:
-                    break
-                done, pending = wait(pending, timeout=0.2, return_when=FIRST_COMPLETED)
-                while not finished_pictures.empty():
-                    counter.advance(finished_pictures.get())
-                for future in done:
-                    future.result()
-        while not finished_pictures.empty():
-            counter.advance(finished_pictures.get())
-
-
-_advance: Callable[[int], Any]
-
-
-def _set_up_worker(queue: Any) -> None:
-    global _advance
-    _advance = queue.put
-    end_with_parent()
-
-
-def _make_in_worker(
-    out: Path, record: SetRecord, settings: SynthesisSettings, planned: PlannedIdentity
-) -> None:
-    _make(out, record, settings, planned, _advance)
+    return make
 
 
 def make_model(planned: PlannedIdentity, settings: SynthesisSettings) -> VehicleModel:

@@ -9,7 +9,7 @@ one identity after the other, so that a killed run resumes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from recast.arrays import Array
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.files import disk_errors, read_bytes
+from recast.core.progress import Progress
 from recast.core.records import read_record
 from recast.geometry import PinholeCamera
 from recast.recar.record import (
@@ -106,9 +107,7 @@ class VehicleSet:
         """Record and bytes of the pictures of every identity, sorted by id."""
         return ((one.record, one.picture_bytes()) for one in self.identities.values())
 
-    def check_pictures(
-        self, decode: bool = False, progress: Callable[[int, int], None] | None = None
-    ) -> None:
+    def check_pictures(self, decode: bool = False, progress: Progress | None = None) -> None:
         """Look at every picture: its header, or all of it.
 
         Args:

@@ -9,7 +9,7 @@ the image; at azimuth 90 it looks at the left side, and the front points to the 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from recast.arrays import Array, Image
 from recast.core.errors import InputError
 from recast.core.files import atomic_file, disk_errors, read_bytes
+from recast.core.progress import Progress
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.recar.record import LARGEST_SIDE, IdentityRecord, SetRecord, Split
 
@@ -223,7 +224,5 @@ class VehicleSource(Protocol):
         Nothing is kept, so that statistics of a large set take little memory.
         """
 
-    def check_pictures(
-        self, decode: bool = False, progress: Callable[[int, int], None] | None = None
-    ) -> None:
+    def check_pictures(self, decode: bool = False, progress: Progress | None = None) -> None:
         """Look at every picture: its header, or all of it."""

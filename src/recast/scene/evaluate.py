@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from PIL import Image
 
 from recast.core.errors import InputError
 from recast.core.files import atomic_file, write_json
+from recast.core.progress import Progress
 from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.scene.config import SceneConfig
@@ -43,9 +44,6 @@ MIN_BOX_PX = 8
 EVALUATION_FILE = "eval.json"
 PICTURED_MOMENTS = 3
 """Held-out moments, spread over the drive, at which shifted views are written as pictures."""
-
-Progress = Callable[[int, int], None]
-"""Called with how many views are scored, and how many there will be."""
 
 
 def evaluate_scene(

@@ -7,7 +7,7 @@ matter in which order and by whom they are made.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from PIL import Image as PillowImage
 from recast.arrays import Image
 from recast.core import files
 from recast.core.errors import InputError
+from recast.core.progress import Progress
 from recast.geometry import se3
 from recast.logs import (
     CameraStream,
@@ -50,8 +51,6 @@ _LABEL_STREAM = 401
 _HEIGHT_SHARE = 0.3
 """Of the noise in height: the ground tells an annotator where a box stands."""
 _LEAST_SIZE = 0.5
-Progress = Callable[[int, int], None]
-"""Called with how many images and sweeps are done, and how many there will be."""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from recast.actors import Actor
 from recast.arrays import Array, Image
+from recast.core.progress import Progress
 from recast.logs import DrivingLog, HdMap
 from recast.scene import StreetScene
 from recast.simulation import ScriptedMotion
@@ -92,10 +93,6 @@ class Drive:
         return {key: pose for key, pose in present if not np.isnan(pose[0, 0])}
 
 
-OnStep = Callable[[int, int], None]
-"""Told how many steps of how many are done."""
-
-
 @dataclass(frozen=True)
 class Runner:
     """Runs rollouts for the page.
@@ -116,7 +113,7 @@ class Runner:
     motions: Mapping[str, ScriptedMotion]
     planners: tuple[str, ...]
     steps: int
-    run: Callable[[ScriptedMotion, str, str, OnStep], Drive]
+    run: Callable[[ScriptedMotion, str, str, Progress], Drive]
 
 
 @dataclass(frozen=True)

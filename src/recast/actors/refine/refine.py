@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,13 +24,12 @@ from recast.actors.refine.descent import FreeDescent, Steps, Task, fit_shape
 from recast.actors.refine.parameters import Bend, FreeGaussians, PoseOffsets, split, split_rows
 from recast.actors.refine.surroundings import make_layers, shadow_evidence
 from recast.actors.refine.visibility import follow_paint, visibility_of
+from recast.core.progress import Progress
 from recast.logs import Trajectory
 from recast.scene import StreetScene
 from recast.scene.appearance import DEFORMABLE
 from recast.scene.tensor_file import read_tensors, write_tensors
 from recast.splats import Gaussians
-
-Progress = Callable[[int, int], None]
 
 LEAST_IMAGES = 5
 """Fewer images than this cannot both teach and judge."""

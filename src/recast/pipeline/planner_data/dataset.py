@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.core.files import alone_in, write_json
+from recast.core.progress import Progress
 from recast.core.records import read_record
 from recast.crews import crew_of
 from recast.dynamics import state as ego
@@ -56,7 +57,7 @@ def make_dataset(
     vocabulary: Trajectories,
     *,
     workers: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> int:
     """Make at least `count` samples; worlds that are there already are kept.
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import multiprocessing
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
+
 from recast.core import files
 from recast.core.errors import InputError
-from recast.crews.crew import end_with_parent, worker_faults
+from recast.core.progress import Progress
+from recast.crews import crew_of
 from recast.recar.ingest.duplicates import (
     REPORT_FILE,
     SeenPictures,
@@ -60,7 +62,7 @@ def ingest_photographs(
     skip_bad: bool = False,
     workers: int = 1,
     on_bad: Callable[[str, InputError], None] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> IngestReport:
     """Make a vehicle set of a folder with photographs of each vehicle.
 
@@ -87,8 +89,7 @@ def ingest_photographs(
     """
     photos, out = Path(photos), Path(out)
     settings.validate()
-    if workers < 1:
-        raise InputError("--workers", "value", f"is {workers}", "give 1 or more")
+    crew_of(workers)  # refuses less than one
     work = _Ingest(photos, out, settings, on_bad)
     candidates = work.look(Path(table) if table is not None else None)
     total = len(candidates) + len(work.skipped)
@@ -258,46 +259,32 @@ def prepare_all(
     remover: BackgroundRemover | None,
     workers: int,
 ) -> Iterator[tuple[Candidate, Prepared | InputError]]:
-    """Every vehicle, or why it cannot be taken; not more than two for each worker in memory."""
-    if workers == 1 or len(candidates) < 2:
-        for candidate in candidates:
-            yield candidate, _prepared(candidate, settings, remover)
-        return
-    # Spawned, not forked: the display of the parent draws from a thread, which may hold a lock.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _set_up_worker, (settings, remover)) as pool:
-        running: deque[tuple[Candidate, Future[Prepared | InputError]]] = deque()
-        with worker_faults(pool, "finished vehicles"):
-            for candidate in candidates:
-                running.append((candidate, pool.submit(_prepare_in_worker, candidate)))
-                if len(running) >= 2 * workers:
-                    first, future = running.popleft()
-                    yield first, future.result()
-            while running:
-                first, future = running.popleft()
-                yield first, future.result()
+    """Every vehicle in order, or why it cannot be taken; at most two a worker are in memory."""
+    workers = min(workers, max(len(candidates), 1))
+    left, ended, turn = deque(enumerate(candidates)), dict[int, Prepared | InputError](), 0
+
+    def take() -> tuple[int, Candidate] | None:
+        return left.popleft() if left and left[0][0] < turn + 2 * workers else None
+
+    crew = crew_of(workers)
+    for (number, _), found in crew(_start, (settings, remover), take, "finished vehicles"):
+        ended[number] = found
+        while turn in ended:
+            turn += 1
+            yield candidates[turn - 1], ended.pop(turn - 1)
 
 
-def _prepared(
-    candidate: Candidate, settings: IngestSettings, remover: BackgroundRemover | None
-) -> Prepared | InputError:
-    try:
-        return prepare(candidate, settings, remover)
-    except InputError as error:
-        return error
+def _start(
+    worker: int, settings: IngestSettings, remover: BackgroundRemover | None
+) -> Callable[[tuple[int, Candidate]], Prepared | InputError]:
+    del worker
+    if multiprocessing.parent_process() is not None:
+        cv2.setNumThreads(1)
 
+    def work(job: tuple[int, Candidate]) -> Prepared | InputError:
+        try:
+            return prepare(job[1], settings, remover)
+        except InputError as error:
+            return error
 
-_shared: tuple[IngestSettings, BackgroundRemover | None]
-
-
-def _set_up_worker(settings: IngestSettings, remover: BackgroundRemover | None) -> None:
-    global _shared
-    _shared = (settings, remover)
-    import cv2
-
-    cv2.setNumThreads(1)
-    end_with_parent()
-
-
-def _prepare_in_worker(candidate: Candidate) -> Prepared | InputError:
-    return _prepared(candidate, *_shared)
+    return work

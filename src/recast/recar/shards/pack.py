@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.files import disk_errors
+from recast.core.progress import Progress
 from recast.core.records import read_record
 from recast.recar.record import IDENTITY_FILE, SPLITS, SetRecord, Split, view_file
 from recast.recar.shards.layout import (
@@ -128,7 +129,7 @@ def pack_set(
     vehicle_set: VehicleSet,
     out: str | Path,
     shard_bytes: int = SHARD_BYTES,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> IndexRecord:
     """Write the files of a set, byte for byte, into tar shards.
 

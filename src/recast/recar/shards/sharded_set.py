@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.core.errors import InputError
+from recast.core.progress import Progress
 from recast.geometry import PinholeCamera
 from recast.recar.record import IdentityRecord, SetRecord, Split
 from recast.recar.shards.layout import (
@@ -134,9 +135,7 @@ class ShardedSet:
                     record = parse_identity(path, shard, first, read_member(path, first))
                     yield record, sum(view.size for view in views)
 
-    def check_pictures(
-        self, decode: bool = False, progress: Callable[[int, int], None] | None = None
-    ) -> None:
+    def check_pictures(self, decode: bool = False, progress: Progress | None = None) -> None:
         """Read everything in the order in which it lies, and look at its hashes.
 
         Args:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from rich.text import Text
 
 from recast.core import files
 from recast.core.errors import InputError, printable
+from recast.core.progress import Progress
 from recast.crews import alone, crew_of
 from recast.recar.record import SPLITS
 from recast.recar.targets.cache import TargetCache
@@ -23,9 +24,6 @@ from recast.recar.targets.record import CACHE_FILE, CacheRecord, ModelSource, Ta
 from recast.recar.targets.views import encoded_view, nearest_views
 from recast.recar.views import VehicleSource
 from recast.trellis.generation import TRAINED_VOXEL_SHARE
-
-Progress = Callable[[int, int], None]
-"""Called with vehicles done and all vehicles."""
 
 
 def build_targets(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,6 +12,7 @@ from rich.console import Console
 
 from recast.core.errors import InputError
 from recast.core.files import write_json
+from recast.core.progress import Progress
 from recast.recar.targets import CacheRecord, ModelSource, Target, TargetCache, TargetRecord
 from recast.recar.targets.cache import ChannelMoments
 from recast.recar.targets.record import CACHE_FILE
@@ -65,7 +65,7 @@ def assemble(
     cache: Path,
     *,
     seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> None:
     """Write a model folder of trained parts, and encode the assets into a target cache.
 

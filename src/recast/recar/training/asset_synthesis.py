@@ -15,6 +15,7 @@ from pydantic import Field
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.core.files import alone_in, write_json
+from recast.core.progress import Progress
 from recast.core.records import Record, read_record
 from recast.crews import crew_of
 from recast.geometry import PinholeCamera, se3
@@ -58,7 +59,7 @@ def make_assets(
     record: AssetsRecord,
     *,
     workers: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> None:
     """Make the first `count` assets of a seed; those that are there already are kept.
 
