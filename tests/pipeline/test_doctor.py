@@ -11,8 +11,8 @@ import pytest
 from recast.actors import DEFAULT_GENERATOR, DEFAULT_SEGMENTER
 from recast.cli.main import main
 from recast.cli.rows import machine
+from recast.core import workers
 from recast.core.parts import GENERATORS, PLANNERS, SEGMENTERS
-from recast.crews import crew
 from recast.planning import GTRS_MINI
 
 _LISTED = """
@@ -60,6 +60,6 @@ def test_a_missing_package_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -
 def test_cores_where_no_system_call_tells_the_share(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)  # as on macOS and Windows
     monkeypatch.setattr(os, "cpu_count", lambda: 6)
-    assert crew.usable_cores() == 6
+    assert workers.usable_cores() == 6
     monkeypatch.setattr(os, "cpu_count", lambda: None)
-    assert crew.usable_cores() == 1
+    assert workers.usable_cores() == 1

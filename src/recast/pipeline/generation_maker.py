@@ -1,4 +1,4 @@
-"""The vehicles of a generation study: each made by one model from one picture, by a crew."""
+"""The vehicles of a generation study: each made by one model from one picture, by a pool."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from recast.actors import ActorGenerator, Observation, make_generator
 from recast.actors.observe import observation_of_view
 from recast.arrays import Image
 from recast.core.errors import InputError
-from recast.crews import alone, crew_of
+from recast.core.ray_cluster import worker_pool
+from recast.core.workers import in_this_process
 from recast.evaluation.actor_scores import Cutout, drawn, framed, photographed, score_view
 from recast.evaluation.cases import ActorCase, elevation_deg
 from recast.evaluation.features import Embedder, load_embedders
@@ -253,9 +254,9 @@ def make_cells(
     Raises:
         InputError: see `CellMaker`, or a process was killed. Finished cells stay.
     """
-    crew = alone if len(jobs) < 2 else crew_of(min(workers, len(jobs)))
+    pool = in_this_process if len(jobs) < 2 else worker_pool(min(workers, len(jobs)))
     left, plan = iter(jobs), (measures, seed, placement)
-    for job, took in crew(_start_maker, plan, lambda: next(left, None), "finished vehicles"):
+    for job, took in pool(_start_maker, plan, lambda: next(left, None), "finished vehicles"):
         told(job, took)
 
 

@@ -14,7 +14,7 @@ from recast.actors import DEFAULT_GENERATOR, make_generator
 from recast.core import Artefact, files, open_store, value_hash
 from recast.core.errors import InputError, printable
 from recast.core.records import validation_error
-from recast.crews.crew import usable_cores
+from recast.core.workers import usable_cores
 from recast.pipeline.arms import Arm, default_arms, truth_of
 from recast.pipeline.artefacts import Artefacts
 from recast.pipeline.config import RunConfig

@@ -11,7 +11,7 @@ import numpy as np
 from recast.arrays import Array
 from recast.core.files import alone_in
 from recast.core.progress import Progress
-from recast.crews import crew_of
+from recast.core.ray_cluster import worker_pool
 from recast.geometry import PinholeCamera, se3
 from recast.recar.record import IdentityRecord, SetRecord
 from recast.recar.synthesis_plan import PlannedIdentity, SynthesisSettings, plan_identities
@@ -67,7 +67,7 @@ def synthesize_set(
     settings = settings or SynthesisSettings()
     out = Path(out)
     settings.validate()
-    crew_of(workers)  # refuses less than one
+    worker_pool(workers)  # refuses less than one
     plan = plan_identities(settings, vehicles, shapes, [Path(mesh) for mesh in meshes], mesh_axes)
     ids = [planned.id for planned in plan]
     record = settings.record(out.absolute().name, len(plan))
@@ -79,9 +79,9 @@ def synthesize_set(
     with alone_in(out):
         if progress is not None:
             progress(done * record.views, len(plan) * record.views)
-        crew = crew_of(min(workers, max(len(left), 1)))
+        pool = worker_pool(min(workers, max(len(left), 1)))
         arguments = out, record, settings
-        for _ in crew(_start, arguments, lambda: next(waiting, None), "finished identities"):
+        for _ in pool(_start, arguments, lambda: next(waiting, None), "finished identities"):
             done += 1
             if progress is not None:
                 progress(done * record.views, len(plan) * record.views)

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from recast.crews.crew import usable_cores
+from recast.core.workers import usable_cores
 from recast.logs.hdmap import HdMap
 from recast.reporting import summary, tables
 from recast.reporting.checks import checks, coverage_lines, glance

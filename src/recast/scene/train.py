@@ -15,7 +15,7 @@ import torch
 from recast.core.errors import InputError
 from recast.core.files import alone_in, read_json, write_json
 from recast.core.records import read_record
-from recast.crews.crew import usable_cores
+from recast.core.workers import usable_cores
 from recast.logs import DrivingLog
 from recast.scene.bodies import read_bodies
 from recast.scene.checkpoint import (

@@ -21,7 +21,7 @@ import numpy as np
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.crews.crew import end_with_parent, usable_cores
+from recast.core.workers import end_with_parent, usable_cores
 from recast.geometry import PinholeCamera
 from recast.synthetic.rendering import CameraFrame, RayScene, render_camera, require_embree
 from recast.synthetic.world import World

@@ -27,7 +27,7 @@ from recast import __version__, kernel
 from recast.cli.output import Rows
 from recast.core.errors import InputError
 from recast.core.parts import GENERATORS, IMPORTERS, PLANNERS, SEGMENTERS
-from recast.crews.crew import usable_cores
+from recast.core.workers import usable_cores
 from recast.weights import PUBLISHED, Weights, published, weights_folder
 from recast.weights.fetch import fetch, is_whole
 from recast.weights.record import is_fetched, read_weights_record, verify

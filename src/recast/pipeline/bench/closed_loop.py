@@ -20,7 +20,8 @@ from rich.markup import escape
 from recast.actors import make_generator, segmenter_of
 from recast.core import Store, files, open_store
 from recast.core.errors import InputError, printable
-from recast.crews import Crew, crew_of
+from recast.core.ray_cluster import worker_pool
+from recast.core.workers import WorkerPool
 from recast.evaluation.verdicts import write_rows
 from recast.logs import read_log
 from recast.pipeline.arms import truth_of
@@ -84,7 +85,7 @@ def run_closed_loop(
         InputError: bad settings, another grid in `out`, or another process at work there, before
             anything is written; or a worker was killed.
     """
-    crew = crew_of(workers, ray)
+    pool = worker_pool(workers, ray)
     place = str(out.absolute().parent / STORE_FOLDER if store is None else store)
     opened = open_store(place)
     planners = check_grid(settings)
@@ -99,7 +100,7 @@ def run_closed_loop(
             settings,
             out,
             console,
-            crew,
+            pool,
             names,
             opened,
             place if ray is None else None,
@@ -116,7 +117,7 @@ def _make(
     settings: BenchSettings,
     out: Path,
     console: Console,
-    crew: Crew,
+    pool: WorkerPool,
     names: Mapping[str, str],
     store: Store,
     place: str | None,
@@ -147,7 +148,7 @@ def _make(
             times.note(task, outcome.times, time.perf_counter() - began)
 
     with FrameProgress(console, schedule.total, "scenes and rollouts") as bar:
-        work_off(crew, start_worker, arguments, schedule, courier, done)
+        work_off(pool, start_worker, arguments, schedule, courier, done)
     spent = times.write(time.perf_counter() - began, settings, desk.seconds())
     results = summarise(schedule.rows(), settings)
     write_rows(results.rows, out / ROLLOUTS_FILE, truth_of(settings.run.arms))

@@ -10,9 +10,9 @@ from typing import Any, Protocol
 
 from recast.core import Artefact, Store, open_store
 from recast.core.depot import Fetch, ParcelDepot, pack
+from recast.core.ray_cluster import fetch_parcel, node_folder, send_parcel
 from recast.core.store import NotInStoreError
-from recast.crews import Crew
-from recast.crews.ray_cluster import fetch_parcel, node_folder, send_parcel
+from recast.core.workers import WorkerPool
 from recast.pipeline.bench.scene_run import (
     Outcome,
     RolloutTask,
@@ -38,7 +38,7 @@ def start_worker(
     retry_failures: bool,
     fetch: Fetch | None,
 ) -> Callable[[Task], Outcome]:
-    """A worker of a crew; `number` makes no difference.
+    """A worker of a pool; `number` makes no difference.
 
     Args:
         place: the store that all workers share; None for one of each machine of a cluster.
@@ -196,17 +196,17 @@ class TaskList(Protocol):
 
 
 def work_off(
-    crew: Crew,
+    pool: WorkerPool,
     start: Any,
     arguments: tuple[Any, ...],
     tasks: TaskList,
     courier: Courier | None,
     done: Callable[[Task, Outcome], None],
 ) -> None:
-    """Have a crew do all tasks.
+    """Have a pool do all tasks.
 
     Args:
-        start, arguments: of the crew's workers.
+        start, arguments: of the pool's workers.
         courier: where workers share no folder with this process.
         done: told what came of each task, which may make others ready.
     """
@@ -219,7 +219,7 @@ def work_off(
             done(task, found)
         return task
 
-    for task, outcome in crew(start, arguments, take, _FINISHED):
+    for task, outcome in pool(start, arguments, take, _FINISHED):
         if courier is not None:
             courier.unload(outcome)
         done(task, outcome)

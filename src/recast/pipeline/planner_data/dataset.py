@@ -14,8 +14,8 @@ from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.core.files import alone_in, write_json
 from recast.core.progress import Progress
+from recast.core.ray_cluster import worker_pool
 from recast.core.records import read_record
-from recast.crews import crew_of
 from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.pipeline.planner_data.situation import Situation, draw_situation
@@ -89,9 +89,9 @@ def make_dataset(
 
     report()
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the processes, whose numpy loads later
-    crew = crew_of(min(workers, len(left)) or 1)
+    pool = worker_pool(min(workers, len(left)) or 1)
     with alone_in(out):
-        for _ in crew(_start, (out, record), lambda: next(numbers, None), "finished worlds"):
+        for _ in pool(_start, (out, record), lambda: next(numbers, None), "finished worlds"):
             done += 1
             report()
     return worlds * record.per_world

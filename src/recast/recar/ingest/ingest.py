@@ -13,7 +13,7 @@ import cv2
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.progress import Progress
-from recast.crews import crew_of
+from recast.core.ray_cluster import worker_pool
 from recast.recar.ingest.duplicates import (
     REPORT_FILE,
     SeenPictures,
@@ -89,7 +89,7 @@ def ingest_photographs(
     """
     photos, out = Path(photos), Path(out)
     settings.validate()
-    crew_of(workers)  # refuses less than one
+    worker_pool(workers)  # refuses less than one
     work = _Ingest(photos, out, settings, on_bad)
     candidates = work.look(Path(table) if table is not None else None)
     total = len(candidates) + len(work.skipped)
@@ -266,8 +266,8 @@ def prepare_all(
     def take() -> tuple[int, Candidate] | None:
         return left.popleft() if left and left[0][0] < turn + 2 * workers else None
 
-    crew = crew_of(workers)
-    for (number, _), found in crew(_start, (settings, remover), take, "finished vehicles"):
+    pool = worker_pool(workers)
+    for (number, _), found in pool(_start, (settings, remover), take, "finished vehicles"):
         ended[number] = found
         while turn in ended:
             turn += 1

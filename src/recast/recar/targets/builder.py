@@ -16,7 +16,8 @@ from rich.text import Text
 from recast.core import files
 from recast.core.errors import InputError, printable
 from recast.core.progress import Progress
-from recast.crews import alone, crew_of
+from recast.core.ray_cluster import worker_pool
+from recast.core.workers import in_this_process
 from recast.recar.record import SPLITS
 from recast.recar.targets.cache import TargetCache
 from recast.recar.targets.maker import Job, absolute, filter_record, start_maker
@@ -52,7 +53,7 @@ def build_targets(
             threshold of the filter is taken over without making anything anew.
         settings: how.
         workers: processes on this machine, or actors of the cluster.
-        ray: address of a Ray cluster, see `recast.crews.on_ray`.
+        ray: address of a Ray cluster, see `recast.core.ray_cluster.on_ray`.
         identities: only these vehicles; all where not given.
         retry_failures: try again what failed before.
         progress: called as vehicles are done.
@@ -66,7 +67,7 @@ def build_targets(
     wanted = _wanted(vehicles, identities)
     views = nearest_views(vehicles.record)
     record = _cache_record(vehicles, views, model, settings)
-    crew = crew_of(workers, ray, gpu=model.device != "cpu")
+    pool = worker_pool(workers, ray, gpu=model.device != "cpu")
     cache = _begin(out, record)
     finished = {
         one.id for one in cache.records.values() if not (retry_failures and one.failure is not None)
@@ -78,10 +79,10 @@ def build_targets(
         _write_record(cache, record)
         jobs = (_job(vehicles, name, views) for name in left)
         if ray is None and len(left) == 1:
-            crew = alone
+            pool = in_this_process
         plan = (model, settings) if ray is None else absolute(model, settings)
         with files.alone_in(out):
-            for _, outcome in crew(start_maker, plan, lambda: next(jobs, None), "finished targets"):
+            for _, outcome in pool(start_maker, plan, lambda: next(jobs, None), "finished targets"):
                 cache.write_target(outcome.record, outcome.target, outcome.preview)
                 done += 1
                 _tell(progress, done, len(wanted))

@@ -16,8 +16,8 @@ from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.core.files import alone_in, write_json
 from recast.core.progress import Progress
+from recast.core.ray_cluster import worker_pool
 from recast.core.records import Record, read_record
-from recast.crews import crew_of
 from recast.geometry import PinholeCamera, se3
 from recast.recar.synthesis import studio_sky
 from recast.recar.training.assets import TrainingAsset, write_asset
@@ -82,9 +82,9 @@ def make_assets(
     done, indices = count - len(left), iter(left)
     if progress is not None:
         progress(done, count)
-    crew = crew_of(min(workers, len(left)) or 1)
+    pool = worker_pool(min(workers, len(left)) or 1)
     with alone_in(out):
-        for _ in crew(_start, (out, record), lambda: next(indices, None), "finished assets"):
+        for _ in pool(_start, (out, record), lambda: next(indices, None), "finished assets"):
             done += 1
             if progress is not None:
                 progress(done, count)

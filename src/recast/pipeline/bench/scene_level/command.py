@@ -27,7 +27,7 @@ from recast.arrays import Image
 from recast.core import Store, files, open_store
 from recast.core.errors import printable
 from recast.core.names import folder_name
-from recast.crews import crew_of
+from recast.core.ray_cluster import worker_pool
 from recast.evaluation.scene_level.files import (
     cell,
     results_json,
@@ -86,7 +86,7 @@ def run_scene_level(
             killed.
     """
     settings.validate()
-    crew = crew_of(workers, ray)
+    pool = worker_pool(workers, ray)
     place = str(out.absolute().parent / STORE_FOLDER if store is None else store)
     opened = open_store(place)
     check_grid(settings.grid)
@@ -108,7 +108,7 @@ def run_scene_level(
 
     with files.alone_in(out):
         with FrameProgress(console, tasks.total, "scenes and arms") as bar:
-            work_off(crew, start_level_worker, arguments, tasks, courier, done)
+            work_off(pool, start_level_worker, arguments, tasks, courier, done)
         failures = {
             (scene if not what else f"{scene}, {what}"): reason
             for (scene, what), reason in sorted(tasks.failures.items())

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 
 from recast.core import Artefact, Store, open_store
 from recast.core.depot import Fetch
-from recast.crews.ray_cluster import node_folder
+from recast.core.ray_cluster import node_folder
 from recast.evaluation.scene_level.networks import Networks
 from recast.pipeline.bench.scene_level.scene import FEATURES, REFERENCES, REPLAY, LevelScene
 from recast.pipeline.bench.scene_level.settings import LevelSettings
@@ -117,7 +117,7 @@ class LevelWorker(BenchWorker):
 def start_level_worker(
     number: int, place: str | None, settings: LevelSettings, fetch: Fetch | None
 ) -> Callable[[Task], Outcome]:
-    """A worker of a crew; see `recast.pipeline.bench.worker.start_worker`."""
+    """A worker of a pool; see `recast.pipeline.bench.worker.start_worker`."""
     del number
     set_threads(1)
     return LevelWorker(open_store(node_folder() if place is None else place), settings, fetch)

@@ -1,4 +1,4 @@
-"""What a crew is: this process, or several of this machine, each with one thread."""
+"""Worker pools: this process, or several of this machine, each with one thread."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _start: Callable[[], Callable[[Any], Any]]
 _work: Callable[[Any], Any] | None = None
 
 
-class Crew(Protocol):
+class WorkerPool(Protocol):
     """Does jobs; what comes of each may not depend on which worker did it or what it did before."""
 
     def __call__(
@@ -57,7 +57,7 @@ class Crew(Protocol):
         """
 
 
-def alone(
+def in_this_process(
     start: Start[Job, Outcome],
     arguments: tuple[Any, ...],
     take: Callable[[], Job | None],
@@ -73,10 +73,10 @@ def alone(
             yield job, work(job)
 
 
-def in_processes(workers: int) -> Crew:
-    """A crew of this many processes."""
+def in_processes(workers: int) -> WorkerPool:
+    """A pool of this many processes."""
 
-    def crew(
+    def pool(
         start: Start[Job, Outcome],
         arguments: tuple[Any, ...],
         take: Callable[[], Job | None],
@@ -89,19 +89,19 @@ def in_processes(workers: int) -> Crew:
         for number in range(workers):
             numbers.put(number)
         initial = (start, arguments, numbers, diagnostics.current())
-        with ProcessPoolExecutor(workers, context, _set_up, initial) as pool:
+        with ProcessPoolExecutor(workers, context, _set_up, initial) as executor:
             pending: dict[Future[Outcome], Job] = {}
-            with worker_faults(pool, finished):
+            with _cancelling(executor, finished):
                 while True:
                     while len(pending) < _WAITING * workers and (job := take()) is not None:
-                        pending[pool.submit(_do, job)] = job
+                        pending[executor.submit(_do, job)] = job
                     if not pending:
                         return
                     done, _ = wait(pending, return_when=FIRST_COMPLETED)
                     for future in done:
                         yield pending.pop(future), future.result()
 
-    return crew
+    return pool
 
 
 def _set_up(
@@ -138,11 +138,11 @@ def end_with_parent() -> None:
 
 
 @contextmanager
-def worker_faults(pool: ProcessPoolExecutor, finished: str) -> Iterator[None]:
-    """While jobs of a pool are waited for: cancel what is left when anything goes wrong.
+def _cancelling(executor: ProcessPoolExecutor, finished: str) -> Iterator[None]:
+    """While jobs of an executor are waited for: cancel what is left when anything goes wrong.
 
     Args:
-        pool: of the jobs.
+        executor: of the jobs.
         finished: what stays of an earlier try, such as "finished vehicles".
 
     Raises:
@@ -158,7 +158,7 @@ def worker_faults(pool: ProcessPoolExecutor, finished: str) -> Iterator[None]:
             f"run again with fewer; {finished} stay",
         ) from None
     except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
+        executor.shutdown(wait=False, cancel_futures=True)
         raise
 
 
@@ -177,7 +177,7 @@ def one_thread() -> Iterator[None]:
 
 def usable_cores() -> int:
     """Cores that this process may run on: fewer than the machine has if it was given a share."""
-    if hasattr(os, "sched_getaffinity"):  # Linux alone
+    if hasattr(os, "sched_getaffinity"):  # only on Linux
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 

@@ -1,4 +1,4 @@
-"""Workers on a Ray cluster, and the crew that options name."""
+"""Workers on a Ray cluster, and the pool that options name."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any
 from recast.core import diagnostics
 from recast.core.diagnostics import Diagnostics
 from recast.core.errors import InputError
-from recast.crews.crew import Crew, Job, Outcome, Start, alone, in_processes
+from recast.core.workers import Job, Outcome, Start, WorkerPool, in_processes, in_this_process
 
 
-def on_ray(address: str, workers: int, gpu: bool = False) -> Crew:
-    """A crew of this many actors of a Ray cluster.
+def on_ray(address: str, workers: int, gpu: bool = False) -> WorkerPool:
+    """A pool of this many actors of a Ray cluster.
 
     Jobs travel there and outcomes come back; the machines share no folder that jobs do not name.
     An actor asks for one core, and for one GPU where it is to have one and the cluster has any. A
@@ -27,7 +27,7 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> Crew:
         gpu: see above.
 
     Raises:
-        InputError: Ray is not installed; when the crew begins, that there is no cluster.
+        InputError: Ray is not installed; when the pool begins, that there is no cluster.
     """
     try:
         ray: Any = import_module("ray")
@@ -39,7 +39,7 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> Crew:
             "pip install 'recast-sim[distributed]'",
         ) from None
 
-    def crew(
+    def pool(
         start: Start[Job, Outcome],
         arguments: tuple[Any, ...],
         take: Callable[[], Job | None],
@@ -76,7 +76,7 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> Crew:
             if ours:
                 ray.shutdown()
 
-    return crew
+    return pool
 
 
 def send_parcel(parcel: bytes) -> object:
@@ -144,8 +144,8 @@ def _outcomes(
         yield job, ray.get(done[0])
 
 
-def crew_of(workers: int, ray: str | None = None, gpu: bool = False) -> Crew:
-    """The crew that the options --workers and --ray name.
+def worker_pool(workers: int, ray: str | None = None, gpu: bool = False) -> WorkerPool:
+    """The pool that the options --workers and --ray name.
 
     Args:
         workers: processes, or actors of the cluster.
@@ -159,4 +159,4 @@ def crew_of(workers: int, ray: str | None = None, gpu: bool = False) -> Crew:
         raise InputError("--workers", "value", f"is {workers}", "give 1 or more")
     if ray is not None:
         return on_ray(ray, workers, gpu)
-    return alone if workers == 1 else in_processes(workers)
+    return in_this_process if workers == 1 else in_processes(workers)

@@ -1,4 +1,4 @@
-"""Crews: outcomes bring new jobs, and any crew does the same."""
+"""Worker pools: outcomes bring new jobs, and any pool does the same."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ import pytest
 from recast.core import diagnostics
 from recast.core.diagnostics import Diagnostics
 from recast.core.errors import InputError
-from recast.crews import Crew, alone, crew_of, in_processes
-from recast.crews.crew import usable_cores
+from recast.core.ray_cluster import worker_pool
+from recast.core.workers import WorkerPool, in_processes, in_this_process, usable_cores
 
 
 def start(number: int, factor: int) -> Callable[[int], int]:
@@ -25,10 +25,10 @@ def start(number: int, factor: int) -> Callable[[int], int]:
     return lambda job: job * factor
 
 
-def done_by(crew: Crew, factor: int = 10) -> list[tuple[int, int]]:
+def done_by(pool: WorkerPool, factor: int = 10) -> list[tuple[int, int]]:
     """Jobs 0 to 3; the outcome of job 2 brings jobs 100 and 101."""
     left, found = deque(range(4)), []
-    for job, outcome in crew(
+    for job, outcome in pool(
         start, (factor,), lambda: left.popleft() if left else None, "finished jobs"
     ):
         found.append((job, outcome))
@@ -41,29 +41,29 @@ EXPECTED = [(0, 0), (1, 10), (2, 20), (3, 30), (100, 1000), (101, 1010)]
 
 
 def test_outcomes_bring_new_jobs() -> None:
-    assert done_by(alone) == EXPECTED
+    assert done_by(in_this_process) == EXPECTED
 
 
 def test_ray_does_the_same() -> None:
     ray: Any = pytest.importorskip("ray")
     workers = min(2, usable_cores())  # each waits for a core of its own
-    assert done_by(crew_of(workers, ray="local", gpu=True)) == EXPECTED
+    assert done_by(worker_pool(workers, ray="local", gpu=True)) == EXPECTED
     with pytest.raises(InputError, match="factor"):
-        done_by(crew_of(workers, ray="local"), factor=0)
+        done_by(worker_pool(workers, ray="local"), factor=0)
     assert not ray.is_initialized()
 
 
 def test_a_fault_of_the_start_reaches_the_caller() -> None:
     with pytest.raises(InputError, match="factor"):
-        done_by(alone, factor=0)
+        done_by(in_this_process, factor=0)
 
 
 def test_no_worker_and_no_ray_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="workers"):
-        crew_of(0)
+        worker_pool(0)
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(InputError, match="not installed"):
-        crew_of(2, ray="auto")
+        worker_pool(2, ray="auto")
 
 
 def telling(number: int) -> Callable[[int], int]:
@@ -79,8 +79,8 @@ def test_workers_write_to_the_same_records(tmp_path: Path) -> None:
     diagnostics.begin(Diagnostics(file=file))
     try:
         jobs = deque(range(3))
-        crew = in_processes(1)
-        done = list(crew(telling, (), lambda: jobs.popleft() if jobs else None, "jobs"))
+        pool = in_processes(1)
+        done = list(pool(telling, (), lambda: jobs.popleft() if jobs else None, "jobs"))
     finally:
         diagnostics.begin(Diagnostics())
     lines = file.read_text().splitlines()
