@@ -8,7 +8,7 @@ import pytest
 from actors import made_up
 from recast.actors import Asset, BoxLidarSegmenter, Observation
 from recast.actors.axes import VEHICLE
-from recast.actors.candidates import AutoGenerator, choose, judge
+from recast.actors.candidates import AutoGenerator, candidate_score, choose
 from recast.actors.evidence import Evidence
 from recast.actors.gather_evidence import gather_evidence
 from recast.actors.generate import candidates_of
@@ -83,7 +83,7 @@ def test_what_is_not_known_does_not_count(
     from recast.actors.carve import FreeSpace
 
     blind = Evidence("7", "car", made_up.SIZE, (), nothing, FreeSpace(nothing))
-    score = judge(actor, blind)
+    score = candidate_score(actor, blind)
     assert (score.outline, score.colour, score.lidar) == (None, None, None)
     assert score.total == 0 and score.fits
 

@@ -9,7 +9,7 @@ import torch
 
 from recast.logs import Track, Trajectory
 from recast.scene import SceneConfig, resolve_config
-from recast.scene.population import RESET_OPACITY, change_population, reset_opacities
+from recast.scene.density_control import RESET_OPACITY, control_density, reset_opacities
 from recast.scene.schedule import DensitySchedule
 from recast.scene.trainable import TrainableScene, rows
 
@@ -84,11 +84,11 @@ def test_actors_have_a_threshold_of_their_own(model: TrainableScene) -> None:
     config = SceneConfig(
         densify_gradient=6e-4, actor_densify_gradient=2e-4, densify_growth=10.0, prune_opacity=0.0
     )
-    change_population(model, tracks(), config, torch.Generator())
+    control_density(model, tracks(), config, torch.Generator())
     assert (len(model.background), len(model.local)) == (40, 24)
     model.background_statistics.total[:] = 7e-4
     model.background_statistics.views[:] = 1
-    change_population(model, tracks(), config, torch.Generator())
+    control_density(model, tracks(), config, torch.Generator())
     assert (len(model.background), len(model.local)) == (80, 24)
 
 
@@ -138,7 +138,7 @@ def test_large_rows_go_once_there_was_a_reset(model: TrainableScene) -> None:
         model.local.log_scales[:3, 0] = math.log(0.5)
     config = SceneConfig(prune_above_m=1.9, actor_prune_above_m=0.45, prune_opacity=0.0)
     for oversize, background, local in ((False, 40, 12), (True, 35, 9)):
-        change_population(model, tracks(), config, torch.Generator(), oversize)
+        control_density(model, tracks(), config, torch.Generator(), oversize)
         assert (len(model.background), len(model.local)) == (background, local)
 
 
@@ -149,7 +149,7 @@ def test_colours_over_time_follow_their_rows(model: TrainableScene) -> None:
     model.local_statistics.total[:] = 9.0
     model.local_statistics.views[:] = 1.0
     config = SceneConfig(densify_growth=10.0, actor_split_above_m=10.0, prune_opacity=0.0)
-    change_population(model, tracks(), config, torch.Generator())
+    control_density(model, tracks(), config, torch.Generator())
     assert len(model.local) == 24 == len(model.waves)
     assert torch.equal(model.waves[:, 0, 0].detach(), model.local.means[:, 0].detach())
     moments = model.local_adam.state_dict()["first.waves"]

@@ -11,9 +11,9 @@ import pytest
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, ego_path, even_ground
 from recast.scene import SceneRasterizer, TrainingStatus, TrainResult, train_scene
+from recast.scene.density_control import REACH_M, GroundSheet
 from recast.scene.dynamic import choose_actors
 from recast.scene.points import read_sweeps
-from recast.scene.population import REACH_M, GroundSheet
 from recast.scene.tensor_file import read_tensors, write_tensors
 from recast.scene.train import WORK_FOLDER
 from recast.scene.views import read_views

@@ -84,7 +84,7 @@ def choose(
     evidence: Evidence,
     progress: Progress | None = None,
 ) -> Choice:
-    """Register and judge every candidate, and take the best.
+    """Register and score every candidate, and take the best.
 
     Args:
         makers: what makes each candidate.
@@ -110,7 +110,7 @@ def choose(
             failure = error
             rows.append(CandidateRecord(generator="", seed=0, label=f"none: {error}"))
             continue
-        score = judge(actor, evidence)
+        score = candidate_score(actor, evidence)
         rows.append(
             CandidateRecord(
                 generator=asset.generator, seed=asset.seed, label=_label(asset), score=score
@@ -135,7 +135,7 @@ def _label(asset: Asset) -> str:
     return f"seed {asset.seed}" if style is None else str(style)
 
 
-def judge(actor: Actor, evidence: Evidence) -> CandidateScore:
+def candidate_score(actor: Actor, evidence: Evidence) -> CandidateScore:
     """How well a registered vehicle explains what the log knows."""
     views = _chosen(evidence.sightings)
     overlap, colour = _pictures(actor, views)

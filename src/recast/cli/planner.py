@@ -79,7 +79,7 @@ class Show:
 
     def __call__(self) -> None:
         """Run the command."""
-        from recast.planning.gtrs_training.judge import truth_sheet
+        from recast.planning.gtrs_training.evaluate import truth_sheet
         from recast.planning.gtrs_training.samples import SampleStore
 
         truth_sheet(SampleStore(self.dataset), self.first, self.count).write(self.out)

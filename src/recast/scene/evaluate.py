@@ -90,13 +90,13 @@ def evaluate_scene(
         if progress is not None:
             progress(done, total)
 
-    judge = ViewJudge(scene, log, lpips)
+    scorer = ViewScorer(scene, log, lpips)
     scores = {}
     # In order of time: all cameras of a moment share its sweeps.
     for name, frame in sorted(chosen, key=lambda image: _time(log, image)):
         view = read_view(log, log.cameras[name], frame, config.scale, held_out=True)
-        rendered = draw_view(judge.rasterizer, scene, view)
-        scores[name, frame] = judge.held_out(view, rendered)
+        rendered = draw_view(scorer.rasterizer, scene, view)
+        scores[name, frame] = scorer.held_out(view, rendered)
         if folder is not None:
             write_comparison(folder / picture_name(name, frame), view, rendered.rgb)
         tell()
@@ -106,7 +106,7 @@ def evaluate_scene(
         frames, pictures = [], []
         for shifted in views:
             shown = folder is not None and shifted.timestamp_us in pictured
-            score = judge.shifted(shifted, next(seen, None), folder if shown else None)
+            score = scorer.shifted(shifted, next(seen, None), folder if shown else None)
             frames += [score] if score is not None else []
             pictures += [shifted.picture] if shown else []
             tell()
@@ -155,7 +155,7 @@ def _pictured(log: DrivingLog, chosen: Sequence[tuple[str, int]]) -> set[int]:
     return times
 
 
-class ViewJudge:
+class ViewScorer:
     """Draws and scores views of one scene.
 
     Args:

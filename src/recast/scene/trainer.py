@@ -14,6 +14,7 @@ from recast.logs import DrivingLog, Track
 from recast.scene.appearance import frozen, share_of, symmetric_tracks
 from recast.scene.bodies import Body
 from recast.scene.config import SceneConfig
+from recast.scene.density_control import SETTLE_EVERY, GroundSheet, control_density, reset_opacities
 from recast.scene.dynamic import box_rectangle
 from recast.scene.initialise import Initialisation
 from recast.scene.levels import Level, make_levels
@@ -24,7 +25,6 @@ from recast.scene.objective import (
     sharp_shape,
     view_loss,
 )
-from recast.scene.population import SETTLE_EVERY, GroundSheet, change_population, reset_opacities
 from recast.scene.poses import AdamTable, CameraPoses, TrackPoses
 from recast.scene.schedule import (
     FLIPS,
@@ -131,7 +131,7 @@ class Trainer:
             oversize = self._density.prunes_oversize(self.iteration)
             chance = generator(config.seed, self.iteration)
             bodies = self._bodies.keys()
-            if change_population(self.model, self._tracks, config, chance, oversize, bodies):
+            if control_density(self.model, self._tracks, config, chance, oversize, bodies):
                 self.limited_changes += 1
                 self.limited_from = self.limited_from or self.iteration
         if self._density.resets(self.iteration):

@@ -9,7 +9,7 @@ from recast.dynamics import PACIFICA, make_state, plan_to_poses, track
 from recast.dynamics import state as ego
 from recast.geometry import boxes
 from recast.geometry.boxes import bev_touching
-from recast.planning.gtrs_training.judge import true_scores
+from recast.planning.gtrs_training.evaluate import true_scores
 from recast.planning.gtrs_training.targets import FORESEEN, Obstacle, collisions, score_vocabulary
 from recast.planning.gtrs_training.vocabulary import mirror_index
 from recast.planning.pdm import Forecast, Kind

@@ -9,7 +9,7 @@ from recast.core.errors import InputError
 from recast.core.files import write_json
 from recast.planning import make_planner
 from recast.planning.gtrs import BackboneConfig, GtrsConfig, StageConfig
-from recast.planning.gtrs_training.judge import truth_sheet
+from recast.planning.gtrs_training.evaluate import truth_sheet
 from recast.planning.gtrs_training.samples import SampleStore
 from recast.planning.gtrs_training.settings import (
     HALF_VIEWS,

@@ -25,7 +25,6 @@ from recast.core.workers import WorkerPool
 from recast.evaluation.verdicts import write_rows
 from recast.logs import read_log
 from recast.pipeline.arms import truth_of
-from recast.pipeline.bench.desk import SceneDesk, Schedule, Times
 from recast.pipeline.bench.results import (
     GridResults,
     differences_table,
@@ -36,6 +35,7 @@ from recast.pipeline.bench.results import (
     truth_table,
 )
 from recast.pipeline.bench.scene_run import Outcome, RolloutTask, Task
+from recast.pipeline.bench.schedule import SceneDesk, Schedule, Times
 from recast.pipeline.bench.settings import RESULTS_FILE, ROLLOUTS_FILE, BenchSettings, begin
 from recast.pipeline.bench.worker import BenchWorker, Courier, start_worker, work_off
 from recast.pipeline.display import FrameProgress, failure_lines

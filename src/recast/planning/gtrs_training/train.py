@@ -17,7 +17,12 @@ from recast.core.files import write_json
 from recast.core.records import Record, read_record
 from recast.planning.gtrs import GtrsModel, GtrsPlanner, load_gtrs, save_gtrs
 from recast.planning.gtrs.folder import CONFIG_FILE, WEIGHTS_FILE
-from recast.planning.gtrs_training.judge import FIRST_SPEED, Judgement, decision_sheet, judge
+from recast.planning.gtrs_training.evaluate import (
+    FIRST_SPEED,
+    SampleScores,
+    decision_sheet,
+    evaluate,
+)
 from recast.planning.gtrs_training.samples import RECORD_FILE, VOCABULARY_FILE, SampleStore
 from recast.planning.gtrs_training.settings import (
     MINI_VIEWS,
@@ -78,7 +83,7 @@ def train_planner(
     config: PlannerTrainingConfig,
     console: Console,
     start: Path | None = None,
-) -> Judgement:
+) -> SampleScores:
     """Train in `out`, from its checkpoint where there is one, and judge the averaged weights.
 
     `out` gets `log.jsonl`, the checkpoint, sheets of held-out decisions and
@@ -110,11 +115,11 @@ def train_planner(
             trainer,
             out,
             after_step=after_step,
-            probe=lambda: judge(task, shown, config.scoring).means(),
+            probe=lambda: evaluate(task, shown, config.scoring).means(),
             watch=lambda step, values: display.means(step, values, trainer.rate(step - 1)),
         )
     _take_averages(state, task, trainer.seed)
-    reached = judge(task, setting.held_out, config.scoring)
+    reached = evaluate(task, setting.held_out, config.scoring)
     last = decision_sheet(task, _spread(shown, _SHEET_ROWS), config.scoring)
     last.write(out / "sheets" / "final.png")
     means = {k: v if np.isfinite(v) else None for k, v in reached.means().items()}

@@ -27,7 +27,7 @@ THICKNESS_M = 0.015
 """Most standard deviation across the sheet."""
 
 
-def change_population(
+def control_density(
     model: TrainableScene,
     tracks: Mapping[str, Track],
     config: SceneConfig,

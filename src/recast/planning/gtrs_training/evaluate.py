@@ -29,7 +29,7 @@ _BEST, _CHOSEN, _VEHICLE, _EGO = (60, 170, 60), (220, 60, 40), (40, 80, 220), (1
 
 
 @dataclass(frozen=True)
-class Judgement:
+class SampleScores:
     """Means over held-out samples; shares and scores in [0, 1].
 
     Attributes:
@@ -79,7 +79,7 @@ def true_scores(scores: NDArray[np.uint8]) -> Float32Array:
 
 
 @torch.no_grad()
-def judge(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWeights) -> Judgement:
+def evaluate(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWeights) -> SampleScores:
     """Judge the model of a task, in its present mode of training, on unaltered samples.
 
     The model is put into evaluation mode meanwhile.
@@ -107,7 +107,7 @@ def judge(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWeights) -> 
     safe = scores[:, 0] > 127
     in_sight = store.clues[indices, 0] > 0
     length = store.vocabulary[:, -1, 0]
-    return Judgement(
+    return SampleScores(
         samples=len(indices),
         loss=loss,
         gap=shuffled - loss,
