@@ -265,8 +265,8 @@ def test_scene_eval(
 def test_vehicles_and_planners(capsys: Capture) -> None:
     from recast.actors.actor import CandidateRecord, CandidateScore
     from recast.cli.rows import vehicles
-    from recast.evaluation.bootstrap import Bootstrap
     from recast.evaluation.generation_summary import StudyBlock, StudyDifference, StudyRow
+    from recast.evaluation.pairs import Bootstrap
     from recast.pipeline.evaluate_actor import ActorEvaluation
     from recast.pipeline.evaluate_tracks import TrackResult
     from recast.pipeline.planner_data.probe import ProbeRow

@@ -20,7 +20,7 @@ from recast.planning.map_from_log import planner_map, route_blocks
 from recast.planning.pdm.closed import PdmClosedPlanner
 from recast.planning.route import ReferenceRoute
 from recast.simulation import RolloutSetup, run_rollout
-from recast.simulation.situation import StartSituation
+from recast.simulation.actor_motion import StartSituation
 
 SENSORS = "7fab2350-7eaf-3b7e-a39d-6937a4c1bede"
 NO_SENSORS = "3bffdcff-c3a7-38b6-a0f2-64196d130958"

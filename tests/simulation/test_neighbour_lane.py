@@ -10,7 +10,7 @@ from recast.geometry import se2
 from recast.logs.hdmap import HdMap, Lane
 from recast.logs.types import DrivingLog, Track, Trajectory
 from recast.planning import ReferenceRoute
-from recast.simulation.situation import neighbour_lateral
+from recast.simulation.actor_motion import neighbour_lateral
 
 
 def log_with(*offsets: float, speed: float = 8.0, heading: float = 0.0) -> DrivingLog:

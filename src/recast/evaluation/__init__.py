@@ -1,6 +1,5 @@
 """Closed-loop metrics of rollouts, and actors against the truth where there is one."""
 
-from recast.evaluation.bootstrap import Bootstrap, cluster_bootstrap, exact_bootstrap
 from recast.evaluation.oracle_poses import ViewSettings, logged_views
 from recast.evaluation.oracle_scores import (
     Agreement,
@@ -10,7 +9,14 @@ from recast.evaluation.oracle_scores import (
     read_oracle_views,
 )
 from recast.evaluation.oracle_views import TrueWorld, evaluate_oracle_views
-from recast.evaluation.pairs import PairedMetric, Pairs, matched_pairs
+from recast.evaluation.pairs import (
+    Bootstrap,
+    PairedMetric,
+    Pairs,
+    cluster_bootstrap,
+    exact_bootstrap,
+    matched_pairs,
+)
 from recast.evaluation.rollout_metrics import RolloutMetrics, rollout_metrics
 from recast.evaluation.table import COLUMNS, Column, Metric, TableRow, table
 

@@ -12,13 +12,13 @@ from typing import Any
 
 from rich.table import Table
 
-from recast.evaluation.bootstrap import Bootstrap
 from recast.evaluation.generation_summary import (
     STUDY_COLUMNS,
     StudyBlock,
     StudyDifference,
     StudyRow,
 )
+from recast.evaluation.pairs import Bootstrap
 from recast.evaluation.table import rounded
 
 PAPER_COLUMNS = ("psnr", "ssim", "lpips", "clip", "fd_inception", "fd_dino")

@@ -9,10 +9,10 @@ from itertools import pairwise
 import numpy as np
 
 from recast.evaluation.actor_scores import ACTOR_COLUMNS, ActorColumn, mean_scores
-from recast.evaluation.bootstrap import SAMPLES, Bootstrap, cluster_bootstrap
 from recast.evaluation.features import FEATURE_KINDS
 from recast.evaluation.frechet import frechet_distance
 from recast.evaluation.generation_cell import Cell
+from recast.evaluation.pairs import SAMPLES, Bootstrap, cluster_bootstrap
 
 STUDY_COLUMNS: Mapping[str, ActorColumn] = {
     **ACTOR_COLUMNS,

@@ -9,8 +9,13 @@ from typing import Any
 import numpy as np
 
 from recast.arrays import Array
-from recast.evaluation.bootstrap import MOST_EXACT, Bootstrap, cluster_bootstrap, exact_bootstrap
-from recast.evaluation.pairs import matched_pairs
+from recast.evaluation.pairs import (
+    MOST_EXACT,
+    Bootstrap,
+    cluster_bootstrap,
+    exact_bootstrap,
+    matched_pairs,
+)
 from recast.evaluation.table import COLUMNS, Metric, TableRow, invalid, table
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from recast.actors.coverage import Coverage
 from recast.arrays import Array, Image, Mask
 from recast.core.records import Record, read_record
-from recast.evaluation.bootstrap import Bootstrap, cluster_bootstrap
+from recast.evaluation.pairs import Bootstrap, cluster_bootstrap
 from recast.geometry import PinholeCamera, boxes
 from recast.scene import SceneActor, psnr
 from recast.scene.scores import ssim_map

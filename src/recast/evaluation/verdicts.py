@@ -15,9 +15,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from recast.core import files
-from recast.evaluation.bootstrap import Bootstrap, cluster_bootstrap
 from recast.evaluation.grid import GridRow
-from recast.evaluation.pairs import over_common_steps
+from recast.evaluation.pairs import Bootstrap, cluster_bootstrap, over_common_steps
 from recast.evaluation.table import COLUMNS
 
 SCHEMA = pa.schema(

@@ -21,7 +21,6 @@ from PIL import Image as PilImage
 from recast.core.artefact import file_hash, folder_hash, value_hash
 from recast.core.files import atomic_folder, write_json
 from recast.core.names import folder_name
-from recast.evaluation.bootstrap import SAMPLES
 from recast.evaluation.cases import (
     ActorCase,
     ActorView,
@@ -31,6 +30,7 @@ from recast.evaluation.cases import (
     target_case,
 )
 from recast.evaluation.generation_cell import Placement
+from recast.evaluation.pairs import SAMPLES
 from recast.evaluation.table import rounded
 from recast.pipeline.generation_maker import CellJob, Measures, perturbed_input
 from recast.pipeline.generation_rows import (

@@ -4,7 +4,13 @@ The renderer over a reconstructed scene is in `recast.simulation.scene_renderer`
 works without torch.
 """
 
-from recast.simulation.actor_motion import ActorMotion, AnyMotion, MotionInput, ScriptMotion
+from recast.simulation.actor_motion import (
+    ActorMotion,
+    AnyMotion,
+    MotionInput,
+    ScriptMotion,
+    StartSituation,
+)
 from recast.simulation.actors import PreparedActor, PreparedRollout, prepare
 from recast.simulation.idm_motion import Idm
 from recast.simulation.motions import Advancing, CutIn, LogReplay, Oncoming, Stationary
@@ -42,7 +48,6 @@ from recast.simulation.scenario_file import motion_of_record, read_scenario, sce
 from recast.simulation.scenario_names import MOTIONS, motion, parse_motions, scenario_name
 from recast.simulation.setup import RolloutSettings, RolloutSetup
 from recast.simulation.simulator import Observation, Simulator, Timings
-from recast.simulation.situation import StartSituation
 from recast.simulation.state import ControlledActor, RolloutOrigin, SimActor, SimState
 
 __all__ = [

@@ -1,13 +1,164 @@
-"""The seam between the simulator and what controlled actors do."""
+"""The seam between the simulator and what controlled actors do, and what they start from."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol, TypeGuard
 
+import numpy as np
+
 from recast.arrays import Array
-from recast.planning import ActorState
-from recast.simulation.situation import StartSituation
+from recast.core.errors import InputError
+from recast.geometry import Polyline, se2
+from recast.logs.hdmap import HdMap
+from recast.logs.types import DrivingLog, Track, Trajectory
+from recast.planning import ActorState, ReferenceRoute, route_lanes
+
+DEFAULT_LANE_OFFSET = 3.5
+"""Metres to the neighbouring lane where the map knows none."""
+_STRAIGHT = 1000.0
+"""Metres of the made-up path of a vehicle that the log saw standing."""
+_LANE_OFFSETS = (2.5, 4.5)
+"""Metres beside the route at which a vehicle drives in the next lane."""
+_SAME_DIRECTION = np.deg2rad(15)
+_MOVING = 2.0
+_MIN_POSES = 10
+
+
+@dataclass(frozen=True)
+class StartSituation:
+    """Where everything is when a rollout starts, as seen by one controlled actor.
+
+    Attributes:
+        route: the ego's reference route.
+        ego_s: route coordinate of the ego's box centre, metres.
+        ego_speed: m/s.
+        ego_length: metres.
+        actor_size: (3,) length, width, height of the actor's box, metres.
+        neighbour_lateral: offset in metres, left positive, of the neighbouring lane of the same
+            direction; None where there is none.
+        track_id: of the actor.
+        trajectory: `world_from_object` of the actor as the log has it; None if there is none.
+        start_timestamp_us: log time of the start.
+        seed: of the rollout, for motions that draw random numbers.
+    """
+
+    route: ReferenceRoute
+    ego_s: float
+    ego_speed: float
+    ego_length: float
+    actor_size: Array
+    neighbour_lateral: float | None = None
+    track_id: str = ""
+    trajectory: Trajectory | None = None
+    start_timestamp_us: int = 0
+    seed: int = 0
+
+    @property
+    def reference_speed(self) -> float:
+        """v_r: the ego's speed within [4, 12] m/s, which scales the moving motions."""
+        return float(np.clip(self.ego_speed, 4.0, 12.0))
+
+    @property
+    def beside(self) -> float:
+        """Lateral offset of a car in the next lane: the neighbour's, or 3.5 m to the left."""
+        return DEFAULT_LANE_OFFSET if self.neighbour_lateral is None else self.neighbour_lateral
+
+    def ahead(self, gap: float) -> float:
+        """Route coordinate of the actor's centre, `gap` metres from the ego's front bumper."""
+        return self.ego_s + gap + (self.ego_length + float(self.actor_size[0])) / 2
+
+    def labelled(self) -> Trajectory:
+        """The actor's logged trajectory, which covers the start.
+
+        Raises:
+            InputError: the log does not have the actor at the start.
+        """
+        track = self.trajectory
+        if track is None or not track.covers(self.start_timestamp_us):
+            problem = "has no logged trajectory"
+            if track is not None:
+                after = [(t - self.start_timestamp_us) * 1e-6 for t in track.timestamps_us[[0, -1]]]
+                problem = (
+                    "is not labelled at the start: its labels go from "
+                    f"{after[0]:.1f} to {after[1]:.1f} s after it"
+                )
+            mend = "choose another start, track or motion"
+            raise InputError("rollout", f"track {self.track_id}", problem, mend)
+        return track
+
+    @cached_property
+    def own_path(self) -> ReferenceRoute:
+        """The path that the log saw the actor drive, for its box centre; straight ahead of the pose
+        at the start if it moved less than 4 m.
+
+        Raises:
+            InputError: see `labelled`.
+        """
+        track = self.labelled()
+        try:
+            return ReferenceRoute.from_trajectory(track)
+        except InputError:
+            pose = se2.from_se3(track.at(self.start_timestamp_us))
+            end = se2.compose(pose, [_STRAIGHT, 0.0, 0.0])
+            line = Polyline(np.stack([pose[:2], end[:2]]))
+            return ReferenceRoute(line, np.full(2, pose[2]), np.zeros(2))
+
+
+def neighbour_lateral(
+    log: DrivingLog, hdmap: HdMap | None, route: ReferenceRoute, s: float
+) -> float | None:
+    """Offset in metres, left positive, of the next lane of the same direction.
+
+    By a surveyed map: the neighbour of the lane at route coordinate `s`, the left one first. Else
+    by the recorded traffic, which shows where lanes are better than a derived map does: the median
+    offset of vehicles that drove beside the route in its direction, on the side where more were
+    seen. Else by the derived map. None where nothing tells.
+    """
+    mapped = None if hdmap is None else _by_map(hdmap, route, s)
+    if hdmap is not None and not hdmap.derived and mapped is not None:
+        return mapped
+    driven = _by_traffic(log, route)
+    return mapped if driven is None else driven
+
+
+def _by_traffic(log: DrivingLog, route: ReferenceRoute) -> float | None:
+    offsets = np.concatenate(
+        [np.zeros(0), *(_driven_beside(track, route) for track in log.tracks.values())]
+    )
+    left, right = offsets[offsets > 0], offsets[offsets < 0]
+    side = left if len(left) >= len(right) else right
+    return float(np.median(side)) if len(side) >= _MIN_POSES else None
+
+
+def _by_map(hdmap: HdMap, route: ReferenceRoute, s: float) -> float | None:
+    for lane in route_lanes(hdmap, route):
+        along, _ = route.project(lane.centreline)
+        if not along.min() <= s <= along.max():
+            continue
+        for neighbour in (lane.left_neighbour, lane.right_neighbour):
+            if neighbour is None:
+                continue
+            beside, lateral = route.project(hdmap.lanes[neighbour].centreline)
+            if beside.min() <= s <= beside.max():  # a neighbour may begin further on
+                return float(lateral[np.argmin(np.abs(beside - s))])
+    return None
+
+
+def _driven_beside(track: Track, route: ReferenceRoute) -> Array:
+    """Offsets of a track's poses in the next lane, moving in the route's direction."""
+    times = track.trajectory.timestamps_us * 1e-6
+    if len(times) < 2:
+        return np.zeros(0)
+    poses = se2.from_se3(track.trajectory.poses)
+    s, lateral = route.project(poses)
+    speed = np.gradient(s, times)
+    turn = np.abs(se2.wrap_angle(poses[:, 2] - route.heading(s)))
+    near, far = _LANE_OFFSETS
+    beside = (np.abs(lateral) >= near) & (np.abs(lateral) <= far)
+    beside &= (speed >= _MOVING) & (turn <= _SAME_DIRECTION) & (s >= 0) & (s <= route.length)
+    return lateral[beside]
 
 
 @dataclass(frozen=True)

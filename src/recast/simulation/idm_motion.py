@@ -11,8 +11,7 @@ from recast.arrays import Array
 from recast.dynamics import IdmParameters, idm_acceleration
 from recast.geometry import boxes, se2
 from recast.planning import ActorState, ReferenceRoute
-from recast.simulation.actor_motion import MotionInput
-from recast.simulation.situation import StartSituation
+from recast.simulation.actor_motion import MotionInput, StartSituation
 
 DRIVER = IdmParameters(max_acceleration=1.5, max_deceleration=2.5, emergency_deceleration=8.0)
 """Accelerations of the driver; gap and headway are the motion's."""

@@ -16,8 +16,7 @@ from recast.arrays import Array
 from recast.dynamics import free_road_step
 from recast.geometry import se2
 from recast.logs.motion import logged_velocity
-from recast.simulation.actor_motion import Scripted
-from recast.simulation.situation import StartSituation
+from recast.simulation.actor_motion import Scripted, StartSituation
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,14 @@ from recast.dynamics import initial_state
 from recast.dynamics import state as ego
 from recast.logs.types import Track
 from recast.planning import ReferenceRoute
-from recast.simulation.actor_motion import ActorMotion, AnyMotion, follows_log, is_scripted
+from recast.simulation.actor_motion import (
+    ActorMotion,
+    AnyMotion,
+    StartSituation,
+    follows_log,
+    is_scripted,
+    neighbour_lateral,
+)
 from recast.simulation.recorded_road import (
     Ending,
     RecordedRoad,
@@ -22,7 +29,6 @@ from recast.simulation.recorded_road import (
     who,
 )
 from recast.simulation.setup import RolloutSetup
-from recast.simulation.situation import StartSituation, neighbour_lateral
 from recast.simulation.start_checks import (
     checked_script,
     checked_state,

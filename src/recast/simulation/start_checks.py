@@ -15,10 +15,15 @@ from recast.logs.checks import WORLD_REACH
 from recast.logs.hdmap import HdMap, drivable_region
 from recast.logs.types import Track
 from recast.planning import ReferenceRoute
-from recast.simulation.actor_motion import ActorMotion, AnyMotion, ScriptMotion, follows_log
+from recast.simulation.actor_motion import (
+    ActorMotion,
+    AnyMotion,
+    ScriptMotion,
+    StartSituation,
+    follows_log,
+)
 from recast.simulation.rollout import PATH_COLUMNS, ego_centre
 from recast.simulation.setup import RolloutSetup
-from recast.simulation.situation import StartSituation
 
 ON_ROAD = 0.5
 """Share of the actor's box that must lie on the drivable area."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from recast.cli.output import Rows, with_unit
 from recast.evaluation import COLUMNS
-from recast.evaluation.bootstrap import Bootstrap
+from recast.evaluation.pairs import Bootstrap
 from recast.evaluation.scene_level.summary import LevelRow
 from recast.evaluation.verdicts import Agreement
 from recast.pipeline.bench.results import GridResults

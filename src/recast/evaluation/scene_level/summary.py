@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.evaluation.bootstrap import cluster_bootstrap
 from recast.evaluation.frechet import FeatureStats, frechet_between, frechet_bootstrap
+from recast.evaluation.pairs import cluster_bootstrap
 from recast.evaluation.scene_level.frames import LoggedFrame, RolloutFrame
 from recast.evaluation.scene_level.scores import COLUMNS, Features, image_scores
 

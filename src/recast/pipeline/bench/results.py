@@ -9,7 +9,6 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from recast.evaluation.bootstrap import Bootstrap
 from recast.evaluation.grid import (
     ArmSummary,
     GridRow,
@@ -17,6 +16,7 @@ from recast.evaluation.grid import (
     arm_summaries,
     paired_summaries,
 )
+from recast.evaluation.pairs import Bootstrap
 from recast.evaluation.table import COLUMNS, rounded
 from recast.evaluation.verdicts import Agreement, agreements
 from recast.pipeline.arms import truth_of

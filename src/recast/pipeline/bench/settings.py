@@ -12,7 +12,7 @@ from typing import Any, Self
 from recast.core import files, folder_hash
 from recast.core.errors import InputError
 from recast.core.names import folder_name
-from recast.evaluation.bootstrap import SAMPLES
+from recast.evaluation.pairs import SAMPLES
 from recast.logs import read_log
 from recast.pipeline.config import RunConfig, resolve_config
 from recast.pipeline.paper import AUTO_TRACK, choose_target

@@ -15,8 +15,7 @@ from recast.planning.gtrs_training.targets import FORESEEN, Obstacle, Road
 from recast.planning.map_from_log import planner_map, route_blocks
 from recast.planning.pdm import LanePath
 from recast.simulation import Advancing, CutIn, Oncoming, RoadSurface, StartSituation, Stationary
-from recast.simulation.actor_motion import ScriptMotion
-from recast.simulation.situation import DEFAULT_LANE_OFFSET, neighbour_lateral
+from recast.simulation.actor_motion import DEFAULT_LANE_OFFSET, ScriptMotion, neighbour_lateral
 from recast.synthetic import world
 from recast.synthetic.populate import make_world
 from recast.synthetic.vehicles import sample_vehicle

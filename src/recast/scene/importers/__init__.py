@@ -1,8 +1,8 @@
 """Scenes that others trained, as ours: checkpoints and PLY files, of which no code is ever run."""
 
+from recast.scene.importers.checkpoint import import_ply
 from recast.scene.importers.drivestudio import import_drivestudio
 from recast.scene.importers.placement import IMPORT_FILE, ImportRecord
-from recast.scene.importers.ply import import_ply
 from recast.scene.importers.street_gaussians import import_street_gaussians
 
 __all__ = [

@@ -5,12 +5,15 @@ from recast.trellis.sparse.convolution import (
     submanifold_convolution,
     submanifold_convolution_reference,
 )
-from recast.trellis.sparse.pooling import PoolIndex, pool, pool_reference, unpool
 from recast.trellis.sparse.tensor import NeighbourMap, SparseTensor, neighbour_map
 from recast.trellis.sparse.tokens import (
     PackedTokens,
+    PoolIndex,
     WindowedTokens,
     WindowPartition,
+    pool,
+    pool_reference,
+    unpool,
     window_partition,
 )
 
