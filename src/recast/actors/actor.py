@@ -271,7 +271,7 @@ class Actor:
     """A view-complete vehicle, ready to stand in for a track.
 
     Attributes:
-        track_id, category: of the track.
+        track_id, category: id and category of the track.
         size: (3,) logged box, metres; collisions are judged by it.
         gaussians: actor-local frame: box centre, x forward, y left, z up.
         shadow: contact shadow in the same frame.

@@ -45,7 +45,7 @@ class FreeSpace:
 
     Attributes:
         centres: (M, 3) float32, object frame, metres.
-        edge: of a cell, metres.
+        edge: edge length of a cell, metres.
     """
 
     centres: NDArray[np.float32]
@@ -127,7 +127,7 @@ class VisualHull:
 
     Attributes:
         centres: (M, 3) of the solid cells, object frame, metres.
-        edge: of a cell, metres.
+        edge: edge length of a cell, metres.
     """
 
     centres: Array

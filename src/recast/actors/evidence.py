@@ -33,7 +33,7 @@ class Sighting:
     """One image of a log that shows the vehicle, cut to the vehicle and its surroundings.
 
     Attributes:
-        camera_name, frame, timestamp_us: of the image.
+        camera_name, frame, timestamp_us: camera, frame number and log time of the image.
         camera: pinhole of the crop, without distortion.
         camera_from_world: (4, 4), with the correction that a scene has learned, if there is one.
         world_from_object: (4, 4); object frame: box centre, x forward, y left, z up.
@@ -73,7 +73,7 @@ class Evidence:
     """All that a log knows of a vehicle; held-out images are not in it.
 
     Attributes:
-        track_id, category: of the track.
+        track_id, category: id and category of the track.
         size: (3,) length, width, height of the logged box, metres.
         sightings: in order of time.
         hits: (N, 3) float32 LiDAR points on the vehicle, object frame.

@@ -125,7 +125,7 @@ class Observation:
     """One view of a track, cut out and ready for a generator.
 
     Attributes:
-        track_id, category: of the track.
+        track_id, category: id and category of the track.
         size: (3,) length, width, height of its box, metres.
         rgba: (H, W, 4) uint8 crop, alpha from the segmenter, nearly square.
         camera: pinhole of the crop, without distortion.

@@ -14,6 +14,12 @@ Progress = Callable[[int, int], None]
 """Called with the number of pieces that are done, and the number of all."""
 
 
+def tell(progress: Progress | None, done: int, total: int) -> None:
+    """Call a progress callback, if there is one."""
+    if progress is not None:
+        progress(done, total)
+
+
 class Bars:
     """Draws while it is entered; a subclass adds tasks to `self._bars`.
 

@@ -11,7 +11,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import connection
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 from recast.core import diagnostics
 from recast.core.diagnostics import Diagnostics
@@ -126,6 +126,21 @@ def _do(job: Any) -> Any:
     if _work is None:  # not in _set_up, whose errors nobody would hear of
         _work = _start()
     return _work(job)
+
+
+class Closing:
+    """A context manager that ends with `close`."""
+
+    def close(self) -> None:
+        """Give back what is held."""
+
+    def __enter__(self) -> Self:
+        """Nothing starts before it is needed."""
+        return self
+
+    def __exit__(self, *fault: object) -> None:
+        """Close, whatever happened."""
+        self.close()
 
 
 def end_with_parent() -> None:

@@ -15,6 +15,7 @@ from torch import Tensor
 from recast.arrays import Array
 from recast.evaluation.actor_scores import Cutout
 from recast.evaluation.generation_inception import load_inception
+from recast.geometry.colour import LUMINANCE
 from recast.pretrained import ClipImages, PretrainedFolder, model_type, whole_picture
 
 TOY_DIMENSIONS = 128
@@ -171,7 +172,7 @@ class ToyFeatures:
         image = np.dstack([cutout.rgb, cutout.alpha])
         way = cv2.INTER_AREA if len(image) > _SIDE else cv2.INTER_LINEAR
         small = np.asarray(cv2.resize(image, (_SIDE, _SIDE), interpolation=way), np.float64)
-        luma = (small[..., :3] + (1 - small[..., 3:]) * _GREY) @ [0.2126, 0.7152, 0.0722]
+        luma = (small[..., :3] + (1 - small[..., 3:]) * _GREY) @ LUMINANCE
         vertical, horizontal = np.gradient(luma)
         where = np.arctan2(vertical, horizontal) / np.pi * _ORIENTATIONS
         bins = np.arange(_ORIENTATIONS)

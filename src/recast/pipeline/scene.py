@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
@@ -16,6 +14,7 @@ from rich.table import Table
 
 from recast.arrays import Image
 from recast.core.errors import printable
+from recast.core.workers import Closing
 from recast.evaluation.perceptual import load_distances
 from recast.logs import DrivingLog
 from recast.pipeline.display import FrameProgress
@@ -169,7 +168,7 @@ def _cells(score: RegionScore, with_lpips: bool) -> list[str]:
     return cells
 
 
-class ShiftedTruth:
+class ShiftedTruth(Closing):
     """Ray-traces shifted views, each camera with the exposure it has in the log.
 
     Close it, or use it as a context manager: it may hold processes.
@@ -189,16 +188,7 @@ class ShiftedTruth:
         """(H, W, 3) uint8 of each view; moving vehicles are where they were."""
         return self._pool.map(_render, views)
 
-    def __enter__(self) -> Self:
-        """Nothing starts before it is needed."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
         """End the processes."""
         self._pool.close()
 

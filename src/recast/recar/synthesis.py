@@ -10,7 +10,7 @@ import numpy as np
 
 from recast.arrays import Array
 from recast.core.files import alone_in
-from recast.core.progress import Progress
+from recast.core.progress import Progress, tell
 from recast.core.ray_cluster import worker_pool
 from recast.geometry import PinholeCamera, se3
 from recast.recar.record import IdentityRecord, SetRecord
@@ -77,14 +77,12 @@ def synthesize_set(
     left = [planned for planned in plan if planned.id not in finished]
     waiting, done = iter(left), len(finished)
     with alone_in(out):
-        if progress is not None:
-            progress(done * record.views, len(plan) * record.views)
+        tell(progress, done * record.views, len(plan) * record.views)
         pool = worker_pool(min(workers, max(len(left), 1)))
         arguments = out, record, settings
         for _ in pool(_start, arguments, lambda: next(waiting, None), "finished identities"):
             done += 1
-            if progress is not None:
-                progress(done * record.views, len(plan) * record.views)
+            tell(progress, done * record.views, len(plan) * record.views)
         finish_set(out, record)
     return read_set(out)
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 
 from recast.arrays import Array, Image
+from recast.core.workers import Closing
 from recast.geometry import PinholeCamera
 from recast.planning import CameraMount
 from recast.simulation.state import SimState
@@ -28,7 +28,7 @@ class _Job(NamedTuple):
     step: int
 
 
-class OracleRenderer:
+class OracleRenderer(Closing):
     """Renders a synthetic world, each camera with the exposure it has in the log, virtual ones with
     that of the camera at whose place they are.
 
@@ -72,19 +72,6 @@ class OracleRenderer:
     def close(self) -> None:
         """End the processes."""
         self._pool.close()
-
-    def __enter__(self) -> Self:
-        """Nothing starts before it is needed."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """End the processes."""
-        self.close()
 
 
 def _render(oracle: Oracle, job: _Job) -> Image:

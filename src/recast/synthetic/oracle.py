@@ -14,14 +14,13 @@ from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import TracebackType
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.core.workers import end_with_parent, usable_cores
+from recast.core.workers import Closing, end_with_parent, usable_cores
 from recast.geometry import PinholeCamera
 from recast.synthetic.rendering import CameraFrame, RayScene, render_camera, require_embree
 from recast.synthetic.world import World
@@ -139,7 +138,7 @@ def instances(world: World) -> dict[str, int]:
 _oracle: Oracle | None = None
 
 
-class OraclePool:
+class OraclePool(Closing):
     """Calls functions with an oracle, several at a time; what they return does not depend on that.
 
     Use it as a context manager, or close it.
@@ -217,19 +216,6 @@ class OraclePool:
         if self._spool is not None:
             self._spool.cleanup()
             self._spool = None
-
-    def __enter__(self) -> Self:
-        """Nothing starts before it is needed."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """End the processes."""
-        self.close()
 
     def _started(self) -> ProcessPoolExecutor:
         if self._executor is None:

@@ -128,7 +128,7 @@ class Page:
             if self._over.is_set():
                 return
             try:
-                self.stage.send([arm])
+                self.stage.splats.add([arm])
             except Exception:  # said again, and to the one who asks, when the arm is shown
                 _LOG.warning("arm %s cannot be sent", arm, exc_info=True)
 

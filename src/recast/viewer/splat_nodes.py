@@ -67,7 +67,6 @@ class SplatNodes:
         self._actors: dict[str, dict[str, str]] = {}
         self._coverage: dict[str, dict[str, str]] = {}
         self._handles: dict[str, viser.GaussianSplatHandle] = {}
-        self._there: set[str] = set()
         self.total = self.kept = 0
 
     def add(self, arms: Iterable[str]) -> None:
@@ -77,7 +76,7 @@ class SplatNodes:
         arm sent stays as it was sent.
         """
         with self._lock:
-            new = [arm for arm in arms if arm not in self._there]
+            new = [arm for arm in arms if arm not in self._coverage]
             shown = {id(part): part for arm in new for part in self._gather(arm)}
             parts = list(shown.values())
             rows = most_important([part.importance for part in parts], self._most)
@@ -92,7 +91,6 @@ class SplatNodes:
                     self._add(part.name, baked(chosen, torch.from_numpy(part.eyes).float()))
             for arm in new:
                 self._add_coverage(arm)
-            self._there.update(new)
 
     def nodes(
         self, arm: str, splats: bool, sky: bool, coverage: bool, poses: Mapping[str, Array]

@@ -53,7 +53,7 @@ class Stage:
         server: gets the nodes.
         inputs: what is shown.
         most: number of Gaussians of an arm at most.
-        arms: those that are sent at once; the others when they are first shown, or by `send`.
+        arms: those that are sent at once; the others when they are first shown, or by `splats.add`.
         layers: names of `LAYERS` that are on; None for those that suit the inputs.
         on_click: called with the track id when somebody clicks at its box.
     """
@@ -75,13 +75,9 @@ class Stage:
         self._path: tuple[str, str] | None = None
         self._sweep: int | None = None
         self.splats = SplatNodes(server, inputs, most)
-        self.send(arms)
+        self.splats.add(arms)
         self.layers = set(layers) if layers is not None else self._default_layers()
         self._add_map()
-
-    def send(self, arms: Iterable[str]) -> None:
-        """Send the Gaussians of arms, unless they are there."""
-        self.splats.add(arms)
 
     def show(self, shown: Shown, pictures: bool = True) -> None:
         """Put everything where it is at a step.
@@ -90,7 +86,7 @@ class Stage:
             pictures: also the images of cameras and the LiDAR, which take longer.
         """
         drive = self.inputs.scenarios[shown.scenario][shown.arm]
-        self.send([shown.arm])
+        self.splats.add([shown.arm])
         with self._lock, self._server.atomic():
             poses = drive.at(shown.step)
             scene = self.inputs.scenes.get(shown.arm)

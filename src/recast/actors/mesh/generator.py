@@ -42,14 +42,14 @@ _READERS = {".glb": (read_glb, files_of_glb), ".obj": (read_obj, files_of_obj)}
 MESH_SUFFIXES = tuple(_READERS)
 """Ends of the names of files that can be read, in lower case."""
 MOST_GAUSSIANS = 120_000
-"""Of a surface, if merging can bring it down to that: a rollout pays for each."""
+"""Number of Gaussians of a surface, if merging can reach it: a rollout pays for each."""
 _OPACITY = 0.99
 _OPACITIES = np.linspace(0.001, _OPACITY, 1000)
 _TAKEN = spence(1 - _OPACITIES)  # the dilogarithm Li2 of them
 _CELLS = (0.04, 0.02)  # metres: points that look alike are merged in voxels of these edges
 _TOLERANCES = (0.03, 0.06, 0.12, 0.25, 0.5)  # display values
 _SHELL_CELL = 0.10  # metres
-_SHELL_DEPTHS = (0.04, 0.10)  # metres behind the surface: of its own colour, and the dark inside
+_SHELL_DEPTHS = (0.04, 0.10)  # metres behind the surface: a layer of its colour, and a dark one
 _MARGIN, _NEAR = 0.13, 0.065  # metres: so far beside a wide Gaussian, the surface is so near
 _DARK = 0.06  # display value of a cabin without light
 

@@ -261,6 +261,10 @@ def prepare_all(
 ) -> Iterator[tuple[Candidate, Prepared | InputError]]:
     """Every vehicle in order, or why it cannot be taken; at most two a worker are in memory."""
     workers = min(workers, max(len(candidates), 1))
+    if workers == 1:  # not by the pool, whose workers have one thread: a background network has all
+        work = _start(0, settings, remover)
+        yield from ((one, work((number, one))) for number, one in enumerate(candidates))
+        return
     left, ended, turn = deque(enumerate(candidates)), dict[int, Prepared | InputError](), 0
 
     def take() -> tuple[int, Candidate] | None:

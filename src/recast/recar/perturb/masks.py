@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from recast.arrays import Image
-from recast.geometry.colour import srgb_to_linear
+from recast.geometry.colour import LUMINANCE, srgb_to_linear
 from recast.recar.perturb.kind import (
     Floats,
     Kind,
@@ -25,7 +25,7 @@ from recast.recar.perturb.kind import (
     with_alpha,
 )
 
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # ITU-R BT.709
+_LUMINANCE = np.array(LUMINANCE, np.float32)
 
 
 class Erosion(Kind):

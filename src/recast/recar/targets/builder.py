@@ -15,7 +15,7 @@ from rich.text import Text
 
 from recast.core import files
 from recast.core.errors import InputError, printable
-from recast.core.progress import Progress
+from recast.core.progress import Progress, tell
 from recast.core.ray_cluster import worker_pool
 from recast.core.workers import in_this_process
 from recast.recar.record import SPLITS
@@ -74,7 +74,7 @@ def build_targets(
     }
     left = [name for name in wanted if name not in finished]
     done = len(wanted) - len(left)
-    _tell(progress, done, len(wanted))
+    tell(progress, done, len(wanted))
     if left:
         _write_record(cache, record)
         jobs = (_job(vehicles, name, views) for name in left)
@@ -85,16 +85,11 @@ def build_targets(
             for _, outcome in pool(start_maker, plan, lambda: next(jobs, None), "finished targets"):
                 cache.write_target(outcome.record, outcome.target, outcome.preview)
                 done += 1
-                _tell(progress, done, len(wanted))
+                tell(progress, done, len(wanted))
     failures = sum(one.failure is not None for one in cache.records.values())
     changes = {"complete": True, "identities": len(cache.records), "failures": failures}
     _write_record(cache, record.model_copy(update=changes))
     return TargetCache.open(out)
-
-
-def _tell(progress: Progress | None, done: int, total: int) -> None:
-    if progress is not None:
-        progress(done, total)
 
 
 def _wanted(vehicles: VehicleSource, identities: Collection[str] | None) -> list[str]:

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.geometry import colour
 from recast.synthetic.rendering.patterns import (
     SIZE,
     Pattern,
@@ -24,7 +25,7 @@ from recast.synthetic.rendering.ray_scene import SKY, STREET, Hits, PosedScene
 from recast.synthetic.rendering.rays import Float32Array, dot, normalise, rows, scale, scaled
 from recast.synthetic.surface import MATERIALS
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+LUMINANCE = np.array(colour.LUMINANCE, np.float32)
 """Of linear RGB, ITU-R BT.709."""
 LEVELS = 9
 _SCALE = np.float32(100.0)
