@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -115,6 +116,14 @@ class Grey:
 
 
 # --8<-- [end:renderer]
+
+
+def test_the_page_shows_them() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "architecture.md").read_text()
+    names = re.findall(r"^# --8<-- \[start:(\w+)\]", Path(__file__).read_text(), re.MULTILINE)
+    for name in names:
+        assert f'--8<-- "tests/test_extending.py:{name}"' in page, name
+    assert len(names) == 6
 
 
 @pytest.fixture(scope="module")

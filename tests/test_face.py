@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+import importlib
 import shutil
 import subprocess
 import sys
@@ -64,6 +65,24 @@ def test_the_example_of_a_name_runs(name: str, names: dict[str, Any]) -> None:
     said: list[str] = []
     result = doctest.DocTestRunner().run(found[0], out=said.append)
     assert result.failed == 0, "".join(said)
+
+
+def test_the_examples_outside_the_face_run(names: dict[str, Any]) -> None:
+    source = Path(recast.__file__).parent
+    face = {getattr(recast, name) for name in FUNCTIONS}
+    ran = 0
+    for path in source.rglob("*.py"):
+        if ">>> " not in path.read_text():
+            continue
+        parts = path.relative_to(source.parent).with_suffix("").parts
+        module = importlib.import_module(".".join(parts))
+        for test in doctest.DocTestFinder().find(module, extraglobs=names):
+            if not test.examples or getattr(module, test.name.split(".")[-1], None) in face:
+                continue
+            said: list[str] = []
+            assert doctest.DocTestRunner().run(test, out=said.append).failed == 0, "".join(said)
+            ran += 1
+    assert ran
 
 
 def test_the_way_from_a_log_to_a_report(names: dict[str, Any], tmp_path: Path) -> None:

@@ -44,8 +44,10 @@ def test_outcomes_bring_new_jobs() -> None:
     assert done_by(in_this_process) == EXPECTED
 
 
-def test_ray_does_the_same() -> None:
+def test_ray_does_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     ray: Any = pytest.importorskip("ray")
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))  # workers import this module
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # no token file in the home folder
     workers = min(2, usable_cores())  # each waits for a core of its own
     assert done_by(worker_pool(workers, ray="local", gpu=True)) == EXPECTED
     with pytest.raises(InputError, match="factor"):

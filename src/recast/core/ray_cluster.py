@@ -69,7 +69,7 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> WorkerPool:
             raise InputError(
                 "--ray",
                 address,
-                f"a worker is gone ({str(error).splitlines()[0][:80]})",
+                f"a worker is gone ({str(error).splitlines()[-1][:80]})",
                 f"run again; {finished} stay",
             ) from None
         finally:

@@ -48,7 +48,7 @@ def psnr(image: ArrayLike | Tensor, reference: ArrayLike | Tensor) -> float:
     Returns:
         infinity for equal images.
 
-    >>> round(psnr([[0.5]], [[0.4]]), 6)
+    >>> round(psnr([[0.5]], [[0.4]]), 4)
     20.0
     """
     first, second = _as_tensor(image), _as_tensor(reference)
