@@ -22,7 +22,7 @@ from raster import street
 
 from recast.geometry import se3
 from recast.logs import Track
-from recast.pipeline.planner_data.stage import Stage, make_stage
+from recast.pipeline.gtrs_data.stage import Stage, make_stage
 from recast.planning import (
     CameraMount,
     LogReplay,

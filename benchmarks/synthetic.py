@@ -130,17 +130,17 @@ def camera_stages(setting: Setting, stages: Stages) -> dict[str, float]:
     hits = stages("cast", lambda: posed.cast(origins, directions))
     pixels, points = stages("points", lambda: surface_points(posed, origins, directions, hits))
     samples = [pixel_samples(height, width, rng).reshape(-1, 2)[pixels] for _ in range(2)]
-    noisy = stages("light", lambda: sample_light(posed, light, points, *samples))
+    noisy = stages("light", lambda: sample_light(light, points, *samples))
     light_filter = LightFilter(points, pixels, height, width)
     lonely = light_filter.lonely()
     stages(
         "lonely light",
-        lambda: add_light_samples(posed, light, points, noisy, lonely, LONELY_SAMPLES, rng),
+        lambda: add_light_samples(light, points, noisy, lonely, LONELY_SAMPLES, rng),
     )
     arriving = stages("filter", lambda: light_filter.smooth(noisy))
     angle = 1 / camera.fx
     stages("(textures)", lambda: textured(points, angle))
-    shaded = stages("shade", lambda: shade(posed, light, points, arriving, angle))
+    shaded = stages("shade", lambda: shade(light, points, arriving, angle))
     edges = stages("edges", lambda: edge_pixels(points, pixels, shaded, light.white, height, width))
 
     def further() -> None:
@@ -150,7 +150,7 @@ def camera_stages(setting: Setting, stages: Stages) -> dict[str, float]:
             borrowed, _ = borrow_light(
                 points, pixels, arriving, others, edges[index], offset, height, width
             )
-            shade(posed, light, others, borrowed, angle)
+            shade(light, others, borrowed, angle)
 
     stages("4 rays at edges", further)
     return {

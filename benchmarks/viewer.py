@@ -54,11 +54,11 @@ def main() -> None:
     page.playback.play(True)
     time.sleep(min(10.0, options.seconds / 4))
     before, begun, passed = resident_mb(), time.monotonic(), 0
-    last = page.playback.clock.step
+    last = page.playback.step
     while time.monotonic() - begun < options.seconds:
         time.sleep(0.01)
-        passed += page.playback.clock.step != last
-        last = page.playback.clock.step
+        passed += page.playback.step != last
+        last = page.playback.step
     after = resident_mb()
     print(
         f"{options.seconds:.0f} s of play, {passed} steps shown: memory {before:.0f} MB before, "

@@ -71,7 +71,7 @@ MODELS = {
     ),
     "Training of the small planner": (
         (
-            "recast.planning.gtrs_training.settings",
+            "recast.planning.gtrs_training.task",
             "PlannerTrainingConfig",
             "file for `--config` of `recast planner train`",
         ),
@@ -99,7 +99,11 @@ def commands() -> Iterator[tuple[str, _parsers.ParserSpecification]]:
     """Every command of `recast` that runs something, such as "scene train", with its parser."""
     root = _parsers.ParserSpecification.from_callable_or_type(
         typing.cast(Any, Command),
-        markers={tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes},
+        markers={
+            tyro.conf.OmitSubcommandPrefixes,
+            tyro.conf.OmitArgPrefixes,
+            tyro.conf.DisallowNone,
+        },
         description="",
         parent_classes=set(),
         default_instance=_singleton.MISSING_NONPROP,

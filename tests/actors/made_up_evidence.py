@@ -7,8 +7,8 @@ import torch
 
 from actors import made_up
 from recast.actors.carve import FreeSpace
+from recast.actors.drawing import look_at
 from recast.actors.evidence import Evidence, Sighting
-from recast.actors.turntable import look_at
 from recast.geometry import PinholeCamera, se3
 from recast.logs import Trajectory
 from recast.scene import SceneActor, SkyMap, StreetScene

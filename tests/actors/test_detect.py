@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recast.actors import Observation, SegmentationTarget
-from recast.actors.detect import (
+from recast.actors.grounded_segmenter import (
     BoxPrompt,
     Detection,
     DetectionRule,

@@ -16,11 +16,12 @@ from safetensors.torch import load_file, save_file
 
 from recast import actors
 from recast.actors import GroundedSamSegmenter, Observation, SegmentationTarget, observe
-from recast.actors.detect import DetectionRule, logged_rectangle
 from recast.actors.grounded_segmenter import (
+    DetectionRule,
     agreement,
     choose_mask,
     is_segmenter_folder,
+    logged_rectangle,
     segmenter_of,
 )
 from recast.core.errors import InputError
@@ -213,8 +214,8 @@ def says_nothing(folder: Path) -> None:
         ),
         (lambda folder: shutil.rmtree(folder / "sam"), ("sam", "missing", "facebook/sam-vit-base")),
         (lambda folder: shutil.rmtree(folder), ("folder: is missing", "grounding-dino and sam")),
-        (cut_short, ("model.safetensors", "no whole safetensors file")),
-        (pointer, ("model.safetensors", "no whole safetensors file")),
+        (cut_short, ("model.safetensors", "or no safetensors file")),
+        (pointer, ("model.safetensors", "or no safetensors file")),
         (other_network, ("config.json", "'sam2'", "not 'sam'")),
         (no_json, ("config.json", "JSON")),
         (
@@ -283,7 +284,7 @@ def test_by_name_or_folder(networks: Path, tmp_path: Path) -> None:
     assert not is_segmenter_folder("box-lidar")
     with pytest.raises(InputError, match="nonesuch: is not known; choose one of box-lidar"):
         segmenter_of("nonesuch")
-    with pytest.raises(InputError, match="is no folder"):
+    with pytest.raises(InputError, match="folder: is missing"):
         segmenter_of(str(tmp_path / "nowhere"))
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from recast.actors import Observation, make_generator
-from recast.actors.image_to_3d import ImageTo3DGenerator
+from recast.actors.generate import ImageTo3DGenerator
 from recast.core.errors import InputError
 from recast.splats import MIP
 from recast.trellis import GenerationLimits

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from recast.actors import Actor, Asset, Observation, register
-from recast.actors.agreement import heading_agreement
 from recast.actors.axes import UNIT_CUBE_Y_UP, UNIT_CUBE_Z_UP, VEHICLE
 from recast.actors.icp import outer_surface
+from recast.actors.place import heading_agreement
 from recast.actors.register import lidar_by_side
 from recast.core.errors import InputError
 from recast.geometry import se3

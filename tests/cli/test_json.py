@@ -155,6 +155,7 @@ def _metrics(out: Path, means: Mapping[str, float | None]) -> None:
         "arm": "native",
         "planner": "p",
         "name": "cut-in-a",
+        "track_id": "0",
         "error": "ValueError",
         "reason": "no road",
     }
@@ -267,9 +268,8 @@ def test_vehicles_and_planners(capsys: Capture) -> None:
     from recast.cli.rows import vehicles
     from recast.evaluation.generation_summary import StudyBlock, StudyDifference, StudyRow
     from recast.evaluation.pairs import Bootstrap
-    from recast.pipeline.evaluate_actor import ActorEvaluation
-    from recast.pipeline.evaluate_tracks import TrackResult
-    from recast.pipeline.planner_data.probe import ProbeRow
+    from recast.pipeline.evaluate_actors import ActorEvaluation, TrackResult
+    from recast.pipeline.planner_probe import ProbeRow
 
     score = CandidateScore(
         outline=0.9, colour=None, lidar=1.0, lidar_median=0.02, free=0.1, total=40.0, fits=True

@@ -82,11 +82,6 @@ def own_importer(root: Path, drive: str) -> DrivingLog:
     return small_log(np.random.default_rng(7))
 
 
-def old_importer(root: Path, drive: str, out: Path, labels: Path | None = None) -> None:
-    """One that writes the log itself, as importers once did."""
-    out.mkdir()
-
-
 def silent_importer(root: Path, drive: str, labels: Path | None = None) -> None:
     """One that returns nothing."""
 
@@ -106,12 +101,9 @@ def test_options_that_an_importer_does_not_know_are_refused(
     assert read_log(tmp_path / "log").name == small_log(np.random.default_rng(7)).name
 
 
-def test_importers_of_older_releases_are_told_what_to_change(
+def test_importers_that_return_no_log_are_told_what_to_change(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert _run_own("old_importer", tmp_path / "log") == 2
-    line = _line(capsys)
-    assert "takes `out`" in line and "(root, drive, labels=None, cameras=())" in line
     assert _run_own("silent_importer", tmp_path / "log") == 2
     assert "returned NoneType in place of a DrivingLog; return the log" in _line(capsys)
     assert list(tmp_path.iterdir()) == []

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import tyro
 
-from recast.cli.recar_targets import Targets
+from recast.cli.recar import Targets
 from recast.core.errors import InputError
 from support.trellis_folder import write_golden_model
 from support.vehicle_pictures import write_vehicles
@@ -50,11 +50,11 @@ def test_targets_of_a_set_and_the_same_command_again(
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
-        (("--limit", "0"), "--limit: value: is 0"),
-        (("--retries", "-1"), "--retries: value: is -1"),
+        (("--limit", "0"), "`limit`: value: is 0"),
+        (("--retries", "-1"), "`retries`: value: is -1"),
         (("--filter", "aesthetic"), "--predictor: weights: are not named"),
         (("--model", "nowhere"), "pipeline.json: is missing"),
-        (("--workers", "0"), "--workers: value: is 0"),
+        (("--workers", "0"), "`workers`: value: is 0"),
     ],
 )
 def test_bad_options_are_refused_before_any_work(

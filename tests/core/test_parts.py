@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from recast.actors.vehicle_files import VEHICLE_SUFFIXES
-from recast.core.parts import GENERATORS, IMPORTERS, PLANNERS, SCENES, SEGMENTERS
-from recast.core.plugins import Registry
+from recast.core.plugins import GENERATORS, IMPORTERS, PLANNERS, SCENES, SEGMENTERS, Registry
 
 KINDS = (PLANNERS, GENERATORS, SEGMENTERS, IMPORTERS, SCENES)
 DATA_PAGE = Path(__file__).parents[2] / "docs" / "data.md"

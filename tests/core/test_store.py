@@ -15,8 +15,8 @@ import pytest
 
 from recast.core import Artefact, Store, files
 from recast.core.artefact import artefact_key
-from recast.core.depot import ParcelDepot, pack, unpack
 from recast.core.errors import InputError
+from recast.core.remote import ParcelDepot, pack, unpack
 from recast.core.store import NotInStoreError
 
 INPUTS = {"log": "abc", "seed": 3}

@@ -68,6 +68,18 @@ def test_no_worker_and_no_ray_are_refused(monkeypatch: pytest.MonkeyPatch) -> No
         worker_pool(2, ray="auto")
 
 
+def loaded(number: int) -> Callable[[int], tuple[bool, str | None]]:
+    return lambda job: ("torch" in sys.modules, os.environ.get("OMP_NUM_THREADS"))
+
+
+def test_workers_get_one_thread_and_no_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    jobs = deque(range(2))
+    done = list(in_processes(2)(loaded, (), lambda: jobs.popleft() if jobs else None, "jobs"))
+    assert [outcome for _, outcome in done] == [(False, "1"), (False, "1")]
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+
+
 def telling(number: int) -> Callable[[int], int]:
     def work(job: int) -> int:
         logging.getLogger("recast.tests").warning("job %s", job)

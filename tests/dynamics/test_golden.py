@@ -73,7 +73,6 @@ def test_pdm_driver_model(golden):
 
 
 def test_nuplan_driver_model(golden):
-    found = dynamics.idm_step(
-        golden["idm_batch.state"], golden["idm_batch.lead"], 10.0, idm.NUPLAN_AGENT
-    )
+    agent = idm.IdmParameters(max_acceleration=1.0, max_deceleration=2.0)
+    found = dynamics.idm_step(golden["idm_batch.state"], golden["idm_batch.lead"], 10.0, agent)
     close(found, golden["idm_nuplan.next"])

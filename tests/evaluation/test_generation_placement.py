@@ -8,8 +8,8 @@ import torch
 
 from recast.actors import Asset, Observation
 from recast.actors.axes import UNIT_CUBE_Y_UP, UNIT_CUBE_Z_UP
+from recast.actors.drawing import look_at
 from recast.actors.observe import observation_of_view
-from recast.actors.turntable import look_at
 from recast.core.errors import InputError
 from recast.evaluation.generation_cell import place
 from recast.geometry import se3

@@ -63,7 +63,7 @@ def test_half_turns_round_trip(axis):
 
 
 def test_quaternion_of_norm_zero_is_refused():
-    with pytest.raises(ValueError, match="norm zero"):
+    with pytest.raises(ValueError, match="zero norm"):
         se3.quat_to_matrix(np.zeros((2, 4)))
 
 

@@ -11,8 +11,7 @@ from logs.importing import import_drive
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, Trajectory, read_log, track_points
 from recast.logs.importers import IMPORTERS
-from recast.logs.importers.argoverse2 import RIG_FROM_EGO
-from recast.logs.importers.argoverse2_labels import read_tracks
+from recast.logs.importers.argoverse2 import RIG_FROM_EGO, read_tracks
 from support import tiny_argoverse2 as tiny
 from support.street_frame import street_from_world
 

@@ -14,8 +14,7 @@ from pyarrow import feather
 from recast.dynamics import PACIFICA
 from recast.geometry import boxes, se2, se3
 from recast.logs import DrivingLog, Track, all_track_points, read_log, write_log
-from recast.logs.importers.argoverse2 import load_argoverse2
-from recast.logs.importers.argoverse2_labels import BOX_DELAY_US
+from recast.logs.importers.argoverse2 import BOX_DELAY_US, load_argoverse2
 from recast.planning.map_from_log import planner_map, route_blocks
 from recast.planning.pdm.closed import PdmClosedPlanner
 from recast.planning.route import ReferenceRoute

@@ -13,7 +13,7 @@ import pytest
 from logs.importing import import_drive
 from recast.core.errors import InputError
 from recast.logs import read_log
-from recast.logs.importers.waymo_schema import CAMERA_NAME, LASER_NAME, lidar_name
+from recast.logs.importers.waymo_proto import CAMERA_NAME, LASER_NAME, lidar_name
 from support import (
     tiny_argoverse2,
     tiny_nuscenes,

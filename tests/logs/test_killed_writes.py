@@ -130,7 +130,7 @@ def test_a_full_disk_closes_the_stores(out: Path, monkeypatch: pytest.MonkeyPatc
         with pytest.raises(InputError, match="no space left"):
             write_log(log, out / "log", _full_at(moment))
         assert held() == []
-    for record in ("ncore_write._write_sequence_file", "store.write_record"):
+    for record in ("ncore_write._write_sequence_file", "store.LogRecord.model_dump"):
         monkeypatch.setattr(f"recast.logs.{record}", _full)
         with pytest.raises(InputError, match="no space left"):
             write_log(log, out / "log")

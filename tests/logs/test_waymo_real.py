@@ -7,28 +7,39 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
+from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory
 
 from logs.importing import import_drive
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, read_log
 from recast.logs.importers.waymo import load_waymo
-from recast.logs.importers.waymo_schema import BOX, CAMERA_NAME, FRAME
+from recast.logs.importers.waymo_proto import CAMERA_NAME, decode
 from recast.logs.importers.waymo_tfrecord import read_records
-from recast.logs.importers.waymo_wire import Kind, Schema, decode, many, one
 from support import proto_writer
 
 FRAME_FILE, SCENARIO_FILE = "pvps_data_one_frame.tfrecord", "motion_data_one_scenario.tfrecord"
-LABEL = Schema("Label", {1: one("box", BOX), 4: one("id", Kind.STRING)})
-PROJECTED = Schema(
-    "Frame",
-    {
-        9: many(
-            "cameras",
-            Schema("CameraLabels", {1: one("name", CAMERA_NAME), 2: many("labels", LABEL)}),
-        )
-    },
-)
-"""The boxes of the laser labels in the images, as the dataset's makers projected them."""
+
+
+def _projected_labels() -> type[message.Message]:
+    """Frames with the laser labels in the images, as the dataset's makers projected them."""
+    file = descriptor_pb2.FileDescriptorProto(name="projected.proto", syntax="proto2")
+    kinds = descriptor_pb2.FieldDescriptorProto
+    for name, fields in {
+        "Box": {"center_x": 1, "center_y": 2, "width": 4, "length": 5},
+        "Label": {"box": 1, "id": 4},
+        "Camera": {"name": 1, "labels": 2},
+        "Frame": {"cameras": 9},
+    }.items():
+        proto = file.message_type.add(name=name)
+        for key, number in fields.items():
+            of = {"box": "Box", "labels": "Label", "cameras": "Camera"}.get(key)
+            kind = kinds.TYPE_MESSAGE if of else kinds.TYPE_DOUBLE
+            kind = {"id": kinds.TYPE_STRING, "name": kinds.TYPE_INT32}.get(key, kind)
+            label = kinds.LABEL_REPEATED if key.endswith("s") else kinds.LABEL_OPTIONAL
+            proto.field.add(name=key, number=number, type=kind, label=label, type_name=of)
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName("Frame"))
 
 
 @pytest.fixture(scope="module")
@@ -72,31 +83,31 @@ def test_the_frame_holds_images_calibrations_and_labels(log: DrivingLog, waymo: 
     counts = {name: categories.count(name) for name in set(categories)}
     assert counts == {"car": 37, "misc": 25, "pedestrian": 12, "cyclist": 1}
     (record,) = read_records(waymo / FRAME_FILE)
-    images = decode(FRAME, record.data)["images"]
+    images = decode("Frame", record.data)["images"]
     for image in images:
         stored = log.cameras[image["name"]].images
-        assert stored.encoded(0) == (record.data[image["image"]], "jpeg")  # type: ignore[attr-defined]
+        assert stored.encoded(0) == (image["image"], "jpeg")  # type: ignore[attr-defined]
 
 
 def test_projected_boxes_agree_with_the_datasets_own(log: DrivingLog, waymo: Path) -> None:
     (record,) = read_records(waymo / FRAME_FILE)
     errors = []
-    for camera in decode(PROJECTED, record.data)["cameras"]:
-        stream = log.cameras[camera["name"]]
+    for camera in _projected_labels().FromString(record.data).cameras:  # type: ignore[attr-defined]
+        name = CAMERA_NAME.names[camera.name]
+        stream = log.cameras[name]
         width, height = stream.camera.width, stream.camera.height
         time = int(stream.timestamps_us[0])
         camera_from_world = se3.inverse(log.world_from_rig.at(time) @ stream.rig_from_camera)
-        for label in camera["labels"]:
-            track = log.tracks[label["id"].removesuffix(f"_{camera['name']}")]
+        for label in camera.labels:
+            track = log.tracks[label.id.removesuffix(f"_{name}")]
             at = camera_from_world @ track.trajectory.at(time)
             corners = boxes.corners(track.size, at)
             pixels, depth = stream.camera.project(corners)
             low, high = pixels.min(axis=0), pixels.max(axis=0)
             if depth.min() < 0.5 or low.min() < 0 or high[0] > width or high[1] > height:
                 continue  # the dataset's boxes end at the image's edge
-            box = label["box"]
-            centre = np.array([box["center_x"], box["center_y"]])
-            half = np.array([box["length"], box["width"]]) / 2
+            centre = np.array([label.box.center_x, label.box.center_y])
+            half = np.array([label.box.length, label.box.width]) / 2
             errors.append(np.abs(np.concatenate([low - centre + half, high - centre - half])))
     worst = np.array(errors).max(axis=1)
     assert len(errors) > 30

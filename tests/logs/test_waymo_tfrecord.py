@@ -1,4 +1,4 @@
-"""TFRecord framing, its checksum, and protocol buffers by tables."""
+"""TFRecord framing, its checksum, and messages of the dataset."""
 
 from __future__ import annotations
 
@@ -10,16 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recast.core.errors import InputError
-from recast.logs.importers.waymo_tfrecord import LANES, crc32c, crc32c_reference, read_records
-from recast.logs.importers.waymo_wire import (
-    Choice,
-    FieldError,
-    Kind,
-    Schema,
-    decode,
-    many,
-    one,
-)
+from recast.logs.importers.waymo_proto import FieldError, decode
+from recast.logs.importers.waymo_tfrecord import Record, _find, masked_crc, read_records
 from support import proto_writer as write
 
 
@@ -34,14 +26,8 @@ from support import proto_writer as write
     ],
 )
 def test_the_checksum_is_the_one_of_the_standard(data: bytes, crc: int) -> None:
-    assert crc32c_reference(data) == crc
-    assert crc32c(data) == crc
-
-
-@pytest.mark.parametrize("length", [8 * LANES - 1, 8 * LANES, 8 * LANES + 1, 100_003])
-def test_the_fast_checksum_is_the_slow_one(length: int) -> None:
-    data = np.random.default_rng(length).bytes(length)
-    assert crc32c(data) == crc32c(memoryview(data)) == crc32c_reference(data)
+    unmasked = (masked_crc(data) - 0xA282EAD8) % (1 << 32)
+    assert (unmasked << 15 | unmasked >> 17) % (1 << 32) == crc
 
 
 def test_records_come_back_bit_by_bit(tmp_path: Path) -> None:
@@ -55,6 +41,16 @@ def test_records_come_back_bit_by_bit(tmp_path: Path) -> None:
     for record in read:
         assert stored[record.offset : record.offset + len(record.data)] == record.data
     assert b"".join(write.frame_record(record.data) for record in read) == stored
+
+
+def test_a_part_of_a_record_is_found_though_others_end_alike() -> None:
+    end = bytes(100)
+    parts = [b"one" + end, b"other" + end, b"short", b""]
+    record = Record(0, 500, b"head" + parts[0] + parts[1] + parts[2] + b"tail")
+    for part in parts:
+        at = _find(part, record)
+        assert record.data[at : at + len(part)] == part
+    assert [_find(part, record) for part in parts[:2]] == [4, 4 + len(parts[0])]
 
 
 def _flip(data: bytes, at: int) -> bytes:
@@ -85,69 +81,59 @@ def test_damaged_files_are_one_clear_line(tmp_path: Path, damage: object, messag
     assert str(raised.value).startswith(f"{path}: {message}")
 
 
-INNER = Schema("Inner", {1: one("x", Kind.DOUBLE)})
-OUTER = Schema(
-    "Outer",
-    {
-        1: one("count", Kind.INT),
-        2: many("numbers", Kind.DOUBLE),
-        3: many("ids", Kind.INT),
-        4: one("name", Kind.STRING),
-        5: many("inner", INNER),
-        6: one("colour", Choice("Colour", {1: "RED", 2: "BLUE"})),
-        7: one("raw", Kind.SPAN),
-        8: one("small", Kind.FLOAT),
-    },
-)
-
-
 @given(
-    count=st.integers(-(2**63), 2**63 - 1),
+    frame=st.integers(-(2**63), 2**63 - 1),
     numbers=st.lists(st.floats(allow_nan=False), max_size=4),
     ids=st.lists(st.integers(0, 2**40), max_size=4),
     packed=st.booleans(),
 )
 def test_messages_are_read_packed_or_not(
-    count: int, numbers: list[float], ids: list[int], packed: bool
+    frame: int, numbers: list[float], ids: list[int], packed: bool
 ) -> None:
-    data = write.integer(1, count) + write.blob(99, "unknown") + write.single(98, 1.0)
+    unknown = write.blob(99, "unknown") + write.single(98, 1.0)
     if packed:
-        data += write.packed_doubles(2, numbers) + write.packed_integers(3, ids)
+        pose, exits = write.packed_doubles(1, numbers), write.packed_integers(10, ids)
     else:
-        data += write.doubles(2, numbers) + b"".join(write.integer(3, i) for i in ids)
-    message = decode(OUTER, data)
-    assert message["count"] == count
-    assert message["numbers"].tolist() == numbers
-    assert message["ids"] == ids
-    assert message.get("name") is None
+        pose, exits = write.doubles(1, numbers), b"".join(write.integer(10, i) for i in ids)
+    message = decode("Frame", write.integer(2, frame) + unknown + write.blob(3, pose))
+    assert message["timestamp_micros"] == frame
+    assert message["pose"]["transform"].tolist() == numbers
+    assert decode("LaneCenter", exits + unknown)["exit_lanes"].tolist() == ids
+    assert message.get("context") is None
 
 
 def test_parts_of_a_message() -> None:
     raw = b"\x00\x01 picture"
-    data = write.blob(4, "Straße") + write.blob(5, write.double(1, 2.5)) + write.blob(5, b"")
-    data += write.integer(6, 2) + write.single(8, 0.5) + write.blob(7, raw)
-    message = decode(OUTER, data)
-    assert message["name"] == "Straße" and message["colour"] == "BLUE" and message["small"] == 0.5
-    assert message["inner"][0]["x"] == 2.5
-    assert data[message["raw"]] == raw
-    with pytest.raises(FieldError, match=r"^inner\[1\].x: is missing"):
-        message["inner"][1]["x"]
+    image = write.integer(1, 2) + write.blob(2, raw)
+    data = write.blob(1, write.blob(1, "Straße")) + write.blob(4, image) + write.blob(4, b"")
+    message = decode("Frame", data)
+    assert message["context"]["name"] == "Straße"
+    assert (message["images"][0]["name"], message["images"][0]["image"]) == ("FRONT_LEFT", raw)
+    assert decode("ObjectState", write.single(5, 0.5))["length"] == 0.5
+    with pytest.raises(FieldError, match=r"^images\[1\].image: is missing"):
+        message["images"][1]["image"]
 
 
 @pytest.mark.parametrize(
-    ("data", "message"),
+    ("data", "field", "message"),
     [
-        (write.integer(6, 7), r"^colour: is 7, no Colour \(1 RED, 2 BLUE\)"),
-        (write.blob(4, b"\xff\xfe"), "^name: is no text"),
-        (write.integer(4, 1), "^name: has wire type 0, not 2"),
-        (write.blob(4, "name")[:-1], "^Outer: field 4 is cut off"),
-        (write.blob(5, write.double(1, 2.0)[:-1]), r"^inner\[0\]: field 1 is cut off"),
-        (write.blob(2, b"1234567"), "^numbers: is cut off"),
-        (b"\x0b\x0c", "^Outer: is no protocol buffer: field 1 has wire type 3"),
-        (b"\x08" + b"\xff" * 11, "^Outer: is no protocol buffer: a number is cut off"),
-        (b"\x08", "^Outer: is no protocol buffer: a number is cut off"),
+        (write.integer(1, 7), "name", r"^name: is 7, no LaserName \(1 TOP, 2 FRONT, "),
+        (write.integer(1, -1), "name", "^name: is -1, no LaserName"),
+        (write.blob(1, "TOP"), "name", "^name: is missing"),  # of another wire type: unknown
+        (write.blob(2, "image")[:-1], "return1", "^Laser: is no protocol buffer, or cut off"),
+        (write.blob(2, write.blob(2, "image")[:-1]), "return1", "^Laser: is no protocol buffer"),
+        (b"\x0c", "name", "^Laser: is no protocol buffer"),
+        (b"\x08" + b"\xff" * 11, "name", "^Laser: is no protocol buffer"),
+        (b"\x08", "name", "^Laser: is no protocol buffer"),
     ],
 )
-def test_bytes_that_are_no_such_message_are_told(data: bytes, message: str) -> None:
+def test_bytes_that_are_no_such_message_are_told(data: bytes, field: str, message: str) -> None:
     with pytest.raises(FieldError, match=message):
-        decode(OUTER, data)
+        decode("Laser", data)[field]
+
+
+def test_bytes_that_are_no_text_are_told() -> None:
+    with pytest.raises(FieldError, match=r"^id: is no text"):
+        decode("Label", write.blob(4, b"\xff\xfe"))["id"]
+    with pytest.raises(FieldError, match=r"^Transform: is no protocol buffer"):
+        decode("Transform", write.blob(1, b"1234567"))

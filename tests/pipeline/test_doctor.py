@@ -12,7 +12,7 @@ from recast.actors import DEFAULT_GENERATOR, DEFAULT_SEGMENTER
 from recast.cli.main import main
 from recast.cli.rows import machine
 from recast.core import workers
-from recast.core.parts import GENERATORS, PLANNERS, SEGMENTERS
+from recast.core.plugins import GENERATORS, PLANNERS, SEGMENTERS
 from recast.planning import GTRS_MINI
 
 _LISTED = """

@@ -15,7 +15,7 @@ from recast.actors.axes import UNIT_CUBE_Z_UP
 from recast.cli.main import main
 from recast.core.errors import InputError
 from recast.geometry import se3
-from recast.pipeline.evaluate_actor import evaluate_actors
+from recast.pipeline.evaluate_actors import evaluate_actors
 from recast.splats import Gaussians, write_ply
 from support.crops import SIZE, two_coloured_box, write_crops
 

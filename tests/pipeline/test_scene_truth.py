@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from recast.logs import DrivingLog
-from recast.pipeline.scene import ShiftedTruth, evaluation_table, shift_table
+from recast.pipeline.scene import evaluation_table, shift_table, shifted_truth
 from recast.scene import (
     FrameScore,
     RegionScore,
@@ -23,7 +23,7 @@ from recast.scene import (
 from recast.scene.evaluate_record import DepthScore
 from recast.scene.evaluate_shifts import ShiftedScore
 from recast.synthetic import is_synthetic
-from recast.synthetic.oracle import Oracle
+from recast.synthetic.oracle import Oracle, OraclePool
 from recast.synthetic.rig import exposure, make_rig
 from recast.synthetic.world import World
 from synthetic.conftest import small_world
@@ -39,7 +39,7 @@ def beside(world: World, camera: str, shift: ViewShift) -> ShiftedView:
     mounted = make_rig(96, 64).cameras[camera]
     pose = world.ego.poses[1] @ shift.rig_from_shifted @ mounted.rig_from_camera
     time = int(world.ego.timestamps_us[1])
-    return ShiftedView(shift, camera, 1, time, mounted.camera, pose)
+    return ShiftedView(camera, 1, time, mounted.camera, pose, shift=shift)
 
 
 def test_shifted_cameras_see_the_world_with_their_own_exposure(world: World) -> None:
@@ -48,8 +48,8 @@ def test_shifted_cameras_see_the_world_with_their_own_exposure(world: World) -> 
         for camera in ("front", "front_left")
         for metres in (0.0, 3.0)
     ]
-    with ShiftedTruth(world, workers=1) as truth:
-        images = [image / 255 for image in truth(views)]
+    with OraclePool(world, workers=1) as pool:
+        images = [image / 255 for image in shifted_truth(pool, views)]
     oracle = Oracle(world)
     for view, image in zip(views, images, strict=True):
         frame = oracle.render(

@@ -243,7 +243,7 @@ def test_the_rig_that_a_planner_names_is_marked_too() -> None:
     planner.needs_images = True
     planner.camera_names = ("nuplan_f0", "FRONT")  # type: ignore[attr-defined]
     rig = nuplan_rig(0.1)
-    made = virtual_mounts(planner, WAYMO, rig)
+    made = virtual_mounts(planner, WAYMO, 0.1)
     assert list(made) == ["nuplan_f0"] and made["nuplan_f0"].source is None
     np.testing.assert_array_equal(
         made["nuplan_f0"].rig_from_camera, rig["nuplan_f0"].rig_from_camera
@@ -254,7 +254,7 @@ def test_the_rig_that_a_planner_names_is_marked_too() -> None:
     assert (own.camera, own.virtual, own.seen) == ("FRONT", False, 1.0)
     behind = {"CAM_BACK": NUSCENES["CAM_BACK"], "FRONT": WAYMO["SIDE_LEFT"]}
     with pytest.raises(InputError, match="view nuplan_f0: looks ahead, and the log's cameras see"):
-        shown_views(planner, behind | virtual_mounts(planner, behind, rig))
+        shown_views(planner, behind | virtual_mounts(planner, behind, 0.1))
 
 
 def test_virtual_cameras_join_real_ones_of_their_size(looker: Looker) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from recast.actors.cutout import GrabCutRemover, GroundedSamRemover, remover_of
-from recast.actors.detect import DetectionRule
+from recast.actors.grounded_segmenter import DetectionRule
 from recast.core.errors import InputError
 from support.tiny_networks import write_tiny_networks
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from recast.actors.cutout import GrabCutRemover, central_detection, mask_doubts
-from recast.actors.detect import Detection
+from recast.actors.grounded_segmenter import Detection
 from recast.core import files
 from recast.core.errors import InputError
 from recast.recar import read_set

@@ -42,7 +42,7 @@ def test_nothing_is_decided_without_a_file(folder: Path) -> None:
     assert dict(screening.decisions) == {}
     assert screening.decision("a") is None
     assert screening.undo() is None
-    assert screening.counts() == {"accept": 0, "reject": 0}
+    assert screening.decisions == {}
     assert not (folder / "screening.json").exists()
     assert get_args(Decision) == DECISIONS
 
@@ -54,7 +54,7 @@ def test_each_decision_is_in_the_file_with_its_time(folder: Path) -> None:
     screening.decide("b", "reject")
     screening.decide("a", "accept")
     assert stored(folder) == {"a": "accept", "b": "reject"}
-    assert screening.counts() == {"accept": 1, "reject": 1}
+    assert sorted(screening.decisions.values()) == ["accept", "reject"]
     changes = screening.changes(0)
     assert [(c.id, c.before, c.after) for c in changes] == [
         ("a", None, "reject"),

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recast.recar.screening import DECISIONS, Catalogue, Decision, Entry, Filter
-from recast.recar.screening.catalogue import ORDERS, SHOWS, Order, Show
+from recast.recar.screening.service import ORDERS, SHOWS, Order, Show
 
 ENTRIES = (Entry("b", 5.0), Entry("a", 4.0), Entry("c", None), Entry("car-2", 4.0))
 CATALOGUE = Catalogue(ENTRIES)

@@ -390,3 +390,14 @@ def test_the_tar_is_what_tarfile_writes(folders: VehicleSet, packed: ShardedSet)
         for member in ours:
             theirs.addfile(member, ours.extractfile(member))
     assert buffer.getvalue().rstrip(b"\0") == path.read_bytes().rstrip(b"\0")
+
+
+def test_webdataset_reads_them(folders: VehicleSet, packed: ShardedSet) -> None:
+    webdataset = pytest.importorskip("webdataset")
+    urls = [str(packed.folder / shard.file) for shard in packed.index.shards]
+    samples = list(webdataset.WebDataset(urls, shardshuffle=False, empty_check=False))
+    assert sorted(sample["__key__"] for sample in samples) == sorted(folders.identities)
+    for sample in samples:
+        identity = folders.identities[sample["__key__"]]
+        assert json.loads(sample["identity.json"])["id"] == identity.record.id
+        assert all(sample[f"view_{i:02d}.png"] == identity.encoded(i) for i in range(VIEWS))

@@ -141,7 +141,7 @@ def test_a_mesh_is_checked_before_any_work(block: Path, tmp_path: Path) -> None:
         (TINY, {"vehicles": -1}, "--vehicles"),
         (TINY, {"vehicles": 0}, "--vehicles"),
         (TINY, {"vehicles": 1, "shapes": -1}, "--shapes"),
-        (TINY, {"vehicles": 1, "workers": 0}, "--workers"),
+        (TINY, {"vehicles": 1, "workers": 0}, "`workers`"),
         (SynthesisSettings(width=0), {"vehicles": 1}, "--width"),
         (SynthesisSettings(height=100_000), {"vehicles": 1}, "--height"),
         (SynthesisSettings(views=0), {"vehicles": 1}, "--views"),

@@ -105,7 +105,7 @@ def test_other_settings_or_another_folder_are_refused(
         build_targets(*places, other, SETTINGS)
     with pytest.raises(InputError, match="car-9: is not in the set"):
         build_targets(*places, tmp_path / "new", SETTINGS, identities=["car-9"])
-    with pytest.raises(InputError, match="--workers"):
+    with pytest.raises(InputError, match="workers"):
         build_targets(*places, tmp_path / "new", SETTINGS, workers=0)
     assert not (tmp_path / "new").exists()
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast.core import files
 from recast.core.errors import InputError
 from recast.recar.screening import Screening
 from recast.recar.targets import (
@@ -66,19 +65,6 @@ def test_decisions_reject_whatever_the_score(cache: TargetCache) -> None:
     path.write_text(path.read_text().replace('"accept"', '"maybe"'))
     with pytest.raises(InputError, match=r"screening\.json: decisions\.car-0"):
         TargetCache.open(cache.folder)
-
-
-def test_targets_that_an_earlier_version_turned_are_not_used(cache: TargetCache) -> None:
-    """Its flip moved voxels but not what latents say of directions, so surfaces came out torn."""
-    change = {"id": "car-0", "before": None, "after": "flip", "time": "2026-01-01T00:00:00Z"}
-    record = {"format": "recast-screening", "version": 1, "decisions": {"car-0": "flip"}}
-    files.write_json(cache.folder / "screening.json", {**record, "history": [change]})
-    again = TargetCache.open(cache.folder)
-    assert again.decisions == {"car-0": "reject"} and again.ids() == ("car-1",)
-    Screening(cache.folder).undo()
-    assert TargetCache.open(cache.folder).ids() == ("car-0", "car-1")
-    with pytest.raises(InputError, match="decision: is 'flip'"):
-        Screening(cache.folder).decide("car-0", "flip")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ import pytest
 import torch
 
 from recast.recar.targets import TargetCache, build_targets
-from recast.recar.targets.maker import Job, Outcome, TargetMaker
+from recast.recar.targets.maker import Outcome, TargetMaker, VehicleTask
 from recast.recar.targets.record import TargetRecord
 from support.moments import forked
 from support.target_caches import box_target
@@ -51,9 +51,9 @@ def test_ten_kills_at_random_moments_change_nothing(
 class QuickMaker:
     """Makes boxes; the second vehicle fails."""
 
-    def make(self, job: Job) -> Outcome:
-        index = int(job.id[-1])
-        fields = {"id": job.id, "split": job.split, "kind": job.kind, "seed": index}
+    def make(self, task: VehicleTask) -> Outcome:
+        index = int(task.id[-1])
+        fields = {"id": task.id, "split": task.split, "kind": task.kind, "seed": index}
         if index == 1:
             return Outcome(TargetRecord.model_validate(fields | {"failure": "made up"}))
         target = box_target(index)

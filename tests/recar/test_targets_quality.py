@@ -15,9 +15,15 @@ from PIL import Image
 from recast.core.errors import InputError
 from recast.recar import regular_azimuths
 from recast.recar.targets import Candidate, FilterSettings, Target
-from recast.recar.targets.aesthetic import WIDTHS, AestheticScore, load_predictor
 from recast.recar.targets.maker import contact_sheet, filter_record, open_score
-from recast.recar.targets.quality import AgreementScore, largest_part, mirror_symmetry
+from recast.recar.targets.quality import (
+    WIDTHS,
+    AestheticScore,
+    AgreementScore,
+    largest_part,
+    load_predictor,
+    mirror_symmetry,
+)
 from recast.recar.targets.views import (
     Cutout,
     Viewpoint,

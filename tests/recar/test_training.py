@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
+import os
+import subprocess
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -216,21 +218,6 @@ def test_probe_and_watch_come_with_each_line(tmp_path: Path) -> None:
     assert lines_of(tmp_path)[0]["gap"] == 0.25
 
 
-def test_a_state_without_pending_means_is_read(whole: Path, tmp_path: Path) -> None:
-    """As the first version wrote it."""
-    with safe_open(whole / STATE_FILE, framework="pt") as file:
-        header = json.loads(file.metadata()["recast-training"])
-    del header["log"]
-    from safetensors.torch import save_file
-
-    save_file(
-        tensors_of(whole),
-        tmp_path / STATE_FILE,
-        metadata={"recast-training": json.dumps(header)},
-    )
-    assert train(Line(), SETTINGS, tmp_path).step == 23
-
-
 def test_the_randomness_of_parts_differs_and_that_of_the_whole_step_does_not() -> None:
     parts = [StepRandom.of(1, 2, part, 2) for part in range(2)]
     assert parts[0].numpy.random() != parts[1].numpy.random()
@@ -245,3 +232,26 @@ def test_rates() -> None:
     assert wave.rate(0) == 2.0
     assert wave.rate(5) == pytest.approx(1.01)
     assert wave.rate(10) == pytest.approx(0.02)
+
+
+_TWO = """
+import sys
+from pathlib import Path
+from recar.test_training import SETTINGS, Line
+from recast.recar.training.loop import Processes, train
+settings = SETTINGS.model_copy(update={"accumulate": 1})
+train(Line(), settings, Path(sys.argv[1]), processes=Processes.started())
+"""
+
+
+def test_two_processes_train_as_one_that_accumulates_twice(whole: Path, tmp_path: Path) -> None:
+    pytest.importorskip("accelerate")
+    (tmp_path / "two.py").write_text(_TWO)
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
+    tests = str(Path(__file__).parents[1])
+    environment = {**os.environ, "PYTHONPATH": tests, "CUDA_VISIBLE_DEVICES": ""}
+    command += [str(tmp_path / "two.py"), str(tmp_path / "out")]
+    subprocess.run(command, check=True, env=environment, capture_output=True, timeout=300)
+    for name, value in tensors_of(whole).items():
+        found = tensors_of(tmp_path / "out")[name]
+        torch.testing.assert_close(found, value, rtol=1e-4, atol=1e-6, msg=name)

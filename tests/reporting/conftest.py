@@ -86,8 +86,6 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> ReportInputs:
                 1.03,
                 0.02,
                 np.array([0.04, -0.02, 0.03]),
-                0.21,
-                0.85,
                 np.array([1.02, 0.94]),
                 {"front": 0.02, "rear": 0.98},
                 (Fact("Front", "heading"),),
@@ -103,16 +101,14 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> ReportInputs:
             ScenarioPart("Stationary", "Stands.", (RolloutPart("native", failure),)),
         ),
         scene=ScenePart(
-            (ImageScore("whole image", 21.93, 18, 0.771, 21.5, 0.75),),
+            (ImageScore("whole image", 21.93, 18, 0.771),),
             (Comparison("frame 3", {"recorded": noise(20, 30, 3), HOSTILE: noise(20, 30, 3)}),),
             (Fact("Gaussians", "241830"),),
             (Fact("Median error", "0.061 m", HOSTILE),),
         ),
         hd_map=hd_map,
         config={"scene": {"steps": 3000}, "name": f"</pre>{HOSTILE}"},
-        provenance=ProvenancePart(
-            f"recast run {HOSTILE}", {"torch": "2.13.0"}, {"scene": 7}, {"log": "9c1f0a7e"}
-        ),
+        provenance=ProvenancePart({"torch": "2.13.0"}, {"scene": 7}, {"log": "9c1f0a7e"}),
         timings={"scene training": 312.4, "observe": 0.0},
         warnings=(f"The map was derived. {HOSTILE}",),
     )

@@ -44,11 +44,8 @@ def test_what_moves_and_the_depth_have_their_lines() -> None:
     assert missing.value == "2.1 %" and "12,345 points, measured 52 ms" in str(missing.help)
 
 
-def test_nothing_moves_no_lidar_and_files_of_version_1() -> None:
+def test_nothing_moves_and_no_lidar() -> None:
     still = _evaluation() | {"moving": None, "depth": None}
-    first = _evaluation()
-    del first["moving"], first["depth"]
-    for evaluation in (still, first):
-        regions = [line.region for line in score_lines(evaluation)]
-        assert regions == ["whole image", "inside the box of track 7"]
-        assert depth_facts(evaluation) == ()
+    regions = [line.region for line in score_lines(still)]
+    assert regions == ["whole image", "inside the box of track 7"]
+    assert depth_facts(still) == ()

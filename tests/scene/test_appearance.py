@@ -29,21 +29,21 @@ def test_shares_run_over_the_labels_and_end_with_them() -> None:
 
 def test_only_the_constant_harmonic_changes_and_gradients_follow_the_basis() -> None:
     gaussians = part(6, 0)
-    waves = torch.randn(6, 4, 3, generator=torch.Generator().manual_seed(1)).requires_grad_()
-    result = coloured(gaussians, waves, 0.3)
+    fourier = torch.randn(6, 4, 3, generator=torch.Generator().manual_seed(1)).requires_grad_()
+    result = coloured(gaussians, fourier, 0.3)
     assert torch.equal(result.sh[:, 1:], gaussians.sh[:, 1:])
     result.sh.sum().backward()
-    assert waves.grad is not None
+    assert fourier.grad is not None
     expected = fourier_basis(0.3, 5)[1:, None].expand(4, 3)
-    assert torch.allclose(waves.grad, expected.expand(6, 4, 3))
+    assert torch.allclose(fourier.grad, expected.expand(6, 4, 3))
 
 
 def test_frozen_colours_go_on_to_any_other_time() -> None:
     raw = part(6, 0)
-    waves = torch.randn(6, 4, 3, generator=torch.Generator().manual_seed(1))
-    appearance = Appearance(waves, frozen_share=0.4)
-    frozen = coloured(raw, waves, 0.4)
+    fourier = torch.randn(6, 4, 3, generator=torch.Generator().manual_seed(1))
+    appearance = Appearance(fourier, frozen_share=0.4)
+    frozen = coloured(raw, fourier, 0.4)
     for share in (0.0, 0.4, 0.9):
-        there = coloured(raw, waves, share)
+        there = coloured(raw, fourier, share)
         assert torch.allclose(appearance.at(frozen, share).sh, there.sh, atol=1e-6)
     assert not torch.allclose(appearance.at(frozen, 0.9).sh, frozen.sh, atol=0.1)

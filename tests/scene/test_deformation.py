@@ -11,7 +11,6 @@ import torch
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, Trajectory
 from recast.scene import (
-    SceneConfig,
     SceneRasterizer,
     TrainingStatus,
     TrainResult,
@@ -260,8 +259,3 @@ def test_a_damaged_deformation_is_one_line(
     with pytest.raises(InputError, match=message) as caught:
         load_scene(folder)
     assert "\n" not in str(caught.value)
-
-
-def test_fields_of_deformable_nodes_change_no_record_of_a_rigid_run() -> None:
-    assert not any(name.startswith(("deform", "smpl")) for name in SceneConfig().resolved())
-    assert WALKER.resolved()["deformable"] is True

@@ -144,14 +144,14 @@ def test_large_rows_go_once_there_was_a_reset(model: TrainableScene) -> None:
 
 def test_colours_over_time_follow_their_rows(model: TrainableScene) -> None:
     with torch.no_grad():
-        model.waves[:] = torch.arange(12.0)[:, None, None]
+        model.fourier[:] = torch.arange(12.0)[:, None, None]
         model.local.means[:, 0] = torch.arange(12.0)
     model.local_statistics.total[:] = 9.0
     model.local_statistics.views[:] = 1.0
     config = SceneConfig(densify_growth=10.0, actor_split_above_m=10.0, prune_opacity=0.0)
     control_density(model, tracks(), config, torch.Generator())
-    assert len(model.local) == 24 == len(model.waves)
-    assert torch.equal(model.waves[:, 0, 0].detach(), model.local.means[:, 0].detach())
+    assert len(model.local) == 24 == len(model.fourier)
+    assert torch.equal(model.fourier[:, 0, 0].detach(), model.local.means[:, 0].detach())
     moments = model.local_adam.state_dict()["first.waves"]
     assert moments.shape == (24, 2, 3) and set(model.local_parameters()) == {
         *rows(model.local),

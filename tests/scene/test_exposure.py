@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from recast.geometry import PinholeCamera
-from recast.scene.trainable_parts import Exposures, exposed, exposed_colours
+from recast.scene.appearance import Exposures, exposed, exposed_colours
 from recast.scene.views import View
 from recast.splats import rasterize
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from recast.geometry import PinholeCamera, se3
-from recast.scene.plane_sweep import SweepSettings, sweep_depths
+from recast.scene.plane_sweep import sweep_depths
 from recast.scene.views import View
 
 CAMERA = PinholeCamera(120, 60, 90.0, 90.0, 60.0, 30.0)
@@ -32,8 +32,7 @@ def test_depth_of_a_textured_wall() -> None:
     ]
     wanted = np.ones((60, 120), bool)
     wanted[:, :10] = False
-    settings = SweepSettings(near=4.0, far=60.0)
-    (found,) = sweep_depths(views, [2], [wanted], settings)
+    (found,) = sweep_depths(views, [2], [wanted], near=4.0, far=60.0)
     assert (found[:, :10] == 0).all()
     inner = found[10:-10, 20:-20]
     known = inner > 0

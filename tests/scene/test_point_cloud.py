@@ -45,7 +45,7 @@ def test_neighbour_distance_on_a_grid() -> None:
 def test_gaussians_have_the_points_colours_and_sizes() -> None:
     rng = np.random.default_rng(0)
     cloud = cloud_of(rng.random((50, 3)))
-    gaussians = gaussians_from_points(cloud, 1, opacity=0.3, scale=0.7)
+    gaussians = gaussians_from_points(cloud, 1)
     gaussians.validate()
     order = [int(np.abs(cloud.points - m).sum(1).argmin()) for m in gaussians.means.numpy()]
     assert sorted(order) == list(range(50))

@@ -92,7 +92,7 @@ def test_only_omnire_deforms_and_its_rate_rises_to_a_limit() -> None:
     assert [one.deformation_lr for one in rates] == pytest.approx(
         [8e-4, 8e-4 * 1.5**0.75, MOST_DEFORMATION_RATE]
     )
-    assert not any(name.startswith("deform") for name in resolve_config("streetgs").resolved())
+    assert not resolve_config("streetgs").deformable
 
 
 def test_a_wrong_option_is_named() -> None:

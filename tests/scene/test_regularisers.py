@@ -9,7 +9,7 @@ import torch
 from recast.geometry import PinholeCamera
 from recast.logs import Track, Trajectory
 from recast.scene.levels import make_level
-from recast.scene.objective import TrackSmoothness, actor_opacity, actors_alone, sharp_shape
+from recast.scene.losses import TrackSmoothness, actor_opacity, actors_alone, sharp_shape
 from recast.scene.points import DepthSamples
 from recast.scene.poses import TrackPoses
 from recast.scene.trainable import TrainableScene

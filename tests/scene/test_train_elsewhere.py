@@ -63,7 +63,7 @@ def rasterize_elsewhere(
 @pytest.fixture
 def there(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """`ELSEWHERE` is the device that is picked."""
-    for name in ("trainer", "objective", "render"):
+    for name in ("trainer", "losses", "render"):
         monkeypatch.setattr(sys.modules[f"recast.scene.{name}"], "rasterize", rasterize_elsewhere)
     for name in ("train", "render"):
         monkeypatch.setattr(

@@ -106,9 +106,9 @@ def test_actors_keep_how_their_colours_change(made: TrainResult, tiny_log: Drivi
     loaded = load_scene(made.folder)
     actor = loaded.actors["0"]
     assert actor.appearance is not None and actor.appearance.frozen_share == 0.5
-    assert actor.appearance.waves.shape == (len(actor.gaussians), 4, 3)
-    assert torch.equal(actor.appearance.waves, made.scene.actors["0"].appearance.waves)
-    assert actor.appearance.waves.abs().max() > 1e-3
+    assert actor.appearance.fourier.shape == (len(actor.gaussians), 4, 3)
+    assert torch.equal(actor.appearance.fourier, made.scene.actors["0"].appearance.fourier)
+    assert actor.appearance.fourier.abs().max() > 1e-3
 
     times = actor.trajectory.timestamps_us
     half = int(times[0] + (times[-1] - times[0]) // 2)

@@ -90,7 +90,7 @@ def test_a_scene_without_actors() -> None:
 def test_colours_over_time_and_mirrored_rows_are_drawn_and_learned() -> None:
     model = TrainableScene(part(5, 0), {"a": part(10, 1), "b": part(12, 2)}, fourier_terms=3)
     with torch.no_grad():
-        model.waves += 0.1
+        model.fourier += 0.1
     flipped = torch.arange(22) % 2 == 0
     drawn = model.draw({"b": torch.eye(4)}, {"b": 0.25}, flipped)
     expected = mirrored(coloured(part(12, 2), torch.full((12, 2, 3), 0.1), 0.25), flipped[10:])
@@ -98,13 +98,13 @@ def test_colours_over_time_and_mirrored_rows_are_drawn_and_learned() -> None:
         assert torch.allclose(getattr(drawn.gaussians, name)[5:], value, atol=1e-6)
     loss_of(drawn.gaussians).backward()
     model.take_gradients(drawn)
-    gradient = model.waves.grad
+    gradient = model.fourier.grad
     assert gradient is not None and (gradient[:10] == 0).all()
     # sin(2 pi / 4) = 1 and cos(2 pi / 4) = 0 times the constant harmonic's gradient
     assert torch.allclose(gradient[10:, 0], model.local.sh.grad[10:, 0], atol=1e-6)
     assert gradient[10:, 1].abs().max() < 1e-6
-    before = model.waves.detach().clone()
+    before = model.fourier.detach().clone()
     rates = dict.fromkeys(("means", "quats", "log_scales", "logit_opacities", "sh"), 0.01)
     model.step(torch.ones(5, dtype=torch.bool), torch.ones(22, dtype=torch.bool), rates)
-    assert (model.waves[10:, 0] != before[10:, 0]).any()
+    assert (model.fourier[10:, 0] != before[10:, 0]).any()
     assert torch.equal(model.actor("a")[1], before[:10])

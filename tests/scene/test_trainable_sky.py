@@ -7,7 +7,7 @@ import torch
 from recast.geometry import PinholeCamera, se3
 from recast.scene import SceneConfig
 from recast.scene.sky import SkyMap, sample_cubemap, texel_directions
-from recast.scene.trainable_parts import CubeSky, PanoramaSky, make_sky
+from recast.scene.trainable import CubeSky, PanoramaSky, make_sky
 
 CAMERA = PinholeCamera(24, 16, 20.0, 22.0, 11.0, 9.0)
 OPENCV = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

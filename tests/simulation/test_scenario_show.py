@@ -7,13 +7,12 @@ import pytest
 from rich.console import Console
 from synthetic_drives import drive
 
-from recast.cli.rows.scenarios import list_scenarios, show_scenarios
+from recast.cli.rows.scenarios import list_scenarios, place_scenarios, show_scenarios
 from recast.core.errors import InputError
 from recast.logs import write_log
 from recast.logs.hdmap import HdMap
 from recast.reporting.canvas import Canvas, View
-from recast.reporting.scenario_facts import facts_table, notes, scenario_facts
-from recast.reporting.scenario_figure import draw_scenarios
+from recast.reporting.scenario_preview import draw_scenarios, facts_table, notes, scenario_facts
 from recast.simulation import MOTIONS, RolloutSetup, prepare
 
 
@@ -64,15 +63,15 @@ def test_the_picture_shows_every_scenario() -> None:
 def test_show_writes_what_can_run_and_names_what_cannot(tmp_path: Path) -> None:
     write_log(drive(seconds=6), tmp_path / "log")
     out, console = tmp_path / "s.png", Console(record=True, width=200)
-    show_scenarios(tmp_path / "log", ["oncoming"], "7", out, 50, console)
+    show_scenarios(place_scenarios(tmp_path / "log", ["oncoming"], "7", 50), out, console)
     assert out.stat().st_size > 5000
     text = console.export_text()
     assert "oncoming-a" in text
     assert "oncoming-b: refused: synthetic: rollout oncoming-b-scene: the actor would leave" in text
     with pytest.raises(InputError, match="the actor would leave"):
-        show_scenarios(tmp_path / "log", ["oncoming-b"], "7", out, 50, console)
+        show_scenarios(place_scenarios(tmp_path / "log", ["oncoming-b"], "7", 50), out, console)
     with pytest.raises(InputError, match=r"is no PNG"):
-        show_scenarios(tmp_path / "log", ["oncoming-a"], "7", tmp_path / "s.jpg", 50, console)
+        show_scenarios([], tmp_path / "s.jpg", console)
 
 
 def test_list_names_all_with_their_numbers() -> None:

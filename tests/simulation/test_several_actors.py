@@ -158,7 +158,7 @@ def test_a_damaged_table_of_actors_is_refused(rollout: Rollout, tmp_path: Path) 
         ({"states": np.full((61, 4), np.nan)}, "holds NaN"),
         ({"world_from_actor": np.ones((61, 4, 4))}, "world_from_actor"),
         ({"track_id": "7"}, "has a track twice"),
-        ({"motion": "x" * 2000}, "motion has more than 1000"),
+        ({"motion": "x" * 2000}, "motion: has 2000 characters, more than 1000"),
     ],
 )
 def test_what_is_no_controlled_actor(

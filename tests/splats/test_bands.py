@@ -53,15 +53,14 @@ def test_the_memory_of_lists_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None
     settings = check_settings(
         torch.eye(4),
         torch.tensor([[400.0, 0, 320], [0, 400, 240], [0, 0, 1]]),
-        width,
-        height,
         None,
-        0.2,
-        1e10,
-        0.3,
-        False,
-        0.99,
-        False,
+        width=width,
+        height=height,
+        near=0.2,
+        far=1e10,
+        eps2d=0.3,
+        antialiased=False,
+        max_alpha=0.99,
     )
     meta = RasterMeta(
         torch.empty(count, dtype=torch.bool), torch.empty(count), torch.empty(count, 2)

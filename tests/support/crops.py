@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import torch
 
-from recast.actors.turntable import look_at
+from recast.actors.drawing import look_at
 from recast.geometry import PinholeCamera
 from recast.recar.views import pinhole
 from recast.splats import Gaussians, rasterize

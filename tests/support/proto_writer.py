@@ -1,4 +1,4 @@
-"""Protocol buffers and TFRecord files, written without either library: a few lines for tests."""
+"""Protocol buffers and TFRecord files, written byte by byte, so that tests can write them wrong."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import struct
 from collections.abc import Iterable
 from pathlib import Path
 
-from recast.logs.importers.waymo_tfrecord import crc32c_reference
+import google_crc32c
 
 
 def varint(value: int) -> bytes:
@@ -51,7 +51,7 @@ def packed_integers(number: int, values: Iterable[int]) -> bytes:
 
 
 def masked(data: bytes) -> int:
-    crc = crc32c_reference(data)
+    crc = google_crc32c.value(data)
     return ((crc >> 15 | crc << 17 & 0xFFFFFFFF) + 0xA282EAD8) % (1 << 32)
 
 

@@ -31,3 +31,11 @@ def normal(seed: int, *shape: int) -> Tensor:
 examples = settings(max_examples=40, deadline=None)
 SEEDS = st.integers(0, 2**31)
 COUNTS = st.lists(st.one_of(st.just(0), st.integers(1, 60)), min_size=1, max_size=3)
+
+
+def one_sample(x: SparseTensor, index: int) -> SparseTensor:
+    """One sample as a batch of one."""
+    rows = x.slices[index]
+    coords = x.coords[rows].clone()
+    coords[:, 0] = 0
+    return SparseTensor(coords, x.feats[rows], 1)

@@ -138,12 +138,12 @@ WEIGHT = "blocks.0.conv1.weight"
     [
         (
             lambda t: t.update({WEIGHT: t[WEIGHT][:, :3].clone()}),
-            f"{WEIGHT}: is F32 [16, 3, 3, 3, 3], SparseStructureDecoder has F32 [16, 16, 3, 3, 3] "
-            "(0 missing, 0 unexpected, 1 of another shape",
+            f"{WEIGHT}: is float32 [16, 3, 3, 3, 3], not float32 [16, 16, 3, 3, 3] "
+            "(1 of another shape of SparseStructureDecoder)",
         ),
-        (lambda t: t.pop(WEIGHT), f"{WEIGHT}: is missing of SparseStructureDecoder (1 missing"),
-        (lambda t: t.update(extra=torch.zeros(1)), "extra: is not expected in"),
-        (lambda t: t.update({WEIGHT: t[WEIGHT].int()}), f"{WEIGHT}: is I32"),
+        (lambda t: t.pop(WEIGHT), f"{WEIGHT}: is missing (1 missing of SparseStructureDecoder)"),
+        (lambda t: t.update(extra=torch.zeros(1)), "extra: is not expected (1 unexpected"),
+        (lambda t: t.update({WEIGHT: t[WEIGHT].int()}), f"{WEIGHT}: is int32"),
         (lambda t: t[WEIGHT].view(-1)[5].fill_(torch.nan), f"{WEIGHT}: holds NaN or inf"),
         (lambda t: t[WEIGHT].view(-1)[5].fill_(torch.inf), f"{WEIGHT}: holds NaN or inf"),
     ],
@@ -184,7 +184,7 @@ def test_a_pickle_in_disguise_is_never_loaded(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("stem", "change", "message"),
     [
-        ("ss_flow", {"cond_channels": 40}, "is F32"),
+        ("ss_flow", {"cond_channels": 40}, "is float32"),
         ("slat_enc", {"resolution": 32}, "voxels along an axis: differ"),
     ],
 )

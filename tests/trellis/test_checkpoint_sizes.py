@@ -5,13 +5,12 @@ from __future__ import annotations
 import pytest
 import torch
 
-from recast.trellis.checkpoints import OFFICIAL, SMALL, new_checkpoint
-from recast.trellis.checkpoints.header import DTYPES, file_bytes, tensor_specs
+from recast.trellis.checkpoints import OFFICIAL, SMALL, build, new_checkpoint
 from recast.trellis.checkpoints.load import check_agreement
-from recast.trellis.checkpoints.model_files import MODEL_CLASSES
+from recast.trellis.checkpoints.model_files import file_bytes
 from recast.trellis.checkpoints.record import GENERATION_ROLES
 from recast.trellis.checkpoints.sizes import ModelSize
-from recast.trellis.models import TrellisModel, build
+from recast.trellis.models import TrellisModel
 from support.trellis import official_keys
 
 # Sizes of the published files.
@@ -27,7 +26,7 @@ OFFICIAL_BYTES = {
 
 def meta(size: ModelSize) -> TrellisModel:
     with torch.device("meta"):
-        return build(size.name, size.args, size.stem, MODEL_CLASSES)
+        return build(size.name, size.args, size.stem)
 
 
 @pytest.mark.parametrize("size", OFFICIAL.models.values(), ids=lambda size: size.name)
@@ -35,12 +34,12 @@ def test_the_published_files(size: ModelSize) -> None:
     keys = official_keys()[size.stem.removeprefix("ckpts/")]
     assert size.args == keys["args"]
     model = meta(size)
-    specs = tensor_specs(model.published_state())
+    specs = model.published_state()
     assert specs.keys() == keys["state_dict"].keys()
     for name, spec in specs.items():
         expected = keys["state_dict"][name]
         assert list(spec.shape) == expected["shape"], name
-        assert DTYPES[spec.dtype] == getattr(torch, expected["dtype"]), name
+        assert spec.dtype == getattr(torch, expected["dtype"]), name
     assert file_bytes(specs) == OFFICIAL_BYTES[size.stem] == keys["official_file_bytes"]
     assert sum(p.numel() for p in model.parameters()) == keys["n_params"]
 
@@ -48,7 +47,7 @@ def test_the_published_files(size: ModelSize) -> None:
 def test_the_published_backbone() -> None:
     assert OFFICIAL.backbone is not None
     keys = official_keys()["dinov2_vitl14_reg4_pretrain"]
-    specs = tensor_specs(meta(OFFICIAL.backbone).published_state())
+    specs = meta(OFFICIAL.backbone).published_state()
     shapes = {name: list(spec.shape) for name, spec in specs.items()}
     assert shapes == {name: entry["shape"] for name, entry in keys["state_dict"].items()}
 

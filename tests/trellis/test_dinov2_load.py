@@ -138,7 +138,7 @@ def test_folder_of_another_model(damaged, config: dict[str, object], line: str):
 
 def test_config_that_does_not_fit_the_weights(damaged):
     line = _refusal(damaged(num_hidden_layers=3), None)
-    assert "'blocks.2." in line and "14 missing, 0 unknown" in line
+    assert "blocks.2." in line and "14 missing" in line
 
 
 def test_folder_lacks_the_key_of_an_attention(damaged):
@@ -161,7 +161,7 @@ def _save(path: Path, **changes: Tensor | None) -> Path:
 
 def test_tensor_missing(tmp_path: Path):
     line = _refusal(_save(tmp_path / "a.pth", **{"norm.bias": None}))
-    assert "tensor: 'norm.bias' is missing (1 missing, 0 unknown of 36)" in line
+    assert "norm.bias: is missing (1 missing)" in line
 
 
 def test_dinov2_without_registers(tmp_path: Path):
@@ -171,12 +171,12 @@ def test_dinov2_without_registers(tmp_path: Path):
 
 def test_tensor_unknown(tmp_path: Path):
     line = _refusal(_save(tmp_path / "a.pth", extra=torch.zeros(1)))
-    assert "tensor: 'extra' is unknown (0 missing, 1 unknown of 36)" in line
+    assert "extra: is not expected (1 unexpected)" in line
 
 
 def test_tensor_of_another_shape(tmp_path: Path):
     line = _refusal(_save(tmp_path / "a.pth", **{"blocks.0.attn.qkv.weight": torch.zeros(48, 48)}))
-    assert "'blocks.0.attn.qkv.weight': has shape (48, 48), not (144, 48)" in line
+    assert "blocks.0.attn.qkv.weight: is float32 [48, 48], not float32 [144, 48]" in line
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
@@ -184,7 +184,7 @@ def test_not_finite(tmp_path: Path, value: float):
     broken = golden_tensors("dinov2_tiny")["norm.weight"].clone()
     broken[5] = value
     line = _refusal(_save(tmp_path / "a.pth", **{"norm.weight": broken}))
-    assert "'norm.weight': holds NaN or infinity" in line
+    assert "norm.weight: holds NaN or infinite values" in line
 
 
 def test_heads_that_shapes_do_not_tell(tmp_path: Path):
@@ -195,7 +195,7 @@ def test_heads_that_shapes_do_not_tell(tmp_path: Path):
 
 def test_position_embedding_of_no_square(tmp_path: Path):
     line = _refusal(_save(tmp_path / "a.pth", pos_embed=torch.zeros(1, 16, 48)), None)
-    assert "'pos_embed': has shape (1, 16, 48), not (1, 10, 48)" in line
+    assert "pos_embed: is float32 [1, 16, 48], not float32 [1, 10, 48]" in line
 
 
 class _Malice:

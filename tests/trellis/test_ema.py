@@ -135,9 +135,9 @@ def test_averages_of_another_model_are_refused_and_change_nothing() -> None:
     before = {name: value.clone() for name, value in ema.state_dict().items()}
     state = dict(Net().state_dict())
     for wrong, message in [
-        ({n: v for n, v in state.items() if n != "pos_emb"}, "pos_emb: missing"),
-        ({**state, "extra": torch.zeros(1)}, "extra: unknown"),
-        ({**state, "pos_emb": torch.zeros(5)}, r"pos_emb: has shape \(5,\), expected \(4,\)"),
+        ({n: v for n, v in state.items() if n != "pos_emb"}, "pos_emb: is missing"),
+        ({**state, "extra": torch.zeros(1)}, "extra: is not expected"),
+        ({**state, "pos_emb": torch.zeros(5)}, r"pos_emb: is float32 \[5\], not float32 \[4\]"),
     ]:
         with pytest.raises(InputError, match=message):
             ema.load_state_dict(wrong, "ema.safetensors")

@@ -101,7 +101,7 @@ def test_only_failed_vehicles_are_drawn_again() -> None:
     counts = {_first_noise(20): 0, _first_noise(21): 60}
     drawn, asked = _draw(counts, [10, 20, 30], retries=2)
     assert asked == [[0, 1, 2], [1], [1]]
-    assert [one.draw.seed for one in drawn] == [10, 22, 30]
+    assert [one.seed for one in drawn] == [10, 22, 30]
 
 
 def test_an_empty_structure_is_named() -> None:

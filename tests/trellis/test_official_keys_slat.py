@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from recast.trellis.models import build
+from recast.trellis.checkpoints import build
 from support.trellis import official_keys
 
 STEMS = (

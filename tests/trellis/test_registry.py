@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from recast.core.errors import InputError
-from recast.trellis.models import MODELS, SLatFlowModel, build, model_class
+from recast.trellis.checkpoints.model_files import MODEL_CLASSES, build
+from recast.trellis.models import SLatFlowModel
 from support.trellis import golden_config, golden_tensors, official_keys
 
 GOLDEN = ("ss_flow", "ss_enc", "ss_dec", "slat_flow", "slat_enc", "slat_dec_gs")
@@ -33,17 +34,10 @@ def test_configurations_round_trip_through_json(name: str) -> None:
 
 
 def test_training_names_give_the_same_classes() -> None:
-    assert model_class("ElasticSLatFlowModel", "model.json") is SLatFlowModel
-    assert len(set(MODELS.values())) == 6
+    assert MODEL_CLASSES["ElasticSLatFlowModel"] is SLatFlowModel
     published = {official["class"] for official in official_keys().values()}
-    assert published - {"DinoVisionTransformer"} == {m.published_name for m in MODELS.values()}
-
-
-def test_other_networks_can_join() -> None:
-    classes = {**MODELS, "Mine": SLatFlowModel}
-    args = golden_config("slat_flow")["args"]
-    with torch.device("meta"):
-        assert isinstance(build("Mine", args, "model.json", classes), SLatFlowModel)
+    ours = {model.published_name for model in MODEL_CLASSES.values()}
+    assert ours == published | {"CompactImageEncoder"}
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 import torch
+from tests.trellis.sparse_samples import one_sample
 from torch import Tensor, nn
 
 from recast.trellis.attention import LayerNorm32
@@ -81,8 +82,8 @@ def test_a_batch_of_two_equals_the_two_alone(io: dict[str, Tensor]) -> None:
     both = run(model, io)
     for i in range(2):
         with torch.no_grad():
-            alone = model(x.sample(i), io["t"][i : i + 1], io["cond"][i : i + 1])
-        assert_same(both.sample(i).feats, alone.feats)
+            alone = model(one_sample(x, i), io["t"][i : i + 1], io["cond"][i : i + 1])
+        assert_same(one_sample(both, i).feats, alone.feats)
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from recast.trellis.checkpoints import SMALL, new_checkpoint
-from recast.trellis.models import build
+from recast.trellis.checkpoints import SMALL, build, new_checkpoint
 from recast.trellis.models.slat_vae import SLatGaussianDecoder
 from recast.trellis.sparse import SparseTensor
 from support.trellis import golden_config, golden_tensors

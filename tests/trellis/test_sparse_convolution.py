@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from hypothesis import given
-from tests.trellis.sparse_samples import COUNTS, SEEDS, examples, normal, random_sparse
+from tests.trellis.sparse_samples import COUNTS, SEEDS, examples, normal, one_sample, random_sparse
 from torch.nn.functional import conv3d
 
 from recast.core.errors import InputError
@@ -76,8 +76,8 @@ def test_samples_do_not_mix(seed: int, counts: list[int]) -> None:
     weight = normal(seed, 2, 3, 3, 3, 2)
     together = submanifold_convolution(x, weight, None)
     for i in range(x.batch_size):
-        alone = submanifold_convolution(x.sample(i), weight, None)
-        torch.testing.assert_close(alone.feats, together.sample(i).feats)
+        alone = submanifold_convolution(one_sample(x, i), weight, None)
+        torch.testing.assert_close(alone.feats, one_sample(together, i).feats)
 
 
 @pytest.fixture(params=["pairs", "im2col", "pairs in pieces", "im2col in pieces"])
@@ -133,15 +133,18 @@ def test_a_tensor_without_rows() -> None:
 def test_half_precision_sums_in_float32(dtype: torch.dtype) -> None:
     x = random_sparse(0, [150], 16)
     weight = normal(1, 16, 3, 3, 3, 16) / 20
-    half = x.to(dtype=dtype)
+    half = x.with_feats(x.feats.to(dtype))
     found = submanifold_convolution(half, weight.to(dtype), None).feats
     assert found.dtype == dtype
-    exact = submanifold_convolution(half.to(dtype=torch.float64), weight.to(dtype).double(), None)
+    exact = submanifold_convolution(
+        half.with_feats(half.feats.double()), weight.to(dtype).double(), None
+    )
     assert_same(found, exact.feats, 2 * torch.finfo(dtype).eps)
 
 
 def test_autocast_chooses_the_dtype() -> None:
-    layer, x = SubMConv3d(2, 3), random_sparse(0, [20], 2).to(dtype=torch.float32)
+    layer, x = SubMConv3d(2, 3), random_sparse(0, [20], 2)
+    x = x.with_feats(x.feats.float())
     with torch.autocast("cpu", torch.bfloat16):
         found = layer(x)
     assert found.feats.dtype == torch.bfloat16

@@ -137,19 +137,19 @@ def test_the_street_is_seen(tab: Tab, page: Page) -> None:
 
 def test_it_plays_and_stops(tab: Tab, page: Page) -> None:
     tab.get_by_role("button", name="Play", exact=True).click()
-    wait_until(lambda: page.playback.clock.step >= 2, tab)
+    wait_until(lambda: page.playback.step >= 2, tab)
     tab.get_by_role("button", name="Pause", exact=True).click()
-    wait_until(lambda: not page.playback.clock.playing, tab)
+    wait_until(lambda: not page.playback.playing, tab)
 
 
 def test_it_seeks_by_steps_and_to_moments(tab: Tab, page: Page) -> None:
     page.playback.go_to(0)
     tab.get_by_role("button", name="+10").click()
-    wait_until(lambda: page.playback.clock.step == 10, tab)
+    wait_until(lambda: page.playback.step == 10, tab)
     event = next(event for event in page.playback.drive.events if event.label == "plan 2")
     choose(tab, "Moment", f"{event.step * page.playback.drive.dt:.1f} s: plan 2")
     tab.get_by_role("button", name="Go to the moment").click()
-    wait_until(lambda: page.playback.clock.step == event.step, tab)
+    wait_until(lambda: page.playback.step == event.step, tab)
 
 
 def test_arms_are_switched(tab: Tab, page: Page) -> None:
@@ -158,7 +158,7 @@ def test_arms_are_switched(tab: Tab, page: Page) -> None:
     choose(tab, "Camera", "beside the actor")
     tab.get_by_role("button", name="go there").click()
     first = next(iter(page.server.get_clients().values()))
-    actor = page.playback.drive.at(page.playback.clock.step)
+    actor = page.playback.drive.at(page.playback.step)
     place = actor[page.playback.drive.controlled[0]][:3, 3]
     wait_until(lambda: np.linalg.norm(first.camera.look_at - place) < 0.1, tab)
 
@@ -167,7 +167,7 @@ def test_the_camera_rides_along_and_is_let_go(tab: Tab, page: Page) -> None:
     window = next(iter(page.server.get_clients().values()))
     choose(tab, "Camera", "behind the ego")
     tab.get_by_role("button", name="ride along").click()
-    before = page.playback.clock.step
+    before = page.playback.step
     tab.get_by_role("button", name="+1", exact=True).click()
     rig = page.playback.drive.rig
     assert rig is not None

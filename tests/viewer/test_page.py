@@ -88,9 +88,9 @@ def test_playing_moves_on_and_closing_ends_every_thread(inputs: ViewInputs) -> N
     page = Page(inputs, port=8120)
     page.playback.play(True)
     end = monotonic() + 10
-    while page.playback.clock.step < 3 and monotonic() < end:
+    while page.playback.step < 3 and monotonic() < end:
         sleep(0.05)
-    assert page.playback.clock.step >= 3
+    assert page.playback.step >= 3
     page.close()
     left = [thread.name for thread in set(threading.enumerate()) - before]
     assert not [name for name in left if name.startswith("recast")]

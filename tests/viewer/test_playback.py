@@ -4,39 +4,51 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from recast.viewer import Drive, ViewInputs
-from recast.viewer.playback import Clock, Playback
+from recast.viewer.playback import Playback
+
+
+def of_steps(*drives: tuple[int, float]) -> Playback:
+    """Arms "0", "1", ... of so many steps of so many seconds."""
+    arms = {
+        str(arm): Drive(dt, np.arange(steps), None, {}, {})
+        for arm, (steps, dt) in enumerate(drives)
+    }
+    return Playback(ViewInputs("drives", dict.fromkeys(arms), {"only": arms}))
 
 
 def test_time_goes_on_by_the_speed_and_loops() -> None:
-    clock = Clock(steps=10, dt=0.1, speed=2.0)
-    assert not clock.advance(0.2) and clock.step == 0  # it does not play
-    clock.playing = True
-    assert clock.advance(0.2) and clock.step == 4
-    assert not clock.advance(0.01) and clock.step == 4
-    clock.advance(0.34)
-    assert clock.step == 1 and clock.seconds == pytest.approx(0.1)
+    playback = of_steps((10, 0.1))
+    playback.speed = 2.0
+    assert not playback.tick(0.2) and playback.step == 0  # it does not play
+    playback.play(True)
+    assert playback.tick(0.2) and playback.step == 4
+    assert not playback.tick(0.01) and playback.step == 4
+    playback.tick(0.34)
+    assert playback.step == 1 and playback.seconds == pytest.approx(0.1)
 
 
 def test_steps_stop_it_and_end_at_the_ends() -> None:
-    clock = Clock(steps=5, dt=0.1, playing=True)
-    clock.by(3)
-    assert clock.step == 3 and not clock.playing
-    clock.by(3)
-    assert clock.step == 4
-    clock.by(-10)
-    assert clock.step == 0
+    playback = of_steps((5, 0.1))
+    playback.play(True)
+    playback.by(3)
+    assert playback.step == 3 and not playback.playing
+    playback.by(3)
+    assert playback.step == 4
+    playback.by(-10)
+    assert playback.step == 0
 
 
 def test_a_shorter_drive_is_shown_at_its_end() -> None:
-    clock = Clock(steps=50, dt=0.1)
-    clock.go_to(40)
-    clock.load(steps=20, dt=0.1)
-    assert clock.step == 19
-    clock.load(steps=100, dt=0.05)
-    assert clock.step == 38
+    playback = of_steps((50, 0.1), (20, 0.1), (100, 0.05))
+    playback.go_to(40)
+    playback.select(arm="1")
+    assert playback.step == 19
+    playback.select(arm="2")
+    assert playback.step == 38
 
 
 def test_another_arm_is_shown_at_the_same_step(inputs: ViewInputs) -> None:
@@ -44,7 +56,7 @@ def test_another_arm_is_shown_at_the_same_step(inputs: ViewInputs) -> None:
     playback.subscribe(told.append)
     playback.go_to(5)
     playback.select(arm="replaced")
-    assert (playback.arm, playback.clock.step) == ("replaced", 5)
+    assert (playback.arm, playback.step) == ("replaced", 5)
     playback.select(scenario="recording")  # which has no such arm
     assert (playback.arm, playback.shown.scenario) == ("native", "recording")
     assert told == ["step", "drive", "drive"]
@@ -64,5 +76,5 @@ def test_a_new_drive_is_shown_from_its_start_and_given_inputs_stay(
     playback = Playback(inputs)
     playback.go_to(3)
     playback.add("mine", "native", replace(drive, events=()))
-    assert (playback.scenario, playback.clock.step) == ("mine", 0)
+    assert (playback.scenario, playback.step) == ("mine", 0)
     assert "mine" not in inputs.scenarios

@@ -12,7 +12,7 @@ import pytest
 
 from faults.children import refused_from
 from recast.core.errors import InputError
-from recast.core.parts import GENERATORS, PLANNERS, SEGMENTERS
+from recast.core.plugins import GENERATORS, PLANNERS, SEGMENTERS
 from recast.pretrained import VQA_SCORERS
 from recast.weights import PUBLISHED, Licence, Source, Weights, weights_folder
 from recast.weights.fetch import fetch

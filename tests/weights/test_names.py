@@ -13,8 +13,8 @@ from safetensors.torch import load_file
 
 from planning.gtrs.conftest import TINY, fan
 from recast.actors import GENERATORS, segmenter_of
+from recast.actors.generate import ImageTo3DGenerator
 from recast.actors.grounded_segmenter import GroundedSamSegmenter
-from recast.actors.image_to_3d import ImageTo3DGenerator
 from recast.cli.main import main
 from recast.core.artefact import folder_hash
 from recast.core.errors import InputError

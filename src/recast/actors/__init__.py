@@ -2,6 +2,7 @@
 
 from recast.actors.actor import Actor, Provenance, RegistrationReport
 from recast.actors.axes import AUTO, CONVENTIONS, AxisConvention, axes_of
+from recast.actors.drawing import orbit, turntable
 from recast.actors.generate import (
     DEFAULT_GENERATOR,
     GENERATORS,
@@ -22,10 +23,8 @@ from recast.actors.observation import MaskQuality, Observation, ViewScore
 from recast.actors.observe import observe
 from recast.actors.register import register
 from recast.actors.segment import BoxLidarSegmenter, Segmentation, SegmentationTarget, Segmenter
-from recast.actors.store import load_actor, save_actor
 from recast.actors.template import TemplateGenerator
-from recast.actors.turntable import orbit, turntable
-from recast.actors.vehicle_files import PlyGenerator
+from recast.actors.vehicle_files import PlyGenerator, load_actor, save_actor
 
 __all__ = [
     "AUTO",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,12 @@ from recast.logs.checks import BOX_SIDE
 from recast.scene import StreetScene
 from recast.scene.light.sun import DIRECTIONS
 from recast.splats import Gaussians, LowPass
+
+
+def triple(vector: Iterable[float]) -> tuple[float, float, float]:
+    """Three numbers as records hold them."""
+    x, y, z = (float(value) for value in vector)
+    return x, y, z
 
 
 class FrontEvidence(Record):
@@ -175,20 +183,20 @@ class Refinement(Record):
     """
 
     images: int
-    held_back: int
+    held_back: int = 0
     left_out: dict[str, int]
-    loss_before: float | None
-    loss_bent: float | None
-    loss_after: float | None
-    kept: bool
-    steps: int
-    moved: tuple[float, float, float]
-    turned: float
-    grew: tuple[float, float, float]
-    pose_correction: float
-    shadow: float
-    seen: float
-    mirrored: float
+    loss_before: float | None = None
+    loss_bent: float | None = None
+    loss_after: float | None = None
+    kept: bool = False
+    steps: int = 0
+    moved: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    turned: float = 0.0
+    grew: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    pose_correction: float = 0.0
+    shadow: float = 1.0
+    seen: float = 0.0
+    mirrored: float = 0.0
     notes: tuple[str, ...] = ()
 
     def explain(self) -> str:
@@ -208,13 +216,11 @@ class Refinement(Record):
         return "\n".join(lines)
 
 
-class Provenance(Record):
-    """Where an actor comes from.
+class Provenance(SourceView):
+    """Where an actor comes from: its source image, which is the best view, and more.
 
     Attributes:
         generator, seed, details: of the asset.
-        camera, frame, timestamp_us: of the source image.
-        azimuth: direction to the camera in the actor frame, radians.
         sides_seen: sides of the box that faced the camera.
         mask: quality of the mask.
         observation: why that image was taken, in words.
@@ -227,10 +233,6 @@ class Provenance(Record):
     generator: str
     seed: int
     details: dict[str, str | float | int]
-    camera: str
-    frame: int
-    timestamp_us: int
-    azimuth: float
     sides_seen: tuple[str, ...]
     mask: MaskQuality
     observation: str
@@ -243,27 +245,27 @@ class Provenance(Record):
     def of(asset: Asset, observation: Observation, report: RegistrationReport) -> Provenance:
         """Gather the record of an asset that was registered."""
         return Provenance(
+            **_source(observation),
             generator=asset.generator,
             seed=asset.seed,
             details=dict(asset.details),
-            camera=observation.view.camera,
-            frame=observation.view.frame,
-            timestamp_us=observation.view.timestamp_us,
-            azimuth=observation.azimuth,
             sides_seen=observation.sides_seen(),
             mask=observation.mask_quality,
             observation=observation.explain(),
             registration=report,
-            further=tuple(
-                SourceView(
-                    camera=one.view.camera,
-                    frame=one.view.frame,
-                    timestamp_us=one.view.timestamp_us,
-                    azimuth=one.azimuth,
-                )
-                for one in observation.further
-            ),
+            further=tuple(SourceView(**_source(one)) for one in observation.further),
         )
+
+
+def _source(observation: Observation) -> dict[str, Any]:
+    """The members of a `SourceView`."""
+    view = observation.view
+    return {
+        "camera": view.camera,
+        "frame": view.frame,
+        "timestamp_us": view.timestamp_us,
+        "azimuth": observation.azimuth,
+    }
 
 
 @dataclass(frozen=True)

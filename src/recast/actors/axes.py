@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from recast.actors.icp import bounds
+from recast.actors.icp import bounds, extent
 from recast.arrays import Array
 from recast.core.errors import InputError
 
@@ -230,8 +230,7 @@ def _about(points: Array, axis: int, size: Array) -> list[Posture]:
     """The postures with one axis up, and with it down."""
     flat = _lengthwise(np.delete(points, axis, axis=1))
     upright = np.column_stack([flat, points[:, axis]])
-    low, high = bounds(upright)
-    length, width, height = high - low
+    length, width, height = extent(upright)
     ratios = (width / length * size[0] / size[1], height / length * size[0] / size[2])
     shared = {
         "box": -float(np.abs(np.log(ratios)).sum()) / _BOX,
@@ -272,11 +271,11 @@ def _smallest_rectangle(flat: Array) -> tuple[float, bool]:
     few = flat[::_EVERY]
 
     def area(yaw: float) -> float:
-        return float(np.prod(np.subtract(*bounds(_turned_back(few, yaw))[::-1])))
+        return float(np.prod(extent(_turned_back(few, yaw))))
 
     best = float(min(min(_YAWS, key=area) + _FINER, key=area))
-    extent = np.subtract(*bounds(_turned_back(flat, best))[::-1])
-    return best, bool(extent[0] < extent[1])
+    length, width = extent(_turned_back(flat, best))
+    return best, bool(length < width)
 
 
 def _turned_back(points: Array, yaw: float) -> Array:
@@ -312,5 +311,5 @@ def _extent(points: Array, band: Sequence[float]) -> float:
     inside = points[(height >= band[0]) & (height <= band[1]), :2]
     if len(inside) < 2:
         return float(np.prod((high - low)[:2]))
-    sides = np.subtract(*bounds(inside, share=0.02)[::-1])
+    sides = extent(inside, share=0.02)
     return float(np.prod(np.maximum(sides, 1e-3 * (high - low)[0])))

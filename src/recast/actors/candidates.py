@@ -12,21 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from recast.actors.actor import Actor, CandidateRecord, CandidateScore
+from recast.actors.drawing import colour_difference, draw
 from recast.actors.evidence import Evidence, Sighting
-from recast.actors.generate import ActorGenerator, Asset, candidates_of
-from recast.actors.icp import fit_of, outer_surface
-from recast.actors.image_to_3d import recast_mini_generator
+from recast.actors.generate import ActorGenerator, Asset, candidates_of, recast_mini_generator
+from recast.actors.icp import fit_of, outer_surface, thinned
 from recast.actors.observation import Observation
 from recast.actors.register import register
 from recast.actors.template import TemplateGenerator
-from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.core.progress import Progress
 from recast.logs import DrivingLog
-from recast.splats import LowPass, rasterize
 
 _IMAGES = 16
 _LIDAR_POINTS = 6000
@@ -36,15 +33,10 @@ _LEAST_LIDAR = 50  # points that say something of a shape
 _OUTLINE, _LIDAR, _FREE, _COLOUR = 0.03, 0.06, 0.03, 0.03
 LEAST_OUTLINE, LEAST_LIDAR = 0.75, 0.7
 """Overlap with the masks, and share of the LiDAR points within 10 cm, of a vehicle that fits."""
-_GAINS = (0.3, 3.0)
 
 
 class AutoGenerator:
-    """Offers the template's vehicles and those of the small image-to-3D model.
-
-    Args:
-        generators: whose vehicles are offered instead.
-    """
+    """Offers the vehicles of generators; of the template and the small model if none are given."""
 
     name = "auto"
 
@@ -68,9 +60,7 @@ class AutoGenerator:
 class Choice:
     """The best candidate, registered, with the table of all in its provenance.
 
-    Attributes:
-        actor: registered.
-        fits: whether it has the vehicle's shape; if not, it is the best of those that have not.
+    It `fits` if it has the vehicle's shape; if not, it is the best of those that have not.
     """
 
     actor: Actor
@@ -87,11 +77,9 @@ def choose(
     """Register and score every candidate, and take the best.
 
     Args:
-        makers: what makes each candidate.
-        observation: that they were made from.
-        log: the drive.
+        makers: what makes each candidate from the observation.
         evidence: of the track.
-        progress: told the number of candidates done, and of all.
+        progress: called with the number of candidates done, and of all.
 
     Raises:
         InputError: none could be made and registered; the last one's reason.
@@ -141,25 +129,25 @@ def candidate_score(actor: Actor, evidence: Evidence) -> CandidateScore:
     overlap, colour = _pictures(actor, views)
     surface = outer_surface(actor.gaussians)
     lidar, median = 1.0, 0.0
-    told = len(evidence.hits) >= _LEAST_LIDAR
-    if told:
-        hits = evidence.hits[:: max(1, -(-len(evidence.hits) // _LIDAR_POINTS))]
+    measured = len(evidence.hits) >= _LEAST_LIDAR
+    if measured:
+        hits = thinned(evidence.hits, _LIDAR_POINTS)
         fit = fit_of(surface.points, np.asarray(hits, np.float64))
         lidar, median = fit.inlier_share, fit.median
     free = float(evidence.free.holds(surface.points).mean())
     total = -free / _FREE
     if views:
         total += overlap / _OUTLINE - colour / _COLOUR
-    if told:
+    if measured:
         total += lidar / _LIDAR
     return CandidateScore(
         outline=overlap if views else None,
         colour=colour if views else None,
-        lidar=lidar if told else None,
-        lidar_median=median if told else None,
+        lidar=lidar if measured else None,
+        lidar_median=median if measured else None,
         free=free,
         total=total,
-        fits=(not views or overlap >= LEAST_OUTLINE) and (not told or lidar >= LEAST_LIDAR),
+        fits=(not views or overlap >= LEAST_OUTLINE) and (not measured or lidar >= LEAST_LIDAR),
     )
 
 
@@ -176,7 +164,9 @@ def _pictures(actor: Actor, views: list[Sighting]) -> tuple[float, float]:
         return 0.0, 1.0
     overlaps, weights, shown, wanted = [], [], [], []
     for view in views:
-        rgb, covered = _drawn(actor, view, actor.low_pass)
+        with torch.no_grad():
+            picture = draw(actor.gaussians, view.camera_from_object, view.camera, actor.low_pass)
+        rgb, covered = picture.rgb.numpy().astype(np.float64), picture.alpha.numpy() > 0.5
         mask, known = view.mask > 0.5, view.trust > 0
         union = float(((covered | mask) & known).sum())
         both = covered & mask & known
@@ -186,23 +176,4 @@ def _pictures(actor: Actor, views: list[Sighting]) -> tuple[float, float]:
         wanted.append(view.image[both] / 255.0)
     overlap = float(np.average(overlaps, weights=weights))
     drawn, target = np.concatenate(shown), np.concatenate(wanted)
-    if len(drawn) == 0:
-        return overlap, 1.0
-    gain = (drawn * target).sum(axis=0) / np.maximum((drawn * drawn).sum(axis=0), 1e-6)
-    difference = np.abs(target - np.clip(drawn * np.clip(gain, *_GAINS), 0, 1))
-    return overlap, float(difference.mean())
-
-
-def _drawn(actor: Actor, view: Sighting, low_pass: LowPass) -> tuple[Array, NDArray[np.bool_]]:
-    """Colours (H, W, 3) of a vehicle drawn alone, and where (H, W) it covers more than half."""
-    with torch.no_grad():
-        picture = rasterize(
-            actor.gaussians,
-            torch.from_numpy(view.camera_from_object).float(),
-            torch.from_numpy(view.camera.matrix).float(),
-            view.camera.width,
-            view.camera.height,
-            eps2d=low_pass.variance,
-            antialiased=low_pass.antialiased,
-        )
-    return picture.rgb.numpy().astype(np.float64), picture.alpha.numpy() > 0.5
+    return overlap, colour_difference(drawn, target) if len(drawn) else 1.0

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from recast.actors.views import crossing
 from recast.arrays import Array, Float32Array
 from recast.geometry import se3
 from recast.logs import DrivingLog, Track
@@ -105,10 +106,7 @@ def _crossed(origin: Array, ends: Array, half: Array, shape: Array) -> list[NDAr
     """Cells that each ray passes which ends beyond the box, (C,) flat indices a ray."""
     step = ends - origin
     length = np.linalg.norm(step, axis=1)
-    safe = np.where(np.abs(step) < 1e-9, 1e-9, step)
-    first, last = (-half - origin) / safe, (half - origin) / safe
-    enter = np.minimum(first, last).max(axis=1)
-    leave = np.maximum(first, last).min(axis=1)
+    enter, leave = crossing(origin, step, -half, half)
     through = (enter < leave) & (enter > 0) & (leave < 1 - _BEHIND / length.clip(1e-9))
     found = []
     for a, b, way, metres in zip(

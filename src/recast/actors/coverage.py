@@ -110,8 +110,7 @@ class CoverageMeter:
 
     Args:
         scene: with the vehicle, see `recast.actors.insert`.
-        track_id: the vehicle.
-        shares: of its Gaussians.
+        track_id, shares: the vehicle, and the shares of its Gaussians.
         device: where it is drawn, see `recast.splats.pick_device`.
 
     Raises:

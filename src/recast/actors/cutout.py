@@ -15,18 +15,25 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.actors.detect import Detection, DetectionRule, rectangle_overlap, text_prompt
-from recast.actors.grounded_segmenter import GroundedSamSegmenter
+from recast.actors.grounded_segmenter import (
+    Detection,
+    DetectionRule,
+    GroundedSamSegmenter,
+    rectangle_overlap,
+    text_prompt,
+)
 from recast.actors.segment import (
     Segmentation,
     disc,
     feather,
+    grabcut,
     large_pieces,
     largest_piece,
+    mask_rectangle,
     shorter_side,
     smooth,
 )
-from recast.arrays import Array, Image, Mask
+from recast.arrays import Image, Mask
 from recast.core.errors import InputError
 
 SMALLEST_SHARE, LARGEST_SHARE = 0.02, 0.90
@@ -47,10 +54,9 @@ class BackgroundRemover(Protocol):
     """Separates the one vehicle of a photograph from its background."""
 
     def remove(self, image: Image, category: str) -> Segmentation:
-        """The mask of the vehicle in a picture (H, W, 3) uint8 RGB.
+        """The mask of the one vehicle, whole, that a picture (H, W, 3) uint8 RGB shows.
 
         Args:
-            image: shows one vehicle, whole.
             category: of the vehicle, see `recast.logs.Track`.
 
         Raises:
@@ -70,13 +76,7 @@ class GrabCutRemover:
     0.88 and 0.85 with the true mask. It is of no use before a street (median 0.5, and less on
     photographs from driving logs), which `Segmentation.doubts` says where it is noticed.
     1.5 s on one CPU core for 1200 x 800 pixels.
-
-    Args:
-        iterations: of GrabCut.
     """
-
-    def __init__(self, iterations: int = 5) -> None:
-        self.iterations = iterations
 
     def remove(self, image: Image, category: str = "car") -> Segmentation:
         """See `BackgroundRemover.remove`; the same picture always gives the same mask."""
@@ -85,7 +85,7 @@ class GrabCutRemover:
         size = (max(round(width * shrink), 1), max(round(height * shrink), 1))
         small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
         trimap, told = border_trimap(small)
-        mask = _grabcut(small, trimap, self.iterations)
+        mask = grabcut(small, trimap, 5)
         mask = smooth(largest_piece(mask), 0.004 * max(size)) if mask.any() else mask
         if shrink < 1 and mask.any():
             mask = _refined(image, mask)
@@ -161,24 +161,6 @@ def _clusters(colours: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(centres, np.float32)
 
 
-def _grabcut(image: Image, trimap: Image, iterations: int) -> Mask:
-    trimap = trimap.copy()
-    if not np.isin(trimap, (cv2.GC_FGD, cv2.GC_PR_FGD)).any():
-        return np.zeros(trimap.shape, bool)
-    background, foreground = np.zeros((1, 65)), np.zeros((1, 65))
-    cv2.setRNGSeed(0)  # GrabCut seeds its colour clusters from OpenCV's global generator
-    cv2.grabCut(
-        np.ascontiguousarray(image[..., ::-1]),
-        trimap,
-        (0, 0, 1, 1),
-        background,
-        foreground,
-        iterations,
-        cv2.GC_INIT_WITH_MASK,
-    )
-    return np.isin(trimap, (cv2.GC_FGD, cv2.GC_PR_FGD))
-
-
 def _refined(image: Image, coarse: Mask) -> Mask:
     """The outline of a coarse mask (h, w) decided anew at the size of the picture (H, W, 3)."""
     height, width = image.shape[:2]
@@ -188,12 +170,12 @@ def _refined(image: Image, coarse: Mask) -> Mask:
     inner, outer = cv2.erode(mask, element), cv2.dilate(mask, element)
     trimap = np.where(mask > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     trimap[inner > 0], trimap[outer == 0] = cv2.GC_FGD, cv2.GC_BGD
-    rows, columns = np.flatnonzero(outer.any(axis=1)), np.flatnonzero(outer.any(axis=0))
-    room = 2 * element.shape[0]
-    top, left = max(rows[0] - room, 0), max(columns[0] - room, 0)
-    part = np.s_[top : rows[-1] + 1 + room, left : columns[-1] + 1 + room]
+    around, room = mask_rectangle(outer), 2 * element.shape[0]
+    assert around is not None  # the coarse mask is not empty
+    left, top, right, bottom = np.add(around, [-room, -room, room, room]).astype(int).clip(0)
+    part = np.s_[top:bottom, left:right]
     refined = np.zeros((height, width), bool)
-    refined[part] = _grabcut(image[part], trimap[part], 1)
+    refined[part] = grabcut(image[part], trimap[part], 1)
     return smooth(largest_piece(refined), 0.001 * max(height, width))
 
 
@@ -208,13 +190,7 @@ class GroundedSamRemover:
     What has been run: small networks with random weights. How good the masks of the published
     weights are on photographs is not measured.
 
-    Args:
-        folder: see `GroundedSamSegmenter`.
-        rule: only its score is used.
-        device: torch device; None is CUDA where there is one, else the CPU.
-
-    Raises:
-        InputError: a folder or file is missing, of another network or incomplete.
+    Arguments and errors are those of `GroundedSamSegmenter`; of the rule only the score is used.
     """
 
     def __init__(
@@ -235,7 +211,9 @@ class GroundedSamRemover:
         if found is not None:
             box, doubts = found.box, []
         masks, predicted = self.networks.propose(image, box)
-        scores = [_filling(mask, box) for mask in masks] + predicted
+        around = [mask_rectangle(mask) for mask in masks]
+        filled = [0.0 if one is None else rectangle_overlap(one, box) for one in around]
+        scores = np.add(filled, predicted)
         best = int(np.argmax(np.where(masks.any(axis=(1, 2)), scores, -1.0)))
         if not masks[best].any():
             raise InputError(
@@ -273,11 +251,3 @@ def remover_of(name_or_folder: str) -> BackgroundRemover:
 def _weight(detection: Detection) -> float:
     left, top, right, bottom = detection.box
     return detection.score * float((right - left) * (bottom - top))
-
-
-def _filling(mask: Mask, box: Array) -> float:
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if len(rows) == 0:
-        return 0.0
-    around = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
-    return rectangle_overlap(around, box)

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
+from recast.actors.actor import triple
 from recast.actors.carve import FreeSpace
 from recast.arrays import Array, Float32Array
 from recast.core.errors import InputError
@@ -24,7 +25,6 @@ from recast.scene.tensor_file import read_tensors, write_tensors
 
 EVIDENCE_VERSION = 1
 _MEND = "make the actor again"
-_IMAGES = ("image", "mask", "trust")
 _POSES = ("camera_from_world", "world_from_object")
 
 
@@ -148,15 +148,25 @@ def save_evidence(evidence: Evidence, path: Path) -> None:
     Raises:
         InputError: the disk refuses.
     """
-    length, width, height = (float(value) for value in evidence.size)
     record = EvidenceRecord(
         version=EVIDENCE_VERSION,
         track_id=evidence.track_id,
         category=evidence.category,
-        size=(length, width, height),
+        size=triple(evidence.size),
         edge=evidence.free.edge,
         left_out=evidence.left_out,
-        sightings=tuple(_record(sighting) for sighting in evidence.sightings),
+        sightings=tuple(
+            SightingRecord(
+                camera_name=one.camera_name,
+                frame=one.frame,
+                timestamp_us=one.timestamp_us,
+                width=one.camera.width,
+                height=one.camera.height,
+                intrinsics=(one.camera.fx, one.camera.fy, one.camera.cx, one.camera.cy),
+                weight=one.weight,
+            )
+            for one in evidence.sightings
+        ),
     )
     tensors: dict[str, NDArray[Any]] = {"hits": evidence.hits, "free": evidence.free.centres}
     for number, sighting in enumerate(evidence.sightings):
@@ -194,44 +204,30 @@ def load_evidence(path: Path) -> Evidence:
     )
 
 
-def _record(sighting: Sighting) -> SightingRecord:
-    camera = sighting.camera
-    return SightingRecord(
-        camera_name=sighting.camera_name,
-        frame=sighting.frame,
-        timestamp_us=sighting.timestamp_us,
-        width=camera.width,
-        height=camera.height,
-        intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy),
-        weight=sighting.weight,
-    )
-
-
 def _sighting(
     path: Path, arrays: dict[str, NDArray[Any]], number: int, record: SightingRecord
 ) -> Sighting:
     camera = PinholeCamera(record.width, record.height, *record.intrinsics)
-    poses = {}
+    size = (record.height, record.width)
+
+    def array(name: str, shape: tuple[int, ...], kind: type) -> NDArray[Any]:
+        return _array(path, arrays, f"{number}.{name}", shape, kind)
+
+    poses = {name: array(name, (4, 4), np.float64) for name in _POSES}
     try:
         camera.validate()
-        for name in _POSES:
-            poses[name] = _array(path, arrays, f"{number}.{name}", (4, 4), np.float64)
-            check_poses(name, poses[name][None], WORLD_REACH)
+        for name, pose in poses.items():
+            check_poses(name, pose[None], WORLD_REACH)
     except ValueError as error:
         raise InputError(path, f"sighting {number}", str(error), _MEND) from None
-    shape = (record.height, record.width)
-    shapes = {"image": (*shape, 3), "mask": shape, "trust": shape}
-    images = {
-        name: _array(path, arrays, f"{number}.{name}", shapes[name], np.uint8) for name in _IMAGES
-    }
     return Sighting(
         camera_name=record.camera_name,
         frame=record.frame,
         timestamp_us=record.timestamp_us,
         camera=camera,
-        image=images["image"],
-        mask=images["mask"].astype(np.float32) / np.float32(255),
-        trust=images["trust"].astype(np.float32) / np.float32(255),
+        image=array("image", (*size, 3), np.uint8),
+        mask=array("mask", size, np.uint8).astype(np.float32) / np.float32(255),
+        trust=array("trust", size, np.uint8).astype(np.float32) / np.float32(255),
         weight=record.weight,
         **poses,
     )

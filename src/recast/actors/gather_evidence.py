@@ -10,11 +10,17 @@ from numpy.typing import NDArray
 
 from recast.actors.carve import free_space, settle_masks
 from recast.actors.evidence import Evidence, Sighting
-from recast.actors.observe import points_beside
-from recast.actors.segment import SegmentationTarget, Segmenter, hull_mask, run_segmenter
+from recast.actors.icp import thinned
+from recast.actors.observe import points_beside, track_of
+from recast.actors.segment import (
+    SegmentationTarget,
+    Segmenter,
+    hull_mask,
+    mask_rectangle,
+    run_segmenter,
+)
 from recast.actors.views import NearestSweeps, ViewScore, check_lidar, score_frame
 from recast.arrays import Array
-from recast.core.errors import InputError
 from recast.core.progress import Progress
 from recast.geometry import PinholeCamera, boxes
 from recast.logs import DrivingLog, Track, track_points
@@ -45,23 +51,16 @@ def gather_evidence(
     Poses are those of the log; `Evidence.posed_by` takes a scene's.
 
     Args:
-        log: the drive.
-        track_id: which track.
-        segmenter: separates the vehicle from its background, image by image.
         config: cameras, image scale, and which images are held out: those do not enter.
-        progress: told the number of images done, and of all.
+        progress: called with the number of images done, and of all.
 
     Raises:
         InputError: no such track or camera.
     """
-    if track_id not in log.tracks:
-        raise InputError(
-            log.name, f"track {track_id}", "is not in the log", f"choose of {', '.join(log.tracks)}"
-        )
-    track = log.tracks[track_id]
+    track = track_of(log, track_id)
     hits = track_points(log, track).points
     scores, left_out = _candidates(log, track, config)
-    few = hits[:: max(1, -(-len(hits) // _LIDAR_POINTS))]
+    few = thinned(hits, _LIDAR_POINTS)
     sweeps = NearestSweeps(log)
     sightings: list[Sighting] = []
     for index, score in enumerate(scores):
@@ -217,8 +216,10 @@ def _weighted_by_sharpness(sightings: list[Sighting]) -> list[Sighting]:
 
 def _sharpness(sighting: Sighting) -> float:
     """Mean size of the Laplacian over that of the gradient on the vehicle, at one common size."""
-    rows, columns = np.nonzero(sighting.mask > 0.5)
-    part = sighting.image[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    around = mask_rectangle(sighting.mask > 0.5)
+    assert around is not None  # see `_sight`
+    left, top, right, bottom = around.astype(int)
+    part = sighting.image[top:bottom, left:right]
     grey = cv2.cvtColor(np.ascontiguousarray(part), cv2.COLOR_RGB2GRAY).astype(np.float32)
     width = max(round(grey.shape[1] * _SHARPNESS_HEIGHT / grey.shape[0]), 4)
     size = (width, _SHARPNESS_HEIGHT)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -10,14 +12,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from recast.actors.detect import (
-    Detection,
-    DetectionRule,
-    choose_box,
-    logged_rectangle,
-    rectangle_overlap,
-    text_prompt,
-)
 from recast.actors.segment import (
     Segmentation,
     SegmentationTarget,
@@ -25,17 +19,150 @@ from recast.actors.segment import (
     feather,
     large_pieces,
     lidar_shares,
+    mask_rectangle,
 )
 from recast.arrays import Array, Mask
 from recast.core.errors import InputError
-from recast.core.parts import SEGMENTERS
+from recast.core.plugins import SEGMENTERS
+from recast.geometry import boxes
 from recast.pretrained import PretrainedFolder
 
+_PROMPTS = {
+    "car": "a car.",
+    "van": "a van. a car.",  # what labellers call a van, captions call either
+    "truck": "a truck.",
+    "bus": "a bus.",
+    "tram": "a tram. a train.",
+    "pedestrian": "a person.",
+    "cyclist": "a cyclist. a bicycle.",
+    "misc": "a vehicle.",
+}
 DETECTOR_FOLDER = "grounding-dino"
 SAM_FOLDER = "sam"
 _SPECK = 0.1  # pieces smaller than this share of the largest are noise; a pole may halve a vehicle
 _SURE = 0.7  # predicted overlap below which a person should look at the mask
 DEFAULT_SEGMENTER = "box-lidar"
+
+
+@dataclass(frozen=True)
+class Detection:
+    """One thing found by a detector.
+
+    Attributes:
+        box: (4,) left, top, right, bottom, pixels of the crop.
+        score: confidence, 0 to 1.
+        label: words of the prompt it was found by.
+    """
+
+    box: Array
+    score: float
+    label: str
+
+
+@dataclass(frozen=True)
+class DetectionRule:
+    """Which detection is the logged vehicle.
+
+    The rectangle around the projected 3D box is a little larger than the vehicle in it: on KITTI
+    drive 0013 the two overlap by 0.66 to 0.92 (six tracks), other tracks' rectangles overlap it by
+    at most 0.17. The threshold lies between.
+
+    Attributes:
+        score: detections below are left out; the usual threshold of Grounding DINO.
+        overlap: intersection over union with the logged rectangle below which a detection is
+            another vehicle.
+        tie: overlaps that differ by no more than this are equal; the score decides.
+    """
+
+    score: float = 0.25
+    overlap: float = 0.4
+    tie: float = 0.05
+
+
+@dataclass(frozen=True)
+class BoxPrompt:
+    """The box taken, and where it comes from.
+
+    Attributes:
+        box: (4,) left, top, right, bottom, pixels of the crop.
+        detected: False where the logged box stood in for the detector.
+        reason: why this box, in words.
+    """
+
+    box: Array
+    detected: bool
+    reason: str
+
+
+def text_prompt(category: str) -> str:
+    """What to ask the detector for: lower case phrases, each closed by a dot.
+
+    A category that `recast.logs.Track` does not list is asked for by its name.
+    """
+    name = " ".join(category.lower().replace(".", " ").replace("_", " ").replace("-", " ").split())
+    return _PROMPTS.get(name, f"a {name or 'vehicle'}.")
+
+
+def logged_rectangle(target: SegmentationTarget) -> Array:
+    """(4,) left, top, right, bottom of the projected 3D box, clipped to the crop, pixels.
+
+    Raises:
+        ValueError: no part of the box lies in the crop.
+    """
+    rectangle = boxes.project(target.size, target.camera_from_object, target.camera)
+    if rectangle is not None:
+        height, width = target.image.shape[:2]
+        rectangle = np.clip(rectangle, 0, [width, height, width, height])
+    if rectangle is None or np.any(rectangle[2:] <= rectangle[:2]):
+        raise ValueError("SegmentationTarget: no part of the box lies in the crop")
+    return rectangle
+
+
+def rectangle_overlap(first: Array, second: Array) -> float:
+    """Intersection over union of two rectangles (4,), left, top, right, bottom."""
+    low, high = np.maximum(first[:2], second[:2]), np.minimum(first[2:], second[2:])
+    common = float(np.prod(np.maximum(high - low, 0)))
+    areas = [float(np.prod(np.maximum(r[2:] - r[:2], 0))) for r in (first, second)]
+    union = sum(areas) - common
+    return common / union if union > 0 else 0.0
+
+
+def choose_box(
+    detections: Sequence[Detection], logged: Array, rule: DetectionRule, prompt: str
+) -> BoxPrompt:
+    """The detection that is the logged vehicle, or the logged rectangle (4,) where none is.
+
+    The largest overlap with the logged rectangle wins, so that a clearer vehicle beside it does
+    not; of overlaps that are as good as equal, the higher score. The reason names the prompt.
+
+    Args:
+        detections: of the crop, in any order.
+        logged: (4,) see `logged_rectangle`.
+        rule: thresholds.
+        prompt: that was asked for.
+    """
+    found = [d for d in detections if d.score >= rule.score]
+    if not found:
+        return BoxPrompt(
+            logged, False, f"nothing was detected as {prompt!r} with a score of {rule.score:.2f}"
+        )
+    overlaps = [rectangle_overlap(d.box, logged) for d in found]
+    best = max(overlaps)
+    if best < rule.overlap:
+        return BoxPrompt(
+            logged,
+            False,
+            f"of {len(found)} detected as {prompt!r} none overlaps the logged box by "
+            f"{rule.overlap:.2f}, the best by {best:.2f}",
+        )
+    equal = [i for i, overlap in enumerate(overlaps) if overlap >= best - rule.tie]
+    chosen = max(equal, key=lambda i: (found[i].score, overlaps[i]))
+    return BoxPrompt(
+        found[chosen].box,
+        True,
+        f"{found[chosen].label!r} detected with score {found[chosen].score:.2f}, overlap "
+        f"{overlaps[chosen]:.2f} with the logged box, one of {len(found)}",
+    )
 
 
 class GroundedSamSegmenter:
@@ -181,12 +308,10 @@ class GroundedSamSegmenter:
 
 
 def choose_mask(masks: Mask, predicted: Array, target: SegmentationTarget, box: Array) -> int:
-    """Index of the best of several masks: predicted overlap plus `agreement`, empty ones last.
+    """Index of the best of masks (M, H, W): predicted overlap plus `agreement`, empty ones last.
 
     Args:
-        masks: (M, H, W).
         predicted: (M,) overlap with the true mask as the network expects it, 0 to 1.
-        target: the crop and what is known about it.
         box: (4,) that the masks were prompted with, pixels.
     """
     scores = [
@@ -203,10 +328,9 @@ def agreement(mask: Mask, target: SegmentationTarget, box: Array) -> float:
     alone does not reach; share of the vehicle's LiDAR points in the mask; share of the background's
     points outside it. What no LiDAR point tells is left out.
     """
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if len(rows) == 0:
+    around = mask_rectangle(mask)
+    if around is None:
         return 0.0
-    around = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
     on_object, on_other = lidar_shares(target, mask)
     terms = np.array([rectangle_overlap(around, box), on_object, 1.0 - on_other])
     return float(np.nanmean(terms))
@@ -225,22 +349,6 @@ def segmenter_of(segmenter: str | Path | Segmenter) -> Segmenter:
     """
     found: Segmenter = SEGMENTERS.resolve(segmenter)
     return found
-
-
-def grounded_segmenter(folder: Path) -> Segmenter:
-    """Grounding DINO with SAM from a folder.
-
-    Raises:
-        InputError: no such folder, or a network is missing.
-    """
-    if not folder.is_dir():
-        raise InputError(
-            "--segmenter",
-            str(folder),
-            "is no folder",
-            "name the folder that holds grounding-dino and sam",
-        )
-    return GroundedSamSegmenter(folder)
 
 
 def is_segmenter_folder(name_or_folder: str) -> bool:

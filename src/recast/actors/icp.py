@@ -10,6 +10,8 @@ could have hit.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -20,6 +22,8 @@ from scipy.spatial import cKDTree
 from recast.arrays import Array
 from recast.geometry import se3
 from recast.splats import Gaussians
+
+Kind = TypeVar("Kind", bound=np.generic)
 
 _MIN_OPACITY = 0.3
 _LEAST_SPREAD = 1e-3  # of the thinnest direction over the longest: less is a sheet, not a vehicle
@@ -80,15 +84,9 @@ def seen_from_outside(points: Array) -> tuple[Array, NDArray[np.bool_]]:
     # empty cells would let inner points through
     cells = np.clip(np.sqrt(len(points) / _PER_CELL), 8, 128)
     cell = float(np.ptp(points, axis=0).max()) / float(cells)
-    directions = _directions()
+    steps = np.array([step for step in product((-1.0, 0.0, 1.0), repeat=3) if any(step)])
+    directions = steps / np.linalg.norm(steps, axis=1, keepdims=True)
     return directions, np.stack([_frontmost(points, one, cell) for one in directions])
-
-
-def _directions() -> Array:
-    steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)
-    steps = steps[np.any(steps != 0, axis=1)].astype(np.float64)
-    unit: Array = steps / np.linalg.norm(steps, axis=1, keepdims=True)
-    return unit
 
 
 def _frontmost(points: Array, direction: Array, cell: float) -> NDArray[np.bool_]:
@@ -132,6 +130,17 @@ def bounds(points: Array, share: float = 0.002) -> tuple[Array, Array]:
     """Lower and upper corner (3,) of points (N, 3) without the outermost `share` on each side."""
     low, high = np.quantile(points, [share, 1 - share], axis=0)
     return low, high
+
+
+def extent(points: Array, share: float = 0.002) -> Array:
+    """Sides of the box between the corners that `bounds` gives."""
+    low, high = bounds(points, share)
+    return high - low
+
+
+def thinned(points: NDArray[Kind], count: int) -> NDArray[Kind]:
+    """At most about `count` of the rows, evenly through the list (sweeps come in order)."""
+    return points[:: max(1, -(-len(points) // count))]
 
 
 @dataclass(frozen=True)
@@ -221,16 +230,12 @@ _NOISE = 0.03
 def align(
     surface: Surface, lidar: Array, limits: IcpLimits | None = None, floor: float | None = None
 ) -> IcpResult:
-    """Move an asset's surface onto LiDAR points.
+    """The move, within the limits, of a surface onto LiDAR points (M, 3), both in the actor frame.
 
     Args:
-        surface: roughly aligned already: metres, actor frame.
-        lidar: (M, 3) actor frame.
+        surface: roughly aligned already, metres.
         limits: bounds and stopping rule.
         floor: height to which the lowest point of the surface is tied; None leaves it free.
-
-    Returns:
-        The move, within the limits.
     """
     limits = limits or IcpLimits()
     bottom = float(surface.points[:, 2].min())
@@ -240,27 +245,18 @@ def align(
     if floor is not None:
         state[4] = floor - bottom
     radius = float(np.linalg.norm(surface.points[:, :2], axis=1).max())
-    damping = 1.0
-    converged = False
-    iteration = 0
-    for iteration in range(1, limits.iterations + 1):
+    converged, iteration = False, 0
+    while not converged and iteration < limits.iterations:
+        # matches that flip back and forth settle under shorter steps
+        damping = 1.0 if iteration <= 20 else 0.5
+        iteration += 1
         step = _step(surface, tree, lidar, state, limits, floor, bottom)
         proposed = _limited(state + damping * step, limits, floor, bottom)
-        change = proposed - state
-        if iteration > 20:  # matches that flip back and forth settle under shorter steps
-            damping = 0.5
-        state = proposed
-        moved = np.abs(change[0]) * radius + np.abs(change[1]) * radius
-        if moved + float(np.linalg.norm(change[2:])) < limits.tolerance:
-            converged = True
-            break
-    return IcpResult(
-        scale=float(np.exp(state[0])),
-        yaw=float(state[1]),
-        translation=state[2:].copy(),
-        iterations=iteration,
-        converged=converged,
-    )
+        change, state = proposed - state, proposed
+        moved = np.abs(change[:2]).sum() * radius + np.linalg.norm(change[2:])
+        converged = bool(moved < limits.tolerance)
+    scale, yaw = float(np.exp(state[0])), float(state[1])
+    return IcpResult(scale, yaw, state[2:].copy(), iteration, converged)
 
 
 def _step(
@@ -283,15 +279,8 @@ def _step(
 
     spread = max(1.4826 * float(np.median(np.abs(residual))), 0.01)
     weight = 1.0 / np.maximum(1.0, np.abs(residual) / (1.5 * spread))
-    turned = np.stack([-points[:, 1], points[:, 0], np.zeros(len(points))], axis=-1)
-    jacobian = np.concatenate(
-        [
-            np.sum(normals * points, axis=1)[:, None],
-            np.sum(normals * turned, axis=1)[:, None],
-            normals,
-        ],
-        axis=1,
-    )
+    turned = normals[:, 1] * points[:, 0] - normals[:, 0] * points[:, 1]
+    jacobian = np.column_stack([np.sum(normals * points, axis=1), turned, normals])
     prior = state.copy()
     if floor is not None:
         # the height follows from the scale: dz = -bottom * scale * dlog(scale)

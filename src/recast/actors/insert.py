@@ -17,7 +17,7 @@ from torch import Tensor
 
 from recast.actors.actor import Actor
 from recast.actors.coverage import Shares
-from recast.actors.icp import outer_surface
+from recast.actors.icp import outer_surface, thinned
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.logs import Trajectory
@@ -56,6 +56,12 @@ def insert(scene: StreetScene, actor: Actor, *, relit: bool = True) -> StreetSce
     require_model(scene, actor.track_id)
     native = scene.actors[actor.track_id]
     trajectory = actor.trajectory or native.trajectory
+    light = None
+    if relit:
+        street = SceneLight.of(scene)
+        if actor.sun is not None:  # what the actor's own shadow says of the sun
+            street = replace(street, sun=street.sun.given(actor.sun))
+        light = actor_light(street, actor, trajectory)
     return scene.with_actor(
         replace(
             native,
@@ -66,15 +72,9 @@ def insert(scene: StreetScene, actor: Actor, *, relit: bool = True) -> StreetSce
             appearance=None,
             deformation=None,
             low_pass=actor.low_pass,
-            light=actor_light(_light(scene, actor), actor, trajectory) if relit else None,
+            light=light,
         )
     )
-
-
-def _light(scene: StreetScene, actor: Actor) -> SceneLight:
-    """The light of the street, with what the actor's own shadow says of the sun."""
-    light = SceneLight.of(scene)
-    return light if actor.sun is None else replace(light, sun=light.sun.given(actor.sun))
 
 
 def require_model(scene: StreetScene, track_id: str) -> None:
@@ -106,7 +106,7 @@ def actor_light(scene: SceneLight, actor: Actor, trajectory: Trajectory) -> Acto
     hull = outer_surface(actor.gaussians)
     normals = _normals(actor.gaussians, hull.points, hull.normals)
     shares = actor.shares or _shares_of_view(normals, actor.provenance.azimuth)
-    poses = list(trajectory.poses[:: -(-len(trajectory.poses) // _POSES)])
+    poses = list(thinned(trajectory.poses, _POSES))
     if actor.shares is None:
         pose = pose_at(trajectory, actor.provenance.timestamp_us)
         poses = poses if pose is None else [pose]
@@ -188,18 +188,10 @@ def contact_shadow(low: Array, high: Array, floor: float) -> Gaussians:
     means = np.stack(
         [centre[0] + x[kept], centre[1] + y[kept], np.full(count, floor + _LIFT)], axis=-1
     )
-    probability = opacity[kept]
-
-    def tensor(values: Array) -> torch.Tensor:
-        return torch.as_tensor(values, dtype=torch.float32)
-
-    return Gaussians(
-        means=tensor(means),
-        quats=tensor(np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))),
-        log_scales=tensor(np.tile(deviations, (count, 1))),
-        logit_opacities=tensor(np.log(probability / (1 - probability))),
-        sh=torch.full((count, 1, 3), -0.5 / C0, dtype=torch.float32),
-    )
+    logits = np.log(opacity[kept] / (1 - opacity[kept]))
+    quats, log_scales = (np.tile(row, (count, 1)) for row in ([1.0, 0, 0, 0], deviations))
+    parts = means, quats, log_scales, logits, np.full((count, 1, 3), -0.5 / C0)
+    return Gaussians(*(torch.as_tensor(part, dtype=torch.float32) for part in parts))
 
 
 def darkened(shadow: Gaussians, factor: float) -> Gaussians:

@@ -18,18 +18,22 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from recast.actors.agreement import agree, draw_beside
 from recast.actors.axes import AUTO, lengthwise_yaw
+from recast.actors.drawing import agree, draw_beside
 from recast.actors.generate import Asset
-from recast.actors.icp import bounds, fit_of
+from recast.actors.icp import extent, fit_of
 from recast.actors.mesh import read_triangles
 from recast.actors.mesh.generator import sampled
 from recast.actors.observation import Observation
 from recast.actors.observe import MIN_LIDAR_POINTS
-from recast.actors.place import stand_on_box, stood_up
+from recast.actors.place import box_misfit, stand_on_box, stood_up
 from recast.actors.register import aligned
-from recast.actors.store import VEHICLE_FILE
-from recast.actors.vehicle_files import is_actor_folder, is_vehicle_file, vehicle_generator
+from recast.actors.vehicle_files import (
+    VEHICLE_FILE,
+    is_actor_folder,
+    is_vehicle_file,
+    vehicle_generator,
+)
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.pretrained import ClipImages, whole_picture
@@ -90,10 +94,10 @@ def _read(path: Path, changed_ns: int, size: int) -> Summary | str:
         return str(error)
     if len(points) == 0:
         return f"{path}: nothing of it is opaque"
-    extent: Array = np.sort(np.subtract(*bounds(points)[::-1]))
-    if not extent[0] > 0:
+    sides: Array = np.sort(extent(points))
+    if not sides[0] > 0:
         return f"{path}: has no volume"
-    return Summary(extent[1::-1] / extent[2], colours.mean(axis=0))
+    return Summary(sides[1::-1] / sides[2], colours.mean(axis=0))
 
 
 def _of_ply(path: Path) -> tuple[Array, Array]:
@@ -253,7 +257,8 @@ class LibraryGenerator:
         found = []
         for yaw in yaws:
             start = stand_on_box(surface.points, yaw, observation.size)
-            terms = one.terms | {"size": _misfit(start.apply(surface).points, observation.size)}
+            sides = extent(start.apply(surface).points)
+            terms = one.terms | {"size": box_misfit(sides, observation.size)}
             if len(lidar) >= MIN_LIDAR_POINTS:
                 start = aligned(surface, lidar, start, observation.size)
                 fit = fit_of(start.apply(surface).points, lidar)
@@ -288,12 +293,6 @@ class LibraryGenerator:
     def _none(self, problem: str) -> InputError:
         mend = "put *.ply, *.glb, *.obj or folders of actors into it"
         return InputError(self.folder, "vehicles", problem, mend)
-
-
-def _misfit(points: Array, size: Array) -> float:
-    """Sum of the logs of width and height over those of a box (3,) of the same length."""
-    extent = np.subtract(*bounds(points)[::-1])
-    return float(np.abs(np.log(extent[1:] / size[1:])).sum())
 
 
 def _alike(clip: ClipImages, first: Array, second: Array) -> float:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from recast.arrays import Array
 from recast.geometry import PinholeCamera
 
+SIDES = {"front": (0, 1), "rear": (0, -1), "left": (1, 1), "right": (1, -1), "top": (2, 1)}
+"""Axis and sign of the way out of a box through each of its sides."""
 _COVERAGE = (0.45, 0.97)  # shares of the projected box that the mask of a vehicle fills
 _LIDAR_SHARE = 0.85  # of the LiDAR points, that a good mask puts on the right side
 
@@ -168,16 +170,8 @@ class Observation:
 
     def sides_seen(self) -> tuple[str, ...]:
         """Sides of the box that face the camera: front, rear, left, right, top."""
-        x, y, z = self.eye
-        half = self.size / 2
-        faces = {
-            "front": x > half[0],
-            "rear": x < -half[0],
-            "left": y > half[1],
-            "right": y < -half[1],
-            "top": z > half[2],
-        }
-        return tuple(name for name, seen in faces.items() if seen)
+        half, eye = self.size / 2, self.eye
+        return tuple(name for name, (axis, sign) in SIDES.items() if sign * eye[axis] > half[axis])
 
     def explain(self) -> str:
         """Why this frame: its score, the runners-up, and what the mask looks like."""

@@ -10,8 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from recast.actors.observation import Observation, ViewScore
-from recast.actors.segment import SegmentationTarget, Segmenter, mask_quality, run_segmenter
-from recast.actors.views import NearestSweeps, Usable, ViewPool
+from recast.actors.segment import (
+    SegmentationTarget,
+    Segmenter,
+    mask_quality,
+    mask_rectangle,
+    run_segmenter,
+)
+from recast.actors.views import NearestSweeps, Usable, ViewPool, crossing
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, boxes, se3
@@ -37,9 +43,6 @@ def observe(
     Further views show other sides. One whose mask contradicts box or LiDAR is passed over.
 
     Args:
-        log: the drive.
-        track_id: which track.
-        segmenter: separates the vehicle from its background.
         cameras: consider only these camera streams; all where none is named.
         views: how many views to take at most; those after the best are its `further`.
         usable: which frames may be looked at; all if None.
@@ -51,7 +54,7 @@ def observe(
     """
     if views < 1:
         raise ValueError(f"observe: views {views}, expected at least 1")
-    track = _track(log, track_id)
+    track = track_of(log, track_id)
     points = track_points(log, track).points
     require_points(points, log, track_id)
     pool = ViewPool(log, track, cameras, usable)
@@ -110,7 +113,8 @@ def require_points(points: NDArray[np.float32], log: DrivingLog, track_id: str) 
         )
 
 
-def _track(log: DrivingLog, track_id: str) -> Track:
+def track_of(log: DrivingLog, track_id: str) -> Track:
+    """A track by its id; raises InputError if there is none."""
     if track_id not in log.tracks:
         known = ", ".join(sorted(log.tracks, key=lambda k: (len(k), k)))
         raise InputError(
@@ -161,11 +165,8 @@ def _not_behind(points: Array, camera_from_object: Array, size: Array) -> Array:
     """Camera-frame points (N, 3) that lie before the camera and not behind the object's box."""
     object_from_camera = se3.inverse(camera_from_object)
     eye = object_from_camera[:3, 3]
-    step = se3.apply(object_from_camera, points) - eye
-    step = np.where(np.abs(step) < 1e-9, 1e-9, step)
     half = size / 2 + _BOX_GROWTH
-    first, last = (-half - eye) / step, (half - eye) / step
-    enter, leave = np.minimum(first, last).max(axis=1), np.maximum(first, last).min(axis=1)
+    enter, leave = crossing(eye, se3.apply(object_from_camera, points) - eye, -half, half)
     through = (enter < leave) & (leave > 0) & (enter < 1)
     return points[(points[:, 2] > 0.5) & ~through]
 
@@ -219,7 +220,10 @@ def observation_of_view(
     Raises:
         ValueError: the mask is empty.
     """
-    left, top, width, height = _window(rgba[..., 3] > 127)
+    around = mask_rectangle(rgba[..., 3] > 127)
+    if around is None:
+        raise ValueError("observation_of_view: the mask is empty")
+    left, top, width, height = _crop_window(camera, around)
     crop = np.ascontiguousarray(rgba[top : top + height, left : left + width])
     cropped = camera.cropped(left, top, width, height)
     none = np.zeros((0, 3))
@@ -228,16 +232,7 @@ def observation_of_view(
     )
     pixels = float(np.sqrt((crop[..., 3] > 127).sum()))
     eye = se3.inverse(camera_from_object)[:3, 3]
-    view = ViewScore(
-        name,
-        0,
-        0,
-        pixels,
-        in_image=1.0,
-        unoccluded=1.0,
-        unblocked=1.0,
-        azimuth=float(np.arctan2(eye[1], eye[0])),
-    )
+    view = ViewScore(name, 0, 0, pixels, 1.0, 1.0, 1.0, float(np.arctan2(eye[1], eye[0])))
     return Observation(
         track_id=name,
         category=category,
@@ -250,17 +245,3 @@ def observation_of_view(
         candidates=(view,),
         mask_quality=mask_quality(target, crop[..., 3]),
     )
-
-
-def _window(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """Left, top, width, height of a square around a mask (H, W), clipped to the picture."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if len(rows) == 0:
-        raise ValueError("observation_of_view: the mask is empty")
-    low = np.array([columns[0], rows[0]])
-    high = np.array([columns[-1], rows[-1]]) + 1
-    half = float(np.max(high - low)) * (0.5 + _CROP_MARGIN)
-    centre = (low + high) / 2
-    first = np.maximum(np.floor(centre - half), 0).astype(int)
-    last = np.minimum(np.ceil(centre + half), mask.shape[::-1]).astype(int)
-    return int(first[0]), int(first[1]), int(last[0] - first[0]), int(last[1] - first[1])

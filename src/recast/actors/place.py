@@ -7,7 +7,7 @@ scale and place by the silhouette. With LiDAR, `register` does better.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,24 +15,89 @@ import torch
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
-from recast.actors.agreement import Agreement, compare_views, front_votes
+from recast.actors.actor import triple
+from recast.actors.drawing import compare_views
 from recast.actors.generate import Asset
-from recast.actors.icp import Surface, bounds, outer_surface
+from recast.actors.icp import Fit, Surface, bounds, extent, outer_surface
 from recast.actors.observation import Observation
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.geometry import se3
+from recast.logs import Track
 from recast.splats import Gaussians, LowPass
 
 _LARGEST = 1e5  # extent at which everything must still be in range: no box asks for a larger one
-_COARSE = np.radians(15.0)
-_FINE = np.radians([-7.5, -5.0, -2.5, 0.0, 2.5, 5.0, 7.5])
+COARSE_YAWS = np.arange(0, 2 * np.pi, np.radians(15.0))
+FINE_YAWS = np.radians([-7.5, -5.0, -2.5, 0.0, 2.5, 5.0, 7.5])
+"""Turns about the vertical that are tried: all around, then about the best of these, radians."""
 # What counts as much as one unit of cost in the search: overlap, colour, log of width and height.
 _UNITS = (0.03, 0.02, 0.10)
 _DECLARED = 3.0  # units of evidence for the front that a convention declares
 _SPREAD = np.array([0.05, 0.12, 0.10, 0.05])  # log scale; metres along, across, up
 _OVERLAP_WEIGHT = 60.0  # as in the template's own placement: 1 % of overlap is worth 0.6
 _EVALUATIONS = 120
+# Differences that count as one unit of evidence, and the weight of the declared forward axis.
+_LIDAR_UNIT, _SILHOUETTE_UNIT, _COLOUR_UNIT = 0.015, 0.03, 0.02
+_AXES_WEIGHT = 1.5
+_LIMIT = 4.0  # units that one kind of evidence is worth at most
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How a turned asset agrees with the observation.
+
+    Attributes:
+        lidar: fit to the LiDAR points after a short alignment; None where there are none.
+        silhouette: intersection over union of its outline, seen from the crop's camera, and the
+            mask.
+        colour: mean absolute difference to the crop where both are, display values, after the best
+            gain of each channel.
+    """
+
+    lidar: Fit | None
+    silhouette: float
+    colour: float
+
+
+def heading_agreement(track: Track) -> float:
+    """Cosine between the track's heading and its motion, averaged over the way; 0 when it stands.
+
+    Labels may be reversed: then the box's front is not the vehicle's.
+    """
+    positions = track.trajectory.poses[:, :2, 3]
+    steps = np.diff(positions, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    if np.linalg.norm(positions[-1] - positions[0]) < 2.0:
+        return 0.0
+    headings = track.trajectory.poses[:-1, :2, 0]
+    return float(np.sum(steps * headings) / max(float(lengths.sum()), 1e-9))
+
+
+def front_votes(
+    as_is: Agreement, turned: Agreement, declared: bool, heading: float
+) -> dict[str, float]:
+    """Evidence, in units, for the first of two orientations half a turn apart; each at most 4.
+
+    Args:
+        as_is, turned: agreement with the asset's forward axis along the box's, and the other way.
+        declared: whether the asset's axis convention says where its front is.
+        heading: from `heading_agreement`.
+    """
+
+    def vote(difference: float, unit: float) -> float:
+        return float(np.clip(difference / unit, -_LIMIT, _LIMIT))
+
+    # a box labelled back to front makes the declared front the wrong one; a standing vehicle's
+    # label is believed a little
+    direction = heading if heading != 0.0 else 0.5
+    lidar = {}
+    if as_is.lidar is not None and turned.lidar is not None:
+        lidar["lidar"] = vote(turned.lidar.mean - as_is.lidar.mean, _LIDAR_UNIT)
+    return lidar | {
+        "silhouette": vote(as_is.silhouette - turned.silhouette, _SILHOUETTE_UNIT),
+        "colour": vote(turned.colour - as_is.colour, _COLOUR_UNIT),
+        "heading": _AXES_WEIGHT * direction if declared else 0.0,
+    }
 
 
 @dataclass(frozen=True)
@@ -97,6 +162,11 @@ def stand_on_box(points: Array, yaw: float, size: Array) -> Start:
     return Start(yaw, scale, se3.from_rotation_translation(rotation, shift))
 
 
+def box_misfit(sides: Array, size: Array) -> float:
+    """Sum of the logs of width and height over those of a box (3,) of the same length."""
+    return float(np.abs(np.log(sides[1:] / size[1:])).sum())
+
+
 @dataclass(frozen=True)
 class PlacementReport:
     """How an asset came to stand in its box.
@@ -142,7 +212,6 @@ def place_asset(asset: Asset, size: ArrayLike, observations: Sequence[Observatio
     views must speak against the declared one by more than three units of evidence.
 
     Args:
-        asset: from an `ActorGenerator`.
         size: (3,) length, width, height of the box, metres.
         observations: conditioning views with cameras, at least one.
 
@@ -169,21 +238,21 @@ def place_asset(asset: Asset, size: ArrayLike, observations: Sequence[Observatio
     grow, shift = search.refine(start)
     placed = search.placed(start, grow, shift)
     overlap, colour = search.compare(placed)
-    extent = np.subtract(*bounds(points @ se3.rotation_z(start.yaw).T)[::-1]) * start.scale
+    sides = extent(points @ se3.rotation_z(start.yaw).T) * start.scale
     return PlacedAsset(
         placed,
         PlacementReport(
             axes=asset.axes.name,
             yaw=float((start.yaw + np.pi) % (2 * np.pi) - np.pi),
             scale=start.scale * grow,
-            shift=(float(shift[0]), float(shift[1]), float(shift[2])),
+            shift=triple(shift),
             votes=votes,
             flipped=flipped,
             overlap_before=before.silhouette,
             overlap=overlap,
             colour=colour,
-            width_over_box=float(extent[1] / size[1]),
-            height_over_box=float(extent[2] / size[2]),
+            width_over_box=float(sides[1] / size[1]),
+            height_over_box=float(sides[2] / size[2]),
         ),
     )
 
@@ -192,12 +261,7 @@ def place_asset(asset: Asset, size: ArrayLike, observations: Sequence[Observatio
 class _Search:
     """Trials of one asset against its views.
 
-    Attributes:
-        gaussians: upright, in the asset's units.
-        low_pass: the filter that they were made for.
-        points: (N, 3) of its outer surface.
-        size: (3,) metres.
-        observations: what it is compared with.
+    The Gaussians are upright, in the asset's units; `points` (N, 3) are its outer surface.
     """
 
     gaussians: Gaussians
@@ -230,20 +294,17 @@ class _Search:
     def cost(self, start: Start) -> float:
         """How badly a start explains the views and fills the box, in units."""
         overlap, colour = self.compare(self.placed(start))
-        turned = self.points @ se3.rotation_z(start.yaw).T
-        extent = np.subtract(*bounds(turned)[::-1]) * start.scale
-        misfit = float(np.abs(np.log(extent[1:] / self.size[1:])).sum())
+        sides = extent(self.points @ se3.rotation_z(start.yaw).T) * start.scale
+        misfit = box_misfit(sides, self.size)
         return (1 - overlap) / _UNITS[0] + colour / _UNITS[1] + misfit / _UNITS[2]
 
     def best_yaw(self) -> float:
         """Of the circle in steps of 15 degrees."""
-        starts = [self.start(yaw) for yaw in np.arange(0, 2 * np.pi, _COARSE)]
-        return starts[int(np.argmin([self.cost(start) for start in starts]))].yaw
+        return min((self.start(yaw) for yaw in COARSE_YAWS), key=self.cost).yaw
 
     def finest(self, yaw: float) -> Start:
         """The best start within half a coarse step of a yaw."""
-        starts = [self.start(float(yaw + step)) for step in _FINE]
-        return starts[int(np.argmin([self.cost(start) for start in starts]))]
+        return min((self.start(float(yaw + step)) for step in FINE_YAWS), key=self.cost)
 
     def refine(self, start: Start) -> tuple[float, Array]:
         """Factor and shift (3,) in metres that make the silhouettes overlap most, near none."""
@@ -252,16 +313,15 @@ class _Search:
             placed = self.placed(start, float(np.exp(x[0] * _SPREAD[0])), x[1:] * _SPREAD[1:])
             return _OVERLAP_WEIGHT * (1 - self.compare(placed)[0]) + 0.5 * float(x @ x)
 
-        simplex = np.concatenate([np.zeros((1, 4)), 0.6 * np.eye(4)])
-        result = minimize(
-            cost,
-            np.zeros(4),
-            method="Nelder-Mead",
-            options={
-                "initial_simplex": simplex,
-                "maxfev": _EVALUATIONS,
-                "xatol": 0.05,
-                "fatol": 0.02,
-            },
-        )
-        return float(np.exp(result.x[0] * _SPREAD[0])), result.x[1:] * _SPREAD[1:]
+        best = minimum(cost, 4, _EVALUATIONS, xatol=0.05, fatol=0.02)
+        return float(np.exp(best[0] * _SPREAD[0])), best[1:] * _SPREAD[1:]
+
+
+def minimum(
+    cost: Callable[[Array], float], count: int, evaluations: int, xatol: float, fatol: float
+) -> Array:
+    """Where a function of `count` numbers is least, near 0; one is a usual deviation."""
+    simplex = np.concatenate([np.zeros((1, count)), 0.6 * np.eye(count)])
+    options = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": xatol, "fatol": fatol}
+    found: Array = minimize(cost, np.zeros(count), method="Nelder-Mead", options=options).x
+    return found

@@ -10,21 +10,29 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from recast.actors.actor import Actor, FrontEvidence, Provenance, RegistrationReport
-from recast.actors.agreement import Agreement, compare_views, front_votes, heading_agreement
+from recast.actors.actor import Actor, FrontEvidence, Provenance, RegistrationReport, triple
+from recast.actors.drawing import compare_views
 from recast.actors.generate import Asset
-from recast.actors.icp import IcpLimits, Surface, align, bounds, fit_of
+from recast.actors.icp import IcpLimits, Surface, align, bounds, extent, fit_of, thinned
 from recast.actors.insert import contact_shadow
-from recast.actors.observation import Observation
+from recast.actors.observation import SIDES, Observation
 from recast.actors.observe import require_points
-from recast.actors.place import Start, stand_on_box, stood_up
+from recast.actors.place import (
+    COARSE_YAWS,
+    FINE_YAWS,
+    Agreement,
+    Start,
+    front_votes,
+    heading_agreement,
+    stand_on_box,
+    stood_up,
+)
 from recast.arrays import Array
 from recast.geometry import se3
 from recast.logs import DrivingLog, Track, track_points
 from recast.splats import Gaussians, LowPass
 
 _LIDAR_POINTS = 6000
-_COARSE_STEP = np.radians(15.0)
 _SURFACE_POINTS = 4000  # used in the yaw search
 _SIDE_BAND = 0.25  # metres inside a face of the box within which points count for that side
 
@@ -33,9 +41,7 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
     """Place an asset in the actor frame of a track.
 
     Args:
-        asset: from an `ActorGenerator`.
         observation: that it was made from.
-        log: the drive.
         track: the vehicle it stands for.
 
     Raises:
@@ -44,7 +50,7 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
     same = observation.track_id == track.track_id  # reading all sweeps again takes seconds
     points = observation.points if same else track_points(log, track).points
     require_points(points, log, track.track_id)
-    lidar = _thinned(np.asarray(points, np.float64), _LIDAR_POINTS)
+    lidar = thinned(np.asarray(points, np.float64), _LIDAR_POINTS)
     size = np.asarray(track.size, np.float64)
     gaussians, surface = stood_up(asset)
     start, front = _orientation(gaussians, surface, lidar, size, observation, track, asset)
@@ -59,20 +65,20 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
         start.matrix[:3, :3], start.matrix[:3, 3] * result.scale
     )
     registered = gaussians.transformed(torch.from_numpy(matrix), scale)
-    extent = np.subtract(*bounds(placed.points)[::-1])
+    sides = extent(placed.points)
     low, high = bounds(result.apply(placed.points))
     report = RegistrationReport(
         axes=asset.axes.name,
         initial_scale=start.scale,
         initial_yaw=start.yaw,
-        width_over_box=float(extent[1] / size[1]),
-        height_over_box=float(extent[2] / size[2]),
+        width_over_box=float(sides[1] / size[1]),
+        height_over_box=float(sides[2] / size[2]),
         front=front,
         before=before,
         after=after,
         icp_scale=result.scale,
         icp_yaw=result.yaw,
-        icp_translation=_triple(result.translation),
+        icp_translation=triple(result.translation),
         icp_iterations=result.iterations,
         icp_converged=result.converged,
         ground_gap=float(free.apply(placed.points)[:, 2].min() + size[2] / 2),
@@ -91,25 +97,12 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
     )
 
 
-def _triple(vector: Array) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in vector)
-    return x, y, z
-
-
-def _thinned(points: Array, count: int) -> Array:
-    """At most about `count` points, evenly through the list (sweeps come in order)."""
-    return points[:: max(1, -(-len(points) // count))]
-
-
 def lidar_by_side(points: Array, size: Array) -> dict[str, int]:
     """LiDAR points (N, 3) within 0.25 m of each face of the box, or beyond it."""
     half = size / 2
     return {
-        "front": int(np.sum(points[:, 0] > half[0] - _SIDE_BAND)),
-        "rear": int(np.sum(points[:, 0] < -half[0] + _SIDE_BAND)),
-        "left": int(np.sum(points[:, 1] > half[1] - _SIDE_BAND)),
-        "right": int(np.sum(points[:, 1] < -half[1] + _SIDE_BAND)),
-        "top": int(np.sum(points[:, 2] > half[2] - _SIDE_BAND)),
+        name: int(np.sum(sign * points[:, axis] > half[axis] - _SIDE_BAND))
+        for name, (axis, sign) in SIDES.items()
     }
 
 
@@ -123,14 +116,13 @@ def _orientation(
     asset: Asset,
 ) -> tuple[Start, FrontEvidence]:
     """Search the yaw over the circle, then decide between the best one and its opposite."""
-    sparse = _thinned(surface.points, _SURFACE_POINTS)
-    few = _thinned(lidar, 1500)
-    yaws = np.arange(0, 2 * np.pi, _COARSE_STEP)
-    costs = [_search_cost(sparse, few, stand_on_box(sparse, yaw, size), size) for yaw in yaws]
-    best = yaws[int(np.argmin(costs))]
-    finer = best + np.radians([-7.5, -5.0, -2.5, 0.0, 2.5, 5.0, 7.5])
-    costs = [_search_cost(sparse, few, stand_on_box(sparse, yaw, size), size) for yaw in finer]
-    best = float(finer[int(np.argmin(costs))])
+    sparse = thinned(surface.points, _SURFACE_POINTS)
+    few = thinned(lidar, 1500)
+
+    def cost(yaw: float) -> float:
+        return _search_cost(sparse, few, stand_on_box(sparse, yaw, size), size)
+
+    best = min(min(COARSE_YAWS, key=cost) + FINE_YAWS, key=cost)
     if np.cos(best) < 0:
         best -= np.pi
     best = float((best + np.pi) % (2 * np.pi) - np.pi)
@@ -158,8 +150,7 @@ def _search_cost(points: Array, lidar: Array, start: Start, size: Array) -> floa
     placed = se3.apply(start.matrix, points * start.scale)
     distance, _ = cKDTree(placed).query(lidar)
     kept = np.sort(distance)[: int(0.85 * len(distance)) or 1]
-    extent = np.subtract(*bounds(placed)[::-1])
-    misfit = np.abs(np.log(extent[1:] / size[1:])) * size[1:]
+    misfit = np.abs(np.log(extent(placed)[1:] / size[1:])) * size[1:]
     return float(kept.mean() + 0.1 * misfit.sum())
 
 
@@ -180,7 +171,7 @@ def _agreement(
 
 def aligned(surface: Surface, lidar: Array, start: Start, size: Array) -> Start:
     """A start after a short alignment to LiDAR points (N, 3) in a box of `size` (3,)."""
-    placed, few = start.apply(surface), _thinned(lidar, 1500)
+    placed, few = start.apply(surface), thinned(lidar, 1500)
     result = align(placed, few, IcpLimits(iterations=15), floor=-size[2] / 2)
     matrix = result.matrix @ se3.from_rotation_translation(
         start.matrix[:3, :3], start.matrix[:3, 3] * result.scale

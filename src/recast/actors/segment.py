@@ -17,6 +17,8 @@ from recast.geometry import PinholeCamera, boxes, se3
 
 _REACH = 0.06  # shares of the vehicle's extent in the image: how far it may reach beyond the hull
 _GAP = 0.03
+_ITERATIONS = 6  # of GrabCut
+_GROWTH = 0.08  # metres by which the box is grown: labels are often a little small
 _SHRINK = (0.05, 0.012)  # across, where labels and poses are off by some centimetres; and up
 _APRON = (0.10, 0.45)  # shares of the height: above the road, and dark like it
 
@@ -143,12 +145,36 @@ def hull_mask(pixels: Array, shape: tuple[int, int]) -> Mask:
     return mask > 0
 
 
-def shorter_side(mask: NDArray[np.generic]) -> float:
-    """Shorter side of the rectangle around what is not zero, pixels; 1 where all is."""
-    rows, columns = np.nonzero(mask)
+def mask_rectangle(mask: NDArray[np.generic]) -> Array | None:
+    """(4,) left, top, right, bottom of the rectangle around what is not zero; None where all is."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if len(rows) == 0:
-        return 1.0
-    return float(min(np.ptp(rows), np.ptp(columns)) + 1)
+        return None
+    return np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
+
+
+def shorter_side(mask: NDArray[np.generic]) -> float:
+    """Shorter side of `mask_rectangle`, pixels; 1 where there is none."""
+    around = mask_rectangle(mask)
+    return 1.0 if around is None else float(np.min(around[2:] - around[:2]))
+
+
+def grabcut(image: NDArray[np.uint8], trimap: NDArray[np.uint8], iterations: int) -> Mask:
+    """The foreground (H, W) of a picture (H, W, 3), from GrabCut labels (H, W)."""
+    trimap = trimap.copy()
+    if np.isin(trimap, (cv2.GC_FGD, cv2.GC_PR_FGD)).any():
+        background, foreground = np.zeros((1, 65)), np.zeros((1, 65))
+        cv2.setRNGSeed(0)  # GrabCut seeds its colour clusters from OpenCV's global generator
+        cv2.grabCut(
+            np.ascontiguousarray(image[..., ::-1]),
+            trimap,
+            (0, 0, 1, 1),
+            background,
+            foreground,
+            iterations,
+            cv2.GC_INIT_WITH_MASK,
+        )
+    return np.isin(trimap, (cv2.GC_FGD, cv2.GC_PR_FGD))
 
 
 def disc(radius: float) -> NDArray[np.uint8]:
@@ -159,26 +185,17 @@ def disc(radius: float) -> NDArray[np.uint8]:
 
 def largest_piece(mask: Mask) -> Mask:
     """The largest connected piece with its holes filled."""
-    labels, areas = _pieces(mask)
-    return _filled(labels == 1 + int(np.argmax(areas))) if len(areas) else mask
+    return large_pieces(mask, 1.0)
 
 
 def large_pieces(mask: Mask, share: float) -> Mask:
     """The connected pieces with at least `share` of the largest one's area, holes filled."""
-    labels, areas = _pieces(mask)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    areas = np.asarray(stats[1:, cv2.CC_STAT_AREA])
     if len(areas) == 0:
         return mask
-    return _filled(np.isin(labels, 1 + np.flatnonzero(areas >= share * areas.max())))
-
-
-def _pieces(mask: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Number of the piece at every pixel (H, W), 0 for none, and the areas (P,) from piece 1 on."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
-    return np.asarray(labels, np.int32), np.asarray(stats[1:, cv2.CC_STAT_AREA], np.int32)
-
-
-def _filled(mask: Mask) -> Mask:
-    pieces = mask.astype(np.uint8)
+    kept = np.isin(np.asarray(labels), 1 + np.flatnonzero(areas >= share * areas.max()))
+    pieces = kept.astype(np.uint8)
     contours, _ = cv2.findContours(pieces, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(pieces, contours, -1, 1, thickness=-1)
     return pieces > 0
@@ -207,15 +224,7 @@ class BoxLidarSegmenter:
     of the scene, and under the body between the wheels, where a dark car's shadow looks like the
     car. Colour models and edges decide the rest; holes are filled and only the largest piece is
     kept. Without hits, the box's inside is where the colours begin.
-
-    Args:
-        iterations: of GrabCut.
-        grow: metres by which the box is grown, since labels are often a little small.
     """
-
-    def __init__(self, iterations: int = 6, grow: float = 0.08) -> None:
-        self.iterations = iterations
-        self.grow = grow
 
     def segment(self, target: SegmentationTarget) -> NDArray[np.uint8]:
         """See `Segmenter.segment`; the same crop always gives the same mask."""
@@ -223,25 +232,13 @@ class BoxLidarSegmenter:
         known = np.isin(trimap, (cv2.GC_FGD, cv2.GC_PR_FGD))
         if known.all() or not known.any():  # the box fills the crop, or is not in it
             return feather(known)
-        background, foreground = np.zeros((1, 65)), np.zeros((1, 65))
-        cv2.setRNGSeed(0)  # GrabCut seeds its colour clusters from OpenCV's global generator
-        cv2.grabCut(
-            np.ascontiguousarray(target.image[..., ::-1]),
-            trimap,
-            (0, 0, 1, 1),
-            background,
-            foreground,
-            self.iterations,
-            cv2.GC_INIT_WITH_MASK,
-        )
-        mask = (trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)
-        mask = smooth(largest_piece(mask), 0.006 * shorter_side(trimap))
-        return feather(mask)
+        mask = grabcut(target.image, trimap, _ITERATIONS)
+        return feather(smooth(largest_piece(mask), 0.006 * shorter_side(trimap)))
 
     def trimap(self, target: SegmentationTarget) -> NDArray[np.uint8]:
         """GrabCut labels (H, W) before any look at the colours."""
         height, width = target.image.shape[:2]
-        outline = _vehicle_outline(target, self.grow)
+        outline = _vehicle_outline(target)
         trimap = np.where(outline, cv2.GC_PR_BGD, cv2.GC_BGD).astype(np.uint8)
         extent = shorter_side(outline)
         hits = _lidar_pixels(target, target.object_points)
@@ -268,7 +265,7 @@ class BoxLidarSegmenter:
         return trimap
 
 
-def _vehicle_outline(target: SegmentationTarget, grow: float) -> Mask:
+def _vehicle_outline(target: SegmentationTarget) -> Mask:
     """Where the vehicle can be: its body above the ground clearance, and its wheels."""
     half = target.size / 2
     low, high = -half, half.copy()
@@ -276,8 +273,8 @@ def _vehicle_outline(target: SegmentationTarget, grow: float) -> Mask:
         seen = np.quantile(target.object_points, [0.005, 0.995], axis=0)
         low[:2] = np.minimum(low[:2], seen[0, :2])
         high = np.maximum(high, seen[1])
-    low[:2] -= grow
-    high += grow
+    low[:2] -= _GROWTH
+    high += _GROWTH
     floor = low[2]
     clearance, wheel_top = 0.13 * target.size[2], 0.45 * target.size[2]
     outline = project_box(target, np.array([*low[:2], floor + clearance]), high)

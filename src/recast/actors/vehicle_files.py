@@ -1,26 +1,181 @@
-"""Vehicles of the user's instead of a network's: PLY, GLB and OBJ files, and folders of actors."""
+"""Vehicles in files: actors' folders, and PLY, GLB and OBJ files in the place of a generator.
+
+The folder of an actor holds actor.json, a PLY file, tensors and the source image.
+"""
 
 from __future__ import annotations
 
+import io
+from collections.abc import Iterable
 from pathlib import Path
 
+import cv2
 import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from safetensors.torch import save
 
+from recast.actors.actor import Actor, Provenance, triple
 from recast.actors.axes import AUTO, VEHICLE, AxisConvention, axes_of, upright
+from recast.actors.coverage import Shares
 from recast.actors.generate import ActorGenerator, Asset
 from recast.actors.icp import outer_surface
 from recast.actors.mesh import MESH_SUFFIXES, MeshGenerator, files_of_mesh
 from recast.actors.observation import Observation
-from recast.actors.store import ACTOR_FILE, load_actor
+from recast.core import files
 from recast.core.errors import InputError
-from recast.splats import CLASSIC, MIP, Gaussians, LowPass, read_ply
+from recast.core.records import Record, read_record
+from recast.core.torch_file import read_safetensors
+from recast.logs import Trajectory
+from recast.splats import CLASSIC, MIP, Gaussians, LowPass, read_ply, write_ply
 from recast.splats.ply import read_low_pass
 
+ACTOR_VERSION = 2
+ACTOR_FILE = "actor.json"
+VEHICLE_FILE = "vehicle.ply"
+SHADOW_FILE = "shadow.safetensors"
+SOURCE_FILE = "source.png"
+REFINED_FILE = "refined.safetensors"
+
+SOURCE_PIXELS = 1 << 26
+"""Pixels of a source image, at most: a crop of a camera's image has far fewer."""
+
+_MEND = "generate the actor again with this recast"
+_FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 # Of the published decoder of TRELLIS, in unit cubes (rounded up by what float32 and text lose).
 _PER_VOXEL, _LARGEST_SPREAD, _LEAST_DEVIATION = 32, 1.5 / 64 + 1e-5, 9e-4
 _PLY = ".ply"
 VEHICLE_SUFFIXES = (_PLY, *MESH_SUFFIXES)
 """Ends of the names of files that hold a vehicle, in lower case."""
+
+
+class ActorRecord(Record):
+    """Contents of actor.json."""
+
+    version: int
+    track_id: str
+    category: str
+    size: tuple[float, float, float]
+    provenance: Provenance
+    low_pass: LowPass
+
+
+def save_actor(actor: Actor, folder: str | Path) -> None:
+    """Write an actor to the new folder `folder`; it appears whole or not at all.
+
+    Raises:
+        ValueError: the actor is not valid.
+        InputError: the folder exists, or the disk refuses.
+    """
+    actor.validate()
+    record = ActorRecord(
+        version=ACTOR_VERSION,
+        track_id=actor.track_id,
+        category=actor.category,
+        size=triple(actor.size),
+        provenance=actor.provenance,
+        low_pass=actor.low_pass,
+    )
+    with files.atomic_folder(folder) as partial:
+        write_ply(partial / VEHICLE_FILE, actor.gaussians, actor.low_pass)
+        shadow = {name: getattr(actor.shadow, name).contiguous() for name in _FIELDS}
+        files.write_bytes(partial / SHADOW_FILE, save(shadow))
+        if actor.shares is not None:
+            files.write_bytes(partial / REFINED_FILE, save(_refined(actor)))
+        bgra = cv2.cvtColor(actor.source, cv2.COLOR_RGBA2BGRA)
+        files.write_bytes(partial / SOURCE_FILE, cv2.imencode(".png", bgra)[1].tobytes())
+        files.write_json(partial / ACTOR_FILE, record.model_dump(mode="json"))
+
+
+def load_actor(folder: str | Path) -> Actor:
+    """Read an actor folder.
+
+    Raises:
+        InputError: no such folder, another version, a file of it missing or broken, or values that
+            no actor has.
+    """
+    folder = Path(folder)
+    record = read_record(folder / ACTOR_FILE, ActorRecord, ACTOR_VERSION, _MEND)
+    shares, trajectory, sun = None, None, None
+    refinement = record.provenance.refinement
+    if refinement is not None and refinement.kept:
+        shares, trajectory, sun = _read_refined(folder / REFINED_FILE)
+    actor = Actor(
+        track_id=record.track_id,
+        category=record.category,
+        size=np.array(record.size),
+        gaussians=read_ply(folder / VEHICLE_FILE),
+        shadow=_read_shadow(folder / SHADOW_FILE),
+        provenance=record.provenance,
+        source=_read_source(folder / SOURCE_FILE),
+        low_pass=record.low_pass,
+        shares=shares,
+        trajectory=trajectory,
+        sun=sun,
+    )
+    try:
+        actor.validate()
+    except ValueError as error:
+        raise InputError(folder, "actor", str(error), _MEND) from None
+    return actor
+
+
+def _tensors(path: Path, names: Iterable[str]) -> dict[str, torch.Tensor]:
+    tensors, _ = read_safetensors(path, "tensors", _MEND)
+    for name in names:
+        if name not in tensors:
+            raise InputError(path, name, "is missing", _MEND)
+    return tensors
+
+
+def _read_shadow(path: Path) -> Gaussians:
+    tensors = _tensors(path, _FIELDS)
+    shadow = Gaussians(**{name: tensors[name] for name in _FIELDS})
+    fault = shadow.fault()
+    if fault is not None:
+        raise InputError(path, *fault, _MEND)
+    return shadow
+
+
+def _refined(actor: Actor) -> dict[str, torch.Tensor]:
+    """What refinement adds to an actor, by name."""
+    assert actor.shares is not None and actor.trajectory is not None and actor.sun is not None
+    return {
+        "seen": actor.shares.seen.contiguous(),
+        "mirrored": actor.shares.mirrored.contiguous(),
+        "timestamps_us": torch.from_numpy(actor.trajectory.timestamps_us).contiguous(),
+        "poses": torch.from_numpy(actor.trajectory.poses).contiguous(),
+        "sun": torch.from_numpy(actor.sun).contiguous(),
+    }
+
+
+def _read_refined(path: Path) -> tuple[Shares, Trajectory, NDArray[np.float64]]:
+    types = dict.fromkeys(("seen", "mirrored"), torch.float32)
+    types |= {"timestamps_us": torch.int64, "poses": torch.float64, "sun": torch.float64}
+    tensors = _tensors(path, types)
+    for name, kind in types.items():
+        if tensors[name].dtype != kind:
+            raise InputError(path, name, f"is {tensors[name].dtype}, not {kind}", _MEND)
+    times, poses = tensors["timestamps_us"].numpy(), tensors["poses"].numpy()
+    if times.ndim != 1:
+        raise InputError(path, "timestamps_us", f"has shape {times.shape}", _MEND)
+    shares = Shares(tensors["seen"], tensors["mirrored"])
+    return shares, Trajectory(times, poses), tensors["sun"].numpy()
+
+
+def _read_source(path: Path) -> np.ndarray:
+    data = files.read_bytes(path, 8 * SOURCE_PIXELS)
+    try:
+        # Not through OpenCV, whose PNG reader prints and goes on where a file is damaged.
+        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
+            (width, height), mode = image.size, image.mode
+            if mode == "RGBA" and width * height <= SOURCE_PIXELS:
+                return np.array(image)
+    except Exception as error:  # Pillow's parsers let through whatever broken bytes lead to
+        raise InputError(path, "image", f"is no whole PNG ({error})", _MEND) from None
+    problem = f"is {mode} of {width}x{height} pixels, not RGBA of {SOURCE_PIXELS} at most"
+    raise InputError(path, "image", problem, _MEND)
 
 
 class PlyGenerator:
@@ -129,11 +284,7 @@ def files_of_vehicle(path: Path) -> list[Path]:
 
 
 class ActorFolderGenerator:
-    """Takes the vehicle of an actor that was made for another track.
-
-    Args:
-        path: the folder.
-    """
+    """Takes the vehicle of an actor that was made for another track."""
 
     name = "actor"
 

@@ -26,6 +26,7 @@ _LEAST_SHARE = 0.2  # of the best view's detail: smaller or more hidden ones tel
 _LEAST_GAIN = 0.1  # of the best view's detail
 _LEAST_IN_IMAGE = 1 / 3  # of the box: of less, neither the place nor the mask can be told
 _MIN_CHECKED = 4
+_SWEEP_REACH_US = 150_000
 
 
 def score_frame(
@@ -80,37 +81,40 @@ def _unoccluded(log: DrivingLog, track: Track, time: int, camera_from_world: Arr
 def _crosses_box(
     eye: Array, targets: Array, size: Array, world_from_box: Array
 ) -> NDArray[np.bool_]:
-    """Which segments eye-target (N, 3) meet a box, by clipping them against its three slabs."""
+    """Which segments eye-target (N, 3) meet a box."""
     box_from_world = se3.inverse(world_from_box)
     start = se3.apply(box_from_world, eye[None])[0]
     step = se3.apply(box_from_world, targets) - start
+    enter, leave = crossing(start, step, -size / 2, size / 2)
+    return (enter < leave) & (leave > 0) & (enter < 1)
+
+
+def crossing(start: Array, step: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Shares t (N,) at which lines start + t step (N, 3) enter and leave the box low to high (3,).
+
+    They are clipped against the box's three slabs: lines that miss it leave before they enter.
+    """
     step = np.where(np.abs(step) < 1e-9, 1e-9, step)
-    first, last = (-size / 2 - start) / step, (size / 2 - start) / step
-    enter = np.minimum(first, last).max(axis=1)
-    leave = np.maximum(first, last).min(axis=1)
-    crossing: NDArray[np.bool_] = (enter < leave) & (leave > 0) & (enter < 1)
-    return crossing
+    first, last = (low - start) / step, (high - start) / step
+    return np.minimum(first, last).max(axis=1), np.maximum(first, last).min(axis=1)
 
 
 class NearestSweeps:
     """The LiDAR sweep nearest to a time; remembers the last one, since decoding takes a while."""
 
-    def __init__(self, log: DrivingLog, within_us: int = 150_000) -> None:
+    def __init__(self, log: DrivingLog) -> None:
         self._log = log
-        self._within_us = within_us
         self._last: tuple[str, int, LidarSweep] | None = None
 
     def at(self, time: int) -> LidarSweep | None:
-        """The nearest sweep, or None where none lies within the limit."""
-        name, index, least = "", -1, self._within_us + 1
-        for lidar in self._log.lidars.values():
-            if len(lidar.timestamps_us) == 0:
-                continue
-            i = int(np.argmin(np.abs(lidar.timestamps_us - time)))
-            gap = abs(int(lidar.timestamps_us[i]) - time)
-            if gap < least:
-                name, index, least = lidar.name, i, gap
-        if index < 0:
+        """The nearest sweep, or None where none lies within 0.15 s."""
+        found = [
+            (int(gaps.min()), lidar.name, int(gaps.argmin()))
+            for lidar in self._log.lidars.values()
+            if len(gaps := np.abs(lidar.timestamps_us - time))
+        ]
+        gap, name, index = min(found, key=lambda one: one[0], default=(_SWEEP_REACH_US + 1, "", 0))
+        if gap > _SWEEP_REACH_US:
             return None
         if self._last is None or self._last[:2] != (name, index):
             self._last = (name, index, self._log.lidars[name].sweeps[index])

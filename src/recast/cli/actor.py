@@ -11,11 +11,9 @@ import tyro
 from recast.cli import shared
 from recast.cli.output import JSON, console_for, print_json
 
-SAMPLING_STEPS = shared.option(
-    "Number of sampling steps of structure and latent.", "the model's", metavar="INT"
-)
+SAMPLING_STEPS = shared.option("Number of sampling steps of structure and latent.", "the model's")
 MAX_VOXELS = shared.option(
-    "Maximum number of active voxels of a structure.", "8 R^2, 32768 at R = 64", metavar="INT"
+    "Maximum number of active voxels of a structure.", "8 R^2, 32768 at R = 64"
 )
 
 
@@ -35,7 +33,6 @@ class Make:
             "Scene folder of the log, with a model of the track; the actor is refined on its "
             "images.",
             "no refinement",
-            metavar="PATH",
         ),
     ] = None
     generator: Annotated[str, shared.GENERATOR] = "auto"
@@ -47,8 +44,7 @@ class Make:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        """Run the command."""
-        from recast.core.errors import InputError
+        from recast.core.errors import require_range
         from recast.core.files import atomic_folder
         from recast.logs import read_log
         from recast.pipeline.actor import ActorMakers, film_turntable, make_actor, refine_actor
@@ -57,8 +53,7 @@ class Make:
         from recast.pipeline.layout import TURNTABLE_FILE
         from recast.scene import SceneConfig, load_scene, read_training_config
 
-        if not 1 <= self.views <= MOST_VIEWS:
-            raise InputError("--views", "value", f"is {self.views}", f"give 1 to {MOST_VIEWS}")
+        require_range(1, MOST_VIEWS, views=self.views)
         console = console_for(self.json)
         with atomic_folder(self.out) as folder, SamplingProgress(console) as progress:
             makers = ActorMakers.named(self.generator, self.segmenter, self.axes)
@@ -117,15 +112,10 @@ class Generate:
     device: Annotated[str | None, shared.DEVICE] = None
     precision: Annotated[
         Literal["float16", "bfloat16", "float32"] | None,
-        shared.option(
-            "Number format of the transformer blocks.",
-            "float16 on CUDA, else float32",
-            metavar="{float16,bfloat16,float32}",
-        ),
+        shared.option("Number format of the transformer blocks.", "float16 on CUDA, else float32"),
     ] = None
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.pipeline.generate_actor import (
             GenerationRequest,
             cost_lines,
@@ -167,7 +157,6 @@ class Turntable:
     """Film to write, such as car.mp4."""
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.actors import load_actor
         from recast.pipeline.actor import film_turntable
 
@@ -182,28 +171,16 @@ class Show:
     actor: tyro.conf.Positional[Path]
     """Actor folder, such as RUN/actors/replaced/actor."""
     out: Annotated[
-        Path | None,
-        shared.option("New picture (PNG).", "ACTOR.png, beside the folder", metavar="PATH"),
+        Path | None, shared.option("New picture (PNG).", "ACTOR.png, beside the folder")
     ] = None
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.pipeline.actor import show_actor
 
         console_for(False).print(f"wrote {show_actor(self.actor, self.out)}", markup=False)
 
 
-@dataclass(frozen=True)
-class Actor:
-    """Make, film or draw a view-complete vehicle."""
-
-    command: (
-        Annotated[Make, tyro.conf.subcommand("make")]
-        | Annotated[Generate, tyro.conf.subcommand("generate")]
-        | Annotated[Turntable, tyro.conf.subcommand("turntable")]
-        | Annotated[Show, tyro.conf.subcommand("show")]
-    )
-
-    def __call__(self) -> None:
-        """Run the command."""
-        self.command()
+Actor = shared.group(
+    "Make, film or draw a view-complete vehicle.",
+    {"make": Make, "generate": Generate, "turntable": Turntable, "show": Show},
+)

@@ -15,8 +15,12 @@ from recast.cli.output import JSON, console_for, print_json
 if TYPE_CHECKING:
     from recast.pipeline.bench import BenchSettings
 
-Names = tyro.conf.UseAppendAction[tuple[str, ...]]
 Lists = tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]]
+
+
+def _motions(default: str) -> Any:
+    many = "NAME [NAME ...]"
+    return shared.option(shared.MOTIONS_HELP, default, metavar=many, aliases=("--motions",))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,15 +33,14 @@ class _Grid:
     out: Path
     """Folder of the grid; the same command resumes a grid that was stopped."""
     arm: Annotated[
-        Names,
+        shared.Names,
         shared.option(
             f"{shared.ARM_HELP} Also assets:DIR: vehicles in DIR/SCENE.ply, .glb or .obj.",
             shared.ARM_DEFAULT,
         ),
     ] = ()
     track: Annotated[
-        str | None,
-        shared.option(f"{shared.TRACK_HELP} For log folders named without one.", metavar="STR"),
+        str | None, shared.option(f"{shared.TRACK_HELP} For log folders named without one.")
     ] = None
     scene: Annotated[Path | None, shared.SCENE] = None
     store: Annotated[
@@ -48,43 +51,34 @@ class _Grid:
     ray: Annotated[str | None, shared.RAY] = None
     config: Annotated[
         Path | None,
-        shared.option(
-            f"{shared.CONFIG_HELP} The bench.json of another grid works, too.", metavar="PATH"
-        ),
+        shared.option(f"{shared.CONFIG_HELP} The bench.json of another grid works, too."),
     ] = None
     quick: bool = False
     """Use a small grid: drives of 8 s, one camera of 192x128 pixels, 300 training steps, rollouts
     of 40 steps. Other options override it."""
     seconds: Annotated[
-        float | None,
-        shared.option(
-            "Duration of synthetic drives in seconds, at most 20.", "20", metavar="FLOAT"
-        ),
+        float | None, shared.option("Duration of synthetic drives in seconds, at most 20.", "20")
     ] = None
-    width: Annotated[
-        int | None, shared.option("Width of synthetic images in pixels.", "480", metavar="INT")
-    ] = None
-    height: Annotated[
-        int | None, shared.option("Height of synthetic images in pixels.", "320", metavar="INT")
-    ] = None
+    width: Annotated[int | None, shared.option("Width of synthetic images in pixels.", "480")] = (
+        None
+    )
+    height: Annotated[int | None, shared.option("Height of synthetic images in pixels.", "320")] = (
+        None
+    )
     generator: Annotated[str | None, shared.GENERATOR] = None
     axes: Annotated[str | None, shared.AXES] = None
-    refine: Annotated[bool | None, shared.REFINE] = None
+    refine: shared.Refine = None
     segmenter: Annotated[str | None, shared.SEGMENTER] = None
     views: Annotated[int | None, shared.VIEWS] = None
     preset: Annotated[Literal["streetgs", "omnire"] | None, shared.PRESET] = None
     scene_config: Annotated[Path | None, shared.SCENE_CONFIG] = None
     cameras: Annotated[tuple[str, ...] | None, shared.CAMERAS] = None
-    scale: Annotated[float | None, shared.option(shared.SCALE_HELP, "1", metavar="FLOAT")] = None
-    iterations: Annotated[
-        int | None, shared.option(shared.ITERATIONS_HELP, "2800", metavar="INT")
-    ] = None
+    scale: Annotated[float | None, shared.option(shared.SCALE_HELP, "1")] = None
+    iterations: Annotated[int | None, shared.option(shared.ITERATIONS_HELP, "2800")] = None
     steps: Annotated[int | None, shared.STEPS] = None
     seed: Annotated[
         int | None,
-        shared.option(
-            f"{shared.SEED_HELP} Synthetic scenes named without a seed use it.", "0", metavar="INT"
-        ),
+        shared.option(f"{shared.SEED_HELP} Synthetic scenes named without a seed use it.", "0"),
     ] = None
     samples: Annotated[int, shared.SAMPLES] = 200_000
     json: Annotated[bool, JSON] = False
@@ -114,30 +108,19 @@ class ClosedLoop(_Grid):
     Finished rollouts are kept, so the same command resumes a grid that was stopped or killed.
     """
 
-    planner: Annotated[Names, shared.PLANNER] = ()
+    planner: Annotated[shared.Names, shared.PLANNER] = ()
     planner_device: Annotated[str | None, shared.PLANNER_DEVICE] = None
-    motion: Annotated[
-        Lists,
-        shared.option(
-            shared.MOTIONS_HELP,
-            "cut-in, oncoming and stationary",
-            metavar="NAME [NAME ...]",
-            aliases=("--motions",),
-        ),
-    ] = ()
+    motion: Annotated[Lists, _motions("cut-in, oncoming and stationary")] = ()
     films: bool = False
     """Render and film every step of all cameras, not only what the planner sees."""
     plan_timeout: Annotated[
         float | None,
-        shared.option(
-            "Time limit of one plan in seconds; a slower plan fails its rollout.", metavar="FLOAT"
-        ),
+        shared.option("Time limit of one plan in seconds; a slower plan fails its rollout."),
     ] = None
     retry_failures: bool = False
     """Run rollouts again that failed before."""
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.pipeline.bench import run_closed_loop
 
         settings = self._settings(tuple(name for names in self.motion for name in names))
@@ -165,15 +148,7 @@ class SceneLevel(_Grid):
     without its weights has no column.
     """
 
-    motion: Annotated[
-        Lists,
-        shared.option(
-            shared.MOTIONS_HELP,
-            "cut-in, oncoming, stationary and advancing",
-            metavar="NAME [NAME ...]",
-            aliases=("--motions",),
-        ),
-    ] = ()
+    motion: Annotated[Lists, _motions("cut-in, oncoming, stationary and advancing")] = ()
     inception: Annotated[Path | None, shared.INCEPTION] = None
     clip: Annotated[Path | None, shared.CLIP] = None
     lpips_weights: Annotated[Path | None, shared.LPIPS_WEIGHTS] = None
@@ -201,7 +176,6 @@ class SceneLevel(_Grid):
     """Number of bootstrap samples of the intervals of Frechet distances."""
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.evaluation.scene_level.frames import FrameRule
         from recast.pipeline.bench.scene_level import (
             LEVEL_MOTIONS,
@@ -242,15 +216,7 @@ class SceneLevel(_Grid):
             print_json(level_rows(lines))
 
 
-@dataclass(frozen=True)
-class Bench:
-    """Run a whole experiment of the paper over scenes, motions and arms."""
-
-    command: (
-        Annotated[ClosedLoop, tyro.conf.subcommand("closed-loop")]
-        | Annotated[SceneLevel, tyro.conf.subcommand("scene-level")]
-    )
-
-    def __call__(self) -> None:
-        """Run the command."""
-        self.command()
+Bench = shared.group(
+    "Run a whole experiment of the paper over scenes, motions and arms.",
+    {"closed-loop": ClosedLoop, "scene-level": SceneLevel},
+)

@@ -35,11 +35,10 @@ class EvalActor:
     out: Path
     """New folder for metrics.json and a picture of every vehicle."""
     scene: Annotated[
-        Path | None,
-        shared.option("Scene folder of the log, with models of the tracks.", metavar="PATH"),
+        Path | None, shared.option("Scene folder of the log, with models of the tracks.")
     ] = None
     track: Annotated[
-        tyro.conf.UseAppendAction[tuple[str, ...]],
+        shared.Names,
         shared.option("Id of a track of the log to evaluate. May be repeated."),
     ] = ()
     segmenter: Annotated[str, shared.SEGMENTER] = "box-lidar"
@@ -53,13 +52,11 @@ class EvalActor:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        """Run the command."""
-        from rich.progress import Progress
-
         from recast.actors import make_generator
         from recast.evaluation.perceptual import load_distances
         from recast.logs.store import LOG_FILE
-        from recast.pipeline.evaluate_actor import evaluate_actors, evaluation_table
+        from recast.pipeline.display import FrameProgress
+        from recast.pipeline.evaluate_actors import evaluate_actors, evaluation_table
         from recast.weights import located
 
         if (self.set / LOG_FILE).is_file():
@@ -72,8 +69,7 @@ class EvalActor:
         )
         generator = make_generator(self.model, self.axes)
         console = console_for(self.json)
-        with Progress(console=console, transient=True) as progress:
-            task = progress.add_task("vehicles", total=None)
+        with FrameProgress(console, None, "vehicles") as progress:
             evaluation = evaluate_actors(
                 generator,
                 self.set,
@@ -82,7 +78,7 @@ class EvalActor:
                 limit=self.limit,
                 views=self.views,
                 distances=distances,
-                progress=lambda done, of: progress.update(task, completed=done, total=of),
+                progress=progress.reach,
             )
         console.print(f"wrote {self.out}", markup=False)
         if self.json:
@@ -99,7 +95,7 @@ class EvalActor:
         from recast.logs import read_log
         from recast.pipeline.actor import ActorMakers
         from recast.pipeline.display import SamplingProgress
-        from recast.pipeline.evaluate_tracks import evaluate_tracks, tracks_table
+        from recast.pipeline.evaluate_actors import evaluate_tracks, tracks_table
         from recast.scene import load_scene, read_training_config
 
         if self.scene is None:
@@ -135,19 +131,18 @@ class EvalGeneration:
     out: Path
     """Folder of the results; the same command resumes, and models may be added."""
     model: Annotated[
-        tyro.conf.UseAppendAction[tuple[str, ...]],
+        shared.Names,
         shared.option(
             "NAME=WHAT: name of a model in the tables, and a model folder, a generator or a PLY; "
             "or the results of another generator: files:DIR (DIR/ID.ply or .glb) or views:DIR "
-            "(DIR/ID/VIEW.png, RGBA). May be repeated; each model is compared with the one before.",
+            "(DIR/ID/VIEW.png, RGBA). May be repeated; each model is compared with the one before."
         ),
     ] = ()
     study: Annotated[
         Path | None,
         shared.option(
             "Study file with rows, seed, target views and perturbations, as `recast eval inputs` "
-            "writes it.",
-            metavar="PATH",
+            "writes it."
         ),
     ] = None
     perturbed: Annotated[str | None, PERTURBED] = None
@@ -170,7 +165,6 @@ class EvalGeneration:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.evaluation.generation_report import (
             differences_table,
             paper_table,
@@ -255,7 +249,6 @@ class EvalInputs:
     limit: Annotated[int | None, shared.LIMIT] = None
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.pipeline.generation_plan import StudySettings, write_inputs
 
         settings = StudySettings(
@@ -278,16 +271,7 @@ def _perturbations(what: str | None) -> PerturbationConfig | None:
     return PerturbationConfig() if what == "default" else read_perturbations(what)
 
 
-@dataclass(frozen=True)
-class Eval:
-    """Evaluate generators of vehicles on held-out pictures."""
-
-    command: (
-        Annotated[EvalActor, tyro.conf.subcommand("actor")]
-        | Annotated[EvalGeneration, tyro.conf.subcommand("generation")]
-        | Annotated[EvalInputs, tyro.conf.subcommand("inputs")]
-    )
-
-    def __call__(self) -> None:
-        """Run the command."""
-        self.command()
+Eval = shared.group(
+    "Evaluate generators of vehicles on held-out pictures.",
+    {"actor": EvalActor, "generation": EvalGeneration, "inputs": EvalInputs},
+)

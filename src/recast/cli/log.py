@@ -40,7 +40,6 @@ class Import:
             "File of box labels. kitti: a tracking label file; argoverse2: an annotations file; "
             "processed scenes: a track_info.txt or instances_info.json.",
             "the drive's own labels",
-            metavar="PATH",
         ),
     ] = None
     cameras: Annotated[
@@ -55,9 +54,8 @@ class Import:
     """Correct the GPS/IMU poses by matching LiDAR sweeps (kitti only)."""
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.core.files import require_new
-        from recast.core.parts import IMPORTERS
+        from recast.core.plugins import IMPORTERS
         from recast.logs import load_log, write_log
         from recast.pipeline.display import FrameProgress
 
@@ -91,7 +89,6 @@ class Info:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.cli.rows.logs import log_info_tables
         from recast.logs import load_log, log_info
 
@@ -134,7 +131,6 @@ class Synth:
     """Add walking pedestrians and cyclists."""
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.pipeline.display import FrameProgress
         from recast.synthetic import CAMERAS, check_request, make_world, synthesize_log
 
@@ -160,16 +156,7 @@ class Synth:
         )
 
 
-@dataclass(frozen=True)
-class Log:
-    """Import, make or inspect logs."""
-
-    command: (
-        Annotated[Import, tyro.conf.subcommand("import")]
-        | Annotated[Info, tyro.conf.subcommand("info")]
-        | Annotated[Synth, tyro.conf.subcommand("synth")]
-    )
-
-    def __call__(self) -> None:
-        """Run the command."""
-        self.command()
+Log = shared.group(
+    "Import, make or inspect logs.",
+    {"import": Import, "info": Info, "synth": Synth},
+)

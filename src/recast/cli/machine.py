@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from recast.cli import shared
 from recast.cli.output import JSON, console_for, print_json
 
 _NAME = tyro.conf.arg(metavar="NAME")
@@ -19,7 +20,6 @@ class Doctor:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.cli.rows.machine import examine, findings_table
 
         findings = examine()
@@ -38,7 +38,6 @@ class List:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        """Run the command."""
         if self.json:
             from recast.cli.rows.machine import weights_rows
 
@@ -63,7 +62,6 @@ class Get:
     """Accept the licence terms of restricted weights without a question."""
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.cli.rows.machine import get_weights
 
         get_weights(self.name, self.accept_licence, console_for(False))
@@ -77,7 +75,6 @@ class Verify:
     """Name of fetched weights (default: all)."""
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.cli.rows.machine import verify_weights
 
         verify_weights(self.name, console_for(False))
@@ -91,24 +88,13 @@ class Path:
     """Name of fetched weights."""
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.weights import published
         from recast.weights.record import opened
 
         print(opened(published(self.name)))
 
 
-@dataclass(frozen=True)
-class Weights:
-    """List, fetch and check published weights; recast downloads nothing else."""
-
-    command: (
-        Annotated[List, tyro.conf.subcommand("list")]
-        | Annotated[Get, tyro.conf.subcommand("get")]
-        | Annotated[Verify, tyro.conf.subcommand("verify")]
-        | Annotated[Path, tyro.conf.subcommand("path")]
-    )
-
-    def __call__(self) -> None:
-        """Run the command."""
-        self.command()
+Weights = shared.group(
+    "List, fetch and check published weights; recast downloads nothing else.",
+    {"list": List, "get": Get, "verify": Verify, "path": Path},
+)

@@ -12,20 +12,20 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppres
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import Annotated, Literal, NoReturn
+from typing import Annotated, Any, Literal, NoReturn
 
 import tyro
 
+from recast.cli import shared
 from recast.cli.actor import Actor
 from recast.cli.bench import Bench
 from recast.cli.eval import Eval
 from recast.cli.log import Log
 from recast.cli.machine import Doctor, Weights
-from recast.cli.output import page_of
+from recast.cli.output import line_of
 from recast.cli.planner import Planner
 from recast.cli.recar import Recar
-from recast.cli.report import Report, View
-from recast.cli.run import Demo, Run
+from recast.cli.run import Demo, Report, Run, View
 from recast.cli.scenario import Scenario
 from recast.cli.scene import Scene
 from recast.cli.store import Store
@@ -43,29 +43,31 @@ class Completion:
     """Shell that completes `recast`."""
 
     def __call__(self) -> None:
-        """Run the command."""
-
         print(completion_script(self.shell), end="")
 
 
-Command = Annotated[
-    Annotated[Demo, tyro.conf.subcommand("demo")]
-    | Annotated[Log, tyro.conf.subcommand("log")]
-    | Annotated[Scene, tyro.conf.subcommand("scene")]
-    | Annotated[Actor, tyro.conf.subcommand("actor")]
-    | Annotated[Recar, tyro.conf.subcommand("recar")]
-    | Annotated[Eval, tyro.conf.subcommand("eval")]
-    | Annotated[Bench, tyro.conf.subcommand("bench")]
-    | Annotated[Trellis, tyro.conf.subcommand("trellis")]
-    | Annotated[Planner, tyro.conf.subcommand("planner")]
-    | Annotated[Scenario, tyro.conf.subcommand("scenario")]
-    | Annotated[Run, tyro.conf.subcommand("run")]
-    | Annotated[Report, tyro.conf.subcommand("report")]
-    | Annotated[View, tyro.conf.subcommand("view")]
-    | Annotated[Store, tyro.conf.subcommand("store")]
-    | Annotated[Weights, tyro.conf.subcommand("weights")]
-    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
-    | Annotated[Completion, tyro.conf.subcommand("completion")],
+Command: Any = Annotated[
+    shared.one_of(
+        {
+            "demo": Demo,
+            "log": Log,
+            "scene": Scene,
+            "actor": Actor,
+            "recar": Recar,
+            "eval": Eval,
+            "bench": Bench,
+            "trellis": Trellis,
+            "planner": Planner,
+            "scenario": Scenario,
+            "run": Run,
+            "report": Report,
+            "view": View,
+            "store": Store,
+            "weights": Weights,
+            "doctor": Doctor,
+            "completion": Completion,
+        }
+    ),
     tyro.conf.arg(help=""),  # else tyro parses its own source for one, in 50 ms
 ]
 
@@ -80,6 +82,7 @@ _LOG = logging.getLogger(__name__)
 def main(args: Sequence[str] | None = None) -> int:
     """Run one command; bad input ends in one line on stderr and exit code 2."""
     words = list(sys.argv[1:] if args is None else args)
+    command = None
     try:
         where, words = _diagnostics(words)
         diagnostics.begin(where)
@@ -92,7 +95,7 @@ def main(args: Sequence[str] | None = None) -> int:
             command()
     except InputError as error:
         _LOG.debug("refused", exc_info=True)
-        print(f"recast: {error.line(page_of(error))}", file=sys.stderr)
+        print(f"recast: {line_of(error, command)}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # whoever reads the output has enough
         with suppress(OSError, ValueError):
@@ -157,14 +160,17 @@ def _command(words: Sequence[str]) -> Callable[[], None]:
 
 
 def _parsed(words: Sequence[str]) -> Callable[[], None]:
-    command: Callable[[], None] = tyro.cli(
+    return tyro.cli(
         Command,
         prog="recast",
         description=_DESCRIPTION,
-        config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
+        config=(
+            tyro.conf.OmitSubcommandPrefixes,
+            tyro.conf.OmitArgPrefixes,
+            tyro.conf.DisallowNone,
+        ),
         args=words,
     )
-    return command
 
 
 def completion_script(shell: str) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import traceback
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -41,7 +42,6 @@ PAGES = {
     "recast.actors.vehicle_files": _VEHICLES,
     "recast.cli.rows.store": "docs/runs.md#the-store",
     "recast.core.artefact": "docs/runs.md#the-store",
-    "recast.core.depot": "docs/runs.md#the-store",
     "recast.core.remote": "docs/runs.md#the-store",
     "recast.core.store": "docs/runs.md#the-store",
     "recast.logs": "docs/data.md#the-log-folder",
@@ -102,6 +102,26 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_plain(one) for one in value]
     return value
+
+
+def line_of(error: InputError, command: object = None) -> str:
+    """The error's line: settings in backquotes as options of the command, and the page that helps.
+
+    Args:
+        command: that was run; None if its words were not understood.
+    """
+    options: set[str] = set()
+    while command is not None:
+        options |= vars(command).keys()
+        command = getattr(command, "command", None)
+
+    def shown(match: re.Match[str]) -> str:
+        return "--" + match[1].replace("_", "-") if match[1] in options else match[0]
+
+    where, field, mend = (
+        re.sub("`([a-z_]+)`", shown, text) for text in (error.where, error.field, error.mend)
+    )
+    return InputError(where, field, error.problem, mend).line(page_of(error))
 
 
 def page_of(error: InputError) -> str | None:

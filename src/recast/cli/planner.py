@@ -23,7 +23,6 @@ class Vocabulary:
     seed: Annotated[int, shared.SEED] = 0
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.planning.gtrs import write_vocabulary
         from recast.planning.gtrs_training.vocabulary import make_vocabulary
 
@@ -47,8 +46,7 @@ class Dataset:
     workers: Annotated[int, shared.WORKERS] = 1
 
     def __call__(self) -> None:
-        """Run the command."""
-        from recast.pipeline.planner_data.dataset import make_dataset
+        from recast.pipeline.gtrs_data.dataset import make_dataset
         from recast.planning.gtrs import read_vocabulary
         from recast.planning.gtrs_training.samples import DatasetRecord
         from recast.recar.progress import PictureProgress
@@ -78,11 +76,13 @@ class Show:
     """Index of the first sample."""
 
     def __call__(self) -> None:
-        """Run the command."""
+        from recast.core.files import write_bytes
         from recast.planning.gtrs_training.evaluate import truth_sheet
         from recast.planning.gtrs_training.samples import SampleStore
+        from recast.recar.views import encode_rgb
 
-        truth_sheet(SampleStore(self.dataset), self.first, self.count).write(self.out)
+        sheet = truth_sheet(SampleStore(self.dataset), self.first, self.count)
+        write_bytes(self.out, encode_rgb(sheet))
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,6 @@ class Train:
         shared.option(
             'JSON file with changes to the training, such as {"trainer": {"steps": 4000}}.',
             "the shipped planner's training",
-            metavar="PATH",
         ),
     ] = None
     start: Annotated[
@@ -106,22 +105,19 @@ class Train:
         shared.option(
             "Planner folder with the initial weights; its network must have the same sizes.",
             "random weights",
-            metavar="PATH",
         ),
     ] = None
     seed: Annotated[int, shared.SEED] = 0
     steps: Annotated[
-        int | None,
-        shared.option("Number of optimiser steps.", "the shipped planner's", metavar="INT"),
+        int | None, shared.option("Number of optimiser steps.", "the shipped planner's")
     ] = None
     threads: int = 1
     """Number of CPU threads; the result depends on it in the last digits."""
 
     def __call__(self) -> None:
-        """Run the command."""
         import torch
 
-        from recast.planning.gtrs_training.settings import chosen_training
+        from recast.planning.gtrs_training.task import chosen_training
         from recast.planning.gtrs_training.train import train_planner
 
         torch.set_num_threads(self.threads)
@@ -145,7 +141,6 @@ class Export:
     """Folder to write; must not exist."""
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.planning.gtrs_training.train import export_planner
 
         export_planner(self.training, self.dataset, self.out)
@@ -162,11 +157,11 @@ class Probe:
     out: Path
     """Folder of the rollouts; finished rollouts of the same planner are reused."""
     scene: Annotated[
-        tyro.conf.UseAppendAction[tuple[str, ...]],
+        shared.Names,
         shared.option("Synthetic scene. May be repeated.", "all scenes"),
     ] = ()
     motion: Annotated[
-        tyro.conf.UseAppendAction[tuple[str, ...]],
+        shared.Names,
         shared.option(shared.MOTION_HELP, "stationary, oncoming and cut-in"),
     ] = ()
     seed: Annotated[int, shared.SEED] = 0
@@ -179,8 +174,7 @@ class Probe:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        """Run the command."""
-        from recast.pipeline.planner_data.probe import ProbeRequest, probe, probe_table
+        from recast.pipeline.planner_probe import ProbeRequest, probe, probe_table
         from recast.synthetic import SCENES
 
         request = ProbeRequest(
@@ -204,19 +198,14 @@ class Probe:
         console.print(probe_table(rows))
 
 
-@dataclass(frozen=True)
-class Planner:
-    """Train a small image-conditioned planner: vocabulary, samples, training, test."""
-
-    command: (
-        Annotated[Vocabulary, tyro.conf.subcommand("vocabulary")]
-        | Annotated[Dataset, tyro.conf.subcommand("dataset")]
-        | Annotated[Show, tyro.conf.subcommand("show")]
-        | Annotated[Train, tyro.conf.subcommand("train")]
-        | Annotated[Export, tyro.conf.subcommand("export")]
-        | Annotated[Probe, tyro.conf.subcommand("probe")]
-    )
-
-    def __call__(self) -> None:
-        """Run the command."""
-        self.command()
+Planner = shared.group(
+    "Train a small image-conditioned planner: vocabulary, samples, training, test.",
+    {
+        "vocabulary": Vocabulary,
+        "dataset": Dataset,
+        "show": Show,
+        "train": Train,
+        "export": Export,
+        "probe": Probe,
+    },
+)

@@ -26,10 +26,7 @@ class Ingest:
     source: str = "photographs"
     """Source of the photographs, in words."""
     table: Annotated[
-        Path | None,
-        shared.option(
-            "Table of the vehicles.", "vehicles.csv or .json in the folder", metavar="PATH"
-        ),
+        Path | None, shared.option("Table of the vehicles.", "vehicles.csv or .json in the folder")
     ] = None
     layout: Literal["regular", "3drealcar", "mad-cars"] = "regular"
     """Layout of the photographs: regular (at regular azimuths), 3drealcar or mad-cars (walk-arounds
@@ -41,7 +38,6 @@ class Ingest:
         shared.option(
             "Maximum azimuth error of a walk-around's photograph in degrees.",
             "half the step between two views",
-            metavar="FLOAT",
         ),
     ] = None
     width: int = 1200
@@ -52,15 +48,10 @@ class Ingest:
     """Read the photographs as clockwise around the vehicle, seen from above."""
     elevation: Annotated[
         float | None,
-        shared.option(
-            "Measured angle of the camera above the horizontal in degrees.",
-            "unknown",
-            metavar="FLOAT",
-        ),
+        shared.option("Measured angle of the camera above the horizontal in degrees.", "unknown"),
     ] = None
     fov: Annotated[
-        float | None,
-        shared.option("Measured horizontal field of view in degrees.", "unknown", metavar="FLOAT"),
+        float | None, shared.option("Measured horizontal field of view in degrees.", "unknown")
     ] = None
     remover: str = "grabcut"
     """Method that removes the background of opaque pictures: grabcut, a folder with grounding-dino
@@ -77,7 +68,6 @@ class Ingest:
     workers: Annotated[int, shared.WORKERS] = 1
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.actors.cutout import remover_of
         from recast.core.errors import InputError, printable
         from recast.recar.ingest import EXPERIMENTAL, IngestSettings, ingest_photographs
@@ -142,7 +132,6 @@ class Pack:
     """Maximum size of a shard, such as 256MB or 1GiB."""
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.recar import read_set
         from recast.recar.progress import PictureProgress
         from recast.recar.shards import pack_set, parse_byte_size
@@ -169,23 +158,20 @@ class Perturb:
     out: Path
     """Picture to write (PNG)."""
     config: Annotated[
-        Path | None,
-        shared.option("JSON file with changes to the perturbations.", "none", metavar="PATH"),
+        Path | None, shared.option("JSON file with changes to the perturbations.", "none")
     ] = None
     write_config: Annotated[
-        Path | None,
-        shared.option("JSON file to write the whole configuration to.", metavar="PATH"),
+        Path | None, shared.option("JSON file to write the whole configuration to.")
     ] = None
     seed: Annotated[int, shared.SEED] = 0
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.recar.perturb import (
             PerturbationConfig,
             read_perturbations,
             write_perturbations,
         )
-        from recast.recar.perturb.sheet import write_sheet
+        from recast.recar.perturb.compose import write_sheet
         from recast.trellis import read_crop
 
         config = PerturbationConfig() if self.config is None else read_perturbations(self.config)
@@ -210,15 +196,13 @@ class Screen:
     set: Annotated[
         Path | None,
         shared.option(
-            "Vehicle set of the cache, in folders or shards; its pictures are shown larger.",
-            metavar="PATH",
+            "Vehicle set of the cache, in folders or shards; its pictures are shown larger."
         ),
     ] = None
     port: int = 8765
     """Port of the page, which only this machine can open; 0 takes a free port."""
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.recar.screening.server import ScreeningServer
         from recast.recar.screening.service import ScreeningService
         from recast.recar.shards import open_set

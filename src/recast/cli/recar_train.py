@@ -26,7 +26,6 @@ class Assets:
     workers: Annotated[int, shared.WORKERS] = 1
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.recar.progress import PictureProgress
         from recast.recar.training.asset_synthesis import AssetsRecord, make_assets
 
@@ -49,21 +48,16 @@ class Autoencoder:
     """Folder of the training; the same command resumes. Networks are written to OUT/ckpts."""
     structure: Annotated[
         Path | None,
-        shared.option(
-            "Folder of the trained structure autoencoder; the image encoder needs it.",
-            metavar="PATH",
-        ),
+        shared.option("Folder of the trained structure autoencoder; the image encoder needs it."),
     ] = None
     steps: Annotated[
-        int | None,
-        shared.option("Number of optimiser steps.", "the shipped model's", metavar="INT"),
+        int | None, shared.option("Number of optimiser steps.", "the shipped model's")
     ] = None
     seed: Annotated[int, shared.SEED] = 0
     threads: int = 1
     """Number of CPU threads."""
 
     def __call__(self) -> None:
-        """Run the command."""
         import torch
 
         from recast.recar.training.assemble import train_part
@@ -101,7 +95,6 @@ class Assemble:
     seed: Annotated[int, shared.SEED] = 0
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.recar.progress import PictureProgress
         from recast.recar.training.assemble import assemble
 
@@ -131,24 +124,20 @@ class Train:
         Literal["1", "2", "base", "base-2", "mini-1", "mini-2"] | None,
         shared.option(
             "Stage of the paper: 1 (vehicles) or 2 (perturbed pictures); of the small model: base, "
-            "base-2, mini-1 or mini-2.",
-            metavar="{1,2,base,base-2,mini-1,mini-2}",
+            "base-2, mini-1 or mini-2."
         ),
     ] = None
     config: Annotated[
         Path | None,
         shared.option(
             'JSON file with all settings of a stage, or "preset" and the changes; instead of '
-            "--stage.",
-            metavar="PATH",
+            "--stage."
         ),
     ] = None
     flow: Annotated[
         tyro.conf.UseAppendAction[tuple[Literal["structure", "latent"], ...]],
         shared.option(
-            "Flow to train in this process; the model is written after the last flow.",
-            "both",
-            metavar="{structure,latent}",
+            "Flow to train in this process; the model is written after the last flow.", "both"
         ),
     ] = ()
     image_encoder: Annotated[Path | None, shared.IMAGE_ENCODER] = None
@@ -157,7 +146,6 @@ class Train:
     """Also write TensorBoard curves to OUT/tensorboard."""
 
     def __call__(self) -> None:
-        """Run the command."""
         from rich.console import Console
 
         from recast.recar.training.loop import Processes

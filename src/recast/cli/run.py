@@ -1,4 +1,4 @@
-"""`recast run` and `recast demo`: the whole job, on a log or on a made-up drive."""
+"""`recast run`, `recast demo`, `recast report`, `recast view`: the whole job, and looks at it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import tyro
 
 from recast.cli import shared
 from recast.cli.output import JSON, console_for, print_json
-
-Names = tyro.conf.UseAppendAction[tuple[str, ...]]
+from recast.core.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -26,14 +25,14 @@ class Run:
     track: Annotated[str, shared.required(shared.TRACK_HELP)]
     out: Path
     """Run folder; the same command resumes a run that was stopped."""
-    motion: Annotated[Names, shared.option(shared.MOTION_HELP, "cut-in and stationary")] = ()
-    arm: Annotated[Names, shared.ARM] = ()
-    config: Annotated[Path | None, shared.option(shared.CONFIG_HELP, metavar="PATH")] = None
-    planner: Annotated[Names, shared.PLANNER] = ()
+    motion: Annotated[shared.Names, shared.option(shared.MOTION_HELP, "cut-in and stationary")] = ()
+    arm: Annotated[shared.Names, shared.ARM] = ()
+    config: Annotated[Path | None, shared.option(shared.CONFIG_HELP)] = None
+    planner: Annotated[shared.Names, shared.PLANNER] = ()
     planner_device: Annotated[str | None, shared.PLANNER_DEVICE] = None
     generator: Annotated[str | None, shared.GENERATOR] = None
     axes: Annotated[str | None, shared.AXES] = None
-    refine: Annotated[bool | None, shared.REFINE] = None
+    refine: shared.Refine = None
     segmenter: Annotated[str | None, shared.SEGMENTER] = None
     views: Annotated[int | None, shared.VIEWS] = None
     scene: Annotated[Path | None, shared.SCENE] = None
@@ -43,17 +42,14 @@ class Run:
     preset: Annotated[Literal["streetgs", "omnire"] | None, shared.PRESET] = None
     scene_config: Annotated[Path | None, shared.SCENE_CONFIG] = None
     cameras: Annotated[tuple[str, ...] | None, shared.CAMERAS] = None
-    scale: Annotated[float | None, shared.option(shared.SCALE_HELP, "0.5", metavar="FLOAT")] = None
-    iterations: Annotated[
-        int | None, shared.option(shared.ITERATIONS_HELP, "2800", metavar="INT")
-    ] = None
+    scale: Annotated[float | None, shared.option(shared.SCALE_HELP, "0.5")] = None
+    iterations: Annotated[int | None, shared.option(shared.ITERATIONS_HELP, "2800")] = None
     steps: Annotated[int | None, shared.STEPS] = None
     seed: Annotated[int | None, shared.SEED] = None
     threads: Annotated[int | None, shared.THREADS] = None
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.pipeline.config import resolve_config
         from recast.pipeline.run import run
 
@@ -82,11 +78,7 @@ class Demo:
 
     out: Annotated[
         Path | None,
-        shared.option(
-            "Folder of the log and the run.",
-            "runs/demo, with --quick runs/demo-quick",
-            metavar="PATH",
-        ),
+        shared.option("Folder of the log and the run.", "runs/demo, with --quick runs/demo-quick"),
     ] = None
     quick: bool = False
     """Run one short motion at low resolution (about two minutes on two cores)."""
@@ -106,7 +98,6 @@ class Demo:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.actors import DEFAULT_GENERATOR
         from recast.pipeline.run import FULL, QUICK, RUN_FOLDER, demo
 
@@ -125,3 +116,79 @@ class Demo:
             from recast.cli.rows.grids import run_rows
 
             print_json(run_rows(out / RUN_FOLDER))
+
+
+@dataclass(frozen=True)
+class Report:
+    """Write the report of a run, or compare several runs.
+
+    The result is one folder with index.html and everything that the page shows. It opens from disk.
+    """
+
+    runs: tyro.conf.Positional[tuple[Path, ...]]
+    """Run folder made by `recast run`; with --compare two or more of them."""
+    compare: bool = False
+    """Write one page that sets the runs side by side. Differences are to the first run."""
+    out: Path | None = None
+    """Folder to write to. Default: RUN/report. With --compare it must be named."""
+
+    def __call__(self) -> None:
+        if not self.compare and len(self.runs) != 1:
+            raise InputError(
+                "RUNS",
+                "run folder",
+                f"{len(self.runs)} given",
+                "name one run, or add --compare to set several side by side",
+            )
+        if self.compare and self.out is None:
+            raise InputError(
+                "--out", "folder", "is missing", "name the folder for the page of --compare"
+            )
+        from rich.console import Console
+
+        from recast.pipeline.report import compare_runs, report_run
+
+        if self.compare:
+            assert self.out is not None
+            page = compare_runs(self.runs, self.out)
+        else:
+            page = report_run(self.runs[0], self.out)
+        Console().print(f"wrote {page}", markup=False)
+
+
+@dataclass(frozen=True)
+class View:
+    """Show logs, scenes, actors and rollouts in three dimensions, in a browser."""
+
+    what: tyro.conf.Positional[tuple[Path, ...]]
+    """A run folder; or rollout folders of one run; or a log with scenes, actors and rollouts of
+    it; or scenes or actors alone."""
+    host: str = "127.0.0.1"
+    """Address to listen on. The default can be reached from this machine only; 0.0.0.0 lets
+    everybody in your network look and run rollouts."""
+    port: int = 8080
+    """TCP port; the next free one if it is in use."""
+    max_gaussians: int = 300_000
+    """Maximum number of Gaussians that browsers get; the most important ones are kept."""
+    out: Path = Path("scenarios")
+    """Folder for the scenario files that are saved from the page."""
+    replay: Path | None = None
+    """Write this HTML file, which plays without a server, instead of opening a page."""
+    replay_mb: float = 15.0
+    """Maximum size of the replay in MB; fewer Gaussians make it smaller."""
+    scenario: str | None = None
+    """Scenario of the replay, such as cut-in-a. Default: the first one."""
+
+    def __call__(self) -> None:
+        from rich.console import Console
+
+        from recast.pipeline.view import replay_what, require_limits, serve_what, view_inputs
+
+        require_limits(self.what, self.port, self.max_gaussians, self.replay, self.replay_mb)
+        console, inputs = Console(), view_inputs(self.what)
+        if self.replay is not None:
+            replay_what(
+                inputs, self.replay, self.replay_mb, self.max_gaussians, self.scenario, console
+            )
+        else:
+            serve_what(inputs, self.host, self.port, self.max_gaussians, self.out, console)

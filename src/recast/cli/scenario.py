@@ -22,15 +22,12 @@ class List:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        """Run the command."""
+        from recast.cli.rows.scenarios import list_scenarios, scenario_rows
+
         if self.json:
-            from recast.cli.rows.scenarios import scenario_rows
-
             print_json(scenario_rows(self.scenarios))
-            return
-        from recast.cli.rows.scenarios import list_scenarios
-
-        list_scenarios(self.scenarios, console_for(False))
+        else:
+            list_scenarios(self.scenarios, console_for(False))
 
 
 @dataclass(frozen=True)
@@ -40,41 +37,26 @@ class Show:
 
     log: tyro.conf.Positional[Path]
     """Log folder."""
-    motion: Annotated[
-        tyro.conf.UseAppendAction[tuple[str, ...]], shared.required(shared.MOTION_HELP)
-    ]
+    motion: Annotated[shared.Names, shared.required(shared.MOTION_HELP)]
     out: Path = Path("scenario.png")
     """Picture to write (PNG)."""
     track: Annotated[
         str | None,
-        shared.option(
-            shared.TRACK_HELP, "target of a synthetic log, else the first track", metavar="STR"
-        ),
+        shared.option(shared.TRACK_HELP, "target of a synthetic log, else the first track"),
     ] = None
     steps: Annotated[int, shared.STEPS] = 160
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        """Run the command."""
-        from recast.cli.rows.scenarios import show_scenarios
+        from recast.cli.rows.scenarios import place_scenarios, placed_rows, show_scenarios
 
-        console = console_for(self.json)
-        show_scenarios(self.log, self.motion, self.track, self.out, self.steps, console)
+        placed = place_scenarios(self.log, self.motion, self.track, self.steps)
+        show_scenarios(placed, self.out, console_for(self.json))
         if self.json:
-            from recast.cli.rows.scenarios import placed_rows
-
-            print_json(placed_rows(self.log, self.motion, self.track, self.steps))
+            print_json(placed_rows(placed))
 
 
-@dataclass(frozen=True)
-class Scenario:
-    """List scenarios, or draw them on a log before a run."""
-
-    command: (
-        Annotated[List, tyro.conf.subcommand("list")]
-        | Annotated[Show, tyro.conf.subcommand("show")]
-    )
-
-    def __call__(self) -> None:
-        """Run the command."""
-        self.command()
+Scenario = shared.group(
+    "List scenarios, or draw them on a log before a run.",
+    {"list": List, "show": Show},
+)

@@ -2,15 +2,164 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from recast.cli import shared
 from recast.cli.output import JSON, console_for, print_json
-from recast.cli.scene_import import Import
+
+if TYPE_CHECKING:
+    from recast.scene.importers import ImportRecord
+
+WORLD_FROM_SCENE = shared.option(
+    "Text file with a 4x4 matrix or an offset from the scene's coordinates to the log's world."
+)
+
+
+@dataclass(frozen=True)
+class StreetGaussians:
+    """Import a checkpoint of Street Gaussians (trained_model/iteration_N.pth)."""
+
+    checkpoint: tyro.conf.Positional[Path]
+    """Checkpoint file; code in it is not executed."""
+    log: Path
+    """Log folder of the drive that the scene was trained on."""
+    out: Path
+    """Scene folder to write; must not exist."""
+    processed: Annotated[
+        Path | None,
+        shared.option(
+            "Processed folder of the training: gives the exact place of the scene and the learned "
+            "poses of the actors.",
+            "an approximate place, and the log's poses",
+        ),
+    ] = None
+    frames: Annotated[
+        tuple[int, int] | None,
+        shared.option(
+            "First and last frame of the training.",
+            "all of the processed folder",
+            metavar="FIRST LAST",
+        ),
+    ] = None
+    cameras: tuple[int, ...] = (0, 1, 2)
+    """Numbers of the cameras of the training."""
+    world_from_scene: Annotated[Path | None, WORLD_FROM_SCENE] = None
+    tracks: Annotated[
+        Path | None,
+        shared.option('JSON file with the log\'s track id of each actor: {"obj_003": "..."}.'),
+    ] = None
+    leave_out: tuple[str, ...] = ()
+    """Actors to leave out, such as obj_003."""
+    share: float = 0.5
+    """Time at which the time-dependent colours of an actor are frozen, as a fraction (0 to 1) of
+    its track."""
+
+    def __call__(self) -> None:
+        from recast.scene.importers import import_street_gaussians
+
+        _import(import_street_gaussians, **vars(self))
+
+
+@dataclass(frozen=True)
+class DriveStudio:
+    """Import a checkpoint of DriveStudio (checkpoint_final.pth): OmniRe and others."""
+
+    checkpoint: tyro.conf.Positional[Path]
+    """Checkpoint file; code in it is not executed."""
+    log: Path
+    """Log folder of the drive that the scene was trained on."""
+    out: Path
+    """Scene folder to write; must not exist."""
+    processed: Annotated[
+        Path | None,
+        shared.option(
+            "Processed folder of the training: its first pose places the scene.",
+            "the log's pose at the first frame",
+        ),
+    ] = None
+    first_frame: int = 0
+    """First time step of the training."""
+    clock: Annotated[
+        str | None,
+        shared.option(
+            "Sensor of the log whose frames are the time steps of the checkpoint.",
+            "the LiDAR, else the camera, with most frames",
+            metavar="NAME",
+        ),
+    ] = None
+    world_from_scene: Annotated[Path | None, WORLD_FROM_SCENE] = None
+    tracks: Annotated[
+        Path | None,
+        shared.option(
+            'JSON file with the log\'s track id of each actor: {"0": "..."}.',
+            "the track at the same place",
+        ),
+    ] = None
+    leave_out: tuple[str, ...] = ()
+    """Numbers of the actors to leave out."""
+    share: float = 0.5
+    """Time at which the view-dependent colours of an actor are frozen, as a fraction (0 to 1) of
+    its track."""
+
+    def __call__(self) -> None:
+        from recast.scene.importers import import_drivestudio
+
+        _import(import_drivestudio, **vars(self))
+
+
+@dataclass(frozen=True)
+class Ply:
+    """Import a PLY of 3D Gaussian splatting as a static background."""
+
+    background: tyro.conf.Positional[Path]
+    """PLY file."""
+    log: Path
+    """Log folder of the drive."""
+    out: Path
+    """Scene folder to write; must not exist."""
+    world_from_ply: Annotated[
+        Path | None,
+        shared.option(
+            "Text file with a 4x4 matrix (it may scale) or an offset from the PLY's coordinates to "
+            "the log's world.",
+            "the same coordinates",
+        ),
+    ] = None
+    sky: Annotated[
+        Path | None,
+        shared.option(
+            "Equirectangular sky image, as `recast scene export` writes it.", "a black sky"
+        ),
+    ] = None
+
+    def __call__(self) -> None:
+        from recast.scene.importers import import_ply
+
+        _import(import_ply, **vars(self))
+
+
+Import = shared.group(
+    "Import a scene that another program trained (docs/scenes.md).",
+    {"street-gaussians": StreetGaussians, "drivestudio": DriveStudio, "ply": Ply},
+)
+
+
+def _import(make: Callable[..., ImportRecord], log: Path, out: Path, **options: Any) -> None:
+    """Call an importer with a command's options; the first is its file."""
+    from recast.cli.rows.logs import import_lines
+    from recast.logs import read_log
+
+    path = options.pop("checkpoint" if "checkpoint" in options else "background")
+    record = make(path, read_log(log), out, **options)
+    console = console_for(False)
+    for line, style in import_lines(record):
+        console.print(line, style=style, markup=False, highlight=False)
+    console.print(f"wrote {out}", markup=False)
 
 
 @dataclass(frozen=True)
@@ -24,10 +173,8 @@ class Train:
     preset: Annotated[Literal["streetgs", "omnire"] | None, shared.PRESET] = None
     config: Annotated[Path | None, shared.SCENE_CONFIG] = None
     cameras: Annotated[tuple[str, ...] | None, shared.CAMERAS] = None
-    scale: Annotated[float | None, shared.option(shared.SCALE_HELP, "0.5", metavar="FLOAT")] = None
-    iterations: Annotated[
-        int | None, shared.option(shared.ITERATIONS_HELP, "2800", metavar="INT")
-    ] = None
+    scale: Annotated[float | None, shared.option(shared.SCALE_HELP, "0.5")] = None
+    iterations: Annotated[int | None, shared.option(shared.ITERATIONS_HELP, "2800")] = None
     force_dynamic: Annotated[
         tuple[str, ...] | None,
         shared.option(
@@ -40,7 +187,6 @@ class Train:
     """Device of the training: auto (CUDA if there is a GPU and gsplat), cpu, cuda or cuda:1."""
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.logs import read_log
         from recast.pipeline.scene import train_with_display
         from recast.scene import read_config, resolve_config
@@ -64,9 +210,7 @@ class Eval:
     """Scene folder."""
     log: Path
     """Log folder of the scene."""
-    out: Annotated[
-        Path | None, shared.option("Folder of the results.", "SCENE/eval", metavar="PATH")
-    ] = None
+    out: Annotated[Path | None, shared.option("Folder of the results.", "SCENE/eval")] = None
     shifts: bool = False
     """Also render novel views: 1, 2 and 3 m to either side, and turned by 5 and 10 degrees. They
     are scored if the log is synthetic."""
@@ -76,7 +220,6 @@ class Eval:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.logs import read_log
         from recast.pipeline.scene import evaluate_and_print
         from recast.weights import located
@@ -110,12 +253,10 @@ class Export:
             "Time in seconds after the scene's start: write one PLY of the street and all actors "
             "at that time.",
             "one PLY for each part, actors in their own frames",
-            metavar="FLOAT",
         ),
     ] = None
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.scene import export_scene, export_scene_at, load_scene
 
         scene = load_scene(self.scene)
@@ -127,17 +268,7 @@ class Export:
         console_for(False).print(told, markup=False)
 
 
-@dataclass(frozen=True)
-class Scene:
-    """Reconstruct, evaluate, import or export a street."""
-
-    command: (
-        Annotated[Train, tyro.conf.subcommand("train")]
-        | Annotated[Eval, tyro.conf.subcommand("eval")]
-        | Annotated[Import, tyro.conf.subcommand("import")]
-        | Annotated[Export, tyro.conf.subcommand("export")]
-    )
-
-    def __call__(self) -> None:
-        """Run the command."""
-        self.command()
+Scene = shared.group(
+    "Reconstruct, evaluate, import or export a street.",
+    {"train": Train, "eval": Eval, "import": Import, "export": Export},
+)

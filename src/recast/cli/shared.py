@@ -1,14 +1,30 @@
-"""Options that several commands share: one help text, one place where it becomes a setting.
-
-A help text says what the option does, its unit and its default. `option` shows the default of an
-option that is None unless it is given.
-"""
+"""Options that several commands share: one help text, one place where it becomes a setting."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import make_dataclass
+from functools import reduce
+from operator import or_
+from typing import Annotated, Any
 
 import tyro
+
+Names = tyro.conf.UseAppendAction[tuple[str, ...]]
+"""Words of an option that may be repeated."""
+Commands = Mapping[str, Callable[..., Any]]
+
+
+def one_of(commands: Commands) -> Any:
+    """The type of one of these commands, by their names."""
+    named = (Annotated[kind, tyro.conf.subcommand(name)] for name, kind in commands.items())
+    return reduce(or_, named)
+
+
+def group(text: str, commands: Commands) -> type:
+    """A command that does nothing but one of these."""
+    members = {"__doc__": text, "__call__": lambda self: self.command()}
+    return make_dataclass("Group", [("command", one_of(commands))], frozen=True, namespace=members)
 
 
 def option(
@@ -17,7 +33,6 @@ def option(
     """Help of an option whose default is None, empty or a plain value.
 
     Args:
-        text: what the option does, in sentences.
         default: what None or an empty list stands for; empty for an option that may be left out.
         metavar: name of the value in the help; the type if None.
         aliases: other spellings, such as "--motions".
@@ -31,9 +46,9 @@ def option(
     return tyro.conf.arg(help=text, metavar=metavar, help_behavior_hint=shown, aliases=aliases)
 
 
-def required(text: str, *, metavar: str | None = None) -> Any:
+def required(text: str) -> Any:
     """Help of an option or argument that must be given."""
-    return tyro.conf.arg(help=text, metavar=metavar)
+    return tyro.conf.arg(help=text)
 
 
 # What is driven.
@@ -61,9 +76,7 @@ PLANNER_DEVICE = option(
     "auto",
     metavar="DEVICE",
 )
-STEPS = option(
-    "Steps of 0.1 s for each rollout; fewer if the log or the road ends.", "160", metavar="INT"
-)
+STEPS = option("Steps of 0.1 s for each rollout; fewer if the log or the road ends.", "160")
 
 # What the actor is made from.
 GENERATOR = option(
@@ -81,7 +94,10 @@ AXES = option(
     "auto",
     metavar="AXES",
 )
-REFINE = option("Refine the actor on all images of the log (about a minute).", "True")
+Refine = Annotated[
+    tyro.conf.FlagConversionOff[bool | None],
+    option("Refine the actor on all images of the log (about a minute).", "True"),
+]
 SEGMENTER = option(
     "Segmenter that cuts the vehicle out of the images: box-lidar, the name of an installed "
     "segmenter, grounded-sam (recast weights), or a folder with grounding-dino and sam "
@@ -90,24 +106,19 @@ SEGMENTER = option(
     metavar="NAME",
 )
 VIEWS = option(
-    "Maximum number of images that the actor is made from: the best view, then other sides.",
-    "1",
-    metavar="INT",
+    "Maximum number of images that the actor is made from: the best view, then other sides.", "1"
 )
 
 # Where the street comes from.
-SCENE = option("Folder of a trained or imported scene; no scene is trained.", metavar="PATH")
+SCENE = option("Folder of a trained or imported scene; no scene is trained.")
 STORE_HELP = "Folder or address (s3://...) of the artefacts that runs share."
 PRESET = option(
-    "Reconstruction method: streetgs (Street Gaussians) or omnire (OmniRe).",
-    "recast's own",
-    metavar="{streetgs,omnire}",
+    "Reconstruction method: streetgs (Street Gaussians) or omnire (OmniRe).", "recast's own"
 )
 CONFIG_HELP = "Configuration file (JSON, docs/runs.md); options override it."
 SCENE_CONFIG = option(
     "Scene configuration file (JSON, docs/scenes.md); it overrides the preset, and options "
-    "override it.",
-    metavar="PATH",
+    "override it."
 )
 CAMERAS = option(
     "Names of the cameras to use.", "all cameras of the log", metavar="NAME [NAME ...]"
@@ -117,15 +128,15 @@ ITERATIONS_HELP = "Training steps of the scene."
 
 # How it is computed.
 SEED_HELP = "Seed of all random choices."
-SEED = option(SEED_HELP, "0", metavar="INT")
-THREADS = option("Number of CPU threads; 0 uses all cores.", "0", metavar="INT")
+SEED = option(SEED_HELP, "0")
+THREADS = option("Number of CPU threads; 0 uses all cores.", "0")
 WORKERS = option("Number of worker processes; results do not depend on it.")
 RAY = option(
     "Address of a Ray cluster (auto or ray://HOST:10001), or local; needs the extra distributed.",
     metavar="ADDRESS",
 )
 DEVICE = option("Device: cpu, cuda or cuda:1.", "cuda if there is a GPU, else cpu", metavar="NAME")
-LIMIT = option("Number of vehicles to use, the first by id.", "all", metavar="INT")
+LIMIT = option("Number of vehicles to use, the first by id.", "all")
 SAMPLES = option("Number of bootstrap samples of the confidence intervals.")
 
 # Networks that judge.
@@ -133,29 +144,23 @@ LPIPS_WEIGHTS = option(
     "Weights for LPIPS: an AlexNet or VGG-16 file of torchvision, or alexnet or vgg16 (recast "
     "weights).",
     "no LPIPS",
-    metavar="PATH",
     aliases=("--lpips",),
 )
 CLIP = option(
     "CLIP model for the image similarity: a folder, or clip-vit-l14 (recast weights).",
     "no CLIP score",
-    metavar="PATH",
 )
 DINO = option(
-    "DINOv2 model for the feature distance: a folder, or dinov2 (recast weights).",
-    "no DINO score",
-    metavar="PATH",
+    "DINOv2 model for the feature distance: a folder, or dinov2 (recast weights).", "no DINO score"
 )
 INCEPTION = option(
     "Inception weights for the Frechet distance: a file (.pth or .safetensors), or inception "
     "(recast weights).",
     "no Inception score",
-    metavar="PATH",
 )
 IMAGE_ENCODER = option(
     "Weights of the image encoder (DINOv2 ViT-L/14 with registers), or dinov2 (recast weights).",
     "the model folder's",
-    metavar="PATH",
 )
 
 _RUN_OPTIONS = {

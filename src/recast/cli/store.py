@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from recast.cli import shared
 from recast.cli.output import JSON, console_for, print_json
 
 
@@ -19,14 +20,12 @@ class List:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        """Run the command."""
-        from recast.cli.rows.store import list_store, store_rows
+        from recast.cli.rows.store import list_store, opened_store, store_rows
 
-        list_store(self.store, console_for(self.json))
+        store = opened_store(self.store)
+        list_store(store, console_for(self.json))
         if self.json:
-            from recast.core import Store as Artefacts
-
-            print_json(store_rows(Artefacts(self.store)))
+            print_json(store_rows(store))
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,6 @@ class Why:
     """Key of the artefact; its first digits are enough."""
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.cli.rows.store import explain_artefact
 
         explain_artefact(self.store, self.key, console_for(False))
@@ -57,22 +55,12 @@ class Prune:
     """Minimum age of an artefact in hours; a younger one may belong to a run in progress."""
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.cli.rows.store import prune_store
 
         prune_store(self.store, self.yes, self.older_than, console_for(False))
 
 
-@dataclass(frozen=True)
-class Store:
-    """List, explain or remove the artefacts (scenes, actors, rollouts) that runs share."""
-
-    command: (
-        Annotated[List, tyro.conf.subcommand("list")]
-        | Annotated[Why, tyro.conf.subcommand("why")]
-        | Annotated[Prune, tyro.conf.subcommand("prune")]
-    )
-
-    def __call__(self) -> None:
-        """Run the command."""
-        self.command()
+Store = shared.group(
+    "List, explain or remove the artefacts (scenes, actors, rollouts) that runs share.",
+    {"list": List, "why": Why, "prune": Prune},
+)

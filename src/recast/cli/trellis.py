@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from recast.cli import shared
 from recast.cli.output import JSON, console_for, print_json
 
 
@@ -22,7 +23,6 @@ class Verify:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.trellis.checkpoints import (
             check_details,
             check_table,
@@ -56,7 +56,6 @@ class Export:
     """New model folder."""
 
     def __call__(self) -> None:
-        """Run the command."""
         from recast.trellis.checkpoints import export_model
 
         export_model(self.folder, self.out)
@@ -66,15 +65,7 @@ class Export:
         )
 
 
-@dataclass(frozen=True)
-class Trellis:
-    """Check or export model folders of the image-to-3D model."""
-
-    command: (
-        Annotated[Verify, tyro.conf.subcommand("verify")]
-        | Annotated[Export, tyro.conf.subcommand("export")]
-    )
-
-    def __call__(self) -> None:
-        """Run the command."""
-        self.command()
+Trellis = shared.group(
+    "Check or export model folders of the image-to-3D model.",
+    {"verify": Verify, "export": Export},
+)

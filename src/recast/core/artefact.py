@@ -1,8 +1,4 @@
-"""One artefact on disk: its content hashes, its record, and whether its bytes are still the same.
-
-KIND/KEY/artefact.json   what it was made from, and its files with sizes and hashes
-KIND/KEY/data/           the artefact
-"""
+"""One artefact on disk: content hashes, its record, and whether its bytes are still the same."""
 
 from __future__ import annotations
 
@@ -21,7 +17,6 @@ from recast.core.errors import InputError
 from recast.core.names import member
 from recast.core.records import Record, read_record
 
-_CHUNK = 1 << 20
 RECORD_FILE, DATA_FOLDER = "artefact.json", "data"
 ARTEFACT_FORMAT: Literal["recast-artefact"] = "recast-artefact"
 ARTEFACT_VERSION: Literal[1] = 1
@@ -32,17 +27,19 @@ _REFERENCE = re.compile(rf"({'|'.join(KINDS)})/[0-9a-f]{{32}}")
 
 def file_hash(path: str | Path) -> str:
     """BLAKE2b-128 of a file's bytes, as hex."""
-    digest = hashlib.blake2b(digest_size=16)
     with Path(path).open("rb") as stream:
-        while chunk := stream.read(_CHUNK):
-            digest.update(chunk)
-    return digest.hexdigest()
+        return hashlib.file_digest(stream, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
 def folder_hash(folder: str | Path) -> str:
     """BLAKE2b-128 over the relative names and bytes of all files below a folder, in name order."""
     folder = Path(folder)
-    return files_hash(sorted(p for p in folder.rglob("*") if p.is_file()), folder)
+    return files_hash(files_below(folder), folder)
+
+
+def files_below(folder: Path) -> list[Path]:
+    """All files below a folder, in name order."""
+    return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
 def files_hash(files: Iterable[Path], root: Path) -> str:
@@ -87,8 +84,6 @@ class Artefact:
     """A finished artefact.
 
     Attributes:
-        folder: of record and data.
-        record: see there.
         fresh: whether it was made just now, not found.
     """
 
@@ -116,7 +111,6 @@ def artefact_key(kind: str, inputs: Mapping[str, Any]) -> str:
     """The key of an artefact: BLAKE2b-128 of all that it depends on, as 32 hexadecimal digits.
 
     Args:
-        kind: one of `KINDS`.
         inputs: JSON-able: settings, content hashes, references of other artefacts, recipe version.
     """
     return value_hash({"kind": kind, "inputs": inputs})
@@ -158,12 +152,11 @@ def read_partial(folder: Path) -> Artefact:
 
 def written_files(data: Path) -> dict[str, FileRecord]:
     """The files below a folder, by relative name, with sizes and hashes."""
-    files = sorted(path for path in data.rglob("*") if path.is_file())
     return {
         path.relative_to(data).as_posix(): FileRecord(
             size=path.stat().st_size, hash=file_hash(path)
         )
-        for path in files
+        for path in files_below(data)
     }
 
 

@@ -19,7 +19,8 @@ class InputError(ValueError):
     the whole text.
 
     Args:
-        where: file or folder at fault (or the command-line argument).
+        where: file or folder at fault; of a setting its name in backquotes, which the CLI shows as
+            its option (so too in `field` and `mend`).
         field: the field, record or member inside it.
         problem: what is wrong, with the value found.
         mend: what the user can do about it.
@@ -51,6 +52,14 @@ class InputError(ValueError):
         # Exceptions pickle through `args`, which holds the joined line; worker processes need the
         # parts.
         return (InputError, (self.where, self.field, self.problem, self.mend, self.page))
+
+
+def require_range(least: float, most: float | None = None, **settings: float | None) -> None:
+    """Refuse a setting below `least` or above `most`; None was not given."""
+    for name, value in settings.items():
+        if value is not None and not least <= value <= (value if most is None else most):
+            allowed = f"{least} or more" if most is None else f"{least} to {most}"
+            raise InputError(f"`{name}`", "value", f"is {value}", f"give {allowed}")
 
 
 def printable(text: str) -> str:

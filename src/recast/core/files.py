@@ -162,7 +162,6 @@ def alone_in(folder: str | Path, wait: bool = False) -> Iterator[None]:
     """Keep other processes that ask for the same folder out until the block ends.
 
     Args:
-        folder: must exist.
         wait: until another process is done with it, instead of raising.
 
     Raises:
@@ -245,11 +244,7 @@ def read_text(path: str | Path, limit: int = JSON_LIMIT) -> str:
 
 
 def read_json(path: str | Path) -> Any:
-    """Read a JSON file; its numbers are finite.
-
-    Raises:
-        InputError: see `read_bytes` and `parse_json`.
-    """
+    """Read a JSON file; see `read_bytes` and `parse_json` for what is refused."""
     return parse_json(path, read_bytes(path, JSON_LIMIT))
 
 

@@ -1,4 +1,4 @@
-"""Names from outside (tracks, cameras, scenarios, members of records) and paths.
+"""Names from outside (tracks, cameras, scenarios, members of records) as safe paths.
 
 Such a name never becomes a path as it stands: `folder_name` makes one component of it, `member`
 opens what a record names inside of its own folder.

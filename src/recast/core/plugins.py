@@ -17,8 +17,6 @@ from recast.core.source_files import source_files
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
 
-__all__ = ["Registry", "entry_points", "source_files"]
-
 
 def entry_points(group: str) -> EntryPoints:
     """The entry points of all installed packages in a group."""
@@ -34,9 +32,7 @@ class Registry:
     All code is given as "module:attribute" and imported only when it is needed.
 
     Attributes:
-        kind: for messages, such as "planner".
         group: entry-point group in which other packages announce theirs.
-        built_in: name to code.
         members: attributes that tell an object of the kind from other objects.
         protocol: where these members are documented, for messages.
         makes_parts: whether code is a class or function that returns the part when called; if
@@ -238,3 +234,79 @@ def _parameters(code: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
         return inspect.signature(code).parameters
     except (TypeError, ValueError):  # made in C
         return {}
+
+
+PLANNERS = Registry(
+    "planner",
+    "recast.planners",
+    {
+        "constant-velocity": "recast.planning.simple:ConstantVelocity",
+        "gtrs-mini": "recast.planning.registry:gtrs_mini_planner",
+        "idm-follower": "recast.planning.idm_follower:IdmLaneFollower",
+        "log-replay": "recast.planning.simple:LogReplay",
+        "pdm-closed": "recast.planning.pdm:PdmClosedPlanner",
+    },
+    members=("name", "needs_images", "reset", "plan"),
+    protocol="recast.planning.Planner",
+    folder="recast.planning.gtrs:load_gtrs",
+    prefixes={"navsim:": "recast.planning.registry:navsim_planner"},
+)
+"""Each is a class or function that makes a `recast.planning.Planner`."""
+
+_VEHICLE_FILE = "recast.actors.vehicle_files:vehicle_generator"
+
+GENERATORS = Registry(
+    "generator",
+    "recast.generators",
+    {
+        "auto": "recast.actors.candidates:AutoGenerator",
+        "recast-mini": "recast.actors.generate:recast_mini_generator",
+        "template": "recast.actors.template:TemplateGenerator",
+    },
+    members=("name", "generate"),
+    protocol="recast.actors.ActorGenerator",
+    folder="recast.actors.generate:model_generator",
+    files={".ply": _VEHICLE_FILE, ".glb": _VEHICLE_FILE, ".obj": _VEHICLE_FILE},
+    prefixes={"library:": "recast.actors.library:LibraryGenerator"},
+)
+"""Each is a class or function that makes a `recast.actors.ActorGenerator`."""
+
+SEGMENTERS = Registry(
+    "segmenter",
+    "recast.segmenters",
+    {"box-lidar": "recast.actors.segment:BoxLidarSegmenter"},
+    members=("segment",),
+    protocol="recast.actors.Segmenter",
+    folder="recast.actors.grounded_segmenter:GroundedSamSegmenter",
+)
+"""Each is a class or function that makes a `recast.actors.Segmenter`."""
+
+IMPORTERS = Registry(
+    "importer",
+    "recast.importers",
+    {
+        "argoverse2": "recast.logs.importers.argoverse2:load_argoverse2",
+        "drivestudio": "recast.logs.importers.drivestudio:load_drivestudio",
+        "kitti": "recast.logs.importers.kitti:load_kitti",
+        "nuscenes": "recast.logs.importers.nuscenes:load_nuscenes",
+        "py123d": "recast.logs.importers.py123d:load_py123d",
+        "street-gaussians": "recast.logs.importers.street_gaussians:load_street_gaussians",
+        "waymo": "recast.logs.importers.waymo:load_waymo",
+        "waymo-v2": "recast.logs.importers.waymo:load_waymo2",
+    },
+    members=("__call__",),
+    protocol="recast.logs.importers.LogImporter",
+    makes_parts=False,
+    experimental=frozenset({"drivestudio", "nuscenes", "py123d", "street-gaussians", "waymo-v2"}),
+)
+"""Each is a `recast.logs.importers.LogImporter`."""
+
+SCENES = Registry(
+    "scene",
+    "recast.scenes",
+    {},
+    members=("background", "actors", "at"),
+    protocol="recast.scene.StreetScene",
+    folder="recast.scene.store:load_scene",
+)
+"""Each is a class or function that makes a `recast.scene.StreetScene`."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 if TYPE_CHECKING:
@@ -24,9 +23,7 @@ class Bars:
     """Draws while it is entered; a subclass adds tasks to `self._bars`.
 
     Args:
-        columns: of every bar.
         console: where to; the standard one if None.
-        disable: draw nothing.
     """
 
     def __init__(
@@ -41,11 +38,6 @@ class Bars:
         self._bars.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *fault: object) -> None:
         """Stop drawing."""
         self._bars.stop()

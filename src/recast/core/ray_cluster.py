@@ -10,7 +10,7 @@ from typing import Any
 
 from recast.core import diagnostics
 from recast.core.diagnostics import Diagnostics
-from recast.core.errors import InputError
+from recast.core.errors import InputError, require_range
 from recast.core.workers import Job, Outcome, Start, WorkerPool, in_processes, in_this_process
 
 
@@ -23,8 +23,6 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> WorkerPool:
 
     Args:
         address: of the cluster, such as "auto" or "ray://head:10001"; "local" starts one here.
-        workers: actors.
-        gpu: see above.
 
     Raises:
         InputError: Ray is not installed; when the pool begins, that there is no cluster.
@@ -33,7 +31,7 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> WorkerPool:
         ray: Any = import_module("ray")
     except ImportError:
         raise InputError(
-            "--ray",
+            "`ray`",
             address,
             "needs Ray, which is not installed",
             "pip install 'recast-sim[distributed]'",
@@ -52,7 +50,7 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> WorkerPool:
         except (ConnectionError, RuntimeError, ValueError) as error:
             reason = str(error).strip().splitlines()[0]
             raise InputError(
-                "--ray", address, f"no cluster answers ({reason[:80]})", "start one: ray start"
+                "`ray`", address, f"no cluster answers ({reason[:80]})", "start one: ray start"
             ) from None
         try:
             # workers of the cluster import recast by themselves
@@ -67,7 +65,7 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> WorkerPool:
             raise
         except ray.exceptions.RayActorError as error:
             raise InputError(
-                "--ray",
+                "`ray`",
                 address,
                 f"a worker is gone ({str(error).splitlines()[-1][:80]})",
                 f"run again; {finished} stay",
@@ -89,8 +87,7 @@ def fetch_parcel(ticket: object) -> bytes:
     """The bytes that were sent, from anywhere on the cluster."""
     ray: Any = import_module("ray")
     assert isinstance(ticket, list)
-    parcel: bytes = ray.get(ticket[0])
-    return parcel
+    return ray.get(ticket[0])
 
 
 def node_folder() -> Path:
@@ -145,18 +142,16 @@ def _outcomes(
 
 
 def worker_pool(workers: int, ray: str | None = None, gpu: bool = False) -> WorkerPool:
-    """The pool that the options --workers and --ray name.
+    """The pool that these settings name.
 
     Args:
-        workers: processes, or actors of the cluster.
         ray: address of a Ray cluster, see `on_ray`; None for none.
         gpu: whether each worker of a cluster wants a GPU, if there is any.
 
     Raises:
         InputError: less than one worker, or Ray is not installed.
     """
-    if workers < 1:
-        raise InputError("--workers", "value", f"is {workers}", "give 1 or more")
+    require_range(1, workers=workers)
     if ray is not None:
         return on_ray(ray, workers, gpu)
     return in_this_process if workers == 1 else in_processes(workers)

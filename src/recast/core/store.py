@@ -1,11 +1,4 @@
-"""The store of artefacts: each is made once and shared by every run that needs it.
-
-ROOT/store.json                what this folder is
-ROOT/KIND/KEY/                 a finished artefact, see `recast.core.artefact`
-ROOT/KIND/.KEY.partial/        one that is being made, or was when its process ended
-ROOT/KIND/.KEY.lock/           held by the process that makes it
-ROOT/users/HASH.json           a run folder, and the artefacts that it refers to
-"""
+"""The store of artefacts, each made once and shared; its files: docs/runs.md#the-store."""
 
 from __future__ import annotations
 
@@ -35,9 +28,9 @@ from recast.core.artefact import (
     verify,
     written_files,
 )
-from recast.core.depot import Depot, depot_of, unpack
 from recast.core.errors import InputError
 from recast.core.records import Record, read_record
+from recast.core.remote import Depot, depot_of, unpack
 
 _LOG = logging.getLogger(__name__)
 
@@ -90,10 +83,10 @@ class Store:
         self._only_finds = only_finds
         self._verified: dict[Path, int] = {}
         if (self.root / STORE_FILE).exists():
-            mend = "use the recast that wrote it, or name another --store"
+            mend = "use the recast that wrote it, or name another `store`"
             read_record(self.root / STORE_FILE, StoreRecord, STORE_VERSION, mend, STORE_FORMAT)
         elif self.root.exists() and not self.root.is_dir():
-            raise InputError(self.root, "store", "is a file", "name a folder for --store")
+            raise InputError(self.root, "store", "is a file", "name a folder for `store`")
         elif self.root.exists() and any(
             one.name not in _OF_THE_START for one in self.root.iterdir()
         ):
@@ -101,7 +94,7 @@ class Store:
                 self.root,
                 STORE_FILE,
                 "is missing in a folder that is not empty",
-                "name a store, or a new folder for --store",
+                "name a store, or a new folder for `store`",
             )
 
     def find(self, kind: str, inputs: Mapping[str, Any]) -> Artefact | None:
@@ -141,10 +134,7 @@ class Store:
         """The artefact of these inputs, made where it is not there yet.
 
         Args:
-            kind: one of `KINDS`.
             inputs: all that it depends on, see `artefact_key`.
-            make: writes it into the folder that it is given.
-            name: for people.
             resumes: whether `make` goes on with what an earlier try left in the folder.
             waits: called once if another process is making it.
 
@@ -166,7 +156,7 @@ class Store:
         return found
 
     def take(self, reference: str, parcel: bytes) -> Artefact:
-        """Take over an artefact that another process packed, see `recast.core.depot`.
+        """Take over an artefact that another process packed, see `recast.core.remote`.
 
         Raises:
             InputError: the parcel is damaged, or the disk refuses.

@@ -10,11 +10,26 @@ from pickle import UnpicklingError
 from typing import Any
 
 import torch
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from recast.core.errors import InputError
 from recast.core.files import disk_errors
+
+DTYPES: Mapping[str, torch.dtype] = {
+    "BOOL": torch.bool,
+    "U8": torch.uint8,
+    "I8": torch.int8,
+    "I16": torch.int16,
+    "F16": torch.float16,
+    "BF16": torch.bfloat16,
+    "I32": torch.int32,
+    "F32": torch.float32,
+    "F64": torch.float64,
+    "I64": torch.int64,
+}
+"""Element types by the codes of safetensors, in its own order: files hold the last ones first."""
+_PICKLES = (b"PK\x03\x04", b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
 
 
 def read_torch_file(path: Path, mend: str, field: str = "file") -> Any:
@@ -96,6 +111,44 @@ def read_safetensors(path: Path, field: str, mend: str) -> tuple[dict[str, Tenso
         raise InputError(path, field, f"cannot be read{_reason(error)}", mend) from None
 
 
+def read_header(path: Path, mend: str) -> dict[str, Tensor]:
+    """The tensors of a safetensors file on the meta device; nothing but its header is read.
+
+    Raises:
+        InputError: the file is missing, truncated, has bytes to spare, or is of another kind,
+            such as a pickled PyTorch file.
+    """
+    try:
+        with path.open("rb") as file:
+            pickled = file.read(4).startswith(_PICKLES)
+    except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
+        problem = (error.strerror or "cannot be read").lower()
+        raise InputError(path, "file", problem, "check the folder") from None
+    if pickled:
+        raise InputError(
+            path,
+            "file",
+            "is a pickled PyTorch file, not safetensors",
+            "convert it where it came from; pickles are never loaded",
+        )
+    tensors = {}
+    try:
+        with safe_open(path, framework="pt") as file:
+            for name in file.keys():  # noqa: SIM118
+                found = file.get_slice(name)
+                if found.get_dtype() not in DTYPES:
+                    problem = f"has an unknown element type ({found.get_dtype()!r})"
+                    raise InputError(path, name, problem, mend)
+                dtype = DTYPES[found.get_dtype()]
+                tensors[name] = torch.empty(found.get_shape(), dtype=dtype, device="meta")
+    except (SafetensorError, RuntimeError) as error:
+        size = path.stat().st_size
+        reason = str(error).partition("\n")[0].removeprefix("Error while deserializing header: ")
+        problem = f"has {size} bytes: truncated, or no safetensors file ({reason})"
+        raise InputError(path, "file", problem, mend) from None
+    return tensors
+
+
 def _require_stored(path: Path, field: str) -> None:
     """`torch.save` never compresses: what is compressed was made to grow."""
     if not zipfile.is_zipfile(path):  # the format before PyTorch 1.6
@@ -145,6 +198,67 @@ def _reason(error: Exception) -> str:
     """The first sentence of a library's message in brackets; nothing where it has none."""
     lines = str(error).strip().splitlines()
     return f" ({re.split(r'[.] ', lines[0])[0].rstrip('.')})" if lines else ""
+
+
+def state_faults(
+    found: Mapping[str, Tensor], wanted: Mapping[str, Tensor], exact: bool = False
+) -> dict[str, dict[str, str]]:
+    """What keeps tensors from being loaded: the problem of each tensor at fault, by kind of fault.
+
+    Args:
+        found, wanted: tensors by name; those on the meta device count as finite.
+        exact: whether another floating-point type is a fault; loading converts between them.
+    """
+    both = sorted(found.keys() & wanted.keys())
+    differs = {name: f"is {_kind(found[name])}, not {_kind(wanted[name])}" for name in both}
+    shapes = [name for name in both if found[name].shape != wanted[name].shape]
+    types = [
+        name
+        for name in both
+        if found[name].dtype != wanted[name].dtype
+        and (exact or found[name].is_floating_point() != wanted[name].is_floating_point())
+    ]
+    broken = [n for n in both if not found[n].is_meta and not bool(found[n].isfinite().all())]
+    return {
+        "of another shape": {name: differs[name] for name in shapes},
+        "missing": dict.fromkeys(sorted(wanted.keys() - found.keys()), "is missing"),
+        "unexpected": dict.fromkeys(sorted(found.keys() - wanted.keys()), "is not expected"),
+        "of another type": {name: differs[name] for name in types},
+        "not finite": dict.fromkeys(broken, "holds NaN or infinite values"),
+    }
+
+
+def state_error(
+    where: str | Path, faults: Mapping[str, Mapping[str, str]], mend: str, owner: str = ""
+) -> InputError | None:
+    """The error that stands for all of `state_faults`: it names the first and counts the others.
+
+    Args:
+        owner: network that the tensors are for, where the file does not tell it.
+    """
+    first = next((item for fault in faults.values() for item in fault.items()), None)
+    if first is None:
+        return None
+    counts = ", ".join(f"{len(fault)} {kind}" for kind, fault in faults.items() if fault)
+    of = f" of {owner}" if owner else ""
+    return InputError(where, first[0], f"{first[1]} ({counts}{of})", mend)
+
+
+def require_state(
+    where: str | Path, found: Mapping[str, Tensor], wanted: Mapping[str, Tensor], mend: str
+) -> None:
+    """Refuse tensors that do not make a network.
+
+    Raises:
+        InputError: see `state_error`.
+    """
+    fault = state_error(where, state_faults(found, wanted), mend)
+    if fault is not None:
+        raise fault
+
+
+def _kind(tensor: Tensor) -> str:
+    return f"{str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"
 
 
 def checked_weight(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -16,6 +17,7 @@ from typing import Any, Protocol, Self, TypeVar
 from recast.core import diagnostics
 from recast.core.diagnostics import Diagnostics
 from recast.core.errors import InputError
+from recast.kernel import set_threads
 
 Job = TypeVar("Job")
 Outcome = TypeVar("Outcome")
@@ -25,8 +27,9 @@ Start = Callable[..., Callable[[Job], Outcome]]
 
 A function of a module, so that other processes find it.
 """
-_WAITING = 2
+WAITING = 2
 """Jobs handed out for each process: one at work, one waiting."""
+_THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 _start: Callable[[], Callable[[Any], Any]]
 _work: Callable[[Any], Any] | None = None
@@ -65,7 +68,7 @@ def in_this_process(
 ) -> Iterator[tuple[Job, Outcome]]:
     """Do all jobs in this process, on one thread as the workers do."""
     del finished
-    with one_thread():
+    with _one_thread():
         work: Callable[[Job], Outcome] | None = None
         while (job := take()) is not None:
             if work is None:
@@ -93,8 +96,8 @@ def in_processes(workers: int) -> WorkerPool:
             pending: dict[Future[Outcome], Job] = {}
             with _cancelling(executor, finished):
                 while True:
-                    while len(pending) < _WAITING * workers and (job := take()) is not None:
-                        pending[executor.submit(_do, job)] = job
+                    while len(pending) < WAITING * workers and (job := take()) is not None:
+                        pending[submit(executor, _do, job)] = job
                     if not pending:
                         return
                     done, _ = wait(pending, return_when=FIRST_COMPLETED)
@@ -108,15 +111,8 @@ def _set_up(
     start: Start[Any, Any], arguments: tuple[Any, ...], numbers: Any, records: Diagnostics
 ) -> None:
     global _start
-    import torch
-
-    from recast.kernel import set_threads
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers itself
-    end_with_parent()
+    begin_worker()
     diagnostics.begin(records)
-    torch.set_num_threads(1)
-    set_threads(1)
     number = numbers.get()
     _start = lambda: start(number, *arguments)  # noqa: E731
 
@@ -141,6 +137,23 @@ class Closing:
     def __exit__(self, *fault: object) -> None:
         """Close, whatever happened."""
         self.close()
+
+
+def submit(
+    executor: ProcessPoolExecutor, function: Callable[..., Outcome], *arguments: Any
+) -> Future[Outcome]:
+    """Hand out a call; a process that is started for it will compute on one thread."""
+    with _one_thread_in_children():
+        return executor.submit(function, *arguments)
+
+
+def begin_worker() -> None:
+    """Make this process a worker: on one thread, and ended by its parent alone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers itself
+    end_with_parent()
+    if torch := sys.modules.get("torch"):  # imported later, it reads the environment
+        torch.set_num_threads(1)
+    set_threads(1)
 
 
 def end_with_parent() -> None:
@@ -178,16 +191,33 @@ def _cancelling(executor: ProcessPoolExecutor, finished: str) -> Iterator[None]:
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
-    """Compute on one torch thread, as working processes do: others round sums otherwise."""
-    import torch
+def _one_thread() -> Iterator[None]:
+    """Compute on one thread, as workers do: more threads round sums otherwise."""
+    torch = sys.modules.get("torch")
+    before = torch.get_num_threads() if torch else usable_cores()
+    if torch:
+        torch.set_num_threads(1)
+    try:
+        with _one_thread_in_children():  # read by torch too if it is imported meanwhile
+            yield
+    finally:
+        if torch := sys.modules.get("torch"):
+            torch.set_num_threads(before)
 
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
+
+@contextmanager
+def _one_thread_in_children() -> Iterator[None]:
+    """Libraries that are loaded meanwhile, here or in a new process, compute on one thread."""
+    before = {name: os.environ.get(name) for name in _THREAD_SETTINGS}
+    os.environ.update(dict.fromkeys(_THREAD_SETTINGS, "1"))
     try:
         yield
     finally:
-        torch.set_num_threads(before)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 def usable_cores() -> int:

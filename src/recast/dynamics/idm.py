@@ -38,7 +38,6 @@ class IdmParameters:
         return self.max_deceleration if emergency is None else emergency
 
 
-NUPLAN_AGENT = IdmParameters(max_acceleration=1.0, max_deceleration=2.0)
 NUPLAN_PLANNER = IdmParameters(max_acceleration=1.0, max_deceleration=3.0)
 PDM_BATCH = IdmParameters(max_acceleration=1.5, max_deceleration=3.0, exponent=10.0)
 HUGSIM = IdmParameters(min_gap=5.0, headway=2.0, max_acceleration=2.0, max_deceleration=4.0)

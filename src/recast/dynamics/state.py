@@ -38,6 +38,8 @@ COLUMNS = (
     "angular_velocity",
     "angular_acceleration",
 )
+"""The heading is counter-clockwise from the world's x axis, the steering angle positive to the
+left; the angular velocity is the yaw rate."""
 SIZE = len(COLUMNS)
 
 _CRAWL = 0.5
@@ -154,6 +156,16 @@ def _line(times_s: Array, values: Array) -> tuple[float, float]:
     return float(values.mean() - slope * times_s.mean()), slope
 
 
+class _Column:
+    """One column of an `EgoState` as a float."""
+
+    def __init__(self, column: int) -> None:
+        self._column = column
+
+    def __get__(self, state: EgoState, owner: type[EgoState]) -> float:
+        return float(state[self._column])
+
+
 class EgoState(np.ndarray[tuple[int], np.dtype[np.float64]]):
     """One state of the ego: rear axle; pose in the world, the rest in the ego frame; SI units.
 
@@ -182,60 +194,28 @@ class EgoState(np.ndarray[tuple[int], np.dtype[np.float64]]):
         plain = np.asarray(array)
         return plain[()] if return_scalar else plain
 
-    @property
-    def x(self) -> float:
-        """Metres, world."""
-        return float(self[X])
-
-    @property
-    def y(self) -> float:
-        """Metres, world."""
-        return float(self[Y])
-
-    @property
-    def heading(self) -> float:
-        """Radians, world, counter-clockwise from the x axis."""
-        return float(self[HEADING])
-
-    @property
-    def vx(self) -> float:
-        """Velocity along the heading, m/s."""
-        return float(self[VX])
-
-    @property
-    def vy(self) -> float:
-        """Velocity to the left, m/s."""
-        return float(self[VY])
-
-    @property
-    def ax(self) -> float:
-        """Acceleration along the heading, m/s^2."""
-        return float(self[AX])
-
-    @property
-    def ay(self) -> float:
-        """Acceleration to the left, m/s^2."""
-        return float(self[AY])
-
-    @property
-    def steering_angle(self) -> float:
-        """Radians, left positive."""
-        return float(self[STEERING_ANGLE])
-
-    @property
-    def steering_rate(self) -> float:
-        """Radians per second."""
-        return float(self[STEERING_RATE])
-
-    @property
-    def angular_velocity(self) -> float:
-        """Yaw rate, rad/s."""
-        return float(self[ANGULAR_VELOCITY])
-
-    @property
-    def angular_acceleration(self) -> float:
-        """rad/s^2."""
-        return float(self[ANGULAR_ACCELERATION])
+    x = _Column(X)
+    """Metres, world."""
+    y = _Column(Y)
+    """Metres, world."""
+    heading = _Column(HEADING)
+    """Radians, world, counter-clockwise from the x axis."""
+    vx = _Column(VX)
+    """Velocity along the heading, m/s."""
+    vy = _Column(VY)
+    """Velocity to the left, m/s."""
+    ax = _Column(AX)
+    """Acceleration along the heading, m/s^2."""
+    ay = _Column(AY)
+    """Acceleration to the left, m/s^2."""
+    steering_angle = _Column(STEERING_ANGLE)
+    """Radians, left positive."""
+    steering_rate = _Column(STEERING_RATE)
+    """Radians per second."""
+    angular_velocity = _Column(ANGULAR_VELOCITY)
+    """Yaw rate, rad/s."""
+    angular_acceleration = _Column(ANGULAR_ACCELERATION)
+    """rad/s^2."""
 
     @property
     def pose(self) -> Array:

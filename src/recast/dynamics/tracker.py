@@ -16,7 +16,7 @@ from recast.geometry import se2
 
 @dataclass(frozen=True)
 class BicycleModel:
-    """Actuators; which vehicle they move is told at each step.
+    """Actuators; which vehicle they move is given at each step.
 
     Attributes:
         accel_time_constant: lag of the acceleration behind its command, seconds; 0 for none.
@@ -186,7 +186,7 @@ def _steering_rate(
 
 @dataclass(frozen=True)
 class TrackerConfig:
-    """How a plan is followed; vehicle and time step are the rollout's and told to `track`."""
+    """How a plan is followed; vehicle and time step are the rollout's, given to `track`."""
 
     model: BicycleModel = field(default_factory=BicycleModel)
     lqr: LqrWeights = field(default_factory=LqrWeights)

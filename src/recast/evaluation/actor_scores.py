@@ -9,17 +9,18 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from recast.actors.drawing import draw
 from recast.arrays import Array, Image, Mask
 from recast.evaluation.cases import ActorView
-from recast.evaluation.oracle_scores import PSNR_CAP, Rectangle, grown, mask_iou
+from recast.evaluation.oracle_scores import grown, mask_iou
 from recast.evaluation.perceptual import ImageDistance
 from recast.logs import DrivingLog
-from recast.scene import SceneConfig, SceneRasterizer, StreetScene, psnr, ssim
+from recast.scene import SceneConfig, SceneRasterizer, StreetScene, ssim
 from recast.scene.dynamic import box_rectangle, pose_at
 from recast.scene.evaluate import MIN_BOX_PX, draw_view
-from recast.scene.scores import ssim_map
+from recast.scene.scores import Rectangle, capped_psnr, ssim_map
 from recast.scene.views import View, camera_names, is_held_out, read_view
-from recast.splats import Gaussians, LowPass, rasterize
+from recast.splats import Gaussians, LowPass
 
 _MARGIN = 24  # pixels around the box: more than half an SSIM window, and to look at
 _GAP = 4
@@ -30,9 +31,7 @@ class ActorColumn:
     """How a score is shown.
 
     Attributes:
-        label, unit: for people.
         higher: whether a higher one is better.
-        decimals: that are shown.
     """
 
     label: str
@@ -118,15 +117,7 @@ def photographed(rgba: NDArray[np.uint8]) -> Cutout:
 def drawn(gaussians: Gaussians, low_pass: LowPass, view: ActorView) -> Cutout:
     """Gaussians in the actor frame as the camera of a view sees them, by their own filter."""
     with torch.no_grad():
-        picture = rasterize(
-            gaussians,
-            torch.from_numpy(view.camera_from_actor).float(),
-            torch.from_numpy(view.camera.matrix).float(),
-            view.camera.width,
-            view.camera.height,
-            eps2d=low_pass.variance,
-            antialiased=low_pass.antialiased,
-        )
+        picture = draw(gaussians, view.camera_from_actor, view.camera, low_pass)
     return Cutout(
         picture.rgb.clamp(0, 1).numpy().astype(np.float64),
         picture.alpha.clamp(0, 1).numpy().astype(np.float64),
@@ -147,8 +138,8 @@ def score_view(
     """
     either = shown.mask | truth.mask
     scores = {
-        "psnr": min(psnr(shown.rgb, truth.rgb), PSNR_CAP),
-        "psnr_vehicle": min(psnr(shown.rgb[either], truth.rgb[either]), PSNR_CAP),
+        "psnr": capped_psnr(shown.rgb, truth.rgb),
+        "psnr_vehicle": capped_psnr(shown.rgb[either], truth.rgb[either]),
         "ssim": ssim(shown.rgb, truth.rgb),
         "mask_iou": mask_iou(shown.mask, truth.mask),
     }
@@ -183,7 +174,6 @@ class TrackView:
     """One held-out image of a track.
 
     Attributes:
-        camera, frame, timestamp_us: of the image.
         rectangle: of the box, whole pixels.
         psnr: dB in the rectangle by model, at most 100.
         ssim: mean over the rectangle by model.
@@ -258,7 +248,7 @@ def _scored(
         frame=view.frame,
         timestamp_us=view.timestamp_us,
         rectangle=rectangle,
-        psnr={m: min(psnr(image[inside], truth[inside]), PSNR_CAP) for m, image in images.items()},
+        psnr={m: capped_psnr(image[inside], truth[inside]) for m, image in images.items()},
         ssim={model: float(found[inner].mean()) for model, found in similarity.items()},
         picture=(np.concatenate(tiles, axis=1).clip(0, 1) * 255).round().astype(np.uint8),
     )

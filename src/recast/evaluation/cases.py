@@ -26,7 +26,7 @@ from recast.geometry import PinholeCamera, se3
 from recast.recar import RealView, holds_real_crops, read_real_crops
 from recast.recar.record import SET_FILE
 from recast.recar.shards.layout import INDEX_FILE
-from recast.recar.shards.opening import open_set
+from recast.recar.shards.sharded_set import open_set
 from recast.recar.views import FOV_DEG, IdentitySource, VehicleSource, pinhole
 
 Targets = Literal["set", "orbit"]
@@ -68,7 +68,6 @@ class ActorCase:
     """One vehicle to make and judge.
 
     Attributes:
-        id: of the vehicle.
         category: of its label, see `recast.logs.Track`.
         size: (3,) length, width, height of its box, metres.
         inputs: views it may be made and placed by; a generator of one picture gets the first.
@@ -93,7 +92,6 @@ def read_cases(
 
     Args:
         folder: see `recast.recar.read_real_crops`; the set in folders or in shards.
-        seed: of the choice of input views.
         limit: take only the first vehicles, sorted by id.
         views: number of inputs of a set's vehicle, at most.
 
@@ -195,11 +193,7 @@ def _view_of_set(where: Path, identity: IdentitySource, index: int) -> ActorView
 
 
 def target_case(case: ActorCase, targets: Targets) -> ActorCase:
-    """The case with the views that are asked for.
-
-    Raises:
-        InputError: see `orbit_case`.
-    """
+    """The case with the views that are asked for; InputError: see `orbit_case`."""
     return orbit_case(case) if targets == "orbit" else case
 
 

@@ -163,8 +163,7 @@ def _other_steps(dt: float) -> str:
     return f"nuPlan's smoothing is for steps of {_NUPLAN_DT} s, these are steps of {dt:g} s"
 
 
-def _none(reason: str) -> Comfort:
-    names = tuple(NUPLAN_LIMITS)
+def _none(reason: str, names: tuple[str, ...] = tuple(NUPLAN_LIMITS)) -> Comfort:
     return Comfort(invalid(reason), names, np.zeros((0, len(names)), np.bool_))
 
 
@@ -179,7 +178,7 @@ def _comfort(
     names = tuple(limits)
     predictions = np.asarray(predictions, np.float64)
     if len(predictions) == 0:
-        return Comfort(invalid("no plan was made"), names, np.zeros((0, len(names)), np.bool_))
+        return _none("no plan was made", names)
     passed = check(signals(predictions, dt), limits, strict=strict)
     good = np.asarray(passed.all(axis=-1))
     reason = None

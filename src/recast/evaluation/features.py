@@ -28,37 +28,27 @@ class FeatureDistance:
     """A number from the cosine between the features of two images, seen through a model.
 
     Args:
-        key: of the score.
+        key: of `FEATURE_KINDS`.
         features: from pixels (1, 3, S, S), normalised as the model wants them, to (1, C).
         processor: image processor of the model.
-        of_cosine: from the cosine to the score.
     """
 
     framed = True
 
-    def __init__(
-        self,
-        key: str,
-        features: Callable[[Tensor], Tensor],
-        processor: Any,
-        of_cosine: Callable[[float], float],
-    ) -> None:
-        self.key = key
-        self._features = features
-        self._processor = processor
-        self._of_cosine = of_cosine
+    def __init__(self, key: str, features: Callable[[Tensor], Tensor], processor: Any) -> None:
+        self.key, self._features, self._processor = key, features, processor
 
     def __call__(self, image: Array, reference: Array) -> float:
         """Score of two images (H, W, 3) in [0, 1]."""
-        return self._of_cosine(cosine(self.features(image), self.features(reference)))
+        compare = FEATURE_KINDS[self.key].compare
+        assert compare is not None
+        return compare(self.features(image), self.features(reference))
 
     def features(self, image: Array) -> Array:
         """(C,) what the model makes of an image (H, W, 3) in [0, 1]."""
         with torch.no_grad():
-            features: Array = (
-                self._features(whole_picture(self._processor, image)).double()[0].numpy()
-            )
-        return features
+            found = self._features(whole_picture(self._processor, image))
+        return np.asarray(found[0], np.float64)
 
 
 def cosine(first: Array, second: Array) -> float:
@@ -83,7 +73,7 @@ def load_clip(folder: Path) -> FeatureDistance:
         InputError: see `PretrainedFolder.read`.
     """
     clip = ClipImages.read(folder)
-    return FeatureDistance("clip", clip.embedding, clip.processor, lambda cosine: 100.0 * cosine)
+    return FeatureDistance("clip", clip.embedding, clip.processor)
 
 
 def load_dino(folder: Path) -> FeatureDistance:
@@ -110,7 +100,7 @@ def load_dino(folder: Path) -> FeatureDistance:
         token: Tensor = model(pixel_values=pixels).last_hidden_state[:, 0]
         return token
 
-    return FeatureDistance("dino", class_token, processor, lambda cosine: 1.0 - cosine)
+    return FeatureDistance("dino", class_token, processor)
 
 
 @dataclass(frozen=True)
@@ -128,12 +118,8 @@ class FeatureKind:
     compare: Callable[[Array, Array], float] | None
 
 
-def _root_mean_square(first: Array, second: Array) -> float:
-    return float(np.sqrt(np.mean((first - second) ** 2)))
-
-
 FEATURE_KINDS: Mapping[str, FeatureKind] = {
-    "toy": FeatureKind("toy", "fd_toy", _root_mean_square),
+    "toy": FeatureKind("toy", "fd_toy", lambda a, b: float(np.sqrt(np.mean((a - b) ** 2)))),
     "clip": FeatureKind("clip", None, lambda first, second: 100.0 * cosine(first, second)),
     "dino": FeatureKind("dino", "fd_dino", lambda first, second: 1.0 - cosine(first, second)),
     "inception": FeatureKind(None, "fd_inception", None),

@@ -11,7 +11,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -27,13 +27,15 @@ from recast.core.files import atomic_folder, read_json, write_json
 from recast.evaluation.table import rounded
 from recast.geometry import se3
 from recast.splats import Gaussians
+from recast.tables import read_npz
 
 Features = NDArray[np.float32]
 Placement = Literal["views", "canonical"]
 """`views`: by the conditioning view, as `recast eval actor`; `canonical`: as the model says."""
 
-_CELL, _FEATURES, _STRIP = "cell.json", "features.npz", "strip.png"
-PLACEMENTS: tuple[Placement, ...] = get_args(Placement)
+_CELL, _FEATURES = "cell.json", "features.npz"
+_MEMBERS = ("key", "id", "failure", "facts", "views", "scores")
+"""Of cell.json."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,6 @@ class Cell:
 
     Attributes:
         key: hash of all that decides the contents; another one makes the cell stale.
-        id: of the vehicle.
         facts: about how it was made and placed, plain values.
         views: names of the views it was looked at in.
         scores: of each view, by key of `STUDY_COLUMNS`; none for the truth.
@@ -63,8 +64,6 @@ def write_cell(folder: Path, cell: Cell, pictures: Mapping[str, Image]) -> None:
     """Write a cell in place of what was there, whole or not at all.
 
     Args:
-        folder: of the cell.
-        cell: what is written.
         pictures: images (H, W, 3) uint8 by name of the file, without ending.
 
     Raises:
@@ -73,14 +72,7 @@ def write_cell(folder: Path, cell: Cell, pictures: Mapping[str, Image]) -> None:
     if folder.exists():
         shutil.rmtree(folder)
     with atomic_folder(folder) as partial:
-        record = {
-            "key": cell.key,
-            "id": cell.id,
-            "failure": cell.failure,
-            "facts": dict(cell.facts),
-            "views": list(cell.views),
-            "scores": [dict(one) for one in cell.scores],
-        }
+        record = {name: getattr(cell, name) for name in _MEMBERS}
         for name, picture in pictures.items():
             PilImage.fromarray(picture).save(partial / f"{name}.png", format="PNG")
         with (partial / _FEATURES).open("wb") as stream:
@@ -98,36 +90,19 @@ def cell_is(folder: Path, key: str) -> bool:
 
 
 def read_cell(folder: Path) -> Cell:
-    """Read what `write_cell` wrote.
-
-    Raises:
-        InputError: it is missing or broken.
-    """
+    """Read what `write_cell` wrote; InputError if it is missing or broken."""
     record = read_json(folder / _CELL)
+    mend = "remove it and run again"
     try:
-        with np.load(folder / _FEATURES, allow_pickle=False) as file:
-            features = {name: file[name] for name in file.files}
-        return Cell(
-            record["key"],
-            record["id"],
-            record["facts"],
-            tuple(record["views"]),
-            tuple(record["scores"]),
-            features,
-            record["failure"],
-        )
-    except (OSError, ValueError, KeyError, TypeError, EOFError) as error:
-        raise InputError(
-            folder, "cell", f"cannot be read ({error})", "remove it and run again"
-        ) from None
+        plain = {name: record[name] for name in _MEMBERS}
+        plain |= {name: tuple(plain[name]) for name in ("views", "scores")}
+    except (KeyError, TypeError) as error:
+        raise InputError(folder, "cell", f"cannot be read ({error})", mend) from None
+    return Cell(**plain, features=read_npz(folder / _FEATURES, mend))
 
 
 def read_strip(folder: Path, name: str = "strip") -> Image:
-    """A picture (H, W, 3) of a cell.
-
-    Raises:
-        InputError: it is missing or broken.
-    """
+    """A picture (H, W, 3) of a cell; InputError if it is missing or broken."""
     path = folder / f"{name}.png"
     try:
         with PilImage.open(path) as picture:

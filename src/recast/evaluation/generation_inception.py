@@ -32,95 +32,91 @@ _MEND = (
 )
 
 
-def _square(before: int, after: int, kernel: int = 1) -> Shape:
-    return before, after, kernel, kernel
+def _chain(name: str, before: int, *steps: tuple[int, int | tuple[int, int]]) -> dict[str, Shape]:
+    """Convolutions one after the other, numbered if several: channels out and kernel of each."""
+    shapes = {}
+    for number, (after, kernel) in enumerate(steps, start=1):
+        size = (kernel, kernel) if isinstance(kernel, int) else kernel
+        shapes[f"{name}_{number}" if len(steps) > 1 else name] = (before, after, *size)
+        before = after
+    return shapes
 
 
 def _block_a(before: int, pool: int) -> dict[str, Shape]:
     return {
-        "branch1x1": _square(before, 64),
-        "branch5x5_1": _square(before, 48),
-        "branch5x5_2": _square(48, 64, 5),
-        "branch3x3dbl_1": _square(before, 64),
-        "branch3x3dbl_2": _square(64, 96, 3),
-        "branch3x3dbl_3": _square(96, 96, 3),
-        "branch_pool": _square(before, pool),
+        **_chain("branch1x1", before, (64, 1)),
+        **_chain("branch5x5", before, (48, 1), (64, 5)),
+        **_chain("branch3x3dbl", before, (64, 1), (96, 3), (96, 3)),
+        **_chain("branch_pool", before, (pool, 1)),
     }
 
 
-def _block_b() -> dict[str, Shape]:
-    return {
-        "branch3x3": _square(288, 384, 3),
-        "branch3x3dbl_1": _square(288, 64),
-        "branch3x3dbl_2": _square(64, 96, 3),
-        "branch3x3dbl_3": _square(96, 96, 3),
-    }
+_BLOCK_B = {
+    **_chain("branch3x3", 288, (384, 3)),
+    **_chain("branch3x3dbl", 288, (64, 1), (96, 3), (96, 3)),
+}
 
 
 def _block_c(middle: int) -> dict[str, Shape]:
+    first, row, column = (middle, 1), (middle, (1, 7)), (middle, (7, 1))
     return {
-        "branch1x1": _square(768, 192),
-        "branch7x7_1": _square(768, middle),
-        "branch7x7_2": (middle, middle, 1, 7),
-        "branch7x7_3": (middle, 192, 7, 1),
-        "branch7x7dbl_1": _square(768, middle),
-        "branch7x7dbl_2": (middle, middle, 7, 1),
-        "branch7x7dbl_3": (middle, middle, 1, 7),
-        "branch7x7dbl_4": (middle, middle, 7, 1),
-        "branch7x7dbl_5": (middle, 192, 1, 7),
-        "branch_pool": _square(768, 192),
+        **_chain("branch1x1", 768, (192, 1)),
+        **_chain("branch7x7", 768, first, row, (192, (7, 1))),
+        **_chain("branch7x7dbl", 768, first, column, row, column, (192, (1, 7))),
+        **_chain("branch_pool", 768, (192, 1)),
     }
 
 
-def _block_d() -> dict[str, Shape]:
-    return {
-        "branch3x3_1": _square(768, 192),
-        "branch3x3_2": _square(192, 320, 3),
-        "branch7x7x3_1": _square(768, 192),
-        "branch7x7x3_2": (192, 192, 1, 7),
-        "branch7x7x3_3": (192, 192, 7, 1),
-        "branch7x7x3_4": _square(192, 192, 3),
-    }
+_BLOCK_D = {
+    **_chain("branch3x3", 768, (192, 1), (320, 3)),
+    **_chain("branch7x7x3", 768, (192, 1), (192, (1, 7)), (192, (7, 1)), (192, 3)),
+}
 
 
 def _block_e(before: int) -> dict[str, Shape]:
     return {
-        "branch1x1": _square(before, 320),
-        "branch3x3_1": _square(before, 384),
+        **_chain("branch1x1", before, (320, 1)),
+        "branch3x3_1": (before, 384, 1, 1),
         "branch3x3_2a": (384, 384, 1, 3),
         "branch3x3_2b": (384, 384, 3, 1),
-        "branch3x3dbl_1": _square(before, 448),
-        "branch3x3dbl_2": _square(448, 384, 3),
+        **_chain("branch3x3dbl", before, (448, 1), (384, 3)),
         "branch3x3dbl_3a": (384, 384, 1, 3),
         "branch3x3dbl_3b": (384, 384, 3, 1),
-        "branch_pool": _square(before, 192),
+        **_chain("branch_pool", before, (192, 1)),
     }
 
 
 CONVOLUTIONS: Mapping[str, Shape] = {
-    "Conv2d_1a_3x3": _square(3, 32, 3),
-    "Conv2d_2a_3x3": _square(32, 32, 3),
-    "Conv2d_2b_3x3": _square(32, 64, 3),
-    "Conv2d_3b_1x1": _square(64, 80),
-    "Conv2d_4a_3x3": _square(80, 192, 3),
+    "Conv2d_1a_3x3": (3, 32, 3, 3),
+    "Conv2d_2a_3x3": (32, 32, 3, 3),
+    "Conv2d_2b_3x3": (32, 64, 3, 3),
+    "Conv2d_3b_1x1": (64, 80, 1, 1),
+    "Conv2d_4a_3x3": (80, 192, 3, 3),
 } | {
     f"{block}.{branch}": shape
     for block, branches in {
         "Mixed_5b": _block_a(192, 32),
         "Mixed_5c": _block_a(256, 64),
         "Mixed_5d": _block_a(288, 64),
-        "Mixed_6a": _block_b(),
+        "Mixed_6a": _BLOCK_B,
         "Mixed_6b": _block_c(128),
         "Mixed_6c": _block_c(160),
         "Mixed_6d": _block_c(160),
         "Mixed_6e": _block_c(192),
-        "Mixed_7a": _block_d(),
+        "Mixed_7a": _BLOCK_D,
         "Mixed_7b": _block_e(1280),
         "Mixed_7c": _block_e(2048),
     }.items()
     for branch, shape in branches.items()
 }
 """All convolutions of the trunk, each followed by batch normalisation and a rectifier."""
+
+
+def _numbered(branch: str, count: int) -> tuple[str, ...]:
+    return tuple(f"{branch}_{number}" for number in range(1, count + 1))
+
+
+_DENSE = _numbered("branch3x3dbl", 3)
 
 
 class Inception:
@@ -164,44 +160,12 @@ class Inception:
         x = self._conv("Conv2d_4a_3x3", self._conv("Conv2d_3b_1x1", x), padded=False)
         x = functional.max_pool2d(x, 3, stride=2)
         for block in ("Mixed_5b", "Mixed_5c", "Mixed_5d"):
-            x = torch.cat(
-                [
-                    self._chain(block, x, "branch1x1"),
-                    self._chain(block, x, "branch5x5_1", "branch5x5_2"),
-                    self._chain(block, x, *(f"branch3x3dbl_{i}" for i in (1, 2, 3))),
-                    self._pool_branch(block, x),
-                ],
-                dim=1,
-            )
-        dense = self._chain("Mixed_6a", x, "branch3x3dbl_1", "branch3x3dbl_2")
-        x = torch.cat(
-            [
-                self._conv("Mixed_6a.branch3x3", x, stride=2, padded=False),
-                self._conv("Mixed_6a.branch3x3dbl_3", dense, stride=2, padded=False),
-                functional.max_pool2d(x, 3, stride=2),
-            ],
-            dim=1,
-        )
+            x = self._parallel(block, x, "branch1x1", _numbered("branch5x5", 2), _DENSE)
+        x = self._reduced("Mixed_6a", x, ("branch3x3",), _DENSE)
         for block in ("Mixed_6b", "Mixed_6c", "Mixed_6d", "Mixed_6e"):
-            x = torch.cat(
-                [
-                    self._chain(block, x, "branch1x1"),
-                    self._chain(block, x, *(f"branch7x7_{i}" for i in (1, 2, 3))),
-                    self._chain(block, x, *(f"branch7x7dbl_{i}" for i in (1, 2, 3, 4, 5))),
-                    self._pool_branch(block, x),
-                ],
-                dim=1,
-            )
-        short = self._chain("Mixed_7a", x, "branch3x3_1")
-        long = self._chain("Mixed_7a", x, *(f"branch7x7x3_{i}" for i in (1, 2, 3)))
-        x = torch.cat(
-            [
-                self._conv("Mixed_7a.branch3x3_2", short, stride=2, padded=False),
-                self._conv("Mixed_7a.branch7x7x3_4", long, stride=2, padded=False),
-                functional.max_pool2d(x, 3, stride=2),
-            ],
-            dim=1,
-        )
+            sevens = _numbered("branch7x7", 3), _numbered("branch7x7dbl", 5)
+            x = self._parallel(block, x, "branch1x1", *sevens)
+        x = self._reduced("Mixed_7a", x, _numbered("branch3x3", 2), _numbered("branch7x7x3", 4))
         for block in ("Mixed_7b", "Mixed_7c"):
             short = self._chain(block, x, "branch3x3_1")
             long = self._chain(block, x, "branch3x3dbl_1", "branch3x3dbl_2")
@@ -217,6 +181,18 @@ class Inception:
                 dim=1,
             )
         return x
+
+    def _parallel(self, block: str, x: Tensor, first: str, *chains: Sequence[str]) -> Tensor:
+        found = [self._chain(block, x, *chain) for chain in ((first,), *chains)]
+        return torch.cat([*found, self._pool_branch(block, x)], dim=1)
+
+    def _reduced(self, block: str, x: Tensor, *chains: Sequence[str]) -> Tensor:
+        """Half as wide and high: the last convolution of each chain takes steps of two."""
+        found = []
+        for *before, last in chains:
+            own = self._chain(block, x, *before)
+            found.append(self._conv(f"{block}.{last}", own, stride=2, padded=False))
+        return torch.cat([*found, functional.max_pool2d(x, 3, stride=2)], dim=1)
 
     def _chain(self, block: str, x: Tensor, *branches: str) -> Tensor:
         for branch in branches:

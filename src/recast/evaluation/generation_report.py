@@ -15,15 +15,13 @@ from rich.table import Table
 from recast.evaluation.generation_summary import (
     STUDY_COLUMNS,
     StudyBlock,
-    StudyDifference,
     StudyRow,
 )
-from recast.evaluation.pairs import Bootstrap
 from recast.evaluation.table import rounded
 
 PAPER_COLUMNS = ("psnr", "ssim", "lpips", "clip", "fd_inception", "fd_dino")
 """Scores in the paper's order, keys of `STUDY_COLUMNS`."""
-PAPER_ROWS: Mapping[str, tuple[float, ...]] = {
+_ROWS = {
     "Real3D": (13.19, 0.5691, 0.3223, 68.17, 91.196, 1282.01),
     "LN3Diff": (18.95, 0.8843, 0.1105, 63.03, 93.288, 1455.05),
     "3DTopia-XL": (15.54, 0.8085, 0.1817, 59.90, 166.294, 1299.59),
@@ -33,7 +31,10 @@ PAPER_ROWS: Mapping[str, tuple[float, ...]] = {
     "Stage I only": (22.90, 0.9178, 0.0534, 78.30, 8.176, 36.94),
     "both stages": (22.90, 0.9179, 0.0532, 78.38, 7.992, 36.47),
 }
-"""Scores by name of the row, in the order of `PAPER_COLUMNS`. The last three are the ablation."""
+PAPER_ROWS: Mapping[str, Mapping[str, float]] = {
+    row: dict(zip(PAPER_COLUMNS, values, strict=True)) for row, values in _ROWS.items()
+}
+"""Scores by name of the row and key of `STUDY_COLUMNS`. The last three are the ablation."""
 _PLACED = {
     "views": "by the clean conditioning view, as `recast eval actor` places them",
     "canonical": "by the model's own forward axis, scaled by the length of the box",
@@ -43,11 +44,6 @@ _SEEN = {
     "orbit": "at 512 x 512 pixels and 40 degrees, twice the longest side of the box away, in the "
     "direction of the photograph, which is scaled about its centre",
 }
-
-
-def published(row: str) -> dict[str, float]:
-    """Scores of a row of the paper, by key of `STUDY_COLUMNS`."""
-    return dict(zip(PAPER_COLUMNS, PAPER_ROWS[row], strict=True))
 
 
 @dataclass(frozen=True)
@@ -103,45 +99,36 @@ def study_markdown(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> str:
 
 def study_table(block: StudyBlock) -> Table:
     """A line for every model."""
-    table = Table(title=_title(block))
-    table.add_column("model")
-    table.add_column("made", justify="right")
-    keys = list(block.rows[0].scores)
-    for key in keys:
-        table.add_column(_heading(key), justify="right")
-    for row in block.rows:
-        cells = [STUDY_COLUMNS[key].shown(row.scores[key]) for key in keys]
-        table.add_row(row.model, str(row.made), *cells)
-    return table
+    return _rich(_title(block), *_model_lines(block))
 
 
 def paper_table(block: StudyBlock, beside: Mapping[str, str]) -> Table:
     """Scores in the paper's columns, and in brackets what the paper has."""
-    table = Table(title="Beside the paper: here (there)")
-    table.add_column("model")
-    table.add_column("paper's row")
-    for key in PAPER_COLUMNS:
-        table.add_column(_heading(key), justify="right")
-    for cells in _paper_cells(block, beside):
-        table.add_row(*cells)
-    return table
+    return _rich("Beside the paper: here (there)", *_paper_lines(block, beside))
 
 
 def differences_table(block: StudyBlock) -> Table:
     """A line for every pair of consecutive models and every score."""
-    table = Table(title=f"Paired differences, {block.condition} inputs")
-    for heading in ("difference", "score", "mean", "interval", "better"):
-        table.add_column(heading, justify="left" if heading == "difference" else "right")
-    for one in block.differences:
-        mean, interval = _shown_interval(one)
-        table.add_row(
-            f"{one.candidate} - {one.baseline}",
-            _heading(one.score),
-            mean,
-            interval,
-            one.better or "undecided",
-        )
+    return _rich(f"Paired differences, {block.condition} inputs", *_difference_lines(block))
+
+
+_Lines = tuple[str, list[list[str]]]
+"""Alignment of each column, l or r; headings, then rows."""
+
+
+def _rich(title: str, align: str, lines: list[list[str]]) -> Table:
+    table = Table(title=title)
+    for heading, side in zip(lines[0], align, strict=True):
+        table.add_column(heading, justify="left" if side == "l" else "right")
+    for row in lines[1:]:
+        table.add_row(*row)
     return table
+
+
+def _markdown(align: str, lines: list[list[str]]) -> list[str]:
+    rule = "|" + "".join("---|" if side == "l" else "---:|" for side in align)
+    shown = [f"| {' | '.join(row)} |" for row in lines]
+    return [shown[0], rule, *shown[1:]]
 
 
 def _block_json(block: StudyBlock) -> dict[str, Any]:
@@ -156,7 +143,8 @@ def _block_json(block: StudyBlock) -> dict[str, Any]:
                 "candidate": one.candidate,
                 "baseline": one.baseline,
                 "score": one.score,
-                **_interval_json(one.interval),
+                "mean": one.interval.point,
+                **{name: getattr(one.interval, name) for name in ("low", "high", "level", "std")},
                 "better": one.better,
             }
             for one in block.differences
@@ -165,55 +153,49 @@ def _block_json(block: StudyBlock) -> dict[str, Any]:
     }
 
 
-def _interval_json(interval: Bootstrap) -> dict[str, float]:
-    return {
-        "mean": interval.point,
-        "low": interval.low,
-        "high": interval.high,
-        "level": interval.level,
-        "std": interval.std,
-    }
-
-
 def _block_markdown(block: StudyBlock) -> list[str]:
-    keys = list(block.rows[0].scores)
-    best = {key: _best(block.rows, key) for key in keys}
-    lines = [f"## {_title(block)}", ""]
-    lines.append("| model | made | " + " | ".join(_heading(key) for key in keys) + " |")
-    lines.append("|---|---:|" + "---:|" * len(keys))
-    for row in block.rows:
-        cells = [STUDY_COLUMNS[key].shown(row.scores[key]) for key in keys]
-        shown = [
-            f"**{cell}**" if cell == best[key] and len(block.rows) > 1 else cell
-            for key, cell in zip(keys, cells, strict=True)
-        ]
-        lines.append(f"| {row.model} | {row.made} | " + " | ".join(shown) + " |")
-    lines.append("")
+    align, table = _model_lines(block)
+    for place, key in enumerate(block.rows[0].scores, start=2):
+        best = _best(block.rows, key)
+        for row in table[1:] if len(block.rows) > 1 else ():
+            row[place] = f"**{best}**" if row[place] == best else row[place]
+    lines = [f"## {_title(block)}", "", *_markdown(align, table), ""]
     if block.differences:
-        level = f"{100 * block.differences[0].interval.level:g} %"
-        lines += [
-            f"| difference | score | mean | {level} interval | better |",
-            "|---|---|---:|---:|---|",
-        ]
-        for one in block.differences:
-            mean, interval = _shown_interval(one)
-            lines.append(
-                f"| {one.candidate} - {one.baseline} | {_heading(one.score)} | {mean} | {interval} "
-                f"| {one.better or 'undecided'} |"
-            )
-        lines.append("")
+        lines += [*_markdown(*_difference_lines(block)), ""]
     for model, failed in block.failures.items():
         lines += [f"- {model} did not make {id}: {reason}" for id, reason in failed.items()]
     return [*lines, ""] if lines[-1] else lines
 
 
+def _model_lines(block: StudyBlock) -> _Lines:
+    keys = list(block.rows[0].scores)
+    lines = [["model", "made", *map(_heading, keys)]]
+    for row in block.rows:
+        cells = [STUDY_COLUMNS[key].shown(row.scores[key]) for key in keys]
+        lines.append([row.model, str(row.made), *cells])
+    return "l" + "r" * (len(keys) + 1), lines
+
+
+def _difference_lines(block: StudyBlock) -> _Lines:
+    level = 100 * block.differences[0].interval.level if block.differences else 95
+    lines = [["difference", "score", "mean", f"{level:g} % interval", "better"]]
+    for one in block.differences:
+        decimals = STUDY_COLUMNS[one.score].decimals + 1
+        mean, low, high = (
+            f"{value:+.{decimals}f}"
+            for value in (one.interval.point, one.interval.low, one.interval.high)
+        )
+        names = f"{one.candidate} - {one.baseline}"
+        better = one.better or "undecided"
+        lines.append([names, _heading(one.score), mean, f"[{low}, {high}]", better])
+    return "llrrl", lines
+
+
 def _paper_markdown(block: StudyBlock, beside: Mapping[str, str]) -> list[str]:
-    lines = ["## Beside the paper: here (there)", ""]
-    headings = ["model", "paper's row", *map(_heading, PAPER_COLUMNS)]
-    lines += ["| " + " | ".join(headings) + " |", "|---|---|" + "---:|" * len(PAPER_COLUMNS)]
-    lines += ["| " + " | ".join(cells) + " |" for cells in _paper_cells(block, beside)]
     return [
-        *lines,
+        "## Beside the paper: here (there)",
+        "",
+        *_markdown(*_paper_lines(block, beside)),
         "",
         "The paper's figures are of its held-out RECAR vehicles and the published "
         "weights, ours of the set above: compare the order of rows. A dash: not run or not "
@@ -222,20 +204,20 @@ def _paper_markdown(block: StudyBlock, beside: Mapping[str, str]) -> list[str]:
     ]
 
 
-def _paper_cells(block: StudyBlock, beside: Mapping[str, str]) -> list[list[str]]:
+def _paper_lines(block: StudyBlock, beside: Mapping[str, str]) -> _Lines:
     """Name, the paper's row, and a cell for each of the paper's columns."""
     ours = {row.model: row.scores for row in block.rows}
-    found = []
+    lines = [["model", "paper's row", *map(_heading, PAPER_COLUMNS)]]
     for name in [*beside, *(name for name in ours if name not in beside)]:
-        theirs = published(beside[name]) if name in beside else {}
+        theirs = PAPER_ROWS[beside[name]] if name in beside else {}
         scores = ours.get(name, {})
         cells = [name, beside.get(name, "-")]
         for key in PAPER_COLUMNS:
             column = STUDY_COLUMNS[key]
             here = column.shown(scores[key]) if key in scores else "-"
             cells.append(f"{here} ({column.shown(theirs[key])})" if key in theirs else here)
-        found.append(cells)
-    return found
+        lines.append(cells)
+    return "ll" + "r" * len(PAPER_COLUMNS), lines
 
 
 def _notes(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> list[str]:
@@ -283,10 +265,3 @@ def _best(rows: Sequence[StudyRow], key: str) -> str:
     column = STUDY_COLUMNS[key]
     values = [row.scores[key] for row in rows]
     return column.shown(max(values) if column.higher else min(values))
-
-
-def _shown_interval(one: StudyDifference) -> tuple[str, str]:
-    column = STUDY_COLUMNS[one.score]
-    decimals = column.decimals + 1
-    low, high = one.interval.low, one.interval.high
-    return f"{one.interval.point:+.{decimals}f}", f"[{low:+.{decimals}f}, {high:+.{decimals}f}]"

@@ -29,7 +29,6 @@ class StudyRow:
     """A model's line of a table.
 
     Attributes:
-        model: its name.
         made: vehicles that it made, of all it was asked for.
         scores: means over the block's vehicles, each counting the same, and Frechet distances.
     """
@@ -69,7 +68,6 @@ class StudyBlock:
     """One condition, such as clean inputs.
 
     Attributes:
-        condition: its name.
         identities: vehicles that every model made; all figures are over these.
         views: pictures that they were compared in.
         failures: by model and vehicle, why one could not be made.
@@ -98,11 +96,9 @@ def summarize(
     """Table and paired differences of one condition.
 
     Args:
-        condition: its name.
         cells: by model, one for every vehicle.
         truth: the photographs' features, by vehicle.
-        seed: of the bootstrap; every difference sees the same draws.
-        samples: of the bootstrap.
+        seed, samples: of the bootstrap; every difference sees the same draws.
 
     Raises:
         ValueError: no vehicle was made by every model.

@@ -18,6 +18,12 @@ from recast.evaluation.pairs import (
 )
 from recast.evaluation.table import COLUMNS, Metric, TableRow, invalid, table
 
+_ASKED = (
+    *("scene", "world", "seed", "motion", "setting", "arm", "planner", "log", "track_id"),
+    "steps_requested",
+)
+"""Members of a row that are known before it is run."""
+
 
 @dataclass(frozen=True)
 class GridRow:
@@ -100,19 +106,8 @@ class GridRow:
 
     def failed(self, error: str, reason: str) -> GridRow:
         """This row without scores, and why."""
-        return replace(
-            self,
-            start_timestamp_us=None,
-            steps_run=None,
-            cut_reason=None,
-            plan_steps=(),
-            first_collision_step=None,
-            map_derived=None,
-            scores={},
-            shorter={},
-            failure=error,
-            failure_reason=reason,
-        )
+        asked = {name: getattr(self, name) for name in _ASKED}
+        return GridRow(**asked, failure=error, failure_reason=reason)
 
     @property
     def plans(self) -> int:
@@ -156,7 +151,6 @@ class PairedDifference:
     """Candidate minus baseline of a metric, in the column's unit, on the scenarios of both.
 
     Attributes:
-        planner: of all rollouts.
         candidate, baseline: arms.
         metric: key of `COLUMNS`.
         scenes, pairs: how many both have a value for.
@@ -225,21 +219,11 @@ def paired_summaries(
                 if one.pairs == 0:
                     continue
                 values = [column.scale * scene for scene in one.differences.values()]
-                found.append(
-                    PairedDifference(
-                        planner,
-                        candidate,
-                        baseline,
-                        name,
-                        len(values),
-                        one.pairs,
-                        one.plans,
-                        one.cut,
-                        one.asked,
-                        cluster_bootstrap(values, np.random.default_rng(seed), samples),
-                        exact_bootstrap(values) if len(values) <= MOST_EXACT else None,
-                    )
-                )
+                counts = (len(values), one.pairs, one.plans, one.cut, one.asked)
+                sampled = cluster_bootstrap(values, np.random.default_rng(seed), samples)
+                exact = exact_bootstrap(values) if len(values) <= MOST_EXACT else None
+                who = (planner, candidate, baseline, name)
+                found.append(PairedDifference(*who, *counts, sampled, exact))
     return found
 
 

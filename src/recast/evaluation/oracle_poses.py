@@ -10,7 +10,7 @@ import numpy as np
 from recast.actors.views import score_frame
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.dynamics import PACIFICA, VehicleParameters
+from recast.dynamics import PACIFICA
 from recast.geometry import boxes, se2, se3
 from recast.logs import DrivingLog, Track
 from recast.planning import CameraMount, ReferenceRoute
@@ -78,7 +78,6 @@ def place_views(
     track: Track,
     mounts: Mapping[str, CameraMount],
     settings: ViewSettings,
-    vehicle: VehicleParameters = PACIFICA,
 ) -> list[PlacedView]:
     """Place the vehicle on the logged path before the logged ego.
 
@@ -86,7 +85,6 @@ def place_views(
 
     Args:
         mounts: cameras as they are rendered.
-        vehicle: the ego's outline.
 
     Raises:
         InputError: no camera, or none of that name; no logged frame with enough road ahead.
@@ -99,7 +97,7 @@ def place_views(
     surface = RoadSurface.from_log(log.world_from_rig, route, ground)
     radius = float(np.hypot(*track.size[:2])) / 2
     forward = float(mount.rig_from_camera[0, 3])
-    least = vehicle.front_length - forward + _CLEARANCE + radius
+    least = PACIFICA.front_length - forward + _CLEARANCE + radius
     distances = tuple(dict.fromkeys(max(d, least) for d in settings.distances))
 
     views = []

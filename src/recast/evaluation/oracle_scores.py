@@ -5,26 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
 from recast.actors.coverage import Coverage
+from recast.actors.drawing import draw
 from recast.arrays import Array, Image, Mask
 from recast.core.records import Record, read_record
 from recast.evaluation.pairs import Bootstrap, cluster_bootstrap
 from recast.geometry import PinholeCamera, boxes
-from recast.scene import SceneActor, psnr
-from recast.scene.scores import ssim_map
-from recast.splats import rasterize
+from recast.scene import SceneActor
+from recast.scene.scores import Rectangle, capped_psnr, ssim_map
 
-Rectangle = tuple[int, int, int, int]
-"""Left, top, right, bottom in whole pixels; right and bottom are one past the last."""
-
-PSNR_CAP = 100.0
-"""dB given to images that are equal; JSON knows no infinity."""
 VERSION: Literal[2] = 2
 """1 called the sides native and replaced."""
 RECORD_FILE = "oracle_views.json"
@@ -96,7 +91,7 @@ def agreement(
     drawn, wanted = image.astype(np.float64) / 255, truth.astype(np.float64) / 255
     similarity = ssim_map(torch.from_numpy(drawn), torch.from_numpy(wanted)).numpy()
     return Agreement(
-        psnr=min(psnr(drawn[inside], wanted[inside]), PSNR_CAP),
+        psnr=capped_psnr(drawn[inside], wanted[inside]),
         ssim=float(similarity[inside].mean()),
         mask_iou=mask_iou(mask, true_mask),
     )
@@ -112,16 +107,9 @@ def actor_mask(
     actor: SceneActor, camera: PinholeCamera, camera_from_world: Array, world_from_actor: Array
 ) -> Mask:
     """Pixels (H, W) that a vehicle drawn alone, without its shadow, covers by more than half."""
+    placed = actor.gaussians.detach().transformed(torch.from_numpy(world_from_actor))
     with torch.no_grad():
-        alone = rasterize(
-            actor.gaussians.detach().transformed(torch.from_numpy(world_from_actor)),
-            torch.from_numpy(np.asarray(camera_from_world)).float(),
-            torch.from_numpy(camera.matrix).float(),
-            camera.width,
-            camera.height,
-            eps2d=actor.low_pass.variance,
-            antialiased=actor.low_pass.antialiased,
-        )
+        alone = draw(placed, camera_from_world, camera, actor.low_pass)
     covered: Mask = alone.alpha.numpy() > 0.5
     return covered
 
@@ -134,26 +122,6 @@ EDGES = ((0.0, 30.0), (30.0, 60.0), (60.0, 90.0), (90.0, 180.0), (60.0, 180.0), 
 all views."""
 
 SAMPLES = 20_000
-
-
-class ScoredView(Protocol):
-    """What a summary needs of a view."""
-
-    @property
-    def heading(self) -> float:
-        """Radians."""
-
-    @property
-    def angle(self) -> float:
-        """Degrees."""
-
-    @property
-    def baseline(self) -> Agreement:
-        """Score of the baseline actor."""
-
-    @property
-    def candidate(self) -> Agreement:
-        """Score of the candidate actor."""
 
 
 @dataclass(frozen=True)
@@ -178,7 +146,7 @@ class AngleBin:
     candidate_better: Mapping[str, int]
 
 
-def summarise(views: Sequence[ScoredView], rng: np.random.Generator) -> tuple[AngleBin, ...]:
+def summarise(views: Sequence[OracleView], rng: np.random.Generator) -> tuple[AngleBin, ...]:
     """One `AngleBin` for each of `EDGES`."""
     return tuple(
         _bin(
@@ -189,7 +157,7 @@ def summarise(views: Sequence[ScoredView], rng: np.random.Generator) -> tuple[An
 
 
 def _bin(
-    views: Sequence[ScoredView], low: float, high: float, rng: np.random.Generator
+    views: Sequence[OracleView], low: float, high: float, rng: np.random.Generator
 ) -> AngleBin:
     difference, better = {}, {}
     for measure in MEASURES:
@@ -259,7 +227,6 @@ class OracleViews:
     """All views of one vehicle, and what they say.
 
     Attributes:
-        track_id: the vehicle.
         logged: how many logged images show it.
         views: in the order they were drawn.
         summary: see `recast.evaluation.oracle_scores.EDGES`.

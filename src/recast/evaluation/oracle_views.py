@@ -15,7 +15,7 @@ from recast.actors.coverage import CoverageMeter, Shares
 from recast.arrays import Array, Image
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, write_json
-from recast.core.progress import Progress
+from recast.core.progress import Progress, tell
 from recast.evaluation.oracle_poses import (
     PlacedView,
     ViewSettings,
@@ -30,7 +30,6 @@ from recast.evaluation.oracle_scores import (
     Agreement,
     OracleView,
     OracleViews,
-    Rectangle,
     actor_mask,
     agreement,
     box_pixels,
@@ -41,8 +40,10 @@ from recast.geometry import PinholeCamera, se3
 from recast.logs import DrivingLog
 from recast.planning import CameraMount
 from recast.scene import SceneRasterizer, StreetScene
+from recast.scene.scores import Rectangle
 
 _MARGIN = 24  # pixels around the box that are ray-traced too: more than half an SSIM window
+_OF_PLACE = ("camera", "frame", "timestamp_us", "distance", "heading")
 _GAP = 4  # white pixels between pictures
 
 
@@ -142,16 +143,10 @@ class Painter:
         return {**images, "truth": self._true(camera, view).rgb}
 
     def _drawn(self, arm: str, camera: PinholeCamera, view: PlacedView) -> Image:
-        rgb = (
-            self._rasterizers[arm]
-            .render(
-                camera,
-                se3.inverse(view.world_from_camera),
-                {self._track_id: view.world_from_actor},
-            )
-            .rgb
-        )
-        image: Image = np.rint(np.clip(rgb, 0.0, 1.0) * 255).astype(np.uint8)
+        camera_from_world = se3.inverse(view.world_from_camera)
+        poses = {self._track_id: view.world_from_actor}
+        drawn = self._rasterizers[arm].render(camera, camera_from_world, poses)
+        image: Image = np.rint(np.clip(drawn.rgb, 0.0, 1.0) * 255).astype(np.uint8)
         return image
 
     def _true(self, camera: PinholeCamera, view: PlacedView) -> OracleFrame:
@@ -198,7 +193,7 @@ def evaluate_oracle_views(
         exposures: of the log's images, by camera, which the truth's are given too; 1 if missing.
         shares: shares of the candidate actor that were seen, mirrored and invented, if they are
             known; each view then tells them for what it shows.
-        progress: told the number of views done, and of all.
+        progress: called with the number of views done, and of all.
 
     Raises:
         InputError: the log or a scene has no such track, no logged image shows it, or there is no
@@ -245,11 +240,7 @@ def evaluate_oracle_views(
             views.append(
                 OracleView(
                     index=index,
-                    camera=view.camera,
-                    frame=view.frame,
-                    timestamp_us=view.timestamp_us,
-                    distance=view.distance,
-                    heading=view.heading,
+                    **{name: getattr(view, name) for name in _OF_PLACE},
                     azimuth=azimuth,
                     elevation=elevation,
                     angle=angle_to_nearest(direction, logged),
@@ -267,8 +258,7 @@ def evaluate_oracle_views(
             )
             if folder is not None:
                 _save(folder / views[-1].picture, picture)
-            if progress is not None:
-                progress(index + 1, len(placed))
+            tell(progress, index + 1, len(placed))
         result = OracleViews(
             track_id, len(logged), tuple(views), summarise(views, rng), _furthest(views)
         )

@@ -40,6 +40,11 @@ from recast.simulation.rollout import Rollout
 
 Array = NDArray[Any]
 
+_OF_ROLLOUT = (
+    *("name", "arm", "track_id", "motion", "setting", "planner", "start_timestamp_us"),
+    *("steps_requested", "steps_run", "cut_reason"),
+)
+
 
 @dataclass(frozen=True)
 class RolloutMetrics:
@@ -137,16 +142,7 @@ class RolloutMetrics:
             steps = {track_id: one.first_step for track_id, one in self.collisions.items()}
             several["first_collision_step_of"] = steps
         return {
-            "name": self.name,
-            "arm": self.arm,
-            "track_id": self.track_id,
-            "motion": self.motion,
-            "setting": self.setting,
-            "planner": self.planner,
-            "start_timestamp_us": self.start_timestamp_us,
-            "steps_requested": self.steps_requested,
-            "steps_run": self.steps_run,
-            "cut_reason": self.cut_reason,
+            **{name: getattr(self, name) for name in _OF_ROLLOUT},
             "metrics": {name: metric.to_json() for name, metric in self.values.items()},
             "per_step": {
                 "overlap_steps": np.flatnonzero(self.collision.overlap > TOUCHING).tolist(),
@@ -204,16 +200,7 @@ def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
         )
 
     return RolloutMetrics(
-        name=rollout.name,
-        arm=rollout.arm,
-        track_id=rollout.track_id,
-        motion=rollout.motion,
-        setting=rollout.setting,
-        planner=rollout.planner,
-        start_timestamp_us=rollout.start_timestamp_us,
-        steps_requested=rollout.steps_requested,
-        steps_run=rollout.steps_run,
-        cut_reason=rollout.cut_reason,
+        **{name: getattr(rollout, name) for name in _OF_ROLLOUT},
         plan_steps=tuple(int(step) for step in steps),
         map_derived=None if hd_map is None else hd_map.derived,
         collision=collision,

@@ -41,8 +41,7 @@ def comparison_sheet(title: str, source: Cutout, views: Sequence[ComparedView]) 
     the images before black, as they are scored.
 
     Args:
-        title: of the input.
-        source: the input.
+        title, source: of the input; the input.
         views: what it is compared on, at least one.
     """
     first = _fitted(source.before(_GREY)[_around(source.mask)], _GREY)
@@ -94,16 +93,7 @@ def _captioned(picture: Image, caption: str) -> Image:
     page = np.full((_HEIGHT + _TWO_LINES + _EDGE, _WIDTH + _EDGE, 3), 255, np.uint8)
     page[_TWO_LINES : _TWO_LINES + _HEIGHT, :_WIDTH] = picture
     for line, text in enumerate(caption.split("\n")):
-        cv2.putText(
-            page,
-            text,
-            (4, 15 + 18 * line),
-            cv2.FONT_HERSHEY_SIMPLEX,
-            0.45,
-            (40, 40, 40),
-            1,
-            cv2.LINE_AA,
-        )
+        _write(page, text, (4, 15 + 18 * line), 0.45)
     return page
 
 

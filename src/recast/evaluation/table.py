@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -56,7 +56,6 @@ class Column:
     """How a metric is shown.
 
     Attributes:
-        label, unit: for people.
         scale: shown value = scale * value.
         headline: whether it stands in the short tables: the paper's five metrics, and what was
             driven beside what was planned.
@@ -165,17 +164,7 @@ class TableRow:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
-        return {
-            "planner": self.planner,
-            "arm": self.arm,
-            "asked": self.asked,
-            "rollouts": self.rollouts,
-            "failed": self.failed,
-            "cut": self.cut,
-            "plans": self.plans,
-            "means": dict(self.means),
-            "counts": dict(self.counts),
-        }
+        return {"planner": self.planner, "arm": self.arm, "asked": self.asked, **asdict(self)}
 
 
 def table(metrics: Sequence[Scored], failures: Sequence[Attempt] = ()) -> list[TableRow]:

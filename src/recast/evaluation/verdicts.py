@@ -45,25 +45,7 @@ SCHEMA = pa.schema(
     ]
 )
 """Columns and their types; any but scene, arm, motion, setting and planner may be null."""
-_OF_ROW = (
-    "scene",
-    "world",
-    "seed",
-    "log",
-    "track_id",
-    "arm",
-    "motion",
-    "setting",
-    "planner",
-    "start_timestamp_us",
-    "steps_requested",
-    "steps_run",
-    "cut_reason",
-    "first_collision_step",
-    "map_derived",
-    "failure",
-    "failure_reason",
-)
+_OF_ROW = tuple(name for name in SCHEMA.names if name in GridRow.__dataclass_fields__)
 
 
 @dataclass(frozen=True)
@@ -90,7 +72,6 @@ class Agreement:
     """The verdicts of a planner under an arm.
 
     Attributes:
-        planner, arm: of the rollouts.
         asked: how many rollouts there should be; where it or the oracle's failed nothing is
             compared.
         pairs, scenes: how many were compared, and in how many scenes.
@@ -138,8 +119,7 @@ def agreements(rows: Sequence[GridRow], truth: str, samples: int, seed: int) -> 
     Args:
         rows: of the whole grid, those of the truth among them.
         truth: the arm that renders the truth.
-        samples: of the bootstrap over scenes.
-        seed: of the bootstrap.
+        samples, seed: of the bootstrap over scenes.
     """
     found = zip(rows, verdicts(rows, truth), strict=True)
     compared = [(row, verdict) for row, verdict in found if verdict is not None]

@@ -31,9 +31,9 @@ def corners(size: ArrayLike, target_from_box: ArrayLike | None = None) -> Array:
     return local if target_from_box is None else se3.apply(target_from_box, local)
 
 
-def lattice(size: ArrayLike, target_from_box: ArrayLike, count: int = 5) -> Array:
-    """Regular points (count^3, 3) inside a box of size (3,), up to 90 % of its half sides."""
-    axes = [np.linspace(-0.9, 0.9, count)] * 3
+def lattice(size: ArrayLike, target_from_box: ArrayLike) -> Array:
+    """Regular points (125, 3) inside a box of size (3,), up to 90 % of its half sides."""
+    axes = [np.linspace(-0.9, 0.9, 5)] * 3
     local = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     return se3.apply(target_from_box, local * np.asarray(size, np.float64) / 2)
 

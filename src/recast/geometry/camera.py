@@ -138,7 +138,7 @@ def _fold_radius2(k1: float, k2: float, k3: float) -> float:
     return float(turning.min(initial=np.inf))
 
 
-def undistort(distorted: ArrayLike, distortion: ArrayLike, iterations: int = 20) -> Array:
+def undistort(distorted: ArrayLike, distortion: ArrayLike) -> Array:
     """Invert `distort` on normalised coordinates (..., 2) by Newton steps.
 
     Converges for the fields of view of driving cameras; a fixed-point iteration would not at the
@@ -150,7 +150,7 @@ def undistort(distorted: ArrayLike, distortion: ArrayLike, iterations: int = 20)
     xy = target.copy()
     step = 1e-6
     x_step, y_step = np.array([step, 0.0]), np.array([0.0, step])
-    for _ in range(iterations):
+    for _ in range(20):
         residual = distort(xy, distortion) - target
         if np.max(np.abs(residual), initial=0.0) < 1e-12:
             break

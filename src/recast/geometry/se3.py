@@ -6,6 +6,8 @@ functions take any number of leading batch dimensions and work in float64.
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -45,53 +47,15 @@ def quat_to_matrix(quat: ArrayLike) -> Array:
     Raises:
         ValueError: a quaternion has norm zero.
     """
-    quat = np.asarray(quat, np.float64)
-    norm = np.linalg.norm(quat, axis=-1, keepdims=True)
-    if np.any(norm == 0.0):
-        raise ValueError("quat_to_matrix: quaternion of norm zero")
-    w, x, y, z = np.moveaxis(quat / norm, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    rotation = _transform().Rotation.from_quat(np.asarray(quat, np.float64), scalar_first=True)
+    return np.asarray(rotation.as_matrix())
 
 
 def matrix_to_quat(rotation: ArrayLike) -> Array:
-    """Quaternions (..., 4) wxyz with w >= 0 of rotation matrices (..., 3, 3).
-
-    The largest of the four components is computed by a square root, the others divided by it, so
-    that no angle loses precision (Shepperd 1978).
-    """
-    r = np.asarray(rotation, np.float64)
-    m00, m11, m22 = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
-    squares = np.stack(
-        [1 + m00 + m11 + m22, 1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22], -1
-    )
-    wx, wy, wz = (
-        r[..., 2, 1] - r[..., 1, 2],
-        r[..., 0, 2] - r[..., 2, 0],
-        r[..., 1, 0] - r[..., 0, 1],
-    )
-    xy, xz, yz = (
-        r[..., 0, 1] + r[..., 1, 0],
-        r[..., 0, 2] + r[..., 2, 0],
-        r[..., 1, 2] + r[..., 2, 1],
-    )
-    candidates = np.stack(
-        [
-            np.stack([squares[..., 0], wx, wy, wz], -1),
-            np.stack([wx, squares[..., 1], xy, xz], -1),
-            np.stack([wy, xy, squares[..., 2], yz], -1),
-            np.stack([wz, xz, yz, squares[..., 3]], -1),
-        ],
-        axis=-2,
-    )
-    best = np.argmax(squares, axis=-1)
-    quat = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
-    quat = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
-    return np.where(quat[..., :1] < 0, -quat, quat)
+    """Quaternions (..., 4) wxyz with w >= 0 of rotation matrices (..., 3, 3)."""
+    matrix = np.asarray(rotation, np.float64)
+    rotations = _transform().Rotation.from_matrix(matrix, assume_valid=True)
+    return np.asarray(rotations.as_quat(canonical=True, scalar_first=True))
 
 
 def rotation_z(angle: ArrayLike) -> Array:
@@ -140,43 +104,20 @@ def exp(twist: ArrayLike) -> Array:
 
     The exponential map of SE(3): the translation part is multiplied by the left Jacobian of SO(3).
     """
-    twist = np.asarray(twist, np.float64)
-    rho, phi = twist[..., :3], twist[..., 3:]
-    rotation, left_jacobian, _ = _so3_series(phi)
-    return from_rotation_translation(rotation, (left_jacobian @ rho[..., None])[..., 0])
+    coordinates = np.roll(np.asarray(twist, np.float64), 3, axis=-1)
+    return np.asarray(_transform().RigidTransform.from_exp_coords(coordinates).as_matrix())
 
 
 def log(matrix: ArrayLike) -> Array:
     """Twists (..., 6) of transforms (..., 4, 4); inverse of `exp` for rotation angles below pi."""
-    matrix = np.asarray(matrix, np.float64)
-    quat = matrix_to_quat(matrix[..., :3, :3])
-    vector_norm = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(vector_norm, quat[..., :1])
-    # angle / sin(angle / 2) tends to 2 for small angles
-    scale = np.where(vector_norm > 1e-12, angle / np.maximum(vector_norm, 1e-300), 2.0)
-    phi = quat[..., 1:] * scale
-    _, _, inverse_jacobian = _so3_series(phi)
-    rho = (inverse_jacobian @ matrix[..., :3, 3:4])[..., 0]
-    return np.concatenate([rho, phi], axis=-1)
+    poses = _transform().RigidTransform.from_matrix(np.asarray(matrix, np.float64))
+    return np.roll(poses.as_exp_coords(), 3, axis=-1)
 
 
-def _so3_series(phi: Array) -> tuple[Array, Array, Array]:
-    """Rotation, left Jacobian and its inverse for rotation vectors (..., 3)."""
-    theta2 = np.sum(phi * phi, axis=-1)[..., None, None]
-    theta = np.sqrt(theta2)
-    small = theta < 1e-4
-    safe = np.where(small, 1.0, theta)
-    half = safe / 2  # 1 - cos(theta) would lose half the digits of a small angle
-    a = np.where(small, 1 - theta2 / 6, np.sin(safe) / safe)
-    b = np.where(small, 0.5 - theta2 / 24, 0.5 * (np.sin(half) / half) ** 2)
-    c = np.where(small, 1 / 6 - theta2 / 120, (safe - np.sin(safe)) / safe**3)
-    d = np.where(small, 1 / 12 + theta2 / 720, (1 - half / np.tan(half)) / safe**2)
-    skew = np.zeros((*phi.shape[:-1], 3, 3))
-    skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0] = np.moveaxis(phi, -1, 0)
-    skew[..., 1, 2], skew[..., 2, 0], skew[..., 0, 1] = np.moveaxis(-phi, -1, 0)
-    eye = np.eye(3)
-    skew2 = skew @ skew
-    return eye + a * skew + b * skew2, eye + b * skew + c * skew2, eye - 0.5 * skew + d * skew2
+def _transform() -> ModuleType:
+    from scipy.spatial import transform  # half a second, which most commands need not wait
+
+    return transform
 
 
 def interpolate(timestamps_us: ArrayLike, poses: ArrayLike, query_us: ArrayLike) -> Array:

@@ -25,7 +25,7 @@ from recast.logs.ground import (
     low_points,
     surface_of,
 )
-from recast.logs.hdmap import GroundHeight, HdMap, Lane
+from recast.logs.hdmap import GroundHeight, HdMap, Lane, without_holes
 from recast.logs.types import Array, DrivingLog, Trajectory
 
 SPACING = 1.0  # metres between points of a centreline
@@ -237,21 +237,5 @@ def _drivable_area(
     return tuple(
         np.array(orient(piece).exterior.coords)[:-1]
         for part in parts
-        for piece in _without_holes(part)
+        for piece in without_holes(part)
     )
-
-
-def _without_holes(polygon: shapely.Polygon) -> list[shapely.Polygon]:
-    """Pieces that together cover a polygon and have no holes: cut through every hole."""
-    if not polygon.interiors:
-        return [polygon]
-    x = polygon.interiors[0].centroid.x
-    low_x, low_y, high_x, high_y = polygon.bounds
-    halves = (shapely.box(low_x, low_y, x, high_y), shapely.box(x, low_y, high_x, high_y))
-    pieces = []
-    for side in halves:
-        cut = polygon.intersection(side)
-        for part in getattr(cut, "geoms", [cut]):
-            if isinstance(part, shapely.Polygon) and part.area > 0:
-                pieces += _without_holes(part)
-    return pieces

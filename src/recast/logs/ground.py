@@ -50,7 +50,7 @@ class GroundGrid:
 
 
 def ground_grid(points: Array, path: Array, quantile: float = LOW) -> GroundGrid:
-    """Judge every cell by the points in it.
+    """A grid of cells with what the points in each say.
 
     Args:
         points: (N, 3) world, as `ground_points` gathers them.

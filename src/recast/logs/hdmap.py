@@ -132,3 +132,19 @@ def drivable_region(hd_map: HdMap | None) -> shapely.Geometry | None:
     if not outlines:
         return None
     return shapely.union_all([shapely.make_valid(shapely.Polygon(o)) for o in outlines])
+
+
+def without_holes(polygon: shapely.Polygon) -> list[shapely.Polygon]:
+    """Pieces that together cover a polygon and have no holes: cut through every hole."""
+    if not polygon.interiors:
+        return [polygon]
+    x = polygon.interiors[0].centroid.x
+    low_x, low_y, high_x, high_y = polygon.bounds
+    halves = (shapely.box(low_x, low_y, x, high_y), shapely.box(x, low_y, high_x, high_y))
+    pieces = []
+    for side in halves:
+        cut = polygon.intersection(side)
+        for part in getattr(cut, "geoms", [cut]):
+            if isinstance(part, shapely.Polygon) and part.area > 0:
+                pieces += without_holes(part)
+    return pieces

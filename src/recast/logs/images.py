@@ -128,11 +128,7 @@ class ImageFiles:
         return len(self.paths)
 
     def __getitem__(self, index: int) -> Image:
-        """Decode frame `index` to (height, width, 3) uint8 RGB.
-
-        Raises:
-            InputError: see `encoded`.
-        """
+        """Decode frame `index` to (height, width, 3) uint8 RGB; raises as `encoded` does."""
         path = self.paths[index]
         return self._decode(path, read_bytes(path, _LARGEST))
 

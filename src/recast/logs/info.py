@@ -158,14 +158,14 @@ def ranked(tracks: Sequence[TrackInfo]) -> tuple[TrackInfo, ...]:
     Those that can be replaced come first, then other vehicles, then the rest; within each by
     `TrackInfo.evidence`, and by LiDAR points where there is none.
     """
-    judged = [_judged(track) for track in tracks]
-    judged.sort(
+    rated = [_rated(track) for track in tracks]
+    rated.sort(
         key=lambda t: (t.usable, t.category in VEHICLES, t.evidence, t.lidar_points), reverse=True
     )
-    return tuple(judged)
+    return tuple(rated)
 
 
-def _judged(track: TrackInfo) -> TrackInfo:
+def _rated(track: TrackInfo) -> TrackInfo:
     seen, points = track.visibility, track.lidar_points
     if track.category not in VEHICLES:
         return replace(track, why="is no car, van, truck or bus")

@@ -18,7 +18,7 @@ from upath import UPath
 from recast.core.errors import InputError
 from recast.core.files import alone_in, atomic_folder, disk_errors
 from recast.core.names import member
-from recast.core.parts import IMPORTERS
+from recast.core.plugins import IMPORTERS
 from recast.core.progress import Progress
 from recast.core.remote import answering, cache_folder, digest, local_path, remote_path
 from recast.logs.checks import refused
@@ -106,18 +106,11 @@ def _imported(
 
 
 def _check_options(name: str, load: Callable[..., DrivingLog], given: Mapping[str, Any]) -> None:
-    """Refuse an importer of an older release, and options that an importer does not have."""
+    """Refuse options that an importer does not have."""
     try:
         known = inspect.signature(load).parameters
     except (TypeError, ValueError):  # made in C
         return
-    if "out" in known:
-        raise InputError(
-            "importer",
-            name,
-            "takes `out` and writes the log itself, as importers once did",
-            "change it to (root, drive, labels=None, cameras=()) and return the DrivingLog",
-        )
     if any(one.kind is inspect.Parameter.VAR_KEYWORD for one in known.values()):
         return
     for option in given:

@@ -19,6 +19,10 @@ Point2 = tuple[float, float]
 Point3 = tuple[float, float, float]
 
 
+_LINES = {"centreline": 3, "left_boundary": 3, "right_boundary": 3, "polygon": 2}
+"""Of a lane, and numbers of a point."""
+
+
 class _LaneModel(Record):
     lane_id: str
     speed_limit: float | None
@@ -73,37 +77,26 @@ def read_map(path: str | Path) -> HdMap:
 
 
 def _to_json(hd_map: HdMap) -> dict[str, Any]:
-    lanes = [
-        {
-            "lane_id": lane.lane_id,
-            "speed_limit": lane.speed_limit,
-            "is_intersection": lane.is_intersection,
-            "successors": list(lane.successors),
-            "left_neighbour": lane.left_neighbour,
-            "right_neighbour": lane.right_neighbour,
-            "centreline": lane.centreline.tolist(),
-            "left_boundary": lane.left_boundary.tolist(),
-            "right_boundary": lane.right_boundary.tolist(),
-            "polygon": lane.polygon.tolist(),
-        }
-        for lane in hd_map.lanes.values()
-    ]
     ground = hd_map.ground
     return {
         "format": "recast-map",
         "version": VERSION,
         "derived": hd_map.derived,
         "notes": dict(hd_map.notes),
-        "lanes": lanes,
+        "lanes": [_members(lane, _LaneModel) for lane in hd_map.lanes.values()],
         "drivable_area": [outline.tolist() for outline in hd_map.drivable_area],
-        "ground": None
-        if ground is None
-        else {
-            "origin": ground.origin.tolist(),
-            "cell": ground.cell,
-            "height": [[None if np.isnan(h) else h for h in row] for row in ground.height.tolist()],
-        },
+        "ground": None if ground is None else _members(ground, _GroundModel),
     }
+
+
+def _members(value: Lane | GroundHeight, model: type[Record]) -> dict[str, Any]:
+    return {name: _plain(getattr(value, name)) for name in model.model_fields}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return np.where(np.isnan(value), None, value).tolist()  # type: ignore[call-overload]
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _layout(data: dict[str, Any]) -> str:
@@ -128,35 +121,17 @@ def _from_model(model: _MapModel) -> HdMap:
         raise ValueError("lanes: two have the same lane_id")
     if model.ground is not None and len({len(row) for row in model.ground.height}) > 1:
         raise ValueError("ground.height: rows have different lengths")
-    lanes = {
-        lane.lane_id: Lane(
-            lane_id=lane.lane_id,
-            centreline=_array(lane.centreline, 3),
-            left_boundary=_array(lane.left_boundary, 3),
-            right_boundary=_array(lane.right_boundary, 3),
-            polygon=_array(lane.polygon, 2),
-            speed_limit=lane.speed_limit,
-            successors=tuple(lane.successors),
-            left_neighbour=lane.left_neighbour,
-            right_neighbour=lane.right_neighbour,
-            is_intersection=lane.is_intersection,
-        )
-        for lane in model.lanes
-    }
-    ground = model.ground
-    return HdMap(
-        lanes=lanes,
-        drivable_area=tuple(_array(outline, 2) for outline in model.drivable_area),
-        ground=None
-        if ground is None
-        else GroundHeight(
-            origin=np.array(ground.origin),
-            cell=ground.cell,
-            height=np.array(ground.height, np.float64),
-        ),
-        derived=model.derived,
-        notes=model.notes,
-    )
+    lanes = {}
+    for lane in model.lanes:
+        members: dict[str, Any] = lane.model_dump(exclude=set(_LINES))
+        members |= {name: _array(getattr(lane, name), width) for name, width in _LINES.items()}
+        lanes[lane.lane_id] = Lane(**(members | {"successors": tuple(lane.successors)}))
+    ground = None
+    if model.ground is not None:
+        height = np.array(model.ground.height, np.float64)
+        ground = GroundHeight(np.array(model.ground.origin), model.ground.cell, height)
+    outlines = tuple(_array(outline, 2) for outline in model.drivable_area)
+    return HdMap(lanes, outlines, ground, model.derived, model.notes)
 
 
 def _array(rows: Any, columns: int) -> Array:

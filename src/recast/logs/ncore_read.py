@@ -19,7 +19,7 @@ from recast.core import names
 from recast.geometry import PinholeCamera, se3
 from recast.logs import images, motion
 from recast.logs.ncore_folder import NcoreFolder, readable
-from recast.logs.ncore_write import COMPONENT, MASK, REFERENCE
+from recast.logs.ncore_write import COMPONENT, MASK, REFERENCE, stored_group
 from recast.logs.types import (
     Array,
     CameraStream,
@@ -164,7 +164,7 @@ def _mask(store: NcoreFolder, stored: str, size: tuple[int, int]) -> Mask | None
     masks = store.component(MasksComponent.Reader, COMPONENT)
     if MASK not in masks.get_camera_mask_names(stored):
         return None
-    data = bytes(masks._group["cameras"][stored][MASK][()])
+    data = bytes(stored_group(masks)["cameras"][stored][MASK][()])
     where = f"{store.folder}: mask of camera {stored}"
     return images.decode(data, "png", size, where, "log.json", mode="L") == 0
 
@@ -200,7 +200,7 @@ def read_tracks(store: NcoreFolder) -> dict[str, Track]:
     # 12,000. The stored records are the same.
     rows: dict[str, list[Any]] = {}
     with readable(store.folder, "tracks"):
-        for box in cuboids._group["cuboids"].attrs["cuboid_track_observations"]:
+        for box in stored_group(cuboids)["cuboids"].attrs["cuboid_track_observations"]:
             rows.setdefault(box["track_id"], []).append(box)
         return {track_id: _track(track_id, boxes) for track_id, boxes in rows.items()}
 

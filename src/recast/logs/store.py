@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Literal
 
@@ -46,7 +47,7 @@ def write_log(log: DrivingLog, path: str | Path, progress: WriteProgress | None 
     with refused(f"log {log.name}", "correct the data that the log was made of"):
         log.validate()
     with files.atomic_folder(path) as folder:
-        write_ncore(log, folder, progress or _ignored)
+        write_ncore(log, folder, progress or (lambda done, total: None))
         if log.map is not None:
             write_map(log.map, folder / MAP_FILE)
         x, y, z = (float(value) for value in log.world_offset)
@@ -54,11 +55,11 @@ def write_log(log: DrivingLog, path: str | Path, progress: WriteProgress | None 
             name=log.name,
             world_offset=(x, y, z),
             metadata=dict(log.metadata),
-            cameras={name: CameraRecord.of(c.camera) for name, c in log.cameras.items()},
+            cameras={name: CameraRecord(**asdict(c.camera)) for name, c in log.cameras.items()},
             lidars=list(log.lidars),
             has_map=log.map is not None,
         )
-        write_record(record, folder / LOG_FILE)
+        files.write_json(folder / LOG_FILE, record.model_dump())
 
 
 def read_log(path: str | Path) -> DrivingLog:
@@ -75,7 +76,13 @@ def read_log(path: str | Path) -> DrivingLog:
         raise InputError(path, "log folder", "does not exist", "import a drive: recast log import")
     if not (folder / LOG_FILE).is_file():
         raise InputError(path, LOG_FILE, "is missing", "name a folder that recast log import wrote")
-    record = read_record(folder / LOG_FILE)
+    record = records.read_record(
+        folder / LOG_FILE,
+        LogRecord,
+        VERSION,
+        "name a folder that import wrote, or import again",
+        "recast-log",
+    )
     store = NcoreFolder(folder)
     store.check()
     world_from_rig = ncore_read.read_trajectory(store)
@@ -100,10 +107,6 @@ def read_log(path: str | Path) -> DrivingLog:
     return log
 
 
-def _ignored(done: int, total: int) -> None:
-    pass
-
-
 class CameraRecord(records.Record):
     """Exact intrinsics of one camera; pixels, pixel centres at +0.5."""
 
@@ -114,19 +117,6 @@ class CameraRecord(records.Record):
     cx: float
     cy: float
     distortion: tuple[float, float, float, float, float]
-
-    @classmethod
-    def of(cls, camera: PinholeCamera) -> CameraRecord:
-        """Record `camera`."""
-        return cls(
-            width=camera.width,
-            height=camera.height,
-            fx=camera.fx,
-            fy=camera.fy,
-            cx=camera.cx,
-            cy=camera.cy,
-            distortion=camera.distortion,
-        )
 
     def camera(self) -> PinholeCamera:
         """The camera recorded."""
@@ -151,19 +141,3 @@ class LogRecord(records.Record):
         if len(set(names)) != len(names):
             raise ValueError("a name stands there twice")
         return names
-
-
-def write_record(record: LogRecord, path: Path) -> None:
-    """Write log.json, whole or not at all."""
-    files.write_json(path, record.model_dump())
-
-
-def read_record(path: Path) -> LogRecord:
-    """Read log.json.
-
-    Raises:
-        InputError: missing, not a log.json, of another version, or a field of the wrong kind.
-    """
-    return records.read_record(
-        path, LogRecord, VERSION, "name a folder that import wrote, or import again", "recast-log"
-    )

@@ -94,15 +94,13 @@ def make_actor(
 ) -> Actor:
     """Observe, gather evidence, generate candidates, register and choose.
 
-    Writes `observation/` with the evidence, and `actor/` below `out`.
+    Writes `observation/` with the evidence, and `actor/` below `out`. InputError: see `observe` and
+    `choose`.
 
     Args:
         config: of the street's scene: cameras, image scale, and the frames that are held out.
         views: of the track that a generator is given, at most.
         progress: told stage, pieces done, and all of the stage.
-
-    Raises:
-        InputError: see `observe` and `choose`.
     """
     observation = observe(
         log,
@@ -205,7 +203,6 @@ def show_actor(folder: Path, out: Path | None = None) -> Path:
     """Draw the sheet of an actor, see `draw_actor_sheet`, and return its file.
 
     Args:
-        folder: of the actor.
         out: PNG to write; beside the folder and of its name if None.
 
     Raises:
@@ -215,9 +212,9 @@ def show_actor(folder: Path, out: Path | None = None) -> Path:
         place = Path(folder).resolve()
         out = place.with_name(f"{place.name}.png")
     if out.suffix.lower() != ".png":
-        raise InputError(out, "--out", "is no PNG", "end its name in .png")
+        raise InputError(out, "`out`", "is no PNG", "end its name in .png")
     if out.exists():
-        raise InputError(out, "--out", "exists already", "name another one or remove it")
+        raise InputError(out, "`out`", "exists already", "name another one or remove it")
     sheet = Image.fromarray(draw_actor_sheet(load_actor(folder)))
     with files.atomic_file(out) as partial:
         sheet.save(partial, format="PNG")
@@ -236,8 +233,7 @@ def compare_with_truth(
     """Write views and scores into a folder, see `evaluate_oracle_views`, and print the table.
 
     Args:
-        scene: with its own model of the track.
-        actor: to be inserted in its place.
+        scene: with its own model of the track, in whose place `actor` is inserted.
         source: a synthetic log.
         config: of the street: cameras and image scale.
 

@@ -1,15 +1,6 @@
 """Arms: what is compared. Whose street, whose vehicle in the target's place, and what renders it.
 
-| word | street | target |
-|---|---|---|
-| `native` | the run's own | as the street was reconstructed |
-| `replaced` | the run's own | what the run's generator makes |
-| `oracle` | the truth | the truth; of synthetic logs |
-| `recast-mini`, `car.glb`, `library:DIR` | the run's own | what that generator makes |
-| `assets:DIR` | the run's own | DIR/SCENE.ply, .glb or .obj, by name of the scene |
-| `omnire`, `streetgs`, a scene's folder | that one | as it was reconstructed there |
-| `omnire+template` | that preset's | what that generator makes |
-| `paper` | the seven arms of the paper, see `recast.pipeline.paper` | |
+docs/runs.md#arms lists the words that stand for arms.
 """
 
 from __future__ import annotations
@@ -39,7 +30,7 @@ if TYPE_CHECKING:
     from recast.synthetic import World
 
 OWN_STREET = "recast"
-"""The street that the run's own scene settings or --scene name."""
+"""The street that the run's own scene settings or `scene_folder` name."""
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 ASSETS = "assets:"
 MOST_VIEWS = 24
@@ -50,16 +41,7 @@ _MEND = "see docs/runs.md for what an arm is"
 
 
 class Arm(Record):
-    """What one column of a comparison shows.
-
-    Attributes:
-        name: in tables and file names.
-        street: `OWN_STREET`, a preset, the folder of a trained or imported scene, or "truth".
-        vehicle: who stands in the target's place: the street's own reconstruction, a generated
-            vehicle, or the truth.
-        generator, axes, refine, segmenter, views: of a generated vehicle; those of the run where
-            they are None.
-    """
+    """What one column of a comparison shows."""
 
     name: str = Field(min_length=1, max_length=100, description="name in tables and file names")
     street: str = Field(
@@ -166,7 +148,7 @@ def parse_arms(words: Sequence[str]) -> tuple[Arm, ...]:
     """The arms that words on the command line stand for, in their order.
 
     Args:
-        words: see the top of this module; or files (.json, .yaml) with a list of `Arm` records.
+        words: see docs/runs.md#arms; or files (.json, .yaml) with a list of `Arm` records.
 
     Raises:
         InputError: a word or file is wrong, or two arms have one name.
@@ -175,7 +157,7 @@ def parse_arms(words: Sequence[str]) -> tuple[Arm, ...]:
     names = [arm.name for arm in arms]
     for name in names:
         if names.count(name) > 1:
-            raise InputError("--arm", name, "is named twice", "name each arm once")
+            raise InputError("`arm`", name, "is named twice", "name each arm once")
     return tuple(arms)
 
 
@@ -200,7 +182,7 @@ def _arms_of(word: str) -> Sequence[Arm]:
     if vehicle not in by_name:
         return [Arm.replaced(vehicle, street)]
     if by_name[vehicle].is_truth:
-        raise InputError("--arm", word, "puts the truth into a reconstruction", _MEND)
+        raise InputError("`arm`", word, "puts the truth into a reconstruction", _MEND)
     arm = Arm.native(street) if vehicle == Arm.native().name else Arm.replaced(None, street)
     return [arm]
 
@@ -236,10 +218,8 @@ class Renderers:
     """Renderers, made when first asked for and kept; close it, as some hold processes.
 
     Args:
-        street_of: see `StreetOf`.
         actor_of: gives the vehicle that an arm puts in the place of a track.
         world_of: gives the world of a synthetic log.
-        oracle_workers: processes of an oracle, see `OracleRenderer`.
     """
 
     def __init__(
@@ -273,9 +253,7 @@ class Renderers:
         """The renderer of an arm.
 
         Args:
-            tracks: whose vehicles are replaced where the arm does that, the target first.
             planner: whose cameras are among `mounts`.
-            mounts: cameras to render.
 
         Raises:
             InputError: the street has no such actor, or the log is not synthetic.

@@ -27,7 +27,7 @@ from recast.pipeline.making import (
     take_street,
     train_street,
 )
-from recast.pipeline.rollouts import make_rollout, run_mounts
+from recast.pipeline.rollouts import make_rollout, rollout_setup, run_mounts
 from recast.pipeline.sources import RECIPES, SourceLog, Sources
 from recast.planning import CameraMount, Planner, make_planner
 from recast.scene import SceneConfig, StreetScene, load_scene
@@ -45,13 +45,8 @@ class Artefacts:
     """What a run needs, found in its store or made; close it.
 
     Args:
-        store: of the artefacts.
-        source: the log.
-        config: what the run is asked to do.
         sources: see `Sources.of`; taken before any planner or generator was loaded.
-        console: shows what is made, with progress and time left.
         scene: name of the scene, for generators that have a file for each.
-        oracle_workers: processes of an oracle, see `OracleRenderer`.
 
     Attributes:
         used: artefacts by use, such as "scene/recast" or "rollout/cut-in-a/idm-follower/native".
@@ -278,18 +273,8 @@ class Artefacts:
 
     def setup(self, motion: str, arm: Arm) -> RolloutSetup:
         """What a rollout of an arm is run with."""
-        config = self.config
-        return RolloutSetup(
-            log=self.source.log,
-            track_id=config.track,
-            motion=config.motion(motion),
-            arm=arm.name,
-            map=self.source.map,
-            steps=config.steps,
-            plan_every=config.plan_every,
-            keep_other_actors=config.keep_other_actors,
-            camera_names=config.scene.cameras or tuple(self.source.log.cameras),
-        )
+        scripted = self.config.motion(motion)
+        return rollout_setup(self.source.log, self.source.map, self.config, scripted, arm.name)
 
     def close(self) -> None:
         """Let go of the renderers."""

@@ -28,18 +28,14 @@ from recast.simulation import (
 )
 
 CONFIG_VERSION: Literal[2] = 2
-"""1 had one planner, and methods instead of arms."""
 DEFAULT_MOTIONS = ("cut-in", "stationary")
 
 
 class RunConfig(Record):
     """The resolved configuration of a run, as written to `run.json`.
 
-    `motions` are scenario names with their setting, such as "cut-in-a"; `own_motions` holds those
-    that came from scenario files, so that the run needs no file again. `arms` are what is compared,
-    the first is the baseline; `generator`, `axes`, `refine`, `segmenter` and `views` are those of
-    the arms that do not say otherwise. `streets` holds the settings of the streets that arms name
-    beside the run's own, which are `scene`.
+    `own_motions` holds the motions that came from scenario files, so that the run needs no file
+    again. `streets` holds the settings of the streets that arms name beside the run's own.
     """
 
     version: Literal[2] = Field(default=CONFIG_VERSION, description="version of this file's format")
@@ -197,7 +193,6 @@ def resolve_config(
 
     Args:
         run_options: values of `RunConfig` by member; `arms` are words, see `parse_arms`.
-        scene_options: values of `SceneConfig` by member.
 
     Raises:
         InputError: a file or an option is wrong.
@@ -206,7 +201,7 @@ def resolve_config(
         config_file = paper_config()
     base = None if config_file is None else read_run_config(config_file)
     names = tuple(motions) or (base.motions if base else DEFAULT_MOTIONS)
-    values = {**(base.model_dump() if base else {}), **_given(run_options), "track": track}
+    values = {**(base.model_dump() if base else {}), **given(run_options), "track": track}
     values |= _motions(names, base.own_motions if base else {})
     arms = parse_arms(run_options.get("arms") or ()) or (base.arms if base else default_arms())
     values["arms"] = arms
@@ -232,10 +227,10 @@ def _scenes(
         presets = [name for name in PRESETS if any(arm.street == name for arm in arms)]
         if presets:
             raise InputError(
-                "--scene",
+                "`scene`",
                 str(folder),
                 f"is given beside the preset {presets[0]}",
-                f"name it as an arm instead: --arm {folder}",
+                f"name it as an arm instead: `arm` {folder}",
                 "docs/runs.md#arms",
             )
         return {"scene": scene, "streets": {}}
@@ -277,7 +272,7 @@ def _of_folder(folder: str, options: Mapping[str, Any]) -> SceneConfig:
     """
     if not is_street(folder) or not Path(folder).is_dir():
         raise InputError(
-            folder, "--scene", "holds no scene", "name the folder of one", "docs/runs.md#arms"
+            folder, "`scene`", "holds no scene", "name the folder of one", "docs/runs.md#arms"
         )
     if (Path(folder) / IMPORT_FILE).is_file():
         return scene_config(None, SceneConfig(), options)
@@ -288,7 +283,7 @@ def _of_folder(folder: str, options: Mapping[str, Any]) -> SceneConfig:
                 folder,
                 name,
                 f"is {getattr(found, name)} of this trained scene, not {value}",
-                f"leave --{name} out, or train another scene",
+                f"leave `{name}` out, or train another scene",
                 "docs/scenes.md#configuration",
             )
     return found
@@ -318,5 +313,6 @@ def _motions(names: Sequence[str], known: Mapping[str, dict[str, Any]]) -> dict[
     }
 
 
-def _given(options: Mapping[str, Any]) -> dict[str, Any]:
+def given(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options that are not None."""
     return {name: value for name, value in options.items() if value is not None}

@@ -91,15 +91,26 @@ def print_actor(actor: Actor, console: Console) -> None:
     console.print(provenance.registration.explain(), markup=False, highlight=False)
 
 
+def narrow_table(
+    title: str | Text | None, words: Sequence[str] = (), figures: Sequence[str] = ()
+) -> Table:
+    """A table for 80 columns: words on the left, figures on the right.
+
+    Where a line is too long, only the first column gives way.
+    """
+    table = Table(
+        title=title, title_justify="left", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False
+    )
+    for heading in words:
+        table.add_column(heading, overflow="fold", no_wrap=heading != words[0])
+    for heading in figures:
+        table.add_column(heading, no_wrap=True, justify="right")
+    return table
+
+
 def candidates_table(candidates: Sequence[CandidateRecord]) -> Table:
     """Table of the candidate vehicles of an actor with their scores; 80 columns wide."""
-    table = Table(
-        title="candidates",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        collapse_padding=True,
-        pad_edge=False,
-    )
+    table = narrow_table("candidates")
     for heading in ("", "generator", "which", "outline", "LiDAR", "free", "colour", "score"):
         table.add_column(heading)
     for one in candidates:
@@ -108,29 +119,16 @@ def candidates_table(candidates: Sequence[CandidateRecord]) -> Table:
 
 
 def results_tables(rows: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """One table for each planner: headline metrics by arm; 80 columns wide.
-
-    Args:
-        rows: the `table` member of metrics.json.
-    """
+    """One table for each planner: headline metrics by arm; 80 columns wide."""
     planners = dict.fromkeys(row["planner"] for row in rows)
     return [_results(planner, [r for r in rows if r["planner"] == planner]) for planner in planners]
 
 
 def _results(planner: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     headline = {name: column for name, column in COLUMNS.items() if column.headline}
-    table = Table(
-        title=Text(f"{printable(planner)} in closed loop"),
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        collapse_padding=True,
-        pad_edge=False,
-    )
-    table.add_column("arm", overflow="fold")
-    for heading in ("scored", "plans"):
-        table.add_column(heading, no_wrap=True)
-    for column in headline.values():
-        table.add_column(column.heading, no_wrap=True)
+    headings = [column.heading for column in headline.values()]
+    title = Text(f"{printable(planner)} in closed loop")
+    table = narrow_table(title, ["arm", "scored", "plans", *headings])
     for row in rows:
         told = [f"{row['rollouts']} of {row['asked']}"]
         told += [f"{row[what]} {what}" for what in ("failed", "cut") if row[what]]
@@ -144,11 +142,7 @@ def _results(planner: str, rows: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def failure_lines(failures: Sequence[Mapping[str, Any]]) -> list[str]:
-    """One line for each reason of failure, with the number of its rollouts.
-
-    Args:
-        failures: the `failures` member of metrics.json.
-    """
+    """One line for each reason in `failures` of metrics.json, with the number of its rollouts."""
     reasons: dict[str, list[str]] = {}
     for one in failures:
         # A refusal names the rollout, which is another one for every arm.

@@ -19,7 +19,7 @@ from recast.actors import Actor, load_actor
 from recast.actors.insert import require_model
 from recast.core import Artefact, Store, folder_hash, open_store
 from recast.core.errors import InputError
-from recast.core.parts import SCENES
+from recast.core.plugins import SCENES
 from recast.evaluation import RolloutMetrics, rollout_metrics
 from recast.logs import DrivingLog, map_of, write_log
 from recast.pipeline.actor import ActorMakers
@@ -102,8 +102,7 @@ def load_scene(source: Any) -> StreetScene:
     >>> load_scene(scene) is scene
     True
     """
-    found: StreetScene = SCENES.resolve(source)
-    return found
+    return SCENES.resolve(source)
 
 
 def make_actor(

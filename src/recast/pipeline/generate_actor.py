@@ -39,13 +39,8 @@ class GenerationRequest:
     """What to generate.
 
     Attributes:
-        crops: RGBA pictures, each of another vehicle.
-        views: further RGBA pictures of the one vehicle.
-        seed: of every vehicle.
-        mode: how several views are used.
         steps: sampling steps of both samplers; the checkpoint's where None.
         cfg: guidance strengths of structure and latent; likewise.
-        limits: see `GenerationLimits`.
 
     Raises:
         InputError: no crop, views of several vehicles, or two crops of one name.
@@ -64,7 +59,7 @@ class GenerationRequest:
             raise InputError("CROP", "pictures", "none given", "name at least one RGBA picture")
         if self.views and len(self.crops) > 1:
             raise InputError(
-                "--views",
+                "`views`",
                 f"{len(self.views)} pictures",
                 f"with {len(self.crops)} crops",
                 "views are of one vehicle: generate it in a call of its own",
@@ -76,15 +71,13 @@ class GenerationRequest:
                     "CROP", name, "is the name of two pictures", "rename one: folders carry it"
                 )
 
-    def structure_settings(self, model: ImageTo3D) -> SamplerSettings:
-        """The checkpoint's sampler of the structure with what was asked for otherwise."""
-        cfg = None if self.cfg is None else self.cfg[0]
-        return model.structure_settings.merged(steps=self.steps, cfg_strength=cfg)
-
-    def latent_settings(self, model: ImageTo3D) -> SamplerSettings:
-        """The checkpoint's sampler of the latent with what was asked for otherwise."""
-        cfg = None if self.cfg is None else self.cfg[1]
-        return model.latent_settings.merged(steps=self.steps, cfg_strength=cfg)
+    def samplers(self, model: ImageTo3D) -> tuple[SamplerSettings, SamplerSettings]:
+        """The checkpoint's, of structure and latent, with what was asked for otherwise."""
+        structure, latent = self.cfg or (None, None)
+        return (
+            model.structure_settings.merged(steps=self.steps, cfg_strength=structure),
+            model.latent_settings.merged(steps=self.steps, cfg_strength=latent),
+        )
 
 
 def load_model(
@@ -93,10 +86,8 @@ def load_model(
     """Load a model folder.
 
     Args:
-        folder: in the published layout.
         device: a torch device; CUDA where there is some, if None.
         precision: float16, bfloat16 or float32; the device's usual one if None.
-        image_encoder: weights of the published image encoder.
 
     Raises:
         InputError: no such device, or see `ImageTo3D.load`.
@@ -106,7 +97,7 @@ def load_model(
             torch.empty(0, device=device)
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
-        raise InputError("--device", device or "", reason, "name one that is there") from None
+        raise InputError("`device`", device or "", reason, "name one that is there") from None
     dtype: torch.dtype | None = None if precision is None else getattr(torch, precision)
     return ImageTo3D.load(folder, device=device, torso_dtype=dtype, image_encoder=image_encoder)
 
@@ -134,6 +125,7 @@ def generate_actors(
         InputError: an unusable crop, a structure that failed, or `out` exists.
     """
     pictures = [[read_crop(path) for path in (crop, *request.views)] for crop in request.crops]
+    structure, latent = request.samplers(model)
     with files.atomic_folder(out) as folder:
         with SamplingProgress(console) as progress:
             made = generate(
@@ -142,8 +134,8 @@ def generate_actors(
                 [request.seed] * len(pictures),
                 names=[str(crop) for crop in request.crops],
                 mode=request.mode,
-                structure=request.structure_settings(model),
-                latent=request.latent_settings(model),
+                structure=structure,
+                latent=latent,
                 limits=request.limits,
                 progress=progress,
             )
@@ -164,14 +156,8 @@ def _write_vehicle(folder: Path, vehicle: GeneratedVehicle, low_pass: LowPass) -
     write_ply(folder / "vehicle.ply", vehicle.gaussians, low_pass)
     write_ply(folder / "viewer.ply", viewer_frame(vehicle.gaussians), low_pass)
     width, height = _FILM_SIZE
-    frames = orbit(
-        vehicle.gaussians,
-        _extents(vehicle.gaussians),
-        views=_FILM_VIEWS,
-        width=width,
-        height=height,
-        low_pass=low_pass,
-    )
+    made, views = vehicle.gaussians, _FILM_VIEWS
+    frames = orbit(made, _extents(made), views=views, width=width, height=height, low_pass=low_pass)
     write_video(folder / "turntable.mp4", frames, fps=_FILM_VIEWS / 6)
 
 
@@ -189,6 +175,7 @@ def _record(
 ) -> dict[str, Any]:
     folder = model.checkpoint.folder
     assert folder is not None  # it was loaded from one
+    structure, latent = request.samplers(model)
     return {
         "model": folder.resolve().name,
         "crop": crop.name,
@@ -196,8 +183,8 @@ def _record(
         "multi_image": request.mode,
         "seed": vehicle.seed,
         "seed_asked_for": request.seed,
-        "structure": request.structure_settings(model).model_dump(mode="json"),
-        "latent": request.latent_settings(model).model_dump(mode="json"),
+        "structure": structure.model_dump(mode="json"),
+        "latent": latent.model_dump(mode="json"),
         "voxels": len(vehicle.coords),
         "gaussians": len(vehicle.gaussians),
     }

@@ -18,7 +18,7 @@ from recast.core.errors import InputError
 from recast.core.ray_cluster import worker_pool
 from recast.core.workers import in_this_process
 from recast.evaluation.actor_scores import Cutout, drawn, framed, photographed, score_view
-from recast.evaluation.cases import ActorCase, elevation_deg
+from recast.evaluation.cases import ActorCase, ActorView, elevation_deg
 from recast.evaluation.features import Embedder, load_embedders
 from recast.evaluation.generation_cell import Cell, Features, Placement, place, write_cell
 from recast.evaluation.perceptual import ImageDistance, load_distances
@@ -46,15 +46,13 @@ class Measures:
 
 
 @dataclass(frozen=True)
-class CellJob:
+class CellTask:
     """What is to be made of one vehicle.
 
     Attributes:
-        case: the vehicle.
-        key: see `Cell`.
-        folder: of the cell.
+        key, folder: of the cell, see `Cell`.
         model: what makes it; None for the photographs.
-        perturbed: what the input is put through; None for a clean one. Of the photographs' job:
+        perturbed: what the input is put through; None for a clean one. Of the photographs' task:
             with what the perturbed input is shown.
     """
 
@@ -69,8 +67,7 @@ class CellMaker:
     """Makes cells, one after the other; the model last used stays loaded.
 
     Args:
-        measures: what views are scored by.
-        seed: of the models and of the perturbations.
+        measures, seed: what views are scored by; seed of the models and of the perturbations.
         placement: see `recast.evaluation.generation_cell`.
 
     Raises:
@@ -86,20 +83,20 @@ class CellMaker:
         self._placement = placement
         self._model: tuple[StudyModel, ActorGenerator] | None = None
 
-    def __call__(self, job: CellJob) -> dict[str, float]:
+    def __call__(self, task: CellTask) -> dict[str, float]:
         """Make and write a cell; gives the seconds it took, by what was done.
 
         Raises:
             InputError: the model cannot be loaded, a picture of the set is broken, the disk is
                 full. That a model fails on a vehicle is no error: the cell says so.
         """
-        if job.model is None:
-            return self._photographs(job)
-        if job.model.source.startswith(VIEWS):
-            return self._pictured(job, job.model)
-        if job.model.folder is None:
-            self._generator(job.model)  # whose errors end the study
-        return self._generated(job, job.model)
+        if task.model is None:
+            return self._photographs(task)
+        if task.model.source.startswith(VIEWS):
+            return self._pictured(task, task.model)
+        if task.model.folder is None:
+            self._generator(task.model)  # whose errors end the study
+        return self._generated(task, task.model)
 
     def _generator(self, model: StudyModel, vehicle: str = "") -> ActorGenerator:
         if model.folder is not None:
@@ -109,15 +106,15 @@ class CellMaker:
             self._model = (model, make_generator(model.source, model.axes))
         return self._model[1]
 
-    def _photographs(self, job: CellJob) -> dict[str, float]:
+    def _photographs(self, task: CellTask) -> dict[str, float]:
         start = time.perf_counter()
-        case = job.case
+        case = task.case
         clean = photographed(case.inputs[0].load())
         window = tile_window(clean.mask)
         pictures = {"input": tile(clean, window)}
         applied: list[dict[str, Any]] = []
-        if job.perturbed is not None:
-            rgba, applied = perturbed_input(case, self._seed, job.perturbed)
+        if task.perturbed is not None:
+            rgba, applied = perturbed_input(case, self._seed, task.perturbed)
             pictures["perturbed"] = tile(photographed(rgba), window)
         truths = [photographed(view.load()) for view in case.targets]
         pictures["strip"] = _strip(truths, truths)
@@ -130,32 +127,32 @@ class CellMaker:
         }
         features = self._features(truths, truths)
         views = tuple(view.name for view in case.targets)
-        write_cell(job.folder, Cell(job.key, case.id, facts, views, features=features), pictures)
+        write_cell(task.folder, Cell(task.key, case.id, facts, views, features=features), pictures)
         return {"measure": time.perf_counter() - start}
 
-    def _pictured(self, job: CellJob, model: StudyModel) -> dict[str, float]:
+    def _pictured(self, task: CellTask, model: StudyModel) -> dict[str, float]:
         """Of pictures that were drawn elsewhere: neither made nor placed here."""
         assert model.folder is not None
         start = time.perf_counter()
         try:
-            shown = [photographed(rgba) for rgba in read_views(model.folder, job.case)]
+            shown = [photographed(rgba) for rgba in read_views(model.folder, task.case)]
         except InputError as error:
-            return self._failed(job, error, start)
+            return self._failed(task, error, start)
         facts = {"details": {"pictures": model.folder.name}, "placement": {"by": "pictures"}}
-        self._write(job, facts, shown)
+        self._write(task, facts, shown)
         return {"measure": time.perf_counter() - start}
 
-    def _failed(self, job: CellJob, error: InputError, start: float) -> dict[str, float]:
-        write_cell(job.folder, Cell(job.key, job.case.id, {}, failure=str(error)), {})
+    def _failed(self, task: CellTask, error: InputError, start: float) -> dict[str, float]:
+        write_cell(task.folder, Cell(task.key, task.case.id, {}, failure=str(error)), {})
         return {"generate": time.perf_counter() - start}
 
-    def _generated(self, job: CellJob, model: StudyModel) -> dict[str, float]:
-        case = job.case
-        clean = [_observation(case, index) for index in range(len(case.inputs))]
+    def _generated(self, task: CellTask, model: StudyModel) -> dict[str, float]:
+        case = task.case
+        clean = [case_observation(case, view) for view in case.inputs]
         seen = clean[0]
-        if job.perturbed is not None:
-            rgba, _ = perturbed_input(case, self._seed, job.perturbed)
-            seen = _observation(case, 0, rgba)
+        if task.perturbed is not None:
+            rgba, _ = perturbed_input(case, self._seed, task.perturbed)
+            seen = case_observation(case, case.inputs[0], rgba)
         start = time.perf_counter()
         try:
             asset = self._generator(model, case.id).generate(seen, self._seed)
@@ -163,7 +160,7 @@ class CellMaker:
             # by clean views: how well the silhouette is found again is not the model's doing
             gaussians, placement = place(asset, case.size, clean, self._placement)
         except InputError as error:
-            return self._failed(job, error, start)
+            return self._failed(task, error, start)
         placed = time.perf_counter()
         shown = [drawn(gaussians, asset.low_pass, view) for view in case.targets]
         facts = {
@@ -172,16 +169,16 @@ class CellMaker:
             "placement": placement,
             "low_pass": asdict(asset.low_pass),
         }
-        self._write(job, facts, shown)
+        self._write(task, facts, shown)
         return {
             "generate": made - start,
             "place": placed - made,
             "measure": time.perf_counter() - placed,
         }
 
-    def _write(self, job: CellJob, facts: dict[str, Any], shown: Sequence[Cutout]) -> None:
+    def _write(self, task: CellTask, facts: dict[str, Any], shown: Sequence[Cutout]) -> None:
         """Compare a vehicle's views with the photographs, and write its cell."""
-        targets = job.case.targets
+        targets = task.case.targets
         truths = [photographed(view.load()) for view in targets]
         scores = [
             score_view(one, truth, self._distances)
@@ -189,8 +186,8 @@ class CellMaker:
         ]
         views = tuple(view.name for view in targets)
         features = self._features(shown, truths)
-        cell = Cell(job.key, job.case.id, facts, views, tuple(scores), features)
-        write_cell(job.folder, cell, {"strip": _strip(shown, truths)})
+        cell = Cell(task.key, task.case.id, facts, views, tuple(scores), features)
+        write_cell(task.folder, cell, {"strip": _strip(shown, truths)})
 
     def _features(self, shown: Sequence[Cutout], truths: Sequence[Cutout]) -> dict[str, Features]:
         """Of every view, seen in the square around the photographed vehicle."""
@@ -215,8 +212,8 @@ def perturbed_input(
     return result.rgba, [{"name": name, "severity": how} for name, how in result.applied]
 
 
-def _observation(case: ActorCase, index: int, rgba: Image | None = None) -> Observation:
-    view = case.inputs[index]
+def case_observation(case: ActorCase, view: ActorView, rgba: Image | None = None) -> Observation:
+    """What a generator is given of a view: its own picture, or another one (H, W, 4)."""
     return observation_of_view(
         view.load() if rgba is None else rgba,
         view.camera,
@@ -231,37 +228,37 @@ def _strip(shown: Sequence[Cutout], truths: Sequence[Cutout]) -> Image:
     return strip(shown, [tile_window(truth.mask) for truth in truths])
 
 
-Told = Callable[[CellJob, dict[str, float]], None]
-"""Called with every job that is done and the seconds it took."""
+OnDone = Callable[[CellTask, dict[str, float]], None]
+"""Called with every task that is done and the seconds it took."""
 
 
 def make_cells(
-    jobs: Sequence[CellJob],
+    tasks: Sequence[CellTask],
     measures: Measures,
     seed: int,
     placement: Placement,
     workers: int,
-    told: Told,
+    on_done: OnDone,
 ) -> None:
     """Make and write all cells; the files are the same bytes for any number of workers.
 
     Args:
-        jobs: those of one model in a row, since every process keeps just one loaded.
+        tasks: those of one model in a row, since every process keeps just one loaded.
         measures, seed, placement: see `CellMaker`.
         workers: processes; with one, all is done in this process.
-        told: of each job, in the order in which they end.
+        on_done: of each task, in the order in which they end.
 
     Raises:
         InputError: see `CellMaker`, or a process was killed. Finished cells stay.
     """
-    pool = in_this_process if len(jobs) < 2 else worker_pool(min(workers, len(jobs)))
-    left, plan = iter(jobs), (measures, seed, placement)
-    for job, took in pool(_start_maker, plan, lambda: next(left, None), "finished vehicles"):
-        told(job, took)
+    pool = in_this_process if len(tasks) < 2 else worker_pool(min(workers, len(tasks)))
+    left, plan = iter(tasks), (measures, seed, placement)
+    for task, took in pool(_start_maker, plan, lambda: next(left, None), "finished vehicles"):
+        on_done(task, took)
 
 
 def _start_maker(
     number: int, measures: Measures, seed: int, placement: Placement
-) -> Callable[[CellJob], dict[str, float]]:
+) -> Callable[[CellTask], dict[str, float]]:
     del number
     return CellMaker(measures, seed, placement)

@@ -1,11 +1,7 @@
 """What a generation study consists of, and what generators that run elsewhere need for it.
 
-A plan is settings, and a job for every vehicle and model. `recast eval inputs` writes:
-
-OUT/inputs/ID.png             the picture that every model gets: RGBA, alpha on the vehicle
-OUT/inputs/perturbed/ID.png   the perturbed one, where perturbations were asked for
-OUT/targets.json              the target views of every vehicle: file names and cameras
-OUT/study.json                the rows of the paper's table, for `recast eval generation --study`
+`write_inputs` writes inputs/ID.png, inputs/perturbed/ID.png, targets.json and study.json
+(docs/recar.md).
 """
 
 from __future__ import annotations
@@ -32,7 +28,7 @@ from recast.evaluation.cases import (
 from recast.evaluation.generation_cell import Placement
 from recast.evaluation.pairs import SAMPLES
 from recast.evaluation.table import rounded
-from recast.pipeline.generation_maker import CellJob, Measures, perturbed_input
+from recast.pipeline.generation_maker import CellTask, Measures, perturbed_input
 from recast.pipeline.generation_rows import (
     CLEAN,
     PERTURBED,
@@ -71,11 +67,7 @@ class StudySettings:
         seed: of the input views, the models, the perturbations and the bootstrap.
         limit: only the first vehicles.
         perturbed: also judge on inputs perturbed like this, none of them left clean.
-        placement: see `recast.evaluation.generation_cell`.
-        measures: weights of scores.
-        samples: of the bootstrap.
         shown: vehicles on sheets, the first ones.
-        targets: see `recast.evaluation.cases`.
         beside: rows of the paper to set beside those of these names, which need not be run.
     """
 
@@ -101,7 +93,7 @@ def study_cases(settings: StudySettings) -> list[ActorCase]:
     """The vehicles, with the views that they are compared in.
 
     Raises:
-        InputError: see `read_cases` and `orbit_case`.
+        InputError: see `read_cases` and `target_case`.
     """
     cases = read_cases(settings.folder, settings.seed, settings.limit)
     return [target_case(case, settings.targets) for case in cases]
@@ -117,9 +109,9 @@ def cell_folder(out: Path, condition: str, model: str, vehicle: str) -> Path:
     return out / "cells" / condition / model / vehicle
 
 
-def plan_jobs(
+def plan_tasks(
     settings: StudySettings, cases: Sequence[ActorCase], sources: Mapping[str, str], out: Path
-) -> list[CellJob]:
+) -> list[CellTask]:
     """All cells, those of one model in a row."""
     shared = {
         "recipe": RECIPE,
@@ -129,8 +121,8 @@ def plan_jobs(
     perturbed = settings.perturbed
     befalls = None if perturbed is None else perturbed.model_dump(mode="json")
     keys = {case.id: _case_key(case) for case in cases}
-    jobs = [
-        CellJob(
+    tasks = [
+        CellTask(
             case,
             value_hash([shared, keys[case.id], befalls]),
             truth_folder(out, case.id),
@@ -150,8 +142,8 @@ def plan_jobs(
                 with_all = [shared, source, settings.placement, befell]
                 key = value_hash([with_all, keys[case.id]])
                 folder = cell_folder(out, condition, name, case.id)
-                jobs.append(CellJob(case, key, folder, model, config))
-    return jobs
+                tasks.append(CellTask(case, key, folder, model, config))
+    return tasks
 
 
 def _case_key(case: ActorCase) -> list[Any]:
@@ -180,14 +172,10 @@ def measure_hashes(measures: Measures) -> dict[str, str]:
 
 
 def write_inputs(settings: StudySettings, out: Path) -> list[ActorCase]:
-    """Write inputs, target views and a file of rows, whole or not at all.
+    """Write inputs, target views and a file of rows, all or nothing; return the vehicles.
 
     Args:
         settings: of the study; its models do not matter.
-        out: new folder.
-
-    Returns:
-        The vehicles.
 
     Raises:
         InputError: the set is at fault, `out` exists, or the disk is full.

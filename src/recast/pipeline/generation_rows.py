@@ -1,11 +1,6 @@
-"""The rows of a generation study, of the command line and of a study file: what makes vehicles.
+"""What makes the vehicles of a generation study's rows, on the command line and in a study file.
 
-    NAME=WHAT          a model folder, a generator, a PLY, GLB or OBJ, library:FOLDER
-    NAME=files:DIR     DIR/ID.ply, .glb or .obj, made elsewhere from the same inputs
-    NAME=views:DIR     DIR/ID/VIEW.png, a picture of each target view, drawn elsewhere
-
-On perturbed inputs, the last two are looked for in DIR/perturbed. Inputs and target views come from
-`recast.pipeline.generation_plan.write_inputs`.
+docs/recar.md lists what a row may name. Results on perturbed inputs lie in DIR/perturbed.
 """
 
 from __future__ import annotations
@@ -163,7 +158,6 @@ class RowRecord(Record):
     """A row in a study file.
 
     Attributes:
-        name: in tables and folders.
         source: of its vehicles, paths from the study file's folder; None if it is not run.
         axes: orientation of files and models, see `recast.actors.axes_of`.
         published: row of the paper whose figures stand beside it.
@@ -180,9 +174,7 @@ class StudyRecord(Record):
 
     Attributes:
         seed: of everything random, the choice of the input views too.
-        targets: see `recast.evaluation.cases`.
         perturbations: of the perturbed inputs; None where all are clean.
-        rows: in the order of the table.
     """
 
     format: Literal["recast-generation-rows"] = "recast-generation-rows"
@@ -236,14 +228,14 @@ def parse_models(texts: Sequence[str]) -> dict[str, StudyModel]:
         name, equals, source = text.partition("=")
         if not equals or not source or not _NAME.fullmatch(name):
             raise InputError(
-                "--model",
+                "`model`",
                 text,
                 "is not NAME=WHAT",
                 "give a name of letters, digits, '.', '_' and '-', then = and a model folder, "
                 "a generator, a PLY, files:DIR or views:DIR",
             )
         if name in models:
-            raise InputError("--model", name, "is named twice", "name each model once")
+            raise InputError("`model`", name, "is named twice", "name each model once")
         models[name] = StudyModel(source)
     return models
 
@@ -268,7 +260,7 @@ def model_hash(
                 raise fault
     elif is_vehicle_file(what):
         if not path.is_file():
-            raise InputError(path, "file", "is missing", "check the path given as --model")
+            raise InputError(path, "file", "is missing", "check the path given as `model`")
     elif what.startswith(LIBRARY):
         LibraryGenerator(what.removeprefix(LIBRARY))
     else:

@@ -1,11 +1,7 @@
 """`recast eval generation`: several models on the same held-out vehicles (RECAST, section 5, Q3).
 
-OUT/study.json     settings, and whether the study is complete
-OUT/metrics.json   tables, paired differences, scores of every vehicle
-OUT/study.md       the tables for people
-OUT/sheet_CONDITION_NN.png
-OUT/timings.json   seconds of every vehicle and model
-OUT/truth/ID, OUT/cells/CONDITION/MODEL/ID   see `recast.evaluation.generation_cell`
+docs/recar.md lists what it writes; each vehicle and model is a folder of
+`recast.evaluation.generation_cell`.
 """
 
 from __future__ import annotations
@@ -16,7 +12,7 @@ from typing import Any
 
 from PIL import Image
 
-from recast.core.errors import InputError
+from recast.core.errors import InputError, require_range
 from recast.core.files import atomic_file, read_json, write_json, write_text
 from recast.core.progress import Progress
 from recast.evaluation.cases import ActorCase
@@ -25,12 +21,12 @@ from recast.evaluation.generation_report import StudyFacts, study_json, study_ma
 from recast.evaluation.generation_summary import StudyBlock, summarize
 from recast.evaluation.sheets import SheetRow, applied_caption, pages, sheet
 from recast.evaluation.table import rounded
-from recast.pipeline.generation_maker import CellJob, make_cells
+from recast.pipeline.generation_maker import CellTask, make_cells
 from recast.pipeline.generation_plan import (
     StudySettings,
     cell_folder,
     measure_hashes,
-    plan_jobs,
+    plan_tasks,
     study_cases,
     truth_folder,
 )
@@ -52,35 +48,28 @@ def run_study(
 
     What a killed run finished is kept, and so is what an earlier study in `out` made of the same
     vehicle by the same model with the same settings: models and vehicles can be added. All files
-    but the timings are the same bytes for any number of workers.
+    but the timings are the same bytes for any number of workers (processes). Returns a block of the
+    table for every condition.
 
     Args:
-        settings: what is studied.
         out: new, empty, or of an earlier study.
-        workers: processes.
-        progress: told the number of vehicles done, and of all, those of all models and inputs.
-
-    Returns:
-        A block of the table for every condition.
+        progress: given the number of vehicles done, and of all, those of all models and inputs.
 
     Raises:
         InputError: the set, a model, weights or `out` are at fault; no vehicle was made by every
             model; a process was killed.
     """
-    if workers < 1:
-        raise InputError("--workers", "value", f"is {workers}", "give 1 or more")
-    if settings.samples < 1:
-        raise InputError("--samples", "value", f"is {settings.samples}", "give 1 or more")
+    require_range(1, workers=workers, samples=settings.samples)
     if not settings.models:
-        raise InputError("--model", "models", "none given", "give NAME=WHAT at least once")
+        raise InputError("`model`", "models", "none given", "give NAME=WHAT at least once")
     cases = study_cases(settings)
     sources = {
         name: model_hash(what, cases, settings.conditions) for name, what in settings.models.items()
     }
-    jobs = plan_jobs(settings, cases, sources, out)
+    tasks = plan_tasks(settings, cases, sources, out)
     _begin(out, settings, cases, sources)
-    left = [job for job in jobs if not cell_is(job.folder, job.key)]
-    _make(left, settings, out, workers, len(jobs), progress)
+    left = [task for task in tasks if not cell_is(task.folder, task.key)]
+    _make(left, settings, out, workers, len(tasks), progress)
     blocks = _summaries(settings, cases, out)
     facts = _facts(settings, sources)
     write_json(out / METRICS_FILE, study_json(facts, blocks))
@@ -146,7 +135,7 @@ def _facts(settings: StudySettings, sources: Mapping[str, str]) -> StudyFacts:
 
 
 def _make(
-    left: Sequence[CellJob],
+    left: Sequence[CellTask],
     settings: StudySettings,
     out: Path,
     workers: int,
@@ -156,10 +145,10 @@ def _make(
     done = total - len(left)
     seconds: dict[str, dict[str, float]] = {}
 
-    def told(job: CellJob, took: dict[str, float]) -> None:
+    def on_done(task: CellTask, took: dict[str, float]) -> None:
         nonlocal done
         done += 1
-        seconds[job.folder.relative_to(out).as_posix()] = took
+        seconds[task.folder.relative_to(out).as_posix()] = took
         if progress is not None:
             progress(done, total)
 
@@ -167,7 +156,7 @@ def _make(
         progress(done, total)
     try:
         if left:
-            make_cells(left, settings.measures, settings.seed, settings.placement, workers, told)
+            make_cells(left, settings.measures, settings.seed, settings.placement, workers, on_done)
     finally:
         path = out / TIMINGS_FILE
         before = read_json(path) if path.is_file() else {}

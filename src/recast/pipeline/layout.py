@@ -17,7 +17,6 @@ def use_name(what: str, *names: str) -> str:
     """What a run calls an artefact, such as "scene/recast".
 
     Args:
-        what: the kind of use.
         names: from outside, of tracks, planners, arms and streets; a "/" in one is escaped, so that
             other names never give the same use.
     """

@@ -1,7 +1,6 @@
-"""One function for each arrow of the way of the data, from artefacts to an artefact.
+"""One function for each arrow of the way of the data: finds its artefact in the store, or makes it.
 
-Each finds its artefact in the store, or makes it there. `recast run`, grids and the functions of
-the library's face all go through these, so that they share what any of them made.
+`recast run`, grids and the library's face all use them, and so share what any of them made.
 """
 
 from __future__ import annotations
@@ -50,12 +49,7 @@ class Maker:
         name: str,
         resumes: bool = False,
     ) -> Artefact:
-        """See `Store.make`.
-
-        Args:
-            title: what it is, for the console.
-            name: what it is, for lists of the store.
-        """
+        """See `Store.make`; the console calls it `title`, lists of the store `name`."""
 
         def announced(out: Path) -> None:
             self._say(f"[bold]{escape(title)}[/bold]")
@@ -134,9 +128,7 @@ class VehicleParts:
     """What makes a vehicle.
 
     Attributes:
-        name: of the generator, for people.
         generator, segmenter: what stands for them, see `recast.pipeline.sources`.
-        axes, views: see `RunConfig`.
         makers: gives generator and segmenter themselves.
     """
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -53,7 +54,6 @@ def report_run(run: str | Path, out: str | Path | None = None) -> Path:
     """Write the report of a run, finished or not; return its `index.html`.
 
     Args:
-        run: run folder.
         out: folder to write; RUN/report where none is named.
 
     Raises:
@@ -90,7 +90,6 @@ def report_rollout(rollout: Rollout, metrics: RolloutMetrics, out: Path) -> Path
 
     Args:
         rollout: one that was run in this process has films, which are drawn now.
-        metrics: its scores.
 
     Raises:
         InputError: `out` holds something else, or the disk refuses.
@@ -164,9 +163,7 @@ class GatheredRun:
             facts=facts(config, self.log),
             actor=NOT_MADE if shown is None else self._actor(shown),
             scenarios=tuple(
-                self.scenario(motion, planner)
-                for motion in config.motions
-                for planner in config.planners
+                self.scenario(*names) for names in product(config.motions, config.planners)
             ),
             scene=NOT_MADE if street is None else self._scene(street),
             hd_map=self.map,
@@ -257,10 +254,6 @@ def compare_runs(runs: Sequence[str | Path], out: str | Path) -> Path:
 
     The runs may be of different logs, and unfinished.
 
-    Args:
-        runs: at least two run folders.
-        out: folder of the page.
-
     Raises:
         InputError: fewer than two runs, a folder that is no run or is named twice, a log or an
             artefact that is gone, or `out` holds something else.
@@ -268,7 +261,7 @@ def compare_runs(runs: Sequence[str | Path], out: str | Path) -> Path:
     folders = [Path(run) for run in runs]
     if len(folders) < 2:
         raise InputError(
-            "--compare", "runs", f"{len(folders)} given", "name two run folders or more"
+            "`compare`", "runs", f"{len(folders)} given", "name two run folders or more"
         )
     places = [folder.resolve() for folder in folders]
     for folder, place in zip(folders, places, strict=True):
@@ -301,8 +294,7 @@ def _compared(name: str, run: GatheredRun) -> ComparedRun:
             (config.motion(motion).name, config.motion(motion).setting, planner): run.scenario(
                 motion, planner
             )
-            for motion in config.motions
-            for planner in config.planners
+            for motion, planner in product(config.motions, config.planners)
         },
         settings={
             **config.resolved(),

@@ -71,7 +71,6 @@ def actor_part(actor: Actor, frame: Path, film: Path | None, log: DrivingLog) ->
 
     Args:
         frame: camera frame that it was seen in.
-        film: of it turning, or None.
     """
     provenance = actor.provenance
     report = provenance.registration
@@ -151,7 +150,6 @@ def scene_part(path: Path, folder: Path) -> ScenePart:
 
     Args:
         path: eval.json of the evaluation.
-        folder: of the scene.
     """
     evaluation = read_evaluation(path)
     scene = load_scene(folder)

@@ -16,7 +16,7 @@ from recast.core import files
 from recast.core.errors import InputError
 from recast.core.names import folder_name, member
 from recast.core.records import Record, read_record
-from recast.logs import DrivingLog
+from recast.logs import DrivingLog, HdMap
 from recast.pipeline.config import RunConfig
 from recast.planning import (
     CameraMount,
@@ -27,12 +27,12 @@ from recast.planning import (
     shown_views,
     virtual_mounts,
 )
-from recast.planning.gtrs import nuplan_rig
 from recast.reporting.video import VideoWriter, write_video
 from recast.simulation import (
     Rollout,
     RolloutFailure,
     RolloutSetup,
+    ScriptedMotion,
     SensorRenderer,
     SimState,
     Timings,
@@ -57,19 +57,17 @@ _VERSION: Literal[1] = 1
 _MEND = "remove the folder of this rollout and run again"
 
 
-class _Versioned(Record):
-    version: Literal[1] = _VERSION
-
-
-class FilmsRecord(_Versioned):
+class FilmsRecord(Record):
     """films.json: the film of each camera, whose name need not be that of a file."""
 
+    version: Literal[1] = _VERSION
     films: dict[str, str]
 
 
-class FailureRecord(_Versioned):
+class FailureRecord(Record):
     """failure.json: a `RolloutFailure`."""
 
+    version: Literal[1] = _VERSION
     failure: RolloutFailure
 
 
@@ -92,9 +90,7 @@ def make_rollout(
         renderer: None where nothing looks: no film, and a planner that needs no images.
         folder: empty; gets `states/` (see `save_rollout`), `planner.json` (see `seen_record`), the
             films and `films.json`, and with a meter `coverage.parquet`; or `failure.json`.
-        on_step: called after each filmed step.
         filmed: render every step, not only those that the planner sees.
-        timings: is added to.
         meter: of the actor that the renderer draws; None for one without shares.
 
     Raises:
@@ -218,6 +214,23 @@ def is_failure(folder: Path) -> bool:
     return (folder / _FAILURE).exists()
 
 
+def rollout_setup(
+    log: DrivingLog, hdmap: HdMap, config: RunConfig, motion: ScriptedMotion, arm: str
+) -> RolloutSetup:
+    """What a run is asked for, as the setup of one rollout."""
+    return RolloutSetup(
+        log=log,
+        track_id=config.track,
+        motion=motion,
+        arm=arm,
+        map=hdmap,
+        steps=config.steps,
+        plan_every=config.plan_every,
+        keep_other_actors=config.keep_other_actors,
+        camera_names=config.scene.cameras or tuple(log.cameras),
+    )
+
+
 def run_mounts(log: DrivingLog, planner: Planner, config: RunConfig) -> dict[str, CameraMount]:
     """The cameras that a run renders: the log's, at the scale of the scene, and `planner_mounts`.
 
@@ -233,21 +246,15 @@ def planner_mounts(
 ) -> dict[str, CameraMount]:
     """The log's cameras, and virtual ones that the planner wants.
 
-    nuPlan's have the scale of the scene, too: 1920x1080 at scale 1.
-
-    Raises:
-        InputError: see `shown_views`.
+    nuPlan's have the scale of the scene, too: 1920x1080 at scale 1. InputError: see `shown_views`.
     """
-    rendered = {**mounts, **virtual_mounts(planner, mounts, nuplan_rig(config.scene.scale))}
+    rendered = {**mounts, **virtual_mounts(planner, mounts, config.scene.scale)}
     shown_views(planner, rendered)
     return rendered
 
 
 def require_distinct_planners(planners: Mapping[str, Planner]) -> None:
-    """Refuse planners that results could not tell apart.
-
-    Args:
-        planners: by the word that asks for each.
+    """Refuse planners, by the word that asks for each, that results could not tell apart.
 
     Raises:
         InputError: two have the same name.
@@ -257,7 +264,7 @@ def require_distinct_planners(planners: Mapping[str, Planner]) -> None:
         other = named.setdefault(planner.name, word)
         if other != word:
             raise InputError(
-                "--planner",
+                "`planner`",
                 word,
                 f"has the name of {other}: {planner.name}",
                 "give the planners different names",
@@ -267,11 +274,7 @@ def require_distinct_planners(planners: Mapping[str, Planner]) -> None:
 def announce_planner(
     planner: Planner, mounts: Mapping[str, CameraMount], console: Console, where: str = ""
 ) -> None:
-    """Print on which device the planner computes, and what it gets to see.
-
-    Args:
-        where: before each line.
-    """
+    """Print, after `where` on each line, on which device the planner computes and what it sees."""
     said, warning = seen_lines(planner, mounts)
     if said:
         console.print(f"{where}{said}", markup=False, highlight=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import torch
@@ -52,8 +53,6 @@ def run(
     Args:
         log_path: log folder, or its address in object storage.
         out: run folder; one that holds this run already is resumed.
-        console: shows steps, progress and time left.
-        store: folder or address of the artefacts; beside `out` where none is named.
 
     Raises:
         InputError: bad log, track, planner, generator or segmenter, a camera that the planner wants
@@ -100,10 +99,9 @@ class _Run:
         for arm in artefacts.arms.values():
             artefacts.prepare(arm)
         artefacts.forget_makers()
-        for motion in self._config.motions:
-            for planner in self._config.planners:
-                for arm in artefacts.arms.values():
-                    artefacts.rollout(motion, planner, arm)
+        motions, planners = self._config.motions, self._config.planners
+        for motion, planner, arm in product(motions, planners, artefacts.arms.values()):
+            artefacts.rollout(motion, planner, arm)
         self._folder.refer(artefacts.store, artefacts.used, whole=True)
         return self._report()
 
@@ -182,16 +180,10 @@ RUN_FOLDER = "run"
 
 @dataclass(frozen=True)
 class DemoSize:
-    """Size of a demo.
+    """Size of a demo: seconds of the drive, pixels of its images, steps of 0.1 s of its rollouts.
 
     Attributes:
-        seconds: duration of the drive.
-        width, height: size of its images in pixels.
         cameras: names of the recorded cameras; empty for all cameras of the rig.
-        iterations: training steps of the scene.
-        motions: motions of the actor, with their settings.
-        steps: steps of 0.1 s of each rollout.
-        planner: planner under test unless the caller names another one.
     """
 
     seconds: float
@@ -223,14 +215,10 @@ def demo(
 
     Args:
         out: folder for `log/`, `run/` and `store/`; results of the same demo there are reused.
-        scene: name of a synthetic scene.
-        seed: seed of the drive and of all later random choices.
-        size: `FULL` or `QUICK`.
-        threads: number of CPU threads; 0 uses all cores.
-        console: console for steps, progress and the remaining time.
-        generator: generator of the vehicle, see `recast.actors.make_generator`.
-        planner: planner under test, see `recast.planning.make_planner`; None for the planner of
-            `size`.
+        scene, size: name of a synthetic scene; `FULL` or `QUICK`.
+        seed, threads: of the drive and all later random choices; CPU threads, 0 for all cores.
+        generator, planner: see `recast.actors.make_generator`, `recast.planning.make_planner`;
+            None for the planner of `size`.
 
     Returns:
         Path of the report's `index.html`.

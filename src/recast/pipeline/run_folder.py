@@ -1,9 +1,6 @@
 """A run folder: what was asked for, references to the artefacts that came of it, and the report.
 
-RUN/run.json         configuration, log, versions, and the reference of every artefact by its use
-RUN/metrics.json     what was measured
-RUN/report/          the page
-RUN/scenes, actors, evaluations, rollouts    links to the artefacts, for people
+docs/runs.md lists its files.
 """
 
 from __future__ import annotations
@@ -77,12 +74,7 @@ class RunRecord(Record):
 
 @dataclass
 class RunFolder:
-    """An opened run folder.
-
-    Attributes:
-        path: the folder.
-        record: the contents of `run.json`.
-    """
+    """An opened run folder; `record` is the contents of `run.json`."""
 
     path: Path
     record: RunRecord
@@ -94,11 +86,8 @@ class RunFolder:
         """Start a run, or resume the one that lies there.
 
         Args:
-            path: the run folder; made where it is missing.
-            config: the resolved configuration, JSON-able.
-            log: folder or address of the log.
-            log_hash: content hash of the log.
-            store: address or folder of the store.
+            path, config: the run folder, made where it is missing; resolved, JSON-able.
+            log, log_hash, store: folder or address of the log, its content hash, of the store.
 
         Raises:
             InputError: the folder holds something else: another log, another configuration,
@@ -114,7 +103,7 @@ class RunFolder:
             folder._write()
             return folder
         existing = cls.open(path).record
-        mend = "name another --out, or repeat the options of the run that lies there"
+        mend = "name another `out`, or repeat the options of the run that lies there"
         if existing.log.hash != log_hash:
             raise InputError(
                 path / RUN_FILE,
@@ -122,7 +111,7 @@ class RunFolder:
                 f"this folder holds a run on another log ({existing.log.path})",
                 mend,
             )
-        differing = _first_difference(existing.config, config)
+        differing = first_difference(existing.config, config)
         if differing is not None:
             raise InputError(
                 path / RUN_FILE,
@@ -163,22 +152,14 @@ class RunFolder:
 
     @property
     def log_path(self) -> Path:
-        """The log's folder; of one elsewhere the folder of its copy.
-
-        Raises:
-            InputError: see `local_folder`.
-        """
+        """The log's folder; of one elsewhere that of its copy. InputError: see `local_folder`."""
         place = self.record.log.path
         if remote_path(place) is not None:
             return local_folder(place)
         return Path(os.path.normpath(self.path / place))
 
     def store(self) -> Store:
-        """The store that the run refers to.
-
-        Raises:
-            InputError: see `open_store`.
-        """
+        """The store that the run refers to; InputError: see `open_store`."""
         place = self.record.store
         return open_store(
             place if remote_path(place) is not None else os.path.normpath(self.path / place)
@@ -216,7 +197,6 @@ class RunFolder:
         """Write one of the run's own files or folders, unless it was made from the same before.
 
         Args:
-            name: of the file or folder below the run.
             made_from: hash of everything that it depends on.
             make: writes it, whole or not at all.
         """
@@ -269,7 +249,7 @@ def claim_empty(folder: Path, first: str) -> None:
                 folder,
                 first,
                 "is missing in a folder that is not empty",
-                "name a new or empty folder for --out",
+                "name a new or empty folder for `out`",
             )
         folder.mkdir(parents=True, exist_ok=True)
 
@@ -307,14 +287,14 @@ def _versions() -> dict[str, str]:
     }
 
 
-def _first_difference(first: Any, second: Any, where: str = "") -> str | None:
+def first_difference(first: Any, second: Any, where: str = "") -> str | None:
     """Dotted name of the first member in which two JSON-able values differ, or None."""
     if isinstance(first, dict) and isinstance(second, dict):
         for key in sorted(first.keys() | second.keys()):
             inner = f"{where}.{key}" if where else key
             if key not in first or key not in second:
                 return inner
-            found = _first_difference(first[key], second[key], inner)
+            found = first_difference(first[key], second[key], inner)
             if found is not None:
                 return found
         return None

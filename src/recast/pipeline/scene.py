@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,6 @@ from rich.table import Table
 
 from recast.arrays import Image
 from recast.core.errors import printable
-from recast.core.workers import Closing
 from recast.evaluation.perceptual import load_distances
 from recast.logs import DrivingLog
 from recast.pipeline.display import FrameProgress
@@ -32,7 +32,7 @@ from recast.scene import (
     train_scene,
 )
 from recast.scene.importers import IMPORT_FILE
-from recast.synthetic import Oracle, World, is_synthetic, world_of
+from recast.synthetic import Oracle, is_synthetic, world_of
 from recast.synthetic.oracle import OraclePool
 from recast.synthetic.rig import exposure, sensor_number
 
@@ -74,8 +74,6 @@ def evaluate_and_print(
     Args:
         shifts: also views from beside the drive, `recast.scene.SHIFTS`: against the truth where the
             log is synthetic, else as pictures alone.
-        lpips: weights of the backbone, see `recast.evaluation.perceptual.load_lpips`.
-        workers: processes that render the truth; 0 for one for each core.
 
     Raises:
         InputError: scene or weights are at fault, no image was held out, or another version of
@@ -89,7 +87,7 @@ def evaluate_and_print(
     with ExitStack() as stack:
         truth = None
         if shifts and is_synthetic(log):
-            truth = stack.enter_context(ShiftedTruth(world_of(log), workers))
+            truth = partial(shifted_truth, stack.enter_context(OraclePool(world_of(log), workers)))
         progress = stack.enter_context(FrameProgress(console, 1, "views"))
         evaluation = evaluate_scene(
             loaded,
@@ -168,29 +166,13 @@ def _cells(score: RegionScore, with_lpips: bool) -> list[str]:
     return cells
 
 
-class ShiftedTruth(Closing):
-    """Ray-traces shifted views, each camera with the exposure it has in the log.
+def shifted_truth(pool: OraclePool, views: Sequence[ShiftedView]) -> Iterator[Image]:
+    """Ray-trace shifted views, each camera with the exposure it has in the log.
 
-    Close it, or use it as a context manager: it may hold processes.
-
-    Args:
-        world: of the log, see `recast.synthetic.world_of`.
-        workers: processes; 0 for one for each core, 1 for none but this one.
-
-    Raises:
-        InputError: workers is negative, or embreex is not installed.
+    Yields:
+        (H, W, 3) uint8 of each view; moving vehicles are where they were.
     """
-
-    def __init__(self, world: World, workers: int = 0) -> None:
-        self._pool = OraclePool(world, workers)
-
-    def __call__(self, views: Sequence[ShiftedView]) -> Iterator[Image]:
-        """(H, W, 3) uint8 of each view; moving vehicles are where they were."""
-        return self._pool.map(_render, views)
-
-    def close(self) -> None:
-        """End the processes."""
-        self._pool.close()
+    return pool.map(_render, views)
 
 
 def _render(oracle: Oracle, view: ShiftedView) -> Image:

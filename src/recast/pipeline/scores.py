@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,12 +17,12 @@ from recast.logs import HdMap
 from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import ACTOR_FOLDER, VIEWS_FOLDER, rollout_name, use_parts
 from recast.pipeline.rollouts import read_coverage, read_rollout
-from recast.scene.evaluate_record import EVALUATION_VERSION
+from recast.scene import RegionScore
+from recast.scene.evaluate_record import EVALUATION_VERSION, DepthScore
 from recast.simulation import RolloutFailure
 from recast.simulation.coverage import RolloutCoverage
 
 METRICS_VERSION: Literal[3] = 3
-"""2 had one scene, one actor and one comparison with the truth."""
 
 
 def write_metrics(
@@ -41,19 +42,16 @@ def write_metrics(
     metrics: list[RolloutMetrics] = []
     coverages: list[RolloutCoverage | None] = []
     failures: list[RolloutFailure] = []
-    for motion in config.motions:
-        for planner in config.planners:
-            for arm in config.arms:
-                found = used.get(rollout_name(motion, planner, arm.name))
-                if found is None:  # it could not begin
-                    continue
-                folder = found.path
-                result = read_rollout(folder)
-                if isinstance(result, RolloutFailure):
-                    failures.append(result)
-                    continue
-                metrics.append(rollout_metrics(result, hd_map))
-                coverages.append(read_coverage(folder))
+    for motion, planner, arm in product(config.motions, config.planners, config.arms):
+        found = used.get(rollout_name(motion, planner, arm.name))
+        if found is None:  # it could not begin
+            continue
+        result = read_rollout(found.path)
+        if isinstance(result, RolloutFailure):
+            failures.append(result)
+            continue
+        metrics.append(rollout_metrics(result, hd_map))
+        coverages.append(read_coverage(found.path))
     files.write_json(
         path,
         {
@@ -126,10 +124,7 @@ def _differences(
                 "baseline": baseline,
                 "metric": name,
                 "mean": mean,
-                "pairs": one.pairs,
-                "asked": one.asked,
-                "plans": one.plans,
-                "cut": one.cut,
+                **{key: getattr(one, key) for key in ("pairs", "asked", "plans", "cut")},
             }
         )
     return found
@@ -161,13 +156,6 @@ class _Row(_Open):
         return value
 
 
-class _Named(_Open):
-    motion: str
-    setting: str
-    arm: str
-    planner: str
-
-
 class _Means(_Open):
     images: int
     visible: int
@@ -182,34 +170,18 @@ class _Coverage(_Open):
     planner: _Means | None
 
 
-class _Scored(_Named):
+class _Scored(_Open):
+    motion: str
+    setting: str
+    arm: str
+    planner: str
     coverage: _Coverage | None = None
-
-
-class _Failed(_Named):
-    name: str
-    error: str
-    reason: str
 
 
 class _Metrics(_Open):
     table: list[_Row]
     rollouts: list[_Scored]
-    failures: list[_Failed]
-
-
-class _Region(_Open):
-    psnr: float
-    ssim: float | None
-
-
-class _Depth(_Open):
-    median_abs_m: float
-    mean_abs_m: float
-    mean_relative: float
-    missing: float
-    points: int
-    lag_ms: float
+    failures: list[RolloutFailure]
 
 
 class _Frame(_Open):
@@ -218,14 +190,16 @@ class _Frame(_Open):
     picture: str
     psnr: float
     boxes: dict[str, float]
-    moving: _Region | None
-    depth: _Depth | None
+    moving: RegionScore | None
+    depth: DepthScore | None
 
 
-class _Evaluation(_Region):
+class _Evaluation(_Open):
+    psnr: float
+    ssim: float
     box_psnr_by_track: dict[str, float]
-    moving: _Region | None
-    depth: _Depth | None
+    moving: RegionScore | None
+    depth: DepthScore | None
     frames: list[_Frame]
 
 

@@ -54,9 +54,6 @@ class SourceLog:
     """A log folder, opened.
 
     Attributes:
-        path: the folder.
-        log: its contents.
-        hash: of all its bytes.
         address: where it lies, if that is another place than the folder, which holds a copy.
     """
 
@@ -67,11 +64,7 @@ class SourceLog:
 
     @classmethod
     def open(cls, place: str | Path) -> SourceLog:
-        """Read a log folder, here or in object storage.
-
-        Raises:
-            InputError: see `load_log`.
-        """
+        """Read a log folder, here or in object storage; InputError: see `load_log`."""
         path = local_folder(place)
         remote = remote_path(place) is not None
         return cls(path, read_log(path), folder_hash(path), str(place) if remote else None)
@@ -114,13 +107,10 @@ def drive_log(
     workers: int,
     console: Console,
 ) -> Path:
-    """The log of `world` at `path`.
+    """The log of `world` at `path`, its images of width and height pixels.
 
     Args:
-        image_size: width and height, pixels.
         cameras: that are recorded; none named: all of the rig.
-        workers: processes, see `synthesize_log`.
-        console: shows progress.
 
     Raises:
         InputError: another log lies there, or see `synthesize_log`.
@@ -153,7 +143,7 @@ def _check_same(
     same = {name: log.metadata.get(name) for name in wanted} == wanted
     if not same or shape != dict.fromkeys(names, image_size):
         raise InputError(
-            path, "log", "is that of another drive", "name another --out, or remove this one"
+            path, "log", "is that of another drive", "name another `out`, or remove this one"
         )
 
 
@@ -217,28 +207,24 @@ def generator_source(name: str) -> str:
         return folder_hash(recast_mini())
     if name == DEFAULT_GENERATOR:  # offers the template and that model
         return f"{name} {folder_hash(recast_mini())}"
-    folder = GENERATORS.place(name)
-    if folder is not None:
-        return folder_hash(folder)
-    return _code(GENERATORS, name, GENERATORS.source_files(name))
+    return _part(GENERATORS, name)
 
 
 def segmenter_source(name: str) -> str:
     """What stands for a segmenter; see `Sources`."""
-    folder = SEGMENTERS.place(name)
-    if folder is not None:
-        return folder_hash(folder)
-    return _code(SEGMENTERS, name, SEGMENTERS.source_files(name))
+    return _part(SEGMENTERS, name)
 
 
 def vqa_source(name: str) -> str:
     """What stands for a VQA scorer; see `Sources`."""
-    if name.startswith(tuple(VQA_SCORERS.prefixes)):
-        return name
-    folder = VQA_SCORERS.place(name)
+    return name if name.startswith(tuple(VQA_SCORERS.prefixes)) else _part(VQA_SCORERS, name)
+
+
+def _part(registry: Registry, name: str) -> str:
+    folder = registry.place(name)
     if folder is not None:
         return folder_hash(folder)
-    return _code(VQA_SCORERS, name, VQA_SCORERS.source_files(name))
+    return _code(registry, name, registry.source_files(name))
 
 
 def _code(registry: Registry, name: str, files: tuple[Path, ...]) -> str:

@@ -11,13 +11,13 @@ import torch
 from rich.console import Console
 
 from recast.actors import Actor, load_actor
-from recast.actors.store import ACTOR_FILE
-from recast.core.errors import InputError
+from recast.actors.vehicle_files import ACTOR_FILE
+from recast.core.errors import InputError, require_range
 from recast.logs import DrivingLog, HdMap, Trajectory, map_of, read_log
 from recast.logs.store import LOG_FILE
 from recast.pipeline.rollouts import is_failure, read_rollout
 from recast.pipeline.run_folder import RUN_FILE
-from recast.pipeline.view_run import RunView, drive_of, log_runner, named_place, open_run
+from recast.pipeline.view_run import drive_of, log_runner, named_place, run_inputs
 from recast.scene import StreetScene, load_scene
 from recast.scene.sky import SkyMap
 from recast.scene.store import SCENE_FILE
@@ -63,7 +63,7 @@ def view_inputs(what: Sequence[Path]) -> ViewInputs:
                 "does not belong to the run that is shown",
                 "show a run alone, or rollouts of one run",
             )
-        return open_run(RunView(folders[0], [named_place(path) for path in runs]))
+        return run_inputs(folders[0], [named_place(path) for path in runs])
     return _parts(kinds)
 
 
@@ -201,14 +201,12 @@ def require_limits(
     require_viser()
     if not what:
         raise InputError("recast view", "WHAT", "is missing", _MEND)
-    if not 1 <= port <= 65535:
-        raise InputError("--port", "value", f"is {port}", "give 1 to 65535")
-    if not 1000 <= most <= _MOST:
-        raise InputError("--max-gaussians", "value", f"is {most}", f"give 1000 to {_MOST}")
+    require_range(1, 65535, port=port)
+    require_range(1000, _MOST, max_gaussians=most)
     if not 0 < most_mb < float("inf"):
-        raise InputError("--replay-mb", "value", f"is {most_mb}", "give more than 0")
+        raise InputError("`replay_mb`", "value", f"is {most_mb}", "give more than 0")
     if replay is not None and replay.suffix.lower() != ".html":
-        raise InputError(replay, "--replay", "is no HTML file", "end its name in .html")
+        raise InputError(replay, "`replay`", "is no HTML file", "end its name in .html")
 
 
 def serve_what(

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from threading import Lock
 
@@ -19,7 +20,7 @@ from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.pipeline.arms import Arm
 from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import ACTOR_FOLDER, rollout_name, use_name, use_parts
-from recast.pipeline.rollouts import films, planner_mounts, read_rollout
+from recast.pipeline.rollouts import films, read_rollout, rollout_setup, run_mounts
 from recast.pipeline.run_folder import RunFolder
 from recast.planning import Plan, Planner, PlannerInput, PlanningContext, make_planner
 from recast.scene import SceneConfig, StreetScene, load_scene
@@ -40,28 +41,19 @@ _STEPS = 80
 _SCALE = 0.5
 
 
-@dataclass(frozen=True)
-class RunView:
-    """Which rollouts of a run are shown.
-
-    Attributes:
-        path: the run folder.
-        only: folders of rollouts below it; none for all.
-    """
-
-    path: Path
-    only: list[Path]
-
-
-def open_run(view: RunView) -> ViewInputs:
+def run_inputs(path: Path, only: Sequence[Path] = ()) -> ViewInputs:
     """Load what a run made.
+
+    Args:
+        only: folders of the rollouts that are shown; none for all.
 
     Raises:
         InputError: it is no run, its log or an artefact is gone, or none of its rollouts can be
             shown.
     """
-    folder = RunFolder.open(view.path)
-    return _Opened(view, folder, folder.config, folder.store(), read_log(folder.log_path)).inputs()
+    folder = RunFolder.open(path)
+    log = read_log(folder.log_path)
+    return _Opened(path, only, folder, folder.config, folder.store(), log).inputs()
 
 
 def named_place(path: Path) -> Path:
@@ -70,11 +62,7 @@ def named_place(path: Path) -> Path:
 
 
 def drive_of(rollout: Rollout, folder: Path, log: DrivingLog, hdmap: HdMap | None) -> Drive:
-    """A rollout with the films that lie beside it.
-
-    Args:
-        folder: what `make_rollout` wrote.
-    """
+    """A rollout with the films beside it, in the folder that `make_rollout` wrote."""
     found = {name: FilmFile(path, rollout.steps_run) for name, path in films(folder).items()}
     mounts = camera_mounts(log, [name for name in found if name in log.cameras])
     return rollout_drive(rollout, log, hdmap, mounts, found)
@@ -82,7 +70,8 @@ def drive_of(rollout: Rollout, folder: Path, log: DrivingLog, hdmap: HdMap | Non
 
 @dataclass(frozen=True)
 class _Opened:
-    view: RunView
+    path: Path
+    only: Sequence[Path]
     folder: RunFolder
     config: RunConfig
     store: Store
@@ -96,17 +85,15 @@ class _Opened:
         config = self.config
         scenarios: dict[str, dict[str, Drive]] = {}
         arms: dict[str, Arm] = {}
-        for motion in config.motions:
-            for planner in config.planners:
-                for arm in config.arms:
-                    drive = self._drive(motion, planner, arm.name)
-                    if drive is not None:
-                        name = motion if len(config.planners) == 1 else f"{motion}, {planner}"
-                        scenarios.setdefault(name, {})[arm.name] = drive
-                        arms[arm.name] = arm
+        for motion, planner, arm in product(config.motions, config.planners, config.arms):
+            drive = self._drive(motion, planner, arm.name)
+            if drive is not None:
+                name = motion if len(config.planners) == 1 else f"{motion}, {planner}"
+                scenarios.setdefault(name, {})[arm.name] = drive
+                arms[arm.name] = arm
         if not scenarios:
             raise InputError(
-                self.view.path,
+                self.path,
                 "rollouts",
                 "none of them was made",
                 "finish the run first: repeat its recast run",
@@ -114,7 +101,7 @@ class _Opened:
         actors = {name: self._actors(arm) for name, arm in arms.items() if arm.generates}
         scenes = _Scenes(arms, actors, lambda street: self._find(use_name("scene", street)))
         return ViewInputs(
-            title=f"{self.view.path.absolute().name}: track {config.track} of {self.log.name}",
+            title=f"{self.path.absolute().name}: track {config.track} of {self.log.name}",
             scenes=scenes,
             scenarios=scenarios,
             log=self.log,
@@ -124,10 +111,10 @@ class _Opened:
         )
 
     def _drive(self, motion: str, planner: str, arm: str) -> Drive | None:
-        link = named_place(self.view.path).joinpath(
+        link = named_place(self.path).joinpath(
             "rollouts", *(folder_name(name) for name in (motion, planner, arm))
         )
-        if self.view.only and link not in self.view.only:
+        if self.only and link not in self.only:
             return None
         found = self._find(rollout_name(motion, planner, arm))
         rollout = None if found is None else read_rollout(found.path)
@@ -229,39 +216,11 @@ def _runner(
     own: Mapping[str, ScriptedMotion],
 ) -> Runner:
     def run(motion: ScriptedMotion, word: str, arm: str, on_step: Progress) -> Drive:
-        return _run(_Asked(log, hdmap, config, scenes.get(arm), arm), motion, word, on_step)
+        setup = rollout_setup(log, hdmap, config, motion, arm)
+        return _run(setup, config, scenes.get(arm), word, on_step)
 
     planners = tuple(dict.fromkeys((*config.planners, *_PLANNERS)))
     return Runner(log, hdmap, config.track, {**own, **MOTIONS}, planners, config.steps, run)
-
-
-class _Asked:
-    """Where a rollout is run: log, map, configuration, and the street of an arm."""
-
-    def __init__(
-        self, log: DrivingLog, hdmap: HdMap, config: RunConfig, scene: StreetScene | None, arm: str
-    ) -> None:
-        self.log, self.hdmap, self.config, self.scene, self.arm = log, hdmap, config, scene, arm
-
-    @property
-    def cameras(self) -> tuple[str, ...]:
-        """Cameras of the run."""
-        return self.config.scene.cameras or tuple(self.log.cameras)
-
-    def setup(self, motion: ScriptedMotion) -> RolloutSetup:
-        """What is run."""
-        config = self.config
-        return RolloutSetup(
-            self.log,
-            config.track,
-            motion,
-            arm=self.arm,
-            map=self.hdmap,
-            steps=config.steps,
-            plan_every=config.plan_every,
-            keep_other_actors=config.keep_other_actors,
-            camera_names=self.cameras,
-        )
 
 
 class _Counted:
@@ -284,36 +243,36 @@ class _Counted:
         return self._planner.plan(observation)
 
 
-def _run(asked: _Asked, motion: ScriptedMotion, word: str, on_step: Progress) -> Drive:
+def _run(
+    setup: RolloutSetup, config: RunConfig, scene: StreetScene | None, word: str, on_step: Progress
+) -> Drive:
     """Run one rollout, and film its first camera.
 
     Raises:
         InputError: the planner looks at images and the arm has no street, or the rollout is
             refused.
     """
-    config, scene = asked.config, asked.scene
+    log, cameras = setup.log, setup.camera_names or ()
     planner = make_planner(word, config.planner_device)
-    mounts = camera_mounts(asked.log, asked.cameras, config.scene.scale)
-    mounts = planner_mounts(mounts, planner, config)
+    mounts = run_mounts(log, planner, config)
     renderer = None
     if scene is not None and config.track in scene.actors:
         street = scene
         renderer = through_lenses(mounts, lambda pinholes: SceneRenderer(street, pinholes))
     elif planner.needs_images:
         raise InputError(
-            f"arm {asked.arm}",
+            f"arm {setup.arm}",
             f"planner {word}",
             "looks at images, and there is no street here",
             "choose another arm or planner",
         )
     total = 2 * config.steps if renderer is not None else config.steps
-    setup = asked.setup(motion)
     rollout = run_rollout(setup, _Counted(planner, on_step, total), renderer)
     shown, film = {}, FilmFrames()
-    if renderer is not None and asked.cameras:
-        camera = asked.cameras[0]
+    if renderer is not None and cameras:
+        camera = cameras[0]
         shown = {camera: mounts[camera]}
         for step in range(rollout.steps_run):
             film.add(renderer.render(rollout.state(step), (camera,))[camera])
             on_step(config.steps + step + 1, total)
-    return rollout_drive(rollout, asked.log, asked.hdmap, shown, dict.fromkeys(shown, film))
+    return rollout_drive(rollout, log, setup.hdmap, shown, dict.fromkeys(shown, film))

@@ -35,7 +35,7 @@ from recast.planning.types import (
     PlanningContext,
     ego_status,
 )
-from recast.planning.views import View
+from recast.planning.views import Lens, View, nuplan_rig
 
 __all__ = [
     "DEVICE_PATTERN",
@@ -50,6 +50,7 @@ __all__ = [
     "DrivingCommand",
     "IdmFollowerConfig",
     "IdmLaneFollower",
+    "Lens",
     "LogReplay",
     "Plan",
     "Planner",
@@ -63,6 +64,7 @@ __all__ = [
     "gtrs_mini",
     "make_planner",
     "named_cameras",
+    "nuplan_rig",
     "planner_cameras",
     "planner_device",
     "planner_folder",

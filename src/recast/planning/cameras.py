@@ -23,6 +23,7 @@ from recast.planning.views import (
     choose_views,
     directions,
     match_cameras,
+    nuplan_rig,
     wanted_views,
 )
 
@@ -61,7 +62,6 @@ def camera_choice(
     method and the attribute.
 
     Args:
-        mounts: the cameras that can be rendered.
         otherwise: for planners that do not say; None for all.
 
     Raises:
@@ -79,14 +79,7 @@ def camera_choice(
 
 
 def require_cameras(names: Iterable[str], there: Mapping[str, object], where: str) -> None:
-    """Check that all cameras are there.
-
-    Args:
-        where: who wants them, for the message.
-
-    Raises:
-        InputError: names the first that is not.
-    """
+    """Raise an InputError that names the first missing camera, and `where`, who wants it."""
     for name in names:
         if name not in there:
             raise InputError(
@@ -98,21 +91,15 @@ def require_cameras(names: Iterable[str], there: Mapping[str, object], where: st
 
 
 def virtual_mounts(
-    planner: Planner,
-    mounts: Mapping[str, CameraMount],
-    rig: Mapping[str, CameraMount] | None = None,
+    planner: Planner, mounts: Mapping[str, CameraMount], scale: float = 1.0
 ) -> dict[str, CameraMount]:
     """The virtual cameras to render for a planner beside the log's, by names that are not taken.
 
     One for each of its `wanted_views` that no camera shows as it is: with the intrinsics and
     direction of the view, at the place of the camera that stands for it (see `match_cameras`), or
-    of the one that sees most of it. And those cameras of `rig` that the planner names.
-
-    Args:
-        mounts: the log's cameras.
-        rig: virtual cameras with places of their own, such as nuPlan's.
+    of the one that sees most of it. And those cameras of `nuplan_rig` that the planner names.
     """
-    views, rig = wanted_views(planner), rig or {}
+    views, rig = wanted_views(planner), nuplan_rig(scale)
     made = {
         name: replace(rig[name], seen=seen_by(rig[name], mounts.values()))
         for name in named_cameras(planner) or ()
@@ -165,8 +152,6 @@ class ShownView:
     """What a planner gets to see under one of its names; plain values, for records.
 
     Attributes:
-        view: what the planner calls it.
-        camera: the rendered camera.
         source: the log's camera itself, or that at whose place a virtual one is; None for one with
             a place of its own.
         virtual: whether it is no camera of the log.

@@ -26,7 +26,6 @@ class IdmFollowerConfig:
     """Settings of `IdmLaneFollower`.
 
     Attributes:
-        idm: nuPlan's planner parameters.
         emergency_deceleration: m/s^2, used where comfortable braking would not avoid the lead.
         response_time: seconds by which the vehicle is taken to lag behind the plan when it is
             judged whether comfortable braking suffices.
@@ -231,8 +230,7 @@ class _ReturnPath:
         u = np.clip(progress / self.distance, 0.0, 1.0)
         fade = 1 - u**3 * (10 - 15 * u + 6 * u**2)
         lean = u - u**3 * (6 - 8 * u + 3 * u**2)
-        faded: Array = self.offset * fade + self.slope * self.distance * lean
-        return faded
+        return self.offset * fade + self.slope * self.distance * lean
 
     def poses(self, progress: Array) -> Array:
         """World poses (..., 3) of the rear axle at progress (...)."""

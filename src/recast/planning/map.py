@@ -18,8 +18,6 @@ class PlannerLane:
     """One lane or, inside an intersection, one connector.
 
     Attributes:
-        lane_id: unique in the map.
-        block_id: the block it belongs to.
         centreline: (N, 3) x, y, heading in driving direction, at most 0.5 m apart, N >= 2.
         polygon: outline in the plane; a shapely polygon or multi-polygon.
         speed_limit: m/s, or None where unknown.
@@ -47,8 +45,6 @@ class Block:
     """Lanes side by side in one direction: nuPlan's roadblock.
 
     Attributes:
-        block_id: unique in the map.
-        lane_ids: its lanes.
         connector: inside an intersection.
         successors, predecessors: blocks that its lanes lead into and come from.
     """

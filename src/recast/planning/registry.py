@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from recast.core.errors import InputError
-from recast.core.parts import PLANNERS
+from recast.core.plugins import PLANNERS
 from recast.planning.types import Planner
 
 DEVICE_PATTERN = r"auto|cpu|cuda(:\d{1,3})?"
@@ -36,8 +36,7 @@ def make_planner(planner: str | Path | Planner, device: str = "auto") -> Planner
     options = {}
     if PLANNERS.takes(planner, "device"):
         options["device"] = planner_device(device)
-    made: Planner = PLANNERS.resolve(planner, **options)
-    return made
+    return PLANNERS.resolve(planner, **options)
 
 
 def navsim_planner(agent: str, device: str = "cpu") -> Planner:

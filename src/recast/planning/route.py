@@ -92,8 +92,7 @@ class ReferenceRoute:
 
     def logged_speed(self, s: ArrayLike) -> Array:
         """Speed (...) in m/s at which the log drove over arc lengths (...)."""
-        speed: Array = np.interp(np.asarray(s, np.float64), self.line.arc_lengths, self.speeds)
-        return speed
+        return np.interp(np.asarray(s, np.float64), self.line.arc_lengths, self.speeds)
 
     def pose(self, s: ArrayLike, lateral: ArrayLike = 0.0) -> Array:
         """Poses (..., 3) at Frenet coordinates, heading along the route.

@@ -1,14 +1,15 @@
 """Simple planners: straight ahead, the log's own drive, and probes to prove frame conventions.
 
 The motion of probes is known in advance. Each can be named, as
-`--planner recast.planning.simple:left_arc`; those of NAVSIM, behind its seam, as
-`--planner navsim:recast.planning.simple:left_arc_agent`. `recast.simulation.probe_path` drives any
+`recast.planning.simple:left_arc`; those of NAVSIM, behind its seam, as
+`navsim:recast.planning.simple:left_arc_agent`. `recast.simulation.probe_path` drives any
 planner over an empty plane and says where it went.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,10 +21,9 @@ from recast.planning.navsim.types import AgentInput, SensorConfig, Trajectory, T
 from recast.planning.types import WAYPOINTS, Plan, PlannerInput, PlanningContext
 
 
-class ConstantVelocity:
-    """Keeps heading and speed; sees nothing."""
+class _Blind:
+    """Knows the times of its waypoints, and sees nothing."""
 
-    name = "constant-velocity"
     needs_images = False
 
     def __init__(self) -> None:
@@ -32,6 +32,12 @@ class ConstantVelocity:
     def reset(self, context: PlanningContext) -> None:
         """Take the time step."""
         self._times = context.dt * np.arange(1, WAYPOINTS + 1)
+
+
+class ConstantVelocity(_Blind):
+    """Keeps heading and speed; sees nothing."""
+
+    name = "constant-velocity"
 
     def plan(self, observation: PlannerInput) -> Plan:
         """Waypoints on the ego's x axis."""
@@ -94,42 +100,26 @@ def arc(curvature: float, distance: ArrayLike) -> NDArray[np.float64]:
     return np.stack([chord * np.cos(turn / 2), chord * np.sin(turn / 2), turn], axis=-1)
 
 
-class ProbePlanner:
+class ProbePlanner(_Blind):
     """Drives an arc at its present speed, behind the simulator's own seam.
 
     Args:
         name: one of `PROBE_CURVATURES`.
     """
 
-    needs_images = False
-
     def __init__(self, name: str) -> None:
+        super().__init__()
         self.name = name
         self._curvature = PROBE_CURVATURES[name]
-        self._times = 0.1 * np.arange(1, WAYPOINTS + 1)
-
-    def reset(self, context: PlanningContext) -> None:
-        """Take the time step."""
-        self._times = context.dt * np.arange(1, WAYPOINTS + 1)
 
     def plan(self, observation: PlannerInput) -> Plan:
         """The arc for the coming 4 s."""
         return Plan(arc(self._curvature, float(observation.ego[ego.VX]) * self._times))
 
 
-def straight() -> ProbePlanner:
-    """Keeps its course."""
-    return ProbePlanner("straight")
-
-
-def left_arc() -> ProbePlanner:
-    """Turns left."""
-    return ProbePlanner("left-arc")
-
-
-def right_arc() -> ProbePlanner:
-    """Turns right."""
-    return ProbePlanner("right-arc")
+straight = partial(ProbePlanner, "straight")
+left_arc = partial(ProbePlanner, "left-arc")
+right_arc = partial(ProbePlanner, "right-arc")
 
 
 class ProbeAgent:
@@ -160,16 +150,6 @@ class ProbeAgent:
         return Trajectory(arc(self._curvature, speed * times).astype(np.float32), self._sampling)
 
 
-def straight_agent() -> ProbeAgent:
-    """Keeps its course."""
-    return ProbeAgent("straight")
-
-
-def left_arc_agent() -> ProbeAgent:
-    """Turns left."""
-    return ProbeAgent("left-arc")
-
-
-def right_arc_agent() -> ProbeAgent:
-    """Turns right."""
-    return ProbeAgent("right-arc")
+straight_agent = partial(ProbeAgent, "straight")
+left_arc_agent = partial(ProbeAgent, "left-arc")
+right_arc_agent = partial(ProbeAgent, "right-arc")

@@ -75,8 +75,6 @@ class ActorState:
     """One other road user now.
 
     Attributes:
-        track_id: its id in the log.
-        category: as in `Track.category`.
         pose: (3,) x, y, heading of the box centre, world.
         velocity: (2,) m/s, world; need not point along the heading.
         size: (3,) length, width, height in metres.
@@ -101,7 +99,6 @@ class PlannerInput:
         ego_history: (H, 11) past states `dt` apart, oldest first, the current one last; up to 2 s.
             States before the rollout's start are the log's.
         actors: the other road users: the target, further controlled actors, then logged ones.
-        command: where the route leads.
         images: rendered camera images (H, W, 3) uint8 RGB by name; empty unless the planner has
             `needs_images`.
     """
@@ -169,7 +166,6 @@ class Planner(Protocol):
     `recast.planning.virtual_mounts`. `device` says where it computes, for records.
 
     Attributes:
-        name: for tables and file names.
         needs_images: whether `PlannerInput.images` must be filled; rendering costs far more than
             anything else, so planners that read states say False.
     """

@@ -1,4 +1,4 @@
-"""What a planner wants to see, and which camera of whatever rig stands for it.
+"""What a planner wants to see, and which camera of whatever rig stands for it; nuPlan's rig.
 
 Cameras are matched by direction and field of view."""
 
@@ -7,10 +7,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from recast.arrays import Array
+from recast.arrays import Array, Image
 from recast.geometry import PinholeCamera, se3
 from recast.planning.types import CameraMount, Planner
 
@@ -18,6 +19,26 @@ WITHIN_DEGREES = 30.0
 """A camera that looks further off than this does not stand for a wanted one."""
 FITS_DEGREES = 2.0
 """A camera shows a view as it is if no corner looks further than this from where it should."""
+
+NUPLAN_CAMERAS = ("nuplan_l0", "nuplan_f0", "nuplan_r0")
+"""Left, front and right."""
+
+NUPLAN_CAMERA = PinholeCamera(
+    width=1920,
+    height=1080,
+    fx=1545.0,
+    fy=1545.0,
+    cx=960.0,
+    cy=560.0,
+    distortion=(-0.356123, 0.172545, -0.002130, 0.000464, -0.052310),
+)
+"""Intrinsics shared by all three; the images are as distorted as this says."""
+
+_NUPLAN_MOUNTS = (
+    ((1.646, 0.143, 1.521), 55.2, -0.5),
+    ((1.670, -0.026, 1.523), 0.2, -1.5),
+    ((1.626, -0.162, 1.526), -55.5, 0.4),
+)
 
 _SAMPLES = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [0.5, 0.5]])
 """Corners and centre, as shares of width and height."""
@@ -109,8 +130,7 @@ def degrees_between(a: Array, b: Array) -> Array:
     """Angles (...) between directions (..., 3)."""
     # The sine too: arccos alone knows nothing of angles below a millionth.
     sine = np.linalg.norm(np.cross(a, b), axis=-1)
-    angles: Array = np.rad2deg(np.arctan2(sine, np.sum(a * b, axis=-1)))
-    return angles
+    return np.rad2deg(np.arctan2(sine, np.sum(a * b, axis=-1)))
 
 
 @dataclass(frozen=True)
@@ -118,7 +138,6 @@ class View:
     """A level picture in a certain direction.
 
     Attributes:
-        name: what the planner calls it.
         camera: intrinsics; images of another size in the same proportion will do.
         yaw: direction of the optical axis, degrees to the left of ahead.
         crop_rows, crop_columns: pixels at each edge that the planner does not look at.
@@ -218,5 +237,62 @@ def _sampled(mount: CameraMount) -> Array:
     camera = mount.camera
     rays = camera.rays(_SAMPLES * [camera.width, camera.height])
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    turned: Array = rays @ mount.rig_from_camera[:3, :3].T
-    return turned
+    return rays @ mount.rig_from_camera[:3, :3].T
+
+
+def nuplan_rig(scale: float = 1.0) -> dict[str, CameraMount]:
+    """The virtual rig by camera name, in the rear-axle frame.
+
+    NAVSIM feeds the planner the raw images, with their distortion. A renderer of pinhole images
+    renders with `Lens(camera).source` and bends the result: see
+    `recast.simulation.scene_renderer.through_lenses`.
+
+    Args:
+        scale: of width and height, rounded to whole pixels.
+
+    Source: nuPlan's published calibration, rounded: position in metres, yaw to the left, pitch
+    upwards (the optical axis of the front camera points 1.5 degrees below the horizon), no roll.
+    """
+    size = round(NUPLAN_CAMERA.width * scale), round(NUPLAN_CAMERA.height * scale)
+    camera = NUPLAN_CAMERA.resized(*size)
+    return {
+        name: CameraMount(camera, camera_pose(position, yaw, pitch))
+        for name, (position, yaw, pitch) in zip(NUPLAN_CAMERAS, _NUPLAN_MOUNTS, strict=True)
+    }
+
+
+class Lens:
+    """Bends pinhole images to those of a camera with distortion.
+
+    Render with `source`, then call `bend`. The map is computed once.
+
+    Args:
+        camera: of the images to be made.
+
+    Attributes:
+        source: rectified camera at the same place, with the same focal lengths, just large enough
+            to see all that `camera` sees.
+    """
+
+    def __init__(self, camera: PinholeCamera) -> None:
+        self.camera = camera
+        rays = camera.rays(camera.pixel_grid())[..., :2] * [camera.fx, camera.fy]
+        # Half a pixel beyond the outermost centres is what the outermost pixels cover.
+        low = np.floor(rays.min((0, 1)) - 0.5 + 1e-6)
+        width, height = np.ceil(rays.max((0, 1)) + 0.5 - 1e-6 - low).astype(int).tolist()
+        self.source = PinholeCamera(width, height, camera.fx, camera.fy, *(-low).tolist())
+        # OpenCV counts from the centre of the first pixel.
+        x, y = np.moveaxis(rays - low - 0.5, -1, 0).astype(np.float32)
+        self._x, self._y = np.ascontiguousarray(x), np.ascontiguousarray(y)
+
+    def bend(self, image: Image) -> Image:
+        """A `source` image (h, w, 3) uint8 as `camera` sees it (height, width, 3).
+
+        Raises:
+            ValueError: the image does not have the size of `source`.
+        """
+        if image.shape[:2] != (self.source.height, self.source.width):
+            expected = (self.source.height, self.source.width)
+            raise ValueError(f"Lens.bend: expected {expected} pixels, got {image.shape[:2]}")
+        bent = cv2.remap(image, self._x, self._y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(bent, np.uint8)

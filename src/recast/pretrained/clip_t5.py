@@ -91,11 +91,9 @@ class ClipT5:
 
     Args:
         name: for results.
-        language: T5ForConditionalGeneration.
-        vision: CLIPVisionModel.
+        language, vision: T5ForConditionalGeneration and CLIPVisionModel.
         projector: weight and bias of two linear layers, from patches to the width of T5.
-        tokenizer: of transformers; it ends every text with T5's end token.
-        processor: image processor of transformers.
+        tokenizer, processor: of transformers; the first ends every text with T5's end token.
         layer: of the vision model's hidden states, whose patches are read.
     """
 
@@ -245,12 +243,15 @@ def load_clip_t5(folder: Path, device: str = "cpu", dtype: str | None = None) ->
         if tuple(tensor.shape) != shape or not bool(torch.isfinite(tensor).all()):
             problem = f"has shape {tuple(tensor.shape)}, not {shape}, or values that are not finite"
             raise InputError(folder, f"{_PROJECTOR}*", problem, _MEND)
+
+    def refusal(problem: str) -> InputError:
+        return InputError(folder, "weights", problem, "download the files of this network again")
+
+    t5, clip = transformers.T5ForConditionalGeneration, transformers.CLIPVisionModel
     return ClipT5(
         folder.name,
-        network_of("T5ForConditionalGeneration", language_config, language, folder, number).to(
-            device
-        ),
-        network_of("CLIPVisionModel", vision_config, vision, folder, number).to(device),
+        network_of(t5, language_config, language, refusal, number).to(device),
+        network_of(clip, vision_config, vision, refusal, number).to(device),
         [tensor.to(device, number) for tensor in projector],
         tokenizer,
         processor,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import safe_open
 from torch import Tensor
 
 from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.names import member
-from recast.core.torch_file import read_tensors
+from recast.core.torch_file import read_header, read_tensors
 
 CONFIG_FILE = "config.json"
 WEIGHTS_FILE = "model.safetensors"
@@ -80,22 +78,12 @@ class PretrainedFolder:
         if found != self.model_type:
             raise self._refusal(CONFIG_FILE, f"is of model_type {found!r}, not {self.model_type!r}")
         # Layers are made one by one before their weights are looked for.
-        most = len(self._shapes())
+        most = len(read_header(self.path / WEIGHTS_FILE, f"download it from {self.repositories}"))
         self._bound(CONFIG_FILE, config, ("layer", "depth", "block"), most, "(stored tensors)")
         for name in _PROCESSOR_FILES:
             if (self.path / name).is_file():
                 told = read_json(self.path / name)
                 self._bound(name, told, ("size", "edge", "height", "width"), MOST_PIXELS, "pixels")
-
-    def _shapes(self) -> dict[str, list[int]]:
-        """Shapes of the stored tensors, of which nothing but the header is read."""
-        try:
-            with safe_open(self.path / WEIGHTS_FILE, "pt") as file:
-                return {name: file.get_slice(name).get_shape() for name in file.keys()}  # noqa: SIM118
-        except Exception as error:  # of the parser, of torch, of the file system
-            raise self._refusal(
-                WEIGHTS_FILE, f"is no whole safetensors file ({first_line(error)})"
-            ) from None
 
     def _bound(self, file: str, config: Any, names: tuple[str, ...], most: int, unit: str) -> None:
         """Refuse numbers above `most` of members with one of `names` in their path."""
@@ -121,45 +109,32 @@ class PretrainedFolder:
         self.check()
         import transformers
 
-        options = {"local_files_only": True}
-        stored = sum(math.prod(shape) for shape in self._shapes().values())
+        names = self.model_class, self.processor_class
+        network, processors = (getattr(transformers, name) for name in names)
         with quiet():
             try:
-                # Without memory first: what is asked for must be there before it is taken.
-                network = getattr(transformers, self.model_class)
-                with torch.device("meta"):
-                    empty = network(network.config_class.from_pretrained(self.path, **options))
-                asked = sum(one.numel() for one in (*empty.parameters(), *empty.buffers()))
-                if asked > 2 * stored + SPARE:  # smaller differences are told by name below
-                    raise ValueError(f"{CONFIG_FILE} asks for {asked} numbers, {stored} are stored")
-                processor = getattr(transformers, self.processor_class).from_pretrained(
-                    self.path, **options
-                )
-                model, loaded = network.from_pretrained(
-                    self.path,
-                    use_safetensors=True,
-                    output_loading_info=True,
-                    ignore_mismatched_sizes=True,
-                    dtype=torch.float32,
-                    **options,
-                )
+                config = network.config_class.from_pretrained(self.path, local_files_only=True)
+                processor = processors.from_pretrained(self.path, local_files_only=True)
             except Exception as error:  # transformers raises whatever its parts raise
                 raise self._refusal("files", f"cannot be read ({first_line(error)})") from error
-        absent = sorted(loaded["missing_keys"])
-        if absent:
-            raise self._refusal(WEIGHTS_FILE, f"lacks {len(absent)} tensors, first {absent[0]}")
-        check_tensors(model, loaded, lambda problem: self._refusal(WEIGHTS_FILE, problem))
-        return processor, model.to(device).eval().requires_grad_(False)
+        state = read_tensors(self.path / WEIGHTS_FILE, "weights", self._mend)
+        model = network_of(
+            network,
+            config,
+            state,
+            lambda problem: self._refusal(WEIGHTS_FILE, problem),
+            spare=True,
+        )
+        return processor, model.to(device)
 
-    def _refusal(self, field: str, problem: str) -> InputError:
+    @property
+    def _mend(self) -> str:
         wanted = "config.json, model.safetensors, preprocessor_config.json"
         wanted += " and the tokenizer's files" if self.text else ""
-        return InputError(
-            self.path,
-            field,
-            problem,
-            f"download {wanted} of {self.repositories} from Hugging Face into this folder",
-        )
+        return f"download {wanted} of {self.repositories} from Hugging Face into this folder"
+
+    def _refusal(self, field: str, problem: str) -> InputError:
+        return InputError(self.path, field, problem, self._mend)
 
 
 def model_type(folder: Path) -> str | None:
@@ -167,22 +142,6 @@ def model_type(folder: Path) -> str | None:
     path = folder / CONFIG_FILE
     config = read_json(path) if path.is_file() else None
     return config.get("model_type") if isinstance(config, dict) else None
-
-
-def check_tensors(
-    model: Any, told: Mapping[str, Any], refusal: Callable[[str], InputError]
-) -> None:
-    """Refuse a network whose tensors were stored in other shapes, or are not finite.
-
-    Args:
-        told: what transformers says of its loading.
-        refusal: makes the error of a problem.
-    """
-    for name, theirs, ours in sorted(told["mismatched_keys"]):
-        raise refusal(f"tensor {name} has shape {tuple(theirs)}, not {tuple(ours)}")
-    for name, tensor in model.state_dict().items():
-        if not torch.isfinite(tensor).all():
-            raise refusal(f"tensor {name} holds values that are not finite")
 
 
 @contextmanager
@@ -253,36 +212,38 @@ def read_weights(folder: Path, mend: str) -> dict[str, Tensor]:
 
 
 def network_of(
-    class_name: str, config: Any, state: Mapping[str, Tensor], where: Path, dtype: torch.dtype
+    network: Any,
+    config: Any,
+    state: Mapping[str, Tensor],
+    refusal: Callable[[str], InputError],
+    dtype: torch.dtype = torch.float32,
+    spare: bool = False,
 ) -> Any:
     """A network of transformers with these weights, on the CPU, ready to infer.
 
     Args:
-        class_name: in transformers.
+        network: class of transformers.
         config: configuration of that class.
-        where: for messages.
+        refusal: makes the error of a problem with the weights.
+        spare: whether there may be more tensors than the network has.
 
     Raises:
         InputError: tensors are missing, of another shape or not finite, or the configuration asks
             for more layers or numbers than there are.
     """
-    import transformers
-
-    def refusal(problem: str) -> InputError:
-        return InputError(where, "weights", problem, "download the files of this network again")
-
     layers = max(getattr(config, name, 0) for name in ("num_hidden_layers", "num_decoder_layers"))
     if layers > len(state):
-        raise refusal(f"have {len(state)} tensors for {layers} layers")
+        raise refusal(f"has {len(state)} tensors for {layers} layers")
     with quiet():
         try:
-            network = getattr(transformers, class_name)
-            with torch.device("meta"):  # takes no memory
-                asked = sum(one.numel() for one in network(config).state_dict().values())
-            stored = sum(math.prod(one.shape) for one in state.values())
+            # Without memory first: what is asked for must be there before it is taken.
+            with torch.device("meta"):
+                empty = network(config)
+            asked = sum(one.numel() for one in (*empty.parameters(), *empty.buffers()))
+            stored = sum(one.numel() for one in state.values())
             if asked > 2 * stored + SPARE:  # smaller differences are told by name below
-                raise ValueError(f"the configuration asks for {asked} numbers, {stored} are stored")
-            model, told = network.from_pretrained(
+                raise ValueError(f"{CONFIG_FILE} asks for {asked} numbers, {stored} are stored")
+            model, loaded = network.from_pretrained(
                 None,
                 config=config,
                 state_dict=dict(state),
@@ -292,8 +253,14 @@ def network_of(
             )
         except Exception as error:  # transformers raises whatever its parts raise
             raise refusal(f"cannot be read ({first_line(error)})") from error
-    absent, more = sorted(told["missing_keys"]), sorted(told["unexpected_keys"])
+    absent = sorted(loaded["missing_keys"])
+    more = [] if spare else sorted(loaded["unexpected_keys"])
     if absent or more:
-        raise refusal(f"lack {len(absent)} tensors and have {len(more)} more: {(absent + more)[0]}")
-    check_tensors(model, told, refusal)
+        beside = "" if spare else f" and has {len(more)} more"
+        raise refusal(f"lacks {len(absent)} tensors{beside}, first {(absent + more)[0]}")
+    for name, theirs, ours in sorted(loaded["mismatched_keys"]):
+        raise refusal(f"tensor {name} has shape {tuple(theirs)}, not {tuple(ours)}")
+    for name, tensor in model.state_dict().items():
+        if not torch.isfinite(tensor).all():
+            raise refusal(f"tensor {name} holds values that are not finite")
     return model.eval().requires_grad_(False)

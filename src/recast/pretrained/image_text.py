@@ -157,11 +157,8 @@ class Clip:
 
 
 def _scaled(embeddings: Array, unit: bool) -> Array:
-    if not unit:
-        return embeddings
     lengths = np.linalg.norm(embeddings, axis=1, keepdims=True)
-    scaled: Array = embeddings / np.maximum(lengths, 1e-12)
-    return scaled
+    return embeddings / np.maximum(lengths, 1e-12) if unit else embeddings
 
 
 class VqaScorer(Protocol):

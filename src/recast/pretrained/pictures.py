@@ -129,14 +129,12 @@ def resized(
         pictures: (H, W, 3), uint8 or floats in [0, 1].
         antialias: whether the filter widens where a picture shrinks.
     """
-    return torch.cat([_resized(one, side, antialias) for one in pictures])
-
-
-def _resized(picture: Picture | NDArray[np.float64], side: int, antialias: bool) -> Tensor:
-    pixels = torch.from_numpy(np.ascontiguousarray(picture, np.float32)).movedim(-1, 0)[None]
-    if picture.dtype == np.uint8:
-        pixels = pixels / 255
-    return functional.interpolate(pixels, (side, side), mode="bilinear", antialias=antialias)
+    made = []
+    for one in pictures:
+        pixels = torch.from_numpy(np.ascontiguousarray(one, np.float32)).movedim(-1, 0)[None]
+        pixels = pixels / 255 if one.dtype == np.uint8 else pixels
+        made.append(functional.interpolate(pixels, side, mode="bilinear", antialias=antialias))
+    return torch.cat(made)
 
 
 @torch.no_grad()

@@ -13,8 +13,7 @@ from recast.recar.record import (
     split_of,
 )
 from recast.recar.statistics import SetStatistics, set_statistics, statistics_table
-from recast.recar.synthesis import synthesize_set
-from recast.recar.synthesis_plan import SynthesisSettings
+from recast.recar.synthesis import SynthesisSettings, synthesize_set
 from recast.recar.vehicle_set import (
     Identity,
     VehicleSet,

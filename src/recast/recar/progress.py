@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from rich.console import Console
@@ -96,14 +95,9 @@ class TrainingDisplay(Bars):
                 if math.isfinite(value):
                     self.writer.add_scalar(f"{self.what}/{name}", value, step)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Stop drawing, and write the last curves."""
-        super().__exit__(kind, error, trace)
+        super().__exit__(*error)
         if self.writer is not None:
             self.writer.flush()
 

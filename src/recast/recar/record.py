@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat
@@ -136,6 +137,12 @@ class IdentityRecord(Record):
     source: str | None = None
     seed: tuple[int, ...] | None = None
     licence: Text | None = None
+
+
+def first_difference(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> str | None:
+    """The first name, in their order, whose members of two dumped records differ."""
+    names = sorted(found.keys() | wanted.keys())
+    return next((name for name in names if found.get(name) != wanted.get(name)), None)
 
 
 def view_file(index: int) -> str:

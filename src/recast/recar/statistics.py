@@ -22,7 +22,6 @@ class SetStatistics:
     """Counts over a set.
 
     Attributes:
-        identities, pictures: how many.
         bytes: of all picture files.
         splits: identities by split.
         kinds, colours: identities by kind and by colour, the most frequent first.

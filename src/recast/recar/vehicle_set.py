@@ -12,14 +12,12 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from recast.arrays import Array
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.files import disk_errors, read_bytes
-from recast.core.progress import Progress
 from recast.core.records import read_record
-from recast.geometry import PinholeCamera
 from recast.recar.record import (
     IDENTITY_FILE,
     SET_FILE,
@@ -28,15 +26,16 @@ from recast.recar.record import (
     IdentityRecord,
     SetRecord,
     Split,
+    first_difference,
     view_file,
 )
 from recast.recar.views import (
+    HEADER_BYTES,
     MOST_BYTES,
+    IdentitySource,
     Image,
-    check_header,
+    VehicleSource,
     encode_picture,
-    read_picture,
-    view_camera,
 )
 
 _MEND = "see docs/data.md, section Vehicle sets"
@@ -44,56 +43,36 @@ _MEND_OUT = "name another folder, or repeat the options of the set that lies the
 
 
 @dataclass(frozen=True)
-class Identity:
-    """One vehicle of a set; its pictures are decoded when asked for.
-
-    Attributes:
-        folder: where its pictures are.
-        record: what is known about it.
-        set_record: what it shares with all of the set.
-    """
+class Identity(IdentitySource):
+    """One vehicle of a set, its pictures in `folder`."""
 
     folder: Path
     record: IdentityRecord
     set_record: SetRecord
 
-    def view(self, index: int) -> Image:
-        """(height, width, 4) uint8 RGBA with straight alpha.
-
-        Raises:
-            InputError: the file is missing or broken, of another size, or has no alpha.
-        """
-        path = self.folder / view_file(index)
-        return read_picture(path, self.set_record.width, self.set_record.height)
+    def where(self, index: int) -> Path:
+        """Path of a view."""
+        return self.folder / view_file(index)
 
     def encoded(self, index: int) -> bytes:
-        """The PNG of a view as it lies on the disk, not looked at.
+        """The PNG of a view as it lies on the disk, not looked at; InputError: it is missing."""
+        return read_bytes(self.where(index), MOST_BYTES)
 
-        Raises:
-            InputError: the file is missing.
-        """
-        return read_bytes(self.folder / view_file(index), MOST_BYTES)
+    def head(self, index: int) -> bytes:
+        """The first bytes of a view."""
+        path = self.where(index)
+        with disk_errors(path), path.open("rb") as file:
+            return file.read(HEADER_BYTES)
 
     def picture_bytes(self) -> int:
         """Bytes of all its pictures."""
-        names = [view_file(index) for index in range(self.set_record.views)]
         with disk_errors(self.folder):
-            return sum((self.folder / name).stat().st_size for name in names)
-
-    def camera(self, index: int) -> tuple[PinholeCamera, Array]:
-        """The camera of a view and `actor_from_camera` (4, 4); see `view_camera`."""
-        return view_camera(self.set_record, self.record, index)
+            return sum(self.where(i).stat().st_size for i in range(self.set_record.views))
 
 
 @dataclass(frozen=True)
-class VehicleSet:
-    """A set that was read.
-
-    Attributes:
-        folder: where it lies.
-        record: set.json.
-        identities: by id, sorted.
-    """
+class VehicleSet(VehicleSource):
+    """A set in folders that was read."""
 
     folder: Path
     record: SetRecord
@@ -106,28 +85,6 @@ class VehicleSet:
     def records(self) -> Iterator[tuple[IdentityRecord, int]]:
         """Record and bytes of the pictures of every identity, sorted by id."""
         return ((one.record, one.picture_bytes()) for one in self.identities.values())
-
-    def check_pictures(self, decode: bool = False, progress: Progress | None = None) -> None:
-        """Look at every picture: its header, or all of it.
-
-        Args:
-            decode: also find pictures cut short and alpha that is zero everywhere; slow.
-            progress: called with pictures done and all pictures.
-
-        Raises:
-            InputError: the first picture that is wrong.
-        """
-        views, done = self.record.views, 0
-        for identity in self.identities.values():
-            for index in range(views):
-                if decode:
-                    identity.view(index)
-                else:
-                    path = identity.folder / view_file(index)
-                    check_header(path, self.record.width, self.record.height)
-                done += 1
-                if progress is not None:
-                    progress(done, views * len(self.identities))
 
 
 def read_set(folder: str | Path) -> VehicleSet:
@@ -211,17 +168,10 @@ def _check_folder(identity: Identity) -> None:
 
 
 def begin_set(folder: str | Path, record: SetRecord, identities: Collection[str]) -> frozenset[str]:
-    """Start a set, or go on with the one that lies there, which may have fewer identities.
+    """Start a set, or go on with the one that lies there; see `check_begin`.
 
-    It is marked as in the making until `finish_set`.
-
-    Args:
-        folder: of the set.
-        record: of the set.
-        identities: ids of all that will be in it.
-
-    Returns:
-        Ids that are finished already.
+    It is marked as in the making until `finish_set`. The one there may have fewer identities than
+    `identities`, the ids of all that will be in it. Returns the ids that are finished already.
 
     Raises:
         InputError: as `check_begin`.
@@ -236,7 +186,7 @@ def begin_set(folder: str | Path, record: SetRecord, identities: Collection[str]
 
 
 def check_begin(folder: Path, record: SetRecord, identities: Collection[str]) -> frozenset[str]:
-    """What `begin_set` would return, with nothing written.
+    """Ids of a set that are finished, of those that will be in it; nothing is written.
 
     Raises:
         InputError: the folder holds something else, a set of another configuration, a broken
@@ -249,7 +199,7 @@ def check_begin(folder: Path, record: SetRecord, identities: Collection[str]) ->
             folder, "output folder", "exists and is no vehicle set", "name a new or empty folder"
         )
     found = read_set_record(folder)
-    if name := _first_difference(found, record):
+    if name := first_difference(_members(found), _members(record)):
         raise InputError(
             folder / SET_FILE, name, "differs: a set of another configuration lies there", _MEND_OUT
         )
@@ -270,9 +220,6 @@ def write_identity(
     """Add one identity to a set; its folder appears whole or not at all.
 
     Args:
-        folder: of the set.
-        record: of the set.
-        identity: what is known about the vehicle.
         pictures: one for each azimuth, (height, width, 4) uint8 RGBA with straight alpha; taken
             one by one.
 
@@ -299,13 +246,9 @@ def finish_set(folder: str | Path, record: SetRecord) -> None:
     _write_record(Path(folder), record.model_copy(update={"complete": True}))
 
 
-def _first_difference(found: SetRecord, wanted: SetRecord) -> str | None:
-    theirs, ours = ({**r.model_dump(mode="json"), **(r.generator or {})} for r in (found, wanted))
-    same_anyway = ("complete", "identities", "generator")
-    for name in sorted((theirs.keys() | ours.keys()) - set(same_anyway)):
-        if theirs.get(name) != ours.get(name):
-            return name
-    return None
+def _members(record: SetRecord) -> dict[str, Any]:
+    members = record.model_dump(mode="json", exclude={"complete", "identities", "generator"})
+    return {**members, **(record.generator or {})}
 
 
 def _write_record(folder: Path, record: SetRecord) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from recast.arrays import Array, Image
 from recast.core.errors import InputError
-from recast.core.files import atomic_file, disk_errors, read_bytes
-from recast.core.progress import Progress
+from recast.core.files import atomic_file, read_bytes
+from recast.core.progress import Progress, tell
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.recar.record import LARGEST_SIDE, IdentityRecord, SetRecord, Split
 
@@ -105,24 +105,31 @@ def fitting_distance(
 def encode_picture(rgba: Image) -> bytes:
     """PNG of an image (H, W, 4) uint8; colour without alpha becomes black, which packs better."""
     rgba = np.where(rgba[..., 3:] > 0, rgba, np.uint8(0))
-    written, data = cv2.imencode(".png", cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA))
-    assert written
-    return data.tobytes()
+    return cv2.imencode(".png", cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA))[1].tobytes()
 
 
-def check_header(path: Path, width: int, height: int) -> None:
-    """Look at size and channels of a view without decoding it.
+def encode_rgb(picture: Image) -> bytes:
+    """PNG of a picture (H, W, 3) uint8."""
+    return cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
+
+
+def write_words(
+    picture: Image,
+    words: str,
+    place: tuple[int, int],
+    size: float,
+    colour: tuple[int, int, int] = (40, 40, 40),
+) -> None:
+    """Write a line into a picture (H, W, 3), in place, from the left end of its baseline (x, y)."""
+    cv2.putText(picture, words, place, cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
+
+
+def check_header(head: bytes, where: str | Path, width: int, height: int) -> None:
+    """Look at size and channels of a view by its first `HEADER_BYTES`; `where` is for messages.
 
     Raises:
-        InputError: missing, no PNG, of another size, or without alpha.
+        InputError: no PNG, of another size, or without alpha.
     """
-    with disk_errors(path), path.open("rb") as file:
-        head = file.read(HEADER_BYTES)
-    check_encoded_header(head, path, width, height)
-
-
-def check_encoded_header(head: bytes, where: str | Path, width: int, height: int) -> None:
-    """`check_header` of the first `HEADER_BYTES` of a view, or of all of it."""
     head = head[:HEADER_BYTES]
     if len(head) < HEADER_BYTES or not head.startswith(_SIGNATURE) or head[12:16] != b"IHDR":
         raise InputError(where, "view", "is no PNG", _MEND)
@@ -154,7 +161,7 @@ def read_picture(path: Path, width: int, height: int) -> Image:
 
 def decode_picture(data: bytes, where: str | Path, width: int, height: int) -> Image:
     """`read_picture` of the bytes of a view; `where` is named by the errors."""
-    check_encoded_header(data, where, width, height)
+    check_header(data, where, width, height)
     try:
         bgra = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
@@ -176,53 +183,100 @@ def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 
-class IdentitySource(Protocol):
-    """One vehicle; its pictures are decoded when asked for."""
+class IdentitySource:
+    """One vehicle; its pictures are decoded when asked for.
 
-    @property
-    def record(self) -> IdentityRecord:
-        """What is known about it."""
+    Attributes:
+        record: what is known about it.
+        set_record: what it shares with all of the set.
+    """
 
-    @property
-    def set_record(self) -> SetRecord:
-        """What it shares with all of the set."""
-
-    def view(self, index: int) -> Image:
-        """(height, width, 4) uint8 RGBA with straight alpha."""
+    record: IdentityRecord
+    set_record: SetRecord
 
     def encoded(self, index: int) -> bytes:
-        """The PNG of a view."""
+        """The PNG of a view, not looked at."""
+        raise NotImplementedError
+
+    def where(self, index: int) -> str | Path:
+        """Where a view lies, for messages."""
+        raise NotImplementedError
 
     def picture_bytes(self) -> int:
         """Bytes of all its pictures."""
+        raise NotImplementedError
 
-    def camera(self, index: int) -> tuple[PinholeCamera, NDArray[np.float64]]:
-        """The camera of a view and `actor_from_camera` (4, 4)."""
+    def view(self, index: int) -> Image:
+        """(height, width, 4) uint8 RGBA with straight alpha.
+
+        Raises:
+            InputError: the picture is missing or broken, of another size, or has no alpha.
+        """
+        record = self.set_record
+        return decode_picture(self.encoded(index), self.where(index), record.width, record.height)
+
+    def check_header(self, index: int) -> None:
+        """Look at size and channels of a view without decoding it.
+
+        Raises:
+            InputError: missing, no PNG, of another size, or without alpha.
+        """
+        record = self.set_record
+        check_header(self.head(index), self.where(index), record.width, record.height)
+
+    def head(self, index: int) -> bytes:
+        """The first `HEADER_BYTES` of a view, or more."""
+        return self.encoded(index)
+
+    def camera(self, index: int) -> tuple[PinholeCamera, Array]:
+        """The camera of a view and `actor_from_camera` (4, 4); see `view_camera`."""
+        return view_camera(self.set_record, self.record, index)
 
 
-class VehicleSource(Protocol):
-    """A set: `VehicleSet` and `ShardedSet` alike."""
+class VehicleSource:
+    """A set, in folders or in shards.
 
-    @property
-    def folder(self) -> Path:
-        """Where it lies."""
+    Attributes:
+        folder: where it lies.
+        record: set.json.
+        identities: by id, sorted.
+    """
 
-    @property
-    def record(self) -> SetRecord:
-        """set.json."""
-
-    @property
-    def identities(self) -> Mapping[str, IdentitySource]:
-        """By id, sorted."""
+    folder: Path
+    record: SetRecord
+    identities: Mapping[str, IdentitySource]
 
     def of_split(self, split: Split) -> Iterator[IdentitySource]:
         """The identities of one split, sorted."""
+        raise NotImplementedError
 
     def records(self) -> Iterator[tuple[IdentityRecord, int]]:
         """Record and bytes of the pictures of every identity, in the order in which they lie.
 
         Nothing is kept, so that statistics of a large set take little memory.
         """
+        raise NotImplementedError
+
+    def in_order(self) -> Iterable[IdentitySource]:
+        """The identities in the order in which they lie."""
+        return self.identities.values()
 
     def check_pictures(self, decode: bool = False, progress: Progress | None = None) -> None:
-        """Look at every picture: its header, or all of it."""
+        """Look at every picture: its header, or all of it; in shards, at all hashes too.
+
+        Args:
+            decode: also find pictures cut short and alpha that is zero everywhere; slow.
+            progress: called with pictures done and all pictures.
+
+        Raises:
+            InputError: the first picture that is wrong.
+        """
+        views, done = self.record.views, 0
+        for identity in self.in_order():
+            for index in range(views):
+                if decode:
+                    identity.view(index)
+                else:
+                    identity.check_header(index)
+                done += 1
+                tell(progress, done, views * len(self.identities))

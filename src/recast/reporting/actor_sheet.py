@@ -11,7 +11,7 @@ import numpy as np
 from recast.actors import Actor, orbit, turntable
 from recast.actors.actor import CandidateRecord
 from recast.actors.coverage import Coverage
-from recast.actors.turntable import coloured_by_shares
+from recast.actors.drawing import coloured_by_shares
 from recast.arrays import Image
 from recast.reporting import palette
 from recast.reporting.canvas import Canvas, View, wrapped

@@ -25,7 +25,6 @@ class BirdseyeStyle:
     """Sizes of the pictures in pixels; even numbers, for the film's sake.
 
     Attributes:
-        film_width, film_height: of a frame of the film.
         still_width, still_max_height: of the picture of the whole rollout.
         span: metres across a frame; an oncoming car 55 m ahead must be in it.
         words: whether frames say time, speeds and gap, and what the colours mean.
@@ -43,8 +42,6 @@ class Birdseye:
     """A rollout made ready to be drawn at many of its steps.
 
     Args:
-        rollout: what to draw.
-        layer: lanes and drivable area.
         actor_log_path: (N, 2) where the actor drove in the log, or None.
     """
 
@@ -64,7 +61,6 @@ class Birdseye:
 
         Args:
             step: 0..S.
-            style: sizes.
             others: poses (3,) of box centres of egos that other arms led elsewhere, as outlines.
 
         Returns:
@@ -143,10 +139,8 @@ def draw_frames(
     """Draw each state k = 0..S, following the ego, the route's direction to the right.
 
     Args:
-        rollout: what to draw.
         hd_map: lanes and drivable area, or None.
         actor_log_path: (N, 2) where the actor drove in the log, or None.
-        style: sizes.
 
     Yields:
         (film_height, film_width, 3) uint8 RGB.

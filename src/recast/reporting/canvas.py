@@ -22,13 +22,12 @@ _FAR = 1e5  # pixels; keeps far-away points within cv2's fixed-point range
 
 @dataclass(frozen=True)
 class View:
-    """Where an orthographic picture looks.
+    """Where an orthographic picture of width x height pixels looks.
 
     Attributes:
         centre: (2,) world point in the picture's middle, metres.
         heading: world direction, radians, that points to the right in the picture.
         scale: pixels a metre.
-        width, height: pixels.
     """
 
     centre: Array
@@ -123,8 +122,13 @@ class Canvas:
     def _fixed(self, points: ArrayLike) -> NDArray[np.int32]:
         # cv2 counts from pixel centres, the view from pixel corners.
         pixels = np.clip(self.view.pixels(points) - 0.5, -_FAR, _FAR)
-        fixed: NDArray[np.int32] = np.rint(pixels * (1 << _SHIFT)).astype(np.int32)
-        return fixed
+        return np.rint(pixels * (1 << _SHIFT)).astype(np.int32)
+
+
+def at_width(image: Image, width: int) -> Image:
+    """An image (H, W, 3), resized to a width in pixels."""
+    height = max(1, round(image.shape[0] * width / image.shape[1]))
+    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 @cache

@@ -32,14 +32,9 @@ class ComparedRun:
     """One of the runs.
 
     Attributes:
-        name: for people.
         log: name of its log; `log_hash` of its contents.
-        target: the controlled track.
-        arms: arm to its name for people.
         scenarios: by motion, setting and planner.
         settings: JSON-able members, nested as deep as one likes; those that differ are shown.
-        hd_map: for the views from above.
-        camera_headings: see `ReportInputs`.
     """
 
     name: str
@@ -75,7 +70,6 @@ def write_comparison(runs: Sequence[ComparedRun], out: str | Path) -> Path:
 
     Args:
         runs: at least two.
-        out: folder of the page.
 
     Raises:
         InputError: `out` holds something that is no report, or the disk is full.

@@ -21,8 +21,6 @@ class Plot:
     """One plot, ready to be put into HTML.
 
     Attributes:
-        title: what is plotted.
-        alt: what it shows, in words.
         svg: `<svg>` element with `currentColor` as ink and no background.
         left, right: where 0 and `time_end` lie, as shares of the width.
         time_end: what lies at the right end of the axis; seconds if it is one of time.
@@ -40,9 +38,6 @@ class Figure:
     """Axes with labels and a grid, to draw on in data coordinates.
 
     Args:
-        end: the horizontal axis goes from 0 to here.
-        low, high: ends of the vertical axis.
-        label: of the vertical axis, with its unit.
         horizontal: label of the horizontal axis, with its unit.
         every: distance between the numbers of the horizontal axis; None chooses one.
     """
@@ -175,9 +170,7 @@ class Figure:
 def ticks(low: float, high: float, most: int, every: float | None = None) -> list[float]:
     """Round numbers from `low` to `high`, 1, 2 or 5 times a power of ten apart.
 
-    Args:
-        most: how many there are at most, give or take one.
-        every: distance between them instead.
+    There are `most` at most, give or take one; or `every` is the distance between them.
     """
     if every is None:
         rough = (high - low) / most

@@ -28,11 +28,7 @@ PURPOSE = (
 
 @dataclass(frozen=True)
 class NotMade:
-    """Stands where a part is missing.
-
-    Attributes:
-        reason: in words, shown on the page.
-    """
+    """Stands where a part is missing; the page shows `reason`."""
 
     reason: str = "this run did not make it"
 
@@ -59,12 +55,9 @@ class ShowcasePart:
     """The first screen: one moment that the log never had, seen in several ways.
 
     Attributes:
-        caption: what the pictures show, in a sentence.
         pictures: label to picture, from left to right, the truth last.
         notes: label to the line of numbers under its picture; a label may be missing.
         best: the label whose numbers are nearest to the truth's, or None.
-        numbers: one line for all of it.
-        purpose: a sentence on what all this is for.
     """
 
     caption: str
@@ -80,7 +73,6 @@ class TruthPart:
     """Baseline and candidate actor against the truth, over the angle from the log.
 
     Attributes:
-        views: the comparison.
         names: "baseline", "candidate" and "truth" to their names for people.
         colours: "baseline" and "candidate" to the indices of their arms' colours.
         pictures: index of a view to its picture: baseline, candidate and truth side by side.
@@ -114,8 +106,6 @@ class RegistrationPart:
     Attributes:
         median_before, median_after: metres from LiDAR points to the actor, before and after ICP.
         limit: metres; a larger `median_after` is flagged.
-        p90_after: metres, or None.
-        inlier_share: of LiDAR points kept by the trimming, 0..1, or None.
         points: LiDAR points used.
         scale: isotropic, found by ICP on top of the box scaling.
         yaw: radians, found by ICP on top of the coarse search.
@@ -132,8 +122,6 @@ class RegistrationPart:
     scale: float
     yaw: float
     translation: Array
-    p90_after: float | None = None
-    inlier_share: float | None = None
     size_misfit: Array | None = None
     sides: Mapping[str, float] = field(default_factory=dict)
     facts: tuple[Fact, ...] = ()
@@ -145,11 +133,7 @@ class ActorPart:
 
     Attributes:
         name: of the target, for example "track 0 (car)".
-        generator: what made it.
-        observation, registration: see there.
-        turntable: film of the actor turning once.
         log_path: (N, 2) where it drove in the log, world metres, or None.
-        source: what it was made from, in words.
         all_around: views of the actor and of its shares; see `draw_all_around`.
         candidates: vehicles that it was chosen from.
         refinement: what following all images of the log did, in sentences.
@@ -174,7 +158,6 @@ class RolloutPart:
     Attributes:
         arm: a key of `ReportInputs.arms`.
         rollout: its states, the failure that ended it, or why there is none.
-        metrics: its scores.
         films: camera name to film of what the planner saw, one frame a step.
         coverage: what of the actor its cameras showed; None for an actor without shares.
     """
@@ -192,7 +175,6 @@ class ScenarioPart:
 
     Attributes:
         title: for example "Cut-in, setting A".
-        description: what the actor does, in a sentence.
         rollouts: one an arm, in the order of `ReportInputs.arms`.
     """
 
@@ -208,15 +190,12 @@ class ImageScore:
     Attributes:
         region: what was compared, for example "whole image" or "inside moving cars' boxes".
         psnr: dB; ssim: -1..1 or None; frames: how many images.
-        psnr_limit, ssim_limit: smaller values are flagged, or None.
     """
 
     region: str
     psnr: float
     frames: int
     ssim: float | None = None
-    psnr_limit: float | None = None
-    ssim_limit: float | None = None
 
 
 @dataclass(frozen=True)
@@ -237,7 +216,6 @@ class ScenePart:
     """How well the reconstructed scene shows images it was not trained on.
 
     Attributes:
-        scores, comparisons: see there.
         facts: number of Gaussians, training time, image size and the like.
         depth: against the LiDAR.
     """
@@ -253,13 +231,9 @@ class ProvenancePart:
     """What is needed to make the run again.
 
     Attributes:
-        command: the command line, or None.
-        versions: of programs and libraries.
-        seeds: by step.
-        hashes: of contents, by name.
+        versions, seeds, hashes: of programs and libraries; by step; of contents, by name.
     """
 
-    command: str | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
     seeds: Mapping[str, int] = field(default_factory=dict)
     hashes: Mapping[str, str] = field(default_factory=dict)
@@ -270,8 +244,6 @@ class ReportInputs:
     """Everything on the page.
 
     Attributes:
-        title: of the page.
-        log: name of the log.
         arms: arm to its name for people, in the order of the columns, the baseline first.
         truth_arm: the one of `arms` that shows what is really there, or None.
         showcase: the first screen; without one the page begins with the overview.

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from recast.core.errors import InputError
 from recast.reporting import palette
 from recast.reporting.birdseye import Birdseye, BirdseyeStyle
+from recast.reporting.canvas import at_width
 from recast.reporting.inputs import NotMade, ReportInputs, RolloutPart
 from recast.reporting.moments import Moment, find_moments
 from recast.reporting.page import Assets, Media
@@ -69,7 +69,6 @@ class MomentColumn:
     """One moment.
 
     Attributes:
-        moment: step, time and reasons.
         camera: name of the camera whose images are shown; None without films.
         cells: one for each arm, in the order of `Strip.arms`.
     """
@@ -97,7 +96,6 @@ def moment_strip(
     """Find the moments of a scenario and write their pictures.
 
     Args:
-        name: of the scenario, for the files.
         parts: its rollouts, in the order of `run.arms`.
         drawn: by arm, its rollout made ready to be drawn.
     """
@@ -150,7 +148,12 @@ def _images(
         steps = [m.step for m, camera in zip(moments, cameras, strict=True) if camera == name]
         try:
             frames = film_frames(films[name], steps)
-            found.update({(name, step): _narrowed(frame) for step, frame in frames.items()})
+            found.update(
+                {
+                    (name, step): at_width(frame, min(_WIDEST, frame.shape[1]))
+                    for step, frame in frames.items()
+                }
+            )
         except InputError as error:
             reason = NotMade(f"{films[name].name} {error.problem}")
             found.update({(name, step): reason for step in steps})
@@ -159,14 +162,6 @@ def _images(
         found.get((name or "", moment.step), missing)
         for moment, name in zip(moments, cameras, strict=True)
     ]
-
-
-def _narrowed(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    height, width = image.shape[:2]
-    if width <= _WIDEST:
-        return image
-    size = (_WIDEST, round(height * _WIDEST / width))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _style(rollouts: Sequence[object], step: int) -> BirdseyeStyle:

@@ -10,7 +10,7 @@ import numpy as np
 
 from recast.evaluation.collision import CAP
 from recast.reporting.inputs import NotMade, RolloutPart
-from recast.reporting.plots import planned_paths, series
+from recast.reporting.plots import first_true, planned_paths, series
 from recast.reporting.summary import listed
 from recast.simulation.rollout import Rollout
 
@@ -22,13 +22,7 @@ PLANS_APART = 1.0
 
 @dataclass(frozen=True)
 class Moment:
-    """One moment of a scenario.
-
-    Attributes:
-        step: of the rollouts.
-        time: seconds from their start.
-        reasons: why it is shown, in words.
-    """
+    """A moment of a scenario: step of the rollouts, seconds from their start, why it is shown."""
 
     step: int
     time: float
@@ -46,7 +40,6 @@ def find_moments(parts: Sequence[RolloutPart], arms: Mapping[str, str]) -> tuple
 
     Args:
         parts: rollouts of the scenario; those that did not come about are left out.
-        arms: arm to its name for people.
     """
     driven = {part.arm: part for part in parts if isinstance(part.rollout, Rollout)}
     if not driven:
@@ -78,8 +71,7 @@ def paths_part(one: Rollout, other: Rollout) -> int | None:
     """First step at which two egos are more than `PATHS_APART` apart; None if they never are."""
     steps = min(len(one.ego), len(other.ego))
     away = np.hypot(*(one.ego[:steps, :2] - other.ego[:steps, :2]).T)
-    beyond = np.flatnonzero(away > PATHS_APART)
-    return int(beyond[0]) if len(beyond) else None
+    return first_true(away > PATHS_APART)
 
 
 def _paths_part(rollouts: Mapping[str, Rollout]) -> dict[tuple[str, str], int]:
@@ -95,9 +87,9 @@ def _plans_part(rollouts: Mapping[str, Rollout]) -> dict[tuple[str, str], int]:
         shared = min(len(first.plan_steps), len(second.plan_steps))
         same = first.plan_steps[:shared] == second.plan_steps[:shared]
         away = np.linalg.norm(paths[one][:shared] - paths[other][:shared], axis=-1).max(axis=1)
-        beyond = np.flatnonzero(same & (away > PLANS_APART))
-        if len(beyond):
-            firsts[one, other] = int(first.plan_steps[beyond[0]])
+        beyond = first_true(same & (away > PLANS_APART))
+        if beyond is not None:
+            firsts[one, other] = int(first.plan_steps[beyond])
     return firsts
 
 

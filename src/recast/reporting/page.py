@@ -32,12 +32,7 @@ _GENERATOR = "recast report"
 
 @dataclass(frozen=True)
 class Media:
-    """A file of the report.
-
-    Attributes:
-        url: relative to the page.
-        width, height: pixels.
-    """
+    """A file of the report: its address relative to the page, and its size in pixels."""
 
     url: str
     width: int
@@ -123,8 +118,7 @@ class Assets:
         """Encode frames (H, W, 3) uint8 RGB of even size."""
         target = self._target("films", name, ".mp4")
         write_video(target, frames, fps)
-        height, width, _ = next(iterate_video(target)).shape
-        return Media(self._url(target), width, height)
+        return self._film(target)
 
     def joined_film(self, name: str, films: Sequence[tuple[str, Media]]) -> Media | NotMade:
         """Join labelled films of this report, for use outside of the page."""
@@ -136,8 +130,11 @@ class Assets:
             if isinstance(error.__cause__, OSError):  # the disk refuses, which ends the report
                 raise
             return NotMade(f"{error.field} {error.problem}")
-        height, width, _ = next(iterate_video(target)).shape
-        return Media(self._url(target), width, height)
+        return self._film(target)
+
+    def _film(self, path: Path) -> Media:
+        height, width, _ = next(iterate_video(path)).shape
+        return Media(self._url(path), width, height)
 
     def _target(self, kind: str, name: str, suffix: str) -> Path:
         path = self.folder / kind / f"{self._scope}{self._free(kind, name)}{suffix}"
@@ -170,11 +167,8 @@ def _write(path: Path, picture: NDArray[np.uint8], **options: object) -> None:
 def write_page(out: str | Path, render: Callable[[Assets], str]) -> Path:
     """Write a folder with a page and its files; return its `index.html`.
 
-    The folder appears whole; an earlier one at `out` is replaced.
-
-    Args:
-        out: the folder.
-        render: makes the page, and the files that it shows.
+    The folder appears whole; an earlier one at `out` is replaced. `render` makes the page, and the
+    files that it shows.
 
     Raises:
         InputError: `out` holds something that is no report, or the disk is full.
@@ -195,11 +189,7 @@ def write_page(out: str | Path, render: Callable[[Assets], str]) -> Path:
 
 
 def check_out(out: Path) -> None:
-    """Refuse a folder that is neither empty nor a report.
-
-    Raises:
-        InputError: it is that.
-    """
+    """Refuse (InputError) a folder that is neither empty nor a report."""
     if out.exists() and not _is_report(out):
         raise InputError(
             out, "report folder", "holds something that is no report", "name another folder"

@@ -1,7 +1,6 @@
 """One colour for one thing, in every drawing of the report (RGB, 0..255).
 
-The map is dark, so that it reads alike on light and dark pages; the colours of arms are of
-middle lightness, so that their lines do too.
+The map is dark and arms are of middle lightness: both read alike on light and dark pages.
 """
 
 from __future__ import annotations

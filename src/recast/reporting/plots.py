@@ -25,8 +25,8 @@ class Series:
 
     Attributes:
         time: (S+1,) seconds from the start.
-        ego_speed, log_ego_speed, actor_speed: (S+1,) m/s.
         acceleration: (S+1,) longitudinal, of the ego, m/s^2.
+        ego_speed, log_ego_speed, actor_speed: (S+1,) m/s.
         gap: (S+1,) metres between the two boxes seen from above; 0 where they overlap.
         contact: (S+1,) bool, whether they overlap, as NC counts it.
         plan_time: (C,) seconds at which each plan was made.
@@ -44,8 +44,12 @@ class Series:
     @property
     def collision_step(self) -> int | None:
         """First state with contact, or None."""
-        steps = np.flatnonzero(self.contact)
-        return int(steps[0]) if len(steps) else None
+        return first_true(self.contact)
+
+
+def first_true(flags: NDArray[np.bool_]) -> int | None:
+    """Index of the first of flags (N,) that is set, or None."""
+    return int(np.argmax(flags)) if flags.any() else None
 
 
 def series(rollout: Rollout) -> Series:
@@ -82,9 +86,6 @@ class Curves:
     """One arm's curves.
 
     Attributes:
-        label: the arm's name.
-        colour: its colour in all plots of a report.
-        series: per state.
         ttc: (C,) seconds for each plan, or None.
     """
 
@@ -120,7 +121,6 @@ def coverage_plot(arm: str, coverage: RolloutCoverage, dt: float, end: float) ->
     """Shares of the vehicle in the images of each plan step; nothing if no image shows it.
 
     Args:
-        arm: its name for people.
         dt: seconds between steps; the axis ends after `end` seconds.
     """
     figure = Figure(end, 0.0, 100.0, "share of its pixels [%]")

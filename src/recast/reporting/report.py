@@ -5,28 +5,197 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from recast.core.workers import usable_cores
 from recast.logs.hdmap import HdMap
-from recast.reporting import summary, tables
-from recast.reporting.checks import checks, coverage_lines, glance
+from recast.reporting import palette, plots, summary, tables
+from recast.reporting.birdseye import Birdseye, BirdseyeStyle
+from recast.reporting.checks import checks, coverage_lines, coverage_note, glance, looked_at
 from recast.reporting.inputs import (
     NOT_MADE,
     ActorPart,
     NotMade,
     ObservationPart,
     ReportInputs,
+    RolloutPart,
+    ScenarioPart,
     ScenePart,
     ShowcasePart,
     TruthPart,
 )
 from recast.reporting.marks import MapLayer
-from recast.reporting.page import Assets, render_template, write_page
-from recast.reporting.scenario_view import ScenarioView, scenario_view
+from recast.reporting.moment_strip import Strip, camera_towards, filmed_cameras, moment_strip
+from recast.reporting.page import Assets, Media, render_template, write_page
 from recast.reporting.truth import truth_view
+from recast.simulation.rollout import Rollout
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What there is to see of a rollout that came about."""
+
+    films: Mapping[str, Media | NotMade] | NotMade
+    birdseye: Media | NotMade
+    still: Media | NotMade
+    events: tuple[summary.Event, ...]
+
+
+@dataclass(frozen=True)
+class MethodColumn:
+    """One arm's part of a player; `arm` is the index of its colour."""
+
+    title: str
+    arm: int
+    drawn: Drawn | NotMade
+
+
+@dataclass(frozen=True)
+class ScenarioView:
+    """One scenario, ready for the page.
+
+    Attributes:
+        cameras: all that some arm has a film of.
+        joined: camera, and the film with all arms side by side; None if fewer than two have one.
+        lines: of the metric table, one an arm.
+        legend: colour and meaning of the curves in `plots`, and of their areas.
+        seconds: the length of the longest rollout; `dt` between states.
+        notes: sentences on how the arms compare: who drove alike, and how far from the truth;
+            and on what was shown of the actor.
+    """
+
+    part: ScenarioPart
+    anchor: str
+    columns: tuple[MethodColumn, ...]
+    cameras: tuple[str, ...]
+    joined: tuple[str, Media | NotMade] | None
+    strip: Strip
+    lines: tuple[tables.Line, ...]
+    plots: tuple[plots.Plot, ...]
+    legend: tuple[tuple[str, str], ...]
+    seconds: float
+    dt: float
+    notes: tuple[str, ...]
+
+
+def scenario_view(
+    run: ReportInputs, layer: MapLayer, part: ScenarioPart, anchor: str, assets: Assets
+) -> ScenarioView:
+    """Write a scenario's films and pictures and gather what the page says about it."""
+    order = {arm: i for i, arm in enumerate(run.arms)}
+    parts = sorted(part.rollouts, key=lambda rollout: order[rollout.arm])
+    log_path = run.actor.log_path if isinstance(run.actor, ActorPart) else None
+    driven = {
+        p.arm: Birdseye(p.rollout, layer, log_path) for p in parts if isinstance(p.rollout, Rollout)
+    }
+    columns = tuple(
+        MethodColumn(
+            run.arms[p.arm],
+            order[p.arm],
+            _draw(p, driven[p.arm], assets)
+            if p.arm in driven
+            else NotMade(summary.why_missing(p.rollout)),
+        )
+        for p in parts
+    )
+    curves = [
+        plots.Curves(
+            run.arms[p.arm],
+            palette.arm_colour(order[p.arm]),
+            driven[p.arm].curves,
+            None if isinstance(p.metrics, NotMade) else p.metrics.ttc.per_cycle,
+        )
+        for p in parts
+        if p.arm in driven
+    ]
+    cameras = filmed_cameras(parts)
+    covered = [p for p in parts if p.coverage is not None and p.arm in driven]
+    end = max((float(one.curves.time[-1]) for one in driven.values()), default=0.0)
+    strip = moment_strip(run, part.title, parts, driven, assets)
+    times = [column.moment.time for column in strip.columns]
+    return ScenarioView(
+        part=part,
+        anchor=anchor,
+        columns=columns,
+        cameras=cameras,
+        joined=_joined(run, part, columns, cameras, assets),
+        strip=strip,
+        lines=tuple(_line(run, p, order[p.arm]) for p in parts),
+        plots=(
+            *(plots.rollout_plots(curves, times) if curves else ()),
+            *(_coverage_plot(run, p, end) for p in covered),
+        ),
+        legend=(
+            *((palette.css(curve.colour), f"ego, {curve.label}") for curve in curves),
+            (palette.css(palette.ACTOR), "actor"),
+            ("currentColor", "ego as recorded (dotted)"),
+            *((palette.css(colour), name) for name, colour in palette.SHARES.items() if covered),
+        ),
+        seconds=end,
+        dt=next((one.rollout.dt for one in driven.values()), 0.1),
+        notes=tuple(
+            note
+            for note in (
+                summary.driving_note(part, run.arms),
+                summary.truth_gaps(run, part),
+            )
+            if note is not None
+        )
+        + tuple(coverage_note(line) for line in coverage_lines([part], run.arms)),
+    )
+
+
+def _coverage_plot(run: ReportInputs, part: RolloutPart, end: float) -> plots.Plot:
+    assert part.coverage is not None and isinstance(part.rollout, Rollout)
+    return plots.coverage_plot(run.arms[part.arm], looked_at(part.coverage), part.rollout.dt, end)
+
+
+def _draw(part: RolloutPart, drawn: Birdseye, assets: Assets) -> Drawn:
+    films, style, rollout = part.films, BirdseyeStyle(), drawn.rollout
+    frames = (drawn.frame(step, style) for step in range(rollout.steps_run + 1))
+    return Drawn(
+        films=films
+        if isinstance(films, NotMade)
+        else {camera: assets.film(f"{part.arm}-{camera}", film) for camera, film in films.items()},
+        birdseye=assets.draw_film(f"{part.arm}-birdseye", frames, 1.0 / rollout.dt),
+        still=assets.picture(f"{part.arm}-birdseye", drawn.still(style)),
+        events=summary.rollout_events(part, drawn.curves),
+    )
+
+
+def _line(run: ReportInputs, part: RolloutPart, arm: int) -> tables.Line:
+    title = run.arms[part.arm]
+    if not isinstance(part.metrics, NotMade):
+        line = tables.rollout_line(title, arm, part.metrics)
+        return tables.untoned(line) if part.arm == run.truth_arm else line
+    reason = part.metrics.reason
+    if not isinstance(part.rollout, Rollout):
+        reason = summary.why_missing(part.rollout)
+    return tables.missing_line(title, arm, reason)
+
+
+def _joined(
+    run: ReportInputs,
+    part: ScenarioPart,
+    columns: tuple[MethodColumn, ...],
+    cameras: tuple[str, ...],
+    assets: Assets,
+) -> tuple[str, Media | NotMade] | None:
+    """A film to pass on outside of the page: all arms beside each other, looking ahead."""
+    camera = camera_towards(cameras, run.camera_headings)
+    films = [
+        (column.title, film)
+        for column in columns
+        if isinstance(column.drawn, Drawn)
+        and not isinstance(column.drawn.films, NotMade)
+        and isinstance(film := column.drawn.films.get(camera or ""), Media)
+    ]
+    if camera is None or len(films) < 2:
+        return None
+    return camera, assets.joined_film(f"{camera}-side-by-side", films)
 
 
 def write_report(run: ReportInputs, out: str | Path) -> Path:
@@ -34,10 +203,6 @@ def write_report(run: ReportInputs, out: str | Path) -> Path:
 
     The folder holds everything the page shows and asks for nothing from the network. It appears
     whole; an earlier report at `out` is replaced. The same inputs give the same bytes.
-
-    Args:
-        run: what to show; see `ReportInputs`.
-        out: the folder.
 
     Raises:
         InputError: `out` holds something that is no report, or the disk is full.

@@ -17,13 +17,7 @@ from recast.simulation.rollout import Rollout, RolloutFailure
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened in a rollout.
-
-    Attributes:
-        time: seconds from its start.
-        text: in words.
-        tone: how it is to be taken.
-    """
+    """Something that happened in a rollout, `time` seconds after its start, and its tone."""
 
     time: float
     text: str

@@ -153,12 +153,7 @@ def _rollout_cell(key: str, metric: Metric) -> Cell:
 
 
 def aggregate_line(row: TableRow, arms: Mapping[str, str], order: Mapping[str, int]) -> Line:
-    """Means of one planner and arm.
-
-    Args:
-        arms: arm to its name for people.
-        order: arm to the index of its colour.
-    """
+    """Means of one planner and arm; `arms` names arms for people, `order` indexes their colours."""
     cells = []
     for key in COLUMNS:
         mean, count = row.means[key], row.counts[key]
@@ -224,11 +219,11 @@ def score_lines(evaluation: Mapping[str, Any]) -> tuple[ImageScore, ...]:
     """Held-out images: whole, what moves, and inside the box of each track.
 
     Args:
-        evaluation: the contents of eval.json; those of version 1 have no moving pixels.
+        evaluation: the contents of eval.json; see `SceneEvaluation.to_json`.
     """
     frames = evaluation["frames"]
     lines = [ImageScore("whole image", evaluation["psnr"], len(frames), evaluation["ssim"])]
-    moving = evaluation.get("moving")
+    moving = evaluation["moving"]
     if moving is not None:
         seen = sum(frame["moving"] is not None for frame in frames)
         lines.append(ImageScore(MOVING, moving["psnr"], seen, moving["ssim"]))
@@ -242,9 +237,9 @@ def depth_facts(evaluation: Mapping[str, Any]) -> tuple[Fact, ...]:
     """The scene's depth against the LiDAR; nothing where the log has no sweep at these images.
 
     Args:
-        evaluation: the contents of eval.json; those of version 1 have no depth.
+        evaluation: the contents of eval.json; see `SceneEvaluation.to_json`.
     """
-    depth = evaluation.get("depth")
+    depth = evaluation["depth"]
     if depth is None:
         return ()
     seen = sum(frame["depth"] is not None for frame in evaluation["frames"])

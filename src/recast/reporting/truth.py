@@ -14,7 +14,7 @@ from recast.reporting.actor_sheet import SIDES
 from recast.reporting.figure import Figure, Plot
 from recast.reporting.inputs import NotMade, ShowcasePart, TruthPart
 from recast.reporting.page import Assets, Media
-from recast.reporting.tables import Tone
+from recast.reporting.tables import Cell, Tone
 
 _LIMIT = 60.0  # degrees beyond which a view is one that the log never had
 _BINS = ((0, 30), (30, 60), (60, 90), (90, 120), (120, 150), (150, 180.1))
@@ -62,21 +62,15 @@ def _plot(part: TruthPart, measure: str, title: str, label: str) -> Plot:
 
 
 @dataclass(frozen=True)
-class TruthCell:
-    """One number of the table; `note` is the paired difference with its interval."""
-
-    text: str
-    tone: Tone = "plain"
-    note: str | None = None
-
-
-@dataclass(frozen=True)
 class TruthLine:
-    """One range of angles: how many views, and for each measure a cell an arm."""
+    """One range of angles: how many views, and for each measure a cell an arm.
+
+    The note of a cell is the paired difference with its interval.
+    """
 
     label: str
     views: int
-    cells: tuple[TruthCell, ...]
+    cells: tuple[Cell, ...]
     total: bool
 
 
@@ -85,9 +79,7 @@ class TruthView:
     """The section, ready for the page.
 
     Attributes:
-        part: what it is made from.
         lines: of the table; the last two gather the ones above.
-        plots: each measure over the angle.
         pictures: caption and picture of each view, the furthest from the log first.
     """
 
@@ -110,8 +102,6 @@ def truth_parts(
     Args:
         arms: as in `ReportInputs`, for names and colours.
         baseline: the one of `arms` that shows the street's own actor; None where none does.
-        candidate: the one with the generated actor.
-        truth: the one that shows the truth.
 
     Raises:
         InputError: the folder's record is missing or broken.
@@ -191,24 +181,17 @@ def _better(view: OracleView, names: Mapping[str, str]) -> str | None:
 
 
 def _line(angle_bin: AngleBin) -> TruthLine:
-    cells: list[TruthCell] = []
+    cells: list[Cell] = []
     assert angle_bin.baseline is not None and angle_bin.candidate is not None
     for measure, (_, digits, unit) in _MEASURES.items():
-        baseline, candidate = (
-            getattr(angle_bin.baseline, measure),
-            getattr(angle_bin.candidate, measure),
-        )
+        baseline = getattr(angle_bin.baseline, measure)
+        candidate = getattr(angle_bin.candidate, measure)
         change, better = angle_bin.difference[measure], angle_bin.candidate_better[measure]
         note = f"{change.point:+.{digits}f} ({change.low:+.{digits}f} to {change.high:+.{digits}f})"
         note += f", better in {better} of {angle_bin.views}"
-        cells.append(
-            TruthCell(f"{baseline:.{digits}f}{unit}", "good" if baseline > candidate else "plain")
-        )
-        cells.append(
-            TruthCell(
-                f"{candidate:.{digits}f}{unit}", "good" if candidate > baseline else "plain", note
-            )
-        )
+        for value, other, remark in ((baseline, candidate, None), (candidate, baseline, note)):
+            tone: Tone = "good" if value > other else "plain"
+            cells.append(Cell(f"{value:.{digits}f}{unit}", tone, remark))
     low, high = angle_bin.low, angle_bin.high
     total = (low, high) in ((60.0, 180.0), (0.0, 180.0))
     return TruthLine(angle_label(low, high), angle_bin.views, tuple(cells), total)

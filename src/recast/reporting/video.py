@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
-from types import TracebackType
+from typing import Any
 
 import av
 import cv2
@@ -38,7 +39,6 @@ class VideoWriter:
     under its name when the `with` block ends without an error, and not at all otherwise.
 
     Args:
-        path: the .mp4 to write.
         fps: frames per second; 10 for rollouts of 0.1 s steps.
         crf: constant rate factor, 0 (lossless) to 51; 18 is hard to tell from the source; 23 is
             at 38 to 43 dB on the demo's films, and 57 % of the size.
@@ -109,21 +109,16 @@ class VideoWriter:
         context.colorspace = context.color_primaries = context.color_trc = _BT709
         context.color_range = _LIMITED_RANGE
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *fault: Any) -> None:
         try:
-            if kind is None:
+            if fault[0] is None:
                 if self._frames == 0:
                     raise ValueError(f"{self.path}: a film needs at least one frame")
                 self._container.mux(self._stream.encode(None))
-        except BaseException as failure:
-            self._stack.__exit__(type(failure), failure, failure.__traceback__)
+        except BaseException:
+            self._stack.__exit__(*sys.exc_info())
             raise
-        self._stack.__exit__(kind, error, traceback)
+        self._stack.__exit__(*fault)
 
 
 def write_video(path: str | Path, frames: Iterable[Image], fps: float = 10.0) -> None:
@@ -216,7 +211,6 @@ def side_by_side(films: Sequence[str | Path], out: str | Path, labels: Sequence[
 
     Args:
         films: at least one.
-        labels: one for each film.
 
     Raises:
         InputError: a film is missing or broken, or the films run at different rates.

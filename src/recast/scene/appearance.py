@@ -1,30 +1,31 @@
-"""How actors look: colours over their time, and the side that no camera sees.
+"""How Gaussians look: actors over their time, their side that no camera sees, images' exposures.
 
 Colours are a Fourier series in the constant harmonic. A share of the actor's time, 0 at its first
-label and 1 at its last, stands for t.
-
-Vehicles are symmetric, the flip prior of Street Gaussians: a reflection at the plane between left
-and right, y -> -y in the box frame, carries a Gaussian to where an equal one is expected on the
-side that no camera sees.
+label and 1 at its last, stands for t. Vehicles are symmetric, the flip prior of Street Gaussians: a
+reflection at the plane between left and right, y -> -y in the box frame, carries a Gaussian to
+where an equal one is expected on the side that no camera sees.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from recast.logs import Track, Trajectory
+from recast.logs import Trajectory
+from recast.scene.poses import AdamTable
+from recast.scene.sky import SkyMap
+from recast.scene.views import View
 from recast.splats import Gaussians, concatenate
 from recast.splats.gaussians import LARGEST
+from recast.splats.sh import C0
 
-DEFORMABLE = frozenset({"pedestrian"})
-"""Categories that are not symmetric at every moment."""
-ARTICULATED = frozenset({"pedestrian", "cyclist"})
-"""Categories that have limbs: what deformable nodes are for."""
+if TYPE_CHECKING:
+    from recast.scene.street_scene import SceneActor, StreetScene
 
 
 def fourier_basis(share: float, terms: int) -> Tensor:
@@ -46,10 +47,10 @@ def share_of(trajectory: Trajectory, timestamp_us: int) -> float:
     return min(max((timestamp_us - first) / max(last - first, 1), 0.0), 1.0)
 
 
-def coloured(gaussians: Gaussians, waves: Tensor, share: float) -> Gaussians:
+def coloured(gaussians: Gaussians, fourier: Tensor, share: float) -> Gaussians:
     """Add the time-dependent part (N, F - 1, 3) to the constant harmonic; differentiable."""
-    basis = fourier_basis(share, waves.shape[1] + 1)[1:].to(waves)
-    constant = gaussians.sh[:, :1] + torch.einsum("k,nkc->nc", basis, waves)[:, None]
+    basis = fourier_basis(share, fourier.shape[1] + 1)[1:].to(fourier)
+    constant = gaussians.sh[:, :1] + torch.einsum("k,nkc->nc", basis, fourier)[:, None]
     return replace(gaussians, sh=torch.cat([constant, gaussians.sh[:, 1:]], dim=1))
 
 
@@ -58,36 +59,36 @@ class Appearance:
     """How the colours of an actor's Gaussians go on from the moment at which they are stored.
 
     Attributes:
-        waves: (N, F - 1, 3) coefficients of the basis but its constant.
+        fourier: (N, F - 1, 3) coefficients of the basis but its constant.
         frozen_share: share of the actor's time whose colours its Gaussians have: those of every
             use that is tied to no time of the recording.
     """
 
-    waves: Tensor
+    fourier: Tensor
     frozen_share: float
 
     def validate(self, where: str, count: int) -> None:
         """Raise ValueError naming the member at fault of an actor `where` of `count` Gaussians."""
-        shape = tuple(self.waves.shape)
+        shape = tuple(self.fourier.shape)
         if len(shape) != 3 or shape[0] != count or shape[2] != 3:
-            raise ValueError(f"{where}.waves: expected ({count}, F - 1, 3), got {shape}")
-        if not bool((self.waves.abs() < LARGEST).all()):  # also NaN
-            raise ValueError(f"{where}.waves: a value is not finite, or out of range")
+            raise ValueError(f"{where}.fourier: expected ({count}, F - 1, 3), got {shape}")
+        if not bool((self.fourier.abs() < LARGEST).all()):  # also NaN
+            raise ValueError(f"{where}.fourier: a value is not finite, or out of range")
         if not 0 <= self.frozen_share <= 1:
             raise ValueError(f"{where}.frozen_share: {self.frozen_share} is not within [0, 1]")
 
     def at(self, frozen: Gaussians, share: float) -> Gaussians:
         """The Gaussians with the colours of another share of the time."""
-        return coloured(coloured(frozen, -self.waves, self.frozen_share), self.waves, share)
+        return coloured(coloured(frozen, -self.fourier, self.frozen_share), self.fourier, share)
 
 
 def frozen(
-    gaussians: Gaussians, waves: Tensor, share: float
+    gaussians: Gaussians, fourier: Tensor, share: float
 ) -> tuple[Gaussians, Appearance | None]:
     """Gaussians with the colours of a share of the time, and how those go on, if they change."""
-    if waves.shape[1] == 0:
+    if fourier.shape[1] == 0:
         return gaussians, None
-    return coloured(gaussians, waves, share), Appearance(waves, share)
+    return coloured(gaussians, fourier, share), Appearance(fourier, share)
 
 
 def mirrored(gaussians: Gaussians, chosen: Tensor) -> Gaussians:
@@ -125,6 +126,65 @@ def _parity(gaussians: Gaussians) -> Tensor:
     return torch.tensor([-1.0 if order < 0 else 1.0 for order in orders]).to(gaussians.sh)[:, None]
 
 
-def symmetric_tracks(tracks: Iterable[Track]) -> Tensor:
-    """(T,) bool: tracks whose category is symmetric at every moment."""
-    return torch.tensor([track.category not in DEFORMABLE for track in tracks], dtype=torch.bool)
+class Exposures:
+    """A transform [I | 0] + residual (3, 4) of the composited colours for each training view.
+
+    Blending is linear: with alpha the sum of the weights, A (sum w c + (1 - alpha) sky) + b equals
+    sum w (A c + b) + (1 - alpha) (A sky + b). So the mean transform, which views that nobody
+    trained on get, can be written into a scene's colours. It holds while no Gaussian's colour is
+    clamped.
+
+    Attributes:
+        table: (V, 12) the residuals.
+    """
+
+    def __init__(self, views: Sequence[View]) -> None:
+        self._rows = {(view.camera_name, view.frame): row for row, view in enumerate(views)}
+        self.table = AdamTable(torch.zeros(len(views), 12))
+
+    def applied(self, image: Tensor, view: View) -> tuple[Tensor, Tensor]:
+        """The image (H, W, 3) as the view's camera exposed it, and the mean size of the residual.
+
+        Both are differentiable, the second is what a regulariser weighs.
+        """
+        residual = self.table.value[self._rows[view.camera_name, view.frame]].to(image.device)
+        return exposed_colours(image, _affine(residual)), residual.abs().mean()
+
+    def mean(self) -> Tensor:
+        """The transform (3, 4) of views that were not trained on."""
+        return _affine(self.table.value.detach().mean(dim=0))
+
+
+def exposed_colours(colours: Tensor, affine: Tensor) -> Tensor:
+    """Colours (..., 3) after the transform (3, 4)."""
+    return colours @ affine[:, :3].T + affine[:, 3]
+
+
+def exposed(gaussians: Gaussians, affine: Tensor) -> Gaussians:
+    """The Gaussians with the colours' transform (3, 4) in their harmonics."""
+    sh = gaussians.sh @ affine[:, :3].T
+    # A colour is 0.5 + C0 constant + ...: what A makes of the half goes to the constant as well.
+    shift = exposed_colours(torch.full((3,), 0.5), affine) - 0.5
+    constant = sh[:, :1] + shift / C0
+    return replace(gaussians, sh=torch.cat([constant, sh[:, 1:]], dim=1))
+
+
+def exposed_scene(scene: StreetScene, affine: Tensor) -> StreetScene:
+    """The scene with the colours' transform (3, 4) in all its parts; the sky stays in [0, 1]."""
+    return replace(
+        scene,
+        background=exposed(scene.background, affine),
+        actors={name: _exposed_actor(actor, affine) for name, actor in scene.actors.items()},
+        sky=SkyMap(exposed_colours(scene.sky.colours, affine).clamp(0, 1)),
+    )
+
+
+def _exposed_actor(actor: SceneActor, affine: Tensor) -> SceneActor:
+    appearance = actor.appearance
+    if appearance is not None:
+        appearance = replace(appearance, fourier=appearance.fourier @ affine[:, :3].T)
+    return replace(actor, gaussians=exposed(actor.gaussians, affine), appearance=appearance)
+
+
+def _affine(residual: Tensor) -> Tensor:
+    return torch.eye(3, 4).to(residual) + residual.view(3, 4)

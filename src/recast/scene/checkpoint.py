@@ -17,7 +17,7 @@ from recast.scene.initialise import Initialisation
 from recast.scene.points import DepthSamples
 from recast.scene.sky import SkyMap
 from recast.scene.tensor_file import read_tensors, write_tensors
-from recast.scene.trainable import rows
+from recast.scene.trainable import STATES, rows
 from recast.scene.trainer import Trainer
 from recast.splats import Gaussians
 
@@ -31,15 +31,13 @@ def save_checkpoint(trainer: Trainer, notes: Mapping[str, Any], path: Path) -> N
     """
     model = trainer.model
     tensors: dict[str, Tensor] = {"owner": model.owner}
-    if model.waves.shape[1]:
-        tensors["waves"] = model.waves
+    if model.fourier.shape[1]:
+        tensors["waves"] = model.fourier
     tensors |= _prefixed("background", rows(model.background))
     tensors |= _prefixed("local", rows(model.local))
-    tensors |= _prefixed("background_adam", model.background_adam.state_dict())
-    tensors |= _prefixed("local_adam", model.local_adam.state_dict())
     for name, table in trainer.tables().items():
         tensors |= _prefixed(name, table.state_dict())
-    for name in ("background_statistics", "local_statistics"):
+    for name in STATES:
         tensors |= _prefixed(name, getattr(model, name).state_dict())
     header = {
         "iteration": trainer.iteration,
@@ -57,32 +55,22 @@ def load_checkpoint(trainer: Trainer, path: Path) -> dict[str, Any]:
         InputError: the file is missing or broken.
     """
     with _broken(path):
-        return _load_checkpoint(trainer, *read_tensors(path))
-
-
-def _load_checkpoint(
-    trainer: Trainer, tensors: dict[str, Tensor], header: Mapping[str, Any]
-) -> dict[str, Any]:
-    model = trainer.model
-    local = Gaussians(**_group(tensors, "local"))
-    model.place(
-        Gaussians(**_group(tensors, "background")).to(trainer.device),
-        local.to(trainer.device),
-        tensors["owner"],
-        tensors.get("waves", torch.zeros(len(local), 0, 3)).to(trainer.device),
-    )
-    model.restore(
-        background_adam=_group(tensors, "background_adam"),
-        local_adam=_group(tensors, "local_adam"),
-        background_statistics=_group(tensors, "background_statistics"),
-        local_statistics=_group(tensors, "local_statistics"),
-    )
-    for name, table in trainer.tables().items():
-        table.load_state_dict(_group(tensors, name))
-    trainer.iteration = int(header["iteration"])
-    trainer.limited_from = header["limited_from"]
-    trainer.limited_changes = int(header["limited_changes"])
-    return dict(header["notes"])
+        tensors, header = read_tensors(path)
+        model = trainer.model
+        local = Gaussians(**_group(tensors, "local"))
+        model.place(
+            Gaussians(**_group(tensors, "background")).to(trainer.device),
+            local.to(trainer.device),
+            tensors["owner"],
+            tensors.get("waves", torch.zeros(len(local), 0, 3)).to(trainer.device),
+        )
+        model.restore({name: _group(tensors, name) for name in STATES})
+        for name, table in trainer.tables().items():
+            table.load_state_dict(_group(tensors, name))
+        trainer.iteration = int(header["iteration"])
+        trainer.limited_from = header["limited_from"]
+        trainer.limited_changes = int(header["limited_changes"])
+        return dict(header["notes"])
 
 
 def save_initialisation(start: Initialisation, path: Path) -> None:
@@ -107,38 +95,33 @@ def save_initialisation(start: Initialisation, path: Path) -> None:
 
 
 def load_initialisation(path: Path) -> Initialisation:
-    """Read `save_initialisation`'s file.
-
-    Raises:
-        InputError: the file is missing or broken.
-    """
+    """Read `save_initialisation`'s file; InputError if the file is missing or broken."""
     with _broken(path):
-        start = _load_initialisation(*read_tensors(path))
-        for part in (start.background, *start.actors.values()):
-            part.validate()
-    return start
-
-
-def _load_initialisation(tensors: dict[str, Tensor], header: Mapping[str, Any]) -> Initialisation:
-    views = range(header["views"])
-    ground = None
-    if "ground_cell_m" in header:
-        part = _group(tensors, "ground")
-        ground = GroundHeight(
-            part["origin"].numpy(), header["ground_cell_m"], part["height"].numpy()
+        tensors, header = read_tensors(path)
+        views = range(header["views"])
+        ground = None
+        if "ground_cell_m" in header:
+            part = _group(tensors, "ground")
+            ground = GroundHeight(
+                part["origin"].numpy(), header["ground_cell_m"], part["height"].numpy()
+            )
+        start = Initialisation(
+            background=Gaussians(**_group(tensors, "background")),
+            actors={
+                name: Gaussians(**_group(tensors, f"actor/{name}")) for name in header["actors"]
+            },
+            sky=SkyMap(tensors["sky"]),
+            sky_pixels=[tensors[f"view/{i}/sky"].numpy().astype(np.int64) for i in views],
+            depths=[
+                DepthSamples(tensors[f"view/{i}/depths"].numpy(), tensors[f"view/{i}/uv"].numpy())
+                for i in views
+            ],
+            ground=ground,
+            found=header["found"],
         )
-    return Initialisation(
-        background=Gaussians(**_group(tensors, "background")),
-        actors={name: Gaussians(**_group(tensors, f"actor/{name}")) for name in header["actors"]},
-        sky=SkyMap(tensors["sky"]),
-        sky_pixels=[tensors[f"view/{i}/sky"].numpy().astype(np.int64) for i in views],
-        depths=[
-            DepthSamples(tensors[f"view/{i}/depths"].numpy(), tensors[f"view/{i}/uv"].numpy())
-            for i in views
-        ],
-        ground=ground,
-        found=header["found"],
-    )
+        for gaussians in (start.background, *start.actors.values()):
+            gaussians.validate()
+    return start
 
 
 @contextmanager

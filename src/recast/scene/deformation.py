@@ -8,14 +8,18 @@ al. 2025, section 4.2): in the box frame, with a code for each actor.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from recast.logs import Trajectory
+from recast.logs import Track, Trajectory
+from recast.scene.config import MOST_BANDS, MOST_CODE, MOST_LAYERS, MOST_WIDTH, SceneConfig
+from recast.scene.dynamic import deforms
+from recast.scene.poses import AdamTable
+from recast.scene.schedule import DEFORMATION, deformation_rate, generator
 from recast.splats import Gaussians
 from recast.splats.gaussians import LARGEST
 
@@ -24,7 +28,6 @@ OUTPUTS = 7
 TIME_UNIT_US = 20_000_000
 """Microseconds after the first label that are 1 for the network: the length of Waymo's segments, of
 which OmniRe's time is a share, so that its octaves are the same frequencies."""
-MOST_LAYERS, MOST_WIDTH, MOST_BANDS, MOST_CODE = 16, 1024, 16, 256
 
 
 @dataclass(frozen=True)
@@ -50,8 +53,8 @@ class DeformationNetwork:
 
     def __call__(self, places: Tensor, time: float, code: Tensor) -> Tensor:
         """Offsets (N, 7) at places (N, 3), in units of the box, and a time in `TIME_UNIT_US`."""
-        waves = encoded(places.new_full((1, 1), time), self.time_bands)
-        context = torch.cat([waves, code.to(places)[None]], dim=1).expand(len(places), -1)
+        octaves = encoded(places.new_full((1, 1), time), self.time_bands)
+        context = torch.cat([octaves, code.to(places)[None]], dim=1).expand(len(places), -1)
         inputs = torch.cat([encoded(places, self.bands), context], dim=1)
         hidden, joined = inputs, joining_layer(len(self.layers) - 1)
         for number, layer in enumerate(self.layers[:-1]):
@@ -136,8 +139,8 @@ def encoded(values: Tensor, bands: int) -> Tensor:
     Mildenhall et al. 2020, section 5.1, without pi, as Deformable 3DGS encodes.
     """
     powers = [2.0**k for k in range(bands)]
-    waves = [wave(values * power) for power in powers for wave in (torch.sin, torch.cos)]
-    return torch.cat([values, *waves], dim=1)
+    octaves = [wave(values * power) for power in powers for wave in (torch.sin, torch.cos)]
+    return torch.cat([values, *octaves], dim=1)
 
 
 def encoded_size(bands: int, time_bands: int) -> int:
@@ -162,3 +165,79 @@ def layer_shapes(
 
 def _linear(values: Tensor, layer: Tensor) -> Tensor:
     return functional.linear(values, layer[:, :-1], layer[:, -1])
+
+
+class DeformableNodes:
+    """The network and the codes of the actors that deform.
+
+    Weights start as torch's linear layers do, the outputs at zero: all actors start rigid.
+
+    Args:
+        tracks: actors that may deform; those that do are taken, see `deforms`.
+    """
+
+    def __init__(
+        self, config: SceneConfig, tracks: Mapping[str, Track], device: torch.device | str
+    ) -> None:
+        self._config = config
+        self._tracks = {key: track for key, track in tracks.items() if deforms(track, config)}
+        self._names = tuple(self._tracks)
+        self._tables: dict[str, AdamTable] = {}
+        if not self._names:
+            return
+        rng = generator(config.seed, 0, DEFORMATION)
+        shapes = layer_shapes(
+            config.deformation_layers,
+            config.deformation_width,
+            config.deformation_bands,
+            config.deformation_time_bands,
+            config.deformation_code,
+        )
+        for number, (rows, columns) in enumerate(shapes):
+            bound = (columns - 1) ** -0.5
+            first = (2 * torch.rand(rows, columns, generator=rng) - 1) * bound
+            last = number == len(shapes) - 1
+            self._tables[f"deformation_{number}"] = AdamTable(0 * first if last else first)
+        codes = torch.randn(len(self._names), config.deformation_code, generator=rng)
+        self._tables["deformation_codes"] = AdamTable(codes)
+        for table in self._tables.values():
+            table.to(device)
+
+    def __contains__(self, track_id: str) -> bool:
+        return track_id in self._tracks
+
+    def tables(self) -> dict[str, AdamTable]:
+        """What is learned, by name; empty if nothing deforms."""
+        return dict(self._tables)
+
+    def deformation(self, track_id: str) -> Deformation:
+        """The actor's deformation, with the graph back to the network and its code."""
+        *layers, codes = (table.value for table in self._tables.values())
+        config = self._config
+        network = DeformationNetwork(
+            tuple(layers), config.deformation_bands, config.deformation_time_bands
+        )
+        reach = float(self._tracks[track_id].size.max()) / 2
+        return Deformation(network, codes[self._names.index(track_id)], reach)
+
+    def begun(self, u: float) -> bool:
+        """Whether actors deform at a share of the run; before, they are trained as rigid."""
+        return u >= self._config.deformation_from
+
+    def step(self, u: float) -> None:
+        """Adam on the network, and on the codes of the actors that were drawn."""
+        for table in self._tables.values():
+            table.step(deformation_rate(self._config, u))
+
+    def learned(self) -> dict[str, Deformation]:
+        """Copies on the CPU by track id; they share one network."""
+        found = {name: self.deformation(name) for name in self._names}
+        if not found:
+            return {}
+        first = next(iter(found.values())).network
+        layers = tuple(layer.detach().to("cpu", copy=True) for layer in first.layers)
+        network = DeformationNetwork(layers, first.bands, first.time_bands)
+        return {
+            name: Deformation(network, own.code.detach().to("cpu", copy=True), own.reach)
+            for name, own in found.items()
+        }

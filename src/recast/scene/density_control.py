@@ -80,8 +80,8 @@ def control_density(
     origin = torch.cat([local.kept, local.parents])
     owner = model.owner[origin.cpu()]
     by_owner = owner.argsort(stable=True)
-    waves = model.waves[origin][by_owner]
-    model.place(new_background.select(order), new_local.select(by_owner), owner[by_owner], waves)
+    fourier = model.fourier[origin][by_owner]
+    model.place(new_background.select(order), new_local.select(by_owner), owner[by_owner], fourier)
     _follow(model.background_adam, background, order, rows(model.background))
     _follow(model.local_adam, local, by_owner, model.local_parameters())
     device = model.background.means.device
@@ -151,7 +151,6 @@ class GroundSheet:
     Args:
         ground: heights; NaN where the ground is not even, where Gaussians are left alone.
         tolerance_m: most distance of a centre from the surface, metres.
-        device: of the Gaussians.
     """
 
     def __init__(

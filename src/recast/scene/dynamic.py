@@ -13,10 +13,13 @@ from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.geometry import boxes
 from recast.logs import DrivingLog, Track, Trajectory, all_track_points
-from recast.scene.appearance import ARTICULATED, DEFORMABLE
 from recast.scene.config import SceneConfig
 from recast.scene.views import View, read_places
 
+DEFORMABLE = frozenset({"pedestrian"})
+"""Categories that are not symmetric at every moment."""
+ARTICULATED = frozenset({"pedestrian", "cyclist"})
+"""Categories that have limbs: what deformable nodes are for."""
 MOVED_M = 2.0
 SPREAD_M = 0.5
 PARKED_US = 1_000_000

@@ -12,7 +12,7 @@ from PIL import Image
 
 from recast.core.errors import InputError
 from recast.core.files import atomic_file, write_json
-from recast.core.progress import Progress
+from recast.core.progress import Progress, tell
 from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.scene.config import SceneConfig
@@ -82,14 +82,8 @@ def evaluate_scene(
     planned = [shifted_views(log, chosen, config.scale, shift) for shift in shifts]
     if truth is None:
         planned = [[v for v in views if v.timestamp_us in pictured] for views in planned]
-    total, done = len(chosen) + sum(len(views) for views in planned), 0
-
-    def tell() -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, total)
-
+    total = len(chosen) + sum(len(views) for views in planned)
+    done = iter(range(1, total + 1))
     scorer = ViewScorer(scene, log, lpips)
     scores = {}
     # In order of time: all cameras of a moment share its sweeps.
@@ -99,7 +93,7 @@ def evaluate_scene(
         scores[name, frame] = scorer.held_out(view, rendered)
         if folder is not None:
             write_comparison(folder / picture_name(name, frame), view, rendered.rgb)
-        tell()
+        tell(progress, next(done), total)
     found = []
     for shift, views in zip(shifts, planned, strict=True):
         seen = iter(()) if truth is None else truth(views)
@@ -109,7 +103,7 @@ def evaluate_scene(
             score = scorer.shifted(shifted, next(seen, None), folder if shown else None)
             frames += [score] if score is not None else []
             pictures += [shifted.picture] if shown else []
-            tell()
+            tell(progress, next(done), total)
         found.append(ShiftScores(shift, tuple(frames), tuple(pictures)))
     frames_scored = tuple(scores[image] for image in chosen)
     evaluation = SceneEvaluation(frames_scored, tuple(found), bool(found) and truth is not None)
@@ -195,7 +189,7 @@ class ViewScorer:
         """Score a view where its truth is known; with a folder, write its picture."""
         camera = shifted.camera
         blank = np.zeros((camera.height, camera.width, 3), np.uint8)
-        view = shifted.seen_as(blank if true is None else true)
+        view = replace(shifted, image=blank if true is None else true)
         rgb = draw_view(self.rasterizer, self._scene, view).rgb
         if true is None:
             if folder is not None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from recast.logs import DrivingLog, LidarStream, Track
-from recast.scene.evaluate_shifts import ShiftScores, picture_name
+from recast.scene.evaluate_shifts import ShiftedScore, ShiftScores, picture_name
 from recast.scene.points import OwnedSweep, depth_samples, read_sweeps
 from recast.scene.render import SceneImage
 from recast.scene.scores import RegionScore, mean_score
@@ -28,7 +28,6 @@ class FrameScore:
     """Scores of one held-out image.
 
     Attributes:
-        camera, frame, timestamp_us: which image.
         whole: of all usable pixels.
         boxes: PSNR in dB inside the rectangle around each visible actor's projected box.
         moving: inside the boxes of all that moves, length and width times 1.5; None where too
@@ -118,16 +117,7 @@ class SceneEvaluation:
             "moving": _plain(self.moving),
             "depth": _plain(self.depth),
             "frames": [
-                {
-                    "camera": frame.camera,
-                    "frame": frame.frame,
-                    "timestamp_us": frame.timestamp_us,
-                    "picture": picture_name(frame.camera, frame.frame),
-                    **asdict(frame.whole),
-                    "boxes": dict(frame.boxes),
-                    "moving": _plain(frame.moving),
-                    "depth": _plain(frame.depth),
-                }
+                _frame(frame, picture=picture_name(frame.camera, frame.frame))
                 for frame in self.frames
             ],
             "shift_truth": self.shift_truth,
@@ -141,18 +131,15 @@ def _shift(scores: ShiftScores) -> dict[str, Any]:
         **asdict(scores.shift),
         "whole": _plain(scores.whole),
         "moving": _plain(scores.moving),
-        "frames": [
-            {
-                "camera": frame.camera,
-                "frame": frame.frame,
-                "timestamp_us": frame.timestamp_us,
-                **asdict(frame.whole),
-                "moving": _plain(frame.moving),
-            }
-            for frame in scores.frames
-        ],
+        "frames": [_frame(frame) for frame in scores.frames],
         "pictures": list(scores.pictures),
     }
+
+
+def _frame(frame: FrameScore | ShiftedScore, **more: str) -> dict[str, Any]:
+    values = asdict(frame)
+    image = {name: values.pop(name) for name in ("camera", "frame", "timestamp_us")}
+    return {**image, **more, **values.pop("whole"), **values}
 
 
 def _plain(score: RegionScore | DepthScore | None) -> dict[str, Any] | None:
@@ -187,7 +174,6 @@ class NearestSweeps:
     time: the last one of each LiDAR is kept.
 
     Args:
-        log: with the sweeps.
         actors: tracks whose points are told from the street's.
     """
 
@@ -196,11 +182,7 @@ class NearestSweeps:
         self._kept: dict[str, tuple[int, list[OwnedSweep]]] = {}
 
     def at(self, timestamp_us: int) -> list[OwnedSweep]:
-        """Those within `SWEEP_REACH_US` of an image, at most one of each LiDAR, in order of time.
-
-        Args:
-            timestamp_us: of the image.
-        """
+        """Those within `SWEEP_REACH_US` of an image, one of each LiDAR at most, by time."""
         found: list[OwnedSweep] = []
         for stream in self._log.lidars.values():
             if len(stream.timestamps_us) == 0:
@@ -234,7 +216,6 @@ def depth_score(
 
     Args:
         rendered: drawn from the view's pose.
-        sweeps: see `NearestSweeps`.
         actors: the tracks that the sweeps were divided by.
 
     Returns:
@@ -263,11 +244,5 @@ def mean_depth(scores: Sequence[DepthScore]) -> DepthScore | None:
     """Means over images, and all their points; None of nothing."""
     if not scores:
         return None
-    return DepthScore(
-        points=sum(score.points for score in scores),
-        missing=float(np.mean([score.missing for score in scores])),
-        median_abs_m=float(np.mean([score.median_abs_m for score in scores])),
-        mean_abs_m=float(np.mean([score.mean_abs_m for score in scores])),
-        mean_relative=float(np.mean([score.mean_relative for score in scores])),
-        lag_ms=float(np.mean([score.lag_ms for score in scores])),
-    )
+    points, *columns = zip(*(astuple(score) for score in scores), strict=True)
+    return DepthScore(sum(points), *(float(np.mean(column)) for column in columns))

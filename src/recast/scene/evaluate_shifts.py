@@ -9,7 +9,7 @@ import numpy as np
 
 from recast.arrays import Array, Image
 from recast.core.names import folder_name
-from recast.geometry import PinholeCamera, boxes, se3
+from recast.geometry import boxes, se3
 from recast.logs import DrivingLog
 from recast.scene.dynamic import pose_at
 from recast.scene.scores import RegionScore, mean_score
@@ -62,40 +62,20 @@ def picture_name(camera_name: str, frame: int) -> str:
 
 
 @dataclass(frozen=True)
-class ShiftedView:
-    """A view that the log does not have.
+class ShiftedView(View):
+    """A view that the log does not have: a logged one from the shifted ego.
 
     Attributes:
-        shift: of the ego.
-        camera_name, frame, timestamp_us: the logged view that it was.
-        camera: intrinsics, rectified.
-        world_from_camera: (4, 4), shifted.
+        shift: of the ego. Camera name, frame and time are those of the logged view; the pose
+            `world_from_camera` (4, 4) is shifted.
     """
 
-    shift: ViewShift
-    camera_name: str
-    frame: int
-    timestamp_us: int
-    camera: PinholeCamera
-    world_from_camera: Array
+    shift: ViewShift = ViewShift()
 
     @property
     def picture(self) -> str:
         """File below the evaluation's folder."""
         return f"shifts/{self.shift.name}/{picture_name(self.camera_name, self.frame)}"
-
-    def seen_as(self, image: Image) -> View:
-        """The view with what its camera sees."""
-        return View(
-            camera_name=self.camera_name,
-            frame=self.frame,
-            timestamp_us=self.timestamp_us,
-            camera=self.camera,
-            world_from_camera=self.world_from_camera,
-            image=image,
-            mask=None,
-            held_out=True,
-        )
 
 
 Truth = Callable[[Sequence[ShiftedView]], Iterator[Image]]
@@ -108,7 +88,6 @@ class ShiftedScore:
 
     Attributes:
         camera, frame, timestamp_us: the logged view that it was.
-        whole: of the image.
         moving: inside the boxes of moving objects, or None where too little moves.
     """
 
@@ -121,10 +100,9 @@ class ShiftedScore:
 
 @dataclass(frozen=True)
 class ShiftScores:
-    """All views with one shift.
+    """All views with one shift of the ego.
 
     Attributes:
-        shift: of the ego.
         frames: scores; none where the truth is not known.
         pictures: files below the evaluation's folder.
     """
@@ -160,8 +138,8 @@ def shifted_views(
         world_from_rig = log.world_from_rig.at(timestamp_us) @ shift.rig_from_shifted
         pose = world_from_rig @ stream.rig_from_camera
         if not _inside_a_box(log, pose[:3, 3], timestamp_us):
-            camera = scaled_camera(stream.camera, scale)
-            found.append(ShiftedView(shift, name, frame, timestamp_us, camera, pose))
+            place = (name, frame, timestamp_us, scaled_camera(stream.camera, scale), pose)
+            found.append(ShiftedView(*place, held_out=True, shift=shift))
     return found
 
 

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import cv2
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from recast.arrays import Float32Array, Mask
+from recast.arrays import Array, Float32Array, Mask
 from recast.geometry import boxes, se3
 from recast.logs import Track
-from recast.scene.appearance import DEFORMABLE, with_other_side
+from recast.scene.appearance import with_other_side
 from recast.scene.bodies import Body
 from recast.scene.config import SceneConfig
-from recast.scene.dynamic import box_rectangle, deforms, pose_at
+from recast.scene.dynamic import DEFORMABLE, box_rectangle, deforms, pose_at
 from recast.scene.plane_sweep import sweep_depths
 from recast.scene.points import (
     DepthSamples,
@@ -26,7 +26,7 @@ from recast.scene.points import (
     project_visible,
     voxel_downsample,
 )
-from recast.scene.views import View, nearest_view
+from recast.scene.views import View, nearest_views
 from recast.splats import Gaussians
 from recast.splats.sh import C0
 
@@ -66,14 +66,20 @@ def coloured_background(
     """A sweep's background points with colours from the views nearest in time, one a camera."""
     points = sweep.background
     clouds = []
-    for name in dict.fromkeys(view.camera_name for view in views):
-        view = nearest_view(views, sweep.timestamp_us, name, COLOUR_LIMIT_US)
-        if view is None:
-            continue
+    for view in nearest_views(views, sweep.timestamp_us, COLOUR_LIMIT_US):
         index, uv, depth = project_visible(points, view)
         keep = usable_pixels(view, uv) & ~_behind_actors(view, uv, depth, actors)
         clouds.append(PointCloud(points[index[keep]], pixel_colours(view, uv[keep]), depth[keep]))
     return concatenate(clouds)
+
+
+def _seen(view: View, actors: Mapping[str, Track]) -> Iterator[tuple[Track, Array, Array]]:
+    """Tracks in a view with their pose (4, 4) and the rectangle (4,) of their box in the image."""
+    for track in actors.values():
+        pose = pose_at(track.trajectory, view.timestamp_us)
+        rectangle = None if pose is None else box_rectangle(track.size, pose, view)
+        if pose is not None and rectangle is not None:
+            yield track, pose, rectangle
 
 
 def _behind_actors(
@@ -81,12 +87,7 @@ def _behind_actors(
 ) -> Mask:
     """Points whose pixel may show a moving object in front of them at the view's own time."""
     hidden = np.zeros(len(uv), bool)
-    for track in actors.values():
-        pose = pose_at(track.trajectory, view.timestamp_us)
-        rectangle = None if pose is None else box_rectangle(track.size, pose, view)
-        if pose is None or rectangle is None:
-            continue
-        left, top, right, bottom = rectangle
+    for track, pose, (left, top, right, bottom) in _seen(view, actors):
         inside = (uv[:, 0] >= left) & (uv[:, 0] < right) & (uv[:, 1] >= top) & (uv[:, 1] < bottom)
         nearest = se3.apply(view.camera_from_world, boxes.corners(track.size, pose))[:, 2].min()
         hidden |= inside & (depth > nearest)
@@ -129,13 +130,10 @@ def _actor_pixels(view: View, actors: Mapping[str, Track]) -> Mask:
     covered = np.zeros((view.camera.height, view.camera.width), bool)
     if view.mask is not None:
         covered |= ~view.mask
-    for track in actors.values():
-        pose = pose_at(track.trajectory, view.timestamp_us)
-        rectangle = None if pose is None else box_rectangle(track.size, pose, view)
-        if rectangle is not None:
-            left, top = np.floor(rectangle[:2]).astype(int) - 3
-            right, bottom = np.ceil(rectangle[2:]).astype(int) + 3
-            covered[max(top, 0) : bottom, max(left, 0) : right] = True
+    for _, _, rectangle in _seen(view, actors):
+        left, top = np.floor(rectangle[:2]).astype(int) - 3
+        right, bottom = np.ceil(rectangle[2:]).astype(int) + 3
+        covered[max(top, 0) : bottom, max(left, 0) : right] = True
     return covered
 
 
@@ -149,9 +147,9 @@ def _unproject(view: View, depth: Float32Array) -> PointCloud:
 
 
 def without_points_in_sky(
-    cloud: PointCloud, views: Sequence[View], skies: Sequence[Mask], strikes: int = 2
+    cloud: PointCloud, views: Sequence[View], skies: Sequence[Mask]
 ) -> PointCloud:
-    """Drop points that `strikes` views see in front of plain sky: wrong matches, stray returns."""
+    """Drop points that two views see in front of plain sky: wrong matches, stray returns."""
     hits = np.zeros(len(cloud), np.int64)
     for view, sky in zip(views, skies, strict=True):
         local = cloud.points @ view.camera_from_world[:3, :3].T.astype(np.float32)
@@ -162,7 +160,7 @@ def without_points_in_sky(
         rows = np.floor(uv[:, 1] * view.camera.fy + view.camera.cy).astype(np.int64)
         inside = (columns >= 0) & (rows >= 0) & (columns < sky.shape[1]) & (rows < sky.shape[0])
         hits[front[inside]] += sky[rows[inside], columns[inside]]
-    return cloud.select(hits < strikes)
+    return cloud.select(hits < 2)
 
 
 def actor_cloud(
@@ -174,10 +172,9 @@ def actor_cloud(
         local = sweep.actors.get(track.track_id)
         if local is None or len(local) == 0:
             continue
-        for name in dict.fromkeys(view.camera_name for view in views):
-            view = nearest_view(views, sweep.timestamp_us, name, COLOUR_LIMIT_US)
-            now = None if view is None else pose_at(track.trajectory, view.timestamp_us)
-            if view is None or now is None:
+        for view in nearest_views(views, sweep.timestamp_us, COLOUR_LIMIT_US):
+            now = pose_at(track.trajectory, view.timestamp_us)
+            if now is None:
                 continue
             seen, uv, depth = project_visible(se3.apply(now, local).astype(np.float32), view)
             keep = usable_pixels(view, uv)

@@ -2,8 +2,7 @@
 
 A street needs a number of Gaussians for each square metre; beyond it, more of them hardly sharpen
 what cameras a few metres away see. Images that hold few pixels cannot tell where more belong. The
-smaller of the two counts, unless the configuration names a number. The first points may take
-`FIRST_SHARE` of it, so that growth always has room.
+smaller of the two counts, unless the configuration names a number.
 
 Both constants come from trials on a synthetic street that no table of the docs measures
 (`arterial-median`, seed 71, 5 s, held-out PSNR). Three cameras of 384x256, 1200 steps, by Gaussians
@@ -15,14 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recast.arrays import Mask
 from recast.core.errors import InputError
-from recast.core.files import write_json
 from recast.core.records import Record
 from recast.logs import DrivingLog, GroundHeight, Track, ego_path, even_ground
 from recast.scene.bodies import Body
@@ -64,7 +61,7 @@ PIXELS_EACH = 16.0
 LEAST = 20_000
 """Smallest limit that is derived."""
 FIRST_SHARE = 2 / 3
-"""Share of the limit that the first points may take."""
+"""Share of the limit that the first points may take, so that growth always has room."""
 _CELL_M = 5.0
 
 MIN_POINTS = 100
@@ -216,15 +213,15 @@ class Budget(Record):
         if not self.named:
             pixels = self.training_pixels / 1e6
             how = f"from {self.area_m2:,.0f} m2 of street and {pixels:,.1f} million pixels"
-        told = f"limit of {self.most_gaussians:,} Gaussians ({how})"
+        limit = f"limit of {self.most_gaussians:,} Gaussians ({how})"
         if not self.was_met:
-            return f"{told}: not met"
+            return f"{limit}: not met"
         parts = []
         if self.first_kept < self.first_found:
             parts.append(f"first points thinned from {self.first_found:,} to {self.first_kept:,}")
         if self.limited_from is not None:
             parts.append(f"{self.limited_changes} changes cut short from step {self.limited_from}")
-        return f"{told}: {', '.join(parts)}"
+        return f"{limit}: {', '.join(parts)}"
 
 
 def gaussian_budget(config: SceneConfig, views: Sequence[View]) -> Budget:
@@ -249,8 +246,3 @@ def street_area(positions: NDArray[np.float64]) -> float:
     near = np.unique(np.floor(positions / _CELL_M), axis=0) * _CELL_M
     cells = np.unique((near[:, None] + offsets).reshape(-1, 2), axis=0)
     return float(len(cells) * _CELL_M**2)
-
-
-def write_budget(budget: Budget, folder: Path) -> None:
-    """Write budget.json into a scene folder."""
-    write_json(folder / BUDGET_FILE, budget.model_dump(mode="json"))

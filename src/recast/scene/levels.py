@@ -87,12 +87,6 @@ class StoredLevel:
             depths=torch.from_numpy(self.depths).to(device),
         )
 
-    @property
-    def nbytes(self) -> int:
-        """Bytes held, the image included."""
-        arrays = (self.image, self.usable, self.sky, self.ground, self.depth_pixels, self.depths)
-        return sum(array.nbytes for array in arrays if array is not None)
-
     def _unpacked(self, bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
         return np.unpackbits(bits, count=min(8 * len(bits), self.camera.width * self.camera.height))
 

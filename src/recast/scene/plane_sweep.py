@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -23,34 +22,25 @@ from recast.scene.views import View
 NEIGHBOURS = (-2, -1, 1, 2)
 
 
-@dataclass(frozen=True)
-class SweepSettings:
-    """Numbers of the plane sweep.
-
-    Attributes:
-        near, far: range of depths, metres; hypotheses are spaced evenly in inverse depth.
-        hypotheses: how many.
-        window: edge of the matching window, pixels.
-        max_cost: largest mean absolute difference (0 to 1) of an accepted pixel.
-        min_ratio: the best depth elsewhere must cost at least this many times the best one.
-        min_texture: least standard deviation of grey within the window.
-    """
-
-    near: float = 5.0
-    far: float = 150.0
-    hypotheses: int = 48
-    window: int = 7
-    max_cost: float = 0.06
-    min_ratio: float = 1.3
-    min_texture: float = 0.02
+HYPOTHESES = 48
+"""Depths that are tried, spaced evenly in inverse depth."""
+WINDOW = 7
+"""Edge of the matching window, pixels."""
+MAX_COST = 0.06
+"""Largest mean absolute difference (0 to 1) of an accepted pixel."""
+MIN_RATIO = 1.3
+"""The best depth elsewhere must cost at least this many times the best one."""
+MIN_TEXTURE = 0.02
+"""Least standard deviation of grey within the window."""
 
 
 def sweep_depths(
     views: Sequence[View],
     references: Sequence[int],
     wanted: Sequence[Mask],
-    settings: SweepSettings | None = None,
     threads: int = 1,
+    near: float = 5.0,
+    far: float = 150.0,
 ) -> list[Float32Array]:
     """Depth maps (H, W) of reference views, metres along the camera axis, 0 where unknown.
 
@@ -58,15 +48,16 @@ def sweep_depths(
         views: views of one camera in order of time; neighbours are taken from these alone.
         references: indices into `views`.
         wanted: (H, W) mask per reference: pixels outside are not asked for.
+        near, far: range of depths, metres.
     """
-    settings = settings or SweepSettings()
+    inverse = np.linspace(1 / far, 1 / near, HYPOTHESES)
 
     def run(task: tuple[int, Mask]) -> Float32Array:
         reference, mask = task
         neighbours = [
             views[reference + step] for step in NEIGHBOURS if 0 <= reference + step < len(views)
         ]
-        return _sweep(views[reference], neighbours, mask, settings)
+        return _sweep(views[reference], neighbours, mask, inverse)
 
     tasks = list(zip(references, wanted, strict=True))
     if threads <= 1:
@@ -76,30 +67,29 @@ def sweep_depths(
 
 
 def _sweep(
-    reference: View, neighbours: Sequence[View], wanted: Mask, settings: SweepSettings
+    reference: View, neighbours: Sequence[View], wanted: Mask, inverse: Array
 ) -> Float32Array:
     result = np.zeros(wanted.shape, np.float32)
     rows = np.flatnonzero(wanted.any(axis=1))
     if len(rows) == 0 or len(neighbours) < 2:
         return result
-    half = settings.window // 2
+    half = WINDOW // 2
     top, bottom = max(0, rows[0] - half), min(len(wanted), rows[-1] + half + 1)
     image = _grey(reference)[top:bottom]
     camera = reference.camera.cropped(0, int(top), reference.camera.width, int(bottom - top))
-    inverse = np.linspace(1 / settings.far, 1 / settings.near, settings.hypotheses)
     greys = [_grey(other) for other in neighbours]
-    volume = np.empty((settings.hypotheses, *image.shape[:2]), np.float32)
+    volume = np.empty((len(inverse), *image.shape[:2]), np.float32)
     for i, value in enumerate(inverse):
         costs = [
-            _cost(image, camera, reference, other, grey, value, settings)
+            _cost(image, camera, reference, other, grey, value)
             for other, grey in zip(neighbours, greys, strict=True)
         ]
         volume[i] = _mean_of_best_two(costs)
-    index, accepted = _winner(volume, settings)
+    index, accepted = _winner(volume)
     grey = image.astype(np.float32) / 255
-    size = (settings.window, settings.window)
+    size = (WINDOW, WINDOW)
     variance = cv2.blur(grey * grey, size) - cv2.blur(grey, size) ** 2
-    accepted &= variance > settings.min_texture**2
+    accepted &= variance > MIN_TEXTURE**2
     accepted &= wanted[top:bottom]
     step = inverse[1] - inverse[0]
     depth = 1 / (inverse[0] + index * step)
@@ -114,10 +104,8 @@ def _cost(
     other: View,
     other_grey: NDArray[np.uint8],
     inverse_depth: float,
-    settings: SweepSettings,
 ) -> Float32Array:
-    """Windowed mean absolute difference (H, W) in [0, 1]; high where
-    the neighbour does not see the window."""
+    """Mean absolute difference (H, W) in [0, 1] over windows; high where one is not seen."""
     other_from_reference = other.camera_from_world @ reference.world_from_camera
     plane = other_from_reference[:3, :3].copy()
     plane[:, 2] += other_from_reference[:3, 3] * inverse_depth  # R + t n^T / d with n = z
@@ -129,7 +117,7 @@ def _cost(
     warped = cv2.warpPerspective(other_grey, homography, size, flags=flags)
     difference = cv2.absdiff(image, warped)
     difference[warped == 0] = 255  # `_grey` keeps 0 for what lies outside the image
-    cost = cv2.boxFilter(difference, cv2.CV_32F, (settings.window, settings.window))
+    cost = cv2.boxFilter(difference, cv2.CV_32F, (WINDOW, WINDOW))
     return np.asarray(cost, np.float32) * np.float32(1 / 255)
 
 
@@ -148,7 +136,7 @@ def _mean_of_best_two(costs: Sequence[Float32Array]) -> Float32Array:
     return mean
 
 
-def _winner(volume: Float32Array, settings: SweepSettings) -> tuple[Array, Mask]:
+def _winner(volume: Float32Array) -> tuple[Array, Mask]:
     """Best hypothesis at every pixel, refined by a parabola, and whether it is to be trusted."""
     count = len(volume)
     best = volume.argmin(axis=0)
@@ -166,5 +154,5 @@ def _winner(volume: Float32Array, settings: SweepSettings) -> tuple[Array, Mask]
         far_off = np.abs(best - i) > 3
         np.minimum(rival, np.where(far_off, volume[i], np.inf), out=rival)
     # The nearest hypothesis is where all that is nearer still ends up; the farthest is honest.
-    trusted = (cost < settings.max_cost) & (rival > settings.min_ratio * cost) & (best < count - 1)
+    trusted = (cost < MAX_COST) & (rival > MIN_RATIO * cost) & (best < count - 1)
     return index, trusted

@@ -21,6 +21,13 @@ from recast.splats.sh import C0
 
 MARGIN_M = 0.15
 GROUND_M = 0.1
+SKIPPED_US = 20_000
+"""Sweeps this close to a held-out image were taken together with it."""
+NEAR_M, FAR_M = 1.0, 100.0
+"""Depths at which points are looked for."""
+HIDING_PX = 3
+OPACITY, WIDTH = 0.3, 0.7
+"""Of first Gaussians; the width is a share of the distance to their neighbours."""
 FLATNESS = 0.3
 """A neighbourhood counts as flat where it is this much thinner than narrow."""
 
@@ -55,14 +62,14 @@ class DepthSamples:
 
 
 def read_sweeps(
-    log: DrivingLog, actors: Mapping[str, Track], held_out_us: Sequence[int], skip_us: int = 20_000
+    log: DrivingLog, actors: Mapping[str, Track], held_out_us: Sequence[int]
 ) -> list[OwnedSweep]:
-    """All sweeps but those taken together with a held-out image (within `skip_us`)."""
+    """All sweeps but those taken together with a held-out image."""
     sweeps = []
     held_out = np.asarray(held_out_us, np.int64)
     for stream in log.lidars.values():
         for index, timestamp in enumerate(stream.timestamps_us.tolist()):
-            if held_out.size and np.min(np.abs(held_out - timestamp)) < skip_us:
+            if held_out.size and np.min(np.abs(held_out - timestamp)) < SKIPPED_US:
                 continue
             sweeps.append(_divide(stream.sweeps[index], log.world_from_rig.at(timestamp), actors))
     return sorted(sweeps, key=lambda sweep: sweep.timestamp_us)
@@ -99,10 +106,7 @@ def depth_samples(
     view: View,
     sweeps: Sequence[OwnedSweep],
     actors: Mapping[str, Track],
-    *,
     window_us: int = 350_000,
-    near: float = 1.0,
-    far: float = 100.0,
 ) -> DepthSamples:
     """Depths of one view from the sweeps around its time, moving objects carried along.
 
@@ -121,31 +125,32 @@ def depth_samples(
                 clouds.append(se3.apply(pose, local).astype(np.float32))
     if not clouds:
         clouds.append(np.zeros((0, 3), np.float32))
-    _, uv, depth = project_visible(np.concatenate(clouds), view, near=near, far=far)
+    _, uv, depth = project_visible(np.concatenate(clouds), view)
     return DepthSamples(depth, uv)
 
 
 def project_visible(
-    points: Float32Array, view: View, *, near: float = 1.0, far: float = 100.0, reach: int = 3
+    points: Float32Array, view: View
 ) -> tuple[NDArray[np.int64], Float32Array, Float32Array]:
     """Points (N, 3) of the world that a view sees: (index, uv (M, 2), depth (M,)).
 
-    A point counts as hidden where a point in the (2 reach + 1)^2 pixels around it is nearer by more
-    than 5 % and 0.3 m.
+    A point counts as hidden where one in the pixels around it, up to `HIDING_PX` away, is nearer by
+    more than 5 % and 0.3 m.
     """
     camera = view.camera
     camera_from_world = view.camera_from_world.astype(np.float32)
     local = points @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
-    index = np.flatnonzero((local[:, 2] > near) & (local[:, 2] < far))
+    index = np.flatnonzero((local[:, 2] > NEAR_M) & (local[:, 2] < FAR_M))
     local = local[index]
     u = local[:, 0] / local[:, 2] * np.float32(camera.fx) + np.float32(camera.cx)
     v = local[:, 1] / local[:, 2] * np.float32(camera.fy) + np.float32(camera.cy)
     inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
     index, u, v, depth = index[inside], u[inside], v[inside], local[inside, 2]
-    buffer = np.full((camera.height, camera.width), far, np.float32)
+    buffer = np.full((camera.height, camera.width), FAR_M, np.float32)
     rows, columns = v.astype(np.int64), u.astype(np.int64)
     np.minimum.at(buffer, (rows, columns), depth)
-    nearest = cv2.erode(buffer, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))[rows, columns]
+    around = np.ones((2 * HIDING_PX + 1, 2 * HIDING_PX + 1), np.uint8)
+    nearest = cv2.erode(buffer, around)[rows, columns]
     seen = depth < np.maximum(1.05 * nearest, nearest + 0.3)
     return index[seen], np.stack([u, v], -1)[seen], depth[seen]
 
@@ -179,13 +184,8 @@ class PointCloud:
 
 def concatenate(clouds: list[PointCloud]) -> PointCloud:
     """One cloud of several; none gives an empty one."""
-    if not clouds:
-        return PointCloud.empty()
-    return PointCloud(
-        np.concatenate([cloud.points for cloud in clouds]),
-        np.concatenate([cloud.colours for cloud in clouds]),
-        np.concatenate([cloud.distances for cloud in clouds]),
-    )
+    members = zip(*(vars(cloud).values() for cloud in [PointCloud.empty(), *clouds]), strict=True)
+    return PointCloud(*(np.concatenate(parts) for parts in members))
 
 
 def voxel_downsample(cloud: PointCloud, voxel_m: float) -> PointCloud:
@@ -210,23 +210,23 @@ def thinned(cloud: PointCloud, share: float, rng: np.random.Generator) -> PointC
     return cloud.select(np.sort(rng.choice(len(cloud), count, replace=False)))
 
 
-def neighbour_distance(points: Float32Array, neighbours: int = 3) -> Float32Array:
-    """Root mean square distance (N,) to the nearest `neighbours` other points, metres."""
-    if len(points) <= neighbours:
+def neighbour_distance(points: Float32Array) -> Float32Array:
+    """Root mean square distance (N,) to the nearest three other points, metres."""
+    if len(points) <= 3:
         return np.full(len(points), 0.1, np.float32)
-    distance, _ = cKDTree(points).query(points, k=neighbours + 1)
+    distance, _ = cKDTree(points).query(points, k=4)
     rms: Float32Array = np.sqrt((distance[:, 1:] ** 2).mean(axis=1)).astype(np.float32)
     return rms
 
 
-def surface_frames(points: Float32Array, neighbours: int = 10) -> tuple[Array, Array]:
-    """Principal axes of every point's neighbourhood.
+def surface_frames(points: Float32Array) -> tuple[Array, Array]:
+    """Principal axes of every point and its nearest ten others.
 
     Returns:
         rotations (N, 3, 3), columns the axes from the thinnest on, right-handed, and the spread
         (N, 3) along them in metres. Identity and equal spreads where there are too few points.
     """
-    n = len(points)
+    n, neighbours = len(points), 10
     if n <= neighbours:
         return np.broadcast_to(np.eye(3), (n, 3, 3)).copy(), np.ones((n, 3))
     _, index = cKDTree(points).query(points, k=neighbours + 1)
@@ -237,14 +237,9 @@ def surface_frames(points: Float32Array, neighbours: int = 10) -> tuple[Array, A
 
 
 def gaussians_from_points(
-    cloud: PointCloud,
-    sh_degree: int,
-    *,
-    opacity: float = 0.3,
-    scale: float = 0.7,
-    sigma_range: tuple[float, float] = (0.01, 3.0),
+    cloud: PointCloud, sh_degree: int, sigma_range: tuple[float, float] = (0.01, 3.0)
 ) -> Gaussians:
-    """Gaussians in Morton order, sigma = scale x rms distance to three neighbours.
+    """Gaussians in Morton order, sigma = `WIDTH` x rms distance to three neighbours.
 
     Where the neighbourhood is flat, they are discs in its plane, `FLATNESS` as thick as wide, so
     that a road seen from another lane is still one surface; elsewhere they are balls.
@@ -254,7 +249,7 @@ def gaussians_from_points(
     """
     cloud = cloud.select(morton_order(torch.from_numpy(cloud.points)).numpy())
     n = len(cloud)
-    sigma = np.clip(scale * neighbour_distance(cloud.points), *sigma_range)
+    sigma = np.clip(WIDTH * neighbour_distance(cloud.points), *sigma_range)
     axes, spread = surface_frames(cloud.points)
     flat = spread[:, 0] < FLATNESS * spread[:, 1]
     axes[~flat] = np.eye(3)
@@ -266,6 +261,6 @@ def gaussians_from_points(
         means=torch.from_numpy(cloud.points.astype(np.float32)),
         quats=torch.from_numpy(se3.matrix_to_quat(axes).astype(np.float32)),
         log_scales=torch.from_numpy(np.log(scales).astype(np.float32)),
-        logit_opacities=torch.full((n,), float(np.log(opacity / (1 - opacity)))),
+        logit_opacities=torch.full((n,), float(np.log(OPACITY / (1 - OPACITY)))),
         sh=sh,
     )

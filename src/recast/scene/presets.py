@@ -33,53 +33,51 @@ RESET_EVERY = 0.1
 LEAST_BETWEEN_RESETS = 300
 """Steps: every view must be seen a few times before what was lowered is judged."""
 
+_RATES_OF_BOTH = {
+    "quats_lr": 1e-3,
+    "scales_lr": 5e-3,
+    "opacities_lr": 0.05,
+    "colours_lr": 2.5e-3,
+    "sky_lr": 0.01,
+    "actor_pose_lr": 5e-4,
+}
 _RATES: dict[Preset, dict[str, float]] = {
     # Centres: 1.6e-4 times the scene's radius, which is 10 m (Street Gaussians' `extent`) and, of
     # the LiDAR's bounds in OmniRe, about 50 m.
-    "streetgs": {
-        "means_lr": 1.6e-3,
-        "quats_lr": 1e-3,
-        "scales_lr": 5e-3,
-        "opacities_lr": 0.05,
-        "colours_lr": 2.5e-3,
-        "sky_lr": 0.01,
-        "actor_pose_lr": 5e-4,
-        "camera_pose_lr": 0.0,
-    },
+    "streetgs": {**_RATES_OF_BOTH, "means_lr": 1.6e-3, "camera_pose_lr": 0.0},
     "omnire": {
+        **_RATES_OF_BOTH,
         "means_lr": 8e-3,
-        "quats_lr": 1e-3,
-        "scales_lr": 5e-3,
-        "opacities_lr": 0.05,
-        "colours_lr": 2.5e-3,
-        "sky_lr": 0.01,
-        "actor_pose_lr": 5e-4,
         "camera_pose_lr": 1e-4,
         "exposure_lr": 5e-4,
         "deformation_lr": 8e-4,
     },
 }
 
-# Adaptive density control of 3DGS: every row above the threshold.
-_EVERY_ROW = {"densify_growth": 1e3, "densify_from": 1 / 60, "prune_opacity": 0.005}
-# Opacity is the entropy's, and roads are like the rest of the scene.
-_NOT_OURS = {"solid_weight": 0.0, "ground_tolerance_m": 0.0}
+_OF_BOTH: dict[str, Any] = {
+    "sky": "cubemap",
+    "sky_loss": "entropy",
+    "sky_weight": 0.05,
+    "depth_error": "metric",
+    # Opacity is the entropy's, and roads are like the rest of the scene.
+    "solid_weight": 0.0,
+    "ground_tolerance_m": 0.0,
+    # Adaptive density control of 3DGS: every row above the threshold.
+    "densify_growth": 1e3,
+    "densify_from": 1 / 60,
+    "prune_opacity": 0.005,
+}
 
 _VALUES: dict[Preset, dict[str, Any]] = {
     "streetgs": {
-        "sky": "cubemap",
-        "sky_loss": "entropy",
-        "sky_weight": 0.05,
+        **_OF_BOTH,
         "sh_degree": 1,
         "fourier_terms": 5,
         "flip_probability": 0.2,
         "coarse_fraction": 0.0,
-        "depth_error": "metric",
         "depth_keep": 0.95,
         "depth_weight": 0.1,
         "actor_opacity_weight": 0.1,
-        **_NOT_OURS,
-        **_EVERY_ROW,
         "densify_until": 25 / 30,
         "opacity_reset_until": 25 / 30,
         "densify_by": "absolute_l1",
@@ -93,21 +91,16 @@ _VALUES: dict[Preset, dict[str, Any]] = {
         "actor_prune_above_m": 0.34,
     },
     "omnire": {
-        "sky": "cubemap",
-        "sky_loss": "entropy",
-        "sky_weight": 0.05,
+        **_OF_BOTH,
         "sh_degree": 3,
         "deformable": True,
         "coarse_fraction": 1 / 60,
         "coarse_factors": (4, 2),
-        "depth_error": "metric",
         "depth_keep": 1.0,
         "depth_weight": 0.01,
         "sharp_shape_weight": 1.0,
         "track_smoothness_weight": 0.01,
         "exposure_weight": 1e-5,
-        **_NOT_OURS,
-        **_EVERY_ROW,
         "densify_until": 0.5,
         # As at the published steps, a tenth of the run is left after the last one.
         "opacity_reset_until": 1 - RESET_EVERY,

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from pydantic import ValidationError
-from rich.console import Console, Group
-from rich.live import Live
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 from rich.text import Text
 
 from recast.core.errors import InputError
@@ -157,8 +154,8 @@ class TrainingStatus:
 ProgressCallback = Callable[[TrainingStatus], None]
 
 
-class TrainingDisplay:
-    """A live line with a bar; pass the object itself as `progress` to `train_scene`.
+class TrainingDisplay(Progress):
+    """A live bar with a line of figures; pass the object itself as `progress` to `train_scene`.
 
     >>> from recast.scene import train_scene
     >>> with TrainingDisplay() as display:                      # doctest: +SKIP
@@ -166,41 +163,25 @@ class TrainingDisplay:
     """
 
     def __init__(self, console: Console | None = None) -> None:
-        self._bar = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-        )
-        self._task = self._bar.add_task("scene", total=None)
-        self._live = Live(console=console, refresh_per_second=4)
-        self._live.update(self._bar)
+        columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+        self._figures = Text()
+        super().__init__("{task.description}", *columns, console=console, refresh_per_second=4)
+        self._task = self.add_task("scene", total=None)
 
     def __call__(self, status: TrainingStatus) -> None:
         """Show a status."""
-        self._bar.update(
+        self._figures = Text("  " + describe(status), style="dim")
+        self.update(
             self._task,
             description=f"scene: {status.phase}",
             total=status.iterations,
             completed=status.iteration,
         )
-        self._live.update(Group(self._bar, Text("  " + describe(status), style="dim")))
 
-    def __enter__(self) -> Self:
-        """Start drawing."""
-        self._live.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Stop drawing and leave the last state on the screen."""
-        self._live.stop()
-        if not self._live.console.is_interactive:  # Live ends such a line only where it redraws
-            self._live.console.print()
+    def get_renderables(self) -> Iterator[RenderableType]:
+        """The bar, and the figures below it."""
+        yield from super().get_renderables()
+        yield self._figures
 
 
 def describe(status: TrainingStatus) -> str:

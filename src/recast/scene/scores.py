@@ -51,8 +51,7 @@ def psnr(image: ArrayLike | Tensor, reference: ArrayLike | Tensor) -> float:
     >>> round(psnr([[0.5]], [[0.4]]), 4)
     20.0
     """
-    first, second = _as_tensor(image), _as_tensor(reference)
-    _check_shapes(first, second)
+    first, second = _pair(image, reference)
     error = float((first - second).square().mean())
     return math.inf if error == 0.0 else -10.0 * math.log10(error)
 
@@ -62,9 +61,7 @@ def ssim(image: ArrayLike | Tensor, reference: ArrayLike | Tensor) -> float:
 
     See `ssim_map`. float64.
     """
-    first, second = _as_tensor(image), _as_tensor(reference)
-    _check_shapes(first, second)
-    return float(ssim_map(first, second).mean())
+    return float(ssim_map(*_pair(image, reference)).mean())
 
 
 def ssim_map(image: Tensor, reference: Tensor) -> Tensor:
@@ -98,13 +95,11 @@ def _blur(planes: Tensor) -> Tensor:
     return functional.conv2d(rows, kernel.view(1, 1, -1, 1), padding=(half, 0))
 
 
-def _as_tensor(image: ArrayLike | Tensor) -> Tensor:
-    return torch.as_tensor(image).to(torch.float64)
-
-
-def _check_shapes(first: Tensor, second: Tensor) -> None:
+def _pair(image: ArrayLike | Tensor, reference: ArrayLike | Tensor) -> tuple[Tensor, Tensor]:
+    first, second = (torch.as_tensor(one).to(torch.float64) for one in (image, reference))
     if first.shape != second.shape:
         raise ValueError(f"images differ in shape: {tuple(first.shape)}, {tuple(second.shape)}")
+    return first, second
 
 
 @dataclass(frozen=True)
@@ -193,19 +188,17 @@ def score_regions(
     drawn, wanted = rendered.astype(np.float64), view.image.astype(np.float64) / 255
     similarity = ssim_map(torch.from_numpy(drawn), torch.from_numpy(wanted)).numpy()
     usable = np.ones(drawn.shape[:2], np.bool_) if view.mask is None else view.mask
-    whole = RegionScore(
-        psnr=capped_psnr(drawn[usable], wanted[usable]),
-        ssim=float(similarity[usable].mean()),
-        lpips=None if lpips is None else lpips(drawn, wanted),
-    )
+
+    def score(pixels: Mask, distance: float | None) -> RegionScore:
+        likeness = capped_psnr(drawn[pixels], wanted[pixels])
+        return RegionScore(likeness, float(similarity[pixels].mean()), distance)
+
+    whole = score(usable, None if lpips is None else lpips(drawn, wanted))
     inside = moving.mask & usable
     if int(inside.sum()) < MIN_MOVING_PX:
         return whole, None
-    return whole, RegionScore(
-        psnr=capped_psnr(drawn[inside], wanted[inside]),
-        ssim=float(similarity[inside].mean()),
-        lpips=None if lpips is None else _around(lpips, drawn, wanted, moving.rectangles),
-    )
+    around = None if lpips is None else _around(lpips, drawn, wanted, moving.rectangles)
+    return whole, score(inside, around)
 
 
 def capped_psnr(image: NDArray[np.floating], reference: NDArray[np.floating]) -> float:

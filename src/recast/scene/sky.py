@@ -1,10 +1,9 @@
 """The sky: an equirectangular colour map at infinity, seen where Gaussians let light through.
 
-As a file it is an equirectangular image, zenith in the top row, azimuth from -pi to pi.
-
-Cubemaps have the faces +x, -x, +y, -y, +z, -z, addressed as OpenGL does it (and nvdiffrast, which
-both published trainers use): a texel gx to the right and gy down, both in [-1, 1], lies in
-direction (1, -gy, -gx), (-1, -gy, gx), (gx, 1, gy), (gx, -1, -gy), (gx, -gy, 1), (-gx, -gy, -1).
+As a file it is an equirectangular image, zenith in the top row, azimuth from -pi to pi. Cubemaps
+have the faces +x, -x, +y, -y, +z, -z, addressed as OpenGL does it (and nvdiffrast, which both
+published trainers use): a texel gx to the right and gy down, both in [-1, 1], lies in direction
+(1, -gy, -gx), (-1, -gy, gx), (gx, 1, gy), (gx, -1, -gy), (gx, -gy, 1), (-gx, -gy, -1).
 """
 
 from __future__ import annotations
@@ -151,19 +150,15 @@ def _sample(colours: Tensor, coordinates: Tensor) -> Tensor:
     return sampled[0, :, 0].T
 
 
-def sky_from_pixels(
-    directions: NDArray[np.float32],
-    colours: NDArray[np.float32],
-    height: int = HEIGHT,
-    width: int = WIDTH,
-) -> SkyMap:
+def sky_from_pixels(directions: NDArray[np.float32], colours: NDArray[np.float32]) -> SkyMap:
     """A first map: the mean colour of the sky pixels seen in each cell, spread where none was.
 
     Args:
         directions, colours: (M, 3) of sky pixels over all images; none makes a light grey sky.
     """
     if len(directions) == 0:
-        return SkyMap.constant(torch.full((3,), 0.8), height, width)
+        return SkyMap.constant(torch.full((3,), 0.8))
+    height, width = HEIGHT, WIDTH
     place = direction_coordinates(torch.from_numpy(directions)).numpy()
     column = np.minimum((place[:, 0] * width).astype(np.int64), width - 1)
     row = np.minimum((place[:, 1] * height).astype(np.int64), height - 1)

@@ -22,6 +22,10 @@ from recast.scene.first_points import near_samples
 from recast.scene.points import DepthSamples
 from recast.scene.views import View, fit_mask
 
+LEAST_BRIGHT = 0.62
+"""Least value of the brightest channel of sky."""
+LARGEST_STEP = 0.12
+"""Largest step of the grey value across neighbouring pixels of sky."""
 _FILE = re.compile(r"(\d+)_(.+)\.png", re.IGNORECASE)
 _NAMES = "name them FRAME_CAMERA.png, with the log's name of the camera or Waymo's number of it"
 
@@ -129,15 +133,8 @@ def _from_network(views: Sequence[View], folder: Path) -> Iterator[Mask]:
         yield found
 
 
-def sky_mask(
-    image: NDArray[np.uint8],
-    occupied: Mask,
-    *,
-    brightness: float = 0.62,
-    gradient: float = 0.12,
-    margin: int = 1,
-) -> Mask:
-    """Guess the sky of one image.
+def sky_mask(image: NDArray[np.uint8], occupied: Mask) -> Mask:
+    """Guess the sky (H, W) of one image.
 
     A pixel is taken for sky where it is bright or clearly blue, its surroundings are smooth, no
     LiDAR point is near, and a chain of such pixels leads to the top edge. Errs on the small side:
@@ -146,12 +143,6 @@ def sky_mask(
     Args:
         image: (H, W, 3) RGB.
         occupied: (H, W) pixels on or near a LiDAR return, hence not sky.
-        brightness: least value of the brightest channel.
-        gradient: largest step of the grey value across neighbouring pixels.
-        margin: pixels cut from the border of the region found.
-
-    Returns:
-        (H, W) bool.
     """
     rgb = image.astype(np.float32) / 255
     brightest = rgb.max(-1)
@@ -159,9 +150,9 @@ def sky_mask(
     grey = rgb @ np.array([0.299, 0.587, 0.114], np.float32)
     dx = cv2.Sobel(grey, cv2.CV_32F, 1, 0, ksize=3, scale=0.25)
     dy = cv2.Sobel(grey, cv2.CV_32F, 0, 1, ksize=3, scale=0.25)
-    smooth = np.hypot(dx, dy) < gradient
+    smooth = np.hypot(dx, dy) < LARGEST_STEP
     # Foliage and walls lit by the sun are bright too, but warm: red above blue.
-    candidate = (brightest > brightness) & (blue > -0.02) & smooth & ~occupied
+    candidate = (brightest > LEAST_BRIGHT) & (blue > -0.02) & smooth & ~occupied
     # Thin bright strips (frames of signs, lamps) touch the top edge too; the sky is wide.
     square = np.ones((5, 5), np.uint8)
     opened = cv2.dilate(cv2.erode(candidate.astype(np.uint8), square, borderValue=1), square)
@@ -169,7 +160,5 @@ def sky_mask(
     _, labels = cv2.connectedComponents(wide.astype(np.uint8), connectivity=4)
     from_top = np.unique(labels[0])
     mask = np.isin(labels, from_top[from_top > 0])
-    if margin:
-        kernel = np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)
-        mask = cv2.erode(mask.astype(np.uint8), kernel, borderValue=1).astype(bool)
-    return mask
+    # One pixel less at the border.
+    return cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1).astype(bool)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -18,8 +17,8 @@ from recast.core.names import folder_name, member
 from recast.core.records import Record, read_record
 from recast.logs import Trajectory
 from recast.scene.appearance import Appearance
+from recast.scene.bodies import Skinning
 from recast.scene.deformation import Deformation
-from recast.scene.skinning import Skinning
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import Deforming, SceneActor, StreetScene
 from recast.scene.tensor_file import (
@@ -88,7 +87,7 @@ def save_scene(scene: StreetScene, folder: str | Path) -> None:
         tensors[f"actor/{track_id}/poses"] = torch.from_numpy(trajectory.poses)
         if actor.appearance is not None:
             share = torch.tensor([actor.appearance.frozen_share], dtype=torch.float64)
-            tensors[f"actor/{track_id}/waves"] = actor.appearance.waves
+            tensors[f"actor/{track_id}/waves"] = actor.appearance.fourier
             tensors[f"actor/{track_id}/frozen_share"] = share
         records.append(
             ActorRecord(
@@ -119,8 +118,12 @@ def save_scene(scene: StreetScene, folder: str | Path) -> None:
         deformation=DEFORMATION_FILE if deformations else None,
         bodies=BODIES_FILE if bodies else None,
     )
+    values = record.model_dump(mode="json")
     # What no actor has is not mentioned: earlier releases read it then.
-    write_json(folder / SCENE_FILE, _mentioned(record))
+    for name in ("deformation", "bodies"):
+        if values[name] is None:
+            del values[name]
+    write_json(folder / SCENE_FILE, values)
 
 
 def load_scene(folder: str | Path) -> StreetScene:
@@ -162,11 +165,6 @@ def load_scene(folder: str | Path) -> StreetScene:
         raise InputError(folder, "scene", str(error), _MEND) from None
     object.__setattr__(scene, "origin", folder.absolute())
     return scene
-
-
-def _mentioned(record: SceneRecord) -> dict[str, Any]:
-    values = record.model_dump(mode="json")
-    return {k: v for k, v in values.items() if v is not None or k not in ("deformation", "bodies")}
 
 
 def _read_shapes(folder: Path, record: SceneRecord) -> dict[str, Deforming]:

@@ -56,7 +56,6 @@ class SceneActor:
     """One moving object.
 
     Attributes:
-        track_id: the track it stands for.
         gaussians: actor-local frame (box centre, x forward, y left, z up).
         size: (3,) length, width, height in metres.
         trajectory: refined `world_from_actor` as logged.

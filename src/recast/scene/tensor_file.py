@@ -19,8 +19,8 @@ from torch import Tensor
 from recast.core.errors import InputError
 from recast.core.files import parse_json, write_bytes
 from recast.core.torch_file import read_safetensors
+from recast.scene.bodies import Skinning
 from recast.scene.deformation import MOST_LAYERS, Deformation, DeformationNetwork
-from recast.scene.skinning import Skinning
 
 HEADER = "recast"
 DEFORMATION_FILE = "deformation.safetensors"
@@ -38,21 +38,13 @@ _BODY_TYPES = {
 
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
-    """Write tensors and header atomically.
-
-    Raises:
-        InputError: the disk refuses.
-    """
+    """Write tensors and header atomically; InputError if the disk refuses."""
     plain = {name: t.detach().to("cpu", copy=True).contiguous() for name, t in tensors.items()}
     write_bytes(path, save(plain, metadata={HEADER: json.dumps(header)}))
 
 
 def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors and header of a file.
-
-    Raises:
-        InputError: missing, cut short, or not ours.
-    """
+    """Tensors and header of a file; InputError if missing, cut short, or not ours."""
     tensors, texts = read_safetensors(path, "tensors", "write it anew")
     header = parse_json(path, texts.get(HEADER, ""))
     if not isinstance(header, dict):
@@ -120,11 +112,7 @@ def read_deformations(path: Path, mend: str) -> dict[str, Deformation]:
 
 
 def write_bodies(path: Path, bodies: Mapping[str, Skinning]) -> None:
-    """Write the skinnings of a scene's bodies, by track id.
-
-    Raises:
-        InputError: the disk refuses.
-    """
+    """Write the skinnings of a scene's bodies, by track id; InputError if the disk refuses."""
     tensors = {
         f"{part}/{track_id}": torch.as_tensor(getattr(body, part))
         for track_id, body in bodies.items()

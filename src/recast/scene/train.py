@@ -34,7 +34,6 @@ from recast.scene.initialise import (
     Initialisation,
     gaussian_budget,
     initialise,
-    write_budget,
 )
 from recast.scene.run import ProgressCallback, TrainingStatus, claim_folder
 from recast.scene.store import SCENE_FILE, load_scene, save_scene
@@ -54,7 +53,6 @@ class TrainResult:
 
     Attributes:
         scene: the scene, also at `folder`.
-        folder: scene folder.
         history: one record an evaluation: iteration, gaussians, loss, psnr, held_out_psnr (dB).
         budget: how many Gaussians there might be, and whether that kept any from being added.
     """
@@ -179,7 +177,7 @@ class _Run:
                 "limited_changes": trainer.limited_changes,
             }
         )
-        write_budget(budget, self._out)
+        write_json(self._out / BUDGET_FILE, budget.model_dump(mode="json"))
         write_json(self._out / HISTORY_FILE, history)
         save_scene(scene, self._out)
         shutil.rmtree(self._work, ignore_errors=True)

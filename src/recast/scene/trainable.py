@@ -1,4 +1,4 @@
-"""The parameters of a scene under training, laid out for speed, and what one view is made of.
+"""What is trained of a scene: Gaussians laid out for speed, what a view sees of them, and the sky.
 
 What the rasterizer reads is one buffer a field. The background's rows come first and *are* the
 background's parameters, so that nothing is copied; behind them is room for the actors, which are
@@ -11,16 +11,32 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
+from recast.geometry import PinholeCamera
 from recast.scene.appearance import coloured, mirrored
+from recast.scene.config import SceneConfig
 from recast.scene.densify import GradientStatistics, Measure
+from recast.scene.poses import AdamTable
+from recast.scene.sky import (
+    OPAQUE,
+    SkyMap,
+    composite,
+    pixel_coordinates,
+    sample_cubemap,
+    sky_from_cubemap,
+    texel_directions,
+)
 from recast.splats import Gaussians, RasterMeta, RowAdam, concatenate
 from recast.splats.sh import C0
 
 Shape = Callable[[Gaussians], Gaussians]
 
+STATES = ("background_adam", "local_adam", "background_statistics", "local_statistics")
+"""Members of `TrainableScene` that a checkpoint holds beside the parameters."""
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 MIN_LOG_SCALE = -4.8
 """8 mm. Smaller ones hide between the pixel centres of the training views and show elsewhere."""
@@ -63,14 +79,14 @@ class TrainableScene:
         owner: (A,) int64, ascending, on the CPU: the actor of each row of `local`.
         background: world-frame parameters, views into the buffer.
         local: all actors' parameters, box frames, one after the other.
-        waves: (A, F - 1, 3) how the actors' colours change over their time, see
+        fourier: (A, F - 1, 3) how the actors' colours change over their time, see
             `recast.scene.appearance`; F is 1 where they do not.
     """
 
     background: Gaussians
     local: Gaussians
     owner: Tensor
-    waves: Tensor
+    fourier: Tensor
 
     def __init__(
         self, background: Gaussians, actors: Mapping[str, Gaussians], fourier_terms: int = 1
@@ -80,15 +96,17 @@ class TrainableScene:
         counts = torch.tensor([len(part) for part in actors.values()], dtype=torch.int64)
         owner = torch.repeat_interleave(torch.arange(len(actors)), counts)
         local = concatenate([nothing, *actors.values()])
-        waves = local.means.new_zeros(len(local), fourier_terms - 1, 3)
-        self.place(background, local, owner, waves)
+        fourier = local.means.new_zeros(len(local), fourier_terms - 1, 3)
+        self.place(background, local, owner, fourier)
         device = self.background.means.device
         self.background_statistics = GradientStatistics(len(self.background), device)
         self.local_statistics = GradientStatistics(len(self.local), device)
         self.background_adam = _adam(self.background, rows(self.background), math.inf)
         self.local_adam = _adam(self.local, self.local_parameters(), MAX_ACTOR_LOG_SCALE)
 
-    def place(self, background: Gaussians, local: Gaussians, owner: Tensor, waves: Tensor) -> None:
+    def place(
+        self, background: Gaussians, local: Gaussians, owner: Tensor, fourier: Tensor
+    ) -> None:
         """Lay out new parameter values; optimiser states are the caller's business."""
         room = concatenate([background.detach(), local.detach()])
         self._buffer = Gaussians(**{name: value.contiguous() for name, value in rows(room).items()})
@@ -97,13 +115,13 @@ class TrainableScene:
         self.local = Gaussians(
             **{k: v.clone().requires_grad_() for k, v in rows(local.detach()).items()}
         )
-        self.waves = waves.detach().clone().requires_grad_()
+        self.fourier = fourier.detach().clone().requires_grad_()
         self.owner = owner
 
     def local_parameters(self) -> dict[str, Tensor]:
         """The actors' leaf tensors by name."""
         parameters = rows(self.local)
-        return {**parameters, "waves": self.waves} if self.waves.shape[1] else parameters
+        return {**parameters, "waves": self.fourier} if self.fourier.shape[1] else parameters
 
     def span(self, track_id: str) -> tuple[int, int]:
         """Rows [start, stop) of an actor in `local`."""
@@ -130,8 +148,8 @@ class TrainableScene:
         for track_id, pose in poses.items():
             start, stop = self.span(track_id)
             own = Gaussians(**{k: v[start:stop] for k, v in rows(self.local).items()})
-            if shares is not None and self.waves.shape[1]:
-                own = coloured(own, self.waves[start:stop], shares[track_id])
+            if shares is not None and self.fourier.shape[1]:
+                own = coloured(own, self.fourier[start:stop], shares[track_id])
             if flipped is not None:
                 own = mirrored(own, flipped[start:stop])
             if shapes is not None and track_id in shapes:
@@ -153,7 +171,7 @@ class TrainableScene:
             gradient = gradients[name]
             getattr(self.background, name).grad = None if gradient is None else gradient[:n]
             getattr(self.local, name).grad = None
-        self.waves.grad = None
+        self.fourier.grad = None
         for span in drawn.spans:
             outputs, given = [], []
             for name in FIELDS:
@@ -201,25 +219,17 @@ class TrainableScene:
         """Number of Gaussians, actors included."""
         return len(self.background) + len(self.local)
 
-    def restore(
-        self,
-        background_adam: Mapping[str, Tensor],
-        local_adam: Mapping[str, Tensor],
-        background_statistics: Mapping[str, Tensor],
-        local_statistics: Mapping[str, Tensor],
-    ) -> None:
-        """After `place`: take over optimiser states and statistics of a checkpoint."""
+    def restore(self, states: Mapping[str, Mapping[str, Tensor]]) -> None:
+        """After `place`: take over the `STATES` of a checkpoint."""
         self.background_adam.params = rows(self.background)
         self.local_adam.params = self.local_parameters()
-        self.background_adam.load_state_dict(background_adam)
-        self.local_adam.load_state_dict(local_adam)
-        self.background_statistics.load_state_dict(background_statistics)
-        self.local_statistics.load_state_dict(local_statistics)
+        for name in STATES:
+            getattr(self, name).load_state_dict(states[name])
 
     def actor(self, track_id: str) -> tuple[Gaussians, Tensor]:
-        """Copies of an actor's Gaussians in its box frame, and of their waves."""
+        """Copies of an actor's Gaussians in its box frame, and of their `fourier`."""
         part = slice(*self.span(track_id))
-        return copy(self.local, part), self.waves.detach()[part].clone()
+        return copy(self.local, part), self.fourier.detach()[part].clone()
 
 
 def copy(gaussians: Gaussians, part: slice = slice(None)) -> Gaussians:
@@ -244,3 +254,73 @@ def _adam(gaussians: Gaussians, parameters: Mapping[str, Tensor], max_log_scale:
         column_rates={"sh": rates},
         bounds={"sh": (-limit, limit), "log_scales": (MIN_LOG_SCALE, max_log_scale)},
     )
+
+
+class PanoramaSky:
+    """An equirectangular map: few cells, and what is learned is what is saved.
+
+    Attributes:
+        table: its colours, one row a cell.
+    """
+
+    def __init__(self, start: SkyMap) -> None:
+        self._shape = start.colours.shape
+        self.table = AdamTable(start.colours.reshape(-1, 3))
+
+    def behind(
+        self, rgb: Tensor, alpha: Tensor, camera: PinholeCamera, camera_from_world: ArrayLike
+    ) -> Tensor:
+        """rgb + (1 - alpha) sky, (H, W, 3); pixels above `sky.OPAQUE` are left alone."""
+        coordinates = pixel_coordinates(camera, camera_from_world)
+        return composite(rgb, alpha, self.table.value.view(self._shape), coordinates)
+
+    def sky_map(self) -> SkyMap:
+        """The sky as it stands, copied to the CPU."""
+        return SkyMap(self.table.value.detach().view(self._shape).to("cpu", copy=True))
+
+
+class CubeSky:
+    """A cubemap in world axes, as both published trainers learn it (Street Gaussians, OmniRe).
+
+    It is resampled for `sky_map`: the folder of a scene holds one kind of sky.
+
+    Attributes:
+        table: its colours, one row a cell.
+    """
+
+    def __init__(self, start: SkyMap, face_px: int) -> None:
+        self._shape = (6, face_px, face_px, 3)
+        self.table = AdamTable(start(texel_directions(face_px).reshape(-1, 3)))
+
+    def behind(
+        self, rgb: Tensor, alpha: Tensor, camera: PinholeCamera, camera_from_world: ArrayLike
+    ) -> Tensor:
+        """As `PanoramaSky.behind`; ValueError if the camera has distortion."""
+        flat = alpha.reshape(-1)
+        shown = (flat.detach() < OPAQUE).nonzero()[:, 0]
+        directions = _world_directions(camera, camera_from_world, shown)
+        sky = sample_cubemap(self.table.value.view(self._shape), directions)
+        through = 1 - flat.index_select(0, shown)
+        return rgb.reshape(-1, 3).index_add(0, shown, through[:, None] * sky).view_as(rgb)
+
+    def sky_map(self) -> SkyMap:
+        """The sky as it stands, resampled on the CPU."""
+        return sky_from_cubemap(self.table.value.detach().cpu().view(self._shape), torch.eye(3))
+
+
+def _world_directions(
+    camera: PinholeCamera, camera_from_world: ArrayLike, pixels: Tensor
+) -> Tensor:
+    """Rays (M, 3) float32, depth 1, of flat pixel indices (M,) of a rectified camera."""
+    if not camera.is_rectified:
+        raise ValueError("the sky needs a rectified camera: use camera.rectified()")
+    axes = torch.from_numpy(np.array(camera_from_world, np.float64)[:3, :3]).float()
+    axes = axes.to(pixels.device)
+    x = (pixels % camera.width + (0.5 - camera.cx)) / camera.fx
+    y = (pixels // camera.width + (0.5 - camera.cy)) / camera.fy
+    return x[:, None] * axes[0] + y[:, None] * axes[1] + axes[2]
+
+
+def make_sky(config: SceneConfig, start: SkyMap) -> PanoramaSky | CubeSky:
+    """The sky that the configuration asks for, with the colours of `start`."""
+    return CubeSky(start, config.sky_face_px) if config.sky == "cubemap" else PanoramaSky(start)

@@ -11,14 +11,15 @@ import torch
 from torch import Tensor
 
 from recast.logs import DrivingLog, Track
-from recast.scene.appearance import frozen, share_of, symmetric_tracks
+from recast.scene.appearance import Exposures, exposed_scene, frozen, share_of
 from recast.scene.bodies import Body
 from recast.scene.config import SceneConfig
+from recast.scene.deformation import DeformableNodes
 from recast.scene.density_control import SETTLE_EVERY, GroundSheet, control_density, reset_opacities
-from recast.scene.dynamic import box_rectangle
+from recast.scene.dynamic import DEFORMABLE, box_rectangle
 from recast.scene.initialise import Initialisation
 from recast.scene.levels import Level, make_levels
-from recast.scene.objective import (
+from recast.scene.losses import (
     SHARP_SHAPE_EVERY,
     TrackSmoothness,
     actors_alone,
@@ -38,8 +39,7 @@ from recast.scene.schedule import (
     sky_rate,
 )
 from recast.scene.street_scene import Deforming, SceneActor, StreetScene
-from recast.scene.trainable import Drawn, TrainableScene, copy
-from recast.scene.trainable_parts import DeformableNodes, Exposures, exposed_scene, make_sky
+from recast.scene.trainable import Drawn, TrainableScene, copy, make_sky
 from recast.scene.views import View
 from recast.splats import Gaussians, rasterize
 
@@ -70,8 +70,7 @@ class Trainer:
         model: the Gaussians.
         deformable: the network that deforms actors.
         camera_poses, track_poses: pose corrections.
-        exposures: changes of the images' colours.
-        sky: the sky's colours.
+        exposures, sky: changes of the images' colours; the sky's colours.
         limited_from: step of the first change that `max_gaussians` cut short; None before.
         limited_changes: number of changes that `max_gaussians` cut short.
     """
@@ -102,10 +101,12 @@ class Trainer:
         self._bodies = dict(bodies or {})
         free = {name: track for name, track in tracks.items() if name not in self._bodies}
         self.deformable = DeformableNodes(config, free, self.device)
-        self._symmetric = symmetric_tracks(tracks[name] for name in self.model.track_ids)
-        self._symmetric &= ~torch.tensor(
-            [self._is_deformed(name) for name in self.model.track_ids], dtype=torch.bool
-        )
+        symmetric = [
+            tracks[name].category not in DEFORMABLE
+            and not (name in self.deformable or name in self._bodies)
+            for name in self.model.track_ids
+        ]
+        self._symmetric = torch.tensor(symmetric, dtype=torch.bool)
         self.camera_poses = CameraPoses(self._views)
         self.track_poses = TrackPoses(tracks, views)
         self._smoothness = TrackSmoothness(self.track_poses)
@@ -129,19 +130,17 @@ class Trainer:
         self.iteration += 1
         if self._density.changes(self.iteration):
             oversize = self._density.prunes_oversize(self.iteration)
-            chance = generator(config.seed, self.iteration)
+            rng = generator(config.seed, self.iteration)
             bodies = self._bodies.keys()
-            if control_density(self.model, self._tracks, config, chance, oversize, bodies):
+            if control_density(self.model, self._tracks, config, rng, oversize, bodies):
                 self.limited_changes += 1
                 self.limited_from = self.limited_from or self.iteration
         if self._density.resets(self.iteration):
             reset_opacities(self.model)
-        if self._sheet is not None and self._settles():
+        settles = self.iteration % SETTLE_EVERY == 0 or self.iteration == config.iterations
+        if self._sheet is not None and settles:
             self._sheet.settle(self.model.background)
         return report
-
-    def _settles(self) -> bool:
-        return self.iteration % SETTLE_EVERY == 0 or self.iteration == self.config.iterations
 
     def tables(self) -> dict[str, AdamTable]:
         """What is learned beside the Gaussians, by name."""
@@ -184,22 +183,14 @@ class Trainer:
                 found += [] if seen is None else [name]
         return found
 
-    def _is_deformed(self, track_id: str) -> bool:
-        return track_id in self.deformable or track_id in self._bodies
-
     def _shaped(self, track_id: str, timestamp_us: int, gaussians: Gaussians) -> Gaussians:
         """Deformed; canonical centres rest from `REST_FROM` on, as in OmniRe. A body's do not."""
-        if track_id in self._bodies:
-            skinning, trajectory = (
-                self._bodies[track_id].skinning,
-                self._tracks[track_id].trajectory,
-            )
-            return skinning.at(gaussians, trajectory, timestamp_us)
-        resting = gaussians
-        if self.iteration >= REST_FROM:
-            resting = replace(gaussians, means=gaussians.means.detach())
         trajectory = self._tracks[track_id].trajectory
-        return self.deformable.deformation(track_id).at(resting, trajectory, timestamp_us)
+        if track_id in self._bodies:
+            return self._bodies[track_id].skinning.at(gaussians, trajectory, timestamp_us)
+        if self.iteration >= REST_FROM:
+            gaussians = replace(gaussians, means=gaussians.means.detach())
+        return self.deformable.deformation(track_id).at(gaussians, trajectory, timestamp_us)
 
     def _flipped(self) -> Tensor | None:
         """Rows of actors that this step sees mirrored, drawn anew for every step."""
@@ -207,8 +198,8 @@ class Trainer:
         if probability == 0:
             return None
         owner = self.model.owner
-        chance = generator(self.config.seed, self.iteration, FLIPS)
-        drawn = torch.rand(len(owner), generator=chance) < probability
+        rng = generator(self.config.seed, self.iteration, FLIPS)
+        drawn = torch.rand(len(owner), generator=rng) < probability
         return (drawn & self._symmetric[owner]).to(self.device)
 
     def _fit(self, view: View, level: Level, u: float) -> StepReport:
@@ -279,9 +270,9 @@ class Trainer:
         return exposed_scene(scene, self.exposures.mean()) if self._exposes() else scene
 
     def _actor(self, track_id: str, deformation: Deforming | None) -> SceneActor:
-        learned, waves = self.model.actor(track_id)
+        learned, fourier = self.model.actor(track_id)
         share = self.config.appearance_share
-        gaussians, appearance = frozen(learned.to("cpu"), waves.cpu(), share)
+        gaussians, appearance = frozen(learned.to("cpu"), fourier.cpu(), share)
         return SceneActor(
             track_id=track_id,
             gaussians=gaussians,

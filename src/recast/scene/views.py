@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import cv2
@@ -37,20 +37,14 @@ class View:
     timestamp_us: int
     camera: PinholeCamera
     world_from_camera: Array
-    image: Image
-    mask: Mask | None
-    held_out: bool
+    image: Image = field(default_factory=lambda: np.zeros((0, 0, 3), np.uint8))
+    mask: Mask | None = None
+    held_out: bool = False
 
     @property
     def camera_from_world(self) -> Array:
         """(4, 4), as logged."""
         return se3.inverse(self.world_from_camera)
-
-    @property
-    def position(self) -> Array:
-        """(3,) camera centre in the world."""
-        centre: Array = self.world_from_camera[:3, 3]
-        return centre
 
 
 def camera_names(log: DrivingLog, config: SceneConfig) -> tuple[str, ...]:
@@ -108,14 +102,15 @@ def read_view(
     image: Image = np.ascontiguousarray(stream.images[frame])
     mask = stream.mask
     if not full.is_rectified:
-        image, mask = _rectify(full, image, mask)
+        mask = np.ones(image.shape[:2], bool) if mask is None else mask  # unusable from outside
+        across, down = _source_pixels(full)
+        edge = cv2.BORDER_REPLICATE
+        image = np.asarray(cv2.remap(image, across, down, cv2.INTER_LINEAR, borderMode=edge))
     place = _place(log, stream, frame, scale, held_out)
-    size = (place.camera.width, place.camera.height)
     if scale != 1.0:
+        size = (place.camera.width, place.camera.height)
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-        if mask is not None:
-            mask = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    return replace(place, image=image, mask=mask)
+    return replace(place, image=image, mask=None if mask is None else fit_mask(full, mask, scale))
 
 
 def _place(log: DrivingLog, stream: CameraStream, frame: int, scale: float, held_out: bool) -> View:
@@ -126,8 +121,6 @@ def _place(log: DrivingLog, stream: CameraStream, frame: int, scale: float, held
         timestamp_us=timestamp_us,
         camera=scaled_camera(stream.camera, scale),
         world_from_camera=log.world_from_rig.at(timestamp_us) @ stream.rig_from_camera,
-        image=np.zeros((0, 0, 3), np.uint8),
-        mask=None,
         held_out=held_out,
     )
 
@@ -138,25 +131,20 @@ def scaled_camera(camera: PinholeCamera, scale: float) -> PinholeCamera:
     return camera.rectified().resized(max(1, width), max(1, height))
 
 
-def nearest_view(
-    views: Sequence[View], timestamp_us: int, camera_name: str, limit_us: int
-) -> View | None:
-    """The view of one camera nearest in time, or None where none is within `limit_us`."""
-    own = [view for view in views if view.camera_name == camera_name]
-    best = min(own, key=lambda view: abs(view.timestamp_us - timestamp_us), default=None)
-    if best is None or abs(best.timestamp_us - timestamp_us) > limit_us:
-        return None
-    return best
+def nearest_views(views: Sequence[View], timestamp_us: int, limit_us: int) -> Iterator[View]:
+    """Of each camera the view nearest in time, where it is within `limit_us`."""
+    for name in dict.fromkeys(view.camera_name for view in views):
+        own = [view for view in views if view.camera_name == name]
+        best = min(own, key=lambda view: abs(view.timestamp_us - timestamp_us))
+        if abs(best.timestamp_us - timestamp_us) <= limit_us:
+            yield best
 
 
 def fit_mask(camera: PinholeCamera, mask: Mask, scale: float) -> Mask:
     """A mask (H, W) of the recorded image as it lies on its view: rectified and scaled."""
     fitted = mask.astype(np.uint8)
-    if not camera.is_rectified:
-        source = _source_pixels(camera)
-        # Pixels from outside the recorded image: 0.
-        found = cv2.remap(fitted, source[..., 0], source[..., 1], cv2.INTER_NEAREST)
-        fitted = np.asarray(found, np.uint8)
+    if not camera.is_rectified:  # pixels from outside the recorded image: 0
+        fitted = np.asarray(cv2.remap(fitted, *_source_pixels(camera), cv2.INTER_NEAREST), np.uint8)
     target = scaled_camera(camera, scale)
     size = (target.width, target.height)
     whole: Mask = cv2.resize(fitted, size, interpolation=cv2.INTER_NEAREST) > 0
@@ -164,21 +152,9 @@ def fit_mask(camera: PinholeCamera, mask: Mask, scale: float) -> Mask:
 
 
 @lru_cache(maxsize=1)  # a camera's images come one after the other
-def _source_pixels(camera: PinholeCamera) -> NDArray[np.float32]:
-    """Where OpenCV finds the pixels (H, W, 2) of the rectified image in the recorded one."""
+def _source_pixels(camera: PinholeCamera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Where OpenCV finds the pixels (H, W) of the rectified image in the recorded one: x and y."""
     target = camera.rectified()
     pixels, _ = camera.project(target.rays(target.pixel_grid()))
-    return pixels.astype(np.float32) - np.float32(0.5)  # it puts centres at whole numbers
-
-
-def _rectify(camera: PinholeCamera, image: Image, mask: Mask | None) -> tuple[Image, Mask]:
-    """Undo the distortion; pixels from outside the raw image become unusable."""
-    source = _source_pixels(camera)
-    usable = np.ones(image.shape[:2], np.uint8) if mask is None else mask.astype(np.uint8)
-    rectified = cv2.remap(
-        image, source[..., 0], source[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
-    inside = cv2.remap(
-        usable, source[..., 0], source[..., 1], cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT
-    )
-    return np.asarray(rectified, np.uint8), inside > 0
+    found = pixels.astype(np.float32) - np.float32(0.5)  # it puts centres at whole numbers
+    return found[..., 0], found[..., 1]

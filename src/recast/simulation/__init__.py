@@ -12,8 +12,7 @@ from recast.simulation.actor_motion import (
     StartSituation,
 )
 from recast.simulation.actors import PreparedActor, PreparedRollout, prepare
-from recast.simulation.idm_motion import Idm
-from recast.simulation.motions import Advancing, CutIn, LogReplay, Oncoming, Stationary
+from recast.simulation.motions import Advancing, CutIn, Idm, LogReplay, Oncoming, Stationary
 from recast.simulation.plan_execution import EgoController, LqrController, PerfectController
 from recast.simulation.recorded_road import Ending, RoadSurface
 from recast.simulation.renderer import NullRenderer, SensorRenderer, camera_mount, camera_mounts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, TypeGuard
@@ -187,26 +188,60 @@ class MotionInput:
         return (self.ego, *self.others)
 
 
-class ActorMotion(Protocol):
+@dataclass(frozen=True)
+class Quantity:
+    """A number of a motion in a scenario file; annotates the member that it sets.
+
+    Attributes:
+        unit: as people read it.
+        low, high: the range, both included.
+        positive: `low` is 0 and itself not allowed.
+        optional: may be left out; the motion has a default.
+    """
+
+    unit: str
+    low: float
+    high: float
+    positive: bool = False
+    optional: bool = False
+
+    def fault(self, value: float) -> str | None:
+        """What is wrong with a number, or None."""
+        if not math.isfinite(value):
+            return f"is {value}"
+        if value < 0.0 <= self.low:
+            return "is negative"
+        if not self.low <= value <= self.high or (self.positive and value == 0.0):
+            return f"is {value:g}"
+        return None
+
+    @property
+    def range(self) -> str:
+        """The range and the unit, such as "-50 to 500 m"."""
+        low = "more than 0, at most" if self.positive else f"{self.low:.5g} to"
+        return f"{low} {self.high:.5g} {self.unit}"
+
+
+class NamedMotion(Protocol):
+    """What every motion has."""
+
+    @property
+    def name(self) -> str:
+        """For tables and file names, such as "idm"."""
+
+    @property
+    def setting(self) -> str:
+        """Which parameters, such as "a"."""
+
+
+class ActorMotion(NamedMotion, Protocol):
     """Moves a controlled actor step by step. Implement this for a motion that reacts.
 
     States are (4,): x, y, heading of the box centre in the world, speed >= 0; SI units.
 
     It may also have `follows_log`, true if the actor stays on its own logged path: the rollout is
     then not cut where that path leaves the ego's recorded road.
-
-    Attributes:
-        name: for tables and file names, such as "idm".
-        setting: which parameters, such as "a".
     """
-
-    @property
-    def name(self) -> str:
-        """Name of the motion."""
-
-    @property
-    def setting(self) -> str:
-        """Name of the setting."""
 
     def start(self, situation: StartSituation) -> Array:
         """The state (4,) at the start."""
@@ -215,21 +250,8 @@ class ActorMotion(Protocol):
         """The state (4,) `dt` seconds after `state`."""
 
 
-class ScriptMotion(Protocol):
-    """A motion that is known at the start, since it does not react.
-
-    Attributes:
-        name: for tables and file names, such as "cut-in".
-        setting: which parameters, such as "a".
-    """
-
-    @property
-    def name(self) -> str:
-        """Name of the motion."""
-
-    @property
-    def setting(self) -> str:
-        """Name of the setting."""
+class ScriptMotion(NamedMotion, Protocol):
+    """A motion that is known at the start, since it does not react."""
 
     def script(self, start: StartSituation, steps: int, dt: float) -> Array:
         """States (steps + 1, 4): x, y, heading of the box centre, speed >= 0; world, SI units."""

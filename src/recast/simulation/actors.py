@@ -39,44 +39,29 @@ class ControlledActors:
     def __init__(self, setup: RolloutSetup, start: RolloutStart) -> None:
         self._setup, self._start = setup, start
         self._actors = {actor.track.track_id: actor for actor in start.actors}
-        self._states = {k: list(a.states) for k, a in self._actors.items() if a.reacts}
-        self._poses = {k: list(a.world_from_actor) for k, a in self._actors.items() if a.reacts}
-
-    @property
-    def react(self) -> bool:
-        """Whether some of them react."""
-        return bool(self._states)
+        self._states = {k: list(a.states) for k, a in self._actors.items()}
+        self._poses = {k: list(a.world_from_actor) for k, a in self._actors.items()}
 
     @property
     def reactive(self) -> tuple[str, ...]:
         """Track ids of those that react."""
-        return tuple(self._states)
+        return tuple(key for key, actor in self._actors.items() if actor.reacts)
 
     def state(self, track_id: str, step: int) -> Array:
         """x, y, heading of the box centre, speed (4,) at a step that was reached."""
-        if track_id in self._states:
-            return self._states[track_id][step]
-        state: Array = self._actors[track_id].states[step]
-        return state
+        return self._states[track_id][step]
 
     def pose(self, track_id: str, step: int) -> Array:
         """`world_from_actor` (4, 4) at a step that was reached."""
-        if track_id in self._poses:
-            return self._poses[track_id][step]
-        pose: Array = self._actors[track_id].world_from_actor[step]
-        return pose
+        return self._poses[track_id][step]
 
     def states(self, track_id: str, steps: int) -> Array:
         """States (steps + 1, 4) from the start on."""
-        if track_id in self._states:
-            return np.array(self._states[track_id][: steps + 1])
-        return self._actors[track_id].states[: steps + 1]
+        return np.array(self._states[track_id][: steps + 1])
 
     def poses(self, track_id: str, steps: int) -> Array:
         """`world_from_actor` (steps + 1, 4, 4) from the start on."""
-        if track_id in self._poses:
-            return np.array(self._poses[track_id][: steps + 1])
-        return self._actors[track_id].world_from_actor[: steps + 1]
+        return np.array(self._poses[track_id][: steps + 1])
 
     def seen(self, step: int) -> tuple[ActorState, ...]:
         """All road users but the ego at a step: controlled ones, the target first, then logged."""
@@ -98,13 +83,13 @@ class ControlledActors:
             InputError: a motion returned no state; names the motion, the step and the value.
             Exception: whatever a motion raises.
         """
-        if not self.react:
+        if not self.reactive:
             return None
-        step = min(map(len, self._states.values())) - 1
+        step = len(self._states[self.reactive[0]]) - 1
         ego_user, users = road_user(ego_state, self._setup), self.seen(step)
         moved: dict[str, Array] = {}
-        for track_id, states in self._states.items():
-            actor = self._actors[track_id]
+        for track_id in self.reactive:
+            actor, states = self._actors[track_id], self._states[track_id]
             now = MotionInput(
                 situation=actor.situation,
                 step=step,
@@ -242,7 +227,7 @@ def prepare(setup: RolloutSetup) -> PreparedRollout:
     """
     start = start_rollout(setup)
     steps, reason, actors = start.steps, start.cut_reason, ControlledActors(setup, start)
-    if actors.react:
+    if actors.reactive:
         steps, reason = _react(actors, start)
         refuse_if_too_short(setup, steps, reason)
     target, *further = (

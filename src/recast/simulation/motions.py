@@ -1,6 +1,6 @@
-"""What the controlled actor does: the paper's motions, and what the log saw it do.
+"""What a controlled actor does: the paper's motions, what the log saw it do, and one that reacts.
 
-These motions are scripted from the situation at the start. The actor does not react to the ego, so
+All but `Idm` are scripted from the situation at the start: the actor does not react to the ego, so
 its states are the same for every planner and every renderer. Frenet coordinates are those of the
 ego's reference route; gaps are from bumper to bumper. Their settings are in `scenarios/*.yaml`.
 All have, besides what `ActorMotion` asks for, a `description` for people: one sentence.
@@ -8,15 +8,29 @@ All have, besides what `ActorMotion` asks for, a `description` for people: one s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from recast.arrays import Array
-from recast.dynamics import free_road_step
-from recast.geometry import se2
+from recast.dynamics import IdmParameters, free_road_step, idm_acceleration
+from recast.geometry import boxes, se2
 from recast.logs.motion import logged_velocity
-from recast.simulation.actor_motion import Scripted, StartSituation
+from recast.planning import ActorState, ReferenceRoute
+from recast.simulation.actor_motion import MotionInput, Quantity, Scripted, StartSituation
+
+_Gap = Annotated[float, Quantity("m", -50.0, 500.0)]
+"""Less than 0: beside or behind the ego."""
+_Share = Annotated[float, Quantity("of v_r", 0.0, 5.0)]
+_Lateral = Annotated[float, Quantity("m", -20.0, 20.0)]
+_Seconds = Annotated[float, Quantity("s", 0.0, 60.0)]
+DRIVER = IdmParameters(max_acceleration=1.5, max_deceleration=2.5, emergency_deceleration=8.0)
+"""Accelerations of the driver; gap and headway are the motion's."""
+_CORRIDOR_MARGIN = 0.3
+"""Metres on each side of the actor's width within which a road user is on its path."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +46,12 @@ class CutIn(Scripted):
     """
 
     setting: str
-    gap: float
-    initial_speed: float
-    target_speed: float
-    delay: float
-    duration: float
-    stop_after: float | None = None
+    gap: _Gap
+    initial_speed: _Share
+    target_speed: _Share
+    delay: _Seconds
+    duration: Annotated[float, Quantity("s", 0.0, 60.0, positive=True)]
+    stop_after: Annotated[float | None, Quantity("s", 0.0, 60.0)] = None
     name: str = "cut-in"
     description: str = ""
 
@@ -75,10 +89,10 @@ class Oncoming(Scripted):
     """
 
     setting: str
-    gap: float
-    speed: float
-    stop_distance: float | None = None
-    lateral: float = 0.0
+    gap: _Gap
+    speed: Annotated[float, Quantity("m/s", 0.0, 100.0)]
+    stop_distance: Annotated[float | None, Quantity("m", 0.0, 1000.0, positive=True)] = None
+    lateral: _Lateral = 0.0
     name: str = "oncoming"
     description: str = ""
 
@@ -106,11 +120,11 @@ class Stationary(Scripted):
     """
 
     setting: str
-    min_gap: float
-    braking: float
-    reserve: float
-    yaw: float = 0.0
-    lateral: float = 0.0
+    min_gap: _Gap
+    braking: Annotated[float, Quantity("m/s^2", 0.0, 20.0, positive=True)]
+    reserve: Annotated[float, Quantity("m", 0.0, 500.0)]
+    yaw: Annotated[float, Quantity("rad", -np.pi, np.pi)] = 0.0
+    lateral: _Lateral = 0.0
     name: str = "stationary"
     description: str = ""
 
@@ -132,8 +146,8 @@ class Advancing(Scripted):
     """
 
     setting: str
-    gap: float
-    speed: float
+    gap: _Gap
+    speed: _Share
     name: str = "advancing"
     description: str = ""
 
@@ -199,6 +213,108 @@ def _drive(
     return states[:, 0], states[:, 1]
 
 
-def _states(poses: Array, speed: Array) -> Array:
-    poses[:, 2] = se2.wrap_angle(poses[:, 2])
-    return np.concatenate([poses, speed[:, None]], axis=1)
+def _states(poses: Array, speed: ArrayLike) -> Array:
+    """States (..., 4) of poses (..., 3) and speeds (...)."""
+    heading, speeds = se2.wrap_angle(poses[..., 2]), np.asarray(speed)
+    return np.stack([poses[..., 0], poses[..., 1], heading, speeds], axis=-1)
+
+
+@dataclass(frozen=True)
+class Idm:
+    """Follows a path at a desired speed and keeps its distance from whoever is ahead on it.
+
+    The path is the actor's own logged one, at whose place at the start it begins with its logged
+    speed. If `gap` is given, it is the ego's route: the actor begins `gap` metres ahead of the ego
+    at the desired speed. The speed follows the intelligent driver model behind the nearest road
+    user whose box is within the actor's width and 0.3 m on each side: ego, controlled and logged
+    actors. Nothing is predicted: a vehicle that crosses the path is seen once it is on it.
+
+    Attributes:
+        speed: desired, as a share of the reference speed v_r.
+        headway: seconds behind the one ahead.
+        min_gap: metres to it at a standstill, bumper to bumper.
+        gap: metres ahead of the ego at the start; None for the actor's own path.
+        lateral: metres to the left of the ego's route; needs `gap`.
+
+    Raises:
+        ValueError: `lateral` is given without `gap`, or a parameter is out of range.
+    """
+
+    setting: str
+    speed: Annotated[float, Quantity("of v_r", 0.0, 5.0, positive=True)] = 1.0
+    headway: _Seconds = 1.5
+    min_gap: Annotated[float, Quantity("m", 0.0, 100.0, positive=True)] = 2.0
+    gap: Annotated[float | None, Quantity("m", -50.0, 500.0)] = None
+    lateral: _Lateral = 0.0
+    name: str = "idm"
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        if self.gap is None and self.lateral != 0.0:
+            raise ValueError("lateral: is an offset from the ego's route; give gap, too")
+        for name, least in (("speed", 0.0), ("min_gap", 0.0)):
+            if not getattr(self, name) > least:
+                raise ValueError(f"{name}: is {getattr(self, name)}; give more than 0")
+        if not self.headway >= 0.0:
+            raise ValueError(f"headway: is {self.headway}; give 0 or more")
+
+    @property
+    def follows_log(self) -> bool:
+        """Whether the path is the actor's own."""
+        return self.gap is None
+
+    def start(self, situation: StartSituation) -> Array:
+        """The state (4,) at the start, on the path.
+
+        Raises:
+            InputError: the path is the actor's own, and it is not labelled at the start.
+        """
+        if self.gap is not None:
+            pose = situation.route.pose(situation.ahead(self.gap), self.lateral)
+            return _states(pose, self.speed * situation.reference_speed)
+        track, now = situation.labelled(), situation.start_timestamp_us
+        s, _ = situation.own_path.project(se2.from_se3(track.at(now)))
+        speed = float(np.linalg.norm(logged_velocity(track, now, 100_000)))
+        return _states(situation.own_path.pose(s), speed)
+
+    def step(self, state: MotionInput, dt: float) -> Array:
+        """One forward Euler step (4,) of the model, as in `recast.dynamics.idm_step`."""
+        path, speed = self._path(state.situation), float(state.state[3])
+        s = float(path.project(state.state)[0])
+        leads = self._leads(state, path, s)
+        target = self.speed * state.situation.reference_speed
+        parameters = replace(DRIVER, headway=self.headway, min_gap=self.min_gap)
+        gaps, speeds = np.array([*leads, (np.inf, 0.0)]).T
+        acceleration = float(idm_acceleration(speed, target, gaps, speeds, parameters).min())
+        faster = max(speed + acceleration * dt, 0.0)
+        if speed == 0.0:  # projecting back and forth would let a standing car creep
+            return np.append(state.state[:3], faster)
+        return _states(path.pose(s + speed * dt, self.lateral), faster)
+
+    def _path(self, situation: StartSituation) -> ReferenceRoute:
+        return situation.own_path if self.gap is None else situation.route
+
+    def _leads(
+        self, state: MotionInput, path: ReferenceRoute, s: float
+    ) -> Iterable[tuple[float, float]]:
+        """Gap in metres, bumper to bumper, and speed along the path of all who are ahead on it."""
+        length, width = state.situation.actor_size[:2]
+        half = width / 2 + _CORRIDOR_MARGIN
+        for user in state.road_users:
+            centre = float(path.project(user.pose)[0])
+            if centre <= s:
+                continue
+            along, lateral = path.project(_outline(user))
+            offset = lateral - self.lateral
+            if offset.min() > half or offset.max() < -half:
+                continue
+            heading = float(path.heading(centre))
+            lead_speed = user.velocity @ [np.cos(heading), np.sin(heading)]
+            yield float(along.min()) - s - length / 2, float(lead_speed)
+
+
+def _outline(user: ActorState) -> Array:
+    """Corners and middles of the sides (8, 2): a long vehicle across the path has both ends beside
+    it."""
+    corners = boxes.bev_corners(user.pose, *user.size[:2])
+    return np.concatenate([corners, (corners + np.roll(corners, -1, axis=0)) / 2])

@@ -11,6 +11,7 @@ from recast.arrays import Array, Image
 from recast.core.workers import Closing
 from recast.geometry import PinholeCamera
 from recast.planning import CameraMount
+from recast.simulation.renderer import Mounted
 from recast.simulation.state import SimState
 from recast.synthetic.oracle import Oracle, OraclePool
 from recast.synthetic.rig import exposure, sensor_number
@@ -19,7 +20,7 @@ from recast.synthetic.world import World
 _STREAM = 701
 
 
-class _Job(NamedTuple):
+class _View(NamedTuple):
     name: str
     exposed_as: str
     camera: PinholeCamera
@@ -28,7 +29,7 @@ class _Job(NamedTuple):
     step: int
 
 
-class OracleRenderer(Closing):
+class OracleRenderer(Mounted, Closing):
     """Renders a synthetic world, each camera with the exposure it has in the log, virtual ones with
     that of the camera at whose place they are.
 
@@ -45,13 +46,8 @@ class OracleRenderer(Closing):
     """
 
     def __init__(self, world: World, mounts: Mapping[str, CameraMount], workers: int = 0) -> None:
-        self._mounts = dict(mounts)
+        super().__init__(mounts)
         self._pool = OraclePool(world, workers, most=len(self._mounts))
-
-    @property
-    def mounts(self) -> Mapping[str, CameraMount]:
-        """Cameras by name."""
-        return self._mounts
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
         """Render the world with its vehicles at the poses of `state`.
@@ -59,28 +55,28 @@ class OracleRenderer(Closing):
         Raises:
             InputError: the world has no such vehicle.
         """
-        jobs = []
+        views = []
         for name in camera_names:
             mount = self._mounts[name]
             world_from_camera = state.world_from_rig @ mount.rig_from_camera
             exposed_as = name if mount.source is None else mount.source
-            jobs.append(
-                _Job(name, exposed_as, mount.camera, world_from_camera, state.poses, state.step)
+            views.append(
+                _View(name, exposed_as, mount.camera, world_from_camera, state.poses, state.step)
             )
-        return dict(zip(camera_names, self._pool.map(_render, jobs), strict=True))
+        return dict(zip(camera_names, self._pool.map(_render, views), strict=True))
 
     def close(self) -> None:
         """End the processes."""
         self._pool.close()
 
 
-def _render(oracle: Oracle, job: _Job) -> Image:
+def _render(oracle: Oracle, view: _View) -> Image:
     seed = oracle.world.seed
     frame = oracle.render(
-        job.camera,
-        job.world_from_camera,
-        job.poses,
-        exposure=exposure(seed, job.exposed_as),
-        rng=np.random.default_rng([seed, _STREAM, sensor_number(job.name), job.step]),
+        view.camera,
+        view.world_from_camera,
+        view.poses,
+        exposure=exposure(seed, view.exposed_as),
+        rng=np.random.default_rng([seed, _STREAM, sensor_number(view.name), view.step]),
     )
     return frame.rgb

@@ -45,19 +45,12 @@ class RecordedRoad:
     Attributes:
         route: the ego's reference route.
         margin: metres before its end that are left free.
-        own: (N, 2) the road user's own logged path, which counts as well; None if it does not.
+        own: (N, 2) its own logged path if it follows that, which counts as well; else None.
     """
 
     route: ReferenceRoute
     margin: float
     own: Array | None = None
-
-    @classmethod
-    def of_actor(
-        cls, route: ReferenceRoute, margin: float, follows_log: bool, logged: Trajectory
-    ) -> RecordedRoad:
-        """The road of a controlled actor; its own path counts if it follows that."""
-        return cls(route, margin, logged.poses[:, :2, 3] if follows_log else None)
 
     def outside(self, points: Array) -> NDArray[np.bool_]:
         """Which points (..., 2) lie before the recorded road, or beyond its end less `margin`."""

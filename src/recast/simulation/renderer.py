@@ -62,8 +62,8 @@ def camera_mount(camera: PinholeCamera, rig_from_camera: Array, scale: float = 1
     return CameraMount(camera.rectified().resized(*size), rig_from_camera)
 
 
-class NullRenderer:
-    """Black images: to try an image-conditioned planner's plumbing without a scene."""
+class Mounted:
+    """Base of renderers: the cameras that they were given."""
 
     def __init__(self, mounts: Mapping[str, CameraMount]) -> None:
         self._mounts = dict(mounts)
@@ -72,6 +72,10 @@ class NullRenderer:
     def mounts(self) -> Mapping[str, CameraMount]:
         """Cameras by name."""
         return self._mounts
+
+
+class NullRenderer(Mounted):
+    """Black images: to try an image-conditioned planner's plumbing without a scene."""
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
         """One black image a camera."""

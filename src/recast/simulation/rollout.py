@@ -11,9 +11,16 @@ import numpy as np
 from recast.arrays import Array, Int64Array
 from recast.dynamics import EgoState
 from recast.dynamics.state import COLUMNS
-from recast.logs.checks import BOX_SIDE, LATEST_US, WORLD_REACH, check_poses, check_text
+from recast.logs.checks import BOX_SIDE, LATEST_US, WORLD_REACH, check_poses
 from recast.planning import WAYPOINTS
-from recast.simulation.state import ControlledActor, RolloutOrigin, SimActor, SimState
+from recast.simulation.state import (
+    ControlledActor,
+    RolloutOrigin,
+    SimActor,
+    SimState,
+    check_array,
+    check_limited,
+)
 
 EGO_COLUMNS = COLUMNS
 """Columns of `Rollout.ego`: rear axle; pose in the world, the rest in the ego frame, SI units."""
@@ -155,18 +162,20 @@ class Rollout:
         """Raise ValueError naming the field at fault, and its shape or value."""
         states, plans = len(self.ego), len(self.plan_steps)
         for name, shape in _shapes(states, plans).items():
-            _check_array(name, getattr(self, name), shape)
+            kind = "i" if name == "plan_steps" else "f"
+            check_array(f"Rollout.{name}", getattr(self, name), shape, kind)
         if states < 2:
             raise ValueError(f"Rollout.ego: needs two states or more, got {states}")
         for name, (low, high) in _RANGES.items():
             values = np.asarray(getattr(self, name), np.float64)
             if not np.all((values >= low) & (values <= high)):
                 raise ValueError(f"Rollout.{name}: is {values}, not within {low:g} and {high:g}")
-        for name in _TEXTS:
-            _check_text(name, getattr(self, name))
-        for name in ("other_actors", "reactive"):
-            for track_id in getattr(self, name):
-                _check_text(name, track_id)
+        texts = [(name, getattr(self, name) or "") for name in _TEXTS]
+        texts += [
+            (name, key) for name in ("other_actors", "reactive") for key in getattr(self, name)
+        ]
+        for name, text in texts:
+            check_limited(f"Rollout.{name}", text, _LONGEST_TEXT)
         for actor in self.controlled:
             actor.validate(states)
         ids = [self.track_id, *(actor.track_id for actor in self.controlled)]
@@ -233,27 +242,3 @@ def _shapes(states: int, plans: int) -> dict[str, tuple[int | None, ...]]:
         "plan_steps": (plans,),
         "route": (None, 2),
     }
-
-
-def _check_array(field: str, value: Array | Int64Array, shape: tuple[int | None, ...]) -> None:
-    fits = value.ndim == len(shape) and all(
-        want is None or have == want for have, want in zip(value.shape, shape, strict=True)
-    )
-    if not fits:
-        raise ValueError(f"Rollout.{field}: expected {shape}, got {value.shape}")
-    kind = "i" if field == "plan_steps" else "f"
-    if value.dtype.kind != kind:
-        raise ValueError(f"Rollout.{field}: holds {value.dtype}")
-    if not np.all(np.isfinite(value)):
-        raise ValueError(f"Rollout.{field}: holds NaN or infinity")
-    # Metres of the world are the largest; whatever is larger in another unit is no motion either.
-    if np.any(np.abs(value) > WORLD_REACH):
-        raise ValueError(f"Rollout.{field}: holds a number beyond {WORLD_REACH:g}")
-
-
-def _check_text(field: str, value: str | None) -> None:
-    if value is None:
-        return
-    check_text(f"Rollout.{field}", value)
-    if len(value) > _LONGEST_TEXT:
-        raise ValueError(f"Rollout.{field}: has {len(value)} characters")

@@ -15,44 +15,45 @@ No timings are stored: the same setup gives the same bytes.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
+from pydantic import BeforeValidator
 
+from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.core.files import atomic_file, atomic_folder, write_json
 from recast.core.records import Record, read_record
 from recast.planning import WAYPOINTS
 from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, Rollout
-from recast.simulation.rollout_tables import (
-    ACTOR_COLUMNS,
-    MEND,
-    ActorHeader,
-    actors_table,
-    list_column,
-    number_columns,
-    prefixed,
-    read_actors,
-    read_numbers,
-    read_whole,
-)
-from recast.tables import read_parquet
+from recast.simulation.state import ControlledActor
+from recast.tables import Table, read_parquet
 
 if TYPE_CHECKING:
     from recast.simulation.coverage import RolloutCoverage
 
 VERSION: Literal[2] = 2
 """1 called the arm a method."""
+_MEND = "write the rollout anew with this recast"
 
-_STATE_COLUMNS = (
-    *prefixed("ego", EGO_COLUMNS),
-    *prefixed("log_ego", PATH_COLUMNS),
-    *ACTOR_COLUMNS,
-    "world_from_rig",
-)
+_Tuple = TypeVar("_Tuple", bound=tuple[float, ...])
+_Plain = Annotated[_Tuple, BeforeValidator(lambda v: v.tolist() if hasattr(v, "tolist") else v)]
+"""Numbers that may come as an array."""
+
+
+class ActorHeader(Record):
+    """The scalars of a `ControlledActor`."""
+
+    track_id: str
+    category: str
+    motion: str
+    setting: str
+    size: _Plain[tuple[float, float, float]]
 
 
 class RolloutHeader(Record):
@@ -72,12 +73,61 @@ class RolloutHeader(Record):
     steps_requested: int
     steps_run: int
     cut_reason: str | None
-    actor_size: tuple[float, float, float]
-    ego_size: tuple[float, float]
+    actor_size: _Plain[tuple[float, float, float]]
+    ego_size: _Plain[tuple[float, float]]
     ego_centre_offset: float
     other_actors: tuple[str, ...]
     controlled: tuple[ActorHeader, ...] = ()
     reactive: tuple[str, ...] = ()
+
+
+def _prefixed(prefix: str, names: Sequence[str]) -> list[str]:
+    """Names of columns."""
+    return [f"{prefix}_{name}" for name in names]
+
+
+def _number_columns(prefix: str, names: Sequence[str], values: Array) -> dict[str, pa.Array]:
+    """Columns of an array (N, len(names))."""
+    return {
+        name: pa.array(np.ascontiguousarray(values[:, i]))
+        for i, name in enumerate(_prefixed(prefix, names))
+    }
+
+
+def _list_column(values: Array) -> pa.Array:
+    """A column of lists: an array (N, ...), row by row."""
+    flat = np.ascontiguousarray(values, np.float64).reshape(
+        len(values), int(np.prod(values.shape[1:]))
+    )
+    return pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), flat.shape[1])
+
+
+def _read_numbers(table: Table, prefix: str, names: Sequence[str]) -> Array:
+    """What `number_columns` wrote: (N, len(names)) float64."""
+    values = [table.numbers(name) for name in _prefixed(prefix, names)]
+    return np.stack(values, axis=1).astype(np.float64)
+
+
+def _read_whole(table: Table, name: str) -> NDArray[np.int64]:
+    """A column of whole numbers (N,).
+
+    Raises:
+        InputError: it holds others.
+    """
+    values = table.numbers(name)
+    if values.dtype.kind not in "iu" or (values > np.iinfo(np.int64).max).any():
+        problem = f"holds {values.dtype}, not whole numbers"
+        raise InputError(table.path, f"column {name}", problem, _MEND)
+    return values.astype(np.int64)
+
+
+_ACTOR_COLUMNS = (*_prefixed("actor", PATH_COLUMNS), "world_from_actor")
+_STATE_COLUMNS = (
+    *_prefixed("ego", EGO_COLUMNS),
+    *_prefixed("log_ego", PATH_COLUMNS),
+    *_ACTOR_COLUMNS,
+    "world_from_rig",
+)
 
 
 def save_rollout(rollout: Rollout, folder: str | Path) -> None:
@@ -88,54 +138,35 @@ def save_rollout(rollout: Rollout, folder: str | Path) -> None:
         InputError: the folder exists already, or the disk is full.
     """
     rollout.validate()
-    header = RolloutHeader(
-        name=rollout.name,
-        arm=rollout.arm,
-        track_id=rollout.track_id,
-        motion=rollout.motion,
-        setting=rollout.setting,
-        planner=rollout.planner,
-        start_timestamp_us=rollout.start_timestamp_us,
-        dt=rollout.dt,
-        steps_requested=rollout.steps_requested,
-        steps_run=rollout.steps_run,
-        cut_reason=rollout.cut_reason,
-        actor_size=tuple(rollout.actor_size.tolist()),
-        ego_size=tuple(rollout.ego_size.tolist()),
-        ego_centre_offset=rollout.ego_centre_offset,
-        other_actors=rollout.other_actors,
-        controlled=tuple(
-            ActorHeader(
-                track_id=actor.track_id,
-                category=actor.category,
-                motion=actor.motion,
-                setting=actor.setting,
-                size=tuple(actor.size.tolist()),
-            )
-            for actor in rollout.controlled
-        ),
-        reactive=rollout.reactive,
-    )
+    header = RolloutHeader.model_validate(rollout, from_attributes=True)
     empty = {name for name in ("controlled", "reactive") if not getattr(header, name)}
-    states = {
-        **number_columns("ego", EGO_COLUMNS, rollout.ego),
-        **number_columns("log_ego", PATH_COLUMNS, rollout.log_ego),
-        **number_columns("actor", PATH_COLUMNS, rollout.actor),
-        "world_from_rig": list_column(rollout.world_from_rig),
-        "world_from_actor": list_column(rollout.world_from_actor),
+    tables = {
+        "rollout": {
+            **_number_columns("ego", EGO_COLUMNS, rollout.ego),
+            **_number_columns("log_ego", PATH_COLUMNS, rollout.log_ego),
+            **_number_columns("actor", PATH_COLUMNS, rollout.actor),
+            "world_from_rig": _list_column(rollout.world_from_rig),
+            "world_from_actor": _list_column(rollout.world_from_actor),
+        },
+        "plans": {
+            "plan_step": pa.array(rollout.plan_steps),
+            "waypoints": _list_column(rollout.predictions),
+        },
+        "route": {"x": pa.array(rollout.route[:, 0]), "y": pa.array(rollout.route[:, 1])},
     }
-    plans = {
-        "plan_step": pa.array(rollout.plan_steps),
-        "waypoints": list_column(rollout.predictions),
-    }
-    route = {"x": pa.array(rollout.route[:, 0]), "y": pa.array(rollout.route[:, 1])}
+    if actors := rollout.controlled:
+        indices = [np.full(len(actor.states), number) for number, actor in enumerate(actors)]
+        states = np.concatenate([actor.states for actor in actors])
+        poses = np.concatenate([actor.world_from_actor for actor in actors])
+        tables["actors"] = {
+            "actor": pa.array(np.concatenate(indices)),
+            **_number_columns("actor", PATH_COLUMNS, states),
+            "world_from_actor": _list_column(poses),
+        }
     with atomic_folder(folder) as partial:
         write_json(partial / "rollout.json", json.loads(header.model_dump_json(exclude=empty)))
-        pq.write_table(pa.table(states), partial / "rollout.parquet")
-        pq.write_table(pa.table(plans), partial / "plans.parquet")
-        pq.write_table(pa.table(route), partial / "route.parquet")
-        if rollout.controlled:
-            pq.write_table(actors_table(rollout.controlled), partial / "actors.parquet")
+        for name, columns in tables.items():
+            pq.write_table(pa.table(columns), partial / f"{name}.parquet")
 
 
 def load_rollout(folder: str | Path) -> Rollout:
@@ -146,43 +177,47 @@ def load_rollout(folder: str | Path) -> Rollout:
             they hold is no rollout, see `Rollout.validate`.
     """
     folder = Path(folder)
-    header = read_record(folder / "rollout.json", RolloutHeader, VERSION, MEND, "recast-rollout")
-    states = read_parquet(folder / "rollout.parquet", _STATE_COLUMNS, MEND)
-    plans = read_parquet(folder / "plans.parquet", ("plan_step", "waypoints"), MEND)
-    route = read_parquet(folder / "route.parquet", ("x", "y"), MEND)
-    rollout = Rollout(
-        name=header.name,
-        arm=header.arm,
-        track_id=header.track_id,
-        motion=header.motion,
-        setting=header.setting,
-        planner=header.planner,
-        start_timestamp_us=header.start_timestamp_us,
-        dt=header.dt,
-        steps_requested=header.steps_requested,
-        cut_reason=header.cut_reason,
-        ego=read_numbers(states, "ego", EGO_COLUMNS),
-        log_ego=read_numbers(states, "log_ego", PATH_COLUMNS),
-        actor=read_numbers(states, "actor", PATH_COLUMNS),
-        world_from_rig=states.lists("world_from_rig", 16).reshape(-1, 4, 4),
-        world_from_actor=states.lists("world_from_actor", 16).reshape(-1, 4, 4),
-        actor_size=np.array(header.actor_size),
-        ego_size=np.array(header.ego_size),
-        ego_centre_offset=header.ego_centre_offset,
-        predictions=plans.lists("waypoints", 3 * WAYPOINTS).reshape(-1, WAYPOINTS, 3),
-        plan_steps=read_whole(plans, "plan_step"),
-        route=np.stack([route.numbers("x"), route.numbers("y")], axis=1).astype(np.float64),
-        other_actors=header.other_actors,
-        controlled=read_actors(folder, header.controlled),
-        reactive=header.reactive,
-    )
+    header = read_record(folder / "rollout.json", RolloutHeader, VERSION, _MEND, "recast-rollout")
+    states = read_parquet(folder / "rollout.parquet", _STATE_COLUMNS, _MEND)
+    plans = read_parquet(folder / "plans.parquet", ("plan_step", "waypoints"), _MEND)
+    route = read_parquet(folder / "route.parquet", ("x", "y"), _MEND)
+    scalars = header.model_dump(exclude={"format", "version", "steps_run"})
+    arrays = {
+        "ego": _read_numbers(states, "ego", EGO_COLUMNS),
+        "log_ego": _read_numbers(states, "log_ego", PATH_COLUMNS),
+        "actor": _read_numbers(states, "actor", PATH_COLUMNS),
+        "world_from_rig": states.lists("world_from_rig", 16).reshape(-1, 4, 4),
+        "world_from_actor": states.lists("world_from_actor", 16).reshape(-1, 4, 4),
+        "actor_size": np.array(header.actor_size),
+        "ego_size": np.array(header.ego_size),
+        "predictions": plans.lists("waypoints", 3 * WAYPOINTS).reshape(-1, WAYPOINTS, 3),
+        "plan_steps": _read_whole(plans, "plan_step"),
+        "route": np.stack([route.numbers("x"), route.numbers("y")], axis=1).astype(np.float64),
+        "controlled": _read_actors(folder, header.controlled),
+    }
+    rollout = Rollout(**(scalars | arrays))
     try:
         rollout.validate()
         if rollout.steps_run != header.steps_run:
             raise ValueError(f"steps_run is {header.steps_run}, the table has {rollout.steps_run}")
     except ValueError as error:
-        raise InputError(folder, "rollout", str(error), MEND) from None
+        raise InputError(folder, "rollout", str(error), _MEND) from None
     return rollout
+
+
+def _read_actors(folder: Path, headers: Sequence[ActorHeader]) -> tuple[ControlledActor, ...]:
+    """The further controlled actors of a rollout's folder; none without headers."""
+    if not headers:
+        return ()
+    table = read_parquet(folder / "actors.parquet", ("actor", *_ACTOR_COLUMNS), _MEND)
+    index, states = _read_whole(table, "actor"), _read_numbers(table, "actor", PATH_COLUMNS)
+    poses = table.lists("world_from_actor", 16).reshape(-1, 4, 4)
+    actors = []
+    for number, header in enumerate(headers):
+        own = index == number
+        scalars = header.model_dump() | {"size": np.array(header.size)}
+        actors.append(ControlledActor(**scalars, states=states[own], world_from_actor=poses[own]))
+    return tuple(actors)
 
 
 def save_coverage(coverage: RolloutCoverage, path: str | Path) -> None:
@@ -219,20 +254,22 @@ def load_coverage(path: str | Path) -> RolloutCoverage:
     from recast.simulation.coverage import SHARES, ImageCoverage, RolloutCoverage
 
     names = ("pixels", *SHARES)
-    table = read_parquet(Path(path), ("camera", "step", "planned", *names), MEND)
+    table = read_parquet(Path(path), ("camera", "step", "planned", *names), _MEND)
     shares = np.stack([table.numbers(name) for name in names], axis=1).astype(np.float64)
     rows = zip(
         table.words("camera").tolist(),
-        read_whole(table, "step").tolist(),
-        read_whole(table, "planned").tolist(),
+        _read_whole(table, "step").tolist(),
+        _read_whole(table, "planned").tolist(),
         shares.tolist(),
         strict=True,
     )
     coverage = RolloutCoverage(
-        tuple(ImageCoverage(name, k, bool(told), Coverage(*row)) for name, k, told, row in rows)
+        tuple(
+            ImageCoverage(name, k, bool(planned), Coverage(*row)) for name, k, planned, row in rows
+        )
     )
     try:
         coverage.validate()
     except ValueError as error:
-        raise InputError(path, "coverage", str(error), MEND) from None
+        raise InputError(path, "coverage", str(error), _MEND) from None
     return coverage

@@ -118,7 +118,7 @@ def start_rollout(setup: RolloutSetup, seed: int = 0) -> RolloutStart:
 
     target = _situation(setup, route, state, start_us, seed)
     road = surveyed_road(hdmap)
-    refuse_off_map(setup.log.name, f"rollout {setup.name}", road, route, target.ego_s)
+    refuse_off_map(setup, road, route, target.ego_s)
     actors = [
         _begin(setup, setup.controlled[track_id], track, target)
         for track_id, track in tracks.items()
@@ -158,9 +158,8 @@ def _begin(
     else:
         reacting = cast(ActorMotion, motion)
         states = checked_state(reacting, reacting.start(situation), 0, setup.log.name)[None]
-    road = RecordedRoad.of_actor(
-        situation.route, setup.road_margin, follows_log(motion), track.trajectory
-    )
+    own = track.trajectory.poses[:, :2, 3] if follows_log(motion) else None
+    road = RecordedRoad(situation.route, setup.road_margin, own)
     return StartingActor(track, motion, situation, road, states, np.zeros((0, 4, 4)))
 
 

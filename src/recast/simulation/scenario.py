@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields, replace
+from typing import Annotated, get_origin, get_type_hints
 
-from recast.simulation.actor_motion import AnyMotion
-from recast.simulation.idm_motion import Idm
-from recast.simulation.motions import Advancing, CutIn, LogReplay, Oncoming, Stationary
+from recast.simulation.actor_motion import AnyMotion, Quantity
+from recast.simulation.motions import Advancing, CutIn, Idm, LogReplay, Oncoming, Stationary
 
 BuiltInMotion = CutIn | Oncoming | Stationary | Advancing | LogReplay | Idm
 """A motion of this package, which a scenario file can describe."""
@@ -68,40 +67,6 @@ def replaced_tracks(motion: AnyMotion | Scenario) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class Quantity:
-    """A number in a scenario file.
-
-    Attributes:
-        unit: as people read it.
-        low, high: the range, both included.
-        positive: `low` is 0 and itself not allowed.
-        optional: may be left out; the motion has a default.
-    """
-
-    unit: str
-    low: float
-    high: float
-    positive: bool = False
-    optional: bool = False
-
-    def fault(self, value: float) -> str | None:
-        """What is wrong with a number, or None."""
-        if not math.isfinite(value):
-            return f"is {value}"
-        if value < 0.0 <= self.low:
-            return "is negative"
-        if not self.low <= value <= self.high or (self.positive and value == 0.0):
-            return f"is {value:g}"
-        return None
-
-    @property
-    def range(self) -> str:
-        """The range and the unit, such as "-50 to 500 m"."""
-        low = "more than 0, at most" if self.positive else f"{self.low:.5g} to"
-        return f"{low} {self.high:.5g} {self.unit}"
-
-
-@dataclass(frozen=True)
 class MotionSchema:
     """One motion that files can set: what makes it, from which quantities."""
 
@@ -114,53 +79,27 @@ class MotionSchema:
         return not all(quantity.optional for quantity in self.quantities.values())
 
 
-_GAP = Quantity("m", -50.0, 500.0)  # less than 0: beside or behind the ego
-_SHARE = Quantity("of v_r", 0.0, 5.0)
-_LATERAL = Quantity("m", -20.0, 20.0, optional=True)
+def _schema(make: type[BuiltInMotion]) -> MotionSchema:
+    """From the annotations of a motion's members; those with a default may be left out."""
+    hints = get_type_hints(make, include_extras=True)
+    members = {one.name: one.default is not MISSING for one in fields(make)}
+    return MotionSchema(
+        make,
+        {
+            name: replace(hints[name].__metadata__[0], optional=optional)
+            for name, optional in members.items()
+            if get_origin(hints[name]) is Annotated
+        },
+    )
+
 
 MOTION_SCHEMAS: Mapping[str, MotionSchema] = {
-    "cut-in": MotionSchema(
-        CutIn,
-        {
-            "gap": _GAP,
-            "initial_speed": _SHARE,
-            "target_speed": _SHARE,
-            "delay": Quantity("s", 0.0, 60.0),
-            "duration": Quantity("s", 0.0, 60.0, positive=True),
-            "stop_after": Quantity("s", 0.0, 60.0, optional=True),
-        },
-    ),
-    "oncoming": MotionSchema(
-        Oncoming,
-        {
-            "gap": _GAP,
-            "speed": Quantity("m/s", 0.0, 100.0),
-            "stop_distance": Quantity("m", 0.0, 1000.0, positive=True, optional=True),
-            "lateral": _LATERAL,
-        },
-    ),
-    "stationary": MotionSchema(
-        Stationary,
-        {
-            "min_gap": _GAP,
-            "braking": Quantity("m/s^2", 0.0, 20.0, positive=True),
-            "reserve": Quantity("m", 0.0, 500.0),
-            "yaw": Quantity("rad", -math.pi, math.pi, optional=True),
-            "lateral": _LATERAL,
-        },
-    ),
-    "advancing": MotionSchema(Advancing, {"gap": _GAP, "speed": _SHARE}),
-    "log-replay": MotionSchema(LogReplay, {}),
-    "idm": MotionSchema(
-        Idm,
-        {
-            "speed": Quantity("of v_r", 0.0, 5.0, positive=True, optional=True),
-            "headway": Quantity("s", 0.0, 60.0, optional=True),
-            "min_gap": Quantity("m", 0.0, 100.0, positive=True, optional=True),
-            "gap": Quantity("m", -50.0, 500.0, optional=True),
-            "lateral": _LATERAL,
-        },
-    ),
+    "cut-in": _schema(CutIn),
+    "oncoming": _schema(Oncoming),
+    "stationary": _schema(Stationary),
+    "advancing": _schema(Advancing),
+    "log-replay": _schema(LogReplay),
+    "idm": _schema(Idm),
 }
 """By the word that a file's `motion` names."""
 

@@ -25,7 +25,7 @@ from recast.simulation.scenario import (
     motion_numbers,
     target_motion,
 )
-from recast.simulation.yaml_lines import Node, located, place, read_yaml
+from recast.simulation.yaml_lines import Node, nodes_of, read_yaml
 
 _WORD = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _LONGEST_WORD = 40  # names become folder names
@@ -40,7 +40,7 @@ def read_scenario(path: str | Path) -> tuple[ScriptedMotion, ...]:
     Raises:
         InputError: the file cannot be read, or says something wrong: names file, line and key.
     """
-    return _motions(read_yaml(_text(Path(path)), str(path)), str(path))
+    return _motions(read_yaml(_text(Path(path)), str(path)))
 
 
 def scenario_record(motion: ScriptedMotion) -> dict[str, Any]:
@@ -74,7 +74,7 @@ def motion_of_record(record: Mapping[str, Any], where: str = "scenario") -> Scri
     Raises:
         InputError: it says something wrong.
     """
-    return _motions(located(record, where), where)[0]
+    return _motions(nodes_of(record, where))[0]
 
 
 def _kind(motion: AnyMotion) -> str:
@@ -92,194 +92,135 @@ def _text(path: Path) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(place(str(path), line), "file", "is not UTF-8 text", mend) from None
+        raise InputError(f"{path}:{line}", "file", "is not UTF-8 text", mend) from None
 
 
-def _motions(root: Node, where: str) -> tuple[ScriptedMotion, ...]:
+# Whatever is wrong is raised as the InputError of its node: file, line, key.
+
+
+def _motions(root: Node) -> tuple[ScriptedMotion, ...]:
     if not isinstance(root.value, dict):
         mend = f"begin with version: {VERSION}, see docs/scenarios.md"
-        raise InputError(place(where, root.line), "scenario", "is no list of keys", mend)
-    version = required(root, "version", where, f"write version: {VERSION}")
+        raise root.error("scenario", "is no list of keys", mend)
+    version = _required(root, "version", f"write version: {VERSION}")
     if isinstance(version.value, bool) or version.value != VERSION:
-        problem = f"is {shown(version)}, this recast reads {VERSION}"
-        raise InputError(place(where, version.line), "version", problem, f"write {VERSION}")
-    known_only(root, _FILE_KEYS, where)
-    schema = read_schema(root, where)
-    name = required(root, "name", where, "give one, such as hard-cut-in")
-    described = root.value.get("description", Node(""))
+        problem = f"is {version.shown}, this recast reads {VERSION}"
+        raise version.error("version", problem, f"write {VERSION}")
+    _refuse_unknown(root, _FILE_KEYS)
+    schema = _schema(root)
+    name = _required(root, "name", "give one, such as hard-cut-in")
+    described = root.value.get("description", Node("", root.place))
     if not isinstance(described.value, str):
-        raise InputError(
-            place(where, described.line), "description", f"is {shown(described)}", "give a text"
-        )
-    settings = required(root, "settings", where, "give at least one, such as a")
+        raise described.error("description", None, "give a text")
+    settings = _required(root, "settings", "give at least one, such as a")
     if not isinstance(settings.value, dict) or not settings.value:
-        problem = f"is {shown(settings)}"
         mend = "give at least one, such as a, with its numbers below it"
-        raise InputError(place(where, settings.line), "settings", problem, mend)
+        raise settings.error("settings", None, mend)
     names = {
-        "name": word(name.value, name, "name", where),
+        "name": _word(name.value, name, "name"),
         "description": " ".join(described.value.split()),
     }
     made: list[ScriptedMotion] = []
     for key, setting in settings.value.items():
-        named = {**names, "setting": word(key, setting, f"setting {key}", where)}
-        target = read_motion(schema, named, setting, where)
-        actors = read_actors(root, key, tuple(settings.value), where)
+        named = {**names, "setting": _word(key, setting, f"setting {key}")}
+        target = _motion(schema, named, setting)
+        actors = _actors(root, key, tuple(settings.value))
         made.append(Scenario(motion=target, actors=actors, **named) if actors else target)
     return tuple(made)
 
 
-def read_actors(
-    root: Node, setting: str, settings: tuple[str, ...], where: str
-) -> tuple[ScenarioActor, ...]:
-    """The further actors of a file in one of its settings; none without a member `actors`.
-
-    Args:
-        settings: of the target. Each actor has the same ones.
-        where: the file, for errors.
-
-    Raises:
-        InputError: names file, line and key.
-    """
+def _actors(root: Node, setting: str, settings: tuple[str, ...]) -> tuple[ScenarioActor, ...]:
+    """The further actors in one of the target's `settings`, which each of them has as well."""
     actors = root.value.get("actors")
     if actors is None:
         return ()
     if not isinstance(actors.value, dict) or not actors.value:
         mend = "give track ids with their motions below it, or leave it out"
-        raise InputError(place(where, actors.line), "actors", f"is {shown(actors)}", mend)
-    return tuple(
-        _actor(track_id, node, setting, settings, where) for track_id, node in actors.value.items()
-    )
+        raise actors.error("actors", None, mend)
+    return tuple(_actor(key, node, setting, settings) for key, node in actors.value.items())
 
 
-def _actor(
-    track_id: str, node: Node, setting: str, settings: tuple[str, ...], where: str
-) -> ScenarioActor:
+def _actor(track_id: str, node: Node, setting: str, settings: tuple[str, ...]) -> ScenarioActor:
     field = f"actor {track_id}"
     try:
         check_name("track id", track_id)
     except ValueError as error:
-        raise InputError(place(where, node.line), field, str(error), "name a track") from None
+        raise node.error(field, str(error), "name a track") from None
     if not isinstance(node.value, dict):
-        mend = f"give {', '.join(_ACTOR_KEYS)} below it"
-        raise InputError(place(where, node.line), field, f"is {shown(node)}", mend)
-    known_only(node, _ACTOR_KEYS, where)
-    schema = read_schema(node, where)
-    replaced = node.value.get("replaced", Node(False))
+        raise node.error(field, None, f"give {', '.join(_ACTOR_KEYS)} below it")
+    _refuse_unknown(node, _ACTOR_KEYS)
+    schema = _schema(node)
+    replaced = node.value.get("replaced", Node(False, node.place))
     if not isinstance(replaced.value, bool):
-        at = place(where, replaced.line)
-        raise InputError(at, "replaced", f"is {shown(replaced)}", "write true or false")
+        raise replaced.error("replaced", None, "write true or false")
     if "settings" not in node.value and not schema.needs_numbers:
-        numbers = Node(None, node.line)
+        numbers = Node(None, node.place)
     else:
         mend = f"give {', '.join(settings)}, as for the target"
-        given = required(node, "settings", where, mend)
+        given = _required(node, "settings", mend)
         if not isinstance(given.value, dict):
-            raise InputError(place(where, given.line), "settings", f"is {shown(given)}", mend)
-        known_only(given, settings, where)
-        numbers = required(given, setting, where, mend)
+            raise given.error("settings", None, mend)
+        _refuse_unknown(given, settings)
+        numbers = _required(given, setting, mend)
     names = {"name": node.value["motion"].value, "setting": setting, "description": ""}
-    return ScenarioActor(track_id, read_motion(schema, names, numbers, where), replaced.value)
+    return ScenarioActor(track_id, _motion(schema, names, numbers), replaced.value)
 
 
-def read_schema(node: Node, where: str) -> MotionSchema:
-    """What the member `motion` of a mapping names.
-
-    Raises:
-        InputError: names file, line and key.
-    """
-    kinds = ", ".join(MOTION_SCHEMAS)
-    kind = required(node, "motion", where, f"choose one of {kinds}")
+def _schema(node: Node) -> MotionSchema:
+    """What the member `motion` names."""
+    mend = f"choose one of {', '.join(MOTION_SCHEMAS)}"
+    kind = _required(node, "motion", mend)
     if not isinstance(kind.value, str) or kind.value not in MOTION_SCHEMAS:
-        raise InputError(
-            place(where, kind.line), "motion", f"is {shown(kind)}", f"choose one of {kinds}"
-        )
+        raise kind.error("motion", None, mend)
     return MOTION_SCHEMAS[kind.value]
 
 
-def read_motion(
-    schema: MotionSchema, names: Mapping[str, str], setting: Node, where: str
-) -> BuiltInMotion:
-    """One motion with the numbers of one setting.
-
-    Args:
-        names: its name, setting and description.
-        setting: the mapping of its numbers; may be empty if the motion needs none.
-        where: the file, for errors.
-
-    Raises:
-        InputError: names file, line and key.
-    """
+def _motion(schema: MotionSchema, names: Mapping[str, str], setting: Node) -> BuiltInMotion:
+    """A motion with its name, setting and description, and the numbers of one setting."""
     given = {} if setting.value is None and not schema.needs_numbers else setting.value
     if not isinstance(given, dict):
-        raise InputError(
-            place(where, setting.line),
-            f"setting {names['setting']}",
-            f"is {shown(setting)}",
-            f"give {', '.join(schema.quantities) or 'nothing'} below it",
-        )
-    node = Node(given, setting.line)
-    known_only(node, tuple(schema.quantities), where)
+        mend = f"give {', '.join(schema.quantities) or 'nothing'} below it"
+        raise setting.error(f"setting {names['setting']}", None, mend)
+    node = Node(given, setting.place)
+    _refuse_unknown(node, tuple(schema.quantities))
     values: dict[str, Any] = dict(names)
     for key, quantity in schema.quantities.items():
         if key not in given and quantity.optional:
             continue
         mend = f"give {quantity.range}"
-        number = required(node, key, where, mend)
-        at = place(where, number.line)
+        number = _required(node, key, mend)
         if not isinstance(number.value, float):
-            raise InputError(at, key, f"is {shown(number)}", mend)
-        fault = quantity.fault(number.value)
-        if fault is not None:
-            raise InputError(at, key, fault, mend)
+            raise number.error(key, None, mend)
+        if (fault := quantity.fault(number.value)) is not None:
+            raise number.error(key, fault, mend)
         values[key] = number.value
     try:
         return schema.make(**values)
     except ValueError as error:
         key, _, problem = str(error).partition(": ")
         problem, _, mend = problem.partition("; ")
-        at = place(where, given.get(key, setting).line)
-        raise InputError(at, key, problem, mend) from None
+        raise given.get(key, setting).error(key, problem, mend) from None
 
 
-def required(node: Node, key: str, where: str, mend: str) -> Node:
+def _required(node: Node, key: str, mend: str) -> Node:
     """The member `key` of a mapping; `mend` says what to write if it is missing."""
     if key not in node.value:
-        raise InputError(place(where, node.line), key, "is missing", mend)
+        raise node.error(key, "is missing", mend)
     found: Node = node.value[key]
     return found
 
 
-def known_only(node: Node, known: tuple[str, ...], where: str) -> None:
-    """Refuse members of a mapping with other keys than `known`."""
+def _refuse_unknown(node: Node, known: tuple[str, ...]) -> None:
     for key, member in node.value.items():
         if key not in known:
             near = get_close_matches(key, known, 1)
             mend = f"did you mean {near[0]}?" if near else f"the keys are {', '.join(known)}"
-            raise InputError(place(where, member.line), key, "is not known", mend)
+            raise member.error(key, "is not known", mend)
 
 
-def word(text: Any, node: Node, field: str, where: str) -> str:
+def _word(text: Any, node: Node, field: str) -> str:
     """A name of small letters, digits and hyphens; `node` is where it stands."""
     if not isinstance(text, str) or len(text) > _LONGEST_WORD or not _WORD.fullmatch(text):
-        problem = f"is {shown(Node(text))}"
         mend = "use small letters, digits and single hyphens, 40 at most, in quotes if all digits"
-        raise InputError(place(where, node.line), field, problem, mend)
+        raise Node(text, node.place).error(field, None, mend)
     return text
-
-
-def shown(node: Node) -> str:
-    """A value as an error shows it."""
-    value = node.value
-    if value is None:
-        return "empty"
-    if isinstance(value, dict):
-        return "a list of keys"
-    if isinstance(value, list):
-        return "a list"
-    if isinstance(value, float):
-        return f"the number {value:g}"
-    if isinstance(value, bool):
-        return str(value).lower()
-    text = repr(str(value))
-    return text if len(text) <= 40 else f"{text[:36]}...'"

@@ -11,15 +11,14 @@ import torch
 from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
-from recast.planning import CameraMount
-from recast.planning.gtrs import Lens
+from recast.planning import CameraMount, Lens
 from recast.scene.render import SceneRasterizer
 from recast.scene.street_scene import StreetScene
-from recast.simulation.renderer import SensorRenderer
+from recast.simulation.renderer import Mounted, SensorRenderer
 from recast.simulation.state import SimState
 
 
-class SceneRenderer:
+class SceneRenderer(Mounted):
     """Renders a reconstructed street scene.
 
     Args:
@@ -36,12 +35,7 @@ class SceneRenderer:
     ) -> None:
         self.scene = scene
         self._rasterizer = SceneRasterizer(scene, device)
-        self._mounts = dict(mounts)
-
-    @property
-    def mounts(self) -> Mapping[str, CameraMount]:
-        """Cameras by name."""
-        return self._mounts
+        super().__init__(mounts)
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
         """Render the scene with its actors at the poses of `state`.
@@ -72,7 +66,7 @@ class SceneRenderer:
         return images
 
 
-class LensRenderer:
+class LensRenderer(Mounted):
     """Renders what another renderer cannot.
 
     Each distorted camera is rendered a little wider and without distortion, then the image is bent.
@@ -85,12 +79,8 @@ class LensRenderer:
     """
 
     def __init__(self, renderer: SensorRenderer, mounts: Mapping[str, CameraMount]) -> None:
-        self._renderer, self._mounts = renderer, dict(mounts)
-
-    @property
-    def mounts(self) -> Mapping[str, CameraMount]:
-        """Cameras by name."""
-        return self._mounts
+        super().__init__(mounts)
+        self._renderer = renderer
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
         """Images of the named cameras; raises what the inner renderer raises."""

@@ -49,7 +49,7 @@ class RolloutSetup:
         plan_every: steps between plans, K; 40 at most, since a plan has 40 waypoints.
         dt: seconds per step and between waypoints, for controller, planner, actor and metrics.
         vehicle: outline and wheelbase of the ego, for controller, planner and metrics.
-        controller: executes the plans; it is told `dt` and `vehicle`.
+        controller: executes the plans; it is given `dt` and `vehicle`.
         keep_other_actors: leave the other logged actors in, on their logged motion.
         road_margin: metres before the end of the logged road at which a rollout is cut.
         camera_names: cameras for `on_frame`, and for planners that do not say which they look at

@@ -253,11 +253,7 @@ class Simulator:
         )
 
     def advance(self, plan: Plan) -> int:
-        """As `step`, without looking; returns how many steps were executed.
-
-        Raises:
-            ValueError, InputError: see `step`.
-        """
+        """As `step`, with its errors, but without looking; returns how many steps were executed."""
         if self.done:
             raise ValueError("Simulator.step: the rollout is over; call reset")
         plan = checked_plan(plan, "Simulator.step", "got")

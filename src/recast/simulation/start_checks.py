@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike
 
 from recast.arrays import Array
 from recast.core.errors import InputError
@@ -52,46 +51,25 @@ def refuse_starts(
     Raises:
         InputError: names the actors at fault.
     """
-    where, rollout, vehicle = setup.log.name, f"rollout {setup.name}", setup.vehicle
+    vehicle = setup.vehicle
     placed = [("ego", ego_centre(ego[:3], vehicle.centre_offset), (vehicle.length, vehicle.width))]
     for track, motion, pose in actors:
         target = track.track_id == setup.track_id
-        name = "actor" if target else f"actor {track.track_id}"
+        name, fault = "actor" if target else f"actor {track.track_id}", None
         for other, there, size in placed:
-            refuse_overlap(where, rollout, there, size, pose, track.size, f"{name} and {other}")
-        if not follows_log(motion):
+            overlap = boxes.bev_overlap_area(there, size, pose, track.size)
+            if overlap > _TOUCHING:
+                fault = f"{name} and {other} overlap by {overlap:.2f} m2 at the start"
+                break
+        share = 1.0 if follows_log(motion) else float(on_road_shares(road, pose, track.size))
+        if fault is None and share < ON_ROAD:
             who = "the actor" if target else name
-            refuse_off_road(where, rollout, road, pose, track.size, who)
+            box = f"{share:.0%} of its box lies on the drivable area"
+            fault = f"{who} would start off the road: {box}"
+        if fault is not None:
+            mend = "choose another start, motion or setting"
+            raise InputError(setup.log.name, f"rollout {setup.name}", fault, mend)
         placed.append((name, pose, tuple(track.size)))
-
-
-def refuse_overlap(
-    where: str,
-    rollout: str,
-    one: Array,
-    one_size: ArrayLike,
-    other: Array,
-    other_size: ArrayLike,
-    names: str = "actor and ego",
-) -> None:
-    """Refuse two road users that stand in each other.
-
-    Args:
-        where, rollout, names: for the error.
-        one, other: (3,) x, y, heading of the box centres.
-        one_size, other_size: (>=2,) length and width, metres.
-
-    Raises:
-        InputError: the boxes overlap.
-    """
-    overlap = boxes.bev_overlap_area(one, one_size, other, other_size)
-    if overlap > _TOUCHING:
-        raise InputError(
-            where,
-            rollout,
-            f"{names} overlap by {overlap:.2f} m2 at the start",
-            "choose another start, motion or setting",
-        )
 
 
 def surveyed_road(hdmap: HdMap | None) -> shapely.Geometry | None:
@@ -107,16 +85,11 @@ def surveyed_road(hdmap: HdMap | None) -> shapely.Geometry | None:
 
 
 def refuse_off_map(
-    where: str,
-    rollout: str,
-    road: shapely.Geometry | None,
-    route: ReferenceRoute,
-    start: float,
+    setup: RolloutSetup, road: shapely.Geometry | None, route: ReferenceRoute, start: float
 ) -> None:
     """Refuse a map that is not of this drive.
 
     Args:
-        where, rollout: names for the error.
         road: from `surveyed_road`; None refuses nothing.
         start: route coordinate from which the route is looked at, metres.
 
@@ -129,41 +102,9 @@ def refuse_off_map(
     distance = shapely.distance(road, shapely.points(route.line.position(s)))
     share = float(np.mean(distance <= _TOLERANCE))
     if share < _ROUTE_ON_MAP:
-        raise InputError(
-            where,
-            rollout,
-            f"only {share:.0%} of the ego's route lies on the map",
-            "check that the map is of this drive and in its world frame",
-        )
-
-
-def refuse_off_road(
-    where: str,
-    rollout: str,
-    road: shapely.Geometry | None,
-    actor: Array,
-    actor_size: Array,
-    who: str = "the actor",
-) -> None:
-    """Refuse an actor that stands beside the road.
-
-    Args:
-        where, rollout, who: names for the error.
-        road: from `surveyed_road`; None refuses nothing.
-        actor: (3,) x, y, heading of its box centre at the start.
-        actor_size: (>=2,) length and width, metres.
-
-    Raises:
-        InputError: less than half of its box lies on the drivable area.
-    """
-    share = float(on_road_shares(road, actor, actor_size))
-    if share < ON_ROAD:
-        raise InputError(
-            where,
-            rollout,
-            f"{who} would start off the road: {share:.0%} of its box lies on the drivable area",
-            "choose another start, motion or setting",
-        )
+        problem = f"only {share:.0%} of the ego's route lies on the map"
+        mend = "check that the map is of this drive and in its world frame"
+        raise InputError(setup.log.name, f"rollout {setup.name}", problem, mend)
 
 
 def on_road_shares(road: shapely.Geometry | None, actor: Array, actor_size: Array) -> Array:

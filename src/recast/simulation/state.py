@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recast.arrays import Array
+from recast.arrays import Array, Int64Array
 from recast.dynamics import EgoState
 from recast.logs.checks import BOX_SIDE, NAME_LIMIT, WORLD_REACH, check_poses, check_text
 
@@ -128,20 +128,43 @@ class ControlledActor:
             states: how many the rollout has.
         """
         for name in ("track_id", "category", "motion", "setting"):
-            check_text(f"Rollout.controlled: {name}", getattr(self, name))
-            if len(getattr(self, name)) > NAME_LIMIT:
-                raise ValueError(f"Rollout.controlled: {name} has more than {NAME_LIMIT} letters")
+            check_limited(f"Rollout.controlled: {name}", getattr(self, name), NAME_LIMIT)
         where = f"Rollout.controlled[{self.track_id!r}]"
         shapes = {"states": (states, 4), "world_from_actor": (states, 4, 4), "size": (3,)}
         for name, shape in shapes.items():
-            value = getattr(self, name)
-            if value.shape != shape or value.dtype.kind != "f":
-                raise ValueError(f"{where}.{name}: expected {shape}, got {value.shape}")
-            if not np.all(np.abs(value) <= WORLD_REACH):  # also NaN
-                raise ValueError(f"{where}.{name}: holds NaN or a number beyond {WORLD_REACH:g}")
+            check_array(f"{where}.{name}", getattr(self, name), shape)
         if np.any(self.states[:, 3] < 0):
             raise ValueError(f"{where}.states: has a negative speed")
         low, high = BOX_SIDE
         if not np.all((self.size >= low) & (self.size <= high)):
             raise ValueError(f"{where}.size: is {self.size}, not within {low:g} and {high:g}")
         check_poses(f"{where}.world_from_actor", self.world_from_actor, WORLD_REACH)
+
+
+def check_array(
+    where: str, value: Array | Int64Array, shape: tuple[int | None, ...], kind: str = "f"
+) -> None:
+    """Raise ValueError unless an array has a shape (None: any length) and holds possible numbers.
+
+    Args:
+        kind: of its dtype.
+    """
+    fits = value.ndim == len(shape) and all(
+        want is None or have == want for have, want in zip(value.shape, shape, strict=True)
+    )
+    if not fits:
+        raise ValueError(f"{where}: expected {shape}, got {value.shape}")
+    if value.dtype.kind != kind:
+        raise ValueError(f"{where}: holds {value.dtype}")
+    if not np.all(np.isfinite(value)):
+        raise ValueError(f"{where}: holds NaN or infinity")
+    # Metres of the world are the largest; whatever is larger in another unit is no motion either.
+    if np.any(np.abs(value) > WORLD_REACH):
+        raise ValueError(f"{where}: holds a number beyond {WORLD_REACH:g}")
+
+
+def check_limited(where: str, text: str, limit: int) -> None:
+    """Raise ValueError unless it is a text of at most `limit` characters."""
+    check_text(where, text)
+    if len(text) > limit:
+        raise ValueError(f"{where}: has {len(text)} characters, more than {limit}")

@@ -34,24 +34,38 @@ class Node:
 
     Attributes:
         value: text, float, bool or None; a dict of nodes by key; a list of nodes.
-        line: from 1; of its key where it has one. None for data that came from no file.
+        place: `file:line`, as compilers write it; the line is from 1, that of its key where it has
+            one. The source's name alone for data that came from no file.
     """
 
     value: Any
-    line: int | None = None
+    place: str
+
+    def error(self, field: str, problem: str | None, mend: str) -> InputError:
+        """An error at this place; the problem is what the value is where none is given."""
+        return InputError(self.place, field, problem or f"is {self.shown}", mend)
+
+    @property
+    def shown(self) -> str:
+        """The value as an error shows it."""
+        value = self.value
+        if value is None:
+            return "empty"
+        if isinstance(value, dict | list):
+            return "a list of keys" if isinstance(value, dict) else "a list"
+        if isinstance(value, bool):
+            return str(value).lower()
+        if isinstance(value, float):
+            return f"the number {value:g}"
+        text = repr(str(value))
+        return text if len(text) <= 40 else f"{text[:36]}...'"
 
 
-def place(where: str, line: int | None) -> str:
-    """`where:line`, as compilers write it."""
-    return where if line is None else f"{where}:{line}"
-
-
-def located(value: Any, where: str, levels: int = MOST_LEVELS) -> Node:
-    """Nodes without lines from plain data, as JSON has it.
+def nodes_of(value: Any, where: str, levels: int = MOST_LEVELS) -> Node:
+    """Nodes of plain data, as JSON has it, of at most some levels.
 
     Args:
         where: name of its source, for errors.
-        levels: most levels that it may have.
 
     Raises:
         InputError: it has more levels.
@@ -59,12 +73,11 @@ def located(value: Any, where: str, levels: int = MOST_LEVELS) -> Node:
     if isinstance(value, Mapping | list | tuple) and levels == 0:
         raise InputError(where, "scenario", "is nested too deeply", _MEND)
     if isinstance(value, Mapping):
-        return Node({str(key): located(one, where, levels - 1) for key, one in value.items()})
+        members = {str(key): nodes_of(one, where, levels - 1) for key, one in value.items()}
+        return Node(members, where)
     if isinstance(value, list | tuple):
-        return Node([located(one, where, levels - 1) for one in value])
-    if isinstance(value, int) and not isinstance(value, bool):
-        return Node(_number(value))
-    return Node(value)
+        return Node([nodes_of(one, where, levels - 1) for one in value], where)
+    return Node(_number(value) if type(value) is int else value, where)
 
 
 def read_yaml(text: str, where: str) -> Node:
@@ -83,13 +96,13 @@ def read_yaml(text: str, where: str) -> Node:
         root = loader.get_single_node()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        line = None if mark is None else mark.line + 1
+        at = where if mark is None else f"{where}:{mark.line + 1}"
         problem = f"cannot be read ({error.problem or error.context})"
-        raise InputError(place(where, line), "YAML", problem, _MEND) from None
+        raise InputError(at, "YAML", problem, _MEND) from None
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         problem = f"holds a character that YAML does not allow ({error.reason})"
-        raise InputError(place(where, line), "YAML", problem, "remove it") from None
+        raise InputError(f"{where}:{line}", "YAML", problem, "remove it") from None
     if root is None:
         raise InputError(where, "YAML", "is empty", _MEND)
     return _Tree(where).node(root, root.start_mark.line + 1, ())
@@ -107,7 +120,7 @@ class _Loader(yaml.SafeLoader):
         self.nodes += 1
         self.level += 1
         line = self.peek_event().start_mark.line + 1
-        _refuse_if_large(self.nodes, self.level, place(self.where, line))
+        _refuse_if_large(self.nodes, self.level, f"{self.where}:{line}")
         node: yaml.Node | None = super().compose_node(parent, index)
         self.level -= 1
         return node
@@ -128,7 +141,7 @@ class _Tree:
 
     def node(self, node: yaml.Node, line: int, above: tuple[yaml.Node, ...]) -> Node:
         """One node; `above` are those that it lies in."""
-        where = place(self._where, line)
+        where = f"{self._where}:{line}"
         if any(node is outer for outer in above):
             raise InputError(where, "YAML", "holds an alias of itself", "write it out")
         self._nodes += 1
@@ -138,21 +151,22 @@ class _Tree:
         if tag not in _PLAIN_TAGS:
             raise InputError(where, "YAML", f"has the tag {node.tag}", "remove the tag")
         if isinstance(node, yaml.MappingNode):
-            return Node(self._members(node, inner), line)
+            return Node(self._members(node, inner), where)
         if isinstance(node, yaml.SequenceNode):
-            return Node([self.node(o, o.start_mark.line + 1, inner) for o in node.value], line)
-        return Node(node.value if node.style else _plain(node.value), line)
+            return Node([self.node(o, o.start_mark.line + 1, inner) for o in node.value], where)
+        return Node(node.value if node.style else _plain(node.value), where)
 
     def _members(self, node: yaml.MappingNode, above: tuple[yaml.Node, ...]) -> dict[str, Node]:
         members: dict[str, Node] = {}
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
-            where = place(self._where, line)
+            where = f"{self._where}:{line}"
             if not isinstance(key_node, yaml.ScalarNode):
                 raise InputError(where, "YAML", "has a key that is no word", _MEND)
             key = key_node.value
             if key in members:
-                problem = f"is given twice, first in line {members[key].line}"
+                first = members[key].place.rpartition(":")[2]
+                problem = f"is given twice, first in line {first}"
                 raise InputError(where, key, problem, "remove one of them")
             members[key] = self.node(value_node, line, above)
         return members

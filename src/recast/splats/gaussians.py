@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -53,21 +53,24 @@ class Gaussians:
         """Degree of the harmonics: 0 for a colour that does not depend on the view."""
         return round(self.sh.shape[1] ** 0.5) - 1
 
-    def fault(self) -> tuple[str, str] | None:
-        """The field at fault and what is wrong with it; None if the rasterizer takes them all.
-
-        Shapes and types come first, then values that are not finite or out of range (`LOG_SCALES`,
-        `QUAT_NORMS`, `LARGEST`), of which the first row is named.
-        """
+    def expected_shapes(self) -> dict[str, tuple[int, ...]]:
+        """The shape that each field must have beside the others."""
         n = self.means.shape[0] if self.means.ndim else 0
-        expected = {
+        return {
             "means": (n, 3),
             "quats": (n, 4),
             "log_scales": (n, 3),
             "logit_opacities": (n,),
             "sh": (n, (self.sh_degree + 1) ** 2 if self.sh.ndim == 3 else 1, 3),
         }
-        for name, shape in expected.items():
+
+    def fault(self) -> tuple[str, str] | None:
+        """The field at fault and what is wrong with it; None if the rasterizer takes them all.
+
+        Shapes and types come first, then values that are not finite or out of range (`LOG_SCALES`,
+        `QUAT_NORMS`, `LARGEST`), of which the first row is named.
+        """
+        for name, shape in self.expected_shapes().items():
             value: Tensor = getattr(self, name)
             if tuple(value.shape) != shape:
                 return name, f"shape {tuple(value.shape)}, expected {shape}"
@@ -105,34 +108,18 @@ class Gaussians:
 
     def select(self, index: Tensor) -> Gaussians:
         """The Gaussians at `index`: (M,) int64 or a (N,) bool mask."""
-        return replace(
-            self,
-            means=self.means[index],
-            quats=self.quats[index],
-            log_scales=self.log_scales[index],
-            logit_opacities=self.logit_opacities[index],
-            sh=self.sh[index],
-        )
+        return self._map(lambda value: value[index])
 
     def detach(self) -> Gaussians:
         """The same values without gradient history."""
-        return Gaussians(
-            self.means.detach(),
-            self.quats.detach(),
-            self.log_scales.detach(),
-            self.logit_opacities.detach(),
-            self.sh.detach(),
-        )
+        return self._map(Tensor.detach)
 
     def to(self, device: torch.device | str) -> Gaussians:
         """The same values on another device."""
-        return Gaussians(
-            self.means.to(device),
-            self.quats.to(device),
-            self.log_scales.to(device),
-            self.logit_opacities.to(device),
-            self.sh.to(device),
-        )
+        return self._map(lambda value: value.to(device))
+
+    def _map(self, change: Callable[[Tensor], Tensor]) -> Gaussians:
+        return Gaussians(*(change(getattr(self, name)) for name in _RANGES))
 
     def transformed(self, world_from_local: Tensor, scale: float = 1.0) -> Gaussians:
         """The Gaussians moved to another frame, their colours turning with them.
@@ -177,18 +164,10 @@ def concatenate(parts: Sequence[Gaussians]) -> Gaussians:
         raise ValueError("concatenate: no Gaussians given")
     width = max(part.sh.shape[1] for part in parts)
     padded = [
-        part.sh
-        if part.sh.shape[1] == width
-        else torch.nn.functional.pad(part.sh, (0, 0, 0, width - part.sh.shape[1]))
+        replace(part, sh=torch.nn.functional.pad(part.sh, (0, 0, 0, width - part.sh.shape[1])))
         for part in parts
     ]
-    return Gaussians(
-        means=torch.cat([part.means for part in parts]),
-        quats=torch.cat([part.quats for part in parts]),
-        log_scales=torch.cat([part.log_scales for part in parts]),
-        logit_opacities=torch.cat([part.logit_opacities for part in parts]),
-        sh=torch.cat(padded),
-    )
+    return Gaussians(*(torch.cat([getattr(part, name) for part in padded]) for name in _RANGES))
 
 
 def quat_to_matrix(quats: Tensor) -> Tensor:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from recast.splats.gaussians import Gaussians
-from recast.splats.sh import MAX_DEGREE
 
 ALPHA_THRESHOLD = 1.0 / 255.0
 """A Gaussian that covers a pixel by less than this does not touch it."""
@@ -65,7 +65,7 @@ class Rasterization:
 
 @dataclass(frozen=True)
 class RasterSettings:
-    """The numbers of one view besides poses and Gaussians."""
+    """The numbers of one view besides poses and Gaussians; raises ValueError for one at fault."""
 
     fx: float
     fy: float
@@ -80,21 +80,22 @@ class RasterSettings:
     max_alpha: float
     absgrad: bool = False
 
+    def __post_init__(self) -> None:
+        if not (0 < self.width <= 65536 and 0 < self.height <= 65536):
+            raise ValueError(f"rasterize: image of {self.width}x{self.height} pixels")
+        if not 0 < self.near < self.far:
+            near_and_far = f"near {self.near} and far {self.far}"
+            raise ValueError(f"rasterize: {near_and_far}, expected 0 < near < far")
+        if not (self.eps2d >= 0 and math.isfinite(self.eps2d)):
+            raise ValueError(f"rasterize: eps2d {self.eps2d}, expected a number >= 0")
+        if not ALPHA_THRESHOLD < self.max_alpha < 1:
+            raise ValueError(f"rasterize: max_alpha {self.max_alpha}, expected between 1/255 and 1")
+
 
 def check_settings(
-    camera_from_world: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
-    background: Tensor | None,
-    near: float,
-    far: float,
-    eps2d: float,
-    antialiased: bool,
-    max_alpha: float,
-    absgrad: bool,
+    camera_from_world: Tensor, K: Tensor, background: Tensor | None, **numbers: Any
 ) -> RasterSettings:
-    """Check the view and gather its numbers.
+    """Check the view; `numbers` are the other members of its settings.
 
     Raises:
         ValueError: names the argument at fault.
@@ -120,30 +121,9 @@ def check_settings(
         )
     if skew != 0:
         raise ValueError(f"rasterize: K: skew {skew} is not supported")
-    if not (0 < width <= 65536 and 0 < height <= 65536):
-        raise ValueError(f"rasterize: image of {width}x{height} pixels")
-    if not 0 < near < far:
-        raise ValueError(f"rasterize: near {near} and far {far}, expected 0 < near < far")
-    if not (eps2d >= 0 and math.isfinite(eps2d)):
-        raise ValueError(f"rasterize: eps2d {eps2d}, expected a number >= 0")
-    if not ALPHA_THRESHOLD < max_alpha < 1:
-        raise ValueError(f"rasterize: max_alpha {max_alpha}, expected between 1/255 and 1")
     if background is not None and tuple(background.shape) != (3,):
         raise ValueError(f"rasterize: background: shape {tuple(background.shape)}, expected (3,)")
-    return RasterSettings(
-        fx=fx,
-        fy=fy,
-        cx=cx,
-        cy=cy,
-        width=int(width),
-        height=int(height),
-        near=near,
-        far=far,
-        eps2d=eps2d,
-        antialiased=bool(antialiased),
-        max_alpha=max_alpha,
-        absgrad=bool(absgrad),
-    )
+    return RasterSettings(fx, fy, cx, cy, **numbers)
 
 
 def check_shapes(gaussians: Gaussians, device_type: str) -> None:
@@ -155,19 +135,11 @@ def check_shapes(gaussians: Gaussians, device_type: str) -> None:
     Raises:
         ValueError: names the field at fault.
     """
-    n, k = len(gaussians), gaussians.sh.shape[1] if gaussians.sh.ndim == 3 else -1
-    if k not in {(d + 1) ** 2 for d in range(MAX_DEGREE + 1)}:
+    if gaussians.sh.ndim != 3 or gaussians.sh.shape[1] not in (1, 4, 9, 16):
         raise ValueError(
             f"Gaussians.sh: shape {tuple(gaussians.sh.shape)}, expected (N, 1|4|9|16, 3)"
         )
-    expected = {
-        "means": (n, 3),
-        "quats": (n, 4),
-        "log_scales": (n, 3),
-        "logit_opacities": (n,),
-        "sh": (n, k, 3),
-    }
-    for name, shape in expected.items():
+    for name, shape in gaussians.expected_shapes().items():
         value: Tensor = getattr(gaussians, name)
         if tuple(value.shape) != shape:
             raise ValueError(f"Gaussians.{name}: shape {tuple(value.shape)}, expected {shape}")

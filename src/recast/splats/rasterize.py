@@ -83,15 +83,15 @@ def rasterize(
     settings = check_settings(
         camera_from_world,
         K,
-        width,
-        height,
         background,
-        near,
-        far,
-        eps2d,
-        antialiased,
-        max_alpha,
-        absgrad,
+        width=width,
+        height=height,
+        near=near,
+        far=far,
+        eps2d=eps2d,
+        antialiased=antialiased,
+        max_alpha=max_alpha,
+        absgrad=absgrad,
     )
     if backend == "gsplat":
         return rasterize_gsplat(gaussians, camera_from_world, settings, background)

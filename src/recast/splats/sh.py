@@ -13,7 +13,7 @@ from torch import Tensor
 
 MAX_DEGREE = 3
 C0 = 0.28209479177387814
-_C1 = 0.4886025119029199
+C1 = 0.4886025119029199
 _C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
 _C3 = (
     0.5900435899266435,
@@ -35,7 +35,7 @@ def basis(directions: Tensor, degree: int) -> Tensor:
     x, y, z = directions.unbind(-1)
     terms = [torch.full_like(x, C0)]
     if degree >= 1:
-        terms += [-_C1 * y, _C1 * z, -_C1 * x]
+        terms += [-C1 * y, C1 * z, -C1 * x]
     if degree >= 2:
         xx, yy, zz = x * x, y * y, z * z
         terms += [

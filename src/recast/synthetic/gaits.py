@@ -13,19 +13,15 @@ from recast.synthetic.limbs import (
     Colour,
     Look,
     ankle_height,
+    arm,
     ball,
     between,
-    foot,
     hair,
-    hand,
     head,
-    lower_arm,
-    lower_leg,
+    leg,
     middle_joint,
     trunk,
     turned,
-    upper_arm,
-    upper_leg,
 )
 from recast.synthetic.scenery.primitives import boxes, lathe, tube
 from recast.synthetic.surface import Surface, concatenate
@@ -73,12 +69,12 @@ class Walk:
     def parts(self) -> Sequence[Surface]:
         """Shapes, in the order of `poses`."""
         look, size = self.look, self.look.height
-        leg = (upper_leg(look, 0.245 * size), lower_leg(look, 0.245 * size), foot(look))
-        arm = (upper_arm(look, 0.165 * size), lower_arm(look, 0.145 * size), hand(look))
+        legs = 2 * leg(look, 0.245 * size, 0.245 * size)
+        arms = 2 * arm(look, 0.165 * size, 0.145 * size)
         middle = [trunk(look, 0.26 * size), head(look), hair(look)]
         pelvis = ball((0.105 * look.girth, 0.15 * look.girth, 0.1), look.trousers, "fabric")
         bag = [] if self.pack is None else [ball((0.1, 0.15, 0.22), self.pack, "fabric")]
-        return (*leg, *leg, *arm, *arm, *middle, pelvis, *bag)
+        return (*legs, *arms, *middle, pelvis, *bag)
 
     def poses(self, travelled: float) -> Sequence[Array]:
         """`body_from_part` (4, 4) of each part after `travelled` metres."""
@@ -162,11 +158,10 @@ class Ride:
         """Shapes, in the order of `poses`."""
         look = self.look
         thigh, shin, upper, fore, back = self._lengths()
-        leg = (upper_leg(look, thigh), lower_leg(look, shin), foot(look))
-        arm = (upper_arm(look, upper), lower_arm(look, fore), hand(look))
+        limbs = *2 * leg(look, thigh, shin), *2 * arm(look, upper, fore)
         rider = (trunk(look, back), head(look), hair(look))
         wheel = _wheel()
-        return (_frame(self.frame), wheel, wheel, _crank(), *leg, *leg, *arm, *arm, *rider)
+        return (_frame(self.frame), wheel, wheel, _crank(), *limbs, *rider)
 
     def poses(self, travelled: float) -> Sequence[Array]:
         """`body_from_part` (4, 4) of each part after `travelled` metres."""

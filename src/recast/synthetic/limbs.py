@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recast.arrays import Array
-from recast.synthetic.scenery.primitives import lathe
+from recast.geometry import se3
+from recast.synthetic.scenery.primitives import at, lathe, pose
 from recast.synthetic.surface import Surface, concatenate
 from recast.synthetic.world import VehicleModel
 
@@ -23,15 +24,7 @@ _BOX_MARGIN = 0.004
 """Metres around the phases that were looked at: what moves between them."""
 
 
-def limb(
-    length: float,
-    upper: float,
-    lower: float,
-    colour: Colour,
-    *,
-    flat: float = 1.0,
-    material: str = "fabric",
-) -> Surface:
+def limb(length: float, upper: float, lower: float, colour: Colour, flat: float = 1.0) -> Surface:
     """A limb with round ends from the origin down to z = -length.
 
     Args:
@@ -39,14 +32,13 @@ def limb(
         upper, lower: radii at the joints, metres; the round ends reach beyond them.
         colour: linear RGB.
         flat: factor of the extent along x.
-        material: a name in `MATERIALS`.
     """
     turn = np.linspace(-np.pi / 2, np.pi / 2, 7)
     low = np.stack([lower * np.cos(turn[:4]), -length + lower * np.sin(turn[:4])], axis=1)
     high = np.stack([upper * np.cos(turn[3:]), upper * np.sin(turn[3:])], axis=1)
     profile = np.concatenate([low, high])
     profile[[0, -1], 0] = 0.0
-    return scaled(lathe(profile, _SIDES, colour, material), (flat, 1.0, 1.0))
+    return lathe(profile, _SIDES, colour, "fabric").scaled((flat, 1.0, 1.0))
 
 
 def ball(radii: Sequence[float], colour: Colour, material: str = "matte") -> Surface:
@@ -54,21 +46,7 @@ def ball(radii: Sequence[float], colour: Colour, material: str = "matte") -> Sur
     turn = np.linspace(-np.pi / 2, np.pi / 2, 8)
     profile = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     profile[[0, -1], 0] = 0.0
-    return scaled(lathe(profile, 12, colour, material), radii)
-
-
-def scaled(surface: Surface, factors: Sequence[float]) -> Surface:
-    """A surface stretched along its axes by positive factors."""
-    scale = np.asarray(factors, np.float64)
-    normals = surface.normals / scale
-    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
-    return Surface(
-        surface.vertices * scale,
-        surface.faces,
-        normals.astype(np.float32),
-        surface.colours,
-        surface.materials,
-    )
+    return lathe(profile, 12, colour, material).scaled(radii)
 
 
 def between(start: ArrayLike, end: ArrayLike, forward: Array = _FORWARD) -> Array:
@@ -82,19 +60,14 @@ def between(start: ArrayLike, end: ArrayLike, forward: Array = _FORWARD) -> Arra
     up = (start - end) / np.linalg.norm(start - end)
     left = np.cross(up, forward)
     left /= np.linalg.norm(left)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([np.cross(left, up), left, up], axis=1)
-    pose[:3, 3] = start
-    return pose
+    return se3.from_rotation_translation(np.stack([np.cross(left, up), left, up], axis=1), start)
 
 
 def turned(angle: float, place: ArrayLike) -> Array:
     """Pose (4, 4) at `place` (3,), turned by `angle` radians about y: z towards x."""
-    pose = np.eye(4)
     cos, sin = np.cos(angle), np.sin(angle)
-    pose[:3, :3] = [[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]
-    pose[:3, 3] = place
-    return pose
+    rotation = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+    return se3.from_rotation_translation(rotation, np.asarray(place, np.float64))
 
 
 def middle_joint(
@@ -123,10 +96,10 @@ def middle_joint(
 
 def assembled(parts: Sequence[Surface], poses: Sequence[Array], shift: Array) -> Surface:
     """Parts at poses (4, 4), all moved by `shift` (3,)."""
-    offset = np.eye(4)
-    offset[:3, 3] = shift
-    placed = [part.transformed(offset @ at) for part, at in zip(parts, poses, strict=True)]
-    return concatenate(placed)
+    offset = pose(*shift)
+    return concatenate(
+        [part.transformed(offset @ place) for part, place in zip(parts, poses, strict=True)]
+    )
 
 
 @dataclass(frozen=True)
@@ -194,23 +167,25 @@ def moving_model(kind: str, colour: str, motion: Motion) -> VehicleModel:
     return VehicleModel(kind, kind, colour, high - low, gait.surface_at(0.0), gait)
 
 
-def upper_leg(look: Look, length: float) -> Surface:
-    """A thigh in trousers."""
-    return limb(length, 0.082 * look.girth, 0.058 * look.girth, look.trousers)
+def leg(look: Look, thigh: float, shin: float) -> tuple[Surface, Surface, Surface]:
+    """A thigh and a shin in trousers, of these lengths, and a shoe."""
+    upper = limb(thigh, 0.082 * look.girth, 0.058 * look.girth, look.trousers)
+    lower = limb(shin, 0.058 * look.girth, 0.042 * look.girth, look.trousers)
+    return upper, lower, foot(look)
 
 
-def lower_leg(look: Look, length: float) -> Surface:
-    """A shin in trousers."""
-    return limb(length, 0.058 * look.girth, 0.042 * look.girth, look.trousers)
+def arm(look: Look, upper: float, fore: float) -> tuple[Surface, Surface, Surface]:
+    """An upper arm and a forearm in sleeves, of these lengths, and a hand."""
+    shoulder = limb(upper, 0.056 * look.girth, 0.044 * look.girth, look.top)
+    elbow = limb(fore, 0.044 * look.girth, 0.036 * look.girth, look.top)
+    return shoulder, elbow, at(ball((0.04, 0.028, 0.075), look.skin), 0.0, 0.0, -0.05)
 
 
 def foot(look: Look) -> Surface:
     """A shoe below and ahead of the ankle at the origin, its sole `ankle_height` lower."""
     size = look.height / 1.75
     shoe = ball((0.135 * size, 0.048 * size, 0.045 * size), look.shoes, "plastic")
-    shift = np.eye(4)
-    shift[:3, 3] = [0.055 * size, 0.0, 0.045 * size - ankle_height(look)]
-    return shoe.transformed(shift)
+    return at(shoe, 0.055 * size, 0.0, 0.045 * size - ankle_height(look))
 
 
 def ankle_height(look: Look) -> float:
@@ -218,27 +193,9 @@ def ankle_height(look: Look) -> float:
     return 0.082 * look.height / 1.75
 
 
-def upper_arm(look: Look, length: float) -> Surface:
-    """An upper arm in a sleeve."""
-    return limb(length, 0.056 * look.girth, 0.044 * look.girth, look.top)
-
-
-def lower_arm(look: Look, length: float) -> Surface:
-    """A forearm in a sleeve."""
-    return limb(length, 0.044 * look.girth, 0.036 * look.girth, look.top)
-
-
-def hand(look: Look) -> Surface:
-    """A hand below the wrist at the origin."""
-    shift = np.eye(4)
-    shift[2, 3] = -0.05
-    return ball((0.04, 0.028, 0.075), look.skin).transformed(shift)
-
-
 def trunk(look: Look, length: float) -> Surface:
     """Chest and belly from the shoulders' height at the origin down to the hips."""
-    torso = limb(length, 0.165, 0.135, look.top, flat=0.62)
-    return scaled(torso, (look.girth, look.girth, 1.0))
+    return limb(length, 0.165, 0.135, look.top, flat=0.62).scaled((look.girth, look.girth, 1.0))
 
 
 def head(look: Look) -> Surface:
@@ -252,6 +209,5 @@ def head(look: Look) -> Surface:
 def hair(look: Look) -> Surface:
     """A cap of hair about a head's middle."""
     size = look.height / 1.75
-    shift = np.eye(4)
-    shift[:3, 3] = np.array([-0.018, 0.0, 0.028]) * size
-    return ball((0.1 * size, 0.086 * size, 0.11 * size), look.hair, "fabric").transformed(shift)
+    cap = ball((0.1 * size, 0.086 * size, 0.11 * size), look.hair, "fabric")
+    return at(cap, -0.018 * size, 0.0, 0.028 * size)

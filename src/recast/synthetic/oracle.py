@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import pickle
-import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,7 +18,7 @@ import numpy as np
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.core.workers import Closing, end_with_parent, usable_cores
+from recast.core.workers import WAITING, Closing, begin_worker, submit, usable_cores
 from recast.geometry import PinholeCamera
 from recast.synthetic.rendering import CameraFrame, RayScene, render_camera, require_embree
 from recast.synthetic.world import World
@@ -28,10 +26,6 @@ from recast.synthetic.world import World
 _STREAM = 601
 Job = TypeVar("Job")
 Result = TypeVar("Result")
-
-_THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_WAITING = 2
-"""Jobs handed out for each process: one at work, one waiting."""
 
 
 class Oracle:
@@ -84,16 +78,9 @@ class Oracle:
                 raise ValueError("Oracle.render: give poses or a timestamp_us")
             poses = self.logged_poses(timestamp_us)
         drawn = self.drawn(poses)
-        return render_camera(
-            self.scene_at(drawn),
-            self.world.street.sky,
-            camera,
-            world_from_camera,
-            drawn,
-            rng=rng,
-            exposure=exposure,
-            quality=self.world.light,
-        )
+        render = partial(render_camera, self.scene_at(drawn), self.world.street.sky, camera)
+        light = self.world.light
+        return render(world_from_camera, drawn, rng=rng, exposure=exposure, quality=light)
 
     def drawn(self, poses: Mapping[str, Array]) -> dict[str, Array]:
         """Poses of all that is drawn: `poses`, and the parked vehicles it does not name.
@@ -103,12 +90,9 @@ class Oracle:
         """
         for track_id in poses:
             if track_id not in self.world.vehicles:
-                raise InputError(
-                    self.world.name,
-                    f"track {track_id}",
-                    "is not in the synthetic world",
-                    f"choose one of {', '.join(self.world.vehicles)}",
-                )
+                mend = f"choose one of {', '.join(self.world.vehicles)}"
+                problem = "is not in the synthetic world"
+                raise InputError(self.world.name, f"track {track_id}", problem, mend)
         return {**self._parked, **poses}
 
     def scene_at(self, poses: Mapping[str, Array]) -> RayScene:
@@ -183,12 +167,12 @@ class OraclePool(Closing):
         waiting: deque[Future[Result]] = deque()
         try:
             executor = self._started()
-            for job in islice(left, _WAITING * self.workers):
-                waiting.append(executor.submit(_call, function, job))
+            for job in islice(left, WAITING * self.workers):
+                waiting.append(submit(executor, _call, function, job))
             while waiting:
                 result = waiting.popleft().result()
                 for job in islice(left, 1):
-                    waiting.append(executor.submit(_call, function, job))
+                    waiting.append(submit(executor, _call, function, job))
                 yield result
         except BrokenProcessPool:
             raise InputError(
@@ -230,38 +214,15 @@ class OraclePool(Closing):
                 initializer=_start,
                 initargs=(path,),
             )
-            with _one_thread():
-                # All processes are started by the first job.
-                self._executor.submit(_call, _nothing, None).result()
         return self._executor
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Processes started meanwhile compute with one thread: more would only get in the way."""
-    before = {name: os.environ.get(name) for name in _THREAD_SETTINGS}
-    os.environ.update(dict.fromkeys(_THREAD_SETTINGS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def _start(path: Path) -> None:
     global _oracle
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers itself
-    end_with_parent()
+    begin_worker()
     _oracle = Oracle(pickle.loads(path.read_bytes()))  # written by the parent just now
 
 
 def _call(function: Callable[[Oracle, Job], Result], job: Job) -> Result:
     assert _oracle is not None  # set by _start
     return function(_oracle, job)
-
-
-def _nothing(oracle: Oracle, job: None) -> None:
-    del oracle, job

@@ -14,11 +14,10 @@ import shapely
 from scipy.ndimage import gaussian_filter1d
 
 from recast.arrays import Array
-from recast.geometry import se2
 from recast.synthetic.gaits import Ride, Walk
 from recast.synthetic.limbs import Look, moving_model
 from recast.synthetic.surface import Surface
-from recast.synthetic.traffic import Placed, Scene
+from recast.synthetic.traffic import Placed, Scene, is_seen
 from recast.synthetic.world import VehicleModel
 
 _SLICES = (0.35, 0.9, 1.5)
@@ -34,7 +33,7 @@ _PAVEMENT = (0.5, 2.2)
 _ROAD_EDGE = (0.6, 2.4)
 _ROAD_SEARCH = 30.0
 _BODY_ROOM, _OTHERS_ROOM = 0.4, 0.5
-_SEEN_WITHIN, _SEEN_FIELD, _SEEN_SHARE = 28.0, np.deg2rad(60), 0.2
+_SEEN = (28.0, np.deg2rad(60), 0.2)
 _KERB_STEPS = 3
 """Poses over which a step up or down is spread (standard deviation)."""
 _SKIN = ((0.6, 0.4, 0.3), (0.48, 0.3, 0.21), (0.32, 0.18, 0.11), (0.16, 0.09, 0.06))
@@ -220,7 +219,7 @@ class _Streets:
             return None
         step = np.gradient(points, axis=0)
         poses = np.column_stack([points, np.unwrap(np.arctan2(step[:, 1], step[:, 0]))])
-        if not _is_seen(poses, self._scene.ego.poses):
+        if not is_seen(poses, self._scene.ego.poses, *_SEEN):
             return None
         placed = Placed(model, poses)
         if not self._scene.fits(placed, others, _OTHERS_ROOM):
@@ -254,21 +253,13 @@ class _Streets:
         return self._path.position(places) + lateral * left
 
 
-def _is_seen(poses: Array, rig: Array) -> bool:
-    """Whether it is near and in front of the ego for some of the time."""
-    seen = se2.relative(rig, poses)
-    distance, bearing = np.hypot(seen[:, 0], seen[:, 1]), np.arctan2(seen[:, 1], seen[:, 0])
-    visible = (distance < _SEEN_WITHIN) & (np.abs(bearing) < _SEEN_FIELD)
-    return bool(visible.mean() >= _SEEN_SHARE)
-
-
 def sample_pedestrian(rng: np.random.Generator) -> VehicleModel:
     """A random pedestrian; its colour is the name of what is worn above the belt."""
-    chance = rng.uniform(size=2)
-    height = rng.uniform(1.1, 1.4) if chance[0] < _CHILDREN else rng.uniform(1.55, 1.92)
+    draw = rng.uniform(size=2)
+    height = rng.uniform(1.1, 1.4) if draw[0] < _CHILDREN else rng.uniform(1.55, 1.92)
     name, look = _look(height, rng)
     pack = _CLOTHES[_pick(tuple(_CLOTHES), rng)]
-    return moving_model("pedestrian", name, Walk(look, pack if chance[1] < _PACKS else None))
+    return moving_model("pedestrian", name, Walk(look, pack if draw[1] < _PACKS else None))
 
 
 def sample_cyclist(rng: np.random.Generator) -> VehicleModel:

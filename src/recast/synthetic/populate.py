@@ -145,19 +145,13 @@ def world_of(log: DrivingLog) -> World:
     """
     metadata: Mapping[str, str] = log.metadata
     if not is_synthetic(log):
-        raise InputError(
-            log.name,
-            "dataset",
-            f"is {metadata.get('dataset', 'not named')!r}: only synthetic worlds can be made again",
-            "use a log made by recast log synth",
-        )
+        found = metadata.get("dataset", "not named")
+        problem = f"is {found!r}: only synthetic worlds can be made again"
+        raise InputError(log.name, "dataset", problem, "use a log made by recast log synth")
     if metadata.get("world_version") != str(WORLD_VERSION):
-        raise InputError(
-            log.name,
-            "world_version",
-            f"is {metadata.get('world_version')!r}, this recast makes {WORLD_VERSION}",
-            "make the log anew: recast log synth",
-        )
+        problem = f"is {metadata.get('world_version')!r}, this recast makes {WORLD_VERSION}"
+        mend = "make the log anew: recast log synth"
+        raise InputError(log.name, "world_version", problem, mend)
     try:
         name, seed, seconds = metadata["scene"], int(metadata["seed"]), float(metadata["seconds"])
         light = next(known for known in get_args(Quality) if known == metadata["light"])

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 from pydantic import BaseModel, ConfigDict
 
-from recast.arrays import Array
+from recast.arrays import Array, Float32Array
 from recast.core import files, records
 from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
@@ -88,12 +88,8 @@ def make_rig(width: int = 480, height: int = 320, cameras: tuple[str, ...] | Non
     """
     for field, value in (("width", width), ("height", height)):
         if not _LEAST_SIDE <= value <= _GREATEST_SIDE:
-            raise InputError(
-                "image size",
-                field,
-                f"{value} pixels is impossible",
-                f"choose {_LEAST_SIDE} to {_GREATEST_SIDE}",
-            )
+            mend = f"choose {_LEAST_SIDE} to {_GREATEST_SIDE}"
+            raise InputError("image size", field, f"{value} pixels is impossible", mend)
     names = CAMERAS if cameras is None else tuple(cameras)
     for name in names:
         if name not in _CAMERA_PLACES:
@@ -199,11 +195,7 @@ def write_truth_record(folder: Path, record: TruthRecord) -> None:
 
 
 def write_truth_frame(
-    folder: Path,
-    camera: str,
-    frame: int,
-    depth: NDArray[np.float32],
-    instance: NDArray[np.uint16],
+    folder: Path, camera: str, frame: int, depth: Float32Array, instance: NDArray[np.uint16]
 ) -> None:
     """Write the two files of a frame."""
     path = depth_file(folder, camera, frame)

@@ -121,11 +121,8 @@ def extended_route(street_map: HdMap, route: Sequence[str]) -> tuple[str, ...]:
             break
         lanes.append(min(ahead, key=lambda key: (_turn(street_map, key), key)))
     while len(lanes) < _MAX_LANES:
-        behind = sorted(
-            key
-            for key, lane in street_map.lanes.items()
-            if lanes[0] in lane.successors and key not in lanes
-        )
+        before = [key for key, lane in street_map.lanes.items() if lanes[0] in lane.successors]
+        behind = [key for key in before if key not in lanes]
         if not behind:
             break
         lanes.insert(0, min(behind, key=lambda key: (_turn(street_map, key), key)))
@@ -297,10 +294,6 @@ def ego_drive(street: Street, seconds: Array, rng: np.random.Generator) -> EgoDr
     drive = EgoDrive(path, profile, start, seconds)
     end = float(drive.place(seconds[-1]))
     if end + _ROAD_AHEAD > path.length:
-        raise InputError(
-            street.kind,
-            "ego_route",
-            f"has {path.length:.0f} m where {end + _ROAD_AHEAD:.0f} m are needed",
-            "ask for fewer seconds",
-        )
+        problem = f"has {path.length:.0f} m where {end + _ROAD_AHEAD:.0f} m are needed"
+        raise InputError(street.kind, "ego_route", problem, "ask for fewer seconds")
     return drive

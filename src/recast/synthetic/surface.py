@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -138,12 +138,23 @@ class Surface:
     def transformed(self, target_from_source: Array) -> Surface:
         """Moved by a rigid transform (4, 4)."""
         rotation, translation = target_from_source[:3, :3], target_from_source[:3, 3]
-        return Surface(
-            self.vertices @ rotation.T + translation,
-            self.faces,
-            (self.normals @ rotation.T.astype(np.float32)).astype(np.float32),
-            self.colours,
-            self.materials,
+        return replace(
+            self,
+            vertices=self.vertices @ rotation.T + translation,
+            normals=(self.normals @ rotation.T.astype(np.float32)).astype(np.float32),
+        )
+
+    def scaled(self, factors: ArrayLike) -> Surface:
+        """Stretched along its axes by factors (3,); negative ones mirror."""
+        factors = np.asarray(factors, np.float64)
+        normals = self.normals / factors
+        normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+        corners = [0, 2, 1] if np.prod(factors) < 0 else [0, 1, 2]
+        return replace(
+            self,
+            vertices=self.vertices * factors,
+            faces=self.faces[:, corners].copy(),
+            normals=normals[:, corners].astype(np.float32),
         )
 
     def bounds(self) -> Array:
@@ -171,24 +182,50 @@ def concatenate(surfaces: Sequence[Surface]) -> Surface:
     """All triangles of all surfaces; an empty sequence gives an empty surface."""
     parts = [surface for surface in surfaces if len(surface)]
     if not parts:
-        empty = np.zeros((0, 3), np.float32)
-        return Surface(
-            np.zeros((0, 3)),
-            np.zeros((0, 3), np.int32),
-            np.zeros((0, 3, 3), np.float32),
-            empty,
-            np.zeros(0, np.uint8),
-        )
-    offsets = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+        return Surface.make([], [], np.zeros(3), "matte")
+    offsets = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])], dtype=np.int32)
     return Surface(
         np.concatenate([part.vertices for part in parts]),
-        np.concatenate(
-            [part.faces + np.int32(offset) for part, offset in zip(parts, offsets, strict=True)]
+        np.concatenate([part.faces + first for part, first in zip(parts, offsets, strict=True)]),
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("normals", "colours", "materials")
         ),
-        np.concatenate([part.normals for part in parts]),
-        np.concatenate([part.colours for part in parts]),
-        np.concatenate([part.materials for part in parts]),
     )
+
+
+def sheet(index: NDArray[np.int64], *, closed: bool = False) -> NDArray[np.int64]:
+    """Triangles (F, 3) between grid points numbered `index` (rows, columns), lower halves first.
+
+    Counter-clockwise seen from where columns run to the right and rows upwards. `closed` joins the
+    last column to the first.
+    """
+    if closed:
+        index = np.concatenate([index, index[:, :1]], axis=1)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+
+
+def barrel(rings: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Points and faces of a body through convex rings (K, N, 3), both ends closed by fans."""
+    count, sides = rings.shape[:2]
+    index = np.arange(count * sides).reshape(count, sides)
+    fan = np.stack([np.zeros(sides - 2, int), np.arange(1, sides - 1), np.arange(2, sides)], 1)
+    faces = [sheet(index, closed=True), fan[:, ::-1], fan + index[-1, 0]]
+    return rings.reshape(-1, 3), np.concatenate(faces)
+
+
+def spindle(rings: Array, tips: ArrayLike) -> tuple[Array, NDArray[np.int64]]:
+    """Points and faces of a body through rings (K, N, 3) that ends in two tips (2, 3).
+
+    The faces are those of `sheet`, then those around the first and the last tip.
+    """
+    index = np.arange(rings.shape[0] * rings.shape[1]).reshape(rings.shape[:2])
+    first, last = (np.full_like(index[0], index.size + k) for k in (0, 1))
+    low = np.stack([first, np.roll(index[0], -1), index[0]], axis=1)
+    high = np.stack([last, index[-1], np.roll(index[-1], -1)], axis=1)
+    points = np.concatenate([rings.reshape(-1, 3), np.asarray(tips, np.float64)])
+    return points, np.concatenate([sheet(index, closed=True), low, high])
 
 
 def corner_normals(vertices: Array, faces: Faces, crease: float = CREASE_ANGLE) -> Float32Array:

@@ -52,9 +52,7 @@ _AHEAD_MARGIN = 3.0
 _AHEAD_SECONDS = 0.5
 """Of driving, kept free before and behind a moving vehicle."""
 _SAME_LANE = 1.8
-_SEEN_WITHIN = 70.0
-_SEEN_FIELD = np.deg2rad(65)
-_SEEN_SHARE = 0.3
+_SEEN = (70.0, np.deg2rad(65), 0.3)
 _CROSSING_DISTANCE, _CROSSING_ANGLE = 2.0, np.deg2rad(30)
 _SPEED_SHARE = (0.8, 1.05)
 _PARKED_WITHIN = 55.0
@@ -198,7 +196,7 @@ def try_driving(
     if place[0] < half or place[-1] > path.length - half:
         return None
     poses = path.poses(place, wheelbase(float(model.size[0])))
-    if not _is_seen(poses, scene.ego.poses):
+    if not is_seen(poses, scene.ego.poses, *_SEEN):
         return None
     mean_speed = float(place[-1] - place[0]) / float(seconds[-1])
     longer = model.size + np.array([2 * _AHEAD_SECONDS * mean_speed, 0.0, 0.0])
@@ -281,9 +279,11 @@ def _crosses(path: LanePath, other: LanePath) -> bool:
     return bool(np.any(near & inside & across))
 
 
-def _is_seen(poses: Array, rig: Array) -> bool:
-    """Whether it is in front of the ego and not far for some of the time."""
+def is_seen(poses: Array, rig: Array, within: float, field: float, share: float) -> bool:
+    """Whether it is in front of the ego for a share of the time.
+
+    In front is within some metres, and some radians of straight ahead.
+    """
     seen = se2.relative(rig, poses)
     distance, bearing = np.hypot(seen[:, 0], seen[:, 1]), np.arctan2(seen[:, 1], seen[:, 0])
-    visible = (distance < _SEEN_WITHIN) & (np.abs(bearing) < _SEEN_FIELD)
-    return bool(visible.mean() >= _SEEN_SHARE)
+    return bool(((distance < within) & (np.abs(bearing) < field)).mean() >= share)

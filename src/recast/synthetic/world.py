@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
+import shapely
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
@@ -182,31 +183,14 @@ def hiding(
     eyes: Array, target: Array, target_size: ArrayLike, other: Array, other_size: ArrayLike
 ) -> Times:
     """At which times (T,) `other` cuts a sight line from `eyes` (T, 2) to the target's box."""
-    length, width = np.asarray(target_size, np.float64)[:2]
-    ends = np.concatenate([boxes.bev_corners(target, length, width), target[:, None, :2]], axis=1)
-    half = np.asarray(other_size, np.float64)[:2] / 2
-    start = _in_frame(other, eyes[:, None])
-    step = _in_frame(other, ends) - start
-    step = np.where(np.abs(step) < 1e-12, 1e-12, step)
-    near, far = (-half - start) / step, (half - start) / step
-    enter = np.minimum(near, far).max(axis=-1)
-    leave = np.maximum(near, far).min(axis=-1)
-    cut = (enter <= leave) & (leave >= 0) & (enter <= 1)
-    hidden: Times = cut.any(axis=-1)
-    return hidden
-
-
-def _in_frame(poses: Array, points: Array) -> Array:
-    """Points (T, K, 2) in the frames of poses (T, 3)."""
-    offset = points - poses[:, None, :2]
-    cos, sin = np.cos(poses[:, None, 2]), np.sin(poses[:, None, 2])
-    return np.stack(
-        [
-            cos * offset[..., 0] + sin * offset[..., 1],
-            cos * offset[..., 1] - sin * offset[..., 0],
-        ],
-        axis=-1,
+    outline, wall = (
+        boxes.bev_corners(poses, *np.asarray(size, np.float64)[:2])
+        for poses, size in ((target, target_size), (other, other_size))
     )
+    ends = np.concatenate([outline, target[:, None, :2]], axis=1)
+    sight = shapely.linestrings(np.stack(np.broadcast_arrays(eyes[:, None], ends), axis=2))
+    hidden: Times = np.any(shapely.intersects(sight, shapely.polygons(wall)[:, None]), axis=1)
+    return hidden
 
 
 def daylight(rng: Generator, elevation: tuple[float, float] = (25.0, 60.0)) -> Sky:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
-from recast.arrays import Image
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.progress import Progress
@@ -29,6 +28,7 @@ from recast.logs import (
     Trajectory,
     write_log,
 )
+from recast.logs.images import ImageFiles
 from recast.synthetic.oracle import Oracle, OraclePool, instances
 from recast.synthetic.populate import world_metadata
 from recast.synthetic.rendering import WAYMO_TOP, require_embree, scan_lidar, working_llvm
@@ -119,26 +119,6 @@ def image_file(spool: Path, camera: str, frame: int) -> Path:
 
 def _sweep_file(spool: Path, frame: int) -> Path:
     return spool / LIDAR / f"{frame:04d}.npz"
-
-
-@dataclass(frozen=True)
-class SpooledImages:
-    """The images of one camera; see `recast.logs.types.EncodedImageSource`."""
-
-    spool: Path
-    camera: str
-    count: int
-
-    def __len__(self) -> int:
-        return self.count
-
-    def __getitem__(self, index: int) -> Image:
-        with PillowImage.open(image_file(self.spool, self.camera, index)) as image:
-            return np.asarray(image)
-
-    def encoded(self, index: int) -> tuple[bytes, str]:
-        """The bytes of the PNG file."""
-        return image_file(self.spool, self.camera, index).read_bytes(), "png"
 
 
 @dataclass(frozen=True)
@@ -298,7 +278,12 @@ def _log(world: World, rig: Rig, spool: Path, tracks: dict[str, Track]) -> Drivi
             camera=mounted.camera,
             rig_from_camera=mounted.rig_from_camera,
             timestamps_us=times,
-            images=SpooledImages(spool, name, len(times)),
+            images=ImageFiles(
+                tuple(image_file(spool, name, frame) for frame in range(len(times))),
+                mounted.camera.width,
+                mounted.camera.height,
+                "the rig",
+            ),
         )
         for name, mounted in rig.cameras.items()
     }

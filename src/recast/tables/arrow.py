@@ -19,7 +19,7 @@ from pyarrow import ipc
 
 from recast.core.errors import InputError
 from recast.core.files import disk_errors, read_bytes
-from recast.tables.encodings import Buffer, DamagedError, FlatTable, integer
+from recast.tables.encodings import Buffer, FlatTable, integer
 
 ROW_LIMIT = 1 << 22
 """Rows of a table in memory, at most: a text takes up to 60 bytes beside its characters."""
@@ -235,7 +235,7 @@ def check_batches(path: Path, mend: str, limit: int) -> None:
     """
     with arrow_errors(path, "Arrow file", mend), path.open("rb") as stream:
         if stream.read(len(_MAGIC)) != _MAGIC:
-            raise DamagedError("no Arrow file")
+            raise ValueError("no Arrow file")
         with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             largest = max((size for _, size in _batch_sizes(data)), default=0)
         if largest > limit:
@@ -252,7 +252,7 @@ def declared_size(data: Buffer) -> tuple[int, int]:
     Arrow takes the memory that a compressed buffer claims for itself before it decompresses it.
 
     Raises:
-        DamagedError: it is no such file, or a part of its metadata points outside of it.
+        ValueError: it is no such file, or a part of its metadata points outside of it.
     """
     rows, sizes = zip((0, 0), *_batch_sizes(data), strict=True)
     return sum(rows), sum(sizes)
@@ -261,13 +261,13 @@ def declared_size(data: Buffer) -> tuple[int, int]:
 def _batch_sizes(data: Buffer) -> Iterator[tuple[int, int]]:
     """Rows (0 for a dictionary) and decompressed bytes of each message."""
     if data[:4] == b"FEA1":
-        raise DamagedError("feather version 1; write it anew as version 2")
+        raise ValueError("feather version 1; write it anew as version 2")
     if data[: len(_MAGIC)] != _MAGIC or data[-len(_MAGIC) :] != _MAGIC:
-        raise DamagedError("no Arrow file, or cut short")
+        raise ValueError("no Arrow file, or cut short")
     end = len(data) - len(_MAGIC) - 4
     length = integer(data, end, 4)
     if not 0 < length <= end - 8:
-        raise DamagedError("the footer is longer than the file")
+        raise ValueError("the footer is longer than the file")
     footer = FlatTable.root(data[end - length : end])
     for slot, kind in ((2, _DICTIONARY), (3, _BATCH)):
         for block in footer.structs(slot, _BLOCK):
@@ -281,16 +281,16 @@ def _batch(data: Buffer, block: np.void, kind: int) -> tuple[FlatTable, int, int
     start, metadata, length = (int(block[name]) for name in ("offset", "metadata", "body"))
     body = start + metadata
     if start < 0 or metadata < 8 or length < 0 or body + length > len(data):
-        raise DamagedError("a block lies outside of the file")
+        raise ValueError("a block lies outside of the file")
     if integer(data, start, 4, signed=False) != _CONTINUATION:
-        raise DamagedError("a message without its marker; write it anew")
+        raise ValueError("a message without its marker; write it anew")
     message = FlatTable.root(data[start + 8 : body])
     header = message.table(2)
     if header is None or message.integer(1, 1) != kind or message.integer(3, 8) != length:
-        raise DamagedError("a message is of another kind or size than the footer says")
+        raise ValueError("a message is of another kind or size than the footer says")
     batch = header.table(1) if kind == _DICTIONARY else header
     if batch is None or batch.integer(0, 8) < 0:
-        raise DamagedError("a message without rows")
+        raise ValueError("a message without rows")
     return batch, body, body + length
 
 
@@ -299,9 +299,9 @@ def _buffer_sizes(batch: FlatTable, data: Buffer, start: int, stop: int) -> Iter
     for offset, length in batch.structs(2, _BUFFER).tolist():
         at = start + offset
         if offset < 0 or length < 0 or at + length > stop:
-            raise DamagedError("a buffer lies outside of its message")
+            raise ValueError("a buffer lies outside of its message")
         # A compressed buffer begins with its size in memory; -1 says that it is stored as it is.
         claimed = integer(data, at, 8) if compressed and length else -1
         if claimed < -1:
-            raise DamagedError("a buffer of negative size")
+            raise ValueError("a buffer of negative size")
         yield length if claimed == -1 else claimed

@@ -23,18 +23,14 @@ _STOP, _TRUE, _FALSE, _BYTE, _I16, _I32, _I64, _DOUBLE, _BINARY, _LIST, _SET, _M
 _DEPTH = 16
 
 
-class DamagedError(ValueError):
-    """A number or an offset in the bytes leads out of them, or is impossible."""
-
-
 def integer(data: Buffer, at: int, size: int, signed: bool = True) -> int:
     """The integer of `size` bytes at `at`.
 
     Raises:
-        DamagedError: it lies outside of `data`.
+        ValueError: it lies outside of `data`.
     """
     if at < 0 or at + size > len(data):
-        raise DamagedError("an offset leads out of the metadata")
+        raise ValueError("an offset leads out of the metadata")
     return int.from_bytes(data[at : at + size], "little", signed=signed)
 
 
@@ -59,7 +55,7 @@ class FlatTable:
         """The signed integer in field `slot`; 0 where it is not stored.
 
         Raises:
-            DamagedError: see `integer`.
+            ValueError: see `integer`.
         """
         place = self._place(slot)
         return 0 if place is None else integer(self.data, place, size)
@@ -68,7 +64,7 @@ class FlatTable:
         """The table that field `slot` refers to.
 
         Raises:
-            DamagedError: see `integer`.
+            ValueError: see `integer`.
         """
         place = self._target(slot)
         return None if place is None else FlatTable(self.data, place)
@@ -77,14 +73,14 @@ class FlatTable:
         """The vector of structs (N,) in field `slot`.
 
         Raises:
-            DamagedError: it is longer than the bytes.
+            ValueError: it is longer than the bytes.
         """
         place = self._target(slot)
         if place is None:
             return np.empty(0, layout)
         count = integer(self.data, place, 4, signed=False)
         if place + 4 + count * layout.itemsize > len(self.data):
-            raise DamagedError("a list is longer than the metadata")
+            raise ValueError("a list is longer than the metadata")
         return np.frombuffer(self.data, layout, count, place + 4)
 
     def _target(self, slot: int) -> int | None:

@@ -9,6 +9,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from recast.trellis.sparse import attention
+
 
 class TokenLayout(Protocol):
     """How tokens (..., C) fall into samples, and which of them attend to which.
@@ -38,18 +40,10 @@ class DenseTokens:
         return per_sample.unsqueeze(1)
 
     def attend(self, q: Tensor, k: Tensor, v: Tensor) -> Tensor:
-        """Full self-attention, (B, N, H, D)."""
-        return _attention(q, k, v)
+        """Attention of (B, N, H, D) to all tokens (B, L, H, D) of the sample."""
+        return attention(q, k, v)
 
-    def attend_to(self, q: Tensor, k: Tensor, v: Tensor) -> Tensor:
-        """Cross-attention of (B, N, H, D) to (B, L, H, D)."""
-        return _attention(q, k, v)
-
-
-def _attention(q: Tensor, k: Tensor, v: Tensor) -> Tensor:
-    """Softmax attention with heads on the second last axis."""
-    q, k, v = (x.transpose(1, 2) for x in (q, k, v))
-    return functional.scaled_dot_product_attention(q, k, v).transpose(1, 2)
+    attend_to = attend
 
 
 class LayerNorm32(nn.LayerNorm):
@@ -90,10 +84,7 @@ class MultiHeadRmsNorm(nn.Module):
     """Per-head normalisation of queries or keys: x / max(|x|, 1e-12) * gamma * sqrt(D).
 
     An L2 normalisation rather than the usual RMS norm: there is no epsilon inside the mean.
-
-    Args:
-        head_channels: D.
-        heads: H; `gamma` is (H, D), float32 in every torso.
+    `gamma` is (H, D), heads by channels of a head, float32 in every torso.
     """
 
     def __init__(self, head_channels: int, heads: int) -> None:
@@ -115,7 +106,7 @@ def final_norm(h: Tensor) -> Tensor:
 
 
 class _HeadNorms(nn.Module):
-    """The optional normalisation of queries and keys that both kinds of attention share."""
+    """Heads of self- and cross-attention, and their optional normalisation."""
 
     def __init__(self, channels: int, heads: int, qk_rms_norm: bool) -> None:
         super().__init__()
@@ -165,10 +156,8 @@ class CrossAttention(_HeadNorms):
     """Attention of the tokens to the context of their sample, such as image tokens.
 
     Args:
-        channels: C of the tokens.
+        channels, heads, qk_rms_norm: see `SelfAttention`.
         context_channels: channels of the context.
-        heads: H; C must be a multiple of it.
-        qk_rms_norm: normalise queries and keys per head.
 
     Raises:
         ValueError: the channels do not divide into the heads.

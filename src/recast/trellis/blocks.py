@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 
 import torch
 from torch import Tensor, nn
@@ -13,6 +14,13 @@ from recast.trellis.attention import CrossAttention, LayerNorm32, SelfAttention,
 from recast.trellis.sparse import PackedTokens, PoolIndex, SparseTensor, SubMConv3d, unpool
 
 MAX_PERIOD = 10000.0
+_FREQUENCIES = 256  # channels of a time's sines and cosines
+
+
+def start_at_zero(layer: nn.Module) -> None:
+    """Zero the parameters of an output, modulation or last convolution layer."""
+    for parameter in layer.parameters():
+        nn.init.zeros_(parameter)
 
 
 def modulation_layer(channels: int) -> nn.Sequential:
@@ -20,26 +28,14 @@ def modulation_layer(channels: int) -> nn.Sequential:
     return nn.Sequential(nn.SiLU(), nn.Linear(channels, 6 * channels))
 
 
-class FeedForward(nn.Module):
-    """Linear, GELU in its tanh approximation, Linear.
-
-    Args:
-        channels: C of the tokens.
-        ratio: hidden channels over C.
-    """
-
-    def __init__(self, channels: int, ratio: float = 4.0) -> None:
-        super().__init__()
-        hidden = int(channels * ratio)
-        # Published checkpoints name these `mlp.mlp.0` and `mlp.mlp.2` under a block's `mlp`.
-        self.mlp = nn.Sequential(
-            nn.Linear(channels, hidden), nn.GELU(approximate="tanh"), nn.Linear(hidden, channels)
-        )
-
-    def forward(self, h: Tensor) -> Tensor:
-        """Tokens (..., C) to tokens (..., C)."""
-        out: Tensor = self.mlp(h)
-        return out
+def feed_forward(channels: int, ratio: float) -> nn.Sequential:
+    """Linear, GELU in its tanh approximation, Linear; `ratio` is hidden channels over channels."""
+    hidden = int(channels * ratio)
+    layers = nn.Sequential(
+        nn.Linear(channels, hidden), nn.GELU(approximate="tanh"), nn.Linear(hidden, channels)
+    )
+    # Published checkpoints name these `mlp.mlp.0` and `mlp.mlp.2` under a block's `mlp`.
+    return nn.Sequential(OrderedDict(mlp=layers))
 
 
 class ModulatedCrossBlock(nn.Module):
@@ -49,12 +45,11 @@ class ModulatedCrossBlock(nn.Module):
     and Xie 2023); cross-attention has an affine norm and no gate.
 
     Args:
-        channels: C of the tokens.
-        context_channels: channels of the context.
-        heads: attention heads.
+        channels, context_channels: C of the tokens, and channels of the context.
+        heads: attention heads; C must be a multiple of it.
         mlp_ratio: hidden channels of the MLP over C.
-        qk_rms_norm: normalise queries and keys of the self-attention.
-        qk_rms_norm_cross: the same in the cross-attention.
+        qk_rms_norm, qk_rms_norm_cross: normalise queries and keys of the self-attention, and of the
+            cross-attention.
         share_mod: the model computes the modulation once for all blocks; this block then has no
             modulation layer of its own.
     """
@@ -76,26 +71,21 @@ class ModulatedCrossBlock(nn.Module):
         self.norm3 = LayerNorm32(channels, affine=False)
         self.self_attn = SelfAttention(channels, heads, qk_rms_norm)
         self.cross_attn = CrossAttention(channels, context_channels, heads, qk_rms_norm_cross)
-        self.mlp = FeedForward(channels, mlp_ratio)
+        self.mlp = feed_forward(channels, mlp_ratio)
         self.adaLN_modulation = None if share_mod else modulation_layer(channels)
 
     def initialise(self, generator: torch.Generator | None = None) -> None:
         """Start the modulation at zero, so that only the cross-attention acts; draws nothing."""
         if self.adaLN_modulation is not None:
-            for parameter in self.adaLN_modulation.parameters():
-                nn.init.zeros_(parameter)
+            start_at_zero(self.adaLN_modulation)
 
     def forward(self, h: Tensor, modulation: Tensor, cond: Tensor, layout: TokenLayout) -> Tensor:
-        """One block.
+        """Tokens (..., C) to tokens (..., C).
 
         Args:
-            h: (..., C) tokens.
             modulation: (B, C) time embedding, or with `share_mod` the modulation (B, 6 C).
             cond: (B, L, context_channels) context of each sample.
             layout: which tokens belong together.
-
-        Returns:
-            (..., C) tokens.
         """
         if self.adaLN_modulation is not None:
             modulation = self.adaLN_modulation(modulation)
@@ -111,11 +101,7 @@ class ModulatedCrossBlock(nn.Module):
 class TransformerBlock(nn.Module):
     """Pre-norm block of the structured-latent VAE; its norms have no parameters.
 
-    Args:
-        channels: C of the tokens.
-        heads: attention heads.
-        mlp_ratio: hidden channels of the MLP over C.
-        qk_rms_norm: normalise queries and keys.
+    Arguments are those of `ModulatedCrossBlock`.
     """
 
     def __init__(
@@ -125,7 +111,7 @@ class TransformerBlock(nn.Module):
         self.norm1 = LayerNorm32(channels, affine=False)
         self.norm2 = LayerNorm32(channels, affine=False)
         self.attn = SelfAttention(channels, heads, qk_rms_norm)
-        self.mlp = FeedForward(channels, mlp_ratio)
+        self.mlp = feed_forward(channels, mlp_ratio)
 
     def forward(self, h: Tensor, layout: TokenLayout) -> Tensor:
         """Tokens (..., C) to tokens (..., C)."""
@@ -134,15 +120,11 @@ class TransformerBlock(nn.Module):
         return out
 
 
-def timestep_embedding(t: Tensor, channels: int = 256) -> Tensor:
-    """Cosines, then sines, of a time at geometrically spaced frequencies.
+def timestep_embedding(t: Tensor, channels: int) -> Tensor:
+    """Cosines, then sines, of times (B,) at geometrically spaced frequencies: (B, channels).
 
-    Args:
-        t: (B,) times, already multiplied by 1000; fractions are fine.
-        channels: length of the embedding, even.
-
-    Returns:
-        (B, channels) float32, cosines in the first half (Peebles and Xie 2023, DiT).
+    In float32. Times are multiplied by 1000 already, fractions are fine; `channels` is even
+    (Peebles and Xie 2023, DiT).
     """
     half = channels // 2
     # In float32 an angle of 1000 is only good to 6e-5, and its cosine differs between processors.
@@ -152,38 +134,25 @@ def timestep_embedding(t: Tensor, channels: int = 256) -> Tensor:
 
 
 def absolute_positions(coords: Tensor, channels: int) -> Tensor:
-    """Sinusoidal embedding of integer positions, axis after axis.
+    """Sinusoidal embedding (T, channels) float32 of voxel indices (T, 3), x, y, z, not scaled.
 
     With f = channels // 3 // 2 frequencies 10000^(-i/f), each axis gives [sin(p w), cos(p w)]; the
     axes follow one another and zeros fill up to `channels`.
-
-    Args:
-        coords: (T, 3) voxel indices, x, y, z, not scaled.
-        channels: length of the embedding.
-
-    Returns:
-        (T, channels) float32.
     """
     count = channels // 3 // 2
     steps = torch.arange(count, dtype=torch.float64, device=coords.device) / count
     angles = coords.double().unsqueeze(-1) * MAX_PERIOD**-steps
-    waves = torch.cat([angles.sin(), angles.cos()], dim=-1).flatten(1).float()
-    return functional.pad(waves, (0, channels - waves.shape[1]))
+    embedding = torch.cat([angles.sin(), angles.cos()], dim=-1).flatten(1).float()
+    return functional.pad(embedding, (0, channels - embedding.shape[1]))
 
 
 class TimestepEmbedder(nn.Module):
-    """Diffusion times to a conditioning vector: sinusoids, Linear, SiLU, Linear, all in float32.
+    """Diffusion times to a conditioning vector: sinusoids, Linear, SiLU, Linear, all in float32."""
 
-    Args:
-        channels: length of the vector.
-        frequency_channels: length of the sinusoidal embedding.
-    """
-
-    def __init__(self, channels: int, frequency_channels: int = 256) -> None:
+    def __init__(self, channels: int) -> None:
         super().__init__()
-        self.frequency_channels = frequency_channels
         self.mlp = nn.Sequential(
-            nn.Linear(frequency_channels, channels), nn.SiLU(), nn.Linear(channels, channels)
+            nn.Linear(_FREQUENCIES, channels), nn.SiLU(), nn.Linear(channels, channels)
         )
 
     def initialise(self, generator: torch.Generator | None = None) -> None:
@@ -194,7 +163,7 @@ class TimestepEmbedder(nn.Module):
 
     def forward(self, t: Tensor) -> Tensor:
         """Times (B,), already multiplied by 1000, to (B, channels)."""
-        out: Tensor = self.mlp(timestep_embedding(t, self.frequency_channels))
+        out: Tensor = self.mlp(timestep_embedding(t, _FREQUENCIES))
         return out
 
 
@@ -207,11 +176,8 @@ class SparseResBlock3d(nn.Module):
     The linear layer of the time embedding gives scale first, then shift: the reverse of the
     transformer blocks' order.
 
-    Args:
-        in_channels: channels of the input.
-        emb_channels: channels of the time embedding.
-        out_channels: channels of the output; where they differ from the input's, the skip
-            connection is linear.
+    The skip connection is linear where input and output channels differ; `emb_channels` are those
+    of the time embedding.
     """
 
     def __init__(self, in_channels: int, emb_channels: int, out_channels: int) -> None:

@@ -1,7 +1,4 @@
-"""The flow-matching objective, and what steadies training: clipped gradients, averaged weights.
-
-Noisy data, the velocity to predict, and the loss.
-"""
+"""The flow-matching objective, and what steadies training: clipped gradients, averaged weights."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from recast.core.errors import InputError
+from recast.core.torch_file import require_state
 from recast.trellis.sampler import TIME_SCALE, Velocity, noise_scale
 
 
@@ -122,14 +119,9 @@ def sample_timesteps(
 
 
 def time_bins(per_sample: Tensor, t: Tensor, count: int = 10) -> Tensor:
-    """Mean of values (B,) over the samples of each of `count` equal parts of time.
+    """Mean (count,) of values (B,) over the samples of each of `count` equal parts of time.
 
-    Args:
-        per_sample: (B,); NaNs are left out.
-        t: (B,) in [0, 1].
-
-    Returns:
-        (count,), NaN where there is no sample.
+    Times `t` are (B,) in [0, 1]. NaNs are left out; a part without samples is NaN.
     """
     part = (t * count).long().clamp(0, count - 1)
     known = ~torch.isnan(per_sample)
@@ -201,9 +193,8 @@ class ExponentialMovingAverage:
 
     It starts from the weights that the model has now, so make it after they are loaded: an average
     begun at the random initialisation still holds 0.9999^10000 = 37 % of it after ten thousand
-    steps, as in the published trainer's fine-tuning.
-
-    Parameters are averaged in float32 or more, whatever their type in the model. Buffers, such as
+    steps, as in the published trainer's fine-tuning. Parameters are averaged in float32 or more,
+    whatever their type in the model (torch's `AveragedModel` keeps their type). Buffers, such as
     stored position tables, are not averaged: they are the model's latest.
 
     Args:
@@ -269,14 +260,9 @@ class ExponentialMovingAverage:
         """Continue from saved averages.
 
         Raises:
-            InputError: a tensor is missing, unknown or of another shape; nothing is changed then.
+            InputError: a tensor is missing, unknown or of another shape, see `require_state`;
+                nothing is changed then.
         """
-        mend = "load the averages of the same model"
-        for name in sorted(self._state.keys() ^ state.keys()):
-            raise InputError(where, name, "unknown" if name in state else "missing", mend)
-        for name, average in self._state.items():
-            if state[name].shape != average.shape:
-                found, expected = tuple(state[name].shape), tuple(average.shape)
-                raise InputError(where, name, f"has shape {found}, expected {expected}", mend)
+        require_state(where, state, self._state, "load the averages of the same model")
         for name, average in self._state.items():
             average.copy_(state[name])

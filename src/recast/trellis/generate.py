@@ -36,10 +36,10 @@ Progress = Callable[[str, int, int], None]
 class ImageTo3D:
     """The image-to-3D model of TRELLIS (Xiang et al. 2024) for one or several views of a vehicle.
 
+    These are the stages; `recast.trellis.generate` runs them. Nothing here keeps gradients.
+
     Args:
         checkpoint: all models of the generation and the image encoder.
-
-    These are the stages; `recast.trellis.generate` runs them. Nothing here keeps gradients.
     """
 
     def __init__(self, checkpoint: Checkpoint) -> None:
@@ -66,10 +66,9 @@ class ImageTo3D:
         torso_dtype: torch.dtype | None = None,
         image_encoder: str | Path | None = None,
     ) -> ImageTo3D:
-        """Read a folder in the published layout.
+        """Read a folder in the published layout, with pipeline.json and ckpts/.
 
         Args:
-            folder: with pipeline.json and ckpts/.
             device: None takes CUDA where there is some.
             torso_dtype: of the transformer blocks; None takes float16 on CUDA, else float32.
             image_encoder: weights of the published image encoder, where the folder has none.
@@ -225,14 +224,12 @@ def generate(
     of the structure, then that of the latent, both drawn on the CPU.
 
     Args:
-        model: see `ImageTo3D`.
         vehicles: for each the views of it, (H, W, 4) uint8 RGBA with straight alpha; the same
             number of views for all. The order of the views matters, see `Condition`.
         seeds: one for each vehicle.
         names: what messages call them; "crop 1", ... where not given.
         mode: how several views are used, see `Condition`.
         structure, latent: samplers; those of the checkpoint where not given.
-        limits: see `GenerationLimits`.
         progress: called with stage, steps done and all steps.
 
     Raises:
@@ -262,7 +259,7 @@ def generate(
         )
     with watch.stage("latent"):
         noise = [
-            torch.randn(len(one.coords), model.latent_channels, generator=one.draw.generator)
+            torch.randn(len(one.coords), model.latent_channels, generator=one.generator)
             for one in drawn
         ]
         latents = model.sample_latent(
@@ -273,7 +270,7 @@ def generate(
     made = tuple(
         GeneratedVehicle(
             asset.to("cpu"),
-            one.draw.seed,
+            one.seed,
             one.latent.cpu(),
             one.coords.cpu(),
             latents.feats[rows].cpu(),

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -84,34 +84,24 @@ class Generation:
 
 
 @dataclass(frozen=True)
-class Draw:
-    """One vehicle's random stream, on the CPU so that every device makes the same vehicle.
-
-    Attributes:
-        seed: of the stream.
-        generator: continues after the structure's noise with the latent's.
-    """
-
-    seed: int
-    generator: torch.Generator = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "generator", torch.Generator().manual_seed(self.seed))
-
-
-@dataclass(frozen=True)
 class Structure:
     """A structure that passed the limits.
 
     Attributes:
-        draw: the stream it came from.
+        generator: random stream that it came from, on the CPU so that every device makes the same
+            vehicle; it continues with the latent's noise.
         latent: (C, R, R, R) as sampled.
         coords: (T, 3) int32 active voxels.
     """
 
-    draw: Draw
+    generator: torch.Generator
     latent: Tensor
     coords: Tensor
+
+    @property
+    def seed(self) -> int:
+        """Of the stream."""
+        return self.generator.initial_seed()
 
 
 def draw_structures(
@@ -126,7 +116,6 @@ def draw_structures(
     """Sample a structure for each seed; one that is empty or too large is drawn anew or refused.
 
     Args:
-        seeds, names: of the vehicles.
         shape: of one noise, (C, R, R, R).
         sample: from noises (B, C, R, R, R) and which vehicles they are to latents of that shape.
         decode: from one latent to its active voxels (T, 3).
@@ -141,13 +130,13 @@ def draw_structures(
         waiting = [i for i in range(len(seeds)) if i not in done]
         if not waiting:
             break
-        draws = [Draw(seeds[i] + attempt) for i in waiting]
-        noise = torch.stack([torch.randn(*shape, generator=d.generator) for d in draws])
+        streams = [torch.Generator().manual_seed(seeds[i] + attempt) for i in waiting]
+        noise = torch.stack([torch.randn(*shape, generator=stream) for stream in streams])
         latents = sample(noise, waiting)
-        for i, draw, latent in zip(waiting, draws, latents, strict=True):
+        for i, stream, latent in zip(waiting, streams, latents, strict=True):
             coords = decode(latent)
             if 0 < len(coords) <= max_voxels:
-                done[i] = Structure(draw, latent, coords)
+                done[i] = Structure(stream, latent, coords)
             elif attempt == limits.retries:
                 raise _failure(names[i], seeds[i], limits.retries, len(coords), max_voxels)
     return [done[i] for i in range(len(seeds))]
@@ -163,11 +152,7 @@ def _failure(name: str, seed: int, retries: int, voxels: int, max_voxels: int) -
 
 
 class Stopwatch:
-    """Measures the stages of one call.
-
-    Args:
-        device: where the work runs; CUDA work is waited for at the end of each stage.
-    """
+    """Measures the stages of one call; work on CUDA is waited for at the end of each stage."""
 
     def __init__(self, device: torch.device) -> None:
         self.device = device

@@ -30,9 +30,7 @@ Velocity = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 The result has the shape of x. A sparse network is closed over its coordinates, so that x is (T, C).
 """
-PUBLISHED_SAMPLER = "FlowEulerGuidanceIntervalSampler"
-PUBLISHED_PARAMS = ("steps", "cfg_strength", "cfg_interval", "rescale_t")
-PUBLISHED_ARGS = ("sigma_min",)
+PUBLISHED_SAMPLER: Literal["FlowEulerGuidanceIntervalSampler"] = "FlowEulerGuidanceIntervalSampler"
 
 Time = Annotated[float, Field(ge=0, le=1, strict=True)]
 
@@ -83,7 +81,7 @@ def drop_condition(
 
     Args:
         cond: (B, L, C).
-        probability: for a sample to lose its tokens (published: 0.1).
+        probability: of a sample losing its tokens (published: 0.1).
         generator: its device may differ from that of `cond`.
 
     Returns:
@@ -108,12 +106,23 @@ def noise_scale(t: Tensor | float, sigma_min: float) -> Tensor | float:
     return sigma_min + (1 - sigma_min) * t
 
 
-def data_from_velocity(x_t: Tensor, velocity: Tensor, t: float, sigma_min: float) -> Tensor:
-    """x_0 of the path through `x_t` with `velocity`: (1 - sigma) x_t - (sigma + (1 - sigma) t) v.
+class _PublishedArgs(Record):
+    sigma_min: Any
 
-    Exact where the velocity is (1 - sigma) eps - x_0.
-    """
-    return (1 - sigma_min) * x_t - noise_scale(t, sigma_min) * velocity
+
+class _PublishedParams(Record):
+    steps: Any
+    cfg_strength: Any
+    cfg_interval: Any
+    rescale_t: Any
+
+
+class _Published(Record):
+    """A sampler of `pipeline.json`; nothing is filled in, the code has other defaults than it."""
+
+    name: Literal["FlowEulerGuidanceIntervalSampler"]
+    args: _PublishedArgs
+    params: _PublishedParams
 
 
 class SamplerSettings(Record):
@@ -152,44 +161,29 @@ class SamplerSettings(Record):
 
     @classmethod
     def from_published(cls, record: Mapping[str, Any], where: str | Path) -> Self:
-        """Read one sampler of a `pipeline.json`: {"name", "args": {..}, "params": {..}}.
+        """Read a sampler of the `pipeline.json` at `where`: {"name", "args": {..}, "params": {..}}.
 
         Nothing is filled in: the published code has other defaults than its checkpoints.
 
         Args:
             record: its `params` hold steps, cfg_strength, cfg_interval and rescale_t, its `args`
                 sigma_min.
-            where: the file, for the error message.
 
         Raises:
             InputError: another sampler class, a missing or unknown name, a value out of its range.
         """
-        mend = "use a pipeline.json in the published layout"
-        name = record.get("name")
-        if name != PUBLISHED_SAMPLER:
-            raise InputError(where, "name", f"is {name!r}, not {PUBLISHED_SAMPLER}", mend)
-        values: dict[str, Any] = {}
-        for part, expected in (("args", PUBLISHED_ARGS), ("params", PUBLISHED_PARAMS)):
-            members = record.get(part)
-            if not isinstance(members, Mapping):
-                raise InputError(where, part, "is missing or no object", mend)
-            wrong = set(expected) ^ set(members)
-            if wrong:
-                first = min(wrong)
-                problem = "is missing" if first in expected else "is unknown"
-                raise InputError(where, f"{part}.{first}", problem, mend)
-            values.update(members)
-        return cls._checked(values, where)
+        try:
+            found = _Published.model_validate(record)
+        except ValidationError as error:
+            mend = "use a pipeline.json in the published layout"
+            raise validation_error(where, error, mend) from None
+        return cls._checked({**dict(found.args), **dict(found.params)}, where)
 
     def published(self) -> dict[str, Any]:
         """The record that `from_published` reads."""
-        params: dict[str, Any] = {name: getattr(self, name) for name in PUBLISHED_PARAMS}
-        params["cfg_interval"] = list(self.cfg_interval)
-        return {
-            "name": PUBLISHED_SAMPLER,
-            "args": {"sigma_min": self.sigma_min},
-            "params": params,
-        }
+        params = self.model_dump(mode="json")
+        args = {"sigma_min": params.pop("sigma_min")}
+        return {"name": PUBLISHED_SAMPLER, "args": args, "params": params}
 
     @classmethod
     def _checked(cls, values: Mapping[str, Any], where: str | Path) -> Self:
@@ -225,10 +219,8 @@ class StepRecord:
         t, t_next: times, 1 is noise.
         guided: whether guidance acted.
         views: indices of the views used.
-        before: x at `t`, of the shape of the noise.
+        before, after: x at `t` and at `t_next`, of the shape of the noise.
         velocity: of the step, guidance included.
-        after: x at `t_next`.
-        sigma_min: of the settings.
     """
 
     step: int
@@ -239,11 +231,6 @@ class StepRecord:
     before: Tensor
     velocity: Tensor
     after: Tensor
-    sigma_min: float
-
-    def predicted_data(self) -> Tensor:
-        """The data x_0 that this step alone points at; made only when asked for."""
-        return data_from_velocity(self.before, self.velocity, self.t, self.sigma_min)
 
 
 @torch.no_grad()
@@ -263,10 +250,7 @@ def sample(
     for s = 0, v = v(cond) and the network runs once per view.
 
     Args:
-        velocity: the network; see `Velocity`.
         noise: standard normal, (B, ...) dense or (T, C) sparse. Left as it is.
-        condition: tokens of the samples.
-        settings: number of steps, times and guidance.
         samples: number B of samples; needed for sparse noise, whose rows are not samples.
         on_step: called after each step. Tensors of the record that it keeps stay in memory.
 
@@ -302,7 +286,7 @@ def sample(
         _check(v, x, step, settings.steps, t)
         before, x = x, x - (t - t_next) * v
         if on_step is not None:
-            on_step(StepRecord(step, t, t_next, guided, used, before, v, x, settings.sigma_min))
+            on_step(StepRecord(step, t, t_next, guided, used, before, v, x))
     return x
 
 

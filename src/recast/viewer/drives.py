@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
@@ -124,7 +124,9 @@ def rollout_drive(
         controlled=(rollout.track_id, *(one.track_id for one in rollout.controlled)),
         ego_size=_ego_size(*rollout.ego_size),
         ego_offset=rollout.ego_centre_offset,
-        logged=_on_road(rollout.log_ego[:, :2], rollout.world_from_rig),
+        logged=np.column_stack(
+            [rollout.log_ego[:, :2], rollout.world_from_rig[:, 2, 3] + _ABOVE_ROAD]
+        ),
         plans=plan_lines(rollout),
         events=rollout_events(rollout, hdmap),
         cameras={
@@ -179,16 +181,10 @@ def _ego_size(length: float, width: float) -> Array:
     return np.array([length, width, _EGO_HEIGHT])
 
 
-def _on_road(xy: Array, rig: Array) -> Array:
-    """Points (T, 3) at the height of the simulated rear axle."""
-    return np.column_stack([xy, rig[:, 2, 3] + _ABOVE_ROAD])
-
-
 class LogFilm:
     """The images of a log's camera nearest in time to the steps of a drive.
 
     Args:
-        stream: the camera.
         times_us: (T,) log time of each step.
     """
 
@@ -207,29 +203,6 @@ class LogFilm:
         return shrunk(self._stream.images[frame])
 
 
-class FilmFile:
-    """The film of a rollout, decoded as far as it is looked at and kept as JPEG.
-
-    Args:
-        path: film that `recast.reporting.video` can read.
-        steps: number of pictures that it has; more are not read.
-    """
-
-    def __init__(self, path: Path, steps: int) -> None:
-        self._left, self._steps = iterate_video(path), steps
-        self._kept: list[NDArray[np.uint8]] = []
-        self._lock = Lock()
-
-    def __len__(self) -> int:
-        return self._steps
-
-    def __getitem__(self, step: int, /) -> Image:
-        with self._lock:
-            missing = step + 1 - len(self._kept)
-            self._kept += encoded(islice(self._left, max(missing, 0)))
-        return _decoded(self._kept[min(step, len(self._kept) - 1)])
-
-
 class FilmFrames:
     """Pictures of a rollout that was run from the page, kept as JPEG."""
 
@@ -240,32 +213,44 @@ class FilmFrames:
         return len(self._kept)
 
     def __getitem__(self, step: int, /) -> Image:
-        return _decoded(self._kept[min(step, len(self._kept) - 1)])
+        found = cv2.imdecode(self._kept[min(step, len(self._kept) - 1)], cv2.IMREAD_COLOR)
+        assert found is not None  # it was encoded here
+        return np.asarray(found[..., ::-1], np.uint8)
 
     def add(self, picture: Image) -> None:
-        """Append the picture (H, W, 3) of the next step."""
-        self._kept += encoded([picture])
+        """Append the picture (H, W, 3) RGB of the next step, at most `WIDEST` wide."""
+        options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
+        kept = cv2.imencode(".jpg", shrunk(picture)[..., ::-1], options)[1]
+        self._kept.append(np.asarray(kept, np.uint8))
 
 
-def encoded(pictures: Iterable[Image]) -> list[NDArray[np.uint8]]:
-    """Pictures (H, W, 3) RGB as JPEG bytes, at most `WIDEST` wide."""
-    options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
-    return [
-        np.asarray(cv2.imencode(".jpg", shrunk(picture)[..., ::-1], options)[1], np.uint8)
-        for picture in pictures
-    ]
+class FilmFile(FilmFrames):
+    """The film of a rollout, decoded as far as it is looked at and kept as JPEG.
+
+    Args:
+        path: film that `recast.reporting.video` can read.
+        steps: number of pictures that it has; more are not read.
+    """
+
+    def __init__(self, path: Path, steps: int) -> None:
+        super().__init__()
+        self._left, self._steps = iterate_video(path), steps
+        self._lock = Lock()
+
+    def __len__(self) -> int:
+        return self._steps
+
+    def __getitem__(self, step: int, /) -> Image:
+        with self._lock:
+            for picture in islice(self._left, max(step + 1 - len(self._kept), 0)):
+                self.add(picture)
+        return super().__getitem__(step)
 
 
-def shrunk(picture: Image, widest: int = WIDEST) -> Image:
-    """A picture (H, W, 3), scaled down to `widest` pixels if it is wider."""
+def shrunk(picture: Image) -> Image:
+    """A picture (H, W, 3), scaled down to `WIDEST` pixels if it is wider."""
     height, width = picture.shape[:2]
-    if width <= widest:
+    if width <= WIDEST:
         return picture
-    size = widest, max(1, round(height * widest / width))
+    size = WIDEST, max(1, round(height * WIDEST / width))
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _decoded(kept: NDArray[np.uint8]) -> Image:
-    found = cv2.imdecode(kept, cv2.IMREAD_COLOR)
-    assert found is not None  # it was encoded here
-    return np.asarray(found[..., ::-1], np.uint8)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -98,7 +98,6 @@ class Runner:
     """Runs rollouts for the page.
 
     Attributes:
-        log: the recorded drive.
         hdmap: lanes, drivable area and ground.
         track: the actor to control.
         motions: to choose from, by name.
@@ -138,6 +137,7 @@ class ViewInputs:
     actors: Mapping[str, Mapping[str, Actor]] = field(default_factory=dict)
     runner: Runner | None = None
 
-    def arms_of(self, scenario: str) -> Sequence[str]:
-        """Arms that have a drive in a scenario."""
-        return tuple(self.scenarios[scenario])
+    @property
+    def drives(self) -> list[Drive]:
+        """All drives, scenario by scenario."""
+        return [drive for arms in self.scenarios.values() for drive in arms.values()]

@@ -37,7 +37,6 @@ class Page:
     """Serves the viewer until it is closed.
 
     Args:
-        inputs: what is shown.
         most: number of Gaussians at most that browsers get of an arm.
         out: folder for scenario files.
         host: address to listen on; other machines see the page only if it is not this one's own.
@@ -116,7 +115,7 @@ class Page:
         if change == "playing":
             return
         now = time.monotonic()
-        pictures = not self.playback.clock.playing or now - self._pictures_at >= _PICTURES_EVERY
+        pictures = not self.playback.playing or now - self._pictures_at >= _PICTURES_EVERY
         self.stage.show(self.playback.shown, pictures)
         if pictures:
             self._pictures_at = now
@@ -193,11 +192,7 @@ def close_server(server: viser.ViserServer) -> None:
 
 
 def _require_own(host: str) -> None:
-    """Refuse an address that is none of this machine's.
-
-    Raises:
-        InputError: see above.
-    """
+    """Refuse an address that is none of this machine's."""
     try:
         with socket.socket() as trial:
             trial.bind((host, 0))

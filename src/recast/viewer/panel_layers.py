@@ -61,8 +61,7 @@ class ComparePanel:
         gui = server.gui
         names = dict.fromkeys(
             name
-            for arms in playback.inputs.scenarios.values()
-            for drive in arms.values()
+            for drive in playback.inputs.drives
             for name, mount in drive.cameras.items()
             if mount.film is not None
         )
@@ -93,7 +92,7 @@ class ComparePanel:
         if not self._on.value:
             return
         drives = self._playback.inputs.scenarios[self._playback.scenario]
-        step = self._playback.clock.step
+        step = self._playback.step
         for arm, pane in zip(self._arms, self._panes, strict=True):
             drive = drives.get(arm.value)
             pane.image = _NOTHING if drive is None else _picture(drive, self._camera.value, step)
@@ -215,7 +214,7 @@ class ExactPanel:
     def _work(self) -> None:
         while not self._over.wait(_LOOK_EVERY):
             playback = self._playback
-            if not self._on.value or playback.clock.playing or not self._view.can(playback.arm):
+            if not self._on.value or playback.playing or not self._view.can(playback.arm):
                 continue
             for client in self._server.get_clients().values():
                 number = client.client_id
@@ -229,9 +228,7 @@ class ExactPanel:
 
     def _draw(self, client: viser.ClientHandle, moved: float) -> None:
         playback = self._playback
-        picture = self._view.picture(
-            playback.arm, playback.drive, playback.clock.step, browser(client)
-        )
+        picture = self._view.picture(playback.arm, playback.drive, playback.step, browser(client))
         if self._moved.get(client.client_id) == moved:  # it still rests
             depth = np.full(picture.shape[:2], _BEFORE_ALL)
             client.scene.set_background_image(picture, format="jpeg", depth=depth)

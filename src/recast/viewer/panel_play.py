@@ -115,7 +115,7 @@ class PlayPanel:
     def __init__(self, server: viser.ViserServer, playback: Playback) -> None:
         self._server, self._playback = server, playback
         self._riding: dict[int, str] = {}
-        gui, clock = server.gui, playback.clock
+        gui = server.gui
         self._scenario = gui.add_dropdown("Scenario", self._scenarios())
         self._arm = gui.add_dropdown("Arm", playback.arms)
         self._slider = gui.add_slider("Step", 0, _last(playback.drive), 1, 0)
@@ -130,9 +130,9 @@ class PlayPanel:
         self._slider.on_update(lambda event: self._by_hand(event, self._slider.value))
         self._scenario.on_update(lambda event: self._select(event, scenario=self._scenario.value))
         self._arm.on_update(lambda event: self._select(event, arm=self._arm.value))
-        self._play.on_click(lambda _: playback.play(not clock.playing))
+        self._play.on_click(lambda _: playback.play(not playback.playing))
         self._steps.on_click(lambda _: playback.by(int(self._steps.value)))
-        self._speed.on_update(lambda _: setattr(clock, "speed", float(self._speed.value)))
+        self._speed.on_update(lambda _: setattr(playback, "speed", float(self._speed.value)))
         self._go_event.on_click(lambda _: self._to_event())
         self._go_look.on_click(lambda event: self._to_look(event.client))
         server.on_client_disconnect(lambda client: self._riding.pop(client.client_id, None))
@@ -163,12 +163,12 @@ class PlayPanel:
             self._event.options = _events(drive)
             self._look.options = look_names(drive)
         if change in ("drive", "step"):
-            step = playback.clock.step
+            step = playback.step
             self._slider.value = step
             self._time.content = f"{step * drive.dt:.1f} of {(len(drive) - 1) * drive.dt:.1f} s"
             self._ride()
         if change == "playing":
-            self._play.label = "Pause" if playback.clock.playing else "Play"
+            self._play.label = "Pause" if playback.playing else "Play"
 
     def _to_event(self) -> None:
         number = _events(self._playback.drive).index(self._event.value)
@@ -184,14 +184,14 @@ class PlayPanel:
             return
         if what == "ride along":
             self._riding[client.client_id] = self._look.value
-        aim(client, look(self._playback.drive, self._look.value, self._playback.clock.step))
+        aim(client, look(self._playback.drive, self._look.value, self._playback.step))
 
     def _ride(self) -> None:
         """Take along the windows that follow a camera."""
         clients, drive = self._server.get_clients(), self._playback.drive
         for number, name in tuple(self._riding.items()):
             if number in clients and name in look_names(drive):
-                aim(clients[number], look(drive, name, self._playback.clock.step))
+                aim(clients[number], look(drive, name, self._playback.step))
 
 
 def aim(client: viser.ClientHandle, where: Look) -> None:

@@ -26,10 +26,10 @@ from recast.simulation import (
     prepare,
     scenario_record,
 )
+from recast.simulation.actor_motion import Quantity
 from recast.simulation.motions import Stationary
 from recast.simulation.scenario import (
     MOTION_SCHEMAS,
-    Quantity,
     kind_of,
     motion_numbers,
     target_motion,
@@ -150,9 +150,7 @@ class RunPanel:
     def _put_start(self, prepared: PreparedRollout) -> None:
         pose = prepared.world_from_actor[0]
         self._gizmo.position = pose[:3, 3]
-        heading = np.eye(4)
-        heading[:3, :3] = se3.rotation_z(se3.yaw(pose))[:3, :3]
-        self._gizmo.wxyz = se3.matrix_to_quat(heading[:3, :3])
+        self._gizmo.wxyz = se3.matrix_to_quat(se3.rotation_z(se3.yaw(pose))[:3, :3])
 
     def _drag(self, phase: str) -> None:
         """Turn the place to which the start was dragged into numbers, once it is let go."""

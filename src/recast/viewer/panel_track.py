@@ -32,7 +32,7 @@ class Evidence:
     """What is known of a track.
 
     Attributes:
-        lines: for people.
+        lines: text for people.
         crops: (H, W, 3) RGB with what is beside the vehicle faded, the best one first, and what
             each of them is.
     """
@@ -100,14 +100,7 @@ class TrackPanel:
         self._server, self._playback = server, playback
         self._lock = Lock()
         self._gather = lru_cache(maxsize=_MOST_KEPT)(self._evidence)
-        tracks = sorted(
-            {
-                t
-                for arms in playback.inputs.scenarios.values()
-                for drive in arms.values()
-                for t in drive.poses
-            }
-        )
+        tracks = sorted({track for drive in playback.inputs.drives for track in drive.poses})
         gui = server.gui
         self._tracks = gui.add_dropdown("Track", tuple(tracks) or ("none",))
         self._show = gui.add_button("Show what was seen of it")

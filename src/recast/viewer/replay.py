@@ -52,7 +52,6 @@ def write_replay(
     port of this machine that only this machine reaches.
 
     Args:
-        inputs: what is shown.
         path: file to write; one that is there is replaced.
         scenario: which one; None for the first.
         most_mb: size of the file at most, in 1e6 bytes.

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from recast.actors import Actor
-from recast.actors.turntable import coloured_by_shares
+from recast.actors.drawing import coloured_by_shares
 from recast.arrays import Array
 from recast.geometry import se3
 from recast.reporting.palette import SHARES
@@ -52,7 +51,6 @@ class SplatNodes:
 
     Args:
         server: gets the nodes, all of them invisible.
-        inputs: what is shown.
         most: number of Gaussians at most, without the sky, of the arms of one `add`.
 
     Attributes:
@@ -63,6 +61,7 @@ class SplatNodes:
         self._server, self._inputs, self._most = server, inputs, most
         self._lock = RLock()
         self._parts: dict[int, _Part] = {}
+        self._domes: dict[str, str] = {}
         self._streets: dict[str, tuple[str, str]] = {}
         self._actors: dict[str, dict[str, str]] = {}
         self._coverage: dict[str, dict[str, str]] = {}
@@ -131,13 +130,9 @@ class SplatNodes:
             name = f"/street/{len(parts)}"
             values = importance(scene.background, path_distances(scene.background, path))
             parts[key] = _Part(name, scene.background, _eyes(path), values)
-            dome = f"/sky/{len(parts)}"
-            self._add(dome, sky_dome(scene.sky, _middle(path, scene)))
-            self._streets[arm] = name, dome
-        else:
-            self._streets[arm] = next(
-                nodes for nodes in self._streets.values() if nodes[0] == parts[key].name
-            )
+            self._domes[name] = f"/sky/{len(parts)}"
+            self._add(self._domes[name], sky_dome(scene.sky, _middle(path, scene)))
+        self._streets[arm] = parts[key].name, self._domes[parts[key].name]
         found, names = [parts[key]], {}
         for track, actor in scene.actors.items():
             key = id(actor.gaussians)
@@ -167,18 +162,15 @@ class SplatNodes:
         )
 
     def _add_coverage(self, arm: str) -> None:
+        """Actors with shares in the colours of what was seen, mirrored and invented."""
         self._coverage[arm] = {}
+        colours = np.array(list(SHARES.values())) / 255
         for track, actor in self._inputs.actors.get(arm, {}).items():
             if actor.shares is not None:
                 name = f"/coverage/{len(self._handles)}"
-                self._add(name, coverage_splats(actor))
+                coloured = coloured_by_shares(actor, colours.tolist()).gaussians
+                self._add(name, baked(coloured, torch.zeros(0, 3)))
                 self._coverage[arm][track] = name
-
-
-def coverage_splats(actor: Actor) -> Splats:
-    """An actor with shares in the colours of what was seen, mirrored and invented."""
-    colours = np.array(list(SHARES.values())) / 255
-    return baked(coloured_by_shares(actor, colours.tolist()).gaussians, torch.zeros(0, 3))
 
 
 def _first_drive(inputs: ViewInputs, arm: str) -> Drive:

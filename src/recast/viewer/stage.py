@@ -50,8 +50,6 @@ class Stage:
     """The nodes of a viser scene.
 
     Args:
-        server: gets the nodes.
-        inputs: what is shown.
         most: number of Gaussians of an arm at most.
         arms: those that are sent at once; the others when they are first shown, or by `splats.add`.
         layers: names of `LAYERS` that are on; None for those that suit the inputs.
@@ -129,9 +127,7 @@ class Stage:
         on = {"splats", "sky", "boxes", "lanes", "cameras", "ego", "plans"}
         if not self.splats.handles:
             on.add("LiDAR")
-        elif not any(
-            d.controlled for arms in self.inputs.scenarios.values() for d in arms.values()
-        ):
+        elif not any(drive.controlled for drive in self.inputs.drives):
             on.discard("boxes")  # a recording has many, which hide what was reconstructed
         return on
 
@@ -200,7 +196,7 @@ class Stage:
         return name
 
     def _outline(self, name: str, size: Array, colour: palette.Colour) -> None:
-        edges = box_edges(size).astype(np.float32)
+        edges = boxes.corners(size)[np.array(boxes.EDGES)].astype(np.float32)
         self._server.scene.add_line_segments(name, edges, colour, thickness=0.03)
 
     def _ego(self, drive: Drive, shown: Shown, rig: Array) -> dict[str, Array | None]:
@@ -291,12 +287,6 @@ class Stage:
                 visible=name in self._seen,
             )
         return {name: None} if name in self._nodes else {}
-
-
-def box_edges(size: Array) -> Array:
-    """The twelve edges (12, 2, 3) of a box (3,) about the origin."""
-    found: Array = boxes.corners(size)[np.array(boxes.EDGES)]
-    return found
 
 
 def place(handle: Any, pose: Array) -> None:

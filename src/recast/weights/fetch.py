@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fnmatch
-import functools
 import importlib
 import shutil
 from collections.abc import Callable
@@ -106,7 +105,10 @@ def _fill(weights: Weights, partial: Path, progress: Progress) -> None:
     _require_space(weights, plan, partial)
     fetched: dict[str, FileRecord] = {}
     for file in plan.files:
-        step = functools.partial(_report, progress, file)
+
+        def step(came: int, file: transfer.RemoteFile = file) -> None:
+            progress(file.path, came, file.size)
+
         fetched[file.path] = transfer.download(file, targets[file.path], step)
     if weights.converter:
         module, _, function = weights.converter.partition(":")
@@ -119,10 +121,6 @@ def _fill(weights: Weights, partial: Path, progress: Progress) -> None:
         files=written_files(partial, weights.converted, fetched),
     )
     files.write_json(partial / RECORD_FILE, record.model_dump(mode="json"))
-
-
-def _report(progress: Progress, file: transfer.RemoteFile, came: int) -> None:
-    progress(file.path, came, file.size)
 
 
 def _finish(partial: Path, folder: Path) -> None:

@@ -38,11 +38,7 @@ def weights_folder(*parts: str) -> Path:
 def place(part: str, name: str) -> Path | None:
     """The folder or file that a name of published weights stands for, checked before it is used.
 
-    Args:
-        part: kind of exchangeable part, such as "generator", see `Weights.part`.
-
-    Returns:
-        None if it is no name of weights for that part.
+    None if it is no name of weights for that `part`, such as "generator", see `Weights.part`.
 
     Raises:
         InputError: they were not fetched, changed on disk, or are not those that the table pins.
@@ -80,7 +76,6 @@ def opened(weights: Weights) -> Path:
     Raises:
         InputError: see `place`.
     """
-
     folder = weights_folder(weights.name)
     get = f"run `recast weights get {weights.name}`"
     if not (folder / RECORD_FILE).is_file():
@@ -95,7 +90,6 @@ def opened(weights: Weights) -> Path:
 
 def is_fetched(name: str) -> bool:
     """Whether weights are here; their bytes are not looked at."""
-
     return (weights_folder(name) / RECORD_FILE).is_file()
 
 
@@ -197,11 +191,9 @@ def remember(folder: Path, record: WeightsRecord) -> None:
 def written_files(
     folder: Path, leave: Collection[str], known: Mapping[str, FileRecord]
 ) -> dict[str, FileRecord]:
-    """The files below a folder by relative name; those that begin with a dot are temporary.
+    """The files below a folder by relative name, but those to `leave`; `known` were read already.
 
-    Args:
-        leave: names of files that are left out.
-        known: files that were read already.
+    Names that begin with a dot are temporary.
     """
     found = {}
     for path in sorted(folder.rglob("*")):

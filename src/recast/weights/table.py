@@ -222,11 +222,11 @@ def _one_file(
     gigabytes: float,
     licence: Licence,
     address: str,
-    file: str,
     sha256: str,
 ) -> Weights:
-    """An entry that is one file of a web address, which stands for the name."""
-    source = Source(address, (file,), licence, sha256={file: sha256})
+    """An entry that is the one file of an address, which stands for the name."""
+    folder, _, file = address.rpartition("/")
+    source = Source(folder, (file,), licence, sha256={file: sha256})
     return Weights(name, use, (option,), gigabytes, (source,), opens=file)
 
 
@@ -343,8 +343,7 @@ _TABLE = (
         "--lpips-weights",
         0.2,
         _TORCHVISION,
-        _PYTORCH,
-        "alexnet-owt-7be5be79.pth",
+        f"{_PYTORCH}/alexnet-owt-7be5be79.pth",
         "7be5be791159472b1fbf3c69796f7cb30dca7ad8466c2df70058c37116cdee02",
     ),
     _one_file(
@@ -353,8 +352,7 @@ _TABLE = (
         "--lpips-weights",
         0.6,
         _TORCHVISION,
-        _PYTORCH,
-        "vgg16-397923af.pth",
+        f"{_PYTORCH}/vgg16-397923af.pth",
         "397923af8e79cdbb6a7127f12361acd7a2f83e06b05044ddf496e83de57a5bf0",
     ),
     _one_file(
@@ -363,7 +361,7 @@ _TABLE = (
         "--inception",
         0.1,
         Licence("Apache-2.0", "https://github.com/mseitzer/pytorch-fid/blob/master/LICENSE"),
-        "https://github.com/mseitzer/pytorch-fid/releases/download/fid_weights",
+        "https://github.com/mseitzer/pytorch-fid/releases/download/fid_weights/"
         "pt_inception-2015-12-05-6726825d.pth",
         "6726825d0af5f729cebd5821db510b11b1cfad8faad88a03f1befd49fb9129b2",
     ),
@@ -405,7 +403,7 @@ _TABLE = (
         0.004,
         Licence("Apache-2.0", "https://github.com/christophschuhmann/improved-aesthetic-predictor"),
         "https://raw.githubusercontent.com/christophschuhmann/"
-        "improved-aesthetic-predictor/6934dd81792f086e613a121dbce43082cb8be85e",
+        "improved-aesthetic-predictor/6934dd81792f086e613a121dbce43082cb8be85e/"
         "sac+logos+ava1-l14-linearMSE.pth",
         "21dd590f3ccdc646f0d53120778b296013b096a035a2718c9cb0d511bff0f1e0",
     ),

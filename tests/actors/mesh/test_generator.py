@@ -15,10 +15,11 @@ from recast.actors import MeshGenerator, Observation, register
 from recast.actors.mesh.generator import surfels
 from recast.actors.mesh.sample import Outside, outside, sample
 from recast.actors.mesh.triangles import Material, Triangles
-from recast.actors.template.lighting import CLEAR_DAY, SH_C0
+from recast.actors.template.lighting import CLEAR_DAY
 from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from recast.splats import MIP, Gaussians, rasterize
+from recast.splats.sh import C0
 
 
 def of_box(
@@ -31,7 +32,7 @@ def of_box(
 
 
 def colours(gaussians: Gaussians) -> np.ndarray:
-    return 0.5 + SH_C0 * gaussians.sh[:, 0].numpy()
+    return 0.5 + C0 * gaussians.sh[:, 0].numpy()
 
 
 def picture_from_above(gaussians: Gaussians, pixels: int = 40) -> tuple[np.ndarray, np.ndarray]:

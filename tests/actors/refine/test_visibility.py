@@ -8,9 +8,10 @@ import torch
 
 from actors import made_up_evidence
 from recast.actors.coverage import Shares
+from recast.actors.drawing import draw
 from recast.actors.refine.surroundings import Layers, make_layers
 from recast.actors.refine.visibility import follow_paint, pixel_weights, visibility_of
-from recast.splats import CLASSIC, Gaussians, rasterize
+from recast.splats import CLASSIC, Gaussians
 from recast.splats.sh import C0
 
 FROM_LEFT = np.linspace(0.3, 0.7, 6) * np.pi
@@ -29,7 +30,7 @@ def test_weights_are_the_picture_s_opacity(red_car: Gaussians, layers: list[Laye
     camera = view.sighting.camera
     pixels = torch.rand(camera.height, camera.width, generator=torch.Generator().manual_seed(0))
     weights = pixel_weights(red_car, CLASSIC, view, pixels)
-    alpha = rasterize(red_car, view.camera_from_world, view.K, camera.width, camera.height).alpha
+    alpha = draw(red_car, view.camera_from_world, camera).alpha
     wanted = float((alpha * pixels).sum())
     assert float(weights.sum()) == pytest.approx(wanted, rel=1e-4)
     assert float(weights.min()) >= 0
@@ -38,7 +39,7 @@ def test_weights_are_the_picture_s_opacity(red_car: Gaussians, layers: list[Laye
 def test_layers_put_the_picture_together_again(red_car: Gaussians, layers: list[Layers]) -> None:
     view = layers[2]
     camera = view.sighting.camera
-    drawn = rasterize(red_car, view.camera_from_world, view.K, camera.width, camera.height)
+    drawn = draw(red_car, view.camera_from_world, camera)
     shown = view.around(drawn.rgb, drawn.alpha).clamp(0, 1)
     # The image was quantised; its gain is that of an even grey, which is one.
     difference = (shown - torch.from_numpy(view.sighting.image).float() / 255).abs()

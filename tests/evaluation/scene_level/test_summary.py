@@ -13,9 +13,10 @@ from pretrained.tiny import write_clip
 from recast.core.errors import InputError
 from recast.evaluation.scene_level.files import table_markdown, warnings
 from recast.evaluation.scene_level.frames import LoggedFrame, RolloutFrame
-from recast.evaluation.scene_level.networks import Networks, SeenImage
 from recast.evaluation.scene_level.scores import (
     Features,
+    Networks,
+    SeenImage,
     image_scores,
     load_features,
     save_features,
@@ -175,7 +176,7 @@ def test_features_come_back_and_damage_is_one_line(tmp_path: Path) -> None:
     save_features({**given, "lpips": np.zeros(3)}, path)
     with pytest.raises(InputError, match="lpips: has 3 rows, not 12"):
         load_features(path)
-    with pytest.raises(InputError, match="are missing"):
+    with pytest.raises(InputError, match="is missing"):
         load_features(tmp_path / "none.npz")
 
 

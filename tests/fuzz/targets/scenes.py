@@ -64,7 +64,7 @@ def _actor() -> Actor:
 
 
 def _write_config(folder: Path) -> None:
-    write_json(folder / "config.json", SceneConfig().resolved())
+    write_json(folder / "config.json", SceneConfig().model_dump(mode="json"))
 
 
 def _write_mesh(folder: Path) -> None:

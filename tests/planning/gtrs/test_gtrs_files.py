@@ -103,11 +103,11 @@ FAULTS: dict[str, tuple[Callable[[State], State], str]] = {
     ),
     "shape": (
         _with("_status_encoding.weight", torch.zeros(32, 9)),
-        r"_status_encoding.weight: has shape \(32, 9\), the model \(32, 8\)",
+        r"_status_encoding.weight: is float32 \[32, 9\], not float32 \[32, 8\]",
     ),
     "type": (
         _with("_status_encoding.bias", torch.zeros(32, dtype=torch.int64)),
-        r"_status_encoding.bias: holds torch.int64",
+        r"_status_encoding.bias: is int64",
     ),
     "not finite": (
         _with("_status_encoding.bias", torch.full((32,), torch.nan)),

@@ -9,7 +9,7 @@ import pytest
 
 from recast.geometry import PinholeCamera
 from recast.planning.gtrs import Lens
-from recast.planning.gtrs.views import NUPLAN_CAMERA
+from recast.planning.views import NUPLAN_CAMERA
 
 SMALL = NUPLAN_CAMERA.resized(240, 135)
 

@@ -11,15 +11,16 @@ from recast.planning import make_planner
 from recast.planning.gtrs import BackboneConfig, GtrsConfig, StageConfig
 from recast.planning.gtrs_training.evaluate import truth_sheet
 from recast.planning.gtrs_training.samples import SampleStore
-from recast.planning.gtrs_training.settings import (
+from recast.planning.gtrs_training.task import (
     HALF_VIEWS,
     MINI,
     MINI_VIEWS,
+    ClueReader,
+    GtrsTask,
     PlannerTrainingConfig,
     chosen_training,
     first_model,
 )
-from recast.planning.gtrs_training.task import ClueReader, GtrsTask
 from recast.planning.gtrs_training.train import export_planner, train_planner
 from recast.planning.gtrs_training.vocabulary import mirror_index
 from recast.recar.training.state import STATE_FILE
@@ -177,6 +178,6 @@ def test_the_store_knows_twins_and_holds_out_whole_worlds(small_dataset: Path) -
     np.testing.assert_array_equal(store.twin[store.twin], np.arange(20))
     assert set(store.worlds[store.held_out]) == {9}
     assert store.image(3).shape == (128, 512, 3)
-    assert truth_sheet(store, 0, 3).image.shape == (3 * 128, 512 + 256, 3)
+    assert truth_sheet(store, 0, 3).shape == (3 * 128, 512 + 256, 3)
     with pytest.raises(InputError, match="there are 20"):
         truth_sheet(store, 18, 3)

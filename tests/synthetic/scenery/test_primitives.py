@@ -6,15 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recast.synthetic.scenery.primitives import (
-    STROKES,
     Panels,
     at,
     boxes,
     lathe,
     prism,
-    text_quads,
     tube,
 )
+from recast.synthetic.scenery.signs import STROKES, text_quads
 from recast.synthetic.scenery.trees import directions, icosphere
 from recast.synthetic.surface import Surface
 

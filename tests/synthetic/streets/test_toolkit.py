@@ -153,7 +153,7 @@ class TestTriangles:
         assert len(Decals().surface()) == 0
 
 
-EDGE = Edge(True, (Band(3.0, PAVING, "concrete"),), (GRASS, "grass"))
+EDGE = Edge(True, (Band(3.0, PAVING),), GRASS)
 
 
 def ground() -> Ground:

@@ -20,7 +20,7 @@ from recast.synthetic.vehicles import (
     sample_vehicle,
     vehicle_parts,
 )
-from recast.synthetic.vehicles.build import KIND_SHARES
+from recast.synthetic.vehicles.parameters import KIND_SHARES
 
 trimesh = pytest.importorskip("trimesh")
 

@@ -30,13 +30,14 @@ from recast.actors.template.cloud import (
     shell_groups,
     tangents,
 )
-from recast.actors.template.lighting import SH_C0, Daylight, fit_harmonics, road_level
+from recast.actors.template.lighting import Daylight, fit_harmonics, road_level
 from recast.arrays import Int64Array
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.geometry.colour import linear_to_gamma
 from recast.splats import MIP, Gaussians
 from recast.splats.gaussians import concatenate
+from recast.splats.sh import C0
 
 _READERS = {".glb": (read_glb, files_of_glb), ".obj": (read_obj, files_of_obj)}
 MESH_SUFFIXES = tuple(_READERS)
@@ -238,5 +239,5 @@ def _shells(closed: Samples, floor: float, light: Daylight, windows: bool) -> li
     step = torch.from_numpy(inwards).float()
     near, far = (replace(sheet, means=sheet.means + depth * step) for depth in _SHELL_DEPTHS)
     dark = torch.zeros_like(far.sh)
-    dark[:, 0] = (_DARK - 0.5) / SH_C0
+    dark[:, 0] = (_DARK - 0.5) / C0
     return [near, replace(far, sh=dark)] if windows else [near]

@@ -1,8 +1,8 @@
 """glTF 2.0 in a binary file (GLB): the triangles of a scene with their base colours.
 
-Khronos, glTF 2.0 Specification, sections 3.5 to 3.9 and 4.4. Not through trimesh: it takes memory
-before sizes can be checked, leaves out pictures that it cannot open without a word, and knows
-neither quantised attributes nor transmission, which is how glass is written today. Arrays stay
+Khronos, glTF 2.0 Specification, sections 3.5 to 3.9 and 4.4. Not through trimesh (5.2): it takes
+memory before sizes can be checked, leaves out pictures that it cannot open without a word, and
+knows neither texture transforms nor transmission, which is how glass is written today. Arrays stay
 where they lie in the file, so that what a file claims takes no memory.
 """
 
@@ -62,14 +62,12 @@ _CLEAREST = 0.08  # alpha of glass that transmits everything: what its two faces
 
 
 class GlbFile:
-    """An open file.
-
-    Attributes:
-        path: of the file.
-        tree: its JSON chunk.
+    """An open file; `tree` is its JSON chunk.
 
     Raises:
-        InputError: no whole GLB, a member that is missing or out of range, or compressed.
+        InputError: no whole GLB, a member that is missing or out of range, or compressed. Also from
+            the methods: there is no such member, it is wrong, of another width or with too few
+            rows, or not all of it is there.
     """
 
     def __init__(self, path: Path) -> None:
@@ -93,21 +91,13 @@ class GlbFile:
         return InputError(self.path, field, problem, _MEND)
 
     def at(self, members: Sequence[One], index: int, field: str) -> One:
-        """The member that `field` names by its index.
-
-        Raises:
-            InputError: there is none.
-        """
+        """The member that `field` names by its index."""
         if not 0 <= index < len(members):
             raise self.fault(field, f"is {index}, of {len(members)}")
         return members[index]
 
     def extension(self, owner: Part, name: str, kind: type[Kind]) -> Kind | None:
-        """An extension of an object; None if it has none of that name.
-
-        Raises:
-            InputError: a member of it is wrong.
-        """
+        """An extension of an object; None if it has none of that name."""
         if name not in owner.extensions:
             return None
         try:
@@ -117,11 +107,7 @@ class GlbFile:
             raise self.fault(f"{name}.{fault.field}", fault.problem) from None
 
     def view(self, index: int, field: str) -> memoryview:
-        """The bytes of a buffer view.
-
-        Raises:
-            InputError: there is none, or not all of it is there.
-        """
+        """The bytes of a buffer view."""
         view = self.at(self.tree.buffer_views, index, field)
         buffer = self._buffer(view.buffer)
         end = view.byte_offset + view.byte_length
@@ -130,11 +116,7 @@ class GlbFile:
         return buffer[view.byte_offset : end]
 
     def array(self, index: int, field: str, widths: tuple[int, ...]) -> NDArray[Any]:
-        """An accessor's numbers (N, width), where they lie.
-
-        Raises:
-            InputError: there is none, it is of another width, or not all of it is there.
-        """
+        """An accessor's numbers (N, width), where they lie; its width is one of `widths`."""
         accessor = self.at(self.tree.accessors, index, field)
         width = _WIDTHS.get(accessor.type, 0)
         if width not in widths:
@@ -157,9 +139,6 @@ class GlbFile:
         """An accessor's numbers at the corners of faces (F, 3), (F, 3, width); shares as such.
 
         Only what is asked for becomes floats: primitives may share one array of all vertices.
-
-        Raises:
-            InputError: see `array`; or it has too few rows.
         """
         values = self.array(index, field, widths)
         if len(faces) and faces.max() >= len(values):

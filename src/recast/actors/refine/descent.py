@@ -13,13 +13,14 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from recast.actors.actor import Actor
-from recast.actors.icp import outer_surface
+from recast.actors.drawing import draw
+from recast.actors.icp import outer_surface, thinned
 from recast.actors.refine.parameters import FIELDS, Bend, FreeGaussians, PoseOffsets
 from recast.actors.refine.surroundings import Layers
 from recast.scene.appearance import mirrored
 from recast.scene.losses import photometric_loss
 from recast.scene.schedule import generator, picked_view
-from recast.splats import Gaussians, LowPass, rasterize
+from recast.splats import Gaussians, LowPass
 
 SSIM_WEIGHT = 0.2
 OUTLINE_WEIGHT = 0.5
@@ -72,16 +73,7 @@ def view_loss(
     pose = layers.camera_from_world @ layers.world_from_object
     if offset is not None:
         pose = pose @ offset
-    camera = layers.sighting.camera
-    drawn = rasterize(
-        gaussians,
-        pose,
-        layers.K,
-        camera.width,
-        camera.height,
-        eps2d=low_pass.variance,
-        antialiased=low_pass.antialiased,
-    )
+    drawn = draw(gaussians, pose, layers.sighting.camera, low_pass)
     compared = layers.compared[..., None]
     shown = layers.around(drawn.rgb, drawn.alpha)
     # Beside the vehicle both are the target, so that nothing there is explained by the vehicle.
@@ -93,22 +85,6 @@ def view_loss(
         photometric_loss(shown, layers.target, SSIM_WEIGHT) / area,
         missed.sum() / layers.compared.sum().clamp(min=1.0),
     )
-
-
-def mean_loss(
-    gaussians: Gaussians,
-    low_pass: LowPass,
-    views: Sequence[Layers],
-    offsets: Sequence[Tensor | None],
-) -> float:
-    """Mean loss over images, each weighted as its sighting; nan without one."""
-    with torch.no_grad():
-        losses = [
-            float(view_loss(gaussians, low_pass, view, offset).total) * view.sighting.weight
-            for view, offset in zip(views, offsets, strict=True)
-        ]
-    weight = sum(view.sighting.weight for view in views)
-    return sum(losses) / weight if weight else float("nan")
 
 
 @dataclass(frozen=True)
@@ -170,12 +146,16 @@ class Task:
         return weight * view_loss(gaussians, self.low_pass, view, offset).total
 
     def judged(self, gaussians: Gaussians, poses: PoseOffsets | None) -> float:
-        """Mean loss on the held-back images; nan without one."""
-        offsets = [
-            None if poses is None else poses.at(view.sighting.timestamp_us).detach()
-            for view in self.held
-        ]
-        return mean_loss(gaussians, self.low_pass, self.held, offsets)
+        """Mean loss on the held-back images, each weighted as its sighting; nan without one."""
+        total = weight = 0.0
+        with torch.no_grad():
+            for view in self.held:
+                sighting = view.sighting
+                offset = None if poses is None else poses.at(sighting.timestamp_us)
+                loss = view_loss(gaussians, self.low_pass, view, offset).total
+                total += float(loss) * sighting.weight
+                weight += sighting.weight
+        return total / weight if weight else math.nan
 
 
 def fit_shape(
@@ -196,7 +176,7 @@ def fit_shape(
     surface = outer_surface(prior)
     points = torch.from_numpy(surface.points).float()
     normals = torch.from_numpy(surface.normals).float()
-    lidar = torch.from_numpy(hits[:: max(1, -(-len(hits) // _LIDAR_POINTS))])
+    lidar = torch.from_numpy(thinned(hits, _LIDAR_POINTS))
     nearest = torch.zeros(0, dtype=torch.int64)
     parameters = {**bend.parameters(), "poses": poses.values}
     optimiser = _adam(parameters, {**_SHAPE_RATES, "poses": _POSE_RATE})

@@ -1,7 +1,7 @@
 """What a refinement moves: the whole vehicle, then every Gaussian, and how far each may go.
 
-The whole: place, size, a smooth field of offsets, and the poses of its track. Symmetric to the
-plane between left and right, so that the side that was seen bends the other one.
+The whole: place, size, a smooth field of offsets, and the poses of its track. It is symmetric to
+the plane between left and right: the side that was seen bends the other.
 """
 
 from __future__ import annotations

@@ -17,17 +17,24 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from recast.actors.actor import Actor, Refinement
+from recast.actors.actor import Actor, Refinement, triple
 from recast.actors.evidence import Evidence
 from recast.actors.insert import darkened
 from recast.actors.refine.descent import FreeDescent, Steps, Task, fit_shape
-from recast.actors.refine.parameters import Bend, FreeGaussians, PoseOffsets, split, split_rows
+from recast.actors.refine.parameters import (
+    FIELDS,
+    Bend,
+    FreeGaussians,
+    PoseOffsets,
+    split,
+    split_rows,
+)
 from recast.actors.refine.surroundings import make_layers, shadow_evidence
 from recast.actors.refine.visibility import follow_paint, visibility_of
 from recast.core.progress import Progress
 from recast.logs import Trajectory
 from recast.scene import StreetScene
-from recast.scene.appearance import DEFORMABLE
+from recast.scene.dynamic import DEFORMABLE
 from recast.scene.tensor_file import read_tensors, write_tensors
 from recast.splats import Gaussians
 
@@ -58,7 +65,7 @@ def refine(
         steps: how many; those of `Steps` if None.
         checkpoint: file to go on from after a kill, and to be removed by whoever keeps the result;
             one of another task is written anew.
-        progress: told the number of steps done, and of all.
+        progress: called with the number of steps done, and of all.
 
     Raises:
         InputError: the checkpoint is broken, or the disk refuses.
@@ -69,7 +76,8 @@ def refine(
     count = len(evidence.sightings)
     if count < LEAST_IMAGES:
         note = f"not refined: {count} usable images, at least {LEAST_IMAGES} are needed"
-        return _unrefined(actor, evidence, note)
+        left_out = dict(Counter(evidence.left_out))
+        return _reported(actor, Refinement(images=count, left_out=left_out, notes=(note,)))
     views = make_layers(scene, evidence, actor.shadow)
     told = shadow_evidence(actor, scene, views)
     views = [replace(view, shade=told.darkness * view.shade) for view in views]
@@ -107,9 +115,9 @@ def refine(
         loss_after=loss_after,
         kept=better,
         steps=descent.index,
-        moved=_triple(bend.move),
+        moved=triple(bend.move.detach()),
         turned=float(bend.turn.detach()),
-        grew=_triple(bend.grow.exp()),
+        grew=triple(bend.grow.detach().exp()),
         pose_correction=_correction(poses, times),
         shadow=told.darkness,
         seen=_surface_share(refined, shares.seen),
@@ -165,7 +173,7 @@ def _descend(
 def _identity(actor: Actor, evidence: Evidence, seed: int) -> str:
     """Hash of what a descent starts from."""
     digest = hashlib.sha256(f"{seed} {actor.track_id}".encode())
-    for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
+    for name in FIELDS:
         digest.update(getattr(actor.gaussians, name).contiguous().numpy().tobytes())
     for sighting in evidence.sightings:
         for part in (sighting.image, sighting.mask, sighting.trust, sighting.camera_from_object):
@@ -173,35 +181,8 @@ def _identity(actor: Actor, evidence: Evidence, seed: int) -> str:
     return digest.hexdigest()
 
 
-def _unrefined(actor: Actor, evidence: Evidence, note: str) -> Actor:
-    nothing = Refinement(
-        images=len(evidence.sightings),
-        held_back=0,
-        left_out=dict(Counter(evidence.left_out)),
-        loss_before=None,
-        loss_bent=None,
-        loss_after=None,
-        kept=False,
-        steps=0,
-        moved=(0.0, 0.0, 0.0),
-        turned=0.0,
-        grew=(1.0, 1.0, 1.0),
-        pose_correction=0.0,
-        shadow=1.0,
-        seen=0.0,
-        mirrored=0.0,
-        notes=(note,),
-    )
-    return _reported(actor, nothing)
-
-
 def _reported(actor: Actor, report: Refinement) -> Actor:
     return replace(actor, provenance=actor.provenance.model_copy(update={"refinement": report}))
-
-
-def _triple(values: torch.Tensor) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values.detach())
-    return x, y, z
 
 
 def _correction(poses: PoseOffsets, times: NDArray[np.int64]) -> float:

@@ -18,8 +18,9 @@ import torch
 from torch import Tensor
 
 from recast.actors.actor import Actor
+from recast.actors.drawing import draw
 from recast.actors.evidence import Evidence, Sighting
-from recast.actors.icp import outer_surface
+from recast.actors.icp import outer_surface, thinned
 from recast.arrays import Array
 from recast.geometry import boxes, se3
 from recast.geometry.colour import GAMMA
@@ -27,7 +28,7 @@ from recast.scene import StreetScene
 from recast.scene.light import CastShadow, SceneLight
 from recast.scene.light.sun import DIRECTIONS
 from recast.scene.sky import composite, pixel_coordinates
-from recast.splats import CLASSIC, Gaussians, concatenate, rasterize, refiltered
+from recast.splats import CLASSIC, Gaussians, concatenate, refiltered
 
 _GAINS = (0.8, 1.25)
 _GAIN_PRIOR = 40.0  # pixels' worth of evidence for a gain of one
@@ -52,7 +53,7 @@ class Layers:
         through: (H, W) float32, share of light that passes what is nearer.
         mask, trust: (H, W) float32, see `Sighting`.
         compared: (H, W) float32 in [0, 1], where colours are compared: on the vehicle and its edge.
-        camera_from_world, world_from_object, K: float32 matrices.
+        camera_from_world, world_from_object: (4, 4) float32.
     """
 
     sighting: Sighting
@@ -66,7 +67,6 @@ class Layers:
     compared: Tensor
     camera_from_world: Tensor
     world_from_object: Tensor
-    K: Tensor
 
     def around(self, rgb: Tensor, alpha: Tensor) -> Tensor:
         """The picture (H, W, 3) of a vehicle drawn alone as rgb (H, W, 3) and alpha (H, W)."""
@@ -102,19 +102,8 @@ def _layers(
     street = concatenate(parts).detach()
     nearer = _nearer(street, evidence, sighting)
     with torch.no_grad():
-        front, back = (
-            rasterize(
-                street.select(chosen),
-                view,
-                K,
-                camera.width,
-                camera.height,
-                eps2d=CLASSIC.variance,
-                antialiased=CLASSIC.antialiased,
-            )
-            for chosen in (nearer, ~nearer)
-        )
-        shade = rasterize(cast, view, K, camera.width, camera.height).alpha
+        front, back = (draw(street.select(chosen), view, camera) for chosen in (nearer, ~nearer))
+        shade = draw(cast, view, camera).alpha
         behind = composite(
             back.rgb,
             back.alpha,
@@ -139,7 +128,6 @@ def _layers(
         compared=torch.from_numpy(reach).float() * (trust > 0) * (through > 0.5),
         camera_from_world=view,
         world_from_object=torch.from_numpy(sighting.world_from_object).float(),
-        K=K,
     )
 
 
@@ -244,7 +232,7 @@ def road_pixels(view: Layers, size: Array, floor: float) -> RoadPixels | None:
     near = np.flatnonzero(down & (np.abs(places) < size[:2] / 2 + _REACH_M).all(axis=1))
     if len(near) < _FEWEST:
         return None
-    near = near[:: -(-len(near) // _PIXELS)]
+    near = thinned(near, _PIXELS)
     image, street = (
         layer.numpy()[beside][near].astype(np.float64).mean(axis=1)
         for layer in (view.target, view.street)

@@ -21,10 +21,11 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from recast.actors.coverage import Shares
+from recast.actors.drawing import draw
 from recast.actors.refine.surroundings import Layers
 from recast.arrays import Array
 from recast.scene.appearance import mirrored
-from recast.splats import Gaussians, LowPass, rasterize
+from recast.splats import Gaussians, LowPass
 from recast.splats.gaussians import quat_to_matrix
 from recast.splats.sh import C0
 
@@ -88,15 +89,8 @@ def pixel_weights(
     """
     # One constant colour of its own a Gaussian, far from the clamp at zero.
     white = gaussians.sh.new_zeros(len(gaussians), 1, 3).requires_grad_()
-    drawn = rasterize(
-        replace(gaussians.detach(), sh=white),
-        layers.camera_from_world @ layers.world_from_object,
-        layers.K,
-        layers.sighting.camera.width,
-        layers.sighting.camera.height,
-        eps2d=low_pass.variance,
-        antialiased=low_pass.antialiased,
-    )
+    pose = layers.camera_from_world @ layers.world_from_object
+    drawn = draw(replace(gaussians.detach(), sh=white), pose, layers.sighting.camera, low_pass)
     (drawn.rgb[..., 0] * pixels).sum().backward()
     assert white.grad is not None
     return white.grad[:, 0, 0].abs() / C0
@@ -150,7 +144,7 @@ class _Patches:
 def _metres_a_pixel(view: Layers) -> float:
     """Size of a pixel at the vehicle's middle, metres."""
     depth = (view.camera_from_world @ view.world_from_object)[2, 3]
-    return float(depth / view.K[0, 0])
+    return float(depth / view.sighting.camera.fx)
 
 
 def follow_paint(prior: Gaussians, refined: Gaussians, shares: Shares) -> Gaussians:

@@ -228,10 +228,8 @@ class Body:
 def wheel(body: Body, axle_x: float, spacing: float) -> tuple[Array, Array, Int64Array]:
     """Points (N, 3), outward normals (N, 3) and materials (N,) of the left wheel on one axle.
 
-    A lathed tyre and rim; the gaps between the ten spokes lie 5 cm behind them.
-
-    Args:
-        spacing: metres between points.
+    A lathed tyre and rim; the gaps between the ten spokes lie 5 cm behind them. Points are
+    `spacing` metres apart.
     """
     r, w = body.wheel_radius, body.wheel_width
     profile = np.array(

@@ -22,7 +22,8 @@ from recast.splats.gaussians import Gaussians
 Distance = Callable[[Array], Array]
 Labeller = Callable[[Array, Array], Int64Array]
 
-_MIRROR = np.array([1.0, -1.0, 1.0])
+MIRROR = np.array([1.0, -1.0, 1.0])
+"""Factors that take a side of the vehicle to the other."""
 
 _THICKNESS = 0.002
 COVERAGE = (1.75, 2.1)
@@ -55,25 +56,13 @@ def voxel_ids(points: Array, spacing: float) -> NDArray[np.int64]:
     return (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
 
 
-def voxel_means(points: Array, spacing: float) -> Array:
-    """Mean of the points in each occupied voxel, (M, 3), ordered by voxel."""
-    _, group, count = np.unique(voxel_ids(points, spacing), return_inverse=True, return_counts=True)
-    return np.stack(
-        [np.bincount(group, weights=points[:, axis]) / count for axis in range(3)], axis=-1
-    )
-
-
 def sample(
     distance: Distance, low: Array, high: Array, spacing: float, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     """Points (M, 3) about `spacing` metres apart on the zero level, with outward unit normals.
 
-    A coarse grid finds the cells the surface crosses; random points in them are projected to the
-    surface and thinned to one mean a voxel.
-
-    Args:
-        low, high: (3,) corners of a box around the surface.
-        spacing: metres.
+    A coarse grid of a box around the surface, `low` to `high` (3,), finds the cells the surface
+    crosses; random points in them are projected to the surface and thinned to one mean a voxel.
     """
     cell = 0.08
     axes = [np.arange(a, b + cell, cell) + cell / 2 for a, b in zip(low, high, strict=True)]
@@ -84,7 +73,8 @@ def sample(
     seeds = seeds + rng.uniform(-cell / 2, cell / 2, seeds.shape)
     seeds = project(distance, seeds, steps=2)
     seeds = seeds[np.all((seeds >= low) & (seeds <= high), axis=1)]
-    points = project(distance, voxel_means(seeds, spacing), steps=2)
+    voxel = np.unique(voxel_ids(seeds, spacing), return_inverse=True)[1]
+    points = project(distance, group_means(voxel, seeds)[0], steps=2)
     value = distance(points)
     points, value = points[np.abs(value) < 2e-3], value[np.abs(value) < 2e-3]
     normals = gradient(distance, points, value)
@@ -140,30 +130,18 @@ def build_cloud(body: Body, spacing: float, rng: np.random.Generator) -> Surface
     high = np.array([body.length / 2 + 0.01, body.width / 2 + 0.01, body.height + 0.02])
     points, normals = sample(body.distance, low, high, spacing, rng)
     left = _refined(points, normals, spacing, lambda p, n: label_body(body, p, n))
-    right = _appearance(
-        left[0] * _MIRROR, left[1] * _MIRROR, left[2], lambda p, n: label_body(body, p, n)
-    )
-    sides = [(*left, *right)]
-    extras = [wheel(body, axle, spacing) for axle in body.axles]
-    extras.append(mirror(body, spacing))
-    for points, normals, labels in extras:
-        look = _look(labels)
-        sides.append((points, normals, np.full(len(points), spacing), *look, *look))
-    body_count = len(left[0])
-    joined = [np.concatenate(parts) for parts in zip(*sides, strict=True)]
-    count = len(joined[0])
-    return SurfaceCloud(
-        points=np.concatenate([joined[0], joined[0] * _MIRROR]),
-        normals=np.concatenate([joined[1], joined[1] * _MIRROR]),
-        spacing=np.concatenate([joined[2], joined[2]]),
-        albedo=np.concatenate([joined[3], joined[8]]),
-        gloss=np.concatenate([joined[4], joined[9]]),
-        paint=np.concatenate([joined[5], joined[10]]),
-        glass=np.concatenate([joined[6], joined[11]]),
-        rim=np.concatenate([joined[7], joined[12]]),
-        twin=np.concatenate([np.arange(count) + count, np.arange(count)]),
-        on_body=np.tile(np.arange(count) < body_count, 2),
-    )
+    other = left[0] * MIRROR, left[1] * MIRROR, left[2]
+    right = (*other, *_appearance(*other, lambda p, n: label_body(body, p, n)))
+    lefts, rights = [left], [right]
+    fittings = [wheel(body, axle, spacing) for axle in body.axles]
+    for points, normals, labels in (*fittings, mirror(body, spacing)):
+        rest = (np.full(len(points), spacing), *_look(labels))
+        lefts.append((points, normals, *rest))
+        rights.append((points * MIRROR, normals * MIRROR, *rest))
+    joined = [np.concatenate(parts) for parts in zip(*lefts, *rights, strict=True)]
+    count = len(joined[0]) // 2
+    twin, on_body = np.roll(np.arange(2 * count), count), np.arange(count) < len(left[0])
+    return SurfaceCloud(*[*joined, twin, np.tile(on_body, 2)])
 
 
 def _look(labels: Int64Array) -> tuple[Array, ...]:
@@ -298,13 +276,6 @@ def flat_gaussians(
     cover = np.where(np.bincount(group) > 1, COVERAGE[1], COVERAGE[0])
     deviations = np.stack([major * cover, minor * cover, np.full_like(major, _THICKNESS)], -1)
 
-    def tensor(values: Array) -> torch.Tensor:
-        return torch.as_tensor(values, dtype=torch.float32)
-
-    return Gaussians(
-        means=tensor(centre),
-        quats=tensor(se3.matrix_to_quat(rotation)),
-        log_scales=tensor(np.log(deviations)),
-        logit_opacities=tensor(np.full(len(centre), np.log(opacity / (1 - opacity)))),
-        sh=tensor(sh),
-    )
+    logits = np.full(len(centre), np.log(opacity / (1 - opacity)))
+    parts = centre, se3.matrix_to_quat(rotation), np.log(deviations), logits, sh
+    return Gaussians(*(torch.as_tensor(part, dtype=torch.float32) for part in parts))

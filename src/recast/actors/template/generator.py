@@ -23,7 +23,6 @@ from recast.actors.template.cloud import (
 )
 from recast.actors.template.lighting import (
     CLEAR_DAY,
-    SH_C0,
     Daylight,
     estimate_light,
     estimate_rims,
@@ -43,6 +42,7 @@ from recast.actors.template.texture import (
 from recast.arrays import Array, Int64Array
 from recast.geometry.colour import linear_to_gamma
 from recast.splats import MIP, Gaussians, concatenate
+from recast.splats.sh import C0
 
 _OPACITY = 0.99
 _STYLES = 3  # offered to choose from
@@ -201,5 +201,5 @@ def _harmonics(
     sh = fit_harmonics(albedo, gloss, normals, points[:, 2], light)
     sh[:, 1:] *= (1 - (1 - _VIEW_DEPENDENCE) * weight)[:, None, None]
     modelled = 0.5 + np.einsum("nk,nkc->nc", sh_basis(-views), sh)
-    sh[:, 0] += weight[:, None] * (colour - modelled) / SH_C0
+    sh[:, 0] += weight[:, None] * (colour - modelled) / C0
     return sh

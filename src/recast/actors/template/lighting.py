@@ -22,14 +22,13 @@ from recast.actors.template.materials import SRGB, Material
 from recast.arrays import Array
 from recast.geometry import se3
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
+from recast.splats.sh import C0, C1
 
 if TYPE_CHECKING:
     from recast.actors.template.cloud import SurfaceCloud
     from recast.actors.template.texture import SurfaceView
 
 
-SH_C0 = 0.28209479177387814
-SH_C1 = 0.4886025119029199
 _F0 = 0.04  # reflectance of clear coat and glass at normal incidence
 # Linear light of what a car mirrors on a clear day in a street with trees.
 _SKY = np.array([0.24, 0.44, 0.82])
@@ -67,14 +66,15 @@ CLEAR_DAY = Daylight(1.0, np.ones(3))
 def environment(direction: Array) -> Array:
     """Linear light (..., 3) that arrives from directions (..., 3): road, trees, haze, sky."""
     elevation = np.degrees(np.arcsin(np.clip(direction[..., 2], -1, 1)))[..., None]
-    sky = _ramp(elevation, 7, 18)
-    zenith = _ramp(elevation, 20, 60)
-    ground = _ramp(-elevation, 0, 8)
+    sky = ramp(elevation, 7, 18)
+    zenith = ramp(elevation, 20, 60)
+    ground = ramp(-elevation, 0, 8)
     above = (1 - sky) * _TREES + sky * ((1 - zenith) * _HAZE + zenith * _SKY)
     return (1 - ground) * above + ground * _ROAD
 
 
-def _ramp(x: Array, low: float, high: float) -> Array:
+def ramp(x: Array, low: float | Array, high: float | Array) -> Array:
+    """From 0 at `low` to 1 at `high`, smoothly."""
     t = np.clip((x - low) / (high - low), 0.0, 1.0)
     return t * t * (3 - 2 * t)
 
@@ -108,7 +108,6 @@ def shade(
         albedo: (N, 3) linear diffuse reflectance.
         gloss: (N,) factor on the Fresnel reflection of a clear coat.
         heights: (N,) metres above the ground.
-        light: what falls on it.
     """
     scattered = light.level * albedo * diffuse(normals, heights)
     return linear_to_gamma(scattered + light.mirrored * mirrored(normals, views, gloss))
@@ -125,7 +124,7 @@ def view_directions() -> Array:
 def sh_basis(directions: Array) -> Array:
     """Real harmonics (..., 4) up to degree one of unit directions (..., 3) from eye to surface."""
     x, y, z = np.moveaxis(directions, -1, 0)
-    return np.stack([np.full_like(x, SH_C0), -SH_C1 * y, SH_C1 * z, -SH_C1 * x], axis=-1)
+    return np.stack([np.full_like(x, C0), -C1 * y, C1 * z, -C1 * x], axis=-1)
 
 
 def fit_harmonics(
@@ -147,7 +146,7 @@ def fit_harmonics(
         right[seen] += (facing[seen, v, None] * basis[v])[:, :, None] * (colour - 0.5)[:, None, :]
     # a Gaussian seen from nowhere takes this ridge's target: its diffuse colour in the shade
     ridge = np.array([1e-3, 0.15, 0.15, 0.15])
-    right[:, 0] += ridge[0] * (linear_to_gamma(0.3 * light.level * albedo) - 0.5) / SH_C0
+    right[:, 0] += ridge[0] * (linear_to_gamma(0.3 * light.level * albedo) - 0.5) / C0
     coefficients: Array = np.linalg.solve(normal + np.diag(ridge), right)
     return coefficients
 

@@ -43,57 +43,34 @@ class Material(IntEnum):
     HANDLE = 17
 
 
-_SRGB = {
-    Material.PAINT: (0.40, 0.41, 0.43),  # replaced by the observed paint
-    Material.GLASS: (0.10, 0.11, 0.12),
-    Material.TRIM: (0.15, 0.15, 0.16),
-    Material.SEAM: (0.06, 0.06, 0.06),
-    Material.TYRE: (0.13, 0.13, 0.135),
-    Material.ALLOY: (0.66, 0.67, 0.69),
-    Material.CHROME: (0.72, 0.73, 0.75),
-    Material.LAMP: (0.62, 0.65, 0.68),
-    Material.LAMP_CORE: (0.95, 0.96, 0.98),
-    Material.AMBER: (0.86, 0.45, 0.12),
-    Material.RED: (0.58, 0.05, 0.05),
-    Material.RED_CORE: (0.82, 0.12, 0.10),
-    Material.PLATE: (0.90, 0.90, 0.88),
-    Material.INK: (0.10, 0.10, 0.11),
-    Material.PLATE_BAND: (0.10, 0.20, 0.60),
-    Material.DARK: (0.03, 0.03, 0.03),
-    Material.GRILLE: (0.09, 0.09, 0.095),
-    Material.HANDLE: (0.40, 0.41, 0.43),  # paint too, see `PAINTED`
+_FINISHES = {
+    Material.PAINT: ((0.40, 0.41, 0.43), 1.0, 1.0),  # replaced by the observed paint
+    Material.GLASS: ((0.10, 0.11, 0.12), 3.2, 0.0),
+    Material.TRIM: ((0.15, 0.15, 0.16), 0.25, 0.0),
+    Material.SEAM: ((0.06, 0.06, 0.06), 0.3, 0.3),  # shut lines show a little of the body colour
+    Material.TYRE: ((0.13, 0.13, 0.135), 0.1, 0.0),
+    Material.ALLOY: ((0.66, 0.67, 0.69), 1.2, 0.0),
+    Material.CHROME: ((0.72, 0.73, 0.75), 3.0, 0.0),
+    Material.LAMP: ((0.62, 0.65, 0.68), 1.5, 0.0),
+    Material.LAMP_CORE: ((0.95, 0.96, 0.98), 0.6, 0.0),
+    Material.AMBER: ((0.86, 0.45, 0.12), 1.0, 0.0),
+    Material.RED: ((0.58, 0.05, 0.05), 1.0, 0.0),
+    Material.RED_CORE: ((0.82, 0.12, 0.10), 0.6, 0.0),
+    Material.PLATE: ((0.90, 0.90, 0.88), 0.2, 0.0),
+    Material.INK: ((0.10, 0.10, 0.11), 0.2, 0.0),
+    Material.PLATE_BAND: ((0.10, 0.20, 0.60), 0.2, 0.0),
+    Material.DARK: ((0.03, 0.03, 0.03), 0.0, 0.0),
+    Material.GRILLE: ((0.09, 0.09, 0.095), 0.3, 0.0),
+    Material.HANDLE: ((0.40, 0.41, 0.43), 2.0, 1.0),  # paint too, see `PAINTED`
 }
-# Factor on the Fresnel reflection of a clear coat; 0 for rubber and recesses.
-_GLOSS = {
-    Material.PAINT: 1.0,
-    Material.GLASS: 3.2,
-    Material.TRIM: 0.25,
-    Material.SEAM: 0.3,
-    Material.TYRE: 0.1,
-    Material.ALLOY: 1.2,
-    Material.CHROME: 3.0,
-    Material.LAMP: 1.5,
-    Material.LAMP_CORE: 0.6,
-    Material.AMBER: 1.0,
-    Material.RED: 1.0,
-    Material.RED_CORE: 0.6,
-    Material.PLATE: 0.2,
-    Material.INK: 0.2,
-    Material.PLATE_BAND: 0.2,
-    Material.DARK: 0.0,
-    Material.GRILLE: 0.3,
-    Material.HANDLE: 2.0,
-}
+"""Display colour; factor on the Fresnel reflection of a clear coat; share of the body colour."""
 
-SRGB = np.array([_SRGB[m] for m in Material])
+SRGB = np.array([_FINISHES[m][0] for m in Material])
 """(materials, 3) display colours."""
-GLOSS = np.array([_GLOSS[m] for m in Material])
-"""(materials,)"""
-
-
-_PAINTED = {Material.PAINT: 1.0, Material.HANDLE: 1.0, Material.SEAM: 0.3}
-PAINTED = np.array([_PAINTED.get(m, 0.0) for m in Material])
-"""(materials,) share of the body colour; shut lines show a little of it."""
+GLOSS = np.array([_FINISHES[m][1] for m in Material])
+"""(materials,) factor on the Fresnel reflection of a clear coat."""
+PAINTED = np.array([_FINISHES[m][2] for m in Material])
+"""(materials,) share of the body colour."""
 GLASS = np.array([float(m == Material.GLASS) for m in Material])
 """(materials,) 1 for windows."""
 RIM = np.array([float(m == Material.ALLOY) for m in Material])

@@ -16,11 +16,12 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from recast.actors.observation import Observation
+from recast.actors.place import minimum
 from recast.actors.template.body import Body
 from recast.actors.template.proportions import Proportions
+from recast.actors.views import crossing
 from recast.arrays import Array, Mask
 from recast.geometry import se3
 
@@ -37,6 +38,7 @@ _LOWEST = 0.4  # of the height: below it are wheels and shadow
 _AROUND = 0.25  # metres around the box within which the body is looked for
 _COARSE, _FINE = 24, 9  # steps along a line
 _PIXELS = 1.5  # by which masks are off
+_TOLERANCES = {"xatol": 0.02, "fatol": 0.01}
 
 
 @dataclass(frozen=True)
@@ -69,11 +71,10 @@ def place(
     """Move and stretch the model onto masks and LiDAR points, with the logged box as prior.
 
     The stretch is that of the vehicle. Labels are off differently in every frame, so each further
-    view has a shift of its own across the view.
+    of the observation's views has a shift of its own across the view.
 
     Args:
-        body: the model.
-        surface: (N, 3) points on it and its wheels, ground at z = 0.
+        surface: (N, 3) points on the body and its wheels, ground at z = 0.
         spacing: metres between them.
         observation: masks, cameras and box.
         lidar: (M, 3) points in the box frame.
@@ -98,26 +99,9 @@ def place(
             total += _LIDAR_WEIGHT * float(np.mean(np.log1p((distance / _NOISE) ** 2)))
         return total
 
-    stretch, shift = unpack(_minimum(cost, 6, 400))
+    stretch, shift = unpack(minimum(cost, 6, 400, **_TOLERANCES))
     first = Placement(stretch, shift, outlines[0].overlap(stretch, shift))
     return (first, *(one.placement(stretch, shift) for one in outlines[1:]))
-
-
-def _minimum(cost: Callable[[Array], float], count: int, evaluations: int) -> Array:
-    """Where a function of `count` numbers is least, near 0; one is a usual deviation."""
-    simplex = np.concatenate([np.zeros((1, count)), 0.6 * np.eye(count)])
-    found: Array = minimize(
-        cost,
-        np.zeros(count),
-        method="Nelder-Mead",
-        options={
-            "initial_simplex": simplex,
-            "maxfev": evaluations,
-            "xatol": 0.02,
-            "fatol": 0.01,
-        },
-    ).x
-    return found
 
 
 class _Outline:
@@ -147,7 +131,7 @@ class _Outline:
             moved = shift + _VIEW_SPREAD * x @ across
             return _VIEW_OVERLAP_WEIGHT * (1 - self.overlap(stretch, moved)) + 0.5 * float(x @ x)
 
-        shift = shift + _VIEW_SPREAD * _minimum(cost, 2, 60) @ across
+        shift = shift + _VIEW_SPREAD * minimum(cost, 2, 60, **_TOLERANCES) @ across
         return Placement(stretch, shift, self.overlap(stretch, shift))
 
 
@@ -283,8 +267,5 @@ def _border(mask: NDArray[np.bool_]) -> Array:
 
 def _crossing(eye: Array, rays: Array, size: Array) -> tuple[Array, Array]:
     """Where lines (M, 3) from `eye` enter and leave the grown box on the ground, metres (M,)."""
-    step = np.where(np.abs(rays) < 1e-9, 1e-9, rays)
-    half = np.array([*size[:2] / 2, size[2]]) + _AROUND
-    low = np.array([-half[0], -half[1], 0.0])
-    first, last = (low - eye) / step, (half - eye) / step
-    return np.minimum(first, last).max(axis=1), np.maximum(first, last).min(axis=1)
+    high = np.array([*size[:2] / 2, size[2]]) + _AROUND
+    return crossing(eye, rays, high * [-1, -1, 0], high)

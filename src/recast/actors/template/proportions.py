@@ -65,196 +65,62 @@ class Proportions:
     tail_z: float
     deck_z: float
     belt_rear_z: float
-    front_axle_x: float = 0.185
-    rear_axle_x: float = 0.795
-    clearance_z: float = 0.13
-    wheel_radius: float = 0.31
-    tumblehome: float = 0.17
-    nose_bow: float = 0.24
-    tail_bow: float = 0.14
-    nose_lean: float = 0.10
-    tail_lean: float = 0.04
-    edge_radius: float = 0.14
-    rear_windows: bool = True
-    side_pillars_x: tuple[float, ...] = (0.50, 0.71)
-    tail_lamp_z: tuple[float, float] = (0.49, 0.62)
-    tail_lamp_inner: float = 0.60
+    front_axle_x: float
+    rear_axle_x: float
+    clearance_z: float
+    wheel_radius: float
+    tumblehome: float
+    nose_bow: float
+    tail_bow: float
+    nose_lean: float
+    tail_lean: float
+    edge_radius: float
+    rear_windows: bool
+    side_pillars_x: tuple[float, ...]
+    tail_lamp_z: tuple[float, float]
+    tail_lamp_inner: float
 
 
-STYLES: dict[str, Proportions] = {
-    "sedan": Proportions(
-        bonnet_z=0.50,
-        cowl_x=0.29,
-        cowl_z=0.665,
-        roof_front_x=0.44,
-        roof_rear_x=0.67,
-        roof_rear_z=0.965,
-        tail_x=0.835,
-        tail_z=0.715,
-        deck_z=0.67,
-        belt_rear_z=0.69,
-        side_pillars_x=(0.515, 0.70),
-        tail_lean=0.08,
-    ),
-    "hatchback": Proportions(
-        bonnet_z=0.49,
-        cowl_x=0.245,
-        cowl_z=0.645,
-        roof_front_x=0.41,
-        roof_rear_x=0.855,
-        roof_rear_z=0.93,
-        tail_x=0.955,
-        tail_z=0.665,
-        deck_z=0.62,
-        belt_rear_z=0.69,
-        rear_axle_x=0.81,
-        side_pillars_x=(0.51, 0.74),
-    ),
-    "estate": Proportions(
-        bonnet_z=0.50,
-        cowl_x=0.285,
-        cowl_z=0.66,
-        roof_front_x=0.43,
-        roof_rear_x=0.875,
-        roof_rear_z=0.935,
-        tail_x=0.975,
-        tail_z=0.675,
-        deck_z=0.65,
-        belt_rear_z=0.69,
-        side_pillars_x=(0.505, 0.70),
-        rear_axle_x=0.79,
-    ),
-    "mpv": Proportions(
-        bonnet_z=0.51,
-        cowl_x=0.185,
-        cowl_z=0.625,
-        roof_front_x=0.355,
-        roof_rear_x=0.90,
-        roof_rear_z=0.955,
-        tail_x=0.975,
-        tail_z=0.62,
-        deck_z=0.58,
-        belt_rear_z=0.66,
-        tumblehome=0.15,
-        rear_axle_x=0.82,
-        side_pillars_x=(0.485, 0.73),
-        nose_lean=0.14,
-        tail_lamp_z=(0.50, 0.76),
-        tail_lamp_inner=0.84,
-    ),
-    "suv": Proportions(
-        bonnet_z=0.56,
-        cowl_x=0.265,
-        cowl_z=0.665,
-        roof_front_x=0.395,
-        roof_rear_x=0.885,
-        roof_rear_z=0.955,
-        tail_x=0.97,
-        tail_z=0.655,
-        deck_z=0.62,
-        belt_rear_z=0.69,
-        clearance_z=0.17,
-        wheel_radius=0.36,
-        tumblehome=0.15,
-        nose_lean=0.06,
-        side_pillars_x=(0.49, 0.71),
-        tail_lamp_z=(0.47, 0.66),
-        tail_lamp_inner=0.72,
-    ),
-    "pickup": Proportions(
-        bonnet_z=0.56,
-        cowl_x=0.265,
-        cowl_z=0.66,
-        roof_front_x=0.36,
-        roof_rear_x=0.565,
-        roof_rear_z=0.97,
-        tail_x=0.595,
-        tail_z=0.66,
-        deck_z=0.60,
-        belt_rear_z=0.63,
-        clearance_z=0.18,
-        wheel_radius=0.37,
-        tumblehome=0.13,
-        nose_lean=0.05,
-        tail_bow=0.05,
-        edge_radius=0.10,
-        side_pillars_x=(0.46,),
-        tail_lamp_z=(0.38, 0.57),
-        tail_lamp_inner=0.84,
-    ),
-    "van": Proportions(
-        bonnet_z=0.45,
-        cowl_x=0.13,
-        cowl_z=0.54,
-        roof_front_x=0.27,
-        roof_rear_x=0.96,
-        roof_rear_z=0.985,
-        tail_x=0.985,
-        tail_z=0.55,
-        deck_z=0.50,
-        belt_rear_z=0.56,
-        rear_axle_x=0.77,
-        front_axle_x=0.17,
-        clearance_z=0.10,
-        wheel_radius=0.34,
-        tumblehome=0.11,
-        tail_bow=0.06,
-        edge_radius=0.14,
-        rear_windows=False,
-        side_pillars_x=(0.38,),
-        nose_lean=0.20,
-        tail_lamp_z=(0.30, 0.50),
-        tail_lamp_inner=0.88,
-    ),
-    "bus": Proportions(
-        bonnet_z=0.36,
-        cowl_x=0.012,
-        cowl_z=0.40,
-        roof_front_x=0.03,
-        roof_rear_x=0.98,
-        roof_rear_z=0.99,
-        tail_x=0.99,
-        tail_z=0.52,
-        deck_z=0.50,
-        belt_rear_z=0.44,
-        rear_axle_x=0.72,
-        front_axle_x=0.22,
-        clearance_z=0.09,
-        wheel_radius=0.48,
-        tumblehome=0.06,
-        nose_bow=0.14,
-        tail_bow=0.08,
-        nose_lean=0.02,
-        edge_radius=0.12,
-        side_pillars_x=(0.16, 0.30, 0.44, 0.58, 0.72, 0.86),
-        tail_lamp_z=(0.24, 0.42),
-        tail_lamp_inner=0.82,
-    ),
-    "truck": Proportions(
-        bonnet_z=0.34,
-        cowl_x=0.02,
-        cowl_z=0.42,
-        roof_front_x=0.06,
-        roof_rear_x=0.985,
-        roof_rear_z=0.995,
-        tail_x=0.995,
-        tail_z=0.45,
-        deck_z=0.42,
-        belt_rear_z=0.43,
-        rear_axle_x=0.76,
-        front_axle_x=0.16,
-        clearance_z=0.12,
-        wheel_radius=0.48,
-        tumblehome=0.03,
-        nose_bow=0.10,
-        tail_bow=0.02,
-        nose_lean=0.02,
-        edge_radius=0.07,
-        rear_windows=False,
-        side_pillars_x=(0.19,),
-        tail_lamp_z=(0.19, 0.25),
-        tail_lamp_inner=0.66,
-    ),
+# bonnet_z; cowl_x, _z; roof_front_x, roof_rear_x, _z; tail_x, _z; deck_z; belt_rear_z
+_LANDMARKS = {
+    "sedan": (0.50, 0.29, 0.665, 0.44, 0.67, 0.965, 0.835, 0.715, 0.67, 0.69),
+    "hatchback": (0.49, 0.245, 0.645, 0.41, 0.855, 0.93, 0.955, 0.665, 0.62, 0.69),
+    "estate": (0.50, 0.285, 0.66, 0.43, 0.875, 0.935, 0.975, 0.675, 0.65, 0.69),
+    "mpv": (0.51, 0.185, 0.625, 0.355, 0.90, 0.955, 0.975, 0.62, 0.58, 0.66),
+    "suv": (0.56, 0.265, 0.665, 0.395, 0.885, 0.955, 0.97, 0.655, 0.62, 0.69),
+    "pickup": (0.56, 0.265, 0.66, 0.36, 0.565, 0.97, 0.595, 0.66, 0.60, 0.63),
+    "van": (0.45, 0.13, 0.54, 0.27, 0.96, 0.985, 0.985, 0.55, 0.50, 0.56),
+    "bus": (0.36, 0.012, 0.40, 0.03, 0.98, 0.99, 0.99, 0.52, 0.50, 0.44),
+    "truck": (0.34, 0.02, 0.42, 0.06, 0.985, 0.995, 0.995, 0.45, 0.42, 0.43),
+}
+# front_axle_x, rear_axle_x; clearance_z, wheel_radius, tumblehome; nose_bow, tail_bow; nose_lean,
+# tail_lean; edge_radius
+_SHAPES = {
+    "sedan": (0.185, 0.795, 0.13, 0.31, 0.17, 0.24, 0.14, 0.10, 0.08, 0.14),
+    "hatchback": (0.185, 0.81, 0.13, 0.31, 0.17, 0.24, 0.14, 0.10, 0.04, 0.14),
+    "estate": (0.185, 0.79, 0.13, 0.31, 0.17, 0.24, 0.14, 0.10, 0.04, 0.14),
+    "mpv": (0.185, 0.82, 0.13, 0.31, 0.15, 0.24, 0.14, 0.14, 0.04, 0.14),
+    "suv": (0.185, 0.795, 0.17, 0.36, 0.15, 0.24, 0.14, 0.06, 0.04, 0.14),
+    "pickup": (0.185, 0.795, 0.18, 0.37, 0.13, 0.24, 0.05, 0.05, 0.04, 0.10),
+    "van": (0.17, 0.77, 0.10, 0.34, 0.11, 0.24, 0.06, 0.20, 0.04, 0.14),
+    "bus": (0.22, 0.72, 0.09, 0.48, 0.06, 0.14, 0.08, 0.02, 0.04, 0.12),
+    "truck": (0.16, 0.76, 0.12, 0.48, 0.03, 0.10, 0.02, 0.02, 0.04, 0.07),
+}
+# rear_windows, side_pillars_x, tail_lamp_z, tail_lamp_inner
+_WINDOWS: dict[str, tuple[bool, tuple[float, ...], tuple[float, float], float]] = {
+    "sedan": (True, (0.515, 0.70), (0.49, 0.62), 0.60),
+    "hatchback": (True, (0.51, 0.74), (0.49, 0.62), 0.60),
+    "estate": (True, (0.505, 0.70), (0.49, 0.62), 0.60),
+    "mpv": (True, (0.485, 0.73), (0.50, 0.76), 0.84),
+    "suv": (True, (0.49, 0.71), (0.47, 0.66), 0.72),
+    "pickup": (True, (0.46,), (0.38, 0.57), 0.84),
+    "van": (False, (0.38,), (0.30, 0.50), 0.88),
+    "bus": (True, (0.16, 0.30, 0.44, 0.58, 0.72, 0.86), (0.24, 0.42), 0.82),
+    "truck": (False, (0.19,), (0.19, 0.25), 0.66),
+}
+STYLES = {
+    style: Proportions(*_LANDMARKS[style], *_SHAPES[style], *_WINDOWS[style])
+    for style in _LANDMARKS
 }
 """Body styles, drawn by eye from side views of common cars."""
 
@@ -339,8 +205,7 @@ def fit_shape(
     logged box, plus the style's prior.
 
     Args:
-        category: class of the track.
-        size: (3,) of the logged box, metres.
+        category, size: see `candidate_styles`; the size (3,) is that of the logged box, metres.
         points: (N, 3) LiDAR points in the box frame, origin at its centre.
         style: take this one instead of choosing.
         contours: of the masks, see `contour`.

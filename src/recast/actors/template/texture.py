@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.actors.observation import Observation
-from recast.actors.template.cloud import SurfaceCloud
+from recast.actors.template.cloud import MIRROR, SurfaceCloud
+from recast.actors.template.lighting import ramp
 from recast.actors.template.placement import Placement
 from recast.arrays import Array
 from recast.geometry import se3
@@ -63,9 +64,9 @@ def view_surface(
     margin = cv2.distanceTransform(alpha.astype(np.uint8), cv2.DIST_L2, 5)
     inside = _sample(margin[..., None].astype(np.float32), pixels)[:, 0]
     # far away, a slanted side is a few columns of pixels: its windows and pillars are one smear
-    coarse = _ramp(depth / observation.camera.fx, *_COARSE)
-    slant = _ramp(facing, 0.12 + 0.20 * coarse, 0.35 + 0.25 * coarse)
-    weight = slant * _ramp(inside, 1.0, 3.5) * front
+    coarse = ramp(depth / observation.camera.fx, *_COARSE)
+    slant = ramp(facing, 0.12 + 0.20 * coarse, 0.35 + 0.25 * coarse)
+    weight = slant * ramp(inside, 1.0, 3.5) * front
     colour = _sample(_calm_chroma(observation.rgba[..., :3]).astype(np.float32) / 255, pixels)
     sharpness = observation.camera.fx / np.maximum(depth, 0.1) * np.clip(facing, 0.0, 1.0)
     return SurfaceView(colour, weight, views, sharpness)
@@ -110,11 +111,6 @@ def _sample(image: NDArray[np.floating], pixels: Array) -> Array:
     values = image[v, u] * (1 - a) * (1 - b) + image[v, u + 1] * a * (1 - b)
     values = values + image[v + 1, u] * (1 - a) * b + image[v + 1, u + 1] * a * b
     return values.astype(np.float64).reshape(-1, channels)
-
-
-def _ramp(x: Array, low: float | Array, high: float | Array) -> Array:
-    t = np.clip((x - low) / (high - low), 0.0, 1.0)
-    return t * t * (3 - 2 * t)
 
 
 def balanced(views: Sequence[SurfaceView]) -> list[SurfaceView]:
@@ -188,9 +184,6 @@ class Texture:
     views: Array
 
 
-_MIRROR = np.array([1.0, -1.0, 1.0])
-
-
 def mirrored_texture(cloud: SurfaceCloud, seen: SurfaceView) -> Texture:
     """Fill what the view did not see from its mirror image; wheels and recesses keep the model's.
 
@@ -205,5 +198,5 @@ def mirrored_texture(cloud: SurfaceCloud, seen: SurfaceView) -> Texture:
     return Texture(
         colour=share * seen.colour + (1 - share) * seen.colour[cloud.twin],
         weight=np.where(textured, np.minimum(own + borrowed, 1.0), 0.0),
-        views=np.where(share > 0.5, seen.views, seen.views[cloud.twin] * _MIRROR),
+        views=np.where(share > 0.5, seen.views, seen.views[cloud.twin] * MIRROR),
     )

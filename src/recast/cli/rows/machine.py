@@ -26,7 +26,7 @@ from rich.table import Table
 from recast import __version__, kernel
 from recast.cli.output import Rows
 from recast.core.errors import InputError
-from recast.core.parts import GENERATORS, IMPORTERS, PLANNERS, SEGMENTERS
+from recast.core.plugins import GENERATORS, IMPORTERS, PLANNERS, SEGMENTERS
 from recast.core.workers import usable_cores
 from recast.weights import PUBLISHED, Weights, published, weights_folder
 from recast.weights.fetch import fetch, is_whole
@@ -48,7 +48,6 @@ class Finding:
     """One line of the examination.
 
     Attributes:
-        part: what was looked at.
         present: whether it is there; None for plain information.
         detail: version or state.
         mend: how to get it, empty where nothing is missing.
@@ -198,13 +197,10 @@ def weights_table() -> Table:
 
 
 def get_weights(name: str, accepted: bool, console: Console) -> None:
-    """Show the licences, ask for consent where it is needed, and fetch.
+    """Show the licences, ask for consent where it is needed, and fetch; InputError: see `fetch`.
 
     Args:
         accepted: consent from the command line; else a terminal is asked.
-
-    Raises:
-        InputError: see `fetch`.
     """
     weights = published(name)
     folder = weights_folder(name)

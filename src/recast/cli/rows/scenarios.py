@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +14,22 @@ from recast.cli.output import Rows, with_unit
 from recast.core import files
 from recast.core.errors import InputError, printable
 from recast.logs import DrivingLog, map_of, read_log
-from recast.reporting.scenario_facts import (
+from recast.reporting.scenario_preview import (
     ScenarioFacts,
+    draw_scenarios,
     facts_table,
     motions_table,
     notes,
     scenario_facts,
 )
-from recast.reporting.scenario_figure import draw_scenarios
-from recast.simulation import MOTIONS, RolloutSetup, parse_motions, prepare, scenario_name
+from recast.simulation import (
+    MOTIONS,
+    PreparedRollout,
+    RolloutSetup,
+    parse_motions,
+    prepare,
+    scenario_name,
+)
 from recast.simulation.scenario import (
     MOTION_SCHEMAS,
     further_actors,
@@ -55,29 +63,56 @@ def scenario_rows(names: Sequence[str]) -> Rows:
     return {"scenarios": found, "further_actors": actors}
 
 
-def placed_rows(log_path: Path, names: Sequence[str], track: str | None, steps: int) -> Rows:
-    """One row for each scenario on a log; `refused` says why it cannot be run there.
+@dataclass(frozen=True)
+class Placed:
+    """A scenario on a log; why it cannot be run there, or what it becomes.
+
+    Attributes:
+        shown: setup, prepared rollout and facts; None if it is refused.
+    """
+
+    name: str
+    track: str
+    refused: InputError | None
+    shown: tuple[RolloutSetup, PreparedRollout, ScenarioFacts] | None = None
+
+
+def place_scenarios(
+    log_path: Path, names: Sequence[str], track: str | None, steps: int
+) -> list[Placed]:
+    """Prepare scenarios on a log.
 
     Args:
-        log_path: log folder.
-        names: scenarios, motions or scenario files.
         track: track to control; None for the target of a synthetic log, or the first track.
-        steps: steps of 0.1 s of the rollout.
     """
+    motions = {scenario_name(m): m for name in names for m in parse_motions(name)}
     log = read_log(log_path)
     track = _target(log) if track is None else track
-    hdmap = map_of(log)
-    rows: list[dict[str, Any]] = []
-    motions = {scenario_name(m): m for name in names for m in parse_motions(name)}
+    hdmap, found = map_of(log), []
     for name, motion in motions.items():
         setup = RolloutSetup(log, track, motion, map=hdmap, steps=steps)
         try:
-            facts = scenario_facts(setup, prepare(setup))
+            prepared = prepare(setup)
         except InputError as error:
-            rows.append({"scenario": name, "track_id": track, "refused": str(error)})
+            found.append(Placed(name, track, error))
             continue
-        rows.append({"scenario": name, "track_id": track, "refused": None, **_facts(facts)})
-    return {"scenarios": rows}
+        found.append(Placed(name, track, None, (setup, prepared, scenario_facts(setup, prepared))))
+    return found
+
+
+def placed_rows(placed: Sequence[Placed]) -> Rows:
+    """One row for each scenario on a log; `refused` says why it cannot be run there."""
+    return {
+        "scenarios": [
+            {
+                "scenario": one.name,
+                "track_id": one.track,
+                "refused": None if one.refused is None else str(one.refused),
+                **({} if one.shown is None else _facts(one.shown[2])),
+            }
+            for one in placed
+        ]
+    }
 
 
 def _numbers(motion: Any) -> dict[str, Any]:
@@ -117,41 +152,24 @@ def list_scenarios(names: Sequence[str], console: Console) -> None:
     console.print(motions_table(found))
 
 
-def show_scenarios(
-    log_path: Path, names: Sequence[str], track: str | None, out: Path, steps: int, console: Console
-) -> None:
-    """Draw scenarios on a log's map and print what they become there.
-
-    Args:
-        names: scenarios, motions or scenario files.
-        track: the actor; None for the target of a synthetic log, or the first track.
-        out: PNG to write.
-        steps: of 0.1 s that a rollout would be asked for.
+def show_scenarios(placed: Sequence[Placed], out: Path, console: Console) -> None:
+    """Draw scenarios on a log's map into a PNG, and print what they become there.
 
     Raises:
-        InputError: bad names, log, track or output; or every scenario is refused on this log.
+        InputError: `out` is no PNG, every scenario is refused on this log, or the disk refuses.
     """
     if out.suffix.lower() != ".png":
         raise InputError(out, "--out", "is no PNG", "end its name in .png")
-    motions = {scenario_name(m): m for name in names for m in parse_motions(name)}
-    log = read_log(log_path)
-    track = _target(log) if track is None else track
-    hdmap, shown, refusals = map_of(log), [], []
-    for name, motion in motions.items():
-        setup = RolloutSetup(log, track, motion, map=hdmap, steps=steps)
-        try:
-            prepared = prepare(setup)
-        except InputError as error:
-            refusals.append(error)
-            console.print(f"{name}: refused: {error}", markup=False, style="yellow")
-            continue
-        shown.append((setup, prepared, scenario_facts(setup, prepared)))
-    if not shown:
-        raise refusals[0]
+    for one in placed:
+        if one.refused is not None:
+            console.print(f"{one.name}: refused: {one.refused}", markup=False, style="yellow")
+    shown = [one.shown for one in placed if one.shown is not None]
+    if not shown and placed[0].refused is not None:
+        raise placed[0].refused
     facts = [facts for _, _, facts in shown]
     console.print(
-        f"track {printable(track)}; start {facts[0].start:.1f} s after the log's first pose, "
-        f"ego {facts[0].ego_speed:.1f} m/s",
+        f"track {printable(placed[0].track)}; start {facts[0].start:.1f} s after the log's first "
+        f"pose, ego {facts[0].ego_speed:.1f} m/s",
         markup=False,
         highlight=False,
     )

@@ -22,13 +22,8 @@ _DIGITS = 10
 """Of a key, as lists show it."""
 
 
-def list_store(place: str, console: Console) -> None:
-    """Print a line for each artefact.
-
-    Raises:
-        InputError: there is no store, or one of another version.
-    """
-    store = _opened(place)
+def list_store(store: Store, console: Console) -> None:
+    """Print a line for each artefact; InputError: there is no store, or one of another version."""
     users = store.users()
     table = Table(box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
     for heading in ("kind", "key", "what"):
@@ -60,7 +55,7 @@ def explain_artefact(place: str, key: str, console: Console) -> None:
     Raises:
         InputError: no artefact, or several, have this key.
     """
-    store = _opened(place)
+    store = opened_store(place)
     found = [one for one in store.artefacts() if key and one.record.key.startswith(key)]
     if len(found) != 1:
         problem = f"{len(found)} artefacts have it" if found else "no artefact has it"
@@ -77,7 +72,7 @@ def prune_store(place: str, remove: bool, older_than_h: float, console: Console)
     Raises:
         InputError: there is no store, or the disk refuses.
     """
-    store = _opened(place)
+    store = opened_store(place)
     unused, leftovers = store.unused(3600.0 * older_than_h), store.leftovers()
     for one in unused:
         line = f"{one.record.kind} {one.record.key[:_DIGITS]} {one.record.name}"
@@ -115,7 +110,7 @@ def store_rows(store: Store) -> Rows:
     }
 
 
-def _opened(place: str) -> Store:
+def opened_store(place: str) -> Store:
     """A local store that is there.
 
     Raises:

@@ -8,13 +8,12 @@ from typing import Any
 from recast.actors.actor import CandidateRecord
 from recast.cli.output import Rows, with_unit
 from recast.evaluation.generation_summary import STUDY_COLUMNS, StudyBlock
-from recast.pipeline.evaluate_actor import ActorEvaluation
-from recast.pipeline.evaluate_tracks import TrackResult
-from recast.pipeline.planner_data.probe import ProbeRow
+from recast.pipeline.evaluate_actors import ActorEvaluation, TrackResult
+from recast.pipeline.planner_probe import ProbeRow
 from recast.recar.statistics import SetStatistics
 from recast.recar.targets import TargetCache
 from recast.recar.targets.builder import TargetStatistics
-from recast.trellis.checkpoints.header import ModelCheck
+from recast.trellis.checkpoints import ModelCheck
 
 
 def candidate_rows(candidates: Sequence[CandidateRecord]) -> Rows:

@@ -29,12 +29,13 @@ PUBLISHED: Mapping[str, Mapping[str, float]] = {
     arm: dict(zip(_COLUMNS, values, strict=True)) for arm, values in _ROWS.items()
 }
 """Published values by arm and column, on the nine Waymo scenes."""
+_RECTANGLE = ("left", "top", "right", "bottom")
 SCHEMA = pa.schema(
     [
         *((name, pa.string()) for name in ("arm", "scene", "motion", "setting")),
         ("step", pa.int64()),
         ("camera", pa.string()),
-        *((name, pa.int64()) for name in ("left", "top", "right", "bottom")),
+        *((name, pa.int64()) for name in _RECTANGLE),
         ("drawn", pa.bool_()),
         *((name, pa.float64()) for name in IMAGE_SCORES),
     ]
@@ -49,19 +50,12 @@ def write_images(scenes: Mapping[str, MeasuredScene], path: Path) -> None:
         for arm, features in scene.arms.items():
             scores = image_scores(features, scene.references, np.array(scene.compared, np.int64))
             for index, frame in enumerate(scene.frames):
-                left, top, right, bottom = frame.rectangle
                 rows.append(
                     {
                         "arm": arm,
                         "scene": name,
-                        "motion": frame.motion,
-                        "setting": frame.setting,
-                        "step": frame.step,
-                        "camera": frame.camera,
-                        "left": left,
-                        "top": top,
-                        "right": right,
-                        "bottom": bottom,
+                        **vars(frame),
+                        **dict(zip(_RECTANGLE, frame.rectangle, strict=True)),
                         "drawn": bool(features["drawn"][index]),
                         **{key: _number(values[index]) for key, values in scores.items()},
                     }
@@ -137,8 +131,8 @@ def table_markdown(rows: Sequence[LevelRow], notes: Sequence[str]) -> str:
         lines.append(_line([row.arm, str(row.images), *cells]))
     shown = [name for name in names if name in next(iter(PUBLISHED.values()))]
     for arm, values in PUBLISHED.items() if shown else ():
-        told = [f"{values[n]:.{COLUMNS[n].digits}f}" if n in values else "" for n in names]
-        lines.append(_line([f"paper: {arm}", "", *told]))
+        cells = [f"{values[n]:.{COLUMNS[n].digits}f}" if n in values else "" for n in names]
+        lines.append(_line([f"paper: {arm}", "", *cells]))
     below = [f"- {note}" for note in notes]
     return "\n".join([*lines, "", *below, ""])
 

@@ -20,9 +20,10 @@ from recast.actors.views import score_frame
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.core.records import Record, read_record
-from recast.evaluation.oracle_scores import Rectangle, box_pixels
+from recast.evaluation.oracle_scores import box_pixels
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.logs import DrivingLog
+from recast.scene.scores import Rectangle
 
 FRAMES_FILE, REFERENCES_FILE = "frames.json", "references.json"
 _VERSION: Literal[1] = 1
@@ -80,9 +81,7 @@ class RolloutFrame:
     """An image of a rollout that counts.
 
     Attributes:
-        motion, setting: names of the rollout's motion and setting.
-        step: number of the step in the rollout.
-        camera: name of the camera.
+        motion, setting, step: of the rollout.
         rectangle: left, top, right, bottom of the logged box at the simulated pose, pixels.
     """
 
@@ -98,7 +97,7 @@ class LoggedFrame:
     """A logged image that counts.
 
     Attributes:
-        camera, frame: name, and number of the image in its stream.
+        frame: number of the image in its stream.
         timestamp_us: log time.
         rectangle: as in `RolloutFrame`, of the logged box at its logged pose.
         azimuth: radians, of the camera seen from the vehicle; 0 is ahead of it.

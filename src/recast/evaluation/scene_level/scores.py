@@ -19,20 +19,33 @@ averaged. Cosines are raw, without CLIP's logit scale.
 
 from __future__ import annotations
 
-import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.arrays import Array
+from recast.arrays import Array, Image
 from recast.core import files
 from recast.core.errors import InputError
+from recast.evaluation.actor_scores import Cutout
+from recast.evaluation.features import ToyFeatures
+from recast.evaluation.generation_inception import load_inception
+from recast.evaluation.perceptual import load_lpips
+from recast.pretrained import Clip, checked_scores, load_vqa_scorer, square_crop
+from recast.scene.scores import Rectangle
+from recast.tables import read_npz
 
 Features = Mapping[str, NDArray[np.generic]]
+Measure = Callable[[Sequence[Image]], NDArray[np.generic]]
+"""From images to an array with a row for each."""
 
+BATCH = 16
+"""Images a network sees at once: part of what the features are, down to the last bit."""
+_GREY = np.full(3, 128, np.uint8)
 FEATURES_FILE = "features.npz"
 OF_TEXTS = ("text_clip",)
 """Arrays without a row an image."""
@@ -54,6 +67,124 @@ SHOWN = 1000.0
 """Factor of both margins in tables."""
 
 
+@dataclass(frozen=True)
+class SeenImage:
+    """An image and where the vehicle's box is in it.
+
+    Attributes:
+        image: (H, W, 3) uint8.
+        rectangle: rectangle of the box, see `FrameRule.rectangle`.
+        outline: (H, W) bool inside of the box's outline, for masked crops.
+    """
+
+    image: Image
+    rectangle: Rectangle
+    outline: NDArray[np.bool_] | None = None
+
+
+class Networks:
+    """What is computed of an image; the stand-in `toy` is always there.
+
+    Args:
+        inception, clip, lpips, vqa, device: see `NetworkFiles`.
+
+    Raises:
+        InputError: weights are missing or something else.
+    """
+
+    def __init__(
+        self,
+        inception: Path | None = None,
+        clip: Path | None = None,
+        lpips: Path | None = None,
+        vqa: str | None = None,
+        device: str = "cpu",
+    ) -> None:
+        self._of_frames: dict[str, Measure] = {"frame_toy": _toy}
+        self._of_crops: dict[str, Measure] = {"crop_toy": _toy}
+        self._texts: dict[str, NDArray[np.generic]] = {}
+        self._colour = _GREY
+        self._lpips = None if lpips is None else load_lpips(lpips).to(device)
+        if inception is not None:
+            network = load_inception(inception).to(device)
+            self._of_frames["frame_inception"] = network.embeddings
+            self._of_crops["crop_inception"] = network.embeddings
+        if clip is not None:
+            towers = Clip.read(clip, device)
+            self._colour = towers.mean_colour
+            self._texts["text_clip"] = towers.texts((*POSITIVE, *NEGATIVE, VEHICLE))
+            self._of_frames["frame_clip"] = partial(towers.images, fit="published")
+            self._of_frames["frame_clip_padded"] = partial(towers.images, fit="padded")
+            self._of_crops["crop_clip"] = partial(towers.images, fit="whole")
+        if vqa is not None:
+            scorer = load_vqa_scorer(vqa, device)
+            prompts = (*POSITIVE, *NEGATIVE)
+            self._of_frames["vqa"] = lambda frames: checked_scores(
+                scorer.score(frames, prompts), len(frames), len(prompts), scorer.name
+            )
+
+    def look(self, images: Iterable[SeenImage | None], compared: Sequence[SeenImage]) -> Features:
+        """Features of images, see `recast.evaluation.scene_level.scores`.
+
+        Args:
+            images: in order; None for one that could not be rendered.
+            compared: the scene's reference images, for LPIPS; none gives NaN.
+        """
+        drawn: list[bool] = []
+        kept: list[Image] = []  # crops, for LPIPS: the features of its references are costly
+        parts: dict[str, list[NDArray[np.generic]]] = {
+            name: [] for name in (*self._of_frames, *self._of_crops)
+        }
+        waiting = iter(images)
+        while batch := list(islice(waiting, BATCH)):
+            seen = [one for one in batch if one is not None]
+            drawn += [one is not None for one in batch]
+            if not seen:
+                continue
+            frames, crops = [one.image for one in seen], [self._crop(one) for one in seen]
+            for given, measures in ((frames, self._of_frames), (crops, self._of_crops)):
+                for name, measure in measures.items():
+                    parts[name].append(measure(given))
+            if self._lpips is not None:
+                kept += crops
+        if self._lpips is not None:
+            parts["lpips"] = [self._distances(kept, [self._crop(one) for one in compared])]
+        shown = np.array(drawn, np.bool_)
+        return {
+            "drawn": shown,
+            **{name: _spread(rows, shown) for name, rows in parts.items()},
+            **self._texts,
+        }
+
+    def _distances(self, crops: Sequence[Image], references: Sequence[Image]) -> Array:
+        """(N,) mean LPIPS to the references; NaN where there is none."""
+        assert self._lpips is not None
+        if not references or not crops:
+            return np.full(len(crops), np.nan)
+        mean: Array = self._lpips.distances(crops, references).mean(axis=1)
+        return mean
+
+    def _crop(self, seen: SeenImage) -> Image:
+        return square_crop(seen.image, seen.rectangle, self._colour, mask=seen.outline)
+
+
+def _toy(images: Sequence[Image]) -> NDArray[np.generic]:
+    """`ToyFeatures` of images of which nothing is transparent."""
+    network = ToyFeatures()
+    opaque = (Cutout(one.astype(np.float64) / 255, np.ones(one.shape[:2])) for one in images)
+    return np.stack([network.features(one) for one in opaque])
+
+
+def _spread(rows: Sequence[NDArray[np.generic]], drawn: NDArray[np.bool_]) -> NDArray[np.generic]:
+    """Rows of the drawn images in their places, NaN in the others."""
+    if not rows:
+        return np.full(len(drawn), np.nan)
+    values = np.concatenate(rows)
+    out = np.full((len(drawn), *values.shape[1:]), np.nan)
+    out[drawn] = values
+    return out
+
+
 def save_features(features: Features, path: Path) -> None:
     """Write arrays, whole or not at all; the same arrays give the same bytes."""
     with files.atomic_file(path) as partial, partial.open("wb") as file:
@@ -66,15 +197,7 @@ def load_features(path: Path) -> Features:
     Raises:
         InputError: the file is missing or damaged, or an array has another number of rows.
     """
-    if not path.is_file():
-        raise InputError(path, "features", "are missing", _MEND)
-    if path.stat().st_size > _LARGEST:
-        raise InputError(path, "features", "are larger than 4 GiB", _MEND)
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            found = {name: file[name] for name in file.files}
-    except (OSError, ValueError, zipfile.BadZipFile, MemoryError) as error:
-        raise InputError(path, "features", f"cannot be read ({error})", _MEND) from None
+    found = read_npz(path, _MEND, limit=_LARGEST)
     drawn = found.get("drawn")
     if drawn is None or drawn.dtype != np.bool_ or drawn.ndim != 1:
         raise InputError(path, "drawn", "is missing or not boolean", _MEND)
@@ -127,9 +250,7 @@ class ScoreColumn:
     """A column of the table.
 
     Attributes:
-        heading: for people.
         digits: after the point.
-        higher_is_better: or lower.
         features: name of the features of a Frechet distance; None for a mean of image scores.
     """
 
@@ -161,8 +282,8 @@ def image_scores(features: Features, references: Features, compared: Array) -> d
     """Scores (N,) of the images of an arm in a scene, by column; those there are networks for.
 
     Args:
-        features: features of the arm's images, see `recast.evaluation.scene_level.scores`.
-        references: features of the scene's logged images.
+        features: of the arm's images.
+        references: of the scene's logged images.
         compared: (K,) indices of the references that crops are compared with.
     """
     found: dict[str, Array] = {}

@@ -27,8 +27,7 @@ class MeasuredScene:
     """What a scene contributes.
 
     Attributes:
-        frames: images that count, of all arms.
-        logged: logged images that count.
+        frames, logged: images that count, of all arms; logged images that count.
         compared: indices of the logged images whose crops are compared with.
         arms: features by arm, a row an image.
         references: features of `logged`.
@@ -86,7 +85,6 @@ class LevelRow:
     """A line of the table.
 
     Attributes:
-        arm: name.
         images: how many.
         values: by column.
     """
@@ -109,7 +107,6 @@ def summarise(
         scenes: that count, by name; all have the same arms, the first is the baseline.
         control: name of the line of `MeasuredScene.replay`.
         samples, frechet_samples: numbers of bootstrap samples of means and of Frechet distances.
-        seed: seed of the draws.
 
     Raises:
         InputError: no scene, or arms that differ between scenes.

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
-from recast.core.parts import IMPORTERS
+from recast.core.plugins import IMPORTERS
 from recast.logs.types import DrivingLog
 
 

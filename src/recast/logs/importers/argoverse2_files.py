@@ -19,14 +19,12 @@ from numpy.typing import NDArray
 from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.logs import checks
-from recast.logs.importers.common import check_drive
+from recast.logs.importers.common import check_drive, unknown_drive
 from recast.logs.types import Array, Int64Array, LidarSweep
 from recast.tables import read_feather
 
 POSES = "city_SE3_egovehicle.feather"
 _NANOSECONDS = re.compile(r"[0-9]{1,19}")
-_LISTED = 5
-"""Names of other logs in a message; a split has hundreds."""
 QUATERNION = ("qw", "qx", "qy", "qz")
 TRANSLATION = ("tx_m", "ty_m", "tz_m")
 POSE = (*QUATERNION, *TRANSLATION)
@@ -57,14 +55,8 @@ def find_log(root: Path, drive: str) -> Path:
     for folder in (root / drive, *sorted(root.glob(f"*/{glob.escape(drive)}")), root):
         if folder.name == drive and folder.is_dir():
             return folder
-    found = sorted(
-        path.parent.name for path in (*root.glob(f"*/{POSES}"), *root.glob(f"*/*/{POSES}"))
-    )
-    shown = ", ".join(found[:_LISTED]) + (
-        f" and {len(found) - _LISTED} more" if len(found) > _LISTED else ""
-    )
-    mend = f"choose one of {shown}" if found else "name the folder that holds train, val or test"
-    raise InputError(root, f"drive {drive}", "does not exist", mend)
+    found = (path.parent.name for path in (*root.glob(f"*/{POSES}"), *root.glob(f"*/*/{POSES}")))
+    raise unknown_drive(root, drive, found, "name the folder that holds train, val or test")
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.records import validation_error
 from recast.logs import checks
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
-from recast.logs.importers.common import NEAR, metres_beside
+from recast.logs.importers.common import NEAR, ForeignRecord, lane_outline, metres_beside
 from recast.logs.types import Array
 from recast.tables import read_npy
 
@@ -28,20 +28,16 @@ _LARGEST_RASTER = 1 << 26
 _MEND = "download the log's map again"
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
-
-
 _Metres = Annotated[float, Field(ge=-checks.WORLD_REACH, le=checks.WORLD_REACH)]
 
 
-class _Point(_Model):
+class _Point(ForeignRecord):
     x: _Metres
     y: _Metres
     z: _Metres
 
 
-class _Lane(_Model):
+class _Lane(ForeignRecord):
     id: int
     is_intersection: bool
     lane_type: Literal["VEHICLE", "BUS", "BIKE"]
@@ -52,16 +48,16 @@ class _Lane(_Model):
     right_neighbor_id: int | None
 
 
-class _Area(_Model):
+class _Area(ForeignRecord):
     area_boundary: list[_Point]
 
 
-class _Map(_Model):
+class _Map(ForeignRecord):
     lane_segments: dict[str, _Lane]
     drivable_areas: dict[str, _Area]
 
 
-class _Sim2(_Model):
+class _Sim2(ForeignRecord):
     R: tuple[float, float, float, float]
     t: tuple[float, float]
     s: float
@@ -159,7 +155,6 @@ def _line(path: Path, field: str, points: list[_Point], offset: Array) -> Array:
 def _lane(key: str, lanes: dict[str, _Lane], lines: dict[str, tuple[Array, ...]]) -> Lane:
     lane, (left, right) = lanes[key], lines[key]
     centre = _mean_line(left, right)
-    outline = np.concatenate([right, left[::-1]])[:, :2]
 
     def same_way(other: int | None) -> str | None:
         if other is None or str(other) not in lanes:
@@ -173,7 +168,7 @@ def _lane(key: str, lanes: dict[str, _Lane], lines: dict[str, tuple[Array, ...]]
         centreline=centre,
         left_boundary=left,
         right_boundary=right,
-        polygon=outline if _area(outline) >= 0 else outline[::-1],
+        polygon=lane_outline(left, right),
         successors=tuple(str(other) for other in lane.successors if str(other) in lanes),
         left_neighbour=same_way(lane.left_neighbor_id),
         right_neighbour=same_way(lane.right_neighbor_id),
@@ -193,12 +188,6 @@ def _mean_line(left: Array, right: Array) -> Array:
     ]
     mean: Array = (sides[0] + sides[1]) / 2
     return mean
-
-
-def _area(outline: Array) -> float:
-    """Twice the signed area of a polygon (M, 2), positive counter-clockwise."""
-    x, y = outline.T
-    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
 
 def _check_place(path: Path, lanes: dict[str, Lane], ego: Array) -> None:

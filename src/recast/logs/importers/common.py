@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Concatenate, ParamSpec
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
 
 from recast.core.errors import InputError
 from recast.core.files import disk_errors, read_bytes
@@ -20,6 +22,8 @@ from recast.logs.types import Array, DrivingLog, Int64Array
 
 _NAME_BYTES = 240
 """Longest name of a drive: file systems take 255 bytes, with its suffix."""
+LISTED = 5
+"""Names of other drives in a message; a split has hundreds."""
 _SWEEP_BYTES = 1 << 28
 """Longest file of a sweep."""
 FASTEST = 100.0
@@ -27,6 +31,23 @@ FASTEST = 100.0
 NEAR = 200.0
 """Metres that the ego may be beside the lanes' bounding box."""
 Rest = ParamSpec("Rest")
+
+
+class ForeignRecord(BaseModel):
+    """Base of records in datasets' files: further members are not looked at, numbers are finite."""
+
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False, frozen=True)
+
+
+class Timed:
+    """A sequence as long as its `timestamps_us`: base of sweeps and images that are read on
+    demand."""
+
+    timestamps_us: Int64Array
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.timestamps_us)
 
 
 def check_drive(root: Path, drive: str) -> None:
@@ -38,6 +59,33 @@ def check_drive(root: Path, drive: str) -> None:
     wrong = not drive or drive in (".", "..") or len(os.fsencode(drive)) > _NAME_BYTES
     if wrong or "/" in drive or "\\" in drive or "\0" in drive:
         raise InputError(root, "drive", f"{drive!r} is no name of a drive", "give its name alone")
+
+
+def nearest_rotation(printed: Array) -> Array | None:
+    """The rotation nearest to a finite matrix (3, 3) as it was printed, not quite orthogonal.
+
+    None where that is more than a thousandth away in some entry.
+    """
+    u, _, vt = np.linalg.svd(printed)
+    rotation: Array = u @ vt
+    near = np.linalg.det(rotation) > 0 and np.abs(rotation - printed).max() <= 1e-3
+    return rotation if near else None
+
+
+def unknown_drive(
+    root: Path, drive: str, known: Iterable[str], otherwise: str, problem: str = "does not exist"
+) -> InputError:
+    """The error for a drive that is not there: it names some that are, or says `otherwise`."""
+    names = sorted(known)
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    mend = f"choose one of {', '.join(names[:LISTED])}{more}" if names else otherwise
+    return InputError(root, f"drive {drive}", problem, mend)
+
+
+def lane_outline(left: Array, right: Array) -> Array:
+    """The counter-clockwise outline (M, 2) of a lane between its boundaries (N, 2 or 3)."""
+    outline = np.concatenate([right, left[::-1]])[:, :2]
+    return outline if shapely.LinearRing(outline).is_ccw else outline[::-1]
 
 
 def chosen_cameras(where: Path, there: Iterable[str], wanted: Sequence[str]) -> list[str]:

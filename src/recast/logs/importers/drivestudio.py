@@ -13,15 +13,21 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.records import validation_error
 from recast.geometry import se3
 from recast.logs import checks
-from recast.logs.images import ImageFiles
-from recast.logs.importers.common import chosen_cameras, first_jump, read_points, returns_valid
+from recast.logs.importers.common import (
+    ForeignRecord,
+    Timed,
+    chosen_cameras,
+    first_jump,
+    read_points,
+    returns_valid,
+)
 from recast.logs.importers.processed_folder import (
     FARTHEST,
     NUMBER,
@@ -32,7 +38,7 @@ from recast.logs.importers.processed_folder import (
     read_pose,
     rigid,
 )
-from recast.logs.importers.waymo_schema import LASER_NAME, LICENCE, lidar_name
+from recast.logs.importers.waymo_proto import LASER_NAME, LICENCE, lidar_name
 from recast.logs.importers.waymo_values import WAYMO_FROM_OPENCV
 from recast.logs.types import (
     Array,
@@ -118,27 +124,16 @@ def _camera(camera: CameraFolder, frame_times: dict[int, int]) -> CameraStream:
     for frame, path in camera.images.items():
         if frame not in frame_times:
             raise InputError(path, "frame", f"{frame} has no file in ego_pose", _MEND)
-    width, height = camera.camera.width, camera.camera.height
-    return CameraStream(
-        name=camera.name,
-        camera=camera.camera,
-        rig_from_camera=camera.extrinsic @ WAYMO_FROM_OPENCV,
-        timestamps_us=np.array([frame_times[frame] for frame in camera.images], np.int64),
-        images=ImageFiles(tuple(camera.images.values()), width, height, "its first image"),
-    )
+    return camera.stream(camera.extrinsic @ WAYMO_FROM_OPENCV, frame_times)
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
-
-
-class _Boxes(_Model):
+class _Boxes(ForeignRecord):
     frame_idx: list[int]
     obj_to_world: list[tuple[_Four, _Four, _Four, _Four]]
     box_size: list[tuple[float, float, float]]
 
 
-class _Instance(_Model):
+class _Instance(ForeignRecord):
     class_name: Literal["Vehicle", "Pedestrian", "Cyclist"]
     frame_annotations: _Boxes
 
@@ -263,7 +258,7 @@ def read_rows(path: Path) -> NDArray[np.float32]:
 
 
 @dataclass(frozen=True)
-class DriveStudioSweeps:
+class DriveStudioSweeps(Timed):
     """Sweeps of one scanner, read on demand; a `SweepSource`. The ego motion is undone in them.
 
     Attributes:
@@ -276,16 +271,8 @@ class DriveStudioSweeps:
     paths: tuple[Path, ...]
     laser: int
 
-    def __len__(self) -> int:
-        """Number of sweeps."""
-        return len(self.paths)
-
     def __getitem__(self, index: int) -> LidarSweep:
-        """Read sweep `index`.
-
-        Raises:
-            InputError: see `read_rows`.
-        """
+        """Read sweep `index`; raises as `read_rows` does."""
         rows = read_rows(self.paths[index])
         mine = rows[rows[:, _LASER] == self.laser]
         # Waymo's intensities have no upper bound.

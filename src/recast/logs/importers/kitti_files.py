@@ -15,6 +15,7 @@ from recast.core import files
 from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.logs.checks import SENSOR_REACH, check_reach, refused
+from recast.logs.importers.common import nearest_rotation, unknown_drive
 from recast.logs.types import Array, Int64Array
 
 TEXT_LIMIT = 1 << 26
@@ -28,7 +29,6 @@ _TIME = re.compile(
 # velodyne, which stands on the car's centre line (figure 3, and T of calib_imu_to_velo.txt).
 IMU_HEIGHT = 0.93
 IMU_BEHIND_REAR_AXLE = 0.05
-ORTHOGONAL = 1e-3  # seven digits are printed
 MEND = "unpack the day's calibration archive again"
 
 
@@ -59,9 +59,8 @@ def find_drive(root: Path, drive: str) -> KittiDrive:
     day = root / name[:10]
     folder = day / f"{name}_sync"
     if not folder.is_dir():
-        found = sorted(path.name for path in root.glob("????_??_??/*_sync"))
-        mend = f"choose one of {', '.join(found)}" if found else "name the folder above 2011_09_26"
-        raise InputError(root, f"drive {drive}", "does not exist", mend)
+        found = (path.name for path in root.glob("????_??_??/*_sync"))
+        raise unknown_drive(root, drive, found, "name the folder above 2011_09_26")
     return KittiDrive(name, day, folder)
 
 
@@ -171,7 +170,7 @@ class KittiCalibration:
     rig_from_camera: dict[str, Array]
 
     def seen_from(self, other_from_rig: Array) -> KittiCalibration:
-        """The same mounting told in another rig frame."""
+        """The same mounting in another rig frame."""
         return replace(
             self,
             rig_from_imu=other_from_rig @ self.rig_from_imu,
@@ -269,9 +268,7 @@ def _rigid(values: dict[str, str], path: Path) -> Array:
 
 def _rotation(values: dict[str, str], path: Path, name: str) -> Array:
     """The rotation nearest to nine printed numbers: their seven digits are not quite orthogonal."""
-    printed = _field(values, path, name, 9).reshape(3, 3)
-    u, _, vt = np.linalg.svd(printed)
-    rotation: Array = u @ vt
-    if np.linalg.det(rotation) < 0 or np.abs(rotation - printed).max() > ORTHOGONAL:
+    rotation = nearest_rotation(_field(values, path, name, 9).reshape(3, 3))
+    if rotation is None:
         raise InputError(path, name, "is not a rotation", MEND)
     return rotation

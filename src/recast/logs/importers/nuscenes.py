@@ -14,7 +14,7 @@ import numpy as np
 from recast.core.errors import InputError
 from recast.logs import checks
 from recast.logs.images import ImageFiles
-from recast.logs.importers.common import chosen_cameras, returns_valid
+from recast.logs.importers.common import chosen_cameras, returns_valid, unknown_drive
 from recast.logs.importers.nuscenes_sensors import (
     NuScenesSweeps,
     Sensor,
@@ -72,8 +72,6 @@ _FARTHEST = 500.0
 """Metres from the ego: no LiDAR sees farther, so such a box is of another place or frame."""
 _MEND = "take all tables from one metadata archive"
 LICENCE = "CC BY-NC-SA 4.0"
-_LISTED = 5
-"""Names of other scenes in a message; a split has hundreds."""
 
 
 @returns_valid
@@ -134,9 +132,7 @@ def _find_scene(root: Path, drive: str) -> tuple[Path, SceneRow]:
             if scene.name == drive:
                 return tables, scene
             names.append(scene.name)
-    shown = ", ".join(sorted(names)[:_LISTED])
-    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    raise InputError(root, f"drive {drive}", "does not exist", f"choose one of {shown}{more}")
+    raise unknown_drive(root, drive, names, "take a metadata archive that holds scenes")
 
 
 def _camera(root: Path, tables: Path, sensor: Sensor) -> CameraStream:
@@ -217,12 +213,7 @@ def _track(
     world_from_rig: Trajectory,
     offset: Array,
 ) -> Track:
-    """The track of one instance.
-
-    Args:
-        boxes: by the time of their key frame.
-        ends: of the interval that begins at a key frame.
-    """
+    """The track of one instance; `ends` are those of the interval that begins at a key frame."""
     times = np.array(sorted(boxes), np.int64)
     ordered = [boxes[int(time)] for time in times]
     poses = np.stack([pose_of(path, box) for box in ordered])

@@ -12,7 +12,7 @@ from recast.core.errors import InputError
 from recast.core.names import member
 from recast.geometry import PinholeCamera, se3
 from recast.logs import motion
-from recast.logs.importers.common import first_jump, read_points
+from recast.logs.importers.common import Timed, first_jump, read_points
 from recast.logs.importers.nuscenes_tables import (
     AnnotationRow,
     CalibratedSensorRow,
@@ -159,7 +159,7 @@ def camera_of(tables: Path, row: CalibratedSensorRow, frames: list[SampleDataRow
 
 
 @dataclass(frozen=True)
-class NuScenesSweeps:
+class NuScenesSweeps(Timed):
     """Sweeps read from .pcd.bin files on demand; a `SweepSource`.
 
     Points are in the sensor's frame at the sweep's time, ego motion undone by the dataset's makers
@@ -174,10 +174,6 @@ class NuScenesSweeps:
     timestamps_us: Int64Array
     paths: tuple[Path, ...]
     rig_from_lidar: Array
-
-    def __len__(self) -> int:
-        """Number of sweeps."""
-        return len(self.paths)
 
     def __getitem__(self, index: int) -> LidarSweep:
         """Read sweep `index`.

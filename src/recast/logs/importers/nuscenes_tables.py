@@ -12,12 +12,13 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from recast.core.errors import InputError
 from recast.core.files import disk_errors
 from recast.core.records import validation_error
 from recast.logs import checks
+from recast.logs.importers.common import ForeignRecord
 
 _CHUNK = 1 << 20
 _LONGEST_ROW = 1 << 22
@@ -35,10 +36,8 @@ Pixels = Annotated[int, Field(ge=0, lt=1 << 16)]
 """0 for sweeps."""
 
 
-class Row(BaseModel):
+class Row(ForeignRecord):
     """A row of a table; columns that are not named here are not looked at."""
-
-    model_config = ConfigDict(extra="ignore", allow_inf_nan=False, frozen=True)
 
     token: str
 

@@ -18,18 +18,16 @@ from recast.core.errors import InputError
 from recast.core.files import read_text
 from recast.geometry import PinholeCamera, se3
 from recast.logs import checks
-from recast.logs.images import image_size
-from recast.logs.importers.common import check_drive
-from recast.logs.importers.waymo_schema import CAMERA_NAME
-from recast.logs.types import Array
+from recast.logs.images import ImageFiles, image_size
+from recast.logs.importers.common import check_drive, nearest_rotation, unknown_drive
+from recast.logs.importers.waymo_proto import CAMERA_NAME
+from recast.logs.types import Array, CameraStream
 
 CAMERAS = tuple(CAMERA_NAME.names.values())
 """Waymo's cameras by their number in file names, which is Waymo's CameraName less one."""
 FARTHEST = 500.0
 """Metres from the ego: no LiDAR sees farther, so such a box is of another place or frame."""
 
-_LISTED = 5
-_ORTHOGONAL = 1e-3
 _MEND = "process the scene again"
 NUMBER = re.compile(r"[0-9]{1,9}")
 """A frame, in names of files."""
@@ -50,9 +48,8 @@ def find_scene(root: Path, drive: str, kind: str) -> Path:
     for folder in (root / drive, root):
         if folder.name == drive and folder.is_dir():
             return folder
-    found = sorted(path.parent.name for path in root.glob("*/ego_pose"))
-    shown = ", ".join(found[:_LISTED]) or "none here"
-    raise InputError(root, f"drive {drive}", "does not exist", f"choose one of {shown}")
+    found = (path.parent.name for path in root.glob("*/ego_pose"))
+    raise unknown_drive(root, drive, found, "choose one of none here")
 
 
 def read_numbers(path: Path, count: int) -> Array:
@@ -95,10 +92,8 @@ def rigid(values: Array, path: Path, field: str) -> Array:
         np.abs(matrix[:3, 3]) <= checks.WORLD_REACH
     ):
         raise InputError(path, field, "is no rotation and translation", _MEND)
-    u, _, vt = np.linalg.svd(matrix[:3, :3])
-    rotation = u @ vt
-    off = float(np.abs(rotation - matrix[:3, :3]).max())
-    if off > _ORTHOGONAL or np.linalg.det(rotation) < 0 or matrix[3].tolist() != [0, 0, 0, 1]:
+    rotation = nearest_rotation(matrix[:3, :3])
+    if rotation is None or matrix[3].tolist() != [0, 0, 0, 1]:
         raise InputError(path, field, "is no rotation and translation", _MEND)
     return se3.from_rotation_translation(rotation, matrix[:3, 3])
 
@@ -135,6 +130,18 @@ class CameraFolder:
     def name(self) -> str:
         """Waymo's name of the camera."""
         return CAMERAS[self.number]
+
+    def stream(self, rig_from_camera: Array, times: Mapping[int, int]) -> CameraStream:
+        """The images in the order of their `times` by frame, microseconds."""
+        frames = sorted(self.images, key=lambda frame: times[frame])
+        paths = tuple(self.images[frame] for frame in frames)
+        return CameraStream(
+            name=self.name,
+            camera=self.camera,
+            rig_from_camera=rig_from_camera,
+            timestamps_us=np.array([times[frame] for frame in frames], np.int64),
+            images=ImageFiles(paths, self.camera.width, self.camera.height, "its first image"),
+        )
 
 
 def read_cameras(scene: Path) -> list[CameraFolder]:

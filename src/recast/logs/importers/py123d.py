@@ -20,7 +20,15 @@ from recast.geometry import se3
 from recast.logs import motion
 from recast.logs.checks import refused
 from recast.logs.hdmap import HdMap, Lane
-from recast.logs.importers.common import NEAR, chosen_cameras, metres_beside, returns_valid
+from recast.logs.importers.common import (
+    LISTED,
+    NEAR,
+    chosen_cameras,
+    lane_outline,
+    metres_beside,
+    returns_valid,
+    unknown_drive,
+)
 from recast.logs.importers.py123d_sensors import (
     matrix,
     read_cameras,
@@ -37,7 +45,6 @@ NOT_FOR_CARS = ("BIKE_LANE",)
 AREAS = ("lane", "lane_group", "intersection", "generic_drivable", "carpark")
 """Layers whose surfaces one can drive on."""
 SYNC = "sync.arrow"
-_LISTED = 5
 _LARGEST_BATCH = 1 << 30
 """Bytes in memory."""
 
@@ -140,11 +147,10 @@ def find_log(root: Path, drive: str) -> Path:
     known = sorted(path.parent for path in logs.rglob(SYNC))
     found = [folder for folder in known if folder.name == drive]
     if len(found) > 1:
-        listed = ", ".join(str(folder.relative_to(logs)) for folder in found[:_LISTED])
+        listed = ", ".join(str(folder.relative_to(logs)) for folder in found[:LISTED])
         raise InputError(root, f"drive {drive}", f"may be {listed}", "take one away")
     if not found:
-        shown = ", ".join(folder.name for folder in known[:_LISTED]) or "none here"
-        raise InputError(root, f"drive {drive}", "does not exist", f"choose one of {shown}")
+        raise unknown_drive(root, drive, (one.name for one in known), "choose one of none here")
     return found[0]
 
 
@@ -221,13 +227,12 @@ def _lane(
         return str(key) if key is not None and str(key) in known else None
 
     left, right, limit = line("left_boundary"), line("right_boundary"), lane.speed_limit_mps
-    outline = shapely.Polygon(np.concatenate([right[:, :2], left[::-1, :2]]))
     return Lane(
         lane_id=str(lane.object_id),
         centreline=line("centerline"),
         left_boundary=left,
         right_boundary=right,
-        polygon=shapely.get_coordinates(shapely.orient_polygons(outline).exterior)[:-1],
+        polygon=lane_outline(left, right),
         speed_limit=float(limit) if limit else None,
         successors=tuple(str(key) for key in lane.successor_ids if str(key) in known),
         left_neighbour=named(lane.left_lane_id),

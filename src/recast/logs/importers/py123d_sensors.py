@@ -13,6 +13,7 @@ import numpy as np
 from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.logs import checks
+from recast.logs.importers.common import Timed
 from recast.logs.types import (
     Array,
     CameraStream,
@@ -66,7 +67,7 @@ def matrix(pose: Any) -> Array:
 
 
 @dataclass(frozen=True)
-class Py123dImages:
+class Py123dImages(Timed):
     """The images of one camera, decoded by py123d when asked for."""
 
     scene: Any
@@ -75,10 +76,6 @@ class Py123dImages:
     timestamps_us: Int64Array
     camera: PinholeCamera
     folder: Path
-
-    def __len__(self) -> int:
-        """Number of frames."""
-        return len(self.timestamps_us)
 
     def __getitem__(self, index: int) -> Image:
         """Decode frame `index` to (height, width, 3) uint8 RGB.
@@ -146,7 +143,7 @@ def _camera(folder: Path, known: Any) -> PinholeCamera:
 
 
 @dataclass(frozen=True)
-class Py123dSweeps:
+class Py123dSweeps(Timed):
     """The sweeps of one LiDAR, decoded by py123d when asked for.
 
     A cloud of several scanners, which is how py123d may keep them, is parted by its point ids.
@@ -158,10 +155,6 @@ class Py123dSweeps:
     timestamps_us: Int64Array
     rig_from_imu: Array
     folder: Path
-
-    def __len__(self) -> int:
-        """Number of sweeps."""
-        return len(self.timestamps_us)
 
     def __getitem__(self, index: int) -> LidarSweep:
         """Decode sweep `index`; py123d's points are in the IMU frame at the sweep's time.

@@ -16,11 +16,10 @@ from recast.core.errors import InputError
 from recast.core.files import read_text
 from recast.geometry import se3
 from recast.logs import checks
-from recast.logs.images import ImageFiles
 from recast.logs.importers.common import chosen_cameras, returns_valid
 from recast.logs.importers.processed_folder import FARTHEST, CameraFolder, find_scene, read_cameras
 from recast.logs.importers.street_gaussians_frames import Drive, read_drive, read_lidar
-from recast.logs.importers.waymo_schema import LICENCE
+from recast.logs.importers.waymo_proto import LICENCE
 from recast.logs.types import Array, CameraStream, DrivingLog, Track, Trajectory
 
 CATEGORIES = {"vehicle": "car", "pedestrian": "pedestrian", "cyclist": "cyclist"}
@@ -74,15 +73,7 @@ def _camera(scene: Path, camera: CameraFolder, drive: Drive) -> CameraStream:
         problem = "is the time of another image"
         field = f"{camera.name}.{frame:06d}"
         raise InputError(scene / "timestamps.json", field, problem, "process the scene again")
-    paths = tuple(camera.images[frame] for frame in ordered)
-    width, height = camera.camera.width, camera.camera.height
-    return CameraStream(
-        name=camera.name,
-        camera=camera.camera,
-        rig_from_camera=camera.extrinsic,
-        timestamps_us=stamps,
-        images=ImageFiles(paths, width, height, "its first image"),
-    )
+    return camera.stream(camera.extrinsic, times)
 
 
 @dataclass(frozen=True)

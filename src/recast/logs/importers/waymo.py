@@ -1,9 +1,9 @@
 """Waymo Open Dataset: a segment's cameras, LiDARs, labels and map as a driving log.
 
 Source: Sun et al., "Scalability in Perception for Autonomous Driving: Waymo Open Dataset" (CVPR
-2020), and the proto files of the dataset. Neither TensorFlow nor a protocol buffer library is
-needed. Version 1 is read from its TFRecords, and so are scenarios of the motion dataset: tracks
-and map, no sensors. Version 2 is read from its parquet tables and holds the same, but for the map.
+2020), and the proto files of the dataset. Version 1 is read from its TFRecords, without TensorFlow,
+and so are scenarios of the motion dataset: tracks and map, no sensors. Version 2 is read from its
+parquet tables and holds the same, but for the map.
 """
 
 from __future__ import annotations
@@ -17,17 +17,27 @@ import numpy as np
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import motion
-from recast.logs.importers import waymo2_segment, waymo_frames
-from recast.logs.importers.common import check_drive, chosen_cameras, returns_valid
+from recast.logs.importers import waymo2_segment, waymo_tfrecord
+from recast.logs.importers.common import (
+    LISTED,
+    check_drive,
+    chosen_cameras,
+    returns_valid,
+    unknown_drive,
+)
 from recast.logs.importers.waymo2_tables import find_segment
-from recast.logs.importers.waymo_cameras import read_cameras, shutter_notes
-from recast.logs.importers.waymo_lidar import TURN_US, read_lidars, scan_times
-from recast.logs.importers.waymo_map import read_map
+from recast.logs.importers.waymo_map import hd_map
 from recast.logs.importers.waymo_motion import load_scenario
-from recast.logs.importers.waymo_schema import LICENCE
+from recast.logs.importers.waymo_proto import LICENCE, decode
 from recast.logs.importers.waymo_segment import LabelEntry, Segment, record_errors
+from recast.logs.importers.waymo_sensors import (
+    TURN_US,
+    read_cameras,
+    read_lidars,
+    scan_times,
+    shutter_notes,
+)
 from recast.logs.importers.waymo_tfrecord import read_records
-from recast.logs.importers.waymo_wire import BYTES, fields
 from recast.logs.types import Array, DrivingLog, Int64Array, Track, Trajectory
 
 CATEGORIES = {
@@ -42,8 +52,6 @@ _NEXT_TURN_US = TURN_US // 2
 LONGEST_GAP_US = 1_000_000
 _SAME_POSE = 1e-3
 """Metres (and radians) within which a camera's pose is the frame's own."""
-_LISTED = 5
-"""Names of other files in a message; a split has hundreds."""
 
 
 @returns_valid
@@ -68,7 +76,7 @@ def load_waymo(
     if scenario is not None or is_motion(path):
         chosen_cameras(path, (), cameras)
         return load_scenario(path, scenario, LICENCE)
-    return driving_log(waymo_frames.read_segment(path), "Waymo Open Dataset v1", cameras)
+    return driving_log(waymo_tfrecord.read_segment(path), "Waymo Open Dataset v1", cameras)
 
 
 @returns_valid
@@ -109,32 +117,26 @@ def find_drive(root: Path, drive: str) -> tuple[Path, str | None]:
             path for path in (*root.glob(pattern), *root.glob(f"*/{pattern}")) if path.is_file()
         )
         if len(found) > 1:
-            listed = ", ".join(str(path.relative_to(root)) for path in found[:_LISTED])
+            listed = ", ".join(str(path.relative_to(root)) for path in found[:LISTED])
             raise InputError(root, f"drive {name}", f"may be {listed}", "name the folder of one")
         if found:
             return found[0], scenario if colon else None
-    others = sorted(path.name for path in (*root.glob("*.tfrecord*"), *root.glob("*/*.tfrecord*")))
-    shown = ", ".join(others[:_LISTED])
-    if len(others) > _LISTED:
-        shown += f" and {len(others) - _LISTED} more"
-    mend = f"choose one of {shown}" if others else "name the folder that holds the TFRecord files"
-    raise InputError(root, f"drive {name}", "does not exist", mend)
+    others = (path.name for path in (*root.glob("*.tfrecord*"), *root.glob("*/*.tfrecord*")))
+    otherwise = "name the folder that holds the TFRecord files"
+    raise unknown_drive(root, name, others, otherwise)
 
 
 def is_motion(path: Path) -> bool:
     """Whether a file holds scenarios of the motion dataset, and not frames.
 
-    Field 2 of a frame is its time, of a scenario a track.
+    Field 2 of a scenario is a track, of a frame a number: its time.
 
     Raises:
         InputError: the first record is damaged or is no protocol buffer.
     """
     record = next(read_records(path))
     with record_errors(path, record.number):
-        for number, wire, _ in fields(record.data, 0, len(record.data), "message"):
-            if number == 2:
-                return wire == BYTES
-    return False
+        return bool(decode("ScenarioHead", record.data)["tracks"])
 
 
 def driving_log(segment: Segment, dataset: str, cameras: Sequence[str] = ()) -> DrivingLog:
@@ -154,15 +156,17 @@ def driving_log(segment: Segment, dataset: str, cameras: Sequence[str] = ()) -> 
     times = _frame_times(segment)
     trajectory, offset = _ego(segment, times)
     world_from_global = se3.from_rotation_translation(np.eye(3), -offset)
+    hdmap, known = None, segment.map
+    if known is not None:
+        with known.place.errors():
+            hdmap = hd_map(known.features, -offset - known.offset, trajectory.poses[:, :2, 3])
     return DrivingLog(
         name=segment.name,
         cameras={name: streams[name] for name in chosen},
         lidars=read_lidars(segment, times, world_from_global, trajectory),
         world_from_rig=trajectory,
         tracks=read_tracks(segment, world_from_global),
-        map=None
-        if segment.map is None
-        else read_map(segment.map, world_from_global, trajectory.poses[:, :2, 3]),
+        map=hdmap,
         world_offset=offset,
         metadata={
             "dataset": dataset,

@@ -29,7 +29,13 @@ from recast.logs.importers.waymo2_tables import (
     read_lasers,
     read_notes,
 )
-from recast.logs.importers.waymo_schema import CAMERA_NAME, LABEL_TYPE, LASER_NAME
+from recast.logs.importers.waymo_proto import (
+    CAMERA_NAME,
+    LABEL_TYPE,
+    LASER_NAME,
+    Choice,
+    FieldError,
+)
 from recast.logs.importers.waymo_segment import (
     MEND,
     FrameEntry,
@@ -40,7 +46,6 @@ from recast.logs.importers.waymo_segment import (
     Segment,
 )
 from recast.logs.importers.waymo_values import frame_time, image_entry, label_entry, shaped
-from recast.logs.importers.waymo_wire import Choice, FieldError
 from recast.logs.types import Array, Float32Array
 from recast.tables import ParquetRows
 
@@ -120,7 +125,7 @@ def _images(components: Components, times: Iterable[int]) -> _ByFrame[ImageEntry
     for row in table.rows([TIME, CAMERA, "pose.transform", *_TIMES]):
         with row.place.errors():
             time, name = _key(row, CAMERA, CAMERA_NAME, found)
-            cell = BytesCell(reader, row.place, row.index, column)
+            cell = BytesCell(reader, row.place.inside(column), row.index, column)
             seconds = {row.column(field): row.number(field) for field in _TIMES}
             found[time][name] = image_entry(cell, row.pose("pose"), seconds, time)
     return found
@@ -135,7 +140,7 @@ def _lasers(components: Components, times: Iterable[int]) -> _ByFrame[LaserEntry
         for name, returns in sensors.items():
             pose = poses[time].get(name, (None,))[0]
             if name == _TOP and pose is None:
-                raise returns[0].error("of TOP has no row in lidar_pose at the frame's time")
+                raise returns[0].place.error("of TOP has no row in lidar_pose at the frame's time")
             found[time][name] = LaserEntry(returns, pose)
     return found
 
@@ -157,7 +162,9 @@ def _matrices(
                 if not shape and field == fields[0]:
                     raise FieldError(row.column(f"{field}.shape"), "is empty")
                 if shape:
-                    cells.append(MatrixCell(reader, row.place, row.index, column, shape))
+                    cells.append(
+                        MatrixCell(reader, row.place.inside(column), row.index, column, shape)
+                    )
             found[time][name] = tuple(cells)
     return found
 
@@ -221,10 +228,6 @@ class BytesCell:
     column: str
     sealed: bool = False
 
-    def error(self, problem: str, mend: str = MEND) -> InputError:
-        """An error that names file, row and column."""
-        return self.place.inside(self.column).error(problem, mend)
-
     def read(self) -> bytes:
         """The bytes.
 
@@ -233,9 +236,9 @@ class BytesCell:
         """
         value = self.reader.cell(self.row, self.column).as_py()
         if value is None:
-            raise self.error("is empty")
+            raise self.place.error("is empty")
         if not isinstance(value, bytes):
-            raise self.error(f"holds {type(value).__name__}, not bytes")
+            raise self.place.error(f"holds {type(value).__name__}, not bytes")
         return value
 
 
@@ -253,10 +256,6 @@ class MatrixCell:
     column: str
     shape: tuple[int, ...]
 
-    def error(self, problem: str, mend: str = MEND) -> InputError:
-        """An error that names file, row and column."""
-        return self.place.inside(self.column).error(problem, mend)
-
     def read(self, channels: int) -> Float32Array:
         """The (H, W, channels) float32 matrix.
 
@@ -266,9 +265,9 @@ class MatrixCell:
         cell = self.reader.cell(self.row, self.column)
         values = getattr(cell, "values", None)
         if values is None or len(values) == 0:
-            raise self.error("is empty")
+            raise self.place.error("is empty")
         try:
             # An empty element becomes a NaN, which is refused.
             return shaped(values.to_numpy(zero_copy_only=False), self.shape, channels)
         except (TypeError, ValueError) as error:
-            raise self.error(str(error)) from None
+            raise self.place.error(str(error)) from None

@@ -14,11 +14,16 @@ from typing import Any
 import numpy as np
 
 from recast.core.errors import InputError
-from recast.logs.importers.common import check_drive
-from recast.logs.importers.waymo_schema import CAMERA_NAME, LASER_NAME, ROLLING_SHUTTER
+from recast.logs.importers.common import check_drive, unknown_drive
+from recast.logs.importers.waymo_proto import (
+    CAMERA_NAME,
+    LASER_NAME,
+    ROLLING_SHUTTER,
+    Choice,
+    FieldError,
+)
 from recast.logs.importers.waymo_segment import MEND, CameraCalibration, LaserCalibration, Place
 from recast.logs.importers.waymo_values import camera_calibration, laser_calibration, rigid
-from recast.logs.importers.waymo_wire import Choice, FieldError
 from recast.logs.types import Array
 from recast.tables import ROW_LIMIT, ParquetRows
 
@@ -34,7 +39,6 @@ COMPONENTS = {
     "stats": "StatsComponent",
 }
 """Folders that are read, and the name of the component in the names of its columns."""
-_LISTED = 5
 CAMERA, LASER = "key.camera_name", "key.laser_name"
 _INTRINSIC = [f"intrinsic.{n}" for n in ("f_u", "f_v", "c_u", "c_v", "k1", "k2", "p1", "p2", "k3")]
 _BEAMS = "beam_inclination"
@@ -66,24 +70,15 @@ class Row:
 
     def integer(self, field: str) -> int:
         """An integer."""
-        value = self._present(field)
-        if not isinstance(value, int):
-            raise FieldError(self.column(field), f"is {value!r}, not an integer")
-        return value
+        return self._present(field, int, "an integer")
 
     def number(self, field: str) -> float:
         """A number; it may be infinite or none."""
-        value = self._present(field)
-        if not isinstance(value, (int, float)):
-            raise FieldError(self.column(field), f"is {value!r}, not a number")
-        return float(value)
+        return float(self._present(field, (int, float), "a number"))
 
     def text(self, field: str) -> str:
         """A text."""
-        value = self._present(field)
-        if not isinstance(value, str):
-            raise FieldError(self.column(field), f"is {value!r}, not text")
-        return value
+        return self._present(field, str, "text")
 
     def choice(self, field: str, choice: Choice) -> str:
         """The name of an enumeration's value: some files hold the number, some the name itself."""
@@ -107,10 +102,14 @@ class Row:
         self._present(f"{field}.transform")
         return rigid(self.numbers(f"{field}.transform"), self.column(f"{field}.transform"))
 
-    def _present(self, field: str) -> Any:
+    def _present(
+        self, field: str, kind: type | tuple[type, ...] = object, called: str = "a value"
+    ) -> Any:
         value = self.values[self.column(field)]
         if value is None:
             raise FieldError(self.column(field), "is empty")
+        if not isinstance(value, kind):
+            raise FieldError(self.column(field), f"is {value!r}, not {called}")
         return value
 
 
@@ -201,12 +200,9 @@ def find_segment(root: Path, drive: str) -> Components:
         raise InputError(root, f"drive {name}", f"is in {listed}", "name the folder of one split")
     if found:
         return Components(found[0], name)
-    others = sorted(path.stem for split in splits for path in split.glob("vehicle_pose/*.parquet"))
-    shown = ", ".join(others[:_LISTED])
-    if len(others) > _LISTED:
-        shown += f" and {len(others) - _LISTED} more"
-    mend = f"choose one of {shown}" if others else "name the folder that holds vehicle_pose"
-    raise InputError(root, f"drive {name}", "has no file in vehicle_pose", mend)
+    others = (path.stem for split in splits for path in split.glob("vehicle_pose/*.parquet"))
+    otherwise, problem = "name the folder that holds vehicle_pose", "has no file in vehicle_pose"
+    raise unknown_drive(root, name, others, otherwise, problem)
 
 
 def read_cameras(components: Components) -> dict[str, CameraCalibration]:

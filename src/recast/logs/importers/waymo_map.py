@@ -5,16 +5,15 @@ The area is not stored: it is the lanes, and the road up to its edges.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import shapely
 
 from recast.logs import checks
-from recast.logs.hdmap import HdMap, Lane
-from recast.logs.importers.common import NEAR, metres_beside
-from recast.logs.importers.waymo_segment import MapFeatures
-from recast.logs.importers.waymo_wire import FieldError, Message
+from recast.logs.hdmap import HdMap, Lane, without_holes
+from recast.logs.importers.common import NEAR, lane_outline, metres_beside
+from recast.logs.importers.waymo_proto import FieldError, Message, decode
 from recast.logs.types import Array
 
 REACH = 5.0
@@ -31,22 +30,6 @@ HALF_WIDTH = 1.75
 _NARROWEST, _WIDEST = 0.5, 5.0
 """Metres from the centreline to a boundary; farther, such as where a lane forks, it is not the
 lane's own."""
-
-
-def read_map(found: MapFeatures, world_from_global: Array, ego: Array) -> HdMap:
-    """The map of a segment in the world frame.
-
-    Args:
-        found: the map features of the first frame.
-        world_from_global: (4, 4), a translation.
-        ego: (T, 2) places of the ego in the world.
-
-    Raises:
-        InputError: a field is missing or wrong, there is no lane for cars, or the map lies
-            elsewhere than the drive.
-    """
-    with found.place.errors():
-        return hd_map(found.features, world_from_global[:3, 3] - found.offset, ego)
 
 
 def hd_map(features: Sequence[Message], shift: Array, ego: Array) -> HdMap:
@@ -85,11 +68,11 @@ def hd_map(features: Sequence[Message], shift: Array, ego: Array) -> HdMap:
     if distance > NEAR:
         problem = f"the ego drives {distance:.0f} m beside all lanes: not the map of this drive"
         raise FieldError("map_features", problem)
-    edges = [lines[feature["id"]] for feature in features if "road_edge" in feature.values]
+    edges = [lines[feature["id"]] for feature in features if feature.get("road_edge")]
     driveways = [
         _points(feature["driveway"], "polygon", shift)[:, :2]
         for feature in features
-        if "driveway" in feature.values
+        if feature.get("driveway")
     ]
     try:
         area = drivable_area(list(ribbons.values()), edges, driveways)
@@ -102,12 +85,17 @@ def hd_map(features: Sequence[Message], shift: Array, ego: Array) -> HdMap:
     )
 
 
+def decode_features(stored: Sequence[bytes]) -> tuple[Message, ...]:
+    """The map features of a frame or scenario; raises FieldError where one is none."""
+    return tuple(decode("MapFeature", data, f"map_features[{i}]") for i, data in enumerate(stored))
+
+
 def _lines(features: Sequence[Message], shift: Array) -> dict[int, Array]:
     """Road lines and road edges (N, 3) by feature id."""
     lines = {}
     for feature in features:
         for kind in ("road_line", "road_edge"):
-            if kind in feature.values:
+            if feature.get(kind):
                 lines[feature["id"]] = _points(feature[kind], "polyline", shift)
     return lines
 
@@ -158,7 +146,6 @@ def _left_of(line: Array) -> Array:
 
 def _lane(key: str, lanes: Mapping[str, Message], centre: Array, left: Array, right: Array) -> Lane:
     message = lanes[key]
-    outline = np.concatenate([right, left[::-1]])[:, :2]
     mph = message.get("speed_limit_mph", 0.0)
     if not 0 <= mph < np.inf:
         raise FieldError(message.path("speed_limit_mph"), f"is {mph:g}")
@@ -168,7 +155,7 @@ def _lane(key: str, lanes: Mapping[str, Message], centre: Array, left: Array, ri
         centreline=centre,
         left_boundary=left,
         right_boundary=right,
-        polygon=outline if shapely.LinearRing(outline).is_ccw else outline[::-1],
+        polygon=lane_outline(left, right),
         speed_limit=mph * MPH if mph > 0 else None,
         successors=tuple(other for other in successors if other in lanes and other != key),
         left_neighbour=_neighbour(message["left_neighbors"], key, lanes),
@@ -216,7 +203,7 @@ def drivable_area(
         filled = shapely.Polygon(polygon.exterior, islands)
         outlines += [
             shapely.get_coordinates(piece.exterior)[:-1]
-            for piece in _without_holes(filled)
+            for piece in without_holes(filled)
             if piece.area >= _SMALLEST
         ]
     return tuple(outlines)
@@ -255,15 +242,3 @@ def _shoulder(side: Array, other: Array, edges: list[shapely.LineString]) -> lis
 
 def _polygons(area: shapely.Geometry) -> list[shapely.Polygon]:
     return [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
-
-
-def _without_holes(polygon: shapely.Polygon) -> Iterator[shapely.Polygon]:
-    """Cut a polygon through its holes, from top to bottom, until none is left."""
-    if not polygon.interiors:
-        yield polygon
-        return
-    x = shapely.Polygon(polygon.interiors[0]).representative_point().x
-    left, bottom, right, top = polygon.bounds
-    for half in (shapely.box(left, bottom, x, top), shapely.box(x, bottom, right, top)):
-        for piece in _polygons(shapely.intersection(polygon, half)):
-            yield from _without_holes(piece)

@@ -9,11 +9,11 @@ import numpy as np
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import checks
-from recast.logs.importers.waymo_map import hd_map
-from recast.logs.importers.waymo_schema import MAP_FEATURE, SCENARIO
+from recast.logs.importers.common import LISTED
+from recast.logs.importers.waymo_map import decode_features, hd_map
+from recast.logs.importers.waymo_proto import FieldError, Message, decode
 from recast.logs.importers.waymo_segment import record_errors
 from recast.logs.importers.waymo_tfrecord import Record, read_records
-from recast.logs.importers.waymo_wire import FieldError, Kind, Message, Schema, decode, one
 from recast.logs.types import Array, DrivingLog, Int64Array, Track, Trajectory
 
 CATEGORIES = {
@@ -26,8 +26,6 @@ CATEGORIES = {
 CENTRE_AHEAD = 1.46
 """Metres from the rear axle to the middle of the ego's box, of a Chrysler Pacifica: the dataset
 gives the box only."""
-_IDENTITY = Schema("Scenario", {5: one("scenario_id", Kind.STRING)})
-_LISTED = 5
 
 
 def load_scenario(path: Path, scenario: str | None, licence: str) -> DrivingLog:
@@ -39,11 +37,8 @@ def load_scenario(path: Path, scenario: str | None, licence: str) -> DrivingLog:
     """
     record = _choose(path, scenario)
     with record_errors(path, record.number):
-        message = decode(SCENARIO, record.data)
-        features = [
-            decode(MAP_FEATURE, record.data, span, f"map_features[{i}]")
-            for i, span in enumerate(message["map_features"])
-        ]
+        message = decode("Scenario", record.data)
+        features = decode_features(message["map_features"])
         seconds = message["timestamps_seconds"]
         if not np.all((seconds >= 0) & (seconds < checks.LATEST_US / 1e6)):  # also NaN
             raise FieldError("timestamps_seconds", "are not all times")
@@ -70,7 +65,7 @@ def _choose(path: Path, scenario: str | None) -> Record:
     chosen, names = None, []
     for record in read_records(path):
         with record_errors(path, record.number):
-            names.append(decode(_IDENTITY, record.data)["scenario_id"])
+            names.append(decode("ScenarioHead", record.data)["scenario_id"])
         if scenario is None or names[-1] == scenario:
             chosen = chosen or record
     if scenario is None and len(names) > 1:
@@ -79,7 +74,7 @@ def _choose(path: Path, scenario: str | None) -> Record:
         problem = f"{scenario} is not in the file"
     else:
         return chosen
-    shown = ", ".join(names[:_LISTED])
+    shown = ", ".join(names[:LISTED])
     raise InputError(path, "scenario_id", problem, f"name one, FILE:SCENARIO, such as {shown}")
 
 

@@ -13,7 +13,7 @@ from typing import Protocol
 
 from recast.core.errors import InputError
 from recast.geometry import PinholeCamera
-from recast.logs.importers.waymo_wire import FieldError, Message
+from recast.logs.importers.waymo_proto import FieldError, Message
 from recast.logs.types import Array, Float32Array
 
 MEND = "download it again"
@@ -54,24 +54,26 @@ class StoredBytes(Protocol):
     """Bytes in a file, read when asked for."""
 
     @property
+    def place(self) -> Place:
+        """Where they are written."""
+
+    @property
     def sealed(self) -> bool:
         """Whether a checksum of theirs has been compared."""
 
     def read(self) -> bytes:
         """The bytes; raises InputError where they are damaged or missing."""
 
-    def error(self, problem: str) -> InputError:
-        """An error that names their place."""
-
 
 class StoredMatrix(Protocol):
     """A range image in a file, read when asked for."""
 
+    @property
+    def place(self) -> Place:
+        """Where it is written."""
+
     def read(self, channels: int) -> Float32Array:
         """The (H, W, channels) matrix; raises InputError where it is empty, damaged or another."""
-
-    def error(self, problem: str) -> InputError:
-        """An error that names its place."""
 
 
 @dataclass(frozen=True)

@@ -1,35 +1,56 @@
-"""TFRecord files: framed, checksummed records, read one at a time.
+"""Waymo TFRecords: checksummed records, read one at a time, and the frames of a segment in them.
 
-Framing: length as 8 bytes little-endian, its masked CRC-32C in 4, the data, their masked CRC-32C.
-Source of CRC-32C (Castagnoli): RFC 3720, appendix B.4: reflected polynomial 0x82F63B78, register
-and result inverted. `crc32c` is fast enough for records of 100 MB; `crc32c_reference` says what it
-computes.
+A segment is read once; its images and range images stay in the file until asked for. Framing:
+length as 8 bytes little-endian, its masked CRC-32C in 4, the data, their masked CRC-32C.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+import zlib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
+import google_crc32c
 import numpy as np
-from numpy.typing import NDArray
 
 from recast.core.errors import InputError
+from recast.core.files import disk_errors
+from recast.logs.importers.waymo_map import decode_features
+from recast.logs.importers.waymo_proto import FieldError, Message, decode
+from recast.logs.importers.waymo_segment import (
+    MEND,
+    CameraCalibration,
+    FrameEntry,
+    ImageEntry,
+    LabelEntry,
+    LaserCalibration,
+    LaserEntry,
+    MapFeatures,
+    Place,
+    Segment,
+)
+from recast.logs.importers.waymo_values import (
+    camera_calibration,
+    frame_time,
+    image_entry,
+    label_entry,
+    laser_calibration,
+    rigid,
+    shaped,
+)
+from recast.logs.types import Array, Float32Array
 
-Words = NDArray[np.uint32]
-
-POLYNOMIAL = 0x82F63B78
-LANES = 4096
-_STEP = 8
-"""Bytes that every lane takes in one step."""
-HEADER = struct.Struct("<QI")
-FOOTER = struct.Struct("<I")
+_HEADER = struct.Struct("<QI")
+_FOOTER = struct.Struct("<I")
 _MASK = 0xA282EAD8
-_MEND = "download it again"
+_STATS = ("time_of_day", "location", "weather")
+_END = 64
+"""Bytes by which a part of a record is found."""
+_LARGEST = 1 << 24
+"""Bytes of an unpacked matrix; the largest of the dataset has four million."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +70,7 @@ class Record:
 
 def masked_crc(data: bytes) -> int:
     """The checksum as stored: rotated and offset, so that checksums of checksums are harmless."""
-    crc = crc32c(data)
+    crc = google_crc32c.value(data)
     return (((crc >> 15) | (crc << 17)) + _MASK) & 0xFFFFFFFF
 
 
@@ -63,7 +84,7 @@ def read_records(path: Path) -> Iterator[Record]:
         raise InputError(path, "TFRecord file", "does not exist", "check the path")
     size, number = path.stat().st_size, 0
     if size == 0:
-        raise InputError(path, "record 0", "is missing: the file is empty", _MEND)
+        raise InputError(path, "record 0", "is missing: the file is empty", MEND)
     with path.open("rb") as file:
         while file.tell() < size:
             yield _read_record(path, file, size, number)
@@ -71,107 +92,229 @@ def read_records(path: Path) -> Iterator[Record]:
 
 
 def _read_record(path: Path, file: BinaryIO, size: int, number: int) -> Record:
-    header = file.read(HEADER.size)
+    header = file.read(_HEADER.size)
     where = f"record {number}"
-    if len(header) < HEADER.size:
-        raise InputError(path, f"{where}, length", "is cut off", _MEND)
-    length, length_crc = HEADER.unpack(header)
+    if len(header) < _HEADER.size:
+        raise InputError(path, f"{where}, length", "is cut off", MEND)
+    length, length_crc = _HEADER.unpack(header)
     if masked_crc(header[:8]) != length_crc:
         if number == 0:
             problem, mend = "this is no (uncompressed) TFRecord file", "name a .tfrecord file"
         else:
-            problem, mend = "does not fit its checksum", _MEND
+            problem, mend = "does not fit its checksum", MEND
         raise InputError(path, f"{where}, length", problem, mend)
     offset = file.tell()
-    missing = length + FOOTER.size - (size - offset)
+    missing = length + _FOOTER.size - (size - offset)
     if missing > 0:
-        raise InputError(path, f"{where}, data", f"are cut off, {missing} bytes are missing", _MEND)
+        raise InputError(path, f"{where}, data", f"are cut off, {missing} bytes are missing", MEND)
     data = file.read(length)
-    if masked_crc(data) != FOOTER.unpack(file.read(FOOTER.size))[0]:
-        raise InputError(path, f"{where}, data", "do not fit their checksum", _MEND)
+    if masked_crc(data) != _FOOTER.unpack(file.read(_FOOTER.size))[0]:
+        raise InputError(path, f"{where}, data", "do not fit their checksum", MEND)
     return Record(number, offset, data)
 
 
-def crc32c_reference(data: bytes | memoryview) -> int:
-    """CRC-32C of `data`, byte by byte."""
-    table = _byte_tables()[0].tolist()
-    register = 0xFFFFFFFF
-    for byte in data:
-        register = table[(register ^ byte) & 0xFF] ^ (register >> 8)
-    return register ^ 0xFFFFFFFF
+def read_segment(path: Path) -> Segment:
+    """Go through a segment once, checking every checksum; no more than a record is in memory.
 
-
-def crc32c(data: bytes | memoryview) -> int:
-    """CRC-32C of `data`; the same as `crc32c_reference`.
-
-    The checksum is linear over bits: the data are cut into lanes which advance side by side, each
-    from an empty register, and pairs of lanes are joined, the left one moved on by as many zero
-    bytes as the right one is long. Zeros before the data change nothing, and a full register at the
-    start is the same as the first four bytes inverted.
+    Raises:
+        InputError: the file is damaged, a field is missing or unknown, frames are of several
+            segments or out of order.
     """
-    if len(data) < LANES * _STEP:
-        return crc32c_reference(data)
-    columns = -(-len(data) // (LANES * _STEP))
-    padded = np.zeros(LANES * _STEP * columns, np.uint8)
-    begin = len(padded) - len(data)
-    padded[begin:] = np.frombuffer(data, np.uint8)
-    padded[begin : begin + 4] ^= 0xFF
-    # One row for each step, so that the lanes of a step lie together in memory.
-    steps = np.ascontiguousarray(padded.view("<u8").reshape(LANES, columns).T)
-    tables = _half_word_tables()
-    state = np.zeros(LANES, np.uint32)
-    for step in steps:
-        halves = step.view("<u2").reshape(LANES, 4).T
-        low, high, third, fourth = halves.astype(np.intp)  # numpy indexes twice as fast with these
-        state = (
-            tables[3][low ^ (state & 0xFFFF)]
-            ^ tables[2][high ^ (state >> 16)]
-            ^ tables[1][third]
-            ^ tables[0][fourth]
-        )
-    length = _STEP * columns
-    while len(state) > 1:
-        state = _apply(_zeros(length), state[0::2]) ^ state[1::2]
-        length *= 2
-    return int(state[0]) ^ 0xFFFFFFFF
+    frames: list[FrameEntry] = []
+    context: Message | None = None
+    map_features: MapFeatures | None = None
+    for record in read_records(path):
+        place = Place(path, f"record {record.number}")
+        with place.errors():
+            message = decode("Frame", record.data)
+            _check_same_segment(context, message)
+            entry = _frame(place, record, message)
+            if frames and entry.start_us <= frames[-1].start_us:
+                raise FieldError("timestamp_micros", "is not later than the frame before")
+            if map_features is None and (stored := message["map_features"]):
+                features = decode_features(stored)
+                map_features = MapFeatures(place, features, _map_offset(message))
+        frames.append(entry)
+        context = context or message["context"]
+    assert context is not None  # read_records refuses a file without records
+    with frames[0].place.errors():
+        cameras = {m["name"]: _camera(m) for m in context["camera_calibrations"]}
+        lasers = {m["name"]: _laser_calibration(m) for m in context["laser_calibrations"]}
+        stats = context.get("stats")
+        known = {} if stats is None else {name: stats.get(name) for name in _STATS}
+        notes = {name: text for name, text in known.items() if text is not None}
+        return Segment(context["name"], cameras, lasers, tuple(frames), notes, map_features)
 
 
-@cache
-def _byte_tables() -> Words:
-    """(256,) and on: registers after a byte b and after i zero bytes behind it, (8, 256)."""
-    first = np.arange(256, dtype=np.uint32)
-    for _ in range(8):
-        first = np.where(first & 1, (first >> 1) ^ np.uint32(POLYNOMIAL), first >> 1)
-    tables = [first]
-    for _ in range(7):
-        tables.append(first[tables[-1] & 0xFF] ^ (tables[-1] >> 8))
-    return np.stack(tables)
+def _check_same_segment(context: Message | None, message: Message) -> None:
+    name = message["context"]["name"]
+    if context is not None and name != context["name"]:
+        problem = f"is {name!r}, the frames before are of {context['name']!r}"
+        raise FieldError("context.name", problem)
 
 
-@cache
-def _half_word_tables() -> Words:
-    """Registers after two bytes and 2 i zero bytes behind them, (4, 65536)."""
-    both = np.arange(65536)
-    low, high = both & 0xFF, both >> 8
-    tables = _byte_tables()
-    return np.stack([tables[2 * i + 1][low] ^ tables[2 * i][high] for i in range(4)])
+def _transform(message: Message, name: str) -> Array:
+    """The (4, 4) pose in the field `name`; raises FieldError where it is none."""
+    return rigid(message[name]["transform"], f"{message.path(name)}.transform")
 
 
-@cache
-def _zeros(length: int) -> Words:
-    """What `length` zero bytes make of each bit of the register, (32,)."""
-    if length == 1:
-        bits = np.uint32(1) << np.arange(32, dtype=np.uint32)
-        moved: Words = _byte_tables()[0][bits & 0xFF] ^ (bits >> 8)
-        return moved
-    half = _zeros(length // 2)
-    moved = _apply(half, half)
-    return moved if length % 2 == 0 else _apply(_zeros(1), moved)
+def _camera(message: Message) -> CameraCalibration:
+    intrinsic = message["intrinsic"]
+    if len(intrinsic) != 9:
+        raise FieldError(message.path("intrinsic"), f"has {len(intrinsic)} numbers, not 9")
+    return camera_calibration(
+        message.where,
+        (message["width"], message["height"]),
+        intrinsic.tolist(),
+        _transform(message, "extrinsic"),
+        message.get("rolling_shutter_direction", "unknown"),
+    )
 
 
-def _apply(images_of_bits: Words, registers: Words) -> Words:
-    """A linear map, given by its images of the 32 bits, of registers (N,)."""
-    moved = np.zeros_like(registers)
-    for bit, image in enumerate(images_of_bits):
-        moved ^= np.where((registers >> np.uint32(bit)) & 1, image, np.uint32(0))
-    return moved
+def _laser_calibration(message: Message) -> LaserCalibration:
+    values = message["beam_inclinations"]
+    ends = () if len(values) else ("beam_inclination_min", "beam_inclination_max")
+    return laser_calibration(
+        (message.path("beam_inclinations"), values),
+        {message.path(end): message[end] for end in ends},
+        _transform(message, "extrinsic"),
+    )
+
+
+def _frame(place: Place, record: Record, message: Message) -> FrameEntry:
+    images: dict[str, ImageEntry] = {}
+    lasers: dict[str, LaserEntry] = {}
+    start_us = frame_time(message["timestamp_micros"], message.path("timestamp_micros"))
+    for image in message["images"]:
+        name = _new_name(image, images)
+        images[name] = _image(image, _part_of(place, record, image, "image"), start_us)
+    for laser in message["lasers"]:
+        returns = _laser(place, record, laser)
+        if returns is not None:
+            lasers[_new_name(laser, lasers)] = returns
+    labels = tuple(_label(place, label) for label in message["laser_labels"])
+    return FrameEntry(place, start_us, _transform(message, "pose"), images, lasers, labels)
+
+
+def _new_name(message: Message, known: Mapping[str, object]) -> str:
+    name: str = message["name"]
+    if name in known:
+        raise FieldError(message.path("name"), f"{name} is there twice")
+    return name
+
+
+def _image(image: Message, jpeg: FilePart, start_us: int) -> ImageEntry:
+    names = ("pose_timestamp", "shutter", "camera_trigger_time", "camera_readout_done_time")
+    seconds = {image.path(name): image[name] for name in names}
+    return image_entry(jpeg, _transform(image, "pose"), seconds, start_us)
+
+
+def _laser(place: Place, record: Record, laser: Message) -> LaserEntry | None:
+    """None where it has no range image at all: some files come without, to be small."""
+    parts, poses = [], None
+    for name in ("return1", "return2"):
+        image = laser.get(name)
+        if image is None or image.get("range_image_compressed") is None:
+            continue
+        parts.append(PackedMatrix(_part_of(place, record, image, "range_image_compressed")))
+        if name == "return1" and image.get("pose_compressed") is not None:
+            poses = PackedMatrix(_part_of(place, record, image, "pose_compressed"))
+    return LaserEntry(tuple(parts), poses) if parts else None
+
+
+def _part_of(place: Place, record: Record, message: Message, name: str) -> FilePart:
+    data = message[name]
+    return FilePart(
+        place.inside(message.path(name)), record.offset + _find(data, record), len(data)
+    )
+
+
+def _find(part: bytes, record: Record) -> int:
+    """Where a part of a record begins, which protobuf does not tell.
+
+    Files of one kind begin alike, but end differently.
+    """
+    end = part[-_END:]
+    at = len(part) - len(end)
+    while not record.data.startswith(
+        part, (at := record.data.index(end, at)) - len(part) + len(end)
+    ):
+        at += 1
+    return at - len(part) + len(end)
+
+
+def _label(place: Place, label: Message) -> LabelEntry:
+    box = label["box"]
+    names = ("center_x", "center_y", "center_z", "length", "width", "height", "heading")
+    return label_entry(
+        place.inside(label.path("id")),
+        label["id"],
+        label.get("type", "unknown"),
+        {box.path(name): box[name] for name in names},
+    )
+
+
+def _map_offset(message: Message) -> Array:
+    offset = message.get("map_pose_offset")
+    if offset is None:
+        return np.zeros(3)
+    return np.array([offset.get(axis, 0.0) for axis in "xyz"])
+
+
+@dataclass(frozen=True)
+class FilePart:
+    """Bytes of a file; `StoredBytes`.
+
+    Attributes:
+        place: for messages.
+        offset, size: in bytes.
+        sealed: the record's checksum has been compared.
+    """
+
+    place: Place
+    offset: int
+    size: int
+    sealed: bool = True
+
+    def read(self) -> bytes:
+        """The bytes."""
+        with disk_errors(self.place.path), self.place.path.open("rb") as file:
+            file.seek(self.offset)
+            return file.read(self.size)
+
+
+@dataclass(frozen=True)
+class PackedMatrix:
+    """A matrix as a zlib stream of a MatrixFloat message; `StoredMatrix`."""
+
+    part: FilePart
+
+    @property
+    def place(self) -> Place:
+        """Where it is written."""
+        return self.part.place
+
+    def read(self, channels: int) -> Float32Array:
+        """The (H, W, channels) float32 matrix.
+
+        Raises:
+            InputError: it is empty, damaged, or of another shape.
+        """
+        if self.part.size == 0:
+            raise self.place.error("is empty")
+        try:
+            stream = zlib.decompressobj()
+            data = stream.decompress(self.part.read(), _LARGEST)
+        except zlib.error as error:
+            raise self.place.error(f"is no zlib stream ({error})") from None
+        if not stream.eof:
+            raise self.place.error("is cut off or too large")
+        try:
+            message = decode("MatrixFloat", data)
+            values, dims = message["data"], message["shape"]["dims"].tolist()
+        except FieldError as error:
+            raise self.place.error(f"holds no matrix: {error}") from None
+        try:
+            return shaped(values, dims, channels)
+        except ValueError as error:
+            raise self.place.error(str(error)) from None

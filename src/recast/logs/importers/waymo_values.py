@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from recast.geometry import PinholeCamera, se3
 from recast.logs import checks
+from recast.logs.importers.waymo_proto import FieldError
 from recast.logs.importers.waymo_segment import (
     CameraCalibration,
     ImageEntry,
@@ -21,7 +22,6 @@ from recast.logs.importers.waymo_segment import (
     Place,
     StoredBytes,
 )
-from recast.logs.importers.waymo_wire import FieldError
 from recast.logs.types import Array, Float32Array
 
 WAYMO_FROM_OPENCV = se3.from_rotation_translation(

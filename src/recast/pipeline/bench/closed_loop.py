@@ -1,11 +1,4 @@
-"""`recast bench closed-loop`: the whole grid, from scenes to the paper's table.
-
-OUT/bench.json         what the grid is
-OUT/scenes/ID          an ordinary run folder (docs/runs.md)
-OUT/rollouts.parquet   one row a rollout (docs/bench.md)
-OUT/results.json       tables, paired differences, agreement with the truth
-OUT/times.json         where the time went
-"""
+"""`recast bench closed-loop`: a whole grid, from scenes to the paper's table; see docs/bench.md."""
 
 from __future__ import annotations
 
@@ -18,10 +11,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from recast.actors import make_generator, segmenter_of
-from recast.core import Store, files, open_store
+from recast.core import files
 from recast.core.errors import InputError, printable
-from recast.core.ray_cluster import worker_pool
-from recast.core.workers import WorkerPool
 from recast.evaluation.verdicts import write_rows
 from recast.logs import read_log
 from recast.pipeline.arms import truth_of
@@ -37,7 +28,7 @@ from recast.pipeline.bench.results import (
 from recast.pipeline.bench.scene_run import Outcome, RolloutTask, Task
 from recast.pipeline.bench.schedule import SceneDesk, Schedule, Times
 from recast.pipeline.bench.settings import RESULTS_FILE, ROLLOUTS_FILE, BenchSettings, begin
-from recast.pipeline.bench.worker import BenchWorker, Courier, start_worker, work_off
+from recast.pipeline.bench.worker import BenchWorker, Workers
 from recast.pipeline.display import FrameProgress, failure_lines
 from recast.pipeline.rollouts import (
     announce_planner,
@@ -45,7 +36,6 @@ from recast.pipeline.rollouts import (
     require_distinct_planners,
     run_mounts,
 )
-from recast.pipeline.run import STORE_FOLDER
 from recast.planning import CameraMount, Planner, make_planner
 from recast.simulation import camera_mount
 from recast.synthetic import check_drive, world_of
@@ -71,23 +61,16 @@ def run_closed_loop(
     files but the times are the same bytes for any number of workers.
 
     Args:
-        settings: of the grid.
         out: new, empty, or of this very grid.
-        console: shows progress and tables.
-        workers: processes of this machine, or actors of the cluster.
         ray: address of a Ray cluster, or None for none. Its machines need share no folder: logs
             and artefacts travel through Ray. Planners, models, vehicles' files and scenes that are
             named by their path must lie on every machine.
-        retry_failures: run rollouts again that failed in an earlier try.
-        store: folder or address of the artefacts; beside `out` where none is named.
 
     Raises:
         InputError: bad settings, another grid in `out`, or another process at work there, before
             anything is written; or a worker was killed.
     """
-    pool = worker_pool(workers, ray)
-    place = str(out.absolute().parent / STORE_FOLDER if store is None else store)
-    opened = open_store(place)
+    team = Workers(out, workers, ray, store)
     planners = check_grid(settings)
     begin(out, settings.record())
     for planner in planners.values():
@@ -96,17 +79,7 @@ def run_closed_loop(
     if ray is not None:
         settings = settings.absolute()
     with files.alone_in(out):  # for its workers, too, which ask for nothing
-        results, spent = _make(
-            settings,
-            out,
-            console,
-            pool,
-            names,
-            opened,
-            place if ray is None else None,
-            workers,
-            retry_failures,
-        )
+        results, spent = _make(settings, out, console, team, names, workers, retry_failures)
     _print(results, settings, console)
     console.print(f"time: {times_line(spent)}", markup=False, highlight=False)
     console.print(f"wrote {out}", markup=False)
@@ -117,10 +90,8 @@ def _make(
     settings: BenchSettings,
     out: Path,
     console: Console,
-    pool: WorkerPool,
+    team: Workers,
     names: Mapping[str, str],
-    store: Store,
-    place: str | None,
     workers: int,
     retry_failures: bool,
 ) -> tuple[GridResults, dict[str, Any]]:
@@ -128,17 +99,10 @@ def _make(
 
     Args:
         names: planners' names in results, by the word that asks for them.
-        place: the store, for workers that can open it; None where artefacts travel with tasks.
     """
-    desk = SceneDesk(settings, out, store, names)
+    desk = SceneDesk(settings, out, team.store, names)
     schedule, times = Schedule(settings, names, desk.score), Times(out, workers)
     began = time.perf_counter()
-    courier = None
-    if place is None:
-        courier = Courier(
-            store, settings, lambda finds: BenchWorker(finds, settings, retry_failures, None)
-        )
-    arguments = (place, settings, retry_failures, None if courier is None else courier.fetch)
 
     def done(task: Task, outcome: Outcome) -> None:
         desk.note(task, outcome)
@@ -148,8 +112,8 @@ def _make(
             times.note(task, outcome.times, time.perf_counter() - began)
 
     with FrameProgress(console, schedule.total, "scenes and rollouts") as bar:
-        work_off(pool, start_worker, arguments, schedule, courier, done)
-    spent = times.write(time.perf_counter() - began, settings, desk.seconds())
+        team.do(BenchWorker, (settings, retry_failures), settings, schedule, done)
+    spent = times.write(time.perf_counter() - began, settings, desk.seconds)
     results = summarise(schedule.rows(), settings)
     write_rows(results.rows, out / ROLLOUTS_FILE, truth_of(settings.run.arms))
     files.write_json(out / RESULTS_FILE, results_json(results, settings))

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from recast.evaluation.grid import (
@@ -21,6 +20,7 @@ from recast.evaluation.table import COLUMNS, rounded
 from recast.evaluation.verdicts import Agreement, agreements
 from recast.pipeline.arms import truth_of
 from recast.pipeline.bench.settings import BENCH_FORMAT, BENCH_VERSION, BenchSettings
+from recast.pipeline.display import narrow_table
 
 _HEADLINE = {name: column for name, column in COLUMNS.items() if column.headline}
 _DIGITS = {"s": 2, "%": 1}
@@ -31,10 +31,7 @@ class GridResults:
     """What a grid shows.
 
     Attributes:
-        rows: of all rollouts.
-        table: a line for each planner and arm.
         differences: of every arm from the first, by planner.
-        truth: a line for each planner and arm that was compared with the truth.
     """
 
     rows: tuple[GridRow, ...]
@@ -59,7 +56,7 @@ def results_json(results: GridResults, settings: BenchSettings) -> dict[str, Any
     """Plain data without times: the same grid gives the same bytes."""
     config = settings.run
     failed = [row for row in results.rows if row.failure is not None]
-    value: dict[str, Any] = rounded(
+    return rounded(
         {
             "format": BENCH_FORMAT,
             "version": BENCH_VERSION,
@@ -75,34 +72,17 @@ def results_json(results: GridResults, settings: BenchSettings) -> dict[str, Any
             "seed": config.seed,
             "units": {name: column.unit for name, column in COLUMNS.items()},
             "table": [_line(line) for line in results.table],
-            "differences": [_difference(one) for one in results.differences],
+            "differences": [asdict(one) for one in results.differences],
             "truth": [_agreement(one) for one in results.truth],
             "failures": [_failure(row) for row in failed],
         }
     )
-    return value
 
 
 def _line(line: ArmSummary) -> dict[str, Any]:
     return {
         **line.row.to_json(),
         "intervals": {name: _interval(one) for name, one in line.intervals.items()},
-    }
-
-
-def _difference(one: PairedDifference) -> dict[str, Any]:
-    return {
-        "planner": one.planner,
-        "candidate": one.candidate,
-        "baseline": one.baseline,
-        "metric": one.metric,
-        "scenes": one.scenes,
-        "pairs": one.pairs,
-        "asked": one.asked,
-        "plans": one.plans,
-        "cut": one.cut,
-        "sampled": asdict(one.sampled),
-        "exact": None if one.exact is None else asdict(one.exact),
     }
 
 
@@ -136,8 +116,7 @@ def grid_table(lines: Sequence[ArmSummary], title: str) -> Table:
     Below the names stands how many rollouts were scored, of how many. A metric that not every one
     of them has says over how many it is.
     """
-    table = _table(title)
-    _add_columns(table, ["arm"], [column.heading for column in _HEADLINE.values()])
+    table = narrow_table(title, ["arm"], [column.heading for column in _HEADLINE.values()])
     for line in lines:
         row = line.row
         told = [broken_name(row.arm), f"{row.rollouts} of {row.asked}", f"{row.plans} plans"]
@@ -151,9 +130,9 @@ def differences_table(differences: Sequence[PairedDifference]) -> Table:
     level = 100 * differences[0].sampled.level
     scenes = max(one.scenes for one in differences)
     baseline = f"minus\n{broken_name(differences[0].baseline)}"
-    table = _table(f"paired differences, {scenes} scenes drawn whole")
+    title = f"paired differences, {scenes} scenes drawn whole"
     figures = ["mean", f"{level:g} % sampled", "exact", "pairs", "plans"]
-    _add_columns(table, [baseline, "metric"], figures)
+    table = narrow_table(title, [baseline, "metric"], figures)
     for one in differences:
         if one.metric not in _HEADLINE:
             continue
@@ -176,9 +155,8 @@ def truth_table(lines: Sequence[Agreement]) -> Table:
 
     False are collisions that the truth's rollouts do not have, missed are those that they have.
     """
-    table = _table("against the truth")
     figures = ["same verdict", "%", "false", "missed", "TTC error s", "pairs", "plans"]
-    _add_columns(table, ["arm"], figures)
+    table = narrow_table("against the truth", ["arm"], figures)
     for one in lines:
         share = replace(
             one.share,
@@ -214,20 +192,6 @@ def times_line(times: Mapping[str, Any]) -> str:
         f"{session['rollouts']} rollouts; all {whole['rollouts']} took {whole['seconds']:.0f} s"
         + (f": {shares}" if shares else "")
     )
-
-
-def _table(title: str) -> Table:
-    return Table(
-        title=title, title_justify="left", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False
-    )
-
-
-def _add_columns(table: Table, words: Sequence[str], figures: Sequence[str]) -> None:
-    # Where a line is too long, only the first column, the arm's name, may give way.
-    for heading in words:
-        table.add_column(heading, overflow="fold", no_wrap=heading != words[0])
-    for heading in figures:
-        table.add_column(heading, no_wrap=True, justify="right")
 
 
 def broken_name(arm: str) -> str:

@@ -30,8 +30,7 @@ OTHER_SCRIPT = "OtherScript"
 def log_artefact(store: Store, scene: BenchScene, settings: BenchSettings) -> Artefact:
     """The log of a synthetic scene; or a copy of a recorded one, to travel to other machines.
 
-    Raises:
-        InputError: see `make_world` and `drive_log`.
+    InputError: see `make_world` and `drive_log`.
     """
     if scene.log is not None:
         path = scene.log
@@ -64,15 +63,22 @@ def _drive(world: World, path: Path, settings: BenchSettings) -> None:
     drive_log(world, path, image_size, cameras, 1, Console(quiet=True))
 
 
+def open_scene(
+    scene: BenchScene, settings: BenchSettings, log: Artefact | None
+) -> tuple[SourceLog, RunConfig]:
+    """The log of a scene, and what is run on it."""
+    path = scene.log if log is None else log.path / LOG_FOLDER
+    assert path is not None  # synthetic logs are artefacts
+    source = SourceLog.open(path)
+    track = source.log.metadata["target"] if scene.track is None else scene.track
+    return source, settings.run_of(track)
+
+
 class SceneRun:
     """The artefacts of a scene; close it.
 
     Args:
-        store: of the artefacts.
-        scene: which.
-        settings: of the grid.
         log: the artefact of its log; None for one in a folder of its own.
-        known: see `Sources.of`.
 
     Raises:
         InputError: a faulty log, or a camera that a planner wants and the log lacks.
@@ -87,11 +93,7 @@ class SceneRun:
         known: Sources | None = None,
     ) -> None:
         self.log = log
-        path = scene.log if log is None else log.path / LOG_FOLDER
-        assert path is not None  # synthetic logs are artefacts
-        source = SourceLog.open(path)
-        track = source.log.metadata["target"] if scene.track is None else scene.track
-        config = settings.run_of(track)
+        source, config = open_scene(scene, settings, log)
         sources = Sources.of(config, scene.id, known)
         console = Console(quiet=True)
         self.artefacts = Artefacts(store, source, config, sources, console, scene.id, 1)
@@ -123,7 +125,6 @@ class Task:
     """A piece of work on a scene.
 
     Attributes:
-        scene: which.
         log: reference of its log in the store; None while there is none, or where it lies in a
             folder of its own.
         tickets: of the artefacts that it needs, where workers share no folder with this process.
@@ -178,7 +179,6 @@ class Outcome:
         used: references of the artefacts by use, see `Artefacts.used`.
         log: reference of the log in the store, if it lies there.
         error, reason, traceback: of what the task raised; None if it is done.
-        times: of a rollout that was made now.
         parcels: artefacts that were made, by reference, where no folder is shared.
     """
 
@@ -224,10 +224,7 @@ def scene_rows(
     not react to the ego: a row that was not is a failure.
 
     Args:
-        log: name of the log.
         names: planners' names in results, by the word that asks for them.
-        metrics: of the scene's run, see `read_metrics`.
-        used: artefacts by use.
         errors: of rollouts that could not begin, by use.
     """
     scored = {_key(one): one for one in metrics["rollouts"]}

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,20 +19,19 @@ from recast.core.errors import InputError
 from recast.core.records import read_record
 from recast.evaluation.grid import GridRow
 from recast.pipeline.bench.scene_run import (
-    LOG_FOLDER,
     Outcome,
     RolloutTask,
     RolloutTimes,
     SceneTask,
     Task,
     blank_row,
+    open_scene,
     scene_rows,
 )
 from recast.pipeline.bench.settings import SCENES_FOLDER, TIMES_FILE, BenchSettings
 from recast.pipeline.layout import METRICS_FILE, use_parts
 from recast.pipeline.run_folder import RunFolder
 from recast.pipeline.scores import read_metrics, write_metrics
-from recast.pipeline.sources import SourceLog
 
 Cell = tuple[str, str, str]
 """Motion, planner and arm of a rollout."""
@@ -47,9 +47,6 @@ class SceneDesk:
     """Writes OUT/scenes/ID of every scene.
 
     Args:
-        settings: of the grid.
-        out: folder of the grid.
-        store: of the artefacts.
         names: planners' names in results, by the word that asks for them.
     """
 
@@ -57,7 +54,8 @@ class SceneDesk:
         self, settings: BenchSettings, out: Path, store: Store, names: Mapping[str, str]
     ) -> None:
         self._settings, self._out, self._store, self._names = settings, out, store, names
-        self._seconds: dict[str, dict[str, float]] = {}
+        self.seconds: dict[str, dict[str, float]] = {}
+        """By scene, what its artefacts took, whichever grid made them."""
 
     def note(self, task: Task, outcome: Outcome) -> None:
         """Keep the traceback of a task that failed; forget that of an earlier try."""
@@ -75,29 +73,21 @@ class SceneDesk:
         """Write the run folder of a scene whose rollouts are all made; return its rows."""
         scene = next(one for one in self._settings.scenes if one.id == scene_id)
         artefacts = {use: self._store.open(name) for use, name in used.items() if use != "log"}
-        path = scene.log if log is None else self._store.open(log).path / LOG_FOLDER
-        assert path is not None
-        source = SourceLog.open(path)
-        track = source.log.metadata["target"] if scene.track is None else scene.track
-        config = self._settings.run_of(track)
+        kept = {} if log is None else {"log": self._store.open(log)}
+        source, config = open_scene(scene, self._settings, kept.get("log"))
         out = self._out / SCENES_FOLDER / scene.id
         folder = RunFolder.create_or_resume(
-            out, config.resolved(), path, source.hash, str(self._store.root)
+            out, config.resolved(), source.path, source.hash, str(self._store.root)
         )
-        kept = {} if log is None else {"log": self._store.open(log)}
         folder.refer(self._store, {**kept, **artefacts}, whole=True)
         write_metrics(out / METRICS_FILE, config, artefacts, source.map)
-        self._seconds[scene.id] = {
+        self.seconds[scene.id] = {
             use: one.record.seconds
             for use, one in sorted(artefacts.items())
             if use.startswith(SCENE_PARTS)
         }
         metrics = read_metrics(out / METRICS_FILE)
         return scene_rows(scene, config, source.log.name, self._names, metrics, artefacts, errors)
-
-    def seconds(self) -> dict[str, dict[str, float]]:
-        """By scene, what its artefacts took, whichever grid made them."""
-        return self._seconds
 
 
 class Schedule:
@@ -106,7 +96,6 @@ class Schedule:
     Scenes go first, since they take longest and make work for the others.
 
     Args:
-        settings: of the grid.
         names: planners' names in results, by the word that asks for them.
         score: gives the rows of a scene whose tasks are all done, from its id, the references of
             its artefacts by use, its log, and the errors of rollouts that could not begin.
@@ -121,12 +110,8 @@ class Schedule:
         self._settings, self._names, self._score = settings, names, score
         self._ready: deque[Task] = deque(SceneTask(scene) for scene in settings.scenes)
         run = settings.run
-        self._cells: list[Cell] = [
-            (motion, planner, arm.name)
-            for motion in run.motions
-            for planner in run.planners
-            for arm in run.arms
-        ]
+        arms = [arm.name for arm in run.arms]
+        self._cells: list[Cell] = list(product(run.motions, run.planners, arms))
         self._used: dict[str, dict[str, str]] = {scene.id: {} for scene in settings.scenes}
         self._errors: dict[str, dict[str, Outcome]] = {scene.id: {} for scene in settings.scenes}
         self._left = {scene.id: len(self._cells) for scene in settings.scenes}
@@ -202,7 +187,6 @@ class Times:
 
     Args:
         out: folder of the grid; what earlier sessions took is kept.
-        workers: of this session.
 
     Raises:
         InputError: the file of the earlier sessions is damaged.

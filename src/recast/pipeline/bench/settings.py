@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -10,13 +9,13 @@ from pathlib import Path
 from typing import Any, Self
 
 from recast.core import files, folder_hash
-from recast.core.errors import InputError
+from recast.core.errors import InputError, require_range
 from recast.core.names import folder_name
 from recast.evaluation.pairs import SAMPLES
 from recast.logs import read_log
-from recast.pipeline.config import RunConfig, resolve_config
+from recast.pipeline.config import RunConfig, given, resolve_config
 from recast.pipeline.paper import AUTO_TRACK, choose_target
-from recast.pipeline.run_folder import claim_empty
+from recast.pipeline.run_folder import claim_empty, first_difference
 from recast.synthetic import SCENES
 
 ALL_SYNTHETIC = "synthetic"
@@ -36,8 +35,6 @@ class BenchScene:
 
     Attributes:
         id: its name in results and its folder below OUT/scenes.
-        world, seed: of a synthetic one, else None.
-        log, track: of a recorded one, else None.
     """
 
     id: str
@@ -64,11 +61,11 @@ def parse_scenes(words: Sequence[str], seed: int, track: str | None = None) -> l
     """
     scenes = [scene for word in words for scene in _parse(word, seed, track)]
     if not scenes:
-        raise InputError("--scenes", "value", "names none", f"choose of {', '.join(SCENES)}")
+        raise InputError("`scenes`", "value", "names none", f"choose of {', '.join(SCENES)}")
     seen: set[str] = set()
     for scene in scenes:
         if scene.id in seen:
-            raise InputError("--scenes", scene.id, "is named twice", "name each scene once")
+            raise InputError("`scenes`", scene.id, "is named twice", "name each scene once")
         seen.add(scene.id)
     return scenes
 
@@ -82,7 +79,7 @@ def _parse(word: str, seed: int, track: str | None) -> list[BenchScene]:
     if name in SCENES:
         if colon and not re.fullmatch(r"[0-9]+", rest):
             problem = f"{rest!r} is no seed"
-            raise InputError("--scenes", word, problem, "give a number, 0 or more")
+            raise InputError("`scenes`", word, problem, "give a number, 0 or more")
         return [_synthetic(name, int(rest) if colon else seed)]
     # a whole word that is a folder wins, since paths may hold colons
     if Path(word).is_dir() and track is not None:
@@ -91,10 +88,10 @@ def _parse(word: str, seed: int, track: str | None) -> list[BenchScene]:
         return [_recorded(Path(name), rest)]
     if Path(word).is_dir():
         raise InputError(
-            "--scenes", word, "names no track to control", "write LOG:TRACK, or give --track"
+            "`scenes`", word, "names no track to control", "write LOG:TRACK, or give `track`"
         )
     raise InputError(
-        "--scenes",
+        "`scenes`",
         word,
         "is neither a synthetic scene nor a log folder",
         f"choose of {', '.join(SCENES)}, say {ALL_SYNTHETIC} for all, or give LOG:TRACK",
@@ -130,11 +127,8 @@ class BenchSettings:
     """A grid.
 
     Attributes:
-        scenes: at least one.
         run: motions, arms (the first is the baseline), planners and all else, the same for every
             scene; its track is `ANY_TRACK`.
-        drive: size of synthetic scenes.
-        samples: of the bootstrap.
     """
 
     scenes: tuple[BenchScene, ...]
@@ -163,7 +157,7 @@ class BenchSettings:
     def record(self) -> dict[str, Any]:
         """What makes this grid another than others: plain data, without where files lie.
 
-        The member `config` is the configuration of a run, so that `--config` reads it.
+        The member `config` is the configuration of a run, so that a configuration file may be one.
         """
         return {
             "format": BENCH_FORMAT,
@@ -185,27 +179,18 @@ def begin(out: Path, record: Mapping[str, Any]) -> None:
     if path.is_file():
         found = files.read_json(path)
         if not isinstance(found, dict) or found.get("format") != record["format"]:
-            raise InputError(path, "format", "is no grid's", "name another --out")
-        for name, value in json.loads(json.dumps(record)).items():
-            if found.get(name) != value:
-                raise InputError(
-                    path,
-                    _where(name, found.get(name), value),
-                    "differs: another grid lies there",
-                    "name another --out, or repeat the options of the grid that lies there",
-                )
+            raise InputError(path, "format", "is no grid's", "name another `out`")
+        differing = first_difference({name: found.get(name) for name in record}, dict(record))
+        if differing is not None:
+            raise InputError(
+                path,
+                differing,
+                "differs: another grid lies there",
+                "name another `out`, or repeat the options of the grid that lies there",
+            )
         return
     claim_empty(out, RECORD_FILE)
     files.write_json(path, record)
-
-
-def _where(name: str, found: Any, wanted: Any) -> str:
-    """Dotted name of the first member that differs."""
-    if isinstance(found, Mapping) and isinstance(wanted, Mapping):
-        for key in wanted:
-            if found.get(key) != wanted[key]:
-                return _where(f"{name}.{key}", found.get(key), wanted[key])
-    return name
 
 
 def _scene_record(scene: BenchScene) -> dict[str, Any]:
@@ -244,10 +229,8 @@ def resolve_bench(
     Raises:
         InputError: a file, a scene or an option is wrong.
     """
-    given = {name: value for name, value in drive_options.items() if value is not None}
-    drive = replace(_QUICK_DRIVE if quick else DriveSize(), **given)
-    if samples < 1:
-        raise InputError("--samples", "value", f"is {samples}", "give 1 or more")
+    drive = replace(_QUICK_DRIVE if quick else DriveSize(), **given(drive_options))
+    require_range(1, samples=samples)
     from_files = config_file is not None or scene_config_file is not None
     scene_defaults = {**({} if from_files else _SCENE), **(_QUICK_SCENE if quick else {})}
     run = resolve_config(
@@ -255,11 +238,7 @@ def resolve_bench(
         tuple(motions) or MOTIONS,
         config_file,
         scene_config_file,
-        _over(_QUICK_RUN if quick else {}, run_options),
-        _over(scene_defaults, scene_options),
+        {**(_QUICK_RUN if quick else {}), **given(run_options)},
+        {**scene_defaults, **given(scene_options)},
     )
     return BenchSettings(tuple(parse_scenes(words, run.seed, track)), run, drive, samples)
-
-
-def _over(defaults: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    return {**defaults, **{k: v for k, v in options.items() if v is not None}}

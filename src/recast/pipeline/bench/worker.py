@@ -6,13 +6,13 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Protocol
 
 from recast.core import Artefact, Store, open_store
-from recast.core.depot import Fetch, ParcelDepot, pack
-from recast.core.ray_cluster import fetch_parcel, node_folder, send_parcel
+from recast.core.ray_cluster import fetch_parcel, node_folder, send_parcel, worker_pool
+from recast.core.remote import Fetch, ParcelDepot, pack
 from recast.core.store import NotInStoreError
-from recast.core.workers import WorkerPool
 from recast.pipeline.bench.scene_run import (
     Outcome,
     RolloutTask,
@@ -23,6 +23,7 @@ from recast.pipeline.bench.scene_run import (
 )
 from recast.pipeline.bench.settings import BenchSettings
 from recast.pipeline.rollouts import is_failure
+from recast.pipeline.run import STORE_FOLDER
 from recast.pipeline.sources import Sources
 from recast.simulation import Timings, error_fields
 
@@ -31,33 +32,29 @@ _LOG = logging.getLogger(__name__)
 _FINISHED = "finished artefacts"
 
 
-def start_worker(
+def _start(
     number: int,
     place: str | None,
-    settings: BenchSettings,
-    retry_failures: bool,
+    kind: Callable[..., BenchWorker],
+    arguments: tuple[Any, ...],
     fetch: Fetch | None,
-) -> Callable[[Task], Outcome]:
-    """A worker of a pool; `number` makes no difference.
-
-    Args:
-        place: the store that all workers share; None for one of each machine of a cluster.
-        settings: of the grid.
-        retry_failures: run rollouts again that failed in an earlier try.
-        fetch: gets the artefacts that come with a task, see `ParcelDepot`.
-    """
-    del number
+) -> BenchWorker:
+    """A worker of a pool; `place` is None for the store of each machine of a cluster."""
+    del number  # makes no difference
     from recast.splats import set_threads
 
     set_threads(1)
-    store = open_store(node_folder() if place is None else place)
-    return BenchWorker(store, settings, retry_failures, fetch)
+    return kind(open_store(node_folder() if place is None else place), *arguments, fetch)
 
 
 class BenchWorker:
     """Does tasks one after the other, and keeps the scene of the last open.
 
     Whatever a task raises is its outcome: no scene and no planner ends the grid.
+
+    Args:
+        retry_failures: run rollouts again that failed in an earlier try.
+        fetch: gets the artefacts that come with a task, see `ParcelDepot`.
     """
 
     def __init__(
@@ -145,8 +142,6 @@ class Courier:
     """Puts each artefact into Ray's object store once, for all tasks that need it.
 
     Args:
-        store: of this process.
-        settings: of the grid.
         worker: makes a worker of a store, which is asked what earlier tries have made.
     """
 
@@ -195,31 +190,52 @@ class TaskList(Protocol):
         """References of the artefacts that a task needs."""
 
 
-def work_off(
-    pool: WorkerPool,
-    start: Any,
-    arguments: tuple[Any, ...],
-    tasks: TaskList,
-    courier: Courier | None,
-    done: Callable[[Task, Outcome], None],
-) -> None:
-    """Have a pool do all tasks.
+class Workers:
+    """The workers of an experiment, and the store that they fill.
 
     Args:
-        start, arguments: of the pool's workers.
-        courier: where workers share no folder with this process.
-        done: told what came of each task, which may make others ready.
+        workers: processes of this machine, or actors of the cluster.
+        ray: address of a Ray cluster, whose machines share no folder; None for none.
+        store: folder or address; beside `out` if None.
+
+    Raises:
+        InputError: see `worker_pool` and `open_store`.
     """
 
-    def take() -> Task | None:
-        while (task := tasks.take()) is not None and courier is not None:
-            found = courier.found(task)
-            if found is None:
-                return courier.loaded(task, tasks.needed(task))
-            done(task, found)
-        return task
+    def __init__(self, out: Path, workers: int, ray: str | None, store: str | Path | None) -> None:
+        self._pool = worker_pool(workers, ray)
+        place = str(out.absolute().parent / STORE_FOLDER if store is None else store)
+        self.store = open_store(place)
+        self._place = place if ray is None else None
 
-    for task, outcome in pool(start, arguments, take, _FINISHED):
-        if courier is not None:
-            courier.unload(outcome)
-        done(task, outcome)
+    def do(
+        self,
+        kind: Callable[..., BenchWorker],
+        arguments: tuple[Any, ...],
+        settings: BenchSettings,
+        tasks: TaskList,
+        done: Callable[[Task, Outcome], None],
+    ) -> None:
+        """Do all tasks.
+
+        Args:
+            kind: makes a worker from its store, `arguments`, and what fetches parcels, if any.
+            done: told what came of each task, which may make others ready.
+        """
+        courier = None
+        if self._place is None:
+            courier = Courier(self.store, settings, lambda finds: kind(finds, *arguments, None))
+
+        def take() -> Task | None:
+            while (task := tasks.take()) is not None and courier is not None:
+                found = courier.found(task)
+                if found is None:
+                    return courier.loaded(task, tasks.needed(task))
+                done(task, found)
+            return task
+
+        given = (self._place, kind, arguments, None if courier is None else courier.fetch)
+        for task, outcome in self._pool(_start, given, take, _FINISHED):
+            if courier is not None:
+                courier.unload(outcome)
+            done(task, outcome)

@@ -1,6 +1,6 @@
 """The paper's experiments as files: its seven arms, its sizes, and its nine Waymo segments.
 
-`--arm paper` and `--config paper` name the files; docs/reproduce.md has the commands.
+The word "paper" names the files of arms and of the configuration; see docs/reproduce.md.
 """
 
 from __future__ import annotations

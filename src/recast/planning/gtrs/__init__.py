@@ -1,6 +1,14 @@
 """GTRS-Dense: scores a vocabulary of trajectories against camera images."""
 
-from recast.planning.gtrs.config import BackboneConfig, GtrsConfig, StageConfig
+from recast.planning.gtrs.config import (
+    NUPLAN_VIRTUAL,
+    WAYMO_NATIVE,
+    BackboneConfig,
+    GtrsConfig,
+    StageConfig,
+    ViewLayout,
+    network_input,
+)
 from recast.planning.gtrs.folder import (
     load_checkpoint,
     load_gtrs,
@@ -24,15 +32,8 @@ from recast.planning.gtrs.scores import (
     vocabulary_dropout,
     write_vocabulary,
 )
-from recast.planning.gtrs.views import (
-    NUPLAN_VIRTUAL,
-    WAYMO_NATIVE,
-    Lens,
-    ViewLayout,
-    network_input,
-    nuplan_rig,
-)
 from recast.planning.types import ego_status
+from recast.planning.views import Lens, nuplan_rig
 
 __all__ = [
     "COMBINED",

@@ -18,8 +18,8 @@ from torch import Tensor
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, disk_errors, write_bytes, write_json
 from recast.core.records import Record, read_record
-from recast.core.torch_file import read_safetensors, read_torch_file
-from recast.planning.gtrs.config import GtrsConfig
+from recast.core.torch_file import read_safetensors, read_torch_file, require_state
+from recast.planning.gtrs.config import WAYMO_NATIVE, GtrsConfig, ViewLayout
 from recast.planning.gtrs.model import GtrsModel, empty_model
 from recast.planning.gtrs.planner import GtrsPlanner
 from recast.planning.gtrs.scores import (
@@ -29,7 +29,6 @@ from recast.planning.gtrs.scores import (
     read_vocabulary,
     write_vocabulary,
 )
-from recast.planning.gtrs.views import WAYMO_NATIVE, ViewLayout
 
 PREFIX = "agent.model."
 """Before every name in a released Lightning checkpoint."""
@@ -65,7 +64,6 @@ def save_gtrs(folder: str | Path, planner: GtrsPlanner, dtype: torch.dtype = tor
     """Write a planner as a folder, whole or not at all. The same weights give the same bytes.
 
     Args:
-        folder: new.
         dtype: floating-point type of the stored weights; float16 halves the file and rounds.
 
     Raises:
@@ -123,7 +121,6 @@ def load_checkpoint(
         path: Lightning checkpoint (`.ckpt`), state dict (`.pth`) or safetensors.
         vocabulary: `.npy` file, such as the released 8192 trajectories; None takes those in the
             checkpoint, with which it was trained.
-        views: which cameras, and how they are stitched.
         config: sizes; None for the released ones.
         name: for tables and messages.
 
@@ -144,11 +141,7 @@ def load_checkpoint(
 
 
 def convert_release(folder: Path) -> None:
-    """Write `planner/` (see `save_gtrs`) from the checkpoint and the vocabulary in a folder.
-
-    Raises:
-        InputError: see `load_checkpoint` and `save_gtrs`.
-    """
+    """Write `planner/` from the files in a folder; see `load_checkpoint` and `save_gtrs`."""
     planner = load_checkpoint(folder / CHECKPOINT, folder / VOCABULARY_OF_RELEASE)
     shutil.rmtree(folder / PLANNER, ignore_errors=True)  # of a try that was killed
     save_gtrs(folder / PLANNER, planner)
@@ -192,32 +185,7 @@ def load_weights(
             line names the first and counts all.
     """
     given = {k: v for k, v in tensors.items() if k != VOCABULARY and not k.startswith(UNUSED)}
-    wanted = model.state_dict()
-    both = sorted(given.keys() & wanted.keys())
-    faults: dict[str, dict[str, str]] = {
-        "of another shape": {
-            name: f"has shape {_shape(given[name])}, the model {_shape(wanted[name])}"
-            for name in both
-            if given[name].shape != wanted[name].shape
-        },
-        "missing": dict.fromkeys(sorted(wanted.keys() - given.keys()), "is missing"),
-        "unexpected": dict.fromkeys(sorted(given.keys() - wanted.keys()), "is not expected"),
-        "of another type": {
-            name: f"holds {given[name].dtype}, the model {wanted[name].dtype}"
-            for name in both
-            if given[name].is_floating_point() != wanted[name].is_floating_point()
-        },
-    }
-    if not any(faults.values()):
-        faults["not finite"] = {
-            name: "holds NaN or infinite values"
-            for name in both
-            if not bool(torch.isfinite(given[name]).all())
-        }
-    first = next((item for fault in faults.values() for item in fault.items()), None)
-    if first is not None:
-        counts = ", ".join(f"{len(fault)} {kind}" for kind, fault in faults.items() if fault)
-        raise InputError(where, first[0], f"{first[1]} ({counts})", _MEND)
+    require_state(where, given, model.state_dict(), _MEND)
     if model.device.type == "meta":
         model.to_empty(device=device)
     model.to(device).load_state_dict(given)
@@ -239,7 +207,3 @@ def _read_pytorch(path: Path) -> dict[str, Tensor]:
                 "give a Lightning or PyTorch checkpoint",
             )
     return dict(content)
-
-
-def _shape(tensor: Tensor) -> tuple[int, ...]:
-    return tuple(tensor.shape)

@@ -62,13 +62,11 @@ class TrajectoryHead(nn.Module):
 
     def embed(self, trajectories: Tensor) -> Tensor:
         """(N, L, 40, 3) in metres and radians, x0 y0 h0 x1 ..., to tokens (N, L, d)."""
-        out: Tensor = self.pos_embed(trajectories.flatten(-2))
-        return out
+        return self.pos_embed(trajectories.flatten(-2))
 
     def encode(self, trajectories: Tensor) -> Tensor:
         """(N, L, 40, 3) to tokens (N, L, d) that have seen each other once."""
-        out: Tensor = self.encoder(self.embed(trajectories))
-        return out
+        return self.encoder(self.embed(trajectories))
 
     def prepare(self, trajectories: Tensor) -> Tensor:
         """(N, L, 40, 3) to tokens (N, L, d) before the first look at the image; never cached."""
@@ -88,8 +86,7 @@ class TrajectoryHead(nn.Module):
 
     def decode(self, prepared: Tensor, image_tokens: Tensor) -> Tensor:
         """Tokens (N, L, d) of `prepare` and image tokens (B, T, d) to (B, L, d); N is 1 or B."""
-        out: Tensor = self.transformer(prepared.expand(len(image_tokens), -1, -1), image_tokens)
-        return out
+        return self.transformer(prepared.expand(len(image_tokens), -1, -1), image_tokens)
 
     def logits(self, tokens: Tensor) -> dict[str, Tensor]:
         """Tokens (B, L, d) to logits (B, L) by head."""
@@ -134,8 +131,7 @@ class BiasedAttention(nn.Module):
         k, v = functional.linear(context, self.in_proj_weight[d:], self.in_proj_bias[d:]).chunk(
             2, dim=-1
         )
-        out: Tensor = self.out_proj(attend(q, k, v, self.heads))
-        return out
+        return self.out_proj(attend(q, k, v, self.heads))
 
 
 class UnbiasedAttention(nn.Module):
@@ -151,8 +147,7 @@ class UnbiasedAttention(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, L, d) to (B, L, d)."""
-        out: Tensor = self.to_out(attend(self.to_q(x), self.to_k(x), self.to_v(x), self.heads))
-        return out
+        return self.to_out(attend(self.to_q(x), self.to_k(x), self.to_v(x), self.heads))
 
 
 class EncoderLayer(nn.Module):
@@ -169,8 +164,7 @@ class EncoderLayer(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """(B, L, d) to (B, L, d)."""
         x = self.norm1(x + self.self_attn(x))
-        out: Tensor = self.norm3(x + self.linear2(functional.relu(self.linear1(x))))
-        return out
+        return self.norm3(x + self.linear2(functional.relu(self.linear1(x))))
 
 
 class DecoderLayer(nn.Module):
@@ -188,14 +182,12 @@ class DecoderLayer(nn.Module):
 
     def look_at_each_other(self, x: Tensor) -> Tensor:
         """Self-attention and first norm, (B, L, d): all of the layer that needs no image."""
-        out: Tensor = self.norm1(x + self.self_attn(x, x))
-        return out
+        return self.norm1(x + self.self_attn(x, x))
 
     def look_at_image(self, x: Tensor, image_tokens: Tensor) -> Tensor:
         """The rest of the layer: (B, L, d) and image tokens (B, T, d) to (B, L, d)."""
         x = self.norm2(x + self.multihead_attn(x, image_tokens))
-        out: Tensor = self.norm3(x + self.linear2(functional.relu(self.linear1(x))))
-        return out
+        return self.norm3(x + self.linear2(functional.relu(self.linear1(x))))
 
     def forward(self, x: Tensor, image_tokens: Tensor) -> Tensor:
         """The whole layer: (B, L, d) and image tokens (B, T, d) to (B, L, d)."""
@@ -241,7 +233,6 @@ class TensorCache:
         """The kept result if `inputs` are as they were, else that of `compute`.
 
         Args:
-            inputs: all that `compute` reads.
             compute: gives a tensor that nobody writes to.
         """
         if self._result is None or not self._unchanged(inputs):

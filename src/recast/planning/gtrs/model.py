@@ -42,9 +42,6 @@ class GtrsModel(nn.Module):
     that the released checkpoints hold but never use (agent head, query embedding) do not exist.
 
     Source: Li et al., "Generalized Trajectory Scoring for End-to-end Multimodal Planning" (2025).
-
-    Args:
-        config: sizes; kept as `config`.
     """
 
     def __init__(self, config: GtrsConfig) -> None:
@@ -78,13 +75,11 @@ class GtrsModel(nn.Module):
         config = self.config
         pooled = functional.adaptive_avg_pool2d(features, (config.token_rows, config.token_columns))
         tokens: Tensor = self.downscale_layer(pooled).flatten(2).transpose(1, 2)
-        out: Tensor = self._keyval_embedding(tokens)
-        return out
+        return self._keyval_embedding(tokens)
 
     def encode_status(self, status: Tensor) -> Tensor:
         """Ego status (B, 8), see `ego_status`, to (B, d)."""
-        out: Tensor = self._status_encoding(status)
-        return out
+        return self._status_encoding(status)
 
     def score(self, features: Tensor, status: Tensor, trajectories: Tensor) -> dict[str, Tensor]:
         """Logits from backbone features (B, C, h, w); otherwise as `forward`."""

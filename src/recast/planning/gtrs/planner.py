@@ -13,6 +13,7 @@ from torch import Tensor
 from recast.arrays import Float32Array
 from recast.core.errors import InputError
 from recast.planning.cameras import require_cameras
+from recast.planning.gtrs.config import ViewLayout, network_input
 from recast.planning.gtrs.head import IMITATION
 from recast.planning.gtrs.model import GtrsModel
 from recast.planning.gtrs.scores import (
@@ -23,7 +24,6 @@ from recast.planning.gtrs.scores import (
     check_vocabulary,
     final_score,
 )
-from recast.planning.gtrs.views import ViewLayout, network_input
 from recast.planning.types import (
     CameraMount,
     Candidates,
@@ -57,8 +57,7 @@ class GtrsDecision:
 
     def order(self) -> NDArray[np.int64]:
         """Indices that may be chosen, best first; equal scores in the vocabulary's order."""
-        best: NDArray[np.int64] = np.argsort(-self.scores[self.first :], kind="stable") + self.first
-        return best
+        return np.argsort(-self.scores[self.first :], kind="stable") + self.first
 
     @property
     def best(self) -> int:

@@ -68,10 +68,7 @@ def read_vocabulary(path: str | Path) -> Trajectories:
 
 
 def check_vocabulary(where: str | Path, array: NDArray[np.generic] | Tensor) -> Trajectories:
-    """A copy of `array` as a vocabulary, float32.
-
-    Args:
-        where: the file, for the message.
+    """A copy of `array` as a vocabulary, float32; `where` is the file, for the message.
 
     Raises:
         InputError: it is not (L, 40, 3) with L at least 1, holds no floating-point numbers, or NaN
@@ -251,9 +248,7 @@ def vocabulary_dropout(size: int, kept: int, generator: torch.Generator) -> Tens
     The released training keeps 8192 of 16384; trajectories and targets are indexed alike.
 
     Args:
-        size: of the whole vocabulary.
         kept: at most `size`.
-        generator: source of all random numbers.
 
     Raises:
         ValueError: `kept` is not in 1 .. `size`.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 
 from recast.arrays import Float32Array, Image
 from recast.core.errors import InputError
-from recast.core.files import write_bytes
 from recast.planning.gtrs import ScoreWeights, final_score, training_loss
 from recast.planning.gtrs_training.samples import SampleStore
 from recast.planning.gtrs_training.targets import SCORED, unpacked
@@ -141,22 +139,9 @@ def _mean(values: np.ndarray) -> float:
     return float(np.mean(values)) if len(values) else float("nan")
 
 
-@dataclass(frozen=True)
-class Sheet:
-    """A picture (H, W, 3) uint8 RGB."""
-
-    image: Image
-
-    def write(self, path: Path) -> None:
-        """As PNG, whole or not at all."""
-        done, coded = cv2.imencode(".png", self.image[..., ::-1])
-        assert done
-        write_bytes(path, coded.tobytes())
-
-
 @torch.no_grad()
-def decision_sheet(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWeights) -> Sheet:
-    """What the network chooses, red, on what `truth_sheet` shows.
+def decision_sheet(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWeights) -> Image:
+    """(H, W, 3) uint8: what the network chooses, red, on what `truth_sheet` shows.
 
     Args:
         indices: of the samples; the first speed of each.
@@ -169,10 +154,10 @@ def decision_sheet(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWei
     task.model.train(was_training)
     chosen = final_score(logits, weights).argmax(dim=1).tolist()
     rows = [_row(task.store, i, choice) for i, choice in zip(indices, chosen, strict=True)]
-    return Sheet(np.vstack(rows))
+    return np.vstack(rows)
 
 
-def truth_sheet(store: SampleStore, first: int, count: int) -> Sheet:
+def truth_sheet(store: SampleStore, first: int, count: int) -> Image:
     """A row for each sample: the picture, and from above (50 m) the ten best trajectories, green,
     by their true scores at the first speed, and the vehicle placed, blue.
 
@@ -182,7 +167,7 @@ def truth_sheet(store: SampleStore, first: int, count: int) -> Sheet:
     if not 0 <= first < first + count <= len(store):
         problem = f"{first} to {first + count - 1} are not there"
         raise InputError(store.folder, "samples", problem, f"there are {len(store)}")
-    return Sheet(np.vstack([_row(store, index, None) for index in range(first, first + count)]))
+    return np.vstack([_row(store, index, None) for index in range(first, first + count)])
 
 
 def _row(store: SampleStore, index: int, choice: int | None) -> Image:

@@ -101,14 +101,9 @@ def write_world(folder: Path, samples: Sequence[Sample], twins: Sequence[int]) -
     """
     with atomic_folder(folder) as partial:
         np.save(partial / _IMAGES, np.stack([one.image for one in samples]))
-        np.savez_compressed(
-            partial / _REST,
-            status=np.stack([one.status for one in samples]),
-            scores=np.stack([one.scores for one in samples]),
-            best=np.stack([one.best for one in samples]),
-            clues=np.stack([one.clues for one in samples]),
-            twin=np.array(twins, np.int32),
-        )
+        arrays = {name: np.stack([getattr(one, name) for one in samples]) for name in _MEMBERS[:-1]}
+        arrays["twin"] = np.array(twins, np.int32)
+        np.savez_compressed(partial / _REST, allow_pickle=False, **arrays)
 
 
 class SampleStore:

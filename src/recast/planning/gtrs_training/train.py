@@ -13,7 +13,7 @@ from rich.console import Console
 from torch import nn
 
 from recast.core.errors import InputError
-from recast.core.files import write_json
+from recast.core.files import write_bytes, write_json
 from recast.core.records import Record, read_record
 from recast.planning.gtrs import GtrsModel, GtrsPlanner, load_gtrs, save_gtrs
 from recast.planning.gtrs.folder import CONFIG_FILE, WEIGHTS_FILE
@@ -24,17 +24,19 @@ from recast.planning.gtrs_training.evaluate import (
     evaluate,
 )
 from recast.planning.gtrs_training.samples import RECORD_FILE, VOCABULARY_FILE, SampleStore
-from recast.planning.gtrs_training.settings import (
+from recast.planning.gtrs_training.task import (
     MINI_VIEWS,
     NAME,
+    ClueReader,
+    GtrsTask,
     PlannerTrainingConfig,
     first_model,
 )
-from recast.planning.gtrs_training.task import ClueReader, GtrsTask
 from recast.recar.progress import TrainingDisplay
 from recast.recar.training.loop import train
 from recast.recar.training.output import hash_files
 from recast.recar.training.state import TrainingState
+from recast.recar.views import encode_rgb
 
 TRAINING_FILE = "planner_training.json"
 _MEND = "name another output folder"
@@ -102,13 +104,17 @@ def train_planner(
     write_json(out / TRAINING_FILE, setting.record.model_dump(mode="json"))
     task, trainer = setting.task, config.trainer
     shown = _spread(setting.held_out, config.judged)
+
+    def draw_sheet(name: str) -> None:
+        sheet = decision_sheet(task, _spread(shown, _SHEET_ROWS), config.scoring)
+        write_bytes(out / "sheets" / f"{name}.png", encode_rgb(sheet))
+
     with TrainingDisplay("planner", trainer.steps, console) as display:
 
         def after_step(state: TrainingState) -> None:
             display.step(state.step)
             if config.sheet_every and state.step % config.sheet_every == 0:
-                sheet = decision_sheet(task, _spread(shown, _SHEET_ROWS), config.scoring)
-                sheet.write(out / "sheets" / f"{state.step:07d}.png")
+                draw_sheet(f"{state.step:07d}")
 
         state = train(
             task,
@@ -120,8 +126,7 @@ def train_planner(
         )
     _take_averages(state, task, trainer.seed)
     reached = evaluate(task, setting.held_out, config.scoring)
-    last = decision_sheet(task, _spread(shown, _SHEET_ROWS), config.scoring)
-    last.write(out / "sheets" / "final.png")
+    draw_sheet("final")
     means = {k: v if np.isfinite(v) else None for k, v in reached.means().items()}
     record = setting.record.model_copy(update={"reached": {"samples": reached.samples, **means}})
     write_json(out / TRAINING_FILE, record.model_dump(mode="json"))

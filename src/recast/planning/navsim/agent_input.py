@@ -31,11 +31,8 @@ class InputBuilder:
     plan steps only; in frames before the first one they are those of the first.
 
     Args:
-        context: of the rollout.
         cameras: NAVSIM name to the rig's camera.
         frames: NAVSIM name to the frames, 0 (oldest) .. 3 (now), in which the agent wants it.
-        classes: to build.
-        where: who asks, for messages.
 
     Raises:
         InputError: half a second is no whole number of steps; or the agent wants past images, and
@@ -102,8 +99,7 @@ class InputBuilder:
         """The ego state (11,) `ago` intervals before now."""
         back = ago * self._stride
         if back < len(history):
-            state: Array = history[-1 - back]
-            return state
+            return history[-1 - back]
         first = history[0].copy()
         missing = (back - len(history) + 1) * self._context.dt
         first[ego.POSE] = se2.compose(first[ego.POSE], [-first[ego.VX] * missing, 0.0, 0.0])

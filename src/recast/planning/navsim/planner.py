@@ -46,7 +46,6 @@ class NavsimPlanner:
         cameras: NAVSIM name to the rig's camera, such as `NUPLAN_RIG`; None to take those that look
             in the same direction.
         name: for tables and file names; None for the agent's.
-        installed_classes: see `navsim_classes`.
 
     Raises:
         InputError: the object is no agent; the agent wants what is not simulated (LiDAR, the scene

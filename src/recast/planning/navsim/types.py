@@ -187,12 +187,7 @@ class Trajectory:
 def rig_cameras(
     wanted: Sequence[str], mounts: Mapping[str, CameraMount], where: str
 ) -> dict[str, str]:
-    """NAVSIM name to the rig's camera, see `match_cameras`.
-
-    Args:
-        wanted: NAVSIM names.
-        mounts: the rig.
-        where: who asks, for messages.
+    """NAVSIM name to the rig's camera, see `match_cameras`; `where` is who asks, for messages.
 
     Raises:
         InputError: no camera looks where a wanted one should.

@@ -121,7 +121,6 @@ def start_lane(
         route_lanes: ids, at least one.
         rear_axle: (3,) pose.
         centre: (>=2,) of the ego's box.
-        outline: of the ego's box.
     """
     rear_axle, centre = np.asarray(rear_axle, np.float64), np.asarray(centre, np.float64)
     on_route = set(route_lanes)

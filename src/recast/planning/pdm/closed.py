@@ -45,12 +45,8 @@ class PdmPlan:
     Attributes:
         trajectory: (81, 3) world poses of the rear axle from now on. They lie on the chosen path:
             the first one is the ego's projection onto it, unless `braked`.
-        best: index of the best proposal.
-        braked: the emergency brake took over.
-        unroll: driver-model states and leads of the proposals.
         proposals: (15, 41, 3) world poses.
         simulated: (15, 41, 11) states that result from following them.
-        scores: of the proposals.
     """
 
     trajectory: Array
@@ -66,10 +62,7 @@ class PdmClosed:
     """The planner for one drive; the centreline found at the first call stays.
 
     Args:
-        planner_map: the map.
-        route: block ids in order, mended at the first call.
-        vehicle: the ego.
-        config: settings.
+        route, vehicle: block ids in order, mended at the first call; the ego.
 
     Raises:
         InputError: the map has no lanes, or the route is empty or names blocks it lacks.

@@ -42,7 +42,6 @@ class Obstacle:
     """One road user or static object now.
 
     Attributes:
-        token: its id.
         kind: not `RED_LIGHT`.
         pose: (3,) x, y, heading of the box centre, world.
         velocity: (2,) m/s, world.
@@ -78,8 +77,7 @@ class Obstacle:
         course = np.arctan2(self.velocity[1], self.velocity[0])
         forward = abs(float(se2.wrap_angle(self.pose[2] - course))) < np.pi / 2
         heading = self.pose[2] if forward else self.pose[2] + np.pi
-        drift: Array = self.speed * np.array([np.cos(heading), np.sin(heading)])
-        return drift
+        return self.speed * np.array([np.cos(heading), np.sin(heading)])
 
 
 @dataclass(frozen=True)
@@ -87,8 +85,6 @@ class Forecast:
     """Polygons of n obstacles over the coming steps.
 
     Attributes:
-        tokens: n ids.
-        kinds: n kinds.
         headings: (n,) now; 0 for red lights.
         speeds: (n,) m/s, 0 for what stands.
         polygons: (maps, n) shapely polygons.
@@ -108,8 +104,7 @@ class Forecast:
 
     def at(self, step: int) -> NDArray[np.object_]:
         """The polygons (n,) at a step."""
-        row: NDArray[np.object_] = self.polygons[step // STRIDE]
-        return row
+        return self.polygons[step // STRIDE]
 
     def touching(self, step: int, shapes: NDArray[np.object_]) -> list[tuple[int, int]]:
         """Pairs (index of shape, index of obstacle) that meet at a step; shapes in order."""
@@ -137,7 +132,6 @@ def forecast(
             each kind the nearest ones.
         red_lights: lane id and polygon of closed connectors on the route.
         centre: (>=2,) of the ego's box.
-        ego: its outline.
         collided: ids touched so far, which are left out; grows.
         steps: of `dt` seconds, covered at least.
     """
@@ -224,8 +218,7 @@ class EgoAreas:
     @property
     def irregular(self) -> BoolArray:
         """Where the ego is to blame for a collision from the side."""
-        flags: BoolArray = self.multiple_lanes | self.non_drivable
-        return flags
+        return self.multiple_lanes | self.non_drivable
 
 
 def ego_areas(
@@ -238,7 +231,6 @@ def ego_areas(
     """Flags of ego boxes; a point on a polygon's edge is outside it.
 
     Args:
-        route_lanes: ids of the lanes of the route.
         corners: (..., 4, 2) of the boxes.
         centres: (..., >=2) of the boxes.
         rear_axles: (..., >=2).

@@ -47,11 +47,9 @@ class PdmConfig:
     - Emergency brake: never backwards and, at a crawl, never forwards; see `brake_plan`.
 
     Attributes:
-        reference_quirks: see above.
         lateral_offsets: metres to the left of the centreline, of the paths beside it.
         speed_fractions: target speeds as shares of the speed limit.
         default_speed_limit: m/s, where the lane has none.
-        idm: the driver model of the proposals.
         proposal_steps: steps of a proposal, which is simulated and scored.
         plan_steps: steps of the plan, to which the best proposal is extended.
         radius: metres around the ego in which road users (and, with the quirks, the map) count.
@@ -81,9 +79,7 @@ class Unroll:
             gap, as used for the step to that index.
 
     Args:
-        paths: the centreline and its parallels.
         targets: (S,) target speeds in m/s, positive.
-        forecast: of the other road users.
         state: (11,) of the ego; starts each proposal at its projection, at its speed vx.
     """
 

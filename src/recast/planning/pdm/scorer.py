@@ -81,9 +81,6 @@ def score_proposals(
 
     Args:
         forecast: covers T + 9 steps.
-        centreline: what progress is measured on.
-        planner_map: lanes and drivable area around them.
-        route_lanes: ids.
         reference_quirks: comfort is smoothed over all T samples, see `comfort_signals`.
     """
     poses = states[..., ego.POSE]
@@ -252,8 +249,7 @@ def comfort_signals(
 ) -> dict[str, Array]:
     """Smoothed signals (..., T) of states (..., T, 11) at the rear axle, T >= 15.
 
-    Args:
-        whole_window: see `savgol_signals`.
+    For `whole_window` see `savgol_signals`.
     """
     states = np.asarray(states, np.float64)
     lon, lat = states[..., ego.AX], states[..., ego.AY]

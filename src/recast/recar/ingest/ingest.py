@@ -12,7 +12,7 @@ import cv2
 
 from recast.core import files
 from recast.core.errors import InputError
-from recast.core.progress import Progress
+from recast.core.progress import Progress, tell
 from recast.core.ray_cluster import worker_pool
 from recast.recar.ingest.duplicates import (
     REPORT_FILE,
@@ -75,11 +75,9 @@ def ingest_photographs(
     Args:
         photos: holds the table and a folder for each vehicle.
         out: folder of the set; new, empty, or a set of the same settings.
-        settings: what all vehicles share.
         remover: for photographs in which nothing is transparent; None refuses them.
         table: CSV or JSON; None finds it beside the folders.
         skip_bad: leave bad vehicles out and finish the set.
-        workers: processes.
         on_bad: called with the name and the fault of each bad vehicle.
         progress: called with pictures done and all pictures.
 
@@ -105,8 +103,7 @@ def ingest_photographs(
         for candidate, found in prepare_all(left, settings, remover, workers):
             work.take(candidate, found, record)
             done += 1
-            if progress is not None:
-                progress(done * settings.views, total_pictures)
+            tell(progress, done * settings.views, total_pictures)
         write_report(out, work.skipped, work.doubts)
     if work.skipped and not skip_bad:
         raise work.refusal(total, f"; the other {len(work.doubts)} are in {out}")
@@ -161,7 +158,7 @@ class _Ingest:
             return Candidate(row, photographs_of(self.photos, row, settings))
         picked = pick_photographs(self.photos, row, settings.views, settings.azimuth_within, layout)
         check_sizes(picked.photographs, settings)
-        return Candidate(row, picked.photographs, picked.masks, picked.doubts)
+        return picked
 
     def already_there(self, candidates: list[Candidate], record: SetRecord) -> list[Candidate]:
         """Remember the pictures of finished vehicles; the others are left to do."""
@@ -279,9 +276,8 @@ def prepare_all(
 
 
 def _start(
-    worker: int, settings: IngestSettings, remover: BackgroundRemover | None
+    _: int, settings: IngestSettings, remover: BackgroundRemover | None
 ) -> Callable[[tuple[int, Candidate]], Prepared | InputError]:
-    del worker
     if multiprocessing.parent_process() is not None:
         cv2.setNumThreads(1)
 

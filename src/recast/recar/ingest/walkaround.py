@@ -11,7 +11,6 @@ their archives are laid out is not: bring them into the layout above.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,30 +20,15 @@ from recast.core.errors import InputError
 from recast.core.files import disk_errors
 from recast.core.names import member
 from recast.recar.ingest.folder import AZIMUTH_WITHIN, read_poses
-from recast.recar.ingest.photograph import SUFFIXES, natural_order, photograph_size
+from recast.recar.ingest.photograph import SUFFIXES, Candidate, natural_order, photograph_size
 from recast.recar.ingest.settings import Layout, VehicleRow
 
 _FLAT = 0.5  # spread of the cameras across their ring, over that along it, at most
 
 
-@dataclass(frozen=True)
-class Picked:
-    """The photographs of a vehicle that were taken.
-
-    Attributes:
-        photographs: by rising azimuth, the front first.
-        masks: of each; None where there is none.
-        doubts: what a person should look at.
-    """
-
-    photographs: tuple[Path, ...]
-    masks: tuple[Path | None, ...]
-    doubts: tuple[str, ...]
-
-
 def pick_photographs(
     photos: Path, row: VehicleRow, views: int, within_deg: float, layout: Layout
-) -> Picked:
+) -> Candidate:
     """For each of `views` regular azimuths one photograph that is near.
 
     Of those within `within_deg` it is the one with the least sum of the distances, in degrees, to
@@ -74,7 +58,8 @@ def pick_photographs(
     known, azimuths, elevations = _directions(folder, found, row)
     taken, off = _nearest(folder, azimuths, elevations, views, within_deg)
     photographs = tuple(known[index] for index in taken)
-    return Picked(
+    return Candidate(
+        row,
         photographs,
         tuple(_mask(folder, path) for path in photographs),
         _doubts(photographs, len(found) - len(known), off, elevations[taken], layout),

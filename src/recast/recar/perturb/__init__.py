@@ -7,11 +7,10 @@ from recast.recar.perturb.compose import (
     read_perturbations,
     write_perturbations,
 )
-from recast.recar.perturb.kind import Kind, Perturbation
+from recast.recar.perturb.kind import Kind
 
 __all__ = [
     "Kind",
-    "Perturbation",
     "PerturbationConfig",
     "Perturbed",
     "perturb",

@@ -15,6 +15,7 @@ from recast.geometry.colour import linear_to_srgb, srgb_to_linear
 from recast.recar.perturb.kind import (
     Floats,
     Kind,
+    ObjectBox,
     Positive,
     Positives,
     Share,
@@ -22,7 +23,6 @@ from recast.recar.perturb.kind import (
     Weight,
     backdrop,
     colour_and_alpha,
-    find_object,
     premultiplied,
     segmented,
     shrinking,
@@ -74,9 +74,8 @@ class Defocus(Kind):
     weight: Weight = 0.5
     radius: Positive = 0.025
 
-    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture; see `Perturbation`."""
-        radius = severity * self.radius * find_object(rgba).extent
+    def _run(self, rgba: Image, box: ObjectBox, severity: float, rng: np.random.Generator) -> Image:
+        radius = severity * self.radius * box.extent
         return convolve(rgba, disc_kernel(radius), 1.5 * radius)
 
 
@@ -115,10 +114,9 @@ class MotionBlur(Kind):
     length: Positive = 0.08
     slope_deg: Positive = 12.0
 
-    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture; see `Perturbation`."""
+    def _run(self, rgba: Image, box: ObjectBox, severity: float, rng: np.random.Generator) -> Image:
         angle = np.radians(self.slope_deg) * rng.standard_normal()
-        length = severity * self.length * find_object(rgba).extent
+        length = severity * self.length * box.extent
         return convolve(rgba, line_kernel(length, angle), length)
 
 
@@ -150,10 +148,9 @@ class Resampling(Kind):
 
     smallest: Positive = 32.0
 
-    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture; see `Perturbation`."""
+    def _run(self, rgba: Image, box: ObjectBox, severity: float, rng: np.random.Generator) -> Image:
         enlarger = _ENLARGERS[int(rng.integers(len(_ENLARGERS)))]
-        scale = shrinking(find_object(rgba).extent, self.smallest, severity)
+        scale = shrinking(box.extent, self.smallest, severity)
         return resample(rgba, scale, enlarger)
 
 
@@ -194,11 +191,10 @@ class LowLight(Kind):
     read_noise: Positive = 3.0
     pixels: Positives = (80.0, 320.0)
 
-    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture; see `Perturbation`."""
+    def _run(self, rgba: Image, box: ObjectBox, severity: float, rng: np.random.Generator) -> Image:
         height, width = rgba.shape[:2]
         sensor = float(np.exp(rng.uniform(*np.log(self.pixels))))
-        scale = shrinking(find_object(rgba).extent, sensor, 1.0)
+        scale = shrinking(box.extent, sensor, 1.0)
         colour, alpha = colour_and_alpha(rgba)
         exposure = 2.0 ** (-self.stops * severity)
         light = exposure * srgb_to_linear(colour)
@@ -236,8 +232,7 @@ class Fog(Kind):
     distance_m: Positives = (10.0, 40.0)
     airlight: Shares = (0.55, 0.9)
 
-    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture; see `Perturbation`."""
+    def _run(self, rgba: Image, box: ObjectBox, severity: float, rng: np.random.Generator) -> Image:
         distance = rng.uniform(*self.distance_m)
         grey = rng.uniform(*self.airlight) * rng.uniform(0.96, 1.04, 3)
         transmission = float(np.exp(-severity * CONTRAST / self.visibility_m * distance))
@@ -290,10 +285,8 @@ class Compression(Kind):
     worst: Annotated[int, Field(ge=1, le=95)] = 15
     pixels: Positives = (100.0, 320.0)
 
-    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture; see `Perturbation`."""
+    def _run(self, rgba: Image, box: ObjectBox, severity: float, rng: np.random.Generator) -> Image:
         height, width = rgba.shape[:2]
-        box = find_object(rgba)
         street = backdrop(rgba, box, rng)
         smallest = float(np.exp(rng.uniform(*np.log(self.pixels))))
         row, column = rng.integers(_BLOCK, size=2)

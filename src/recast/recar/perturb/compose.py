@@ -1,4 +1,4 @@
-"""Drawing perturbations, as a file says that people can edit, and putting them one on the other."""
+"""Drawing perturbations by a configuration, putting them one on the other, and a sheet of all."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from recast.recar.perturb.camera import Compression, Defocus, Fog, LowLight, Mot
 from recast.recar.perturb.kind import Kind, Share, find_object, premultiplied, shrinking, straight
 from recast.recar.perturb.masks import Dilation, Erosion, Holes, Jagged, Leak
 from recast.recar.perturb.occlusion import Border, Cropping, OtherVehicle, Pole
-from recast.trellis import check_crop
+from recast.recar.views import encode_rgb, write_words
+from recast.trellis import check_crop, crop_to_object
 from recast.trellis.conditioning.crop import OPAQUE
 
 PERTURBATIONS_FORMAT = "recast-perturbations"
@@ -26,6 +27,13 @@ PERTURBATIONS_VERSION = 1
 _TRIES = 16
 _ROOM = 0.25
 """Kept on each side of the object, over the extent: no kind makes it larger by more."""
+SEVERITIES = (0.0, 0.25, 0.5, 0.75, 1.0)
+_DRAWS = 10
+_MARGIN = 0.12  # around the object, over its extent
+_CELL = 200  # pixels of a cell's longer side
+_PANEL = np.array((0.87, 0.88, 0.90), np.float32)  # what is transparent shows this
+_INK, _MUTED = (31, 36, 48), (107, 114, 128)
+_LABEL, _HEAD, _GAP, _SPACE = 110, 66, 26, 4
 
 
 def _at_least_one(interval: tuple[int, int]) -> tuple[int, int]:
@@ -128,8 +136,6 @@ def perturb(rgba: Image, config: PerturbationConfig, rng: np.random.Generator) -
 
     Args:
         rgba: (H, W, 4) uint8, straight alpha.
-        config: what is drawn.
-        rng: of everything random.
 
     Raises:
         InputError: `rgba` itself is refused by `recast.trellis.check_crop`.
@@ -199,3 +205,75 @@ def _passes(rgba: Image) -> bool:
     except InputError:
         return False
     return True
+
+
+def write_sheet(rgba: Image, config: PerturbationConfig, seed: int, path: Path) -> None:
+    """Draw the sheet of one picture as PNG.
+
+    Each kind is a row of five severities over light grey, with equal random draws, so that one
+    fault grows from left to right. Below are ten results of the whole configuration as the model
+    gets them: square and on black.
+
+    Args:
+        rgba: (H, W, 4) uint8, straight alpha.
+        config: figures of all kinds; those of weight 0 are shown too.
+        seed: of everything random.
+        path: PNG to write.
+
+    Raises:
+        InputError: `rgba` is refused by `recast.trellis.check_crop`.
+    """
+    around = _with_margin(surroundings(rgba, config.finest))
+    kinds = config.kinds()
+    rows = -(-len(kinds) // 2)
+    cell_height, cell_width = _cell(around).shape[:2]
+    column_width = _LABEL + len(SEVERITIES) * (cell_width + _SPACE)
+    width, foot = 2 * column_width + _GAP, _HEAD + rows * (cell_height + 6) + 14
+    canvas = np.full((foot + _CELL + 78, width, 3), 255, np.uint8)
+
+    def put(picture: Image, left: int, top: int) -> None:
+        canvas[top : top + picture.shape[0], left : left + picture.shape[1]] = picture
+
+    write_words(canvas, "Perturbations from severity 0 to 1", (12, 29), 0.6, _INK)
+    for index, kind in enumerate(kinds):
+        column, row = divmod(index, rows)
+        left, top = column * (column_width + _GAP), _HEAD + row * (cell_height + 6)
+        write_words(canvas, kind.name, (left + 6, top + cell_height // 2), 0.38, _INK)
+        if kind.weight == 0:
+            write_words(canvas, "(off)", (left + 6, top + cell_height // 2 + 16), 0.38, _INK)
+        for place, severity in enumerate(SEVERITIES):
+            x = left + _LABEL + place * (cell_width + _SPACE)
+            if row == 0:
+                write_words(canvas, f"{severity:g}", (x + cell_width // 2, _HEAD - 8), 0.4, _MUTED)
+            rng = np.random.default_rng([seed, index])
+            put(_cell(kind(around, severity, rng)), x, top)
+    clean = f"clean with probability {config.rho_clean:g}"
+    words = f"Drawn by this configuration, as the model gets them ({clean})"
+    write_words(canvas, words, (12, foot + 14), 0.5, _INK)
+    side = min((width - 24) // _DRAWS - _SPACE, _CELL)
+    for place in range(_DRAWS):
+        drawn = perturb(rgba, config, np.random.default_rng([seed, len(kinds), place]))
+        x = 12 + place * (side + _SPACE)
+        put(crop_to_object(drawn.rgba, side), x, foot + 26)
+        captions = [f"{name} {severity:.2f}" for name, severity in drawn.applied] or ["clean"]
+        for line, caption in enumerate(captions):
+            write_words(canvas, caption, (x, foot + 40 + side + 12 * line), 0.33, _MUTED)
+    files.write_bytes(path, encode_rgb(canvas))
+
+
+def _with_margin(rgba: Image) -> Image:
+    """Cut to the object and some room around it, transparent where the picture ends."""
+    box = find_object(rgba)
+    edge = round(_MARGIN * box.extent)
+    padded = np.pad(rgba, ((edge, edge), (edge, edge), (0, 0)))
+    return padded[box.top : box.bottom + 2 * edge, box.left : box.right + 2 * edge]
+
+
+def _cell(rgba: Image) -> Image:
+    """Over the panel, scaled to the size of a cell."""
+    scale = _CELL / max(rgba.shape[:2])
+    size = (max(round(rgba.shape[1] * scale), 1), max(round(rgba.shape[0] * scale), 1))
+    shrink = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    mixed = cv2.resize(premultiplied(rgba), size, interpolation=shrink)
+    over = mixed[..., :3] + _PANEL * (1 - mixed[..., 3:])
+    return np.round(255 * np.clip(over, 0, 1)).astype(np.uint8)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Protocol
+from typing import Annotated, Any, ClassVar
 
 import cv2
 import numpy as np
@@ -35,26 +35,6 @@ Shares = Annotated[tuple[Share, Share], AfterValidator(_in_order)]
 Positives = Annotated[tuple[Positive, Positive], AfterValidator(_in_order)]
 
 
-class Perturbation(Protocol):
-    """What spoils a picture of a cut-out object, from not at all to badly."""
-
-    name: ClassVar[str]
-
-    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture.
-
-        Args:
-            rgba: (H, W, 4) uint8, straight alpha; passes `recast.trellis.check_crop`.
-            severity: in [0, 1]; 0 changes next to nothing, 1 as much as the kind's figures say.
-            rng: of all that is random; what is drawn does not depend on the severity, so equal
-                generators give the same fault, weaker or stronger.
-
-        Returns:
-            (H, W, 4) uint8, straight alpha; a new array.
-        """
-        ...
-
-
 class Kind(Record, ABC):
     """One kind with its figures, as the configuration holds it.
 
@@ -71,19 +51,28 @@ class Kind(Record, ABC):
     weight: Weight = 1.0
     severity: Shares = (0.1, 1.0)
 
-    @abstractmethod
     def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture; see `Perturbation`."""
+        """Spoil a picture.
+
+        Args:
+            rgba: (H, W, 4) uint8, straight alpha; passes `recast.trellis.check_crop`.
+            severity: in [0, 1]; 0 changes next to nothing, 1 as much as the kind's figures say.
+            rng: of all that is random; what is drawn does not depend on the severity, so equal
+                generators give the same fault, weaker or stronger.
+
+        Returns:
+            (H, W, 4) uint8, straight alpha; a new array.
+        """
+        return self._run(rgba, find_object(rgba), severity, rng)
+
+    @abstractmethod
+    def _run(self, rgba: Image, box: ObjectBox, severity: float, rng: np.random.Generator) -> Image:
+        """`__call__`, on the object's box."""
 
 
 @dataclass(frozen=True)
 class ObjectBox:
-    """The object's box in its picture: where alpha exceeds 0.8.
-
-    Attributes:
-        left, top: first column and row, pixels.
-        width, height: of the box, pixels.
-    """
+    """The object's box in its picture, in pixels: where alpha > 0.8; `left` column, `top` row."""
 
     left: int
     top: int

@@ -18,7 +18,6 @@ from recast.recar.perturb.kind import (
     Weight,
     backdrop,
     colour_and_alpha,
-    find_object,
     reveal,
     signed_distance,
     value_noise,
@@ -40,10 +39,9 @@ class Erosion(Kind):
     weight: Weight = 0.2
     depth: Positive = 0.025
 
-    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture; see `Perturbation`."""
+    def _run(self, rgba: Image, box: ObjectBox, severity: float, rng: np.random.Generator) -> Image:
         height, width = rgba.shape[:2]
-        extent = find_object(rgba).extent
+        extent = box.extent
         uneven = np.clip(1 + 0.6 * value_noise(height, width, 0.15 * extent, rng), 0, 3)
         colour, alpha = colour_and_alpha(rgba)
         inwards = severity * self.depth * extent * uneven
@@ -64,10 +62,8 @@ class Dilation(Kind):
     weight: Weight = 0.2
     depth: Positive = 0.02
 
-    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture; see `Perturbation`."""
+    def _run(self, rgba: Image, box: ObjectBox, severity: float, rng: np.random.Generator) -> Image:
         height, width = rgba.shape[:2]
-        box = find_object(rgba)
         street = backdrop(rgba, box, rng)
         uneven = np.clip(1 + 0.6 * value_noise(height, width, 0.15 * box.extent, rng), 0, 3)
         _, alpha = colour_and_alpha(rgba)
@@ -90,10 +86,9 @@ class Holes(Kind):
     share: Share = 0.22
     darkness: Share = 0.4
 
-    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture; see `Perturbation`."""
+    def _run(self, rgba: Image, box: ObjectBox, severity: float, rng: np.random.Generator) -> Image:
         height, width = rgba.shape[:2]
-        extent = find_object(rgba).extent
+        extent = box.extent
         lumps = value_noise(height, width, rng.uniform(0.12, 0.3) * extent, rng, octaves=2)
         colour, alpha = colour_and_alpha(rgba)
         inside = alpha > 0.5
@@ -120,10 +115,8 @@ class Jagged(Kind):
     weight: Weight = 0.2
     cell: Positive = 0.04
 
-    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture; see `Perturbation`."""
+    def _run(self, rgba: Image, box: ObjectBox, severity: float, rng: np.random.Generator) -> Image:
         height, width = rgba.shape[:2]
-        box = find_object(rgba)
         street = backdrop(rgba, box, rng)
         cell = severity * self.cell * box.extent
         if cell <= 1:
@@ -150,10 +143,8 @@ class Leak(Kind):
     radius: Positive = 0.16
     shadow: Share = 0.6
 
-    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture; see `Perturbation`."""
+    def _run(self, rgba: Image, box: ObjectBox, severity: float, rng: np.random.Generator) -> Image:
         height, width = rgba.shape[:2]
-        box = find_object(rgba)
         street = backdrop(rgba, box, rng)
         wobble = value_noise(height, width, 0.1 * box.extent, rng)
         _, alpha = colour_and_alpha(rgba)

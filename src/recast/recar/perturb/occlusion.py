@@ -11,12 +11,12 @@ from recast.arrays import Image
 from recast.recar.perturb.kind import (
     Floats,
     Kind,
+    ObjectBox,
     Positive,
     Positives,
     Share,
     Weight,
     colour_and_alpha,
-    find_object,
     value_noise,
     with_alpha,
 )
@@ -130,10 +130,8 @@ class Border(Kind):
     ragged: Share = 0.02
     fringe: Share = 0.012
 
-    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture; see `Perturbation`."""
+    def _run(self, rgba: Image, box: ObjectBox, severity: float, rng: np.random.Generator) -> Image:
         height, width = rgba.shape[:2]
-        box = find_object(rgba)
         side = _BORDER_SIDES[int(rng.choice(len(_BORDER_SIDES), p=_BORDER_CHANCES))]
         slope = 0.06 * rng.standard_normal()
         rough = rng.uniform(0, self.ragged) * box.extent
@@ -174,10 +172,8 @@ class Pole(Kind):
     lean_deg: Positive = 2.0
     fringe: Share = 0.012
 
-    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture; see `Perturbation`."""
+    def _run(self, rgba: Image, box: ObjectBox, severity: float, rng: np.random.Generator) -> Image:
         height, width = rgba.shape[:2]
-        box = find_object(rgba)
         across = box.left + rng.uniform(0.1, 0.9) * box.width
         lean = np.tan(np.radians(self.lean_deg) * rng.standard_normal())
         colour = _POLE_COLOURS[rng.integers(len(_POLE_COLOURS))]
@@ -223,10 +219,8 @@ class OtherVehicle(Kind):
     height: Positives = (0.8, 1.7)
     fringe: Share = 0.012
 
-    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture; see `Perturbation`."""
+    def _run(self, rgba: Image, box: ObjectBox, severity: float, rng: np.random.Generator) -> Image:
         rows, columns = rgba.shape[:2]
-        box = find_object(rgba)
         from_left = bool(rng.integers(2))
         outline = int(rng.integers(len(_OUTLINES)))
         tall = rng.uniform(*self.height) * box.height
@@ -255,9 +249,7 @@ class Cropping(Kind):
 
     cut: Share = 0.5
 
-    def __call__(self, rgba: Image, severity: float, rng: np.random.Generator) -> Image:
-        """Spoil a picture; see `Perturbation`."""
-        box = find_object(rgba)
+    def _run(self, rgba: Image, box: ObjectBox, severity: float, rng: np.random.Generator) -> Image:
         side = _CUT_SIDES[int(rng.choice(len(_CUT_SIDES), p=_CUT_CHANCES))]
         across = side in ("left", "right")
         lost = round(severity * self.cut * (box.width if across else box.height))

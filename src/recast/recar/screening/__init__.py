@@ -3,7 +3,7 @@
 The server of the page is in `recast.recar.screening.server`. See docs/data.md.
 """
 
-from recast.recar.screening.catalogue import Catalogue, Entry, Filter
+from recast.recar.screening.service import Catalogue, Entry, Filter
 from recast.recar.targets.decisions import (
     DECISIONS,
     SCREENING_FILE,

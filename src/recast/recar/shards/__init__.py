@@ -7,12 +7,13 @@
 The tars are WebDataset shards. See docs/data.md.
 """
 
-from recast.recar.shards.opening import open_set, read_shards
 from recast.recar.shards.pack import SHARD_BYTES, pack_set, parse_byte_size
 from recast.recar.shards.sharded_set import (
     LoadedIdentity,
     ShardedIdentity,
     ShardedSet,
+    open_set,
+    read_shards,
     stream_identities,
 )
 

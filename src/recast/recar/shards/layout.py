@@ -139,8 +139,7 @@ def shard_members(
 ) -> Mapping[str, tuple[Member, ...]]:
     """The members of each identity of a shard, its record first, then its views.
 
-    Args:
-        keep: the list for the next time, in place of the one that was not asked for the longest.
+    `keep` caches the list, in place of the one that was not asked for the longest.
 
     Raises:
         InputError: the list is missing, or not the one that index.json speaks of.

@@ -12,9 +12,16 @@ from pathlib import Path
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.files import disk_errors
-from recast.core.progress import Progress
+from recast.core.progress import Progress, tell
 from recast.core.records import read_record
-from recast.recar.record import IDENTITY_FILE, SPLITS, SetRecord, Split, view_file
+from recast.recar.record import (
+    IDENTITY_FILE,
+    SPLITS,
+    SetRecord,
+    Split,
+    first_difference,
+    view_file,
+)
 from recast.recar.shards.layout import (
     END,
     INDEX_FILE,
@@ -32,43 +39,16 @@ from recast.recar.shards.layout import (
     stored_bytes,
 )
 from recast.recar.vehicle_set import Identity, VehicleSet
-from recast.recar.views import MOST_BYTES, check_encoded_header
+from recast.recar.views import MOST_BYTES, check_header
 
 SHARD_BYTES = 256 * 10**6
 
 _MEND = "name another folder, or repeat the options of the shards that lie there"
-_UNITS = {
-    "": 1,
-    "b": 1,
-    "kb": 10**3,
-    "mb": 10**6,
-    "gb": 10**9,
-    "tb": 10**12,
-    "kib": 2**10,
-    "mib": 2**20,
-    "gib": 2**30,
-    "tib": 2**40,
-}
-
-
-@dataclass(frozen=True)
-class PlannedMember:
-    """A file of the set, and what it is called in the shard."""
-
-    name: str
-    path: Path
 
 
 @dataclass(frozen=True)
 class PlannedShard:
-    """A shard to write.
-
-    Attributes:
-        file: its name.
-        split: of all identities in it.
-        identities: in the order in which they lie in it.
-        sizes: bytes that each of them takes in the archive.
-    """
+    """A shard to write: its identities in their order, and the bytes that each takes in it."""
 
     file: str
     split: Split
@@ -94,9 +74,7 @@ def plan_shards(vehicle_set: VehicleSet, shard_bytes: int) -> list[PlannedShard]
     for split in SPLITS:
         filled = 0
         for identity in sorted(vehicle_set.of_split(split), key=_mixed):
-            size = sum(
-                stored_bytes(member.name, _size(member.path)) for member in members_of(identity)
-            )
+            size = sum(stored_bytes(name, _size(path)) for name, path in members_of(identity))
             if filled == 0 or filled + size > shard_bytes:
                 plan.append(PlannedShard(shard_file(len(plan)), split))
                 filled = len(END)
@@ -106,14 +84,12 @@ def plan_shards(vehicle_set: VehicleSet, shard_bytes: int) -> list[PlannedShard]
     return plan
 
 
-def members_of(identity: Identity) -> tuple[PlannedMember, ...]:
-    """The files of an identity in the order in which they lie in a shard."""
+def members_of(identity: Identity) -> list[tuple[str, Path]]:
+    """Names in the shard and paths of an identity's files, in the order in which they lie there."""
     views = identity.set_record.views
     files = (IDENTITY_FILE, *(view_file(index) for index in range(views)))
     names = member_names(identity.record.id, views)
-    return tuple(
-        PlannedMember(name, identity.folder / file) for name, file in zip(names, files, strict=True)
-    )
+    return [(name, identity.folder / file) for name, file in zip(names, files, strict=True)]
 
 
 def _mixed(identity: Identity) -> bytes:
@@ -169,8 +145,7 @@ def pack_set(
         for planned in plan:
             shards.append(_write_shard(out, planned, vehicle_set.record))
             done += len(planned.identities) * vehicle_set.record.views
-            if progress is not None:
-                progress(done, pictures)
+            tell(progress, done, pictures)
         _remove_strangers(out, {shard.file for shard in shards})
     index = index.model_copy(
         update={
@@ -193,12 +168,9 @@ def _check_out(out: Path, record: SetRecord, shard_bytes: int) -> None:
         raise InputError(
             out / INDEX_FILE, "shard_bytes", f"is {found.shard_bytes}, not {shard_bytes}", _MEND
         )
-    theirs, ours = found.set.model_dump(), record.model_dump()
-    for name in theirs:
-        if theirs[name] != ours[name]:
-            raise InputError(
-                out / INDEX_FILE, f"set.{name}", "differs: shards of another set lie there", _MEND
-            )
+    if name := first_difference(found.set.model_dump(), record.model_dump()):
+        problem = "differs: shards of another set lie there"
+        raise InputError(out / INDEX_FILE, f"set.{name}", problem, _MEND)
 
 
 def _write_index(out: Path, index: IndexRecord) -> None:
@@ -257,17 +229,11 @@ class _Shard:
     def pieces(self) -> Iterator[bytes]:
         for identity, planned in zip(self._planned.identities, self._planned.sizes, strict=True):
             start, written = self.size, list[Member]()
-            for member in members_of(identity):
-                data = _read(member, self._record)
-                yield self._counted(member_header(member.name, len(data)))
-                written.append(
-                    Member(
-                        name=member.name,
-                        offset=self.size,
-                        size=len(data),
-                        sha256=hashlib.sha256(data).hexdigest(),
-                    )
-                )
+            for name, path in members_of(identity):
+                data = _read(path, self._record)
+                yield self._counted(member_header(name, len(data)))
+                digest = hashlib.sha256(data).hexdigest()
+                written.append(Member(name=name, offset=self.size, size=len(data), sha256=digest))
                 yield self._counted(data + padding(len(data)))
             if self.size - start != planned:
                 raise InputError(
@@ -285,10 +251,10 @@ class _Shard:
         return piece
 
 
-def _read(member: PlannedMember, record: SetRecord) -> bytes:
-    data = files.read_bytes(member.path, MOST_BYTES)
-    if member.path.name != IDENTITY_FILE:
-        check_encoded_header(data, member.path, record.width, record.height)
+def _read(path: Path, record: SetRecord) -> bytes:
+    data = files.read_bytes(path, MOST_BYTES)
+    if path.name != IDENTITY_FILE:
+        check_header(data, path, record.width, record.height)
     return data
 
 
@@ -302,8 +268,9 @@ def parse_byte_size(text: str, option: str) -> int:
     Raises:
         InputError: no such unit, less than one byte, or 2^63 and more.
     """
-    found = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]+)?)\s*([A-Za-z]*)\s*", text)
-    size = float(found[1]) * _UNITS.get(found[2].lower(), 0) if found else 0
+    found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)\s*(?:(?:([kmgt])(i?))?b)?", text.strip().lower())
+    power = " kmgt".index(found[2] or " ") if found else 0
+    size = float(found[1]) * (1024 if found[3] else 1000) ** power if found else 0
     if not 1 <= size < 2**63:
         raise InputError(option, "value", f"is {text!r}", "give a size such as 256MB or 1GiB")
     return round(size)

@@ -1,4 +1,4 @@
-"""A vehicle set that lies in shards: used as one in folders, or read in one pass, shuffled."""
+"""A vehicle set in shards: opened, used as one in folders, or read in one pass, shuffled."""
 
 from __future__ import annotations
 
@@ -8,36 +8,34 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recast.core.errors import InputError
-from recast.core.progress import Progress
-from recast.geometry import PinholeCamera
+from recast.core.records import read_record
 from recast.recar.record import IdentityRecord, SetRecord, Split
 from recast.recar.shards.layout import (
+    INDEX_FILE,
+    MEND,
+    SHARDS_FORMAT,
+    SHARDS_VERSION,
     IndexRecord,
     Member,
     ShardRecord,
+    cut_short,
     parse_identity,
     read_member,
     read_members,
     shard_members,
 )
-from recast.recar.views import Image, check_encoded_header, decode_picture, view_camera
+from recast.recar.vehicle_set import VehicleSet, read_set
+from recast.recar.views import IdentitySource, VehicleSource
 
 BUFFER = 16
+OnBad = Callable[[InputError], None]
 
 
 @dataclass(frozen=True)
-class ShardedIdentity:
-    """One vehicle in a shard; nothing of it is read before it is asked for.
-
-    Attributes:
-        id: its name.
-        folder: of the shards.
-        shard: that holds it.
-        set_record: what it shares with all of the set.
-    """
+class ShardedIdentity(IdentitySource):
+    """One vehicle in a shard, by its id; nothing of it is read before it is asked for."""
 
     id: str
     folder: Path
@@ -45,12 +43,8 @@ class ShardedIdentity:
     set_record: SetRecord
 
     @cached_property
-    def record(self) -> IdentityRecord:
-        """What is known about it.
-
-        Raises:
-            InputError: see `read_member` and `parse_identity`.
-        """
+    def record(self) -> IdentityRecord:  # type: ignore[override]
+        """What is known about it; see `read_member` and `parse_identity` for errors."""
         member = self.members[0]
         return parse_identity(self.path, self.shard, member, read_member(self.path, member))
 
@@ -64,15 +58,9 @@ class ShardedIdentity:
         """Its files in the shard: the record, then the views."""
         return shard_members(self.folder, self.shard, self.set_record)[self.id]
 
-    def view(self, index: int) -> Image:
-        """(height, width, 4) uint8 RGBA with straight alpha.
-
-        Raises:
-            InputError: as `encoded`, or the picture is broken.
-        """
-        where = f"{self.path}: {self._member(index).name}"
-        record = self.set_record
-        return decode_picture(self.encoded(index), where, record.width, record.height)
+    def where(self, index: int) -> str:
+        """Shard and member of a view."""
+        return f"{self.path}: {self._member(index).name}"
 
     def encoded(self, index: int) -> bytes:
         """The PNG of a view.
@@ -87,10 +75,6 @@ class ShardedIdentity:
         """Bytes of all its pictures."""
         return sum(member.size for member in self.members[1:])
 
-    def camera(self, index: int) -> tuple[PinholeCamera, NDArray[np.float64]]:
-        """The camera of a view and `actor_from_camera` (4, 4); see `view_camera`."""
-        return view_camera(self.set_record, self.record, index)
-
     def _member(self, index: int) -> Member:
         if not 0 <= index < self.set_record.views:
             raise IndexError(f"view {index}: {self.id} has 0 to {self.set_record.views - 1}")
@@ -98,23 +82,13 @@ class ShardedIdentity:
 
 
 @dataclass(frozen=True)
-class ShardedSet:
-    """A set in shards that was opened.
-
-    Attributes:
-        folder: of the shards.
-        index: index.json.
-        identities: by id, sorted.
-    """
+class ShardedSet(VehicleSource):
+    """A set in shards that was opened; `record` is that of the set that was packed."""
 
     folder: Path
     index: IndexRecord
+    record: SetRecord
     identities: dict[str, ShardedIdentity]
-
-    @property
-    def record(self) -> SetRecord:
-        """set.json of the set that was packed."""
-        return self.index.set
 
     def of_split(self, split: Split) -> Iterator[ShardedIdentity]:
         """The identities of one split, sorted; no shard is read."""
@@ -135,41 +109,16 @@ class ShardedSet:
                     record = parse_identity(path, shard, first, read_member(path, first))
                     yield record, sum(view.size for view in views)
 
-    def check_pictures(self, decode: bool = False, progress: Progress | None = None) -> None:
-        """Read everything in the order in which it lies, and look at its hashes.
-
-        Args:
-            decode: also decode every picture; slow.
-            progress: called with pictures done and all pictures.
-
-        Raises:
-            InputError: the first member that is wrong.
-        """
-
-        views, done = self.record.views, 0
-        for identity in stream_identities(self):
-            for index in range(views):
-                if decode:
-                    identity.view(index)
-                else:
-                    check_encoded_header(
-                        identity.encoded(index),
-                        identity.where(index),
-                        self.record.width,
-                        self.record.height,
-                    )
-                done += 1
-                if progress is not None:
-                    progress(done, views * len(self.identities))
+    def in_order(self) -> Iterator[LoadedIdentity]:
+        """All identities, one shard after the other, their hashes looked at."""
+        return stream_identities(self)
 
 
 @dataclass(frozen=True)
-class LoadedIdentity:
+class LoadedIdentity(IdentitySource):
     """One vehicle with the bytes of all its files in memory; its pictures are not yet decoded.
 
     Attributes:
-        record: what is known about it.
-        set_record: what it shares with all of the set.
         path: the tar that it was read from.
         members: its files in the shard: the record, then the views.
         pictures: PNG of each view.
@@ -181,15 +130,6 @@ class LoadedIdentity:
     members: tuple[Member, ...]
     pictures: tuple[bytes, ...]
 
-    def view(self, index: int) -> Image:
-        """(height, width, 4) uint8 RGBA with straight alpha.
-
-        Raises:
-            InputError: the picture is broken.
-        """
-        record = self.set_record
-        return decode_picture(self.encoded(index), self.where(index), record.width, record.height)
-
     def encoded(self, index: int) -> bytes:
         """The PNG of a view."""
         if not 0 <= index < len(self.pictures):
@@ -199,10 +139,6 @@ class LoadedIdentity:
     def picture_bytes(self) -> int:
         """Bytes of all its pictures."""
         return sum(len(picture) for picture in self.pictures)
-
-    def camera(self, index: int) -> tuple[PinholeCamera, NDArray[np.float64]]:
-        """The camera of a view and `actor_from_camera` (4, 4); see `view_camera`."""
-        return view_camera(self.set_record, self.record, index)
 
     def where(self, index: int) -> str:
         """Shard and member of a view, for messages."""
@@ -277,3 +213,108 @@ def _shuffled(
             yield held.pop(int(rng.integers(len(held))))
     while held:
         yield held.pop(int(rng.integers(len(held))))
+
+
+def open_set(folder: str | Path) -> VehicleSet | ShardedSet:
+    """A set in folders or in shards, by what lies there.
+
+    Raises:
+        InputError: see `read_set` and `read_shards`.
+    """
+    return read_shards(folder) if (Path(folder) / INDEX_FILE).is_file() else read_set(folder)
+
+
+def read_shards(folder: str | Path, on_bad: OnBad | None = None) -> ShardedSet:
+    """Open a folder of shards: index.json is read, and the size of each shard looked at.
+
+    Args:
+        folder: of the shards.
+        on_bad: called for each shard that is missing or of a wrong size, whose identities are then
+            left out as far as they cannot be read; None raises.
+
+    Raises:
+        InputError: no shards or shards in the making, a shard missing, cut short or too long, an
+            identity twice or in both splits, or counts that do not agree.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(folder, "shards", "are missing", "check the path")
+    index = read_record(folder / INDEX_FILE, IndexRecord, SHARDS_VERSION, MEND, SHARDS_FORMAT)
+    if not index.complete:
+        raise InputError(
+            folder / INDEX_FILE,
+            "complete",
+            "is false: the shards are still in the making",
+            "run `recast recar pack` again; it resumes",
+        )
+    _check_identities(folder, index)
+    identities: dict[str, ShardedIdentity] = {}
+    for shard in index.shards:
+        for name in _readable(folder, shard, index.set, on_bad):
+            identities[name] = ShardedIdentity(name, folder, shard, index.set)
+    return ShardedSet(folder, index, index.set, dict(sorted(identities.items())))
+
+
+def _check_identities(folder: Path, index: IndexRecord) -> None:
+    place: dict[str, ShardRecord] = {}
+    for shard in index.shards:
+        for name in shard.identities:
+            if name in place:
+                first = place[name]
+                how = "in both splits" if first.split != shard.split else "packed twice"
+                raise InputError(
+                    folder / INDEX_FILE,
+                    name,
+                    f"is {how}: in {first.file} ({first.split}) and {shard.file} ({shard.split})",
+                    "pack the set again",
+                )
+            place[name] = shard
+    if len(place) != index.identities or index.identities != index.set.identities:
+        raise InputError(
+            folder / INDEX_FILE,
+            "identities",
+            f"{len(place)} in the shards, {index.identities} counted, {index.set.identities} in "
+            "the set",
+            "pack the set again",
+        )
+
+
+def _readable(
+    folder: Path, shard: ShardRecord, record: SetRecord, on_bad: OnBad | None
+) -> tuple[str, ...]:
+    path = folder / shard.file
+    try:
+        size = path.stat().st_size
+    except OSError:
+        error = InputError(path, "shard", f"is missing: {_named(shard.identities)}", MEND)
+        return _left_out(error, on_bad)
+    if size == shard.bytes:
+        return shard.identities
+    if size > shard.bytes:
+        error = InputError(path, "shard", f"has {size} bytes, not {shard.bytes}", MEND)
+        return _left_out(error, on_bad)
+    try:
+        members = shard_members(folder, shard, record)
+    except InputError as unlisted:
+        return _left_out(unlisted, on_bad)
+    for place, name in enumerate(shard.identities):
+        for member in members[name]:
+            if member.offset + member.size > size:
+                _left_out(cut_short(path, member), on_bad)
+                return shard.identities[:place]
+    # Only the blocks of zeros that close the archive are gone.
+    error = InputError(path, "shard", f"ends after {size} bytes of {shard.bytes}", MEND)
+    _left_out(error, on_bad)
+    return shard.identities
+
+
+def _left_out(error: InputError, on_bad: OnBad | None) -> tuple[str, ...]:
+    if on_bad is None:
+        raise error
+    on_bad(error)
+    return ()
+
+
+def _named(identities: tuple[str, ...]) -> str:
+    more = f" and {len(identities) - 1} more" if len(identities) > 1 else ""
+    return f"it holds {identities[0]}{more}"

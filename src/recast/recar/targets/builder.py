@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
@@ -18,9 +19,9 @@ from recast.core.errors import InputError, printable
 from recast.core.progress import Progress, tell
 from recast.core.ray_cluster import worker_pool
 from recast.core.workers import in_this_process
-from recast.recar.record import SPLITS
+from recast.recar.record import SPLITS, first_difference
 from recast.recar.targets.cache import TargetCache
-from recast.recar.targets.maker import Job, absolute, filter_record, start_maker
+from recast.recar.targets.maker import VehicleTask, absolute, filter_record, start_maker
 from recast.recar.targets.record import CACHE_FILE, CacheRecord, ModelSource, TargetSettings
 from recast.recar.targets.views import encoded_view, nearest_views
 from recast.recar.views import VehicleSource
@@ -47,11 +48,8 @@ def build_targets(
     others go on. Only this process writes, record last, every file whole or not at all.
 
     Args:
-        vehicles: the set.
-        model: what makes the targets.
         out: folder of the cache; new, empty, or a cache of the same model and settings. Another
             threshold of the filter is taken over without making anything anew.
-        settings: how.
         workers: processes on this machine, or actors of the cluster.
         ray: address of a Ray cluster, see `recast.core.ray_cluster.on_ray`.
         identities: only these vehicles; all where not given.
@@ -77,12 +75,14 @@ def build_targets(
     tell(progress, done, len(wanted))
     if left:
         _write_record(cache, record)
-        jobs = (_job(vehicles, name, views) for name in left)
+        tasks = (_task(vehicles, name, views) for name in left)
         if ray is None and len(left) == 1:
             pool = in_this_process
         plan = (model, settings) if ray is None else absolute(model, settings)
         with files.alone_in(out):
-            for _, outcome in pool(start_maker, plan, lambda: next(jobs, None), "finished targets"):
+            for _, outcome in pool(
+                start_maker, plan, lambda: next(tasks, None), "finished targets"
+            ):
                 cache.write_target(outcome.record, outcome.target, outcome.preview)
                 done += 1
                 tell(progress, done, len(wanted))
@@ -134,7 +134,14 @@ def _begin(out: Path, record: CacheRecord) -> TargetCache:
             out, "output folder", "exists and is no target cache", "name a new or empty folder"
         )
     cache = TargetCache.open(out, complete=False)
-    if name := _first_difference(cache.record, record):
+    free: dict[str, Any] = {
+        "complete": True,
+        "identities": True,
+        "failures": True,
+        "filter": {"threshold"},
+    }
+    theirs, ours = (one.model_dump(mode="json", exclude=free) for one in (cache.record, record))
+    if name := first_difference(theirs, ours):
         raise InputError(
             out / CACHE_FILE,
             name,
@@ -142,15 +149,6 @@ def _begin(out: Path, record: CacheRecord) -> TargetCache:
             "name another folder, or repeat the options of the targets that lie there",
         )
     return cache
-
-
-def _first_difference(found: CacheRecord, wanted: CacheRecord) -> str | None:
-    theirs, ours = (record.model_dump(mode="json") for record in (found, wanted))
-    for record in (theirs, ours):
-        record["filter"].pop("threshold")
-        for name in ("complete", "identities", "failures"):
-            del record[name]
-    return next((name for name in sorted(ours) if theirs.get(name) != ours[name]), None)
 
 
 def _write_record(cache: TargetCache, record: CacheRecord) -> None:
@@ -161,7 +159,7 @@ def _write_record(cache: TargetCache, record: CacheRecord) -> None:
         cache.record = record
 
 
-def _job(vehicles: VehicleSource, name: str, views: tuple[int, ...]) -> Job:
+def _task(vehicles: VehicleSource, name: str, views: tuple[int, ...]) -> VehicleTask:
     identity = vehicles.identities[name]
     own = identity.record
     encoded = []
@@ -170,8 +168,8 @@ def _job(vehicles: VehicleSource, name: str, views: tuple[int, ...]) -> Job:
             encoded.append(encoded_view(identity, index))
         except InputError as error:
             reason = f"view {index}: {error.field} {error.problem}"
-            return Job(own.id, own.split, own.kind, own.colour, (), reason)
-    return Job(own.id, own.split, own.kind, own.colour, tuple(encoded))
+            return VehicleTask(own.id, own.split, own.kind, own.colour, (), reason)
+    return VehicleTask(own.id, own.split, own.kind, own.colour, tuple(encoded))
 
 
 @dataclass(frozen=True)

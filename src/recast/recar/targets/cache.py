@@ -10,7 +10,6 @@ CACHE/screening.json              decisions of a person, if any: `recast.recar.s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -119,27 +118,21 @@ def _rising(coords: NDArray[np.int32]) -> bool:
     return bool(np.all((x > 0) | ((x == 0) & ((y > 0) | ((y == 0) & (z > 0))))))
 
 
+@dataclass
 class TargetCache:
     """Targets of the vehicles of a set.
 
-    Args:
+    Attributes:
         folder: where it lies.
         record: cache.json.
-        records: of the vehicles that are done, by id.
+        records: of the vehicles that are done, by id, sorted when it was opened.
         decisions: of a person, by id.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        record: CacheRecord,
-        records: Mapping[str, TargetRecord],
-        decisions: Mapping[str, Decision],
-    ) -> None:
-        self.folder = folder
-        self.record = record
-        self.records = dict(sorted(records.items()))
-        self.decisions = dict(decisions)
+    folder: Path
+    record: CacheRecord
+    records: dict[str, TargetRecord]
+    decisions: dict[str, Decision]
 
     @classmethod
     def open(cls, folder: str | Path, *, complete: bool = True) -> TargetCache:
@@ -171,7 +164,8 @@ class TargetCache:
                 f"{len(records)} where cache.json says {record.identities}",
                 "make the targets again",
             )
-        return cls(folder, record, records, Screening(folder).decisions)
+        decisions = dict(Screening(folder).decisions)
+        return cls(folder, record, dict(sorted(records.items())), decisions)
 
     def ids(self, split: Split | None = None, accepted_only: bool = True) -> tuple[str, ...]:
         """Vehicles that have a target, sorted.

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import threading
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import AwareDatetime, BeforeValidator, model_validator
+from pydantic import AwareDatetime, model_validator
 
 from recast.core import files
 from recast.core.errors import InputError
@@ -30,15 +29,6 @@ _LOCK_FILE = ".screening.lock"
 _MEND = "restore it from a copy, or remove it to begin the screening again"
 
 
-def _as_it_stands(decision: object) -> object:
-    # Earlier versions turned latents by 180 degrees, which their autoencoders do not turn with: of
-    # the decoded voxels a third agreed. What came out rear to front is of no use as it stands.
-    return "reject" if decision == "flip" else decision
-
-
-_Stored = Annotated[Decision, BeforeValidator(_as_it_stands)]
-
-
 class Change(Record):
     """One key press.
 
@@ -50,8 +40,8 @@ class Change(Record):
     """
 
     id: IdentityName
-    before: _Stored | None
-    after: _Stored | None
+    before: Decision | None
+    after: Decision | None
     time: AwareDatetime
     undo: bool = False
 
@@ -67,7 +57,7 @@ class ScreeningRecord(Record):
 
     format: Literal["recast-screening"] = "recast-screening"
     version: int = SCREENING_VERSION
-    decisions: dict[IdentityName, _Stored]
+    decisions: dict[IdentityName, Decision]
     history: tuple[Change, ...] = ()
 
     @model_validator(mode="after")
@@ -178,11 +168,6 @@ class Screening:
     def decision(self, name: str) -> Decision | None:
         """The decision about one target; None where there is none."""
         return self._decisions.get(name)
-
-    def counts(self) -> dict[Decision, int]:
-        """How many targets have each decision."""
-        found = Counter(self._decisions.values())
-        return {decision: found[decision] for decision in DECISIONS}
 
     def changes(self, since: int) -> list[Change]:
         """The changes after revision `since`."""

@@ -6,14 +6,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 
 from recast.core.errors import InputError
 from recast.recar.record import Split
 from recast.recar.targets.cache import Target
-from recast.recar.targets.quality import AgreementScore, Candidate, Quality, QualityScore
+from recast.recar.targets.quality import (
+    AestheticScore,
+    AgreementScore,
+    Candidate,
+    Quality,
+    QualityScore,
+    weight_hashes,
+)
 from recast.recar.targets.record import (
     FilterRecord,
     FilterSettings,
@@ -31,7 +37,7 @@ from recast.recar.targets.views import (
     resized,
     turned,
 )
-from recast.recar.views import Image
+from recast.recar.views import Image, encode_rgb, write_words
 from recast.splats import Gaussians
 from recast.trellis import GeneratedVehicle, GenerationLimits, ImageTo3D, generate
 
@@ -44,7 +50,7 @@ _CAPTIONS = ("front", "left", "rear", "right")
 
 
 @dataclass(frozen=True)
-class Job:
+class VehicleTask:
     """A vehicle to make a target of.
 
     Attributes:
@@ -63,7 +69,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a job; `target` and `preview` are None where it failed."""
+    """What became of a task; `target` and `preview` are None where it failed."""
 
     record: TargetRecord
     target: Target | None = None
@@ -71,13 +77,7 @@ class Outcome:
 
 
 class TargetMaker:
-    """Makes targets with a model and a score of its own.
-
-    Args:
-        model: ready to run.
-        settings: how.
-        score: of the quality filter, if there is one.
-    """
+    """Makes targets with a model, and a score if there is a quality filter."""
 
     def __init__(
         self, model: ImageTo3D, settings: TargetSettings, score: QualityScore | None
@@ -97,17 +97,17 @@ class TargetMaker:
         """
         return cls(source.load(device), settings, open_score(settings.filter))
 
-    def make(self, job: Job) -> Outcome:
+    def make(self, task: VehicleTask) -> Outcome:
         """The target of a vehicle, judged, with its contact sheet; or why there is none."""
-        seed = identity_seed(self._settings.seed, job.id)
+        seed = identity_seed(self._settings.seed, task.id)
         blank = TargetRecord(
-            id=job.id, split=job.split, kind=job.kind, colour=job.colour, seed=seed
+            id=task.id, split=task.split, kind=task.kind, colour=task.colour, seed=seed
         )
-        if job.failure is not None:
-            return Outcome(blank.model_copy(update={"failure": job.failure}))
+        if task.failure is not None:
+            return Outcome(blank.model_copy(update={"failure": task.failure}))
         try:
-            pictures = _pictures(job.views)
-            made = self._generate(pictures, seed, job.id)
+            pictures = _pictures(task.views)
+            made = self._generate(pictures, seed, task.id)
         except InputError as error:
             return Outcome(blank.model_copy(update={"failure": error.problem}))
         target = Target(
@@ -115,7 +115,7 @@ class TargetMaker:
             made.coords.numpy().astype(np.int32),
             made.latent.float().numpy(),
         )
-        viewpoints = [view.viewpoint for view in job.views]
+        viewpoints = [view.viewpoint for view in task.views]
         heading = None
         if self._settings.heading == "any":
             heading = find_heading(made.gaussians, pictures, viewpoints)
@@ -176,7 +176,7 @@ def _record(blank: TargetRecord, made: GeneratedVehicle, quality: Quality | None
 
 def start_maker(
     number: int, source: ModelSource, settings: TargetSettings
-) -> Callable[[Job], Outcome]:
+) -> Callable[[VehicleTask], Outcome]:
     """What worker `number` makes targets with; CUDA devices go round where none is named."""
     device = source.device
     if device is None and torch.cuda.is_available():
@@ -193,11 +193,11 @@ def absolute(source: ModelSource, settings: TargetSettings) -> tuple[ModelSource
     def path(given: Path | None) -> Path | None:
         return None if given is None else given.absolute()
 
-    judge = settings.filter
-    files = {"predictor": path(judge.predictor), "clip": path(judge.clip)}
+    quality = settings.filter
+    files = {"predictor": path(quality.predictor), "clip": path(quality.clip)}
     return (
         replace(source, folder=source.folder.absolute(), image_encoder=path(source.image_encoder)),
-        settings.model_copy(update={"filter": judge.model_copy(update=files)}),
+        settings.model_copy(update={"filter": quality.model_copy(update=files)}),
     )
 
 
@@ -214,10 +214,7 @@ def contact_sheet(candidate: Candidate) -> bytes:
         rows[0].append(_captioned(shown, f"picture: {_CAPTIONS[column]}"))
         rows[1].append(_captioned(_tile(candidate.gaussians, view), "target"))
         rows[2].append(_tile(candidate.gaussians, turned(view, 45.0)))
-    sheet = np.vstack([np.hstack(row) for row in rows])
-    written, data = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))
-    assert written
-    return data.tobytes()
+    return encode_rgb(np.vstack([np.hstack(row) for row in rows]))
 
 
 def _tile(gaussians: Gaussians, viewpoint: Viewpoint) -> Image:
@@ -227,7 +224,7 @@ def _tile(gaussians: Gaussians, viewpoint: Viewpoint) -> Image:
 
 def _captioned(tile: Image, text: str) -> Image:
     tile = np.ascontiguousarray(tile)
-    cv2.putText(tile, text, (5, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1, cv2.LINE_AA)
+    write_words(tile, text, (5, 14), 0.4, (255, 255, 255))
     return tile
 
 
@@ -241,8 +238,6 @@ def open_score(settings: FilterSettings) -> QualityScore | None:
         return None
     if settings.kind == "agreement":
         return AgreementScore()
-    from recast.recar.targets.aesthetic import AestheticScore
-
     return AestheticScore.load(*_aesthetic_files(settings))
 
 
@@ -260,8 +255,6 @@ def filter_record(settings: FilterSettings) -> FilterRecord:
     if settings.kind == "agreement":
         name, threshold = AgreementScore.name, AgreementScore.threshold
     else:
-        from recast.recar.targets.aesthetic import AestheticScore, weight_hashes
-
         name, threshold = AestheticScore.name, AestheticScore.threshold
         weights = weight_hashes(*_aesthetic_files(settings))
     if settings.threshold is not None:

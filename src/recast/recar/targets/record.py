@@ -31,7 +31,6 @@ VIEWS_DEG = (0.0, 180.0, 90.0, 270.0)
 """Azimuths of front, rear, left and right, the order in which the pipeline gets them."""
 
 Azimuth = Annotated[FiniteFloat, Field(ge=0, lt=360)]
-_BLOCK = 1 << 22
 
 
 class FilterSettings(Record):
@@ -159,8 +158,6 @@ class TargetRecord(Record):
     """Contents of records/ID.json: one vehicle. Written last: who has one is done.
 
     Attributes:
-        id: of the vehicle in its set.
-        split: of the vehicle.
         kind, colour: labels of the vehicle, for people.
         seed: the one that made the target, after retries; of the first try where it failed.
         voxels: active ones; 0 where it failed.
@@ -252,6 +249,6 @@ def file_hash(paths: Iterator[Path]) -> str:
     for path in paths:
         digest.update(path.stat().st_size.to_bytes(8, "big"))
         with path.open("rb") as stream:
-            while block := stream.read(_BLOCK):
+            while block := stream.read(1 << 22):
                 digest.update(block)
     return digest.hexdigest()

@@ -87,14 +87,7 @@ class Viewpoint:
 
 @dataclass(frozen=True)
 class EncodedView:
-    """A picture that has not been decoded.
-
-    Attributes:
-        name: for messages.
-        png: its bytes.
-        width, height: that it must have.
-        viewpoint: of its camera, as far as the set says.
-    """
+    """A picture that has not been decoded, the size that it must have, and its viewpoint."""
 
     name: str
     png: bytes
@@ -168,12 +161,9 @@ def closeness(first: Cutout, second: Cutout) -> float:
 
 
 def render(gaussians: Gaussians, viewpoint: Viewpoint, pixels: int) -> Cutout:
-    """A square render of an asset in the unit cube, with the filter of the published renderer.
+    """A square render of an asset in the unit cube, z up, with the published renderer's filter.
 
-    Args:
-        gaussians: z up, about the origin.
-        viewpoint: place of the camera, its azimuth from +x.
-        pixels: side of the picture.
+    It is about the origin; azimuths are from +x; `pixels` is the side of the picture.
     """
     camera = pinhole(pixels, pixels, viewpoint.fov_deg)
     pose = camera_pose(viewpoint.azimuth_deg, viewpoint.elevation_deg, viewpoint.distance)

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from recast.core.errors import InputError
 from recast.core.files import write_json
-from recast.core.progress import Progress
+from recast.core.progress import Progress, tell
 from recast.recar.targets import CacheRecord, ModelSource, Target, TargetCache, TargetRecord
 from recast.recar.targets.cache import ChannelMoments
 from recast.recar.targets.record import CACHE_FILE
@@ -79,7 +79,7 @@ def assemble(
         model: to be made.
         cache: to be made; one that was begun is finished.
         seed: of the latent flow's weights.
-        progress: told the number of assets encoded, and of all.
+        progress: called with the number of assets encoded, and of all.
 
     Raises:
         InputError: a part was not trained to its end, `model` exists, or the disk is full.
@@ -97,8 +97,7 @@ def assemble(
         encoded.append(_encode(models, store[number]))
         if not is_held_out(number):
             moments.add(encoded[-1].latent)
-        if progress is not None:
-            progress(number + 1, len(store))
+        tell(progress, number + 1, len(store))
     found = moments.statistics()
     if found is None:
         raise InputError(assets, "assets", "none to train on", "make more")

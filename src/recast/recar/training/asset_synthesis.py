@@ -15,7 +15,7 @@ from pydantic import Field
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.core.files import alone_in, write_json
-from recast.core.progress import Progress
+from recast.core.progress import Progress, tell
 from recast.core.ray_cluster import worker_pool
 from recast.core.records import Record, read_record
 from recast.geometry import PinholeCamera, se3
@@ -80,14 +80,12 @@ def make_assets(
         write_json(path, record.model_dump(mode="json"))
     left = [i for i in range(count) if not asset_path(out, i).exists()]
     done, indices = count - len(left), iter(left)
-    if progress is not None:
-        progress(done, count)
+    tell(progress, done, count)
     pool = worker_pool(min(workers, len(left)) or 1)
     with alone_in(out):
         for _ in pool(_start, (out, record), lambda: next(indices, None), "finished assets"):
             done += 1
-            if progress is not None:
-                progress(done, count)
+            tell(progress, done, count)
 
 
 def asset_path(folder: Path, index: int) -> Path:
@@ -95,8 +93,7 @@ def asset_path(folder: Path, index: int) -> Path:
     return folder / f"asset-{index:05d}.npz"
 
 
-def _start(worker: int, out: Path, record: AssetsRecord) -> Callable[[int], None]:
-    del worker  # makes no difference
+def _start(_: int, out: Path, record: AssetsRecord) -> Callable[[int], None]:
     return partial(_make, out, record=record)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
@@ -16,7 +16,7 @@ from torch import Tensor
 from recast.core.errors import InputError
 from recast.recar.record import SET_FILE, Split
 from recast.recar.shards.layout import INDEX_FILE
-from recast.recar.shards.opening import open_set
+from recast.recar.shards.sharded_set import open_set
 from recast.recar.training.assets import TrainingAsset, read_asset
 from recast.recar.views import IdentitySource, Image
 from recast.trellis.conditioning import ImageEncoder, crop_to_object, images_from_crops
@@ -176,13 +176,14 @@ class View:
     index: int
 
 
+@dataclass
 class ConditionTokens:
     """Tokens of views; those of a frozen encoder are kept in memory up to a bound.
 
     Every picture is encoded alone: a batch of several would round differently, and a resumed
     training, whose memory is empty, would not come out the same.
 
-    Args:
+    Attributes:
         encoder: turns crops into tokens.
         source: of the pictures.
         device: of the encoder.
@@ -190,30 +191,16 @@ class ConditionTokens:
         kept_bytes: of tokens kept; nothing is dropped, what comes later is encoded each time.
     """
 
-    def __init__(
-        self,
-        encoder: ImageEncoder,
-        source: ConditionSource,
-        device: torch.device,
-        *,
-        frozen: bool = True,
-        kept_bytes: int = 0,
-    ) -> None:
-        self.encoder = encoder
-        self.source = source
-        self.device = device
-        self.frozen = frozen
-        self.kept_bytes = kept_bytes
-        self.used_bytes = 0
-        self._kept: dict[View, Tensor] = {}
+    encoder: ImageEncoder
+    source: ConditionSource
+    device: torch.device
+    frozen: bool = True
+    kept_bytes: int = 0
+    used_bytes: int = field(default=0, init=False)
+    _kept: dict[View, Tensor] = field(default_factory=dict, init=False, repr=False)
 
     def crop(self, view: View, alter: Perturb | None, rng: np.random.Generator) -> Image:
-        """The square crop (S, S, 3) on black that the encoder sees.
-
-        Args:
-            view: which picture.
-            alter: what happens to it first.
-            rng: for that.
+        """The square crop (S, S, 3) on black that the encoder sees, altered first if asked.
 
         Raises:
             InputError: nothing to see in the picture, or it cannot be read.

@@ -32,12 +32,9 @@ _SEED = 20_260
 
 @dataclass(frozen=True)
 class FlowData:
-    """A batch as the flow-matching loss takes it.
+    """A batch: dense `x0` (B, ...), or sparse (T, C) with the sample of each row, `batch` (T,).
 
-    Attributes:
-        x0: dense (B, ...) or sparse (T, C) data.
-        batch: (T,) sample of each row of sparse data.
-        velocity: the network on this batch.
+    `velocity` is the network on this batch.
     """
 
     x0: Tensor
@@ -64,11 +61,7 @@ class Flow(Protocol):
 
 @dataclass(frozen=True)
 class StructureFlow:
-    """Structure latents, as sampled, whatever their spread: the published ones are not normalised.
-
-    Attributes:
-        model: the network.
-    """
+    """Structure latents as sampled, whatever their spread: the published are not normalised."""
 
     model: SparseStructureFlowModel
 
@@ -128,13 +121,14 @@ class LatentFlow:
         return FlowData(start.feats, start.batch, velocity)
 
 
+@dataclass(frozen=True)
 class FlowTask:
     """Trains one flow: the published objective, conditioned on one randomly drawn view.
 
     A batch holds different vehicles. It is drawn as a whole and then split into the parts that are
     accumulated or go to other processes, balanced by voxels.
 
-    Args:
+    Attributes:
         flow: what is trained.
         targets: the cache.
         identities: those to train on; each has pictures.
@@ -149,35 +143,29 @@ class FlowTask:
         InputError: fewer than two identities.
     """
 
-    def __init__(
-        self,
-        flow: Flow,
-        targets: TargetCache,
-        identities: Sequence[str],
-        tokens: ConditionTokens,
-        objective: FlowObjective,
-        perturb: Perturb | None = None,
-        clean_share: float = 0.2,
-        encoder: nn.Module | None = None,
-    ) -> None:
-        if len(identities) < 2:
+    flow: Flow
+    targets: TargetCache
+    identities: Sequence[str]
+    tokens: ConditionTokens
+    objective: FlowObjective
+    perturb: Perturb | None = None
+    clean_share: float = 0.2
+    encoder: nn.Module | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.identities) < 2:
             raise InputError(
-                targets.folder,
+                self.targets.folder,
                 "train identities",
-                f"{len(identities)} can be used, at least two are needed",
+                f"{len(self.identities)} can be used, at least two are needed",
                 "accept more targets, or name the set that they were made from",
             )
-        self.flow = flow
-        self.targets = targets
-        self.identities = tuple(identities)
-        self.tokens = tokens
-        self.objective = objective
-        self.perturb = perturb
-        self.clean_share = clean_share
-        self.modules: Mapping[str, nn.Module] = {"flow": flow.model}
-        if encoder is not None:
-            self.modules = {"flow": flow.model, "image_encoder": encoder}
-        self.matching = FlowMatching(objective.sigma_min)
+
+    @property
+    def modules(self) -> Mapping[str, nn.Module]:
+        """See `TrainingTask.modules`."""
+        own = {"flow": self.flow.model}
+        return own if self.encoder is None else {**own, "image_encoder": self.encoder}
 
     def loss(self, step: int, random: StepRandom) -> StepLoss:
         """Loss of one part of the batch of a step, and its means by tenth of time."""
@@ -195,19 +183,16 @@ class FlowTask:
     def flow_loss(
         self, targets: Sequence[Target], cond: Tensor, generator: torch.Generator
     ) -> FlowLoss:
-        """Loss at random times and with random noise.
+        """Loss at random times and with random noise, given the targets' tokens `cond` (B, L, C).
 
-        Args:
-            targets: of the samples.
-            cond: (B, L, C) their tokens.
-            generator: on the CPU, so that every device sees the same times and noise.
+        The generator is on the CPU, so that every device sees the same times and noise.
         """
         objective, data = self.objective, self.flow.data(targets)
         t = sample_timesteps(len(targets), generator, objective.time_mean, objective.time_std)
         noise = torch.randn(data.x0.shape, generator=generator)
         device = data.x0.device
         with autocast(device, objective.autocast):
-            return self.matching.loss(
+            return FlowMatching(objective.sigma_min).loss(
                 data.velocity, data.x0, cond, t.to(device), noise.to(device), data.batch
             )
 

@@ -6,6 +6,7 @@ import importlib
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,6 @@ from recast.recar.training.task import (
     TrainingTask,
 )
 
-_BUCKET = 1 << 25  # elements that are averaged in one message, 128 MiB
 Watch = Callable[[int, dict[str, float]], None]
 Probe = Callable[[], Mapping[str, float]]
 AfterStep = Callable[[TrainingState], None]
@@ -74,16 +74,14 @@ class Processes:
         """Replace all gradients by their mean over the processes."""
         if self.count == 1:
             return
-        bucket: list[Tensor] = []
         for parameter in parameters:
             if parameter.grad is None:  # others may have one
                 parameter.grad = torch.zeros_like(parameter)
-            bucket.append(parameter.grad)
-            if sum(gradient.numel() for gradient in bucket) >= _BUCKET:
-                _average(bucket)
-                bucket = []
-        if bucket:
-            _average(bucket)
+        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
+        flat = torch.cat([gradient.float().flatten() for gradient in gradients])
+        mean = _accelerate().utils.reduce(flat, "mean").split([g.numel() for g in gradients])
+        for gradient, part in zip(gradients, mean, strict=True):
+            gradient.copy_(part.view_as(gradient))
 
     def merge(self, means: Means) -> Means:
         """Sums and counts over all processes; the names must be the same everywhere."""
@@ -98,13 +96,6 @@ class Processes:
         )
         sums, counts = _accelerate().utils.reduce(table, "sum").tolist()
         return Means(dict(zip(names, sums, strict=True)), dict(zip(names, counts, strict=True)))
-
-
-def _average(gradients: list[Tensor]) -> None:
-    flat = torch.cat([gradient.float().flatten() for gradient in gradients])
-    mean = _accelerate().utils.reduce(flat, "mean")
-    for gradient, part in zip(gradients, mean.split([g.numel() for g in gradients]), strict=True):
-        gradient.copy_(part.view_as(gradient))
 
 
 def _accelerate() -> Any:
@@ -154,56 +145,42 @@ def train(
     processes = processes or Processes()
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    if not processes.first:
-        return _train(task, settings, folder, watch, probe, after_step, processes)
-    # A process that has finished may still be on its way out.
-    with alone_in(folder, wait=steps_done(folder) == settings.steps):
-        return _train(task, settings, folder, watch, probe, after_step, processes)
-
-
-def _train(
-    task: TrainingTask,
-    settings: TrainerSettings,
-    folder: Path,
-    watch: Watch | None,
-    probe: Probe | None,
-    after_step: AfterStep | None,
-    processes: Processes,
-) -> TrainingState:
-    """`train` in a folder that no other training uses."""
     for module in task.modules.values():
         module.train()
-    state = TrainingState.begin(task.modules, settings)
-    state.read(folder, settings)
-    processes.wait()  # else the first one may write while another still reads
-    log = None
-    if processes.first:
-        log = TrainingLog(folder / LOG_FILE, state.step, settings.log_every, state.pending)
-    bad = 0
-    while state.step < settings.steps:
-        logs = _step(task, settings, state, processes)
-        bad = 0 if _finite(logs) else bad + 1
-        if bad == _GIVE_UP:
-            raise InputError(
-                folder,
-                f"step {state.step}",
-                "the loss is not finite any more",
-                "lower the learning rate, or train in float32",
-            )
-        state.step += 1
-        if log is None:
-            continue
-        state.pending.add(logs)
-        if log.due(state.step):
-            values = log.write(state.step, probe() if probe is not None else {})
-            if watch is not None:
-                watch(state.step, values)
-        if after_step is not None:
-            after_step(state)
-        if state.step % settings.checkpoint_every == 0 or state.step == settings.steps:
-            state.write(folder, settings)
-    processes.wait()  # the last checkpoint is there for all
-    return state
+    # A process that has finished may still be on its way out.
+    alone = alone_in(folder, wait=steps_done(folder) == settings.steps)
+    with alone if processes.first else nullcontext():
+        state = TrainingState.begin(task.modules, settings)
+        state.read(folder, settings)
+        processes.wait()  # else the first one may write while another still reads
+        log = None
+        if processes.first:
+            log = TrainingLog(folder / LOG_FILE, state.step, settings.log_every, state.pending)
+        bad = 0
+        while state.step < settings.steps:
+            logs = _step(task, settings, state, processes)
+            bad = 0 if _finite(logs) else bad + 1
+            if bad == _GIVE_UP:
+                raise InputError(
+                    folder,
+                    f"step {state.step}",
+                    "the loss is not finite any more",
+                    "lower the learning rate, or train in float32",
+                )
+            state.step += 1
+            if log is None:
+                continue
+            state.pending.add(logs)
+            if log.due(state.step):
+                values = log.write(state.step, probe() if probe is not None else {})
+                if watch is not None:
+                    watch(state.step, values)
+            if after_step is not None:
+                after_step(state)
+            if state.step % settings.checkpoint_every == 0 or state.step == settings.steps:
+                state.write(folder, settings)
+        processes.wait()  # the last checkpoint is there for all
+        return state
 
 
 def _step(

@@ -24,6 +24,7 @@ from recast.trellis.models import TrellisModel
 RECORD_FILE = "training.json"
 _FORMAT = "recast-training"
 _VERSION = 1
+_MEND_OUT = "name another output folder"
 
 
 def model_paths(folder: Path, record: PipelineRecord) -> list[Path]:
@@ -159,49 +160,29 @@ def check_same_inputs(folder: Path, inputs: StageInputs) -> None:
     if path.exists():
         found = read_training_record(folder).inputs
         # A course that may go on longer is judged by the state of each flow.
-        names = set(StageInputs.model_fields) - {"config"}
-        for name in sorted(names):
-            if getattr(found, name) != getattr(inputs, name):
-                raise InputError(
-                    path,
-                    f"inputs.{name}",
-                    f"is {getattr(found, name)!r}, not {getattr(inputs, name)!r}",
-                    "name another output folder",
-                )
+        for name in sorted(set(StageInputs.model_fields) - {"config"}):
+            theirs, ours = getattr(found, name), getattr(inputs, name)
+            if theirs != ours:
+                raise InputError(path, f"inputs.{name}", f"is {theirs!r}, not {ours!r}", _MEND_OUT)
         _check_config(path, found.config, inputs.config)
     elif folder.exists() and any(folder.iterdir()):
-        raise InputError(
-            folder,
-            "output folder",
-            f"holds something else: no {RECORD_FILE} is there",
-            "name another one",
-        )
+        problem = f"holds something else: no {RECORD_FILE} is there"
+        raise InputError(folder, "output folder", problem, "name another one")
 
 
 def _check_config(path: Path, found: StageConfig, asked: StageConfig) -> None:
-    free = {
-        "structure",
-        "latent",
-        "name",
-        "probe",
-        "sheet_every",
-        "sheet_vehicles",
-        "token_memory_mib",
-    }
+    free = {"structure", "latent", "name"}
+    free |= {"probe", "sheet_every", "sheet_vehicles", "token_memory_mib"}
     same_flows = found.settings.keys() == asked.settings.keys()
     if not same_flows or found.model_dump(exclude=free) != asked.model_dump(exclude=free):
-        raise InputError(
-            path, "inputs.config", "differs from the one asked for", "name another output folder"
-        )
+        raise InputError(path, "inputs.config", "differs from the one asked for", _MEND_OUT)
 
 
 def hash_files(folder: Path, files: Iterable[Path]) -> str:
     """SHA-256 of files below a folder, by their names there and their contents."""
     digest = hashlib.sha256()
     for path in sorted(files):
-        content = hashlib.sha256()
         with path.open("rb") as stream:
-            while block := stream.read(1 << 22):
-                content.update(block)
-        digest.update(f"{path.relative_to(folder).as_posix()} {content.hexdigest()}\n".encode())
+            content = hashlib.file_digest(stream, "sha256").hexdigest()
+        digest.update(f"{path.relative_to(folder).as_posix()} {content}\n".encode())
     return digest.hexdigest()

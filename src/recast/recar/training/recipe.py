@@ -45,7 +45,6 @@ from recast.trellis.models import (
     SparseStructureDecoder,
     SparseStructureEncoder,
 )
-from recast.trellis.models.base import TrellisModel
 from recast.trellis.models.flow_transformer import SparseStructureFlowModel
 
 _EVERY_VIEW = 4  # of an asset's pictures, every fourth is enough
@@ -72,48 +71,26 @@ def split(count: int) -> tuple[list[int], list[int]]:
 
 def train_structure(assets: Path, out: Path, steps: int, seed: int, watch: Watch) -> Report:
     """The sparse-structure autoencoder; writes both networks and the held-out overlap."""
-    store = AssetStore(assets)
-    trained, held_out = split(len(store))
-    made: dict[str, Any] = new_checkpoint(
-        SMALL, seed, roles=(STRUCTURE_ENCODER, STRUCTURE_DECODER)
-    ).models
-    encoder, decoder = made[STRUCTURE_ENCODER], made[STRUCTURE_DECODER]
+    part = _Part(assets, out, seed, watch, (STRUCTURE_ENCODER, STRUCTURE_DECODER))
+    encoder, decoder = part.models
     with torch.no_grad():
         decoder.out_layer[-1].bias.fill_(_PRIOR_LOGIT)
     resolution = SMALL.models[LATENT_ENCODER].args["resolution"]
-    task = StructureAutoencoderTask(encoder, decoder, store, trained, resolution, batch=4)
-    settings = TrainerSettings(
-        steps=steps, lr=4e-3, schedule="cosine", warmup=50, betas=(0.9, 0.99), clip=1.0, seed=seed
-    )
-    return _finish(
-        task,
-        settings,
-        out,
-        watch,
-        (STRUCTURE_ENCODER, STRUCTURE_DECODER),
-        lambda: judge_structure(encoder, decoder, store, held_out, resolution),
+    return part.train(
+        StructureAutoencoderTask(encoder, decoder, part.store, part.trained, resolution, batch=4),
+        lambda: evaluate_structure(encoder, decoder, part.store, part.held_out, resolution),
+        {"steps": steps, "lr": 4e-3, "warmup": 50, "clip": 1.0},
     )
 
 
 def train_latent(assets: Path, out: Path, steps: int, seed: int, watch: Watch) -> Report:
     """The structured-latent autoencoder; writes both networks and held-out PSNR and overlap."""
-    store = AssetStore(assets)
-    trained, held_out = split(len(store))
-    made: dict[str, Any] = new_checkpoint(
-        SMALL, seed, roles=(LATENT_ENCODER, GAUSSIAN_DECODER)
-    ).models
-    encoder, decoder = made[LATENT_ENCODER], made[GAUSSIAN_DECODER]
-    task = LatentAutoencoderTask(encoder, decoder, store, trained)
-    settings = TrainerSettings(
-        steps=steps, lr=2e-3, schedule="cosine", warmup=100, betas=(0.9, 0.99), clip=0.5, seed=seed
-    )
-    return _finish(
-        task,
-        settings,
-        out,
-        watch,
-        (LATENT_ENCODER, GAUSSIAN_DECODER),
-        lambda: judge_latent(encoder, decoder, store, held_out),
+    part = _Part(assets, out, seed, watch, (LATENT_ENCODER, GAUSSIAN_DECODER))
+    encoder, decoder = part.models
+    return part.train(
+        LatentAutoencoderTask(encoder, decoder, part.store, part.trained),
+        lambda: evaluate_latent(encoder, decoder, part.store, part.held_out),
+        {"steps": steps, "lr": 2e-3, "warmup": 100, "clip": 0.5},
     )
 
 
@@ -125,36 +102,48 @@ def train_image(
     Args:
         structure: trained encoder that gives the latents to read.
     """
-    store = AssetStore(assets)
-    trained, held_out = split(len(store))
-    examples = image_examples(store, structure)
-    made: dict[str, Any] = new_checkpoint(SMALL, seed, roles=(STRUCTURE_FLOW, IMAGE_ENCODER)).models
-    encoder, reader = made[IMAGE_ENCODER], made[STRUCTURE_FLOW]
+    part = _Part(assets, out, seed, watch, (STRUCTURE_FLOW, IMAGE_ENCODER))
+    reader, encoder = part.models
+    examples = image_examples(part.store, structure)
     with torch.random.fork_rng(devices=()):
         torch.manual_seed(seed)
         heads = ViewHeads(encoder.config.channels)
-    deviation = float(examples.structures[trained].std())
-    task = ImageEncoderTask(
-        encoder, reader, heads, examples, trained, min(16, len(trained)), deviation
+    trained, deviation = part.trained, float(examples.structures[part.trained].std())
+    batch = min(16, len(trained))
+    return part.train(
+        ImageEncoderTask(encoder, reader, heads, examples, trained, batch, deviation),
+        lambda: evaluate_image(encoder, reader, examples, trained, part.held_out, deviation),
+        {"steps": steps, "lr": 1e-3, "warmup": 200, "clip": 1.0, "ema_decay": 0.998},
     )
-    settings = TrainerSettings(
-        steps=steps,
-        lr=1e-3,
-        schedule="cosine",
-        warmup=200,
-        betas=(0.9, 0.99),
-        clip=1.0,
-        seed=seed,
-        ema_decay=0.998,
-    )
-    return _finish(
-        task,
-        settings,
-        out,
-        watch,
-        (IMAGE_ENCODER, STRUCTURE_FLOW),
-        lambda: judge_image(encoder, reader, examples, trained, held_out, deviation),
-    )
+
+
+class _Part:
+    """Assets, and the fresh networks of some roles, in the order of the roles."""
+
+    def __init__(
+        self, assets: Path, out: Path, seed: int, watch: Watch, roles: tuple[str, ...]
+    ) -> None:
+        self.store, self._out, self._seed, self._watch = AssetStore(assets), out, seed, watch
+        self.trained, self.held_out = split(len(self.store))
+        self._roles = roles
+        made = new_checkpoint(SMALL, seed, roles=roles).models
+        self.models: list[Any] = [made[role] for role in roles]
+
+    def train(
+        self, task: TrainingTask, evaluate: Callable[[], Report], settings: dict[str, Any]
+    ) -> Report:
+        """Train; then write the networks and what they reach."""
+        chosen = {"schedule": "cosine", "betas": (0.9, 0.99), "seed": self._seed, **settings}
+        state = train(task, TrainerSettings.model_validate(chosen), self._out, watch=self._watch)
+        for name, average in state.averages.items():
+            average.copy_to(task.modules[name])
+        for module in task.modules.values():
+            module.eval()
+        for role, model in zip(self._roles, self.models, strict=True):
+            save_model(self._out / SMALL.models[role].stem, model)
+        report = evaluate()
+        write_json(self._out / REPORT_FILE, report)
+        return report
 
 
 @torch.no_grad()
@@ -179,30 +168,8 @@ def image_examples(store: AssetStore, structure: SparseStructureEncoder) -> Imag
     )
 
 
-def _finish(
-    task: TrainingTask,
-    settings: TrainerSettings,
-    out: Path,
-    watch: Watch,
-    roles: tuple[str, ...],
-    judge: Callable[[], Report],
-) -> Report:
-    state = train(task, settings, out, watch=watch)
-    for name, average in state.averages.items():
-        average.copy_to(task.modules[name])
-    for module in task.modules.values():
-        module.eval()
-    for role in roles:
-        model = task.modules[role]
-        assert isinstance(model, TrellisModel)
-        save_model(out / SMALL.models[role].stem, model)
-    report = judge()
-    write_json(out / REPORT_FILE, report)
-    return report
-
-
 @torch.no_grad()
-def judge_structure(
+def evaluate_structure(
     encoder: SparseStructureEncoder,
     decoder: SparseStructureDecoder,
     store: AssetStore,
@@ -220,7 +187,7 @@ def judge_structure(
 
 
 @torch.no_grad()
-def judge_latent(
+def evaluate_latent(
     encoder: SLatEncoder, decoder: SLatGaussianDecoder, store: AssetStore, numbers: Sequence[int]
 ) -> dict[str, Any]:
     """PSNR on black, PSNR on the asset's pixels, and mask overlap of decoded vehicles."""
@@ -243,7 +210,7 @@ def judge_latent(
 
 
 @torch.no_grad()
-def judge_image(
+def evaluate_image(
     encoder: CompactImageEncoder,
     reader: SparseStructureFlowModel,
     examples: ImageExamples,

@@ -18,7 +18,15 @@ from recast.geometry import se3
 from recast.recar.targets import TargetCache
 from recast.recar.training.conditions import ConditionTokens, View
 from recast.recar.training.state import TrainingState
-from recast.recar.views import ELEVATION_DEG, FOV_DEG, Image, camera_pose, pinhole
+from recast.recar.views import (
+    ELEVATION_DEG,
+    FOV_DEG,
+    Image,
+    camera_pose,
+    encode_rgb,
+    pinhole,
+    write_words,
+)
 from recast.splats import Gaussians, rasterize
 from recast.trellis import GenerationLimits, ImageTo3D, generate
 from recast.trellis.sparse import SparseTensor
@@ -33,14 +41,7 @@ _SEED = 20_260
 
 @dataclass(frozen=True)
 class SheetRow:
-    """One held-out vehicle.
-
-    Attributes:
-        name: of it.
-        crop: (S, S, 3) what the encoder sees.
-        rgba: the picture.
-        truth: what the target decodes to.
-    """
+    """A held-out vehicle: `crop` (S, S, 3) for the encoder, picture, what the target decodes to."""
 
     name: str
     crop: Image
@@ -51,16 +52,13 @@ class SheetRow:
 def sample_sheet(model: ImageTo3D, rows: Sequence[SheetRow], seed: int) -> Image:
     """(H, W, 3) uint8; a row for every vehicle: input, three sides as sampled, and the target's.
 
-    A vehicle whose structure is empty or too large shows as such.
-
-    Args:
-        model: whose networks may be in training.
-        rows: the vehicles.
-        seed: of the noise, the same for each sheet.
+    A vehicle whose structure is empty or too large shows as such. The model's networks may be in
+    training; `seed` is of the noise, the same for each sheet.
     """
     sheet = []
     for row in rows:
-        tiles = [_captioned(_scaled(row.crop), f"input {row.name}")]
+        seen = cv2.resize(row.crop, (_TILE, _TILE), interpolation=cv2.INTER_AREA)
+        tiles = [_captioned(np.asarray(seen, np.uint8), f"input {row.name}")]
         try:
             made = generate(
                 model, [[row.rgba]], [seed], names=[row.name], limits=GenerationLimits()
@@ -99,17 +97,11 @@ def render_side(gaussians: Gaussians, azimuth_deg: float, pixels: int) -> NDArra
     return np.asarray((picture.rgb.clamp(0, 1).numpy() * 255).round(), np.uint8)
 
 
-def _scaled(image: Image) -> Image:
-    return np.asarray(cv2.resize(image, (_TILE, _TILE), interpolation=cv2.INTER_AREA), np.uint8)
-
-
 def _captioned(tile: Image, caption: str) -> Image:
     """A tile under its caption, with a white edge."""
     sheet = np.full((_TILE + _CAPTION + 4, _TILE + 4, 3), 255, np.uint8)
     sheet[_CAPTION : _CAPTION + _TILE, :_TILE] = tile
-    cv2.putText(
-        sheet, caption[:30], (2, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.34, (40, 40, 40), 1, cv2.LINE_AA
-    )
+    write_words(sheet, caption[:30], (2, 13), 0.34)
     return sheet
 
 
@@ -148,7 +140,7 @@ class StageSheets:
         with _written_weights(state, average=self._average):
             sheet = sample_sheet(self._model, self._rows, _SEED)
         path = self._stem.with_name(f"{self._stem.name}-{state.step:07d}.png")
-        write_bytes(path, _png(sheet))
+        write_bytes(path, encode_rgb(sheet))
 
     def _row(self, identity: str, rng: np.random.Generator) -> SheetRow:
         source = self._tokens.source
@@ -180,9 +172,3 @@ def _written_weights(state: TrainingState, *, average: bool) -> Iterator[None]:
     finally:
         for name, module in state.modules.items():
             module.load_state_dict(kept[name])
-
-
-def _png(sheet: Image) -> bytes:
-    written, data = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))
-    assert written
-    return data.tobytes()

@@ -47,8 +47,6 @@ def train_stage(
     any moment, the same call continues, and ends in the same bytes.
 
     Args:
-        request: what, from what, where to.
-        console: of the display.
         processes: this one among those that train together; those of torchrun where not given.
 
     Returns:

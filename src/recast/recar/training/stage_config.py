@@ -12,10 +12,9 @@ from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.records import Record, validation_error
 from recast.recar.perturb import PerturbationConfig
-from recast.recar.training.task import TrainerSettings
+from recast.recar.training.task import TrainerSettings, overridden
 
 FlowName = Literal["structure", "latent"]
-FLOWS: tuple[FlowName, ...] = ("structure", "latent")
 
 
 class FlowObjective(Record):
@@ -176,19 +175,9 @@ def read_stage_config(path: Path) -> StageConfig:
         raise InputError(path, "preset", f"is {preset!r}", f"take one of {', '.join(PRESETS)}")
     start = {} if preset is None else PRESETS[preset].model_dump(mode="json")
     try:
-        return StageConfig.model_validate(_merged(start, values))
+        return StageConfig.model_validate(overridden(start, values))
     except ValidationError as error:
         raise validation_error(path, error, mend) from None
-
-
-def _merged(start: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Members replaced; objects member by member."""
-    merged = dict(start)
-    for name, value in changes.items():
-        old = merged.get(name)
-        both = isinstance(old, Mapping) and isinstance(value, Mapping)
-        merged[name] = _merged(old, value) if both else value  # type: ignore[arg-type]
-    return merged
 
 
 def chosen_stage(stage: str | None, file: Path | None) -> StageConfig:

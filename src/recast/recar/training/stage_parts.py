@@ -61,12 +61,9 @@ class StageParts:
 
     Attributes:
         model: all networks, in float32.
-        targets: cache of targets.
-        pictures: of conditions.
         train, held_out: vehicles with a target that is used.
         unscreened: how many of `train` no person decided about; None where they are no
             pseudo-targets, since the pictures are those of training assets.
-        inputs: for the record.
     """
 
     model: ImageTo3D

@@ -38,12 +38,12 @@ class _Sums(Record):
 
 
 class _Header(Record):
-    """What a checkpoint says beside its tensors; the first version had no log."""
+    """What a checkpoint says beside its tensors."""
 
     step: int = Field(ge=0)
     settings: TrainerSettings
     clipper: _Norms | None
-    log: _Sums = _Sums()
+    log: _Sums
 
 
 @dataclass
@@ -70,20 +70,18 @@ class TrainingState:
     def begin(modules: Mapping[str, nn.Module], settings: TrainerSettings) -> TrainingState:
         """The state before the first step."""
         parameters = [p for m in modules.values() for p in m.parameters() if p.requires_grad]
-        decay = settings.ema_decay
+        averages = {
+            name: ExponentialMovingAverage(module, settings.ema_decay)
+            for name, module in modules.items()
+            if settings.ema_decay is not None
+        }
         return TrainingState(
             modules,
             torch.optim.AdamW(
                 parameters,
-                lr=settings.lr,
-                betas=settings.betas,
-                weight_decay=settings.weight_decay,
+                **settings.model_dump(include={"lr", "betas", "weight_decay"}),
             ),
-            {}
-            if decay is None
-            else {
-                name: ExponentialMovingAverage(module, decay) for name, module in modules.items()
-            },
+            averages,
             AdaptiveGradClipper() if settings.clip == "adaptive" else None,
         )
 

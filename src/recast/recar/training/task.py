@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 import torch
@@ -130,6 +130,16 @@ class TrainerSettings(Record):
             return self.lr * warm
         progress = min(1.0, step / self.steps)
         return self.lr * warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
+
+
+def overridden(start: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings with members replaced; objects member by member."""
+    merged = dict(start)
+    for name, value in changes.items():
+        old = merged.get(name)
+        both = isinstance(old, Mapping) and isinstance(value, Mapping)
+        merged[name] = overridden(old, value) if both else value  # type: ignore[arg-type]
+    return merged
 
 
 @dataclass

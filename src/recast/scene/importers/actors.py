@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.geometry import se3
 from recast.logs import DrivingLog, Track, Trajectory
 from recast.scene.dynamic import pose_at
 from recast.scene.importers.checkpoint import Table
-from recast.scene.importers.placement import Array
 from recast.splats import Gaussians
 from recast.splats.sh import rotate
 
@@ -28,25 +28,8 @@ OVERLAP = 0.5
 """Share of an actor's poses at whose times the track must be there."""
 
 
-@dataclass(frozen=True)
-class Match:
-    """The nearest track of an actor.
-
-    Attributes:
-        track_id: in the log; None where none is there at the actor's times.
-        distance: median distance in metres between their centres.
-    """
-
-    track_id: str | None
-    distance: float
-
-
 def check_share(share: float) -> None:
-    """Refuse a share of time that is not in [0, 1].
-
-    Raises:
-        InputError: naming the option.
-    """
+    """Refuse a share of time that is not in [0, 1]; InputError names the option."""
     if not 0 <= share <= 1:
         raise InputError("command line", "--share", f"is {share}", "give a number from 0 to 1")
 
@@ -102,12 +85,6 @@ def track_of(table: Table, log: DrivingLog, name: str, candidates: Sequence[str]
     )
 
 
-def time_at(trajectory: Trajectory, share: float) -> int:
-    """The time at a share in [0, 1] of a trajectory."""
-    first, last = (int(time) for time in trajectory.timestamps_us[[0, -1]])
-    return first + round(share * (last - first))
-
-
 def colours_in_own_frame(
     gaussians: Gaussians, trajectory: Trajectory, world_from_scene: Array, share: float
 ) -> Gaussians:
@@ -116,7 +93,8 @@ def colours_in_own_frame(
     Both published trainers evaluate an actor's harmonics in the axes of the scene; ours turn with
     the actor. They agree while it stands as it does at `share` of its trajectory.
     """
-    world_from_actor = trajectory.at(time_at(trajectory, share))
+    first, last = (int(time) for time in trajectory.timestamps_us[[0, -1]])
+    world_from_actor = trajectory.at(first + round(share * (last - first)))
     turn = se3.inverse(world_from_actor)[:3, :3] @ world_from_scene[:3, :3]
     return replace(gaussians, sh=rotate(gaussians.sh, torch.from_numpy(turn).float()))
 
@@ -130,7 +108,7 @@ def choose_tracks(
     """The log's track ids of rigid actors, and the largest of their median distances in metres.
 
     Args:
-        trajectories: by actor.
+        trajectories: `world_from_actor` by actor.
         given: track ids that the user named.
 
     Raises:
@@ -151,26 +129,29 @@ def choose_tracks(
         if name in named:
             chosen[name] = named[name]
             continue
-        match = matches[name]
-        if match.track_id is None or match.distance > FAR_M:
+        distance, found = matches[name]
+        if found is None or distance > FAR_M:
             near = "none is there at its times"
-            if match.track_id is not None:
-                near = f"{match.track_id} is nearest, {match.distance:.1f} m away"
+            if found is not None:
+                near = f"{found} is nearest, {distance:.1f} m away"
             raise models.fault(
                 "RigidNodes",
                 f"actor {name} is no track of log {log.name}: {near}",
                 "give the log it was trained on and its first frame (--first-frame), name its "
                 "track in a file (--tracks), or --leave-out it",
             )
-        chosen[name] = match.track_id
-        distances.append(match.distance)
+        chosen[name] = found
+        distances.append(distance)
     return chosen, max(distances)
 
 
 def match_tracks(
     log: DrivingLog, trajectories: Mapping[str, Trajectory], taken: Sequence[str] = ()
-) -> dict[str, Match]:
-    """The track for each trajectory; no track is given twice, the closest pairs come first.
+) -> dict[str, tuple[float, str | None]]:
+    """The nearest track of each trajectory and the median distance of their centres, metres.
+
+    No track within `FAR_M` is given twice, the closest pairs come first; None where no track is
+    there at the trajectory's times.
 
     Args:
         trajectories: `world_from_actor` by the actor's name.
@@ -182,17 +163,16 @@ def match_tracks(
         for track_id, distance in _distances(log, trajectory).items()
         if track_id not in taken
     )
-    matches: dict[str, Match] = {}
+    matches: dict[str, tuple[float, str | None]] = {}
     given = set(taken)
     for distance, name, track_id in distances:
         if distance <= FAR_M and name not in matches and track_id not in given:
-            matches[name] = Match(track_id, distance)
+            matches[name] = distance, track_id
             given.add(track_id)
     for name in trajectories:
         if name not in matches:
             own = [(d, track_id) for d, other, track_id in distances if other == name]
-            nearest = min(own, default=(float("inf"), None))
-            matches[name] = Match(nearest[1], nearest[0])
+            matches[name] = min(own, default=(float("inf"), None))
     return matches
 
 

@@ -7,6 +7,7 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -15,7 +16,6 @@ from recast.core.files import require_new
 from recast.core.torch_file import read_torch_file
 from recast.logs import DrivingLog
 from recast.scene.importers.placement import (
-    Imported,
     ImportRecord,
     Placement,
     given_placement,
@@ -46,10 +46,6 @@ class Table:
     def __iter__(self) -> Iterator[str]:
         return iter(self._content)
 
-    def is_table(self, name: str) -> bool:
-        """Whether there is a table under `name`."""
-        return isinstance(self._content.get(name), Mapping)
-
     def key(self, name: str) -> str:
         """The whole key of a member, for messages."""
         return f"{self.prefix}.{name}" if self.prefix else name
@@ -69,18 +65,18 @@ class Table:
             raise self.fault(name, f"is {type(value).__name__}, not a table of tensors")
         return Table(self.path, value, self.key(name))
 
-    def integer(self, name: str) -> int:
-        """A plain whole number, from 0 to 2^53.
+    def iteration(self, name: str) -> int | None:
+        """A number of steps, from 0 to 2^53; None where there is none.
 
         Raises:
-            InputError: it is missing or something else.
+            InputError: it is something else.
         """
-        value = self._member(name)
+        value = self._content.get(name, 0)
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.fault(name, f"is {type(value).__name__}, not a whole number")
         if not 0 <= value <= 1 << 53:
             raise self.fault(name, "is no number of steps")
-        return value
+        return value if name in self else None
 
     def tensor(self, name: str, *shape: int | None) -> Tensor:
         """A tensor as float32 without gradient; None in `shape` stands for any size.
@@ -212,23 +208,20 @@ def import_ply(
     background = read_ply(path)
     if len(background) == 0:
         raise InputError(path, "element vertex", "has no rows", "export it again")
-    placement = Placement(torch.eye(4, dtype=torch.float64).numpy(), "taken for the log's world")
+    placement = Placement(np.eye(4), "taken for the log's world")
     if world_from_ply is not None:
         placement = given_placement(world_from_ply, scalable=True)
         pose = torch.from_numpy(placement.world_from_scene)
         background = background.transformed(pose, placement.scale)
-    left_out = () if sky else ("sky: a PLY has none, and no image of one was given; it is black",)
-    imported = Imported(
+    seen = SkyMap.constant(torch.zeros(3)) if sky is None else read_sky(sky)
+    no_sky = "sky: a PLY has none, and no image of one was given; it is black"
+    return write_imported(
+        path,
+        log,
+        out,
+        placement,
+        StreetScene(background, {}, seen),
         layout="ply",
-        scene=StreetScene(
-            background=background,
-            actors={},
-            sky=SkyMap.constant(torch.zeros(3)) if sky is None else read_sky(sky),
-            world_offset=log.world_offset,
-            log_name=log.name,
-        ),
-        placement=placement,
         tracks={},
-        left_out=left_out,
+        left_out=() if sky else (no_sky,),
     )
-    return write_imported(imported, path, log, out)

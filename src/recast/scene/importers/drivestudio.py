@@ -10,12 +10,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from recast.arrays import Array, Int64Array
 from recast.core.files import require_new
-from recast.logs import DrivingLog
+from recast.geometry import se3
+from recast.logs import DrivingLog, Trajectory
 from recast.logs.importers.processed_folder import read_pose
+from recast.scene.appearance import exposed, exposed_colours
 from recast.scene.importers.actors import (
     SUSPICIOUS_M,
     TURNING,
@@ -28,23 +32,14 @@ from recast.scene.importers.actors import (
 from recast.scene.importers.checkpoint import (
     NO_SKY,
     RESAMPLED,
+    Names,
     Table,
     read_checkpoint,
     read_faces,
     read_gaussians,
     unused_members,
 )
-from recast.scene.importers.drivestudio_tables import (
-    CONSTANT,
-    INSTANCES,
-    NAMES,
-    Instance,
-    mean_affine,
-    read_constant,
-    read_instances,
-)
 from recast.scene.importers.placement import (
-    Imported,
     ImportRecord,
     Placement,
     frame_times,
@@ -53,9 +48,17 @@ from recast.scene.importers.placement import (
 )
 from recast.scene.sky import sky_from_cubemap
 from recast.scene.street_scene import SceneActor, StreetScene
-from recast.scene.trainable_parts import exposed, exposed_colours
 from recast.splats import Gaussians
 
+NAMES = Names("_means", "_features_rest", "_scales", "_quats", "_opacities")
+CONSTANT = "_features_dc"
+INSTANCES = (
+    "instances_quats",
+    "instances_trans",
+    "instances_fv",
+    "instances_size",
+    "points_ids",
+)
 CUBE_FROM_SCENE = torch.tensor([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """The sky is looked up in direction (x, z, -y)."""
 _LEFT_OUT = {
@@ -63,19 +66,6 @@ _LEFT_OUT = {
     "SMPLNodes": "pedestrians on a body model",
     "CamPose": "camera pose corrections of single images",
 }
-
-
-@dataclass(frozen=True)
-class _Colours:
-    """What is done to all colours: `affine` (3, 4), or nothing."""
-
-    affine: Tensor | None
-
-    def gaussians(self, part: Gaussians) -> Gaussians:
-        return part if self.affine is None else exposed(part, self.affine)
-
-    def sky(self, faces: Tensor) -> Tensor:
-        return faces if self.affine is None else exposed_colours(faces, self.affine)
 
 
 def import_drivestudio(
@@ -116,7 +106,7 @@ def import_drivestudio(
     models = root.table("models")
     times = frame_times(log, clock, first_frame)
     placement = _placement(log, int(times[0]), first_frame, processed, world_from_scene)
-    colours = _Colours(mean_affine(models.table("Affine")) if "Affine" in models else None)
+    affine = mean_affine(models.table("Affine")) if "Affine" in models else torch.eye(3, 4)
     table = models.table("Background")
     background = read_gaussians(table, NAMES, read_constant(table))
     if len(background) == 0:
@@ -127,37 +117,45 @@ def import_drivestudio(
         instances = read_instances(nodes, times, placement.world_from_scene)
     given = read_track_names(tracks)
     check_names(root, list(instances), given, leave_out)
-    wanted, dropped = _wanted(instances, leave_out)
+    wanted, left_out = {}, []
+    for name, instance in instances.items():
+        if name in leave_out:
+            left_out.append(f"actor {name}: asked to be left out")
+        elif len(instance.gaussians) == 0:
+            left_out.append(f"actor {name}: has no Gaussians")
+        else:
+            wanted[name] = instance
     trajectories = {name: actor.trajectory for name, actor in wanted.items()}
     chosen, distance = choose_tracks(models, log, trajectories, given)
     actors = {}
     for name, track_id in chosen.items():
         actor = wanted[name]
         own = colours_in_own_frame(
-            colours.gaussians(actor.gaussians), actor.trajectory, placement.world_from_scene, share
+            exposed(actor.gaussians, affine), actor.trajectory, placement.world_from_scene, share
         )
         actors[track_id] = SceneActor(track_id, own, actor.size, actor.trajectory)
     pose = torch.from_numpy(placement.world_from_scene)
     faces = None
     if "Sky" in models:
-        faces = colours.sky(read_faces(models.table("Sky"), "base"))
-    imported = Imported(
-        layout="drivestudio",
-        scene=StreetScene(
-            background=colours.gaussians(background).transformed(pose),
-            actors=actors,
-            sky=sky_from_cubemap(faces, CUBE_FROM_SCENE @ pose[:3, :3].T.float()),
-            world_offset=log.world_offset,
-            log_name=log.name,
-        ),
-        placement=placement,
-        tracks=chosen,
-        changed=tuple(_changed(models, chosen, distance)),
-        left_out=(*dropped, *_left_out(models)),
-        warnings=tuple(_warnings(distance)),
-        iteration=root.integer("step") if "step" in root else None,
+        faces = exposed_colours(read_faces(models.table("Sky"), "base"), affine)
+    sky = sky_from_cubemap(faces, CUBE_FROM_SCENE @ pose[:3, :3].T.float())
+    far = (
+        f"actors lie as far as {distance:.2f} m from their tracks: the first frame or the clock "
+        "may be others"
     )
-    return write_imported(imported, Path(path), log, out)
+    return write_imported(
+        Path(path),
+        log,
+        out,
+        placement,
+        StreetScene(exposed(background, affine).transformed(pose), actors, sky),
+        layout="drivestudio",
+        tracks=chosen,
+        changed=_changed(models, chosen, distance),
+        left_out=[*left_out, *_left_out(models)],
+        warnings=[far] if distance > SUSPICIOUS_M else [],
+        iteration=root.iteration("step"),
+    )
 
 
 def _placement(
@@ -183,20 +181,6 @@ def _placement(
     return Placement(moved, f"{name} of the processed folder")
 
 
-def _wanted(
-    instances: Mapping[str, Instance], leave_out: Sequence[str]
-) -> tuple[dict[str, Instance], list[str]]:
-    wanted, dropped = {}, []
-    for name, instance in instances.items():
-        if name in leave_out:
-            dropped.append(f"actor {name}: asked to be left out")
-        elif len(instance.gaussians) == 0:
-            dropped.append(f"actor {name}: has no Gaussians")
-        else:
-            wanted[name] = instance
-    return wanted, dropped
-
-
 def _changed(models: Table, tracks: Mapping[str, str], distance: float) -> list[str]:
     changed = []
     if tracks:
@@ -212,15 +196,6 @@ def _changed(models: Table, tracks: Mapping[str, str], distance: float) -> list[
     return changed
 
 
-def _warnings(distance: float) -> list[str]:
-    if distance <= SUSPICIOUS_M:
-        return []
-    return [
-        f"actors lie as far as {distance:.2f} m from their tracks: the first frame or the clock "
-        "may be others"
-    ]
-
-
 def _left_out(models: Table) -> list[str]:
     left_out = [f"{name}: {what}" for name, what in _LEFT_OUT.items() if name in models]
     if "Sky" not in models:
@@ -231,3 +206,87 @@ def _left_out(models: Table) -> list[str]:
     left_out += unused_members(parts, NAMES, (CONSTANT, *INSTANCES))
     known = ("Background", "RigidNodes", "Sky", "Affine", *_LEFT_OUT)
     return [*left_out, *(f"{name}: not known" for name in models if name not in known)]
+
+
+@dataclass(frozen=True)
+class Instance:
+    """One rigid actor.
+
+    Attributes:
+        gaussians: box frame; harmonics in the axes of the scene.
+        size: (3,) length, width, height in metres.
+        trajectory: `world_from_actor` at the frames in which it is there.
+    """
+
+    gaussians: Gaussians
+    size: Array
+    trajectory: Trajectory
+
+
+def read_constant(table: Table) -> Tensor:
+    """Constant harmonics (N, 3)."""
+    return table.tensor(CONSTANT, None, 3)
+
+
+def read_instances(
+    table: Table, times_us: Int64Array, world_from_scene: Array
+) -> dict[str, Instance]:
+    """The actors of `RigidNodes` that are there in any frame, by their index as text.
+
+    Args:
+        times_us: of the log's frames, the checkpoint's first one first.
+
+    Raises:
+        InputError: a tensor is missing, of another shape or not finite, a point belongs to no
+            actor, or the log has fewer frames.
+    """
+    gaussians = read_gaussians(table, NAMES, read_constant(table))
+    translations = table.tensor("instances_trans", None, None, 3)
+    frames, count = translations.shape[:2]
+    quats = table.tensor("instances_quats", frames, count, 4).double().numpy()
+    present = table.tensor("instances_fv", frames, count).numpy() > 0.5
+    sizes = table.tensor("instances_size", count, 3).double().numpy()
+    owner = table.tensor("points_ids", len(gaussians), 1)[:, 0].long()
+    if len(owner) and not 0 <= int(owner.min()) <= int(owner.max()) < count:
+        raise table.fault("points_ids", f"names an actor that is none of {count}")
+    if frames > len(times_us):
+        raise table.fault(
+            "instances_trans",
+            f"has {frames} frames, the log {len(times_us)} from its first one",
+            "give the log it was trained on, and the first frame (--first-frame)",
+        )
+    if np.any(np.linalg.norm(quats[present], axis=-1) == 0):
+        raise table.fault("instances_quats", "holds a quaternion of norm zero")
+    found = {}
+    for index in range(count):
+        rows = np.flatnonzero(present[:, index])
+        if len(rows) == 0:
+            continue
+        if not np.all(sizes[index] > 0):
+            raise table.fault("instances_size", f"of actor {index} is {sizes[index].tolist()}")
+        rotation = se3.quat_to_matrix(quats[rows, index])
+        place = translations[rows, index].double().numpy()
+        poses = world_from_scene @ se3.from_rotation_translation(rotation, place)
+        found[str(index)] = Instance(
+            gaussians.select(owner == index), sizes[index], Trajectory(times_us[rows], poses)
+        )
+    return found
+
+
+def mean_affine(table: Table) -> Tensor:
+    """The colour transform (3, 4) that the trainer uses for views it was not trained on.
+
+    [I | 0] plus a network's output for the mean of the images' embeddings: one hidden layer with
+    ReLU.
+
+    Raises:
+        InputError: a tensor is missing, of another shape, or not finite.
+    """
+    embeddings = table.tensor("embedding.weight", None, None)
+    if len(embeddings) == 0:
+        raise table.fault("embedding.weight", "has no rows")
+    inner = table.tensor("decoder.0.weight", None, embeddings.shape[1])
+    hidden = torch.relu(inner @ embeddings.mean(dim=0) + table.tensor("decoder.0.bias", len(inner)))
+    outer = table.tensor("decoder.2.weight", 12, len(inner))
+    residual = outer @ hidden + table.tensor("decoder.2.bias", 12)
+    return torch.eye(3, 4) + residual.view(3, 4)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -45,31 +45,23 @@ class Placement:
     scale: float = 1.0
 
 
-def read_numbers(path: Path, counts: Sequence[int]) -> Array:
-    """All numbers of a text file, which commas and brackets may stand between.
+def read_transform(path: Path) -> Array:
+    """A 4x4 matrix (16 numbers, row by row) or a translation (3 numbers): (4, 4).
+
+    Commas and brackets may stand between the numbers.
 
     Raises:
         InputError: it is missing, holds something else, or has another number of numbers.
     """
-    mend = f"write {' or '.join(map(str, counts))} numbers"
+    mend = "write 3 or 16 numbers"
     words = re.sub(r"[\[\],;]", " ", read_text(path, TEXT_LIMIT)).split()
     try:
         numbers = np.array(words, np.float64)
     except ValueError as error:
         raise InputError(path, "numbers", f"cannot be read ({error})", mend) from None
-    if len(numbers) not in counts or not np.all(np.abs(numbers) <= WORLD_REACH):  # also NaN
+    if len(numbers) not in (3, 16) or not np.all(np.abs(numbers) <= WORLD_REACH):  # also NaN
         problem = f"{len(numbers)}, or not all within {WORLD_REACH:g}"
         raise InputError(path, "numbers", problem, mend)
-    return numbers
-
-
-def read_transform(path: Path) -> Array:
-    """A 4x4 matrix (16 numbers, row by row) or a translation (3 numbers): (4, 4).
-
-    Raises:
-        InputError: see `read_numbers`.
-    """
-    numbers = read_numbers(path, (3, 16))
     if len(numbers) == 3:
         return se3.from_rotation_translation(np.eye(3), numbers)
     return numbers.reshape(4, 4)
@@ -175,62 +167,62 @@ class ImportRecord(Record):
     warnings: list[str]
 
 
-@dataclass(frozen=True)
-class Imported:
-    """A foreign scene in our form, before it is written.
-
-    Attributes are those of `ImportRecord`.
-    """
-
-    layout: str
-    scene: StreetScene
-    placement: Placement
-    tracks: dict[str, str]
-    changed: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    iteration: int | None = None
-
-
 def write_imported(
-    imported: Imported, source: Path, log: DrivingLog, out: str | Path
+    source: Path,
+    log: DrivingLog,
+    out: str | Path,
+    placement: Placement,
+    scene: StreetScene,
+    *,
+    layout: str,
+    tracks: dict[str, str],
+    changed: Sequence[str] = (),
+    left_out: Sequence[str] = (),
+    warnings: Sequence[str] = (),
+    iteration: int | None = None,
 ) -> ImportRecord:
-    """Write the scene folder with its import.json, whole or not at all.
+    """Write a scene that was placed in a log with its import.json, whole or not at all.
+
+    Args:
+        source: the file that was imported.
+        scene: in the log's world; it gets the log's name and offset.
+        layout, tracks, changed, left_out, warnings, iteration: see `ImportRecord`.
 
     Raises:
         InputError: `out` exists, the disk refuses, or the placed scene is not valid.
     """
+    scene = replace(scene, world_offset=log.world_offset, log_name=log.name)
     try:
-        imported.scene.validate()
+        scene.validate()
     except ValueError as error:
         mend = "check the placement and the values of the file"
         raise InputError(source, "scene", str(error), mend) from None
-    inside = drive_inside(log, imported.scene.background)
-    warnings = list(imported.warnings)
+    inside = drive_inside(log, scene.background)
     if inside < MATCHED_SHARE:
-        warnings.append(
+        warnings = (
+            *warnings,
             f"only {inside:.0%} of the recorded ego positions lie within the background: "
-            "scene and log seem to have different frames"
+            "scene and log seem to have different frames",
         )
     with source.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     record = ImportRecord(
-        layout=imported.layout,
+        layout=layout,
         file=source.name,
         sha256=digest,
-        iteration=imported.iteration,
+        iteration=iteration,
         log_name=log.name,
         log_fingerprint=log_fingerprint(log),
-        world_from_scene=np.asarray(imported.placement.world_from_scene).tolist(),
-        scale=imported.placement.scale,
-        placed_by=imported.placement.how,
+        world_from_scene=np.asarray(placement.world_from_scene).tolist(),
+        scale=placement.scale,
+        placed_by=placement.how,
         drive_inside=inside,
-        tracks=imported.tracks,
-        changed=list(imported.changed),
-        left_out=list(imported.left_out),
-        warnings=warnings,
+        tracks=tracks,
+        changed=list(changed),
+        left_out=list(left_out),
+        warnings=list(warnings),
     )
     with atomic_folder(out) as partial:
         write_json(partial / IMPORT_FILE, record.model_dump(mode="json"))
-        save_scene(imported.scene, partial)
+        save_scene(scene, partial)
     return record

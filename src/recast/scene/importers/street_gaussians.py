@@ -36,7 +36,6 @@ from recast.scene.importers.checkpoint import (
     unused_members,
 )
 from recast.scene.importers.placement import (
-    Imported,
     ImportRecord,
     Placement,
     frame_times,
@@ -124,22 +123,19 @@ def import_street_gaussians(
     faces = None
     if "sky_cubemap" in table:
         faces = read_faces(table.table("sky_cubemap").table("params"), "sky_cube_map")
-    imported = Imported(
+    sky = sky_from_cubemap(faces, pose[:3, :3].T)
+    return write_imported(
+        Path(path),
+        log,
+        out,
+        placement,
+        StreetScene(background.transformed(pose), actors, sky),
         layout="street-gaussians",
-        scene=StreetScene(
-            background=background.transformed(pose),
-            actors=actors,
-            sky=sky_from_cubemap(faces, pose[:3, :3].T),
-            world_offset=log.world_offset,
-            log_name=log.name,
-        ),
-        placement=placement,
         tracks=by_name,
-        changed=tuple(_changed(table, by_name, share, drive)),
-        left_out=(*left_out, *_left_out(table, drive)),
-        iteration=table.integer("iter") if "iter" in table else None,
+        changed=_changed(table, by_name, share, drive),
+        left_out=[*left_out, *_left_out(table, drive)],
+        iteration=table.iteration("iter"),
     )
-    return write_imported(imported, Path(path), log, out)
 
 
 def frozen_constant(constant: Tensor, share: float) -> Tensor:
@@ -197,7 +193,8 @@ def _candidates(name: str, given: Mapping[str, str], drive: ProcessedDrive | Non
     if name in given:
         return [given[name]]
     number = int(name.removeprefix("obj_"))
-    return [*([] if drive is None else drive.dataset_ids(number)), str(number)]
+    listed = {} if drive is None else drive.numbers
+    return [*(id for id, value in listed.items() if value == number), str(number)]
 
 
 def _changed(
@@ -228,11 +225,7 @@ def _left_out(table: Table, drive: ProcessedDrive | None) -> list[str]:
         left_out.append("actor_pose: its slots mean nothing without the processed folder")
     models = [table.table(n) for n in table if n == "background" or OBJECT.fullmatch(n)]
     # Nearly always there and without a column; its width tells whether semantics were learned.
-    semantics = [model for model in models if _semantic_width(model)]
+    semantics = [m for m in models if "semantic" in m and m.tensor("semantic", None, None).numel()]
     left_out += unused_members(models, NAMES, (CONSTANT, *([] if semantics else ["semantic"])))
     strangers = [name for name in table if name not in KNOWN and not OBJECT.fullmatch(name)]
     return [*left_out, *(f"{name}: not known" for name in strangers)]
-
-
-def _semantic_width(model: Table) -> int:
-    return model.tensor("semantic", None, None).shape[1] if "semantic" in model else 0

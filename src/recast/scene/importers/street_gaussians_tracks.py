@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
+from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.geometry import se3
@@ -23,7 +24,6 @@ from recast.logs import DrivingLog, Trajectory
 from recast.logs.importers.processed_folder import CAMERAS, frame_numbers, read_pose
 from recast.logs.importers.street_gaussians import CATEGORIES, read_box_rows
 from recast.scene.dynamic import moves
-from recast.scene.importers.placement import Array
 
 _MEND = "give the folder that the checkpoint was trained on"
 
@@ -64,10 +64,6 @@ class ProcessedDrive:
     def frame_count(self) -> int:
         """Frames of the training."""
         return self.last - self.first + 1
-
-    def dataset_ids(self, number: int) -> list[str]:
-        """Ids in the dataset of a track number: one, or none where it is not listed."""
-        return [name for name, value in self.numbers.items() if value == number]
 
     def trajectory(
         self,

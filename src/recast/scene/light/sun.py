@@ -95,7 +95,8 @@ def find_sun(patches: Patches, occupancy: Occupancy) -> SunBelief:
     upright = np.abs(patches.normals[:, 2]) < _UPRIGHT
     evidence = np.zeros(len(towards))
     for chosen, trust in ((patches.level, _GROUND), (upright, _WALLS)):
-        group = _some(patches.select(chosen))
+        rows = np.flatnonzero(chosen)
+        group = patches.select(rows[:: max(-(-len(rows) // _MOST), 1)])
         if len(group) < _FEWEST:
             continue
         trust *= min(len(group) / _PLENTY, 1.0)
@@ -107,11 +108,6 @@ def find_sun(patches: Patches, occupancy: Occupancy) -> SunBelief:
             explained += _WARMTH * _explained(light[grey], warmth[grey])
             evidence[index] += trust * explained
     return SunBelief(prior).given(evidence)
-
-
-def _some(patches: Patches) -> Patches:
-    step = max(-(-len(patches) // _MOST), 1)
-    return patches.select(np.arange(0, len(patches), step))
 
 
 def _expected(patches: Patches, occupancy: Occupancy, towards: Array) -> Array:

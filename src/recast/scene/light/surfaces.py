@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -87,43 +88,21 @@ def street_surfaces(background: Gaussians, paths: Array) -> tuple[Patches, Occup
     above = means[:, 2] - paths[:, 2].mean()
     distance = cKDTree(paths[:, :2]).query(means[:, :2], distance_upper_bound=_REACH_M)[0]
     near = np.isfinite(distance) & (above > _LOWEST_M) & (above < _HIGHEST_M)
-    part = _Arrays.of(background, np.flatnonzero(near))
-    filled = part.opacity * np.minimum(2 * part.deviations.max(axis=1) / VOXEL_M, 1.0) ** 2
-    occupancy = Occupancy(part.means, filled, paths)
+    means, part = means[near], background.detach().to("cpu").select(torch.from_numpy(near))
+    deviations = np.exp(part.log_scales.double().numpy())
+    opacity = 1 / (1 + np.exp(-part.logit_opacities.double().numpy()))
+    filled = opacity * np.minimum(2 * deviations.max(axis=1) / VOXEL_M, 1.0) ** 2
+    occupancy = Occupancy(means, filled, paths)
 
-    order = np.argsort(part.deviations, axis=1)
-    thin, middle, wide = np.take_along_axis(part.deviations, order, axis=1).T
-    flat = (part.opacity > _OPAQUE) & (thin < _FLAT * middle) & (wide < _WIDEST_M)
-    axes = se3.quat_to_matrix(part.quats[flat])
+    order = np.argsort(deviations, axis=1)
+    thin, middle, wide = np.take_along_axis(deviations, order, axis=1).T
+    flat = (opacity > _OPAQUE) & (thin < _FLAT * middle) & (wide < _WIDEST_M)
+    axes = se3.quat_to_matrix(part.quats.double().numpy()[flat])
     normals = np.take_along_axis(axes, order[flat, None, :1], axis=2)[:, :, 0]
-    normals = _outward(part.means[flat], normals, paths)
-    areas = (part.opacity * middle * wide)[flat]
-    return _gathered(part.means[flat], normals, part.colours[flat], areas), occupancy
-
-
-@dataclass(frozen=True)
-class _Arrays:
-    """Gaussians as float64 arrays."""
-
-    means: Array
-    quats: Array
-    deviations: Array
-    opacity: Array
-    colours: Array
-
-    @classmethod
-    def of(cls, gaussians: Gaussians, rows: NDArray[np.int64]) -> _Arrays:
-        def array(values: object) -> Array:
-            return np.asarray(values, np.float64)[rows]
-
-        g = gaussians.detach().to("cpu")
-        return cls(
-            means=array(g.means),
-            quats=array(g.quats),
-            deviations=np.exp(array(g.log_scales)),
-            opacity=1 / (1 + np.exp(-array(g.logit_opacities))),
-            colours=gamma_to_linear(0.5 + C0 * array(g.sh[:, 0])),
-        )
+    normals = _outward(means[flat], normals, paths)
+    colours = gamma_to_linear(0.5 + C0 * part.sh[:, 0].double().numpy()[flat])
+    areas = (opacity * middle * wide)[flat]
+    return _gathered(means[flat], normals, colours, areas), occupancy
 
 
 def _outward(points: Array, normals: Array, paths: Array) -> Array:

@@ -6,9 +6,9 @@
 
 from recast.synthetic.rendering.camera import CameraFrame, render_camera
 from recast.synthetic.rendering.lidar import WAYMO_TOP, LidarScan, LidarSpec, scan_lidar
+from recast.synthetic.rendering.path_tracing import working_llvm
 from recast.synthetic.rendering.ray_scene import SKY, STREET, Hits, RayScene
 from recast.synthetic.rendering.rays import require_embree
-from recast.synthetic.rendering.sky import working_llvm
 
 __all__ = [
     "SKY",

@@ -6,11 +6,13 @@ from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from recast.arrays import Array, Int64Array
 from recast.geometry import PinholeCamera, se3
 from recast.synthetic.rendering.lighting import Light, LightFilter, add_light_samples, sample_light
+from recast.synthetic.rendering.path_tracing import path_light
 from recast.synthetic.rendering.ray_scene import SKY, Hits, PosedScene, Poses, RayScene
 from recast.synthetic.rendering.rays import Float32Array, dot, normalise, pixel_samples
 from recast.synthetic.rendering.shading import (
@@ -22,7 +24,7 @@ from recast.synthetic.rendering.shading import (
     edge_pixels,
     shade,
 )
-from recast.synthetic.rendering.sky import SkyLight, path_light, sky_light
+from recast.synthetic.rendering.sky import SkyLight, sky_light
 from recast.synthetic.rendering.surface_points import SurfacePoints, surface_points
 from recast.synthetic.world import Quality, Sky
 
@@ -51,15 +53,14 @@ class CameraFrame:
 
     def within(self, width: int, height: int, left: int, top: int) -> CameraFrame:
         """The frame as part of a larger one (height, width), sky with no colour around it."""
-        rgb = np.zeros((height, width, 3), np.uint8)
-        depth = np.full((height, width), np.inf, np.float32)
-        instance = np.full((height, width), SKY, np.uint16)
-        alpha = np.zeros((height, width), np.float32)
         rows, columns = self.depth.shape
-        part = slice(top, top + rows), slice(left, left + columns)
-        rgb[part], depth[part] = self.rgb, self.depth
-        instance[part], alpha[part] = self.instance, self.alpha
-        return CameraFrame(rgb, depth, instance, alpha)
+        around = ((top, height - top - rows), (left, width - left - columns))
+        return CameraFrame(
+            np.pad(self.rgb, (*around, (0, 0))),
+            np.pad(self.depth, around, constant_values=np.inf),
+            np.pad(self.instance, around, constant_values=SKY),
+            np.pad(self.alpha, around),
+        )
 
 
 class Film:
@@ -126,13 +127,13 @@ def trace_image(
     hits = posed.cast(origins, directions)
     pixels, points = surface_points(posed, origins, directions, hits)
     samples = [pixel_samples(height, width, rng).reshape(-1, 2)[pixels] for _ in range(2)]
-    noisy = sample_light(posed, light, points, *samples)
+    noisy = sample_light(light, points, *samples)
     light_filter = LightFilter(points, pixels, height, width)
-    add_light_samples(posed, light, points, noisy, light_filter.lonely(), LONELY_SAMPLES, rng)
+    add_light_samples(light, points, noisy, light_filter.lonely(), LONELY_SAMPLES, rng)
     if quality == "mitsuba":
-        noisy = Light(noisy.sun, path_light(posed, light, points, rng))
+        noisy = Light(noisy.sun, path_light(light, points, rng))
     arriving = light_filter.smooth(noisy)
-    shaded = shade(posed, light, points, arriving, pixel_angle)
+    shaded = shade(light, points, arriving, pixel_angle)
     film.add(np.arange(height * width), directions, hits, pixels, shaded)
 
     edges = edge_pixels(points, pixels, shaded, light.white, height, width)
@@ -143,8 +144,8 @@ def trace_image(
         borrowed, alone = borrow_light(
             points, pixels, arriving, others, edges[at], offset, height, width
         )
-        _light_alone(posed, light, others, borrowed, alone, rng)
-        shaded = shade(posed, light, others, borrowed, pixel_angle)
+        _light_alone(light, others, borrowed, alone, rng)
+        shaded = shade(light, others, borrowed, pixel_angle)
         film.add(edges, directions, further, at, shaded)
 
     return CameraFrame(
@@ -168,17 +169,12 @@ def camera_rays(
 
 
 def _light_alone(
-    posed: PosedScene,
-    light: SkyLight,
-    points: SurfacePoints,
-    borrowed: Light,
-    alone: NDArray[np.int64],
-    rng: np.random.Generator,
+    light: SkyLight, points: SurfacePoints, borrowed: Light, alone: Int64Array, rng: Generator
 ) -> None:
     """Sample the light of points that none could be borrowed for, in place."""
     lonely = points.take(alone)
     samples = rng.random((2, len(alone), 2), np.float32)
-    own = sample_light(posed, light, lonely, samples[0], samples[1])
+    own = sample_light(light, lonely, samples[0], samples[1])
     borrowed.sun[alone] = own.sun
     borrowed.sky[alone] = own.sky
 
@@ -241,9 +237,7 @@ def _covered(
     corners = []
     for bounds, name in zip(scene.bounds[1:], scene.names, strict=True):
         if name in poses:
-            box = np.array(
-                [[x, y, z] for x in bounds[:, 0] for y in bounds[:, 1] for z in bounds[:, 2]]
-            )
+            box = np.stack(np.meshgrid(*bounds.T), axis=-1).reshape(-1, 3)
             corners.append(se3.apply(camera_from_world @ poses[name], box))
     if not corners:
         return 0, 0, 1, 1

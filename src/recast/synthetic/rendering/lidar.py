@@ -126,7 +126,7 @@ def scan_lidar(
     origins = np.empty_like(directions)
     origins[:] = pose[:3, 3]
     noise = rng.standard_normal(len(local), np.float32) * np.float32(spec.range_noise)
-    chance = rng.random(len(local), np.float32)
+    draw = rng.random(len(local), np.float32)
 
     posed = scene.posed(poses)
     hits = posed.cast(origins, directions)
@@ -148,7 +148,7 @@ def scan_lidar(
     floor = max(spec.noise_floor, 1e-12)
     decades = np.log10(np.maximum(energy, 1e-9) / np.float32(floor))
     seen = np.where(glass, GLASS_RETURN, np.float32(1))
-    kept = chance[rays] < seen / (1 + np.exp(-np.float32(spec.steepness) * decades))
+    kept = draw[rays] < seen / (1 + np.exp(-np.float32(spec.steepness) * decades))
     true = points.distance[kept]
     rays = rays[kept]
     measured = np.maximum(true + noise[rays], np.float32(0.01))

@@ -56,11 +56,7 @@ class Light:
 
 
 def sample_light(
-    posed: PosedScene,
-    light: SkyLight,
-    points: SurfacePoints,
-    sun_samples: Float32Array,
-    sky_samples: Float32Array,
+    light: SkyLight, points: SurfacePoints, sun_samples: Float32Array, sky_samples: Float32Array
 ) -> Light:
     """One sample of the sun's disc and one of the hemisphere at each of N points.
 
@@ -71,14 +67,13 @@ def sample_light(
     towards = sun_cosine(light, points) > 0
     lit = np.flatnonzero(towards)
     directions = disc_directions(light.sun_direction, light.sky.sun_radius, rows(sun_samples, lit))
-    sun[lit] = ~posed.occluded(rows(points.origin, lit), directions)
+    sun[lit] = ~points.posed.occluded(rows(points.origin, lit), directions)
     directions = cosine_directions(points.normal, sky_samples)
     _above_face(directions, points)
-    return Light(sun, incoming(posed, light, points.origin, directions, diffuse=True))
+    return Light(sun, incoming(points.posed, light, points.origin, directions, diffuse=True))
 
 
 def add_light_samples(
-    posed: PosedScene,
     light: SkyLight,
     points: SurfacePoints,
     arriving: Light,
@@ -93,7 +88,7 @@ def add_light_samples(
     for turn in range(count):
         # Steps of the R2 sequence: spread evenly over the square from any start.
         samples = (start + np.array([0.7549, 0.5698], np.float32) * np.float32(turn)) % 1
-        further = sample_light(posed, light, some, samples[0], samples[1])
+        further = sample_light(light, some, samples[0], samples[1])
         sun += further.sun
         sky += further.sky
     arriving.sun[index], arriving.sky[index] = sun / (count + 1), sky / np.float32(count + 1)
@@ -117,25 +112,24 @@ def incoming(
     missed = np.flatnonzero(hits.face < 0)
     radiance = np.empty((len(origins), 3), np.float32)
     radiance[missed] = light.radiance(rows(directions, missed), diffuse=diffuse)
-    radiance[rays] = flat_shading(posed, light, points)
+    radiance[rays] = flat_shading(light, points)
     return radiance
 
 
-def flat_shading(posed: PosedScene, light: SkyLight, points: SurfacePoints) -> Float32Array:
+def flat_shading(light: SkyLight, points: SurfacePoints) -> Float32Array:
     """Radiance (N, 3) of points as diffuse surfaces: hard sun shadow, sky as if half open."""
     cosine = sun_cosine(light, points)
     lit = np.flatnonzero(cosine > 0)
     towards = np.ascontiguousarray(
         np.broadcast_to(light.sun_direction.astype(np.float32), (len(lit), 3))
     )
-    shadowed = posed.occluded(rows(points.origin, lit), towards)
+    shadowed = points.posed.occluded(rows(points.origin, lit), towards)
     cosine[lit[shadowed]] = 0
     radiance = outer(cosine / PI, light.sun)
     radiance += open_ambient(light, points.normal) * BOUNCE_OPENNESS
     glowing = np.flatnonzero(TABLE.emission[points.material] > 0)
-    radiance[glowing] += (TABLE.emission[points.material[glowing]] * np.float32(light.white))[
-        :, None
-    ]
+    emission = TABLE.emission[points.material[glowing]] * np.float32(light.white)
+    radiance[glowing] += emission[:, None]
     radiance *= points.colour
     return radiance
 

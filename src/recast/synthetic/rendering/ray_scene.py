@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from recast.arrays import Array
 from recast.geometry import se3
 from recast.synthetic.rendering.rays import BoolArray, Float32Array, Mesh, dot, rows, shift
-from recast.synthetic.surface import Surface
+from recast.synthetic.surface import Surface, corner_normals
 
 Poses = Mapping[str, Array]
 
@@ -43,13 +43,8 @@ class FaceAttributes:
         self.corner_normals = np.concatenate([surface.normals for surface in surfaces])
         self.colours = np.concatenate([surface.colours for surface in surfaces])
         self.materials = np.concatenate([surface.materials for surface in surfaces])
-        flat = []
-        for surface in surfaces:
-            corners = surface.vertices[surface.faces]
-            cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-            length = np.linalg.norm(cross, axis=1, keepdims=True)
-            flat.append((cross / np.maximum(length, 1e-20)).astype(np.float32))
-        self.flat_normals = np.concatenate(flat)
+        flat = [corner_normals(surface.vertices, surface.faces, 0.0) for surface in surfaces]
+        self.flat_normals = np.concatenate(flat)[:, 0].copy()
 
     def with_surfaces(self, changed: Mapping[int, Surface]) -> FaceAttributes:
         """The attributes with other surfaces, of as many faces, in the places of some.
@@ -107,16 +102,7 @@ class RayScene:
         self.names: tuple[str, ...] = tuple(sorted(models))
         self._meshes = [Mesh(static), *(Mesh(models[name]) for name in self.names)]
         self.bounds = [_bounds(static), *(_bounds(models[name]) for name in self.names)]
-        self.attributes = self._attributes()
-
-    def with_static(self, static: Surface) -> RayScene:
-        """The same models, their hierarchies reused, in another street."""
-        scene = RayScene.__new__(RayScene)
-        scene.static, scene.models, scene.names = static, self.models, self.names
-        scene._meshes = [Mesh(static), *self._meshes[1:]]
-        scene.bounds = [_bounds(static), *self.bounds[1:]]
-        scene.attributes = scene._attributes()
-        return scene
+        self.attributes = FaceAttributes([static, *(models[name] for name in self.names)])
 
     def with_models(self, changed: Mapping[str, Surface]) -> RayScene:
         """The same scene in which some models have another shape, of as many faces.
@@ -136,9 +122,6 @@ class RayScene:
             scene._meshes[place], scene.bounds[place] = Mesh(surface), _bounds(surface)
         scene.attributes = self.attributes.with_surfaces(places)
         return scene
-
-    def _attributes(self) -> FaceAttributes:
-        return FaceAttributes([self.static, *(self.models[name] for name in self.names)])
 
     def posed(self, poses: Poses) -> PosedScene:
         """The scene with the models named in `poses` at `world_from_actor` (4, 4), others absent.
@@ -264,54 +247,3 @@ def _move(
     rotation = local_from_world[:3, :3].astype(np.float32)
     offset = local_from_world[:3, 3].astype(np.float32)
     return shift(origins @ rotation.T, offset), directions @ rotation.T
-
-
-def brute_force_cast(
-    scene: RayScene, origins: ArrayLike, directions: ArrayLike, poses: Poses
-) -> Hits:
-    """The readable reference of `RayScene.cast`: float64, N x F work and memory."""
-    origins = np.asarray(origins, np.float64)
-    directions = np.asarray(directions, np.float64)
-    count = len(directions)
-    distance, face = np.full(count, np.inf), np.full(count, -1, np.int32)
-    instance = np.full(count, SKY, np.uint16)
-    u, v = np.zeros(count), np.zeros(count)
-    placed = [(0, scene.static.vertices[scene.static.faces])]
-    for index, name in enumerate(scene.names, 1):
-        if name in poses:
-            model = scene.models[name]
-            placed.append((index, se3.apply(poses[name], model.vertices)[model.faces]))
-    for index, triangles in placed:
-        if not len(triangles):
-            continue
-        t, at_u, at_v = intersect(origins, directions, triangles)
-        nearest = np.argmin(t, axis=1)
-        rays = np.arange(count)
-        closer = t[rays, nearest] < distance
-        distance = np.where(closer, t[rays, nearest], distance)
-        face = np.where(closer, nearest, face).astype(np.int32)
-        instance[closer] = index
-        u = np.where(closer, at_u[rays, nearest], u)
-        v = np.where(closer, at_v[rays, nearest], v)
-    return Hits(
-        distance.astype(np.float32), instance, face, u.astype(np.float32), v.astype(np.float32)
-    )
-
-
-def intersect(origins: Array, directions: Array, triangles: Array) -> tuple[Array, Array, Array]:
-    """Distances (N, F), inf where missed, and barycentric u, v of rays (N, 3) on (F, 3, 3).
-
-    Moller and Trumbore, "Fast, minimum storage ray-triangle intersection" (1997), both sides.
-    """
-    first = triangles[:, 1] - triangles[:, 0]
-    second = triangles[:, 2] - triangles[:, 0]
-    across = np.cross(directions[:, None], second[None])
-    determinant = np.sum(across * first, axis=-1)
-    safe = np.where(np.abs(determinant) < 1e-14, np.nan, determinant)
-    offset = origins[:, None] - triangles[None, :, 0]
-    u = np.sum(offset * across, axis=-1) / safe
-    turned = np.cross(offset, first[None])
-    v = np.sum(directions[:, None] * turned, axis=-1) / safe
-    t = np.sum(second[None] * turned, axis=-1) / safe
-    hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)
-    return np.where(hit, t, np.inf), u, v

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from recast.arrays import Array
 from recast.geometry.colour import linear_to_srgb
 from recast.synthetic.rendering.lighting import PI, PLANE_TOLERANCE, Light, incoming, sun_cosine
-from recast.synthetic.rendering.ray_scene import PosedScene
 from recast.synthetic.rendering.rays import (
     BoolArray,
     Float32Array,
@@ -61,9 +60,7 @@ def fresnel(points: SurfacePoints) -> Float32Array:
     return base + (1 - base) * grazing[:, None]
 
 
-def reflected(
-    posed: PosedScene, light: SkyLight, points: SurfacePoints, arriving: Light
-) -> Float32Array:
+def reflected(light: SkyLight, points: SurfacePoints, arriving: Light) -> Float32Array:
     """Radiance (N, 3) that a perfect coat on the points would reflect, sun included.
 
     Args:
@@ -74,7 +71,7 @@ def reflected(
     mirror = np.flatnonzero(TABLE.roughness[points.material] <= MIRROR_ROUGHNESS)
     coat = points.take(mirror)
     directions = mirror_directions(coat.view, coat.normal, coat.flat)
-    radiance[mirror] = incoming(posed, light, coat.origin, directions)
+    radiance[mirror] = incoming(points.posed, light, coat.origin, directions)
     radiance += _highlight(light, points, arriving.sun)
     return radiance
 
@@ -100,11 +97,7 @@ def _highlight(light: SkyLight, points: SurfacePoints, sun: Float32Array) -> Flo
 
 
 def shade(
-    posed: PosedScene,
-    light: SkyLight,
-    points: SurfacePoints,
-    arriving: Light,
-    pixel_angle: float,
+    light: SkyLight, points: SurfacePoints, arriving: Light, pixel_angle: float
 ) -> Float32Array:
     """Radiance (N, 3): textured diffuse part, emission, reflection, seen through haze.
 
@@ -122,7 +115,7 @@ def shade(
     share = fresnel(coat)
     bare = np.where(TABLE.metallic[coat.material], np.float32(0), 1 - share.max(axis=1))
     light_there = Light(rows(arriving.sun, index), rows(arriving.sky, index))
-    share *= reflected(posed, light, coat, light_there)
+    share *= reflected(light, coat, light_there)
     share += scaled(rows(radiance, index), bare)
     radiance[index] = share
     clear = np.exp(points.distance / np.float32(-HAZE_LENGTH))

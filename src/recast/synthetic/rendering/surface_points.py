@@ -6,8 +6,10 @@ image: a row of mip levels for each, so that a single `cv2.remap` serves all mat
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -34,33 +36,15 @@ _LEVEL_SIZE = (SIZE >> np.arange(LEVELS)).astype(np.float32)
 _LEVEL_START = np.concatenate([[0], np.cumsum(_LEVEL_SIZE[:-1] + 2)]).astype(np.float32) + 1
 
 
-@dataclass(frozen=True)
-class MaterialTable:
-    """The fields of `MATERIALS` as arrays over material indices."""
-
-    specular: Float32Array
-    roughness: Float32Array
-    metallic: NDArray[np.bool_]
-    emission: Float32Array
-    lidar: Float32Array
-    retroreflective: NDArray[np.bool_]
-
-
-def _material_table() -> MaterialTable:
-    def column(name: str, dtype: type) -> NDArray:
-        return np.array([getattr(material, name) for material in MATERIALS], dtype)
-
-    return MaterialTable(
-        column("specular", np.float32),
-        column("roughness", np.float32),
-        column("metallic", np.bool_),
-        column("emission", np.float32),
-        column("lidar", np.float32),
-        column("retroreflective", np.bool_),
-    )
-
-
-TABLE = _material_table()
+_FLOATS, _FLAGS = ("specular", "roughness", "emission", "lidar"), ("metallic", "retroreflective")
+TABLE = SimpleNamespace(
+    **{
+        name: np.array([getattr(material, name) for material in MATERIALS], dtype)
+        for names, dtype in ((_FLOATS, np.float32), (_FLAGS, np.bool_))
+        for name in names
+    }
+)
+"""The fields of `MATERIALS` as arrays over material indices."""
 
 
 @dataclass
@@ -116,17 +100,9 @@ class SurfacePoints:
 
     def take(self, index: NDArray[np.int64]) -> SurfacePoints:
         """Some of the points."""
-        return SurfacePoints(
-            rows(self.position, index),
-            rows(self.view, index),
-            rows(self.distance, index),
-            rows(self.flat, index),
-            rows(self.normal, index),
-            rows(self.colour, index),
-            rows(self.material, index),
-            rows(self.instance, index),
-            self.posed,
-        )
+        names = [field.name for field in fields(self) if field.name != "posed"]
+        taken: Any = {name: rows(getattr(self, name), index) for name in names}
+        return replace(self, **taken)
 
     def __len__(self) -> int:
         return len(self.position)
@@ -177,16 +153,9 @@ def surface_points(
         normalise(normal)
     position = scaled(view, distance)
     position += rows(origins, rays)
+    colour, material = rows(attributes.colours, face), rows(attributes.materials, face)
     points = SurfacePoints(
-        position=position,
-        view=view,
-        distance=distance,
-        flat=flat,
-        normal=normal,
-        colour=rows(attributes.colours, face),
-        material=rows(attributes.materials, face),
-        instance=instance,
-        posed=posed,
+        position, view, distance, flat, normal, colour, material, instance, posed
     )
     return rays, points
 
@@ -213,9 +182,8 @@ class Atlas:
                 padded = np.pad(level, ((1, 1), (1, 1), (0, 0)), mode="wrap")
                 top = row * (SIZE + 2)
                 height, wide = padded.shape[:2]
-                self.image[top : top + height, start - 1 : start - 1 + wide] = np.clip(
-                    padded * _SCALE + 0.5, 0, 255
-                ).astype(np.uint8)
+                quantised = np.clip(padded * _SCALE + 0.5, 0, 255).astype(np.uint8)
+                self.image[top : top + height, start - 1 : start - 1 + wide] = quantised
                 half = (max(level.shape[1] // 2, 1), max(level.shape[0] // 2, 1))
                 level = cv2.resize(level, half, interpolation=cv2.INTER_AREA)
 

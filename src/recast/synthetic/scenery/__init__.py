@@ -1,4 +1,8 @@
-"""What stands beside roads: every function gives a `Surface` that stands on z = 0."""
+"""What stands beside roads: every function gives a `Surface` that stands on z = 0.
+
+`rng` chooses all that is not given. Impossible sizes, counts and speeds, and unknown styles, kinds
+and states raise `InputError`.
+"""
 
 from recast.synthetic.scenery.bridges import WALL_STYLES, bridge, guard_rail, wall
 from recast.synthetic.scenery.buildings import BUILDING_STYLES, building

@@ -12,6 +12,7 @@ from recast.synthetic.scenery.primitives import (
     Point,
     boxes,
     prism,
+    quads,
     require_known,
     require_size,
     stations,
@@ -20,16 +21,10 @@ from recast.synthetic.scenery.primitives import (
 from recast.synthetic.surface import Surface, concatenate
 
 WALL_STYLES = ("brick", "concrete", "stone")
-RAIL_PROFILE = np.array(
+RAIL_PROFILE = np.column_stack(
     [
-        (0.0, 0.44),
-        (-0.045, 0.48),
-        (-0.045, 0.53),
-        (0.02, 0.57),
-        (0.02, 0.61),
-        (-0.045, 0.65),
-        (-0.045, 0.70),
-        (0.0, 0.75),
+        (0.0, -0.045, -0.045, 0.02, 0.02, -0.045, -0.045, 0.0),
+        (0.44, 0.48, 0.53, 0.57, 0.61, 0.65, 0.70, 0.75),
     ]
 )
 """(y, z) of the W-shaped beam, from below."""
@@ -45,50 +40,30 @@ def guard_rail(rng: np.random.Generator, length: float) -> Surface:
     """A steel guard rail 0.75 m tall whose beam faces -y, posts every 2 m behind it.
 
     Args:
-        rng: chooses how weathered it is.
         length: metres, 0.5 to 2000.
-
-    Raises:
-        InputError: for impossible lengths.
     """
     require_size("guard_rail", "length", length, 0.5, 2000.0)
     tone = np.array(STEEL) * rng.uniform(0.75, 1.05)
     front = np.column_stack([np.zeros(8), RAIL_PROFILE])
-    ends = np.concatenate([front, front + np.array([length, 0, 0])])
-    a = np.arange(7)
-    outside = np.concatenate(
-        [np.stack([a + 1, a, a + 8], axis=1), np.stack([a + 1, a + 8, a + 9], axis=1)]
-    )
-    beam = Surface.make(ends, outside, tone, "metal", 0.0)
-    behind = Surface.make(
-        ends + np.array([0, 0.006, 0]), outside[:, ::-1], tone * 0.8, "metal", 0.0
-    )
-    xs = stations(length, 2.0)
-    xs = np.clip(xs, 0.05, length - 0.05)
-    low = np.column_stack([xs - 0.04, np.full_like(xs, 0.05), np.full_like(xs, -0.3)])
+    far = front + np.array([length, 0, 0])
+    folds = np.stack([front[1:], front[:-1], far[:-1], far[1:]], axis=1)
+    beam = quads(folds, tone, "metal")
+    behind = quads(folds[:, ::-1] + np.array([0, 0.006, 0]), tone * 0.8, "metal")
+    xs = np.clip(stations(length, 2.0), 0.05, length - 0.05) - 0.04
+    low = np.array([(x, 0.05, -0.3) for x in xs])
     posts = boxes(low, low + np.array([0.08, 0.12, 1.0]), tone * 0.85, "metal", bottom=False)
-    block = np.column_stack([xs - 0.04, np.full_like(xs, 0.0), np.full_like(xs, 0.5)])
-    return concatenate(
-        [
-            beam,
-            behind,
-            posts,
-            boxes(block, block + np.array([0.08, 0.05, 0.2]), tone * 0.85, "metal"),
-        ]
-    )
+    low = np.array([(x, 0.0, 0.5) for x in xs])
+    blocks = boxes(low, low + np.array([0.08, 0.05, 0.2]), tone * 0.85, "metal")
+    return concatenate([beam, behind, posts, blocks])
 
 
 def wall(rng: np.random.Generator, length: float, height: float, style: str = "brick") -> Surface:
     """A free-standing wall with coping, about 0.3 m thick, centred on y = 0.
 
     Args:
-        rng: chooses the colour.
         length: metres, 0.5 to 1000.
         height: metres with the coping, 0.3 to 12.
         style: "brick" (piers every 3 m), "concrete" (panels) or "stone".
-
-    Raises:
-        InputError: for impossible sizes and unknown styles.
     """
     require_size("wall", "length", length, 0.5, 1000.0)
     require_size("wall", "height", height, 0.3, 12.0)
@@ -102,30 +77,20 @@ def wall(rng: np.random.Generator, length: float, height: float, style: str = "b
     }[style]
     colour = np.array(tone) * rng.uniform(0.8, 1.15)
     body = boxes((0, -half, -0.3), (length, half, height - cope), colour, material, bottom=False)
-    coping = prism(
-        [
-            (-half - 0.04, height - cope),
-            (half + 0.04, height - cope),
-            (half + 0.04, height - 0.4 * cope),
-            (0.0, height),
-            (-half - 0.04, height - 0.4 * cope),
-        ],
-        0.0,
-        length,
-        colour * 0.85 if style == "brick" else colour * 1.1,
-        "concrete",
-    )
+    out, foot, brow = half + 0.04, height - cope, height - 0.4 * cope
+    outline = [(-out, foot), (out, foot), (out, brow), (0.0, height), (-out, brow)]
+    shade = colour * 0.85 if style == "brick" else colour * 1.1
+    coping = prism(outline, 0.0, length, shade, "concrete")
     along = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], np.float64)
     parts = [body, coping.transformed(along)]
     xs = stations(length, 3.0 if style == "brick" else 4.0)
     xs = np.clip(xs, 0.18, length - 0.18)
     if style == "brick":
-        low = np.column_stack([xs - 0.18, np.full_like(xs, -0.17), np.full_like(xs, -0.3)])
-        parts.append(
-            boxes(low, low + np.array([0.36, 0.34, height + 0.28]), colour, "brick", bottom=False)
-        )
+        low = np.array([(x - 0.18, -0.17, -0.3) for x in xs])
+        high = low + np.array([0.36, 0.34, height + 0.28])
+        parts.append(boxes(low, high, colour, "brick", bottom=False))
     if style == "concrete":
-        low = np.column_stack([xs - 0.015, np.full_like(xs, -half - 0.004), np.zeros_like(xs)])
+        low = np.array([(x - 0.015, -half - 0.004, 0.0) for x in xs])
         high = low + np.array([0.03, 2 * half + 0.008, height - cope])
         parts.append(boxes(low, high, colour * 0.45, "concrete", bottom=False))
     return concatenate(parts)
@@ -146,15 +111,11 @@ def bridge(
     `clearance` but the piers.
 
     Args:
-        rng: chooses colours and the railing.
         span: metres between the abutments, 4 to 120.
         width: metres of the deck, 3 to 60.
         clearance: metres from the ground to the girders' underside, 2 to 15.
         piers: y of rows of piers, between the abutments.
         approach: metres of the ramps, 10 to 300.
-
-    Raises:
-        InputError: for impossible sizes.
     """
     require_size("bridge", "span", span, 4.0, 120.0)
     require_size("bridge", "width", width, 3.0, 60.0)
@@ -198,7 +159,7 @@ def _railings(rng: np.random.Generator, half: float, ends: float, top: float) ->
     ys = np.linspace(-ends - 0.5, ends + 0.5, max(2, int(ends / 1.0) + 1))
     parts = []
     for x in (-half - 0.02, half + 0.02):
-        low = np.column_stack([np.full_like(ys, x - 0.03), ys - 0.03, np.full_like(ys, top + 0.25)])
+        low = np.array([(x - 0.03, y - 0.03, top + 0.25) for y in ys])
         parts.append(boxes(low, low + np.array([0.06, 0.06, 0.85]), paint, "metal"))
         parts += [
             tube([[x, ys[0], top + z], [x, ys[-1], top + z]], 0.03, 6, paint, "metal")
@@ -229,25 +190,18 @@ def _approach(
     front[2:] += lift
     faces = faces if side > 0 else faces[:, ::-1]
     wall = Surface.make(np.concatenate([front, back]), faces, tone, "concrete", 0.0)
-    inner = half - 0.8
-    pieces: list[tuple[list[Point], tuple[float, float, float], str]] = [
-        ([(-half, near, top), (half, near, top), (half, far, 0), (-half, far, 0)], GRASS, "grass"),
-        ([(-foot, near, 0.0), (-half, near, top), (-half, far, 0.0)], GRASS, "grass"),
-        ([(half, near, top), (foot, near, 0.0), (half, far, 0.0)], GRASS, "grass"),
-        (
-            [
-                (-inner, near, top + 0.03),
-                (inner, near, top + 0.03),
-                (inner, far, 0.03),
-                (-inner, far, 0.03),
-            ],
-            ASPHALT,
-            "asphalt",
-        ),
+    inner, crown = half - 0.8, top + 0.03
+    green: list[list[Point]] = [
+        [(-half, near, top), (half, near, top), (half, far, 0), (-half, far, 0)],
+        [(-foot, near, 0.0), (-half, near, top), (-half, far, 0.0)],
+        [(half, near, top), (foot, near, 0.0), (half, far, 0.0)],
     ]
+    lane = [(-inner, near, crown), (inner, near, crown), (inner, far, 0.03), (-inner, far, 0.03)]
+    order = 1 if side > 0 else -1
     earth = Panels()
-    for points, colour, material in pieces:
-        earth.polygon(points if side > 0 else points[::-1], colour, material)
+    for points in green:
+        earth.polygon(points[::order], GRASS, "grass")
+    earth.polygon(lane[::order], ASPHALT, "asphalt")
     return concatenate([wall, earth.surface()])
 
 

@@ -8,58 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from recast.synthetic.scenery.primitives import Panels, at
+from recast.synthetic.scenery.primitives import PALETTES, Panels, at, choose
 from recast.synthetic.surface import Surface
 
 Colour = tuple[float, float, float]
-
-GLASS = np.array(
-    [(0.020, 0.025, 0.030), (0.035, 0.040, 0.042), (0.014, 0.016, 0.020), (0.05, 0.05, 0.045)]
-)
-"""Rooms behind windows, as seen by day."""
-BLINDS = np.array([(0.48, 0.46, 0.40), (0.40, 0.36, 0.30), (0.52, 0.52, 0.50), (0.3, 0.24, 0.2)])
-BRICKS = np.array(
-    [
-        (0.31, 0.12, 0.075),
-        (0.40, 0.20, 0.12),
-        (0.24, 0.115, 0.085),
-        (0.48, 0.37, 0.25),
-        (0.36, 0.155, 0.09),
-    ]
-)
-PLASTERS = np.array(
-    [
-        (0.60, 0.55, 0.45),
-        (0.56, 0.46, 0.30),
-        (0.64, 0.62, 0.58),
-        (0.50, 0.34, 0.26),
-        (0.42, 0.46, 0.43),
-        (0.58, 0.42, 0.33),
-        (0.38, 0.43, 0.49),
-        (0.66, 0.60, 0.44),
-        (0.46, 0.44, 0.42),
-    ]
-)
-BOARDS = np.array([(0.62, 0.62, 0.60), (0.30, 0.37, 0.44), (0.58, 0.51, 0.33), (0.33, 0.38, 0.31)])
-FRAMES = np.array(
-    [
-        (0.68, 0.68, 0.66),
-        (0.68, 0.68, 0.66),
-        (0.05, 0.05, 0.055),
-        (0.16, 0.09, 0.05),
-        (0.10, 0.14, 0.13),
-    ]
-)
-DOORS = np.array(
-    [
-        (0.20, 0.02, 0.02),
-        (0.02, 0.06, 0.12),
-        (0.03, 0.09, 0.05),
-        (0.10, 0.055, 0.03),
-        (0.02, 0.02, 0.022),
-        (0.40, 0.27, 0.05),
-    ]
-)
 
 
 @dataclass(frozen=True)
@@ -106,138 +58,113 @@ class Opening:
     kind: str = "window"
 
 
-def reveal(panels: Panels, hole: Opening, depth: float, colour: Colour, material: str) -> None:
-    """The four sides of a hole, from the wall inwards."""
-    a, b, low, high = hole.left, hole.right, hole.low, hole.high
-    shade = 0.85 * np.asarray(colour)
-    panels.polygon([(a, 0, low), (a, depth, low), (a, depth, high), (a, 0, high)], shade, material)
-    panels.polygon([(b, depth, low), (b, 0, low), (b, 0, high), (b, depth, high)], shade, material)
-    panels.polygon([(a, 0, low), (b, 0, low), (b, depth, low), (a, depth, low)], shade, material)
-    panels.polygon(
-        [(a, depth, high), (b, depth, high), (b, 0, high), (a, 0, high)], shade, material
-    )
-
-
-def fill(panels: Panels, rng: np.random.Generator, hole: Opening, look: Look) -> None:
-    """Draw what belongs in the hole, with its reveal."""
-    reveal(panels, hole, look.reveal, look.wall, look.wall_material)
-    if hole.kind == "window":
-        _window(panels, rng, hole, look)
-    elif hole.kind == "door":
-        _door(panels, hole, look)
-    elif hole.kind == "shutter":
-        shade = np.asarray(look.door)
-        panels.rect(hole.left, hole.right, hole.low, hole.high, look.reveal, shade, "corrugated")
-
-
-def bars(
-    panels: Panels, hole: Opening, y: float, width: float, lights: tuple[int, int], colour: Colour
-) -> None:
-    """A frame round the hole and the bars that part it into `lights` panes across and up."""
-    a, b, low, high = hole.left, hole.right, hole.low, hole.high
-    panels.rect(a, b, low, low + width, y, colour, "plastic")
-    panels.rect(a, b, high - width, high, y, colour, "plastic")
-    uprights = np.linspace(a, b, lights[0] + 1)
-    for k, x in enumerate(uprights):
-        start = x if k == 0 else (x - width if k == lights[0] else x - 0.4 * width)
-        end = start + (width if k in (0, lights[0]) else 0.8 * width)
-        panels.rect(start, end, low + width, high - width, y, colour, "plastic")
-    for z in np.linspace(low, high, lights[1] + 1)[1:-1]:
-        panels.rect(
-            a + width, b - width, z - 0.3 * width, z + 0.3 * width, y - 0.003, colour, "plastic"
-        )
-
-
-def _window(panels: Panels, rng: np.random.Generator, hole: Opening, look: Look) -> None:
-    a, b, low, high = hole.left, hole.right, hole.low, hole.high
-    glass = GLASS[rng.integers(len(GLASS))] * rng.uniform(0.7, 1.3)
-    blind = high
-    if rng.random() < look.blinds:
-        blind = high - (high - low) * rng.uniform(0.2, 0.75)
-        panels.rect(a, b, blind, high, look.reveal, BLINDS[rng.integers(len(BLINDS))], "window")
-    panels.rect(a, b, low, blind, look.reveal, glass, "window")
-    if look.lean:
-        middle = 0.5 * (a + b)
-        y = look.reveal - 0.03
-        panels.rect(middle - 0.04, middle + 0.04, low, high, y, look.frame, "plastic")
-        for edge in (a, b - 0.07):
-            panels.rect(edge, edge + 0.07, low, high, y, look.frame, "plastic")
-        panels.rect(a - 0.06, b + 0.06, low - 0.08, low, -0.02, look.trim, "concrete")
-    else:
-        bars(panels, hole, look.reveal - 0.03, 0.075, look.lights, look.frame)
-        out = 0.06 + look.surround * 0.3
-        panels.box(
-            (a - 0.06, -out, low - 0.07),
-            (b + 0.06, look.reveal - 0.03, low),
-            look.trim,
-            "concrete",
-            "klr",
-        )
-    if look.surround > 0:
-        s = look.surround
-        for left, right, bottom, top in (
-            (a - s, a, low, high),
-            (b, b + s, low, high),
-            (a - s, b + s, high, high + 1.3 * s),
-        ):
-            panels.rect(left, right, bottom, top, -0.025, look.trim, "concrete")
-
-
-def _door(panels: Panels, hole: Opening, look: Look) -> None:
-    a, b, low, high = hole.left, hole.right, hole.low, hole.high
-    leaf = min(high, low + 2.1)
-    y = look.reveal
-    panels.rect(a, b, low, leaf, y, look.door, "wood")
-    if high - leaf > 0.1:
-        panels.rect(a, b, leaf, high, y, GLASS[0], "window")
-        panels.rect(a, b, leaf - 0.03, leaf + 0.04, y - 0.02, look.frame, "plastic")
-    count = 2 if b - a > 1.3 else 1
-    edges = np.linspace(a, b, count + 1)
-    for left, right in pairwise(edges):
-        inset = 0.16 * (right - left)
-        for bottom, top in ((0.2, 0.8), (1.0, 1.85)):
-            shade = 0.6 * np.asarray(look.door)
-            panels.rect(
-                left + inset, right - inset, low + bottom, low + top, y - 0.01, shade, "wood"
-            )
-        panels.box(
-            (right - 0.14, y - 0.07, low + 0.98),
-            (right - 0.08, y, low + 1.08),
-            (0.6, 0.5, 0.3),
-            "metal",
-            "k",
-        )
-    bars(panels, Opening(a, b, low, high), y - 0.03, 0.06, (count, 1), look.frame)
-    panels.box((a - 0.2, -0.45, -0.3), (b + 0.2, 0.0, low), look.trim, "concrete", "bk")
-
-
-def wall_storey(
-    panels: Panels,
-    rng: np.random.Generator,
-    width: float,
-    low: float,
-    high: float,
-    holes: Sequence[Opening],
-    look: Look,
-) -> None:
-    """One storey of wall, x in [0, width] and z in [low, high], around its filled holes.
+class Facade(Panels):
+    """A wall, x in [0, width], and what is on it.
 
     Args:
-        panels: drawn on.
         rng: for what differs from window to window.
-        width, low, high: metres.
-        holes: from left to right, not overlapping, within the storey.
+        width: metres.
         look: of the wall and its openings.
     """
-    x = 0.0
-    for hole in holes:
-        panels.rect(x, hole.left, low, high, 0.0, look.wall, look.wall_material)
-        panels.rect(hole.left, hole.right, low, hole.low, 0.0, look.wall, look.wall_material)
-        panels.rect(hole.left, hole.right, hole.high, high, 0.0, look.wall, look.wall_material)
-        x = hole.right
-        if hole.kind != "none":
-            fill(panels, rng, hole, look)
-    panels.rect(x, width, low, high, 0.0, look.wall, look.wall_material)
+
+    def __init__(self, rng: np.random.Generator, width: float, look: Look) -> None:
+        super().__init__()
+        self.rng, self.width, self.look = rng, width, look
+
+    def wall(self, left: float, right: float, low: float, high: float) -> None:
+        """A piece of the bare wall."""
+        self.rect(left, right, low, high, 0.0, self.look.wall, self.look.wall_material)
+
+    def storey(self, low: float, high: float, holes: Sequence[Opening]) -> None:
+        """One storey of wall around its filled holes (from left to right, not overlapping)."""
+        x = 0.0
+        for hole in holes:
+            self.wall(x, hole.left, low, high)
+            self.wall(hole.left, hole.right, low, hole.low)
+            self.wall(hole.left, hole.right, hole.high, high)
+            x = hole.right
+            if hole.kind != "none":
+                self._fill(hole)
+        self.wall(x, self.width, low, high)
+
+    def reveal(self, hole: Opening, depth: float, colour: Colour, material: str) -> None:
+        """The four sides of a hole, from the wall inwards."""
+        a, b, low, high = hole.left, hole.right, hole.low, hole.high
+        corners = [(a, low), (a, high), (b, high), (b, low)]
+        for (x0, z0), (x1, z1) in zip(corners, corners[1:] + corners[:1], strict=True):
+            side = [(x0, 0, z0), (x0, depth, z0), (x1, depth, z1), (x1, 0, z1)]
+            self.polygon(side, 0.85 * np.asarray(colour), material)
+
+    def bars(
+        self, hole: Opening, y: float, width: float, lights: tuple[int, int], colour: Colour
+    ) -> None:
+        """A frame round the hole and the bars that part it into `lights` panes across and up."""
+        a, b, low, high = hole.left, hole.right, hole.low, hole.high
+        self.rect(a, b, low, low + width, y, colour, "plastic")
+        self.rect(a, b, high - width, high, y, colour, "plastic")
+        uprights = np.linspace(a, b, lights[0] + 1)
+        for k, x in enumerate(uprights):
+            start = x if k == 0 else (x - width if k == lights[0] else x - 0.4 * width)
+            end = start + (width if k in (0, lights[0]) else 0.8 * width)
+            self.rect(start, end, low + width, high - width, y, colour, "plastic")
+        half = 0.3 * width
+        for z in np.linspace(low, high, lights[1] + 1)[1:-1]:
+            self.rect(a + width, b - width, z - half, z + half, y - 0.003, colour, "plastic")
+
+    def _fill(self, hole: Opening) -> None:
+        look = self.look
+        self.reveal(hole, look.reveal, look.wall, look.wall_material)
+        if hole.kind == "window":
+            self._window(hole)
+        elif hole.kind == "door":
+            self._door(hole)
+        else:
+            y, shade = look.reveal, look.door
+            self.rect(hole.left, hole.right, hole.low, hole.high, y, shade, "corrugated")
+
+    def _window(self, hole: Opening) -> None:
+        a, b, low, high = hole.left, hole.right, hole.low, hole.high
+        rng, look = self.rng, self.look
+        glass = choose(rng, "glass") * rng.uniform(0.7, 1.3)
+        blind, y = high, look.reveal - 0.03
+        if rng.random() < look.blinds:
+            blind = high - (high - low) * rng.uniform(0.2, 0.75)
+            self.rect(a, b, blind, high, look.reveal, choose(rng, "blinds"), "window")
+        self.rect(a, b, low, blind, look.reveal, glass, "window")
+        if look.lean:
+            middle = 0.5 * (a + b)
+            self.rect(middle - 0.04, middle + 0.04, low, high, y, look.frame, "plastic")
+            for edge in (a, b - 0.07):
+                self.rect(edge, edge + 0.07, low, high, y, look.frame, "plastic")
+            self.rect(a - 0.06, b + 0.06, low - 0.08, low, -0.02, look.trim, "concrete")
+        else:
+            self.bars(hole, y, 0.075, look.lights, look.frame)
+            sill = (a - 0.06, -0.06 - look.surround * 0.3, low - 0.07), (b + 0.06, y, low)
+            self.box(*sill, look.trim, "concrete", "klr")
+        s = look.surround
+        if s > 0:
+            self.rect(a - s, a, low, high, -0.025, look.trim, "concrete")
+            self.rect(b, b + s, low, high, -0.025, look.trim, "concrete")
+            self.rect(a - s, b + s, high, high + 1.3 * s, -0.025, look.trim, "concrete")
+
+    def _door(self, hole: Opening) -> None:
+        a, b, low, high = hole.left, hole.right, hole.low, hole.high
+        look, y = self.look, self.look.reveal
+        leaf = min(high, low + 2.1)
+        self.rect(a, b, low, leaf, y, look.door, "wood")
+        if high - leaf > 0.1:
+            self.rect(a, b, leaf, high, y, PALETTES["glass"][0], "window")
+            self.rect(a, b, leaf - 0.03, leaf + 0.04, y - 0.02, look.frame, "plastic")
+        count = 2 if b - a > 1.3 else 1
+        shade = 0.6 * np.asarray(look.door)
+        for left, right in pairwise(np.linspace(a, b, count + 1)):
+            start, end = left + 0.16 * (right - left), right - 0.16 * (right - left)
+            for bottom, top in ((0.2, 0.8), (1.0, 1.85)):
+                self.rect(start, end, low + bottom, low + top, y - 0.01, shade, "wood")
+            knob = (right - 0.14, y - 0.07, low + 0.98), (right - 0.08, y, low + 1.08)
+            self.box(*knob, (0.6, 0.5, 0.3), "metal", "k")
+        self.bars(hole, y - 0.03, 0.06, (count, 1), look.frame)
+        self.box((a - 0.2, -0.45, -0.3), (b + 0.2, 0.0, low), look.trim, "concrete", "bk")
 
 
 def window_row(
@@ -255,37 +182,31 @@ def bays(width: float, bay: float, margin: float) -> np.ndarray:
 
 
 def plain_wall(
-    rng: np.random.Generator, width: float, edges: Sequence[float], look: Look, chance: float
+    rng: np.random.Generator, width: float, edges: Sequence[float], look: Look, share: float
 ) -> Panels:
-    """A side or back wall: small windows in some places, blank elsewhere.
+    """A side or back wall: small windows in a share of its bays, blank elsewhere.
 
     The windows are flat, a frame on the wall and glass on the frame: no road runs close to them.
-
-    Args:
-        rng: chooses where windows are.
-        width: metres.
-        edges: heights of the storeys' floors, and of the top.
-        look: of the wall and the frames.
-        chance: share of bays with a window.
+    `width` is in metres; `edges` are the heights of the storeys' floors, and of the top.
     """
-    panels = Panels()
-    panels.rect(0, width, edges[0], edges[-1], 0.0, look.wall, look.wall_material)
+    panels = Facade(rng, width, look)
+    panels.wall(0, width, edges[0], edges[-1])
     centres = bays(width, 3.4, 0.6)
-    centres = centres[rng.random(len(centres)) < chance]
+    centres = centres[rng.random(len(centres)) < share]
     for floor, ceiling in pairwise(edges):
         low = max(floor, 0.0)
         high = low + min(2.2, 0.8 * (ceiling - low))
         for x in centres:
-            glass = GLASS[rng.integers(len(GLASS))] * rng.uniform(0.7, 1.3)
+            glass = choose(rng, "glass") * rng.uniform(0.7, 1.3)
             panels.rect(x - 0.58, x + 0.58, low + 0.9, high, -0.02, look.frame, "plastic")
             for left in (x - 0.52, x + 0.03):
                 panels.rect(left, left + 0.49, low + 0.96, high - 0.06, -0.025, glass, "window")
     return panels
 
 
-def pick(rng: np.random.Generator, palette: np.ndarray, spread: float = 0.12) -> Colour:
-    """One colour of a palette, a little lighter or darker."""
-    r, g, b = palette[rng.integers(len(palette))] * rng.uniform(1 - spread, 1 + spread)
+def pick(rng: np.random.Generator, palette: str, spread: float = 0.12) -> Colour:
+    """One colour of `PALETTES`, a little lighter or darker."""
+    r, g, b = choose(rng, palette) * rng.uniform(1 - spread, 1 + spread)
     return float(r), float(g), float(b)
 
 

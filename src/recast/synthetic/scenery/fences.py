@@ -7,31 +7,27 @@ from numpy.typing import ArrayLike
 
 from recast.synthetic.scenery.primitives import (
     boxes,
+    choose,
     quads,
     require_known,
     require_size,
     stations,
     tube,
 )
-from recast.synthetic.scenery.trees import CORE_SHADE, GREENS, cores, directions, sprays
-from recast.synthetic.surface import Surface, concatenate
+from recast.synthetic.scenery.trees import CORE_SHADE, cores, directions, sprays
+from recast.synthetic.surface import Surface, concatenate, sheet
 
 FENCE_STYLES = ("wood", "picket", "mesh", "iron")
 
 STEEL = (0.62, 0.63, 0.64)
-BLOSSOMS = np.array([(0.62, 0.60, 0.52), (0.55, 0.16, 0.26), (0.60, 0.42, 0.05), (0.32, 0.20, 0.5)])
 
 
 def fence(rng: np.random.Generator, length: float, style: str = "wood") -> Surface:
     """A fence centred on y = 0.
 
     Args:
-        rng: chooses height, colour and unevenness.
         length: metres, 0.5 to 500.
         style: "wood" (boards, 1.5 to 1.9 m), "picket" (1 m), "mesh" (2 m) or "iron" (1.2 m).
-
-    Raises:
-        InputError: for impossible lengths and unknown styles.
     """
     require_size("fence", "length", length, 0.5, 500.0)
     require_known("fence", "style", style, FENCE_STYLES)
@@ -39,10 +35,9 @@ def fence(rng: np.random.Generator, length: float, style: str = "wood") -> Surfa
 
 
 def _posts(xs: np.ndarray, half: float, height: float, colour: ArrayLike, material: str) -> Surface:
-    low = np.column_stack([xs - half, np.full_like(xs, -half), np.full_like(xs, -0.2)])
-    return boxes(
-        low, low + np.array([2 * half, 2 * half, height + 0.2]), colour, material, bottom=False
-    )
+    low = np.array([(x - half, -half, -0.2) for x in xs])
+    size = np.array([2 * half, 2 * half, height + 0.2])
+    return boxes(low, low + size, colour, material, bottom=False)
 
 
 def _rails(length: float, heights: tuple[float, ...], y: float, colour: ArrayLike) -> Surface:
@@ -69,45 +64,15 @@ def _pickets(rng: np.random.Generator, length: float) -> Surface:
     height = rng.uniform(0.9, 1.1)
     xs = stations(length, 0.22)[:-1] + 0.06
     tops = height + rng.normal(0, 0.01, len(xs))
-    zero = np.full_like(xs, 0.08)
-    left, right = xs, xs + 0.1
-    y = np.full_like(xs, -0.03)
-    front = np.stack(
-        [
-            np.column_stack(p)
-            for p in (
-                (left, y, zero),
-                (right, y, zero),
-                (right, y, tops - 0.07),
-                (left, y, tops - 0.07),
-            )
-        ],
-        axis=1,
-    )
-    tip = np.stack(
-        [
-            np.column_stack(p)
-            for p in (
-                (left, y, tops - 0.07),
-                (right, y, tops - 0.07),
-                (xs + 0.06, y, tops),
-                (xs + 0.04, y, tops),
-            )
-        ],
-        axis=1,
-    )
-    faces = np.concatenate([front, tip])
-    back = faces[:, ::-1] + [0.0, 0.02, 0.0]
+    low, y, right, neck = np.full_like(xs, 0.08), np.full_like(xs, -0.03), xs + 0.1, tops - 0.07
+    board = [(xs, y, low), (right, y, low), (right, y, neck), (xs, y, neck)]
+    tip = [(xs, y, neck), (right, y, neck), (xs + 0.06, y, tops), (xs + 0.04, y, tops)]
+    front = np.concatenate([np.moveaxis(np.array(corners), 2, 0) for corners in (board, tip)])
+    back = front[:, ::-1] + [0.0, 0.02, 0.0]
     colour = tone * rng.uniform(0.92, 1.05, (len(xs), 1))
-    shapes = _both_sides(faces, back, colour)
+    shapes = quads(np.concatenate([front, back]), np.tile(colour, (4, 1)), "wood")
     posts = _posts(stations(length, 2.2), 0.045, height - 0.05, tone, "wood")
     return concatenate([shapes, posts, _rails(length, (0.25, height - 0.3), -0.01, tone)])
-
-
-def _both_sides(front: np.ndarray, back: np.ndarray, colour: np.ndarray) -> Surface:
-    """Thin boards by their two large sides; `colour` (N, 3) repeats over the quads."""
-    panels = np.concatenate([front, back])
-    return quads(panels, np.tile(colour, (len(panels) // len(colour), 1)), "wood")
 
 
 def _mesh(rng: np.random.Generator, length: float) -> Surface:
@@ -142,15 +107,11 @@ def bush(rng: np.random.Generator, height: float = 1.0) -> Surface:
     """A bush at the origin, within 0.9 * height of it sideways; one in five is in flower.
 
     Args:
-        rng: chooses the shape and the greens.
         height: metres, 0.2 to 4.
-
-    Raises:
-        InputError: for impossible heights.
     """
     require_size("bush", "height", height, 0.2, 4.0)
-    green = GREENS[rng.integers(len(GREENS))] * rng.uniform(0.85, 1.2)
-    blossom = BLOSSOMS[rng.integers(len(BLOSSOMS))] if rng.random() < 0.2 else None
+    green = choose(rng, "greens") * rng.uniform(0.85, 1.2)
+    blossom = choose(rng, "blossoms") if rng.random() < 0.2 else None
     count = int(rng.integers(3, 6))
     angle = 2 * np.pi * np.arange(count) / count + rng.uniform(0, 6.3)
     away = height * rng.uniform(0.18, 0.34, count)
@@ -179,54 +140,29 @@ def hedge(
     """A clipped hedge from x = 0 to x = length, centred on y = 0; about 110 triangles a metre.
 
     Args:
-        rng: chooses unevenness and greens.
         length, height, width: metres, 0.5 to 500, 0.3 to 4 and 0.2 to 3.
-
-    Raises:
-        InputError: for impossible sizes.
     """
     require_size("hedge", "length", length, 0.5, 500.0)
     require_size("hedge", "height", height, 0.3, 4.0)
     require_size("hedge", "width", width, 0.2, 3.0)
-    green = GREENS[rng.integers(len(GREENS))] * rng.uniform(0.8, 1.1)
-    return _above_ground(
-        concatenate(
-            [_body(rng, length, height, width, green), _skin(rng, length, height, width, green)]
-        )
-    )
+    green = choose(rng, "greens") * rng.uniform(0.8, 1.1)
+    parts = [part(rng, length, height, width, green) for part in (_body, _skin)]
+    return _above_ground(concatenate(parts))
 
 
 def _body(
     rng: np.random.Generator, length: float, height: float, width: float, green: np.ndarray
 ) -> Surface:
     """A long uneven body with rounded shoulders, closed at both ends."""
-    half = width / 2
-    section = np.array(
-        [
-            (-half, 0.0),
-            (-half, 0.55 * height),
-            (-0.8 * half, 0.93 * height),
-            (0.0, 0.97 * height),
-            (0.8 * half, 0.93 * height),
-            (half, 0.55 * height),
-            (half, 0.0),
-        ]
-    ) * [0.92, 1.0]
+    y = 0.92 * width / 2 * np.array([-1.0, -1.0, -0.8, 0.0, 0.8, 1.0, 1.0])
+    z = height * np.array([0.0, 0.55, 0.93, 0.97, 0.93, 0.55, 0.0])
     steps = max(2, round(length / 0.7))
-    xs = np.linspace(0.02, length - 0.02, steps + 1)
-    rings = np.concatenate(
-        [
-            np.broadcast_to(xs[:, None, None], (steps + 1, 7, 1)),
-            np.broadcast_to(section, (steps + 1, 7, 2)),
-        ],
-        axis=2,
-    )
+    xs = np.linspace(0.02, length - 0.02, steps + 1)[:, None]
+    rings = np.stack(np.broadcast_arrays(xs, y, z), axis=-1)
     rings = rings + rng.normal(0, 0.02, rings.shape) * [0.5, 1, 1]
-    a = (7 * np.arange(steps)[:, None] + np.arange(6)).ravel()
-    faces = [np.stack([a, a + 1, a + 8], 1)[:, ::-1], np.stack([a, a + 8, a + 7], 1)[:, ::-1]]
+    sides = sheet(np.arange(7 * (steps + 1)).reshape(-1, 7))[:, ::-1]
     fan = np.array([(0, k, k + 1) for k in range(1, 6)])
-    faces += [fan[:, ::-1], fan + 7 * steps]
-    joined = np.concatenate(faces)
+    joined = np.concatenate([sides, fan[:, ::-1], fan + 7 * steps])
     shade = CORE_SHADE * rng.uniform(0.9, 1.1, (len(joined), 1))
     return Surface.make(rings.reshape(-1, 3), joined, green * shade, "foliage")
 

@@ -12,10 +12,10 @@ from recast.synthetic.scenery.primitives import (
     lathe,
     quads,
     require_size,
-    text_quads,
     tube,
 )
-from recast.synthetic.surface import Surface, concatenate
+from recast.synthetic.scenery.signs import text_quads
+from recast.synthetic.surface import Surface, barrel, concatenate
 
 DARK_IRON = (0.035, 0.038, 0.04)
 GALVANISED = (0.58, 0.59, 0.60)
@@ -27,22 +27,12 @@ def bench(rng: np.random.Generator) -> Surface:
     """A slatted bench facing -y, 1.5 to 2.0 m wide, centred at the origin."""
     half = rng.uniform(0.75, 1.0)
     wood = np.array([(0.30, 0.17, 0.08), (0.22, 0.13, 0.07), (0.09, 0.16, 0.08)][rng.integers(3)])
-    seat_y = np.array([-0.25, -0.13, -0.01, 0.11])
-    seat_low = np.column_stack([np.full(4, -half), seat_y, np.full(4, 0.42)])
-    seat = boxes(
-        seat_low,
-        seat_low + np.array([2 * half, 0.1, 0.035]),
-        wood * rng.uniform(0.8, 1.2, (4, 1)),
-        "wood",
-    )
-    rest_z = np.array([0.55, 0.68, 0.81])
-    rest_low = np.column_stack([np.full(3, -half), 0.23 + 0.25 * (rest_z - 0.55), rest_z])
-    rest = boxes(
-        rest_low,
-        rest_low + np.array([2 * half, 0.03, 0.1]),
-        wood * rng.uniform(0.8, 1.2, (3, 1)),
-        "wood",
-    )
+    low = np.array([(-half, y, 0.42) for y in (-0.25, -0.13, -0.01, 0.11)])
+    tone = wood * rng.uniform(0.8, 1.2, (4, 1))
+    seat = boxes(low, low + np.array([2 * half, 0.1, 0.035]), tone, "wood")
+    low = np.array([(-half, 0.23 + 0.25 * (z - 0.55), z) for z in (0.55, 0.68, 0.81)])
+    tone = wood * rng.uniform(0.8, 1.2, (3, 1))
+    rest = boxes(low, low + np.array([2 * half, 0.03, 0.1]), tone, "wood")
     frame = []
     for x in (-half + 0.15, half - 0.15):
         legs = [[x, -0.22, 0.0], [x, -0.19, 0.4], [x, 0.18, 0.4], [x, 0.25, 0.6], [x, 0.33, 0.92]]
@@ -53,23 +43,13 @@ def bench(rng: np.random.Generator) -> Surface:
 
 def litter_bin(rng: np.random.Generator) -> Surface:
     """A litter bin about 1 m tall, facing -y, at the origin."""
-    paint = [(0.03, 0.10, 0.05), (0.04, 0.04, 0.045), (0.2, 0.21, 0.22), (0.35, 0.12, 0.03)][
-        rng.integers(4)
-    ]
+    paints = [(0.03, 0.10, 0.05), (0.04, 0.04, 0.045), (0.2, 0.21, 0.22), (0.35, 0.12, 0.03)]
+    paint = paints[rng.integers(4)]
     height = rng.uniform(0.85, 1.05)
     if rng.random() < 0.5:
         body = lathe([(0.22, 0.0), (0.25, 0.05), (0.26, height - 0.3)], 14, paint, "plastic")
-        hood = lathe(
-            [
-                (0.28, height - 0.14),
-                (0.27, height - 0.04),
-                (0.15, height + 0.02),
-                (0.0, height + 0.03),
-            ],
-            14,
-            paint,
-            "plastic",
-        )
+        lid = [(0.28, -0.14), (0.27, -0.04), (0.15, 0.02), (0.0, 0.03)]
+        hood = at(lathe(lid, 14, paint, "plastic"), 0.0, 0.0, height)
         rim = lathe([(0.2, height - 0.32), (0.2, height - 0.1)], 14, (0.01,) * 3, "rubber")
         band = lathe([(0.265, height - 0.4), (0.265, height - 0.3)], 14, GALVANISED, "metal")
         return concatenate([body, hood, rim, band])
@@ -92,19 +72,10 @@ def hydrant(rng: np.random.Generator) -> Surface:
     paint = [(0.55, 0.03, 0.025), (0.75, 0.42, 0.02), (0.5, 0.05, 0.03)][rng.integers(3)]
     cap = paint if rng.random() < 0.5 else (0.55, 0.56, 0.57)
     top = rng.uniform(0.7, 0.8)
-    profile = [
-        (0.17, 0.0),
-        (0.17, 0.04),
-        (0.11, 0.05),
-        (0.11, top - 0.22),
-        (0.15, top - 0.21),
-        (0.15, top - 0.17),
-        (0.12, top - 0.16),
-        (0.10, top - 0.07),
-        (0.05, top - 0.03),
-        (0.03, top),
-        (0.0, top),
-    ]
+    foot = [(0.17, 0.0), (0.17, 0.04), (0.11, 0.05)]
+    radii = (0.11, 0.15, 0.15, 0.12, 0.10, 0.05, 0.03, 0.0)
+    heights = top - np.array([0.22, 0.21, 0.17, 0.16, 0.07, 0.03, 0.0, 0.0])
+    profile = [*foot, *zip(radii, heights, strict=True)]
     arm_z = top - 0.33
     outlets = [
         tube([[-0.2, 0, arm_z], [0.2, 0, arm_z]], 0.055, 8, cap, "plastic"),
@@ -116,36 +87,20 @@ def hydrant(rng: np.random.Generator) -> Surface:
 def parking_meter(rng: np.random.Generator) -> Surface:
     """A parking meter facing -y: a post with a head, or a pay cabinet, at the origin."""
     if rng.random() < 0.5:
-        head = lathe(
-            [(0.05, 1.02), (0.1, 1.06), (0.11, 1.22), (0.09, 1.33), (0.0, 1.38)],
-            12,
-            (0.16, 0.17, 0.19),
-            "plastic",
-        )
+        shape = [(0.05, 1.02), (0.1, 1.06), (0.11, 1.22), (0.09, 1.33), (0.0, 1.38)]
+        head = lathe(shape, 12, (0.16, 0.17, 0.19), "plastic")
         face = boxes((-0.06, -0.115, 1.14), (0.06, -0.09, 1.24), (0.04, 0.05, 0.06), "window")
-        return concatenate(
-            [lathe([(0.035, 0.0), (0.035, 1.04)], 8, GALVANISED, "metal"), head, face]
-        )
+        post = lathe([(0.035, 0.0), (0.035, 1.04)], 8, GALVANISED, "metal")
+        return concatenate([post, head, face])
     paint = [(0.08, 0.1, 0.13), (0.05, 0.12, 0.3), (0.25, 0.26, 0.27)][rng.integers(3)]
     height = rng.uniform(1.5, 1.7)
-    disc = tube(
-        [[0, -0.03, height + 0.35], [0, 0.03, height + 0.35]], 0.2, 16, (0.02, 0.09, 0.4), "sign"
-    )
-    return concatenate(
-        [
-            boxes((-0.16, -0.13, 0.0), (0.16, 0.13, height), paint, "plastic", bottom=False),
-            boxes(
-                (-0.1, -0.14, height - 0.4),
-                (0.1, -0.13, height - 0.2),
-                (0.04, 0.06, 0.06),
-                "window",
-            ),
-            boxes((-0.06, -0.145, height - 0.6), (0.06, -0.13, height - 0.46), GALVANISED, "metal"),
-            at(lathe([(0.03, height), (0.03, height + 0.2)], 8, GALVANISED, "metal"), 0.0, 0.0),
-            disc,
-            _letter_p(height + 0.35),
-        ]
-    )
+    body = boxes((-0.16, -0.13, -height), (0.16, 0.13, 0.0), paint, "plastic", bottom=False)
+    slot = boxes((-0.06, -0.145, -0.6), (0.06, -0.13, -0.46), GALVANISED, "metal")
+    screen = boxes((-0.1, -0.14, -0.4), (0.1, -0.13, -0.2), (0.04, 0.06, 0.06), "window")
+    neck = lathe([(0.03, 0.0), (0.03, 0.2)], 8, GALVANISED, "metal")
+    disc = tube([[0, -0.03, 0.35], [0, 0.03, 0.35]], 0.2, 16, (0.02, 0.09, 0.4), "sign")
+    parts = [body, screen, slot, neck, disc, _letter_p(0.35)]
+    return at(concatenate(parts), 0.0, 0.0, height)
 
 
 def _letter_p(z: float) -> Surface:
@@ -161,34 +116,19 @@ def bollard(rng: np.random.Generator) -> Surface:
     height = rng.uniform(0.8, 1.05)
     radius = rng.uniform(0.05, 0.09)
     paint = [DARK_IRON, (0.25, 0.26, 0.27), (0.03, 0.08, 0.05)][rng.integers(3)]
-    profile = [
-        (radius * 1.4, 0.0),
-        (radius * 1.4, 0.06),
-        (radius, 0.1),
-        (radius, height - 0.12),
-        (radius * 1.2, height - 0.1),
-        (radius * 1.2, height - 0.05),
-        (0.0, height),
-    ]
+    radii = radius * np.array([1.4, 1.4, 1.0, 1.0, 1.2, 1.2, 0.0])
+    heights = [0.0, 0.06, 0.1, height - 0.12, height - 0.1, height - 0.05, height]
+    post = lathe(np.column_stack([radii, heights]), 10, paint, "plastic")
     band = [(radius * 1.03, height - 0.32), (radius * 1.03, height - 0.2)]
-    return concatenate(
-        [
-            lathe(profile, 10, paint, "plastic"),
-            lathe(band, 10, (0.7, 0.7, 0.66), "sign"),
-        ]
-    )
+    return concatenate([post, lathe(band, 10, (0.7, 0.7, 0.66), "sign")])
 
 
 def lamp_post(rng: np.random.Generator, height: float = 8.0, reach: float = 1.6) -> Surface:
     """A street lamp: tapered post at the origin, curved arm that reaches to -y.
 
     Args:
-        rng: chooses paint, base and head.
         height: metres of the lamp over the ground, 3 to 15.
         reach: metres from the post to the middle of the head, 0.3 to 4.
-
-    Raises:
-        InputError: for impossible sizes.
     """
     require_size("lamp_post", "height", height, 3.0, 15.0)
     require_size("lamp_post", "reach", reach, 0.3, 4.0)
@@ -203,46 +143,24 @@ def lamp_post(rng: np.random.Generator, height: float = 8.0, reach: float = 1.6)
     foot = [(base * 1.5, -0.1), (base * 1.5, 0.04), (base, 0.06), (base, rng.uniform(0.8, 1.3))]
     post = lathe([*foot, (0.075, foot[-1][1] + 0.06), (0.05, height - bend)], 10, paint, material)
     angle = np.linspace(0, np.pi / 2, 5)
-    arm = np.stack(
-        [np.zeros(5), -reach * (1 - np.cos(angle)), height - bend + bend * np.sin(angle)], axis=1
-    )
-    tip = arm[-1] + [0.0, -0.1, 0.0]
-    head_length = rng.uniform(0.55, 0.8)
-    head_colour = paint if rng.random() < 0.6 else (0.5, 0.52, 0.53)
-    shell = _lamp_head(head_length, head_colour)
-    return concatenate(
-        [
-            post,
-            tube(np.vstack([arm, tip]), np.linspace(0.05, 0.03, 6), 6, paint, material),
-            at(shell, 0.0, -reach - 0.05, height),
-        ]
-    )
+    y, z = -reach * (1 - np.cos(angle)), height - bend + bend * np.sin(angle)
+    bow = np.column_stack([np.zeros(6), [*y, y[-1] - 0.1], [*z, z[-1]]])
+    arm = tube(bow, np.linspace(0.05, 0.03, 6), 6, paint, material)
+    length = rng.uniform(0.55, 0.8)
+    head = _lamp_head(length, paint if rng.random() < 0.6 else (0.5, 0.52, 0.53))
+    return concatenate([post, arm, at(head, 0.0, -reach - 0.05, height)])
 
 
 def _lamp_head(length: float, colour: tuple[float, float, float]) -> Surface:
     """A flat luminaire along -y whose lens looks down."""
     shape = [(0.0, 0.06, 0.03), (-0.2, 0.13, 0.06), (-0.75, 0.14, 0.05), (-1.0, 0.06, 0.02)]
-    rings = np.array(
-        [
-            [
-                (-w, y * length, -0.04),
-                (w, y * length, -0.04),
-                (0.7 * w, y * length, h - 0.01),
-                (-0.7 * w, y * length, h - 0.01),
-            ]
-            for y, w, h in shape
-        ]
-    )
-    vertices = rings.reshape(-1, 3)
-    faces = []
-    for k in range(len(shape) - 1):
-        for j in range(4):
-            a, b = 4 * k + j, 4 * k + (j + 1) % 4
-            faces += [(a, b, b + 4), (a, b + 4, a + 4)]
-    last = 4 * (len(shape) - 1)
-    faces += [(2, 1, 0), (3, 2, 0), (last, last + 1, last + 2), (last, last + 2, last + 3)]
+    corners = [
+        [(-w, y, -0.04), (w, y, -0.04), (0.7 * w, y, h - 0.01), (-0.7 * w, y, h - 0.01)]
+        for y, w, h in shape
+    ]
+    rings = np.array(corners) * [1.0, length, 1.0]
     lens = boxes((-0.1, -0.8 * length, -0.055), (0.1, -0.2 * length, -0.04), (0.7,) * 3, "plastic")
-    return concatenate([Surface.make(vertices, faces, colour, "plastic"), lens])
+    return concatenate([Surface.make(*barrel(rings), colour, "plastic"), lens])
 
 
 def pole_line(
@@ -251,13 +169,9 @@ def pole_line(
     """Wooden poles from x = 0 to x = length with cross arms, insulators and sagging wires.
 
     Args:
-        rng: chooses lean and colour of the poles.
         length: metres, 5 to 2000.
         spacing: metres between poles at most, 10 to 80.
         height: metres of the poles, 5 to 15.
-
-    Raises:
-        InputError: for impossible sizes.
     """
     require_size("pole_line", "length", length, 5.0, 2000.0)
     require_size("pole_line", "spacing", spacing, 10.0, 80.0)
@@ -268,19 +182,10 @@ def pole_line(
     arm_y = np.array([-0.85, 0.35, 0.85])
     arm_z = height - 0.55
     shade = np.array([0.17, 0.12, 0.08]) * rng.uniform(0.75, 1.2, (len(xs), 1))
-    parts = []
-    for x, colour in zip(xs, shade, strict=True):
-        parts.append(
-            at(lathe([(0.16, -0.3), (0.11, height), (0.0, height + 0.03)], 8, colour, "wood"), x, 0)
-        )
-    parts.append(
-        boxes(
-            np.column_stack([xs - 0.06, np.full_like(xs, -arm_half), np.full_like(xs, arm_z)]),
-            np.column_stack([xs + 0.06, np.full_like(xs, arm_half), np.full_like(xs, arm_z + 0.1)]),
-            shade,
-            "wood",
-        )
-    )
+    pole = [(0.16, -0.3), (0.11, height), (0.0, height + 0.03)]
+    parts = [at(lathe(pole, 8, tone, "wood"), x, 0) for x, tone in zip(xs, shade, strict=True)]
+    low = np.array([(x - 0.06, -arm_half, arm_z) for x in xs])
+    parts.append(boxes(low, low + np.array([0.12, 2 * arm_half, 0.1]), shade, "wood"))
     knob = lathe([(0.03, 0.0), (0.05, 0.06), (0.03, 0.14), (0.0, 0.16)], 5, (0.4,) * 3, "plastic")
     parts += [at(knob, x, y, arm_z + 0.1) for x in xs for y in arm_y]
     wires = [(y, arm_z + 0.22, 0.014) for y in arm_y] + [(0.13, height - 2.2, 0.03)]
@@ -292,8 +197,6 @@ def pole_line(
             parts.append(tube(path, radius, 3, (0.03, 0.03, 0.03), "rubber"))
     if rng.random() < 0.5:
         x = xs[int(rng.integers(len(xs)))]
-        drum = lathe(
-            [(0.0, -0.5), (0.26, -0.5), (0.26, 0.45), (0.0, 0.5)], 10, (0.35,) * 3, "metal"
-        )
-        parts.append(at(drum, x, 0.42, height - 1.9))
+        tank = [(0.0, -0.5), (0.26, -0.5), (0.26, 0.45), (0.0, 0.5)]
+        parts.append(at(lathe(tank, 10, (0.35,) * 3, "metal"), x, 0.42, height - 1.9))
     return concatenate(parts)

@@ -7,27 +7,17 @@ from itertools import pairwise
 import numpy as np
 
 from recast.synthetic.scenery.primitives import (
+    PALETTES,
     Panels,
     at,
     boxes,
+    choose,
     lathe,
     require_count,
     require_size,
 )
 from recast.synthetic.surface import Surface, concatenate
 
-PAINTS = np.array(
-    [
-        (0.30, 0.06, 0.03),
-        (0.03, 0.09, 0.26),
-        (0.04, 0.16, 0.09),
-        (0.42, 0.16, 0.02),
-        (0.45, 0.45, 0.43),
-        (0.20, 0.05, 0.04),
-        (0.05, 0.22, 0.28),
-        (0.16, 0.17, 0.18),
-    ]
-)
 CONTAINER_WIDTH, CONTAINER_HEIGHT = 2.44, 2.59
 RIB = 0.28
 """Metres from one rib of a container's walls to the next."""
@@ -36,32 +26,17 @@ PALLET_WOOD = np.array((0.33, 0.235, 0.14))
 CARTON = np.array((0.36, 0.24, 0.13))
 PALLET_HEIGHT = 0.144
 FRAME = (0.06, 0.065, 0.07)
-POSTERS = np.array(
-    [
-        [(0.02, 0.10, 0.38), (0.70, 0.70, 0.66), (0.75, 0.40, 0.02)],
-        [(0.60, 0.05, 0.03), (0.72, 0.70, 0.62), (0.04, 0.04, 0.05)],
-        [(0.70, 0.55, 0.08), (0.05, 0.05, 0.06), (0.50, 0.05, 0.04)],
-        [(0.68, 0.68, 0.66), (0.03, 0.16, 0.10), (0.30, 0.55, 0.12)],
-        [(0.05, 0.30, 0.36), (0.72, 0.70, 0.60), (0.70, 0.22, 0.10)],
-        [(0.08, 0.03, 0.14), (0.70, 0.60, 0.66), (0.65, 0.10, 0.30)],
-    ]
-)
-"""Ground, lettering and picture of each poster."""
 
 
 def container(rng: np.random.Generator, length: float = 6.06) -> Surface:
     """A shipping container, x in [-length/2, length/2], y in [0, 2.44], doors at +x.
 
     Args:
-        rng: chooses the paint and the lettering.
         length: metres, 2.5 to 16 (6.06 and 12.19 are the usual ones).
-
-    Raises:
-        InputError: for impossible lengths.
     """
     require_size("container", "length", length, 2.5, 16.0)
     half, w, h = length / 2, CONTAINER_WIDTH, CONTAINER_HEIGHT
-    paint = PAINTS[rng.integers(len(PAINTS))] * rng.uniform(0.8, 1.2)
+    paint = choose(rng, "steel_paints") * rng.uniform(0.8, 1.2)
     panels = Panels()
     frame = 0.85 * paint
     for x in (-half, half - 0.14):
@@ -73,31 +48,18 @@ def container(rng: np.random.Generator, length: float = 6.06) -> Surface:
     for y in (0.02, w - 0.12):
         panels.box((-half + 0.14, y, 0.02), (half - 0.14, y + 0.1, 0.18), frame, "plastic")
         panels.box((-half + 0.14, y, h - 0.1), (half - 0.14, y + 0.1, h - 0.01), frame, "plastic")
-    panels.box(
-        (-half + 0.05, 0.05, h - 0.06),
-        (half - 0.05, w - 0.05, h - 0.02),
-        paint,
-        "corrugated",
-        "bfklr",
-    )
+    roof = (-half + 0.05, 0.05, h - 0.06), (half - 0.05, w - 0.05, h - 0.02)
+    panels.box(*roof, paint, "corrugated", "bfklr")
     _ribs(panels, half, 0.06, paint, front=True)
     _ribs(panels, half, w - 0.06, paint, front=False)
-    panels.box(
-        (-half + 0.06, 0.14, 0.1), (half - 0.08, w - 0.14, h - 0.08), paint, "corrugated", "btfk"
-    )
-    for y in np.array([0.35, 0.85, w - 0.89, w - 0.39]):
-        panels.box(
-            (half - 0.08, y, 0.12), (half - 0.03, y + 0.04, h - 0.12), (0.4, 0.4, 0.4), "metal"
-        )
-        panels.box(
-            (half - 0.08, y - 0.04, 1.0), (half - 0.02, y + 0.22, 1.06), (0.4, 0.4, 0.4), "metal"
-        )
-    panels.box(
-        (half - 0.09, w / 2 - 0.02, 0.1),
-        (half - 0.07, w / 2 + 0.02, h - 0.1),
-        0.2 * paint,
-        "rubber",
-    )
+    ends = (-half + 0.06, 0.14, 0.1), (half - 0.08, w - 0.14, h - 0.08)
+    panels.box(*ends, paint, "corrugated", "btfk")
+    grey, x = (0.4, 0.4, 0.4), half - 0.08
+    for y in (0.35, 0.85, w - 0.89, w - 0.39):
+        panels.box((x, y, 0.12), (half - 0.03, y + 0.04, h - 0.12), grey, "metal")
+        panels.box((x, y - 0.04, 1.0), (half - 0.02, y + 0.22, 1.06), grey, "metal")
+    joint = (half - 0.09, w / 2 - 0.02, 0.1), (half - 0.07, w / 2 + 0.02, h - 0.1)
+    panels.box(*joint, 0.2 * paint, "rubber")
     _lettering(panels, rng, half, paint)
     return panels.surface()
 
@@ -107,17 +69,11 @@ def _ribs(panels: Panels, half: float, y: float, paint: np.ndarray, front: bool)
     count = max(4, round((2 * half - 0.28) / RIB))
     edges = np.linspace(-half + 0.14, half - 0.14, count + 1)
     step = edges[1] - edges[0]
-    inner = y + (0.045 if front else -0.045)
-    for a in edges[:-1]:
-        xs = a + step * np.array([0.0, 0.32, 0.5, 0.82, 1.0])
-        ys = [y, y, inner, inner, y]
-        for k in range(4):
-            piece = [
-                (xs[k], ys[k], 0.15),
-                (xs[k + 1], ys[k + 1], 0.15),
-                (xs[k + 1], ys[k + 1], CONTAINER_HEIGHT - 0.08),
-                (xs[k], ys[k], CONTAINER_HEIGHT - 0.08),
-            ]
+    inner, low, high = y + (0.045 if front else -0.045), 0.15, CONTAINER_HEIGHT - 0.08
+    for start in edges[:-1]:
+        xs = start + step * np.array([0.0, 0.32, 0.5, 0.82, 1.0])
+        for (a, c), (b, d) in pairwise(zip(xs, (y, y, inner, inner, y), strict=True)):
+            piece = [(a, c, low), (b, d, low), (b, d, high), (a, c, high)]
             panels.polygon(piece if front else piece[::-1], paint, "plastic")
 
 
@@ -144,11 +100,7 @@ def pallets(rng: np.random.Generator, count: int | None = None) -> Surface:
     """A stack of wooden pallets, 1.2 m x 1.0 m about the origin; low stacks may carry goods.
 
     Args:
-        rng: chooses goods and unevenness.
         count: pallets in the stack, 1 to 20; drawn when None.
-
-    Raises:
-        InputError: for impossible counts.
     """
     if count is None:
         count = int(rng.integers(1, 3)) if rng.random() < 0.6 else int(rng.integers(4, 12))
@@ -167,70 +119,36 @@ def _pallet(rng: np.random.Generator) -> Surface:
     tone = PALLET_WOOD * rng.uniform(0.7, 1.2)
     low = np.array([(-0.6, y, 0.0) for y in (-0.5, -0.05, 0.4)])
     skids = boxes(low, low + np.array([1.2, 0.1, 0.12]), 0.85 * tone, "wood", bottom=False)
-    top = np.array([(x, -0.5, 0.12) for x in np.linspace(-0.6, 0.42, 5)])
-    return concatenate(
-        [
-            skids,
-            boxes(
-                top,
-                top + np.array([0.18, 1.0, 0.022]),
-                tone * rng.uniform(0.85, 1.15, (5, 1)),
-                "wood",
-            ),
-        ]
-    )
+    low = np.array([(x, -0.5, 0.12) for x in np.linspace(-0.6, 0.42, 5)])
+    tones = tone * rng.uniform(0.85, 1.15, (5, 1))
+    return concatenate([skids, boxes(low, low + np.array([0.18, 1.0, 0.022]), tones, "wood")])
 
 
 def _goods(rng: np.random.Generator) -> Surface:
     """Cartons, drums, or a block in foil."""
     kind = rng.choice(["cartons", "drums", "foil"])
     if kind == "drums":
-        paint = PAINTS[rng.integers(len(PAINTS))]
-        drum = lathe(
-            [
-                (0.24, 0.0),
-                (0.24, 0.3),
-                (0.25, 0.31),
-                (0.24, 0.32),
-                (0.24, 0.84),
-                (0.22, 0.86),
-                (0.0, 0.86),
-            ],
-            12,
-            paint,
-            "plastic",
-        )
+        paint = choose(rng, "steel_paints")
+        shape = [(0.24, 0.0), (0.24, 0.3), (0.25, 0.31), (0.24, 0.32), (0.24, 0.84)]
+        drum = lathe([*shape, (0.22, 0.86), (0.0, 0.86)], 12, paint, "plastic")
         return concatenate([at(drum, x, y) for x in (-0.28, 0.28) for y in (-0.25, 0.25)])
     if kind == "foil":
-        grey = rng.uniform(0.3, 0.6)
-        return boxes(
-            (-0.56, -0.46, 0),
-            (0.56, 0.46, rng.uniform(0.8, 1.3)),
-            (grey, grey, 1.03 * grey),
-            "plastic",
-        )
+        grey, top = rng.uniform(0.3, 0.6), rng.uniform(0.8, 1.3)
+        return boxes((-0.56, -0.46, 0), (0.56, 0.46, top), (grey, grey, 1.03 * grey), "plastic")
     layers = int(rng.integers(2, 5))
     low = np.array(
         [(x, y, 0.3 * z) for z in range(layers) for x in (-0.58, -0.19, 0.2) for y in (-0.48, 0.01)]
     )
     low = low[: len(low) - int(rng.integers(0, 4))]
-    return boxes(
-        low,
-        low + np.array([0.37, 0.47, 0.295]),
-        CARTON * rng.uniform(0.85, 1.15, (len(low), 1)),
-        "matte",
-    )
+    tones = CARTON * rng.uniform(0.85, 1.15, (len(low), 1))
+    return boxes(low, low + np.array([0.37, 0.47, 0.295]), tones, "matte")
 
 
 def hoarding(rng: np.random.Generator, width: float = 6.0, height: float = 3.0) -> Surface:
     """An advertising board on legs, facing -y, centred at x = 0; its lower edge 2.2 to 3 m up.
 
     Args:
-        rng: chooses the poster and how high it stands.
         width, height: metres of the board, 1 to 20 and 0.8 to 10.
-
-    Raises:
-        InputError: for impossible sizes.
     """
     require_size("hoarding", "width", width, 1.0, 20.0)
     require_size("hoarding", "height", height, 0.8, 10.0)
@@ -243,13 +161,13 @@ def hoarding(rng: np.random.Generator, width: float = 6.0, height: float = 3.0) 
     legs = max(2, round(width / 3.5))
     for x in np.linspace(-0.7 * half, 0.7 * half, legs):
         panels.box((x - 0.1, 0.1, -0.4), (x + 0.1, 0.3, top - 0.2), (0.2, 0.21, 0.22), "metal", "b")
-        brace = [(x - 0.05, 1.3, 0.0), (x + 0.05, 1.3, 0.0), (x + 0.05, 0.3, low + 0.6 * height)]
-        panels.polygon([*brace, (x - 0.05, 0.3, low + 0.6 * height)], (0.2, 0.21, 0.22), "metal")
+        a, b, z = x - 0.05, x + 0.05, low + 0.6 * height
+        brace = [(a, 1.3, 0.0), (b, 1.3, 0.0), (b, 0.3, z), (a, 0.3, z)]
+        panels.polygon(brace, (0.2, 0.21, 0.22), "metal")
     panels.box((-half, -0.75, low - 0.1), (half, 0.1, low - 0.05), (0.16, 0.165, 0.17), "metal")
     for x in np.linspace(-0.6 * half, 0.6 * half, legs):
-        panels.box(
-            (x - 0.02, -0.7, low - 0.05), (x + 0.02, -0.66, low + 0.2), FRAME, "plastic", "b"
-        )
+        stem = (x - 0.02, -0.7, low - 0.05), (x + 0.02, -0.66, low + 0.2)
+        panels.box(*stem, FRAME, "plastic", "b")
         panels.box((x - 0.15, -0.78, low + 0.2), (x + 0.15, -0.6, low + 0.28), FRAME, "plastic")
     return panels.surface()
 
@@ -258,13 +176,13 @@ def _poster(
     panels: Panels, rng: np.random.Generator, left: float, right: float, low: float, high: float
 ) -> None:
     """Ground in shaded bands, a round or slanted picture on one side, lines of lettering beside."""
-    ground, ink, picture = POSTERS[rng.integers(len(POSTERS))] * rng.uniform(0.85, 1.1)
+    posters = PALETTES["posters"].reshape(-1, 3, 3)
+    ground, ink, picture = posters[rng.integers(len(posters))] * rng.uniform(0.85, 1.1)
     width, height = right - left, high - low
     edges = np.linspace(low, high, 7)
     for k, (a, b) in enumerate(pairwise(edges)):
-        panels.rect(
-            left, right, a, b, -0.105, np.clip(ground * (0.8 + 0.07 * k), 0, 0.9), "plastic"
-        )
+        shade = np.clip(ground * (0.8 + 0.07 * k), 0, 0.9)
+        panels.rect(left, right, a, b, -0.105, shade, "plastic")
     mirrored = rng.random() < 0.5
     radius = 0.38 * min(height, 0.55 * width)
     cx = right - 1.25 * radius if mirrored else left + 1.25 * radius

@@ -1,16 +1,19 @@
-"""Boxes, panels, prisms, lathed bodies and letters, put together within checked sizes."""
+"""Boxes, panels, prisms and lathed bodies, put together within checked sizes.
+
+Colours are linear RGB (3,); a material is a name in `MATERIALS`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.synthetic.surface import Surface, concatenate
+from recast.geometry import se3
+from recast.synthetic.surface import Surface, barrel, concatenate, sheet
 
 BOX_FACES = np.array(
     [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
@@ -18,8 +21,49 @@ BOX_FACES = np.array(
 """Quads over the corners numbered x + 2 y + 4 z: bottom, top, -y, +y, -x, +x."""
 _BOX_CORNERS = np.array([[k & 1, k >> 1 & 1, k >> 2] for k in range(8)], np.float64)
 Point = Sequence[float]
-GLYPH_WIDTH = 0.6
-"""Width of a glyph's centre lines as a share of its height."""
+
+
+_PALETTES = """
+glass: .02 .025 .03, .035 .04 .042, .014 .016 .02, .05 .05 .045;
+blinds: .48 .46 .4, .4 .36 .3, .52 .52 .5, .3 .24 .2;
+bricks: .31 .12 .075, .4 .2 .12, .24 .115 .085, .48 .37 .25, .36 .155 .09;
+plasters: .6 .55 .45, .56 .46 .3, .64 .62 .58, .5 .34 .26, .42 .46 .43, .58 .42 .33, .38 .43 .49,
+    .66 .6 .44, .46 .44 .42;
+boards: .62 .62 .6, .3 .37 .44, .58 .51 .33, .33 .38 .31;
+frames: .68 .68 .66, .68 .68 .66, .05 .05 .055, .16 .09 .05, .1 .14 .13;
+doors: .2 .02 .02, .02 .06 .12, .03 .09 .05, .1 .055 .03, .02 .02 .022, .4 .27 .05;
+shed_claddings: .42 .44 .45, .52 .52 .5, .18 .24 .3, .26 .32 .27, .5 .46 .37, .13 .14 .15;
+accents: .03 .1 .3, .35 .03 .025, .04 .18 .09, .5 .22 .02, .06 .065 .07;
+door_paints: .45 .46 .47, .05 .12 .28, .3 .06 .04, .5 .48 .42;
+office_claddings: .48 .47 .44, .36 .36 .36, .58 .57 .54, .2 .21 .22, .42 .34 .26, .3 .16 .11;
+tints: .02 .035 .05, .03 .05 .05, .025 .03 .03, .04 .06 .085;
+tiles: .23 .085 .05, .19 .085 .06, .075 .08 .09, .12 .1 .09, .24 .11 .07, .1 .11 .12,
+    .15 .125 .11;
+shop_paints: .03 .07 .05, .04 .06 .14, .16 .025 .03, .02 .02 .022, .45 .42 .35, .3 .17 .03,
+    .06 .2 .22, .24 .08 .16;
+steel_paints: .3 .06 .03, .03 .09 .26, .04 .16 .09, .42 .16 .02, .45 .45 .43, .2 .05 .04,
+    .05 .22 .28, .16 .17 .18;
+posters: .02 .1 .38, .7 .7 .66, .75 .4 .02, .6 .05 .03, .72 .7 .62, .04 .04 .05, .7 .55 .08,
+    .05 .05 .06, .5 .05 .04, .68 .68 .66, .03 .16 .1, .3 .55 .12, .05 .3 .36, .72 .7 .6,
+    .7 .22 .1, .08 .03 .14, .7 .6 .66, .65 .1 .3;
+greens: .125 .205 .04, .09 .175 .045, .165 .215 .042, .105 .16 .055, .17 .185 .035, .08 .15 .038;
+needles: .042 .09 .032, .058 .096 .058, .066 .098 .03;
+barks: .11 .085 .06, .15 .13 .11, .09 .07 .055;
+blossoms: .62 .6 .52, .55 .16 .26, .6 .42 .05, .32 .2 .5;
+trims: .52 .5 .45, .6 .58 .54;
+mullions: .05 .052 .055, .42 .43 .44;
+"""
+PALETTES: dict[str, Array] = {
+    name.strip(): np.array(values.replace(",", " ").split(), np.float64).reshape(-1, 3)
+    for name, values in (entry.split(":") for entry in _PALETTES.strip(" ;\n").split(";"))
+}
+"""Linear RGB (N, 3). Glass: rooms behind windows by day. Greens: leaves, with the light that shines
+through them. Posters have three each: ground, lettering, picture."""
+
+
+def choose(rng: np.random.Generator, palette: str) -> Array:
+    """One colour of `PALETTES`."""
+    return PALETTES[palette][rng.integers(len(PALETTES[palette]))]
 
 
 def require_size(where: str, field: str, value: float, least: float, greatest: float) -> float:
@@ -51,7 +95,6 @@ def quads(corners: ArrayLike, colour: ArrayLike, material: str) -> Surface:
     Args:
         corners: (N, 4, 3) metres, counter-clockwise seen from the side that is looked at.
         colour: (3,) or (N, 3) linear RGB.
-        material: a name in `MATERIALS`.
     """
     points = np.asarray(corners, np.float64).reshape(-1, 4, 3)
     first = 4 * np.arange(len(points))[:, None]
@@ -68,7 +111,6 @@ def boxes(
     Args:
         lower, upper: (N, 3) or (3,) opposite corners, metres.
         colour: (3,) or (N, 3) linear RGB.
-        material: a name in `MATERIALS`.
         bottom: False leaves the bottoms out, for what stands on the ground.
     """
     both = (np.asarray(corner, np.float64).reshape(-1, 3) for corner in (lower, upper))
@@ -79,34 +121,22 @@ def boxes(
     return quads(corners[:, sides], np.repeat(per_box, len(sides), axis=0), material)
 
 
-def lathe(
-    profile: ArrayLike, sides: int, colour: ArrayLike, material: str, phase: float = 0.0
-) -> Surface:
+def lathe(profile: ArrayLike, sides: int, colour: ArrayLike, material: str) -> Surface:
     """A body of revolution about z.
 
     Args:
         profile: (K, 2) radius and height, from the bottom up; a radius of 0 closes the end.
         sides: of each ring.
-        colour: (3,) linear RGB.
-        material: a name in `MATERIALS`.
-        phase: radians to turn it by.
     """
     radius, height = np.asarray(profile, np.float64).T
-    angle = phase + 2 * np.pi * np.arange(sides) / sides
+    angle = 2 * np.pi * np.arange(sides) / sides
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     xy = radius[:, None, None] * ring
     z = np.broadcast_to(height[:, None, None], (len(radius), sides, 1))
-    faces = []
-    for k in range(len(radius) - 1):
-        a = k * sides + np.arange(sides)
-        b = k * sides + (np.arange(sides) + 1) % sides
-        if radius[k] > 0:
-            faces.append(np.stack([a, b, b + sides], axis=1))
-        if radius[k + 1] > 0:
-            faces.append(np.stack([a, b + sides, a + sides], axis=1))
-    return Surface.make(
-        np.concatenate([xy, z], axis=2).reshape(-1, 3), np.concatenate(faces), colour, material
-    )
+    index = np.arange(radius.size * sides).reshape(-1, sides)
+    lower, upper = sheet(index, closed=True).reshape(2, -1, sides, 3)
+    faces = np.concatenate([lower[radius[:-1] > 0], upper[radius[1:] > 0]])
+    return Surface.make(np.concatenate([xy, z], axis=2), faces, colour, material)
 
 
 def prism(outline: ArrayLike, low: float, high: float, colour: ArrayLike, material: str) -> Surface:
@@ -115,22 +145,10 @@ def prism(outline: ArrayLike, low: float, high: float, colour: ArrayLike, materi
     Args:
         outline: (K, 2) metres, counter-clockwise seen from above.
         low, high: heights of the ends.
-        colour: (3,) linear RGB.
-        material: a name in `MATERIALS`.
     """
     points = np.asarray(outline, np.float64)
-    count = len(points)
-    following = np.roll(np.arange(count), -1)
-    ends = [np.column_stack([points, np.full(count, z)]) for z in (low, high)]
-    a = np.arange(count)
-    fan = np.stack([np.zeros(count - 2, int), a[1:-1], a[2:]], axis=1)
-    faces = [
-        np.stack([a, following, following + count], axis=1),
-        np.stack([a, following + count, a + count], axis=1),
-        fan[:, ::-1],
-        fan + count,
-    ]
-    return Surface.make(np.concatenate(ends), np.concatenate(faces), colour, material, 0.0)
+    ends = np.stack([np.column_stack([points, np.full(len(points), z)]) for z in (low, high)])
+    return Surface.make(*barrel(ends), colour, material, 0.0)
 
 
 def tube(
@@ -142,12 +160,9 @@ def tube(
         path: (K, 3) centre line, metres; no direction may turn by a right angle at one point.
         radii: (K,) or one radius.
         sides: of the cross section.
-        colour: (3,) linear RGB.
-        material: a name in `MATERIALS`.
     """
     points = np.asarray(path, np.float64)
-    count = len(points)
-    radius = np.broadcast_to(np.asarray(radii, np.float64), (count,))
+    radius = np.broadcast_to(np.asarray(radii, np.float64), (len(points),))
     along = np.gradient(points, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     # Any fixed direction far from the path serves to keep the rings from twisting.
@@ -157,17 +172,7 @@ def tube(
     other = np.cross(along, side)
     angle = 2 * np.pi * np.arange(sides) / sides
     ring = np.cos(angle)[:, None] * side[:, None] + np.sin(angle)[:, None] * other[:, None]
-    vertices = (points[:, None] + radius[:, None, None] * ring).reshape(-1, 3)
-    a = (np.arange(count - 1)[:, None] * sides + np.arange(sides)).ravel()
-    b = (np.arange(count - 1)[:, None] * sides + np.roll(np.arange(sides), -1)).ravel()
-    fan = np.stack([np.zeros(sides - 2, int), np.arange(1, sides - 1), np.arange(2, sides)], 1)
-    faces = [
-        np.stack([a, b, b + sides], axis=1),
-        np.stack([a, b + sides, a + sides], axis=1),
-        fan[:, ::-1],
-        fan + (count - 1) * sides,
-    ]
-    return Surface.make(vertices, np.concatenate(faces), colour, material)
+    return Surface.make(*barrel(points[:, None] + radius[:, None, None] * ring), colour, material)
 
 
 def stations(length: float, spacing: float) -> Array:
@@ -182,11 +187,7 @@ def at(surface: Surface, x: float, y: float, z: float = 0.0, heading: float = 0.
 
 def pose(x: float, y: float, z: float = 0.0, heading: float = 0.0) -> Array:
     """(4, 4) turn about z by `heading` radians, then a shift."""
-    transform = np.eye(4)
-    c, s = np.cos(heading), np.sin(heading)
-    transform[:2, :2] = [[c, -s], [s, c]]
-    transform[:3, 3] = (x, y, z)
-    return transform
+    return se3.from_rotation_translation(se3.rotation_z(heading), np.array([x, y, z]))
 
 
 FACING_MINUS_X: Array = np.array([[0, 0, -1.0, 0], [-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
@@ -209,18 +210,17 @@ class Panels:
 
     def rect(
         self,
-        left: float,
-        right: float,
+        a: float,
+        b: float,
         low: float,
         high: float,
         y: float,
         colour: ArrayLike,
         material: str,
     ) -> None:
-        """An upright rectangle that looks to -y; none where it would have no area."""
-        if right - left > 1e-6 and high - low > 1e-6:
-            points = [(left, y, low), (right, y, low), (right, y, high), (left, y, high)]
-            self.polygon(points, colour, material)
+        """An upright rectangle from x = a to b that looks to -y; none where it has no area."""
+        if b - a > 1e-6 and high - low > 1e-6:
+            self.polygon([(a, y, low), (b, y, low), (b, y, high), (a, y, high)], colour, material)
 
     def box(
         self, lower: Point, upper: Point, colour: ArrayLike, material: str, skip: str = ""
@@ -256,64 +256,3 @@ class Panels:
             colours = np.repeat([colour for _, colour in pieces], np.array(counts) - 2, axis=0)
             parts.append(Surface.make(vertices, faces, colours, material, 0.0))
         return concatenate(parts)
-
-
-def _arc(cx: float, cy: float, rx: float, ry: float, start: float, end: float) -> list[list[float]]:
-    """Points on an ellipse from one angle to another, degrees counter-clockwise from +u."""
-    steps = max(2, round(abs(end - start) / 30))
-    angle = np.deg2rad(np.linspace(start, end, steps + 1))
-    return np.column_stack([cx + rx * np.cos(angle), cy + ry * np.sin(angle)]).tolist()
-
-
-_UPPER = (0.3, 0.74, 0.27, 0.26)
-_LOWER = (0.3, 0.27, 0.3, 0.27)
-STROKES: dict[str, list[list[list[float]]]] = {
-    "0": [_arc(0.3, 0.5, 0.3, 0.5, 0, 360)],
-    "1": [[[0.1, 0.78], [0.36, 1.0], [0.36, 0.0]]],
-    "2": [[*_arc(0.3, 0.72, 0.3, 0.28, 170, -30), [0.0, 0.0], [0.6, 0.0]]],
-    "3": [_arc(*_UPPER, 160, -90), _arc(*_LOWER, 90, -160)],
-    "4": [[[0.45, 0.0], [0.45, 1.0], [0.0, 0.3], [0.62, 0.3]]],
-    "5": [[[0.55, 1.0], [0.08, 1.0], [0.04, 0.52], *_arc(0.28, 0.31, 0.32, 0.31, 120, -150)]],
-    "6": [[[0.5, 0.97], *_arc(0.42, 0.4, 0.42, 0.57, 110, 180)], _arc(*_LOWER, 0, 360)],
-    "7": [[[0.0, 1.0], [0.6, 1.0], [0.22, 0.0]]],
-    "8": [_arc(*_UPPER, 0, 360), _arc(*_LOWER, 0, 360)],
-    "9": [_arc(0.3, 0.72, 0.3, 0.28, 0, 360), [[0.6, 0.72], *_arc(0.2, 0.6, 0.4, 0.58, 0, -80)]],
-    "O": [_arc(0.3, 0.5, 0.32, 0.5, 0, 360)],
-    "P": [[[0.03, 0.0], [0.03, 1.0], *_arc(0.3, 0.74, 0.3, 0.26, 90, -90), [0.03, 0.48]]],
-    "S": [[*_arc(0.3, 0.75, 0.28, 0.25, 30, 270), *_arc(0.3, 0.25, 0.3, 0.25, 90, -150)]],
-    "T": [[[0.0, 1.0], [0.6, 1.0]], [[0.3, 1.0], [0.3, 0.0]]],
-    "!": [[[0.3, 1.0], [0.3, 0.35]], [[0.3, 0.1], [0.3, 0.02]]],
-    "^": [[[0.3, 0.0], [0.3, 1.0]], [[0.0, 0.62], [0.3, 1.0], [0.6, 0.62]]],
-    "<": [[[0.62, 0.5], [0.0, 0.5]], [[0.3, 0.85], [0.0, 0.5], [0.3, 0.15]]],
-    ">": [[[0.0, 0.5], [0.62, 0.5]], [[0.3, 0.85], [0.62, 0.5], [0.3, 0.15]]],
-}
-
-
-def text_quads(text: str, height: float, weight: float = 0.17) -> Array:
-    """Flat four-sided pieces that draw a text, centred at the origin.
-
-    Args:
-        text: of the characters in `STROKES`.
-        height: metres.
-        weight: thickness of the strokes as a share of the height.
-
-    Returns:
-        (N, 4, 2) metres, u to the reader's right, v up, counter-clockwise.
-    """
-    advance = GLYPH_WIDTH + 2.2 * weight
-    first = -(len(text) * advance - 1.2 * weight - weight) / 2
-    inner = 1.0 - weight
-    pieces = []
-    for k, character in enumerate(text):
-        for stroke in STROKES[character]:
-            points = np.asarray(stroke) * [1.0, inner] + [first + k * advance, -inner / 2]
-            pieces += [_segment(a, b, weight / 2) for a, b in pairwise(points)]
-    return np.stack(pieces) * height
-
-
-def _segment(a: Array, b: Array, half: float) -> Array:
-    """A bar from a to b, a little longer than that so that bends have no gaps."""
-    along = (b - a) / np.linalg.norm(b - a)
-    across = half * np.array([-along[1], along[0]])
-    a, b = a - 0.45 * half * along, b + 0.45 * half * along
-    return np.stack([a - across, b - across, b + across, a + across])

@@ -1,6 +1,8 @@
-"""Road signs on posts, and traffic signals."""
+"""Road signs on posts, the letters on them, and traffic signals."""
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +17,6 @@ from recast.synthetic.scenery.primitives import (
     require_count,
     require_known,
     require_size,
-    text_quads,
     tube,
 )
 from recast.synthetic.surface import Surface, concatenate
@@ -31,6 +32,22 @@ BLACK = (0.012, 0.012, 0.012)
 GREY = (0.3, 0.31, 0.32)
 STEEL = (0.6, 0.61, 0.62)
 
+_FACES = {
+    "stop": (8, 1 / np.cos(np.pi / 8), np.pi / 8, WHITE, 0.92, RED),
+    "yield": (3, 1.25, -np.pi / 2, RED, 0.62, WHITE),
+    "speed": (28, 1.0, 0.0, RED, 0.78, WHITE),
+    "warning": (4, 1.35, 0.0, BLACK, 0.94, YELLOW),
+    "parking": (4, 1.2, np.pi / 4, WHITE, 0.93, BLUE),
+}
+"""Corners, radius over half the size, phase; colour of the rim; share within it and its colour."""
+_LETTERS = {
+    "stop": ("STOP", 0.5, WHITE, 0.15),
+    "warning": ("!", 1.15, BLACK, 0.2),
+    "parking": ("P", 1.15, WHITE, 0.17),
+}
+"""Text, height over half the size, colour, weight."""
+GLYPH_WIDTH = 0.6
+"""Width of a glyph's centre lines as a share of its height."""
 LAYER = 0.004
 """Metres between a sign's painted layers."""
 SIGNAL_STATES = ("red", "amber", "green", "off")
@@ -45,13 +62,9 @@ def road_sign(rng: np.random.Generator, kind: str, speed: int = 50) -> Surface:
     """A sign that faces -x, read by traffic that drives in +x; its post stands at the origin.
 
     Args:
-        rng: chooses size and height within the usual, and what a direction board says.
         kind: "stop" (octagon), "yield" (triangle), "speed" (circle), "warning" (diamond),
             "direction" (board on two posts) or "parking" (square).
         speed: number on a "speed" sign, 1 to 199.
-
-    Raises:
-        InputError: for unknown kinds and impossible speeds.
     """
     require_known("road_sign", "kind", kind, SIGN_KINDS)
     require_count("road_sign", "speed", speed, 1, 199)
@@ -60,13 +73,15 @@ def road_sign(rng: np.random.Generator, kind: str, speed: int = 50) -> Surface:
     size = rng.uniform(0.68, 0.82)
     centre = rng.uniform(2.25, 2.55)
     half = size / 2
-    face = {
-        "stop": lambda: _stop(half),
-        "yield": lambda: _yield(half),
-        "speed": lambda: _speed(half, speed),
-        "warning": lambda: _warning(half),
-        "parking": lambda: _parking(half),
-    }[kind]()
+    sides, radius, phase, rim, inset, ground = _FACES[kind]
+    outline = half * _polygon(sides, radius, phase)
+    parts = [_plate(outline), _layer(outline, 1, rim), _layer(inset * outline, 2, ground)]
+    if kind == "speed":
+        parts.append(_text(str(speed), (0.86 if speed < 100 else 0.6) * half, BLACK))
+    elif kind in _LETTERS:
+        text, height, ink, weight = _LETTERS[kind]
+        parts.append(_text(text, height * half, ink, weight=weight))
+    face = concatenate(parts)
     mount = FACING_MINUS_X.copy()
     mount[:3, 3] = (-0.05, 0.0, centre)
     top = centre + 0.75 * half
@@ -104,63 +119,6 @@ def _text(
     flat = text_quads(text, height, weight) + np.array([u, v])
     corners = np.concatenate([flat, np.full((*flat.shape[:2], 1), level * LAYER)], axis=2)
     return quads(corners, colour, "sign")
-
-
-def _stop(half: float) -> Surface:
-    octagon = _polygon(8, half / np.cos(np.pi / 8), np.pi / 8)
-    return concatenate(
-        [
-            _plate(octagon),
-            _layer(octagon, 1, WHITE),
-            _layer(0.92 * octagon, 2, RED),
-            _text("STOP", 0.5 * half, WHITE, weight=0.15),
-        ]
-    )
-
-
-def _yield(half: float) -> Surface:
-    triangle = _polygon(3, 1.25 * half, -np.pi / 2)
-    return concatenate(
-        [_plate(triangle), _layer(triangle, 1, RED), _layer(0.62 * triangle, 2, WHITE)]
-    )
-
-
-def _speed(half: float, speed: int) -> Surface:
-    disc = _polygon(28, half, 0.0)
-    text = str(speed)
-    height = (0.86 if len(text) < 3 else 0.6) * half
-    return concatenate(
-        [
-            _plate(disc),
-            _layer(disc, 1, RED),
-            _layer(0.78 * disc, 2, WHITE),
-            _text(text, height, BLACK),
-        ]
-    )
-
-
-def _warning(half: float) -> Surface:
-    diamond = _polygon(4, 1.35 * half, 0.0)
-    return concatenate(
-        [
-            _plate(diamond),
-            _layer(diamond, 1, BLACK),
-            _layer(0.94 * diamond, 2, YELLOW),
-            _text("!", 1.15 * half, BLACK, weight=0.2),
-        ]
-    )
-
-
-def _parking(half: float) -> Surface:
-    square = _polygon(4, 1.2 * half, np.pi / 4)
-    return concatenate(
-        [
-            _plate(square),
-            _layer(square, 1, WHITE),
-            _layer(0.93 * square, 2, BLUE),
-            _text("P", 1.15 * half, WHITE),
-        ]
-    )
 
 
 def _direction_board(rng: np.random.Generator) -> Surface:
@@ -205,31 +163,24 @@ def _name(rng: np.random.Generator, v: float, start: float, end: float) -> Surfa
     for k in range(count):
         a, b = u[k], u[k] + pitch - gap[k]
         stem = 0.3 * (b - a)
-        pieces.append(
-            [(a, v - 0.12), (a + stem, v - 0.12), (a + stem, v + top[k]), (a, v + top[k])]
-        )
+        pieces.append((a, a + stem, v - 0.12, v + top[k]))
         across = v + rng.choice([-0.12, 0.03])
-        pieces.append([(a, across), (b, across), (b, across + 0.04), (a, across + 0.04)])
+        pieces.append((a, b, across, across + 0.04))
         if rng.random() < 0.6:
-            pieces.append(
-                [(b - stem, v - 0.12), (b, v - 0.12), (b, v + 0.07), (b - stem, v + 0.07)]
-            )
-    flat = np.asarray(pieces)
-    corners = np.concatenate([flat, np.full((*flat.shape[:2], 1), 3 * LAYER)], axis=2)
-    return quads(corners, WHITE, "sign")
+            pieces.append((b - stem, b, v - 0.12, v + 0.07))
+    left, right, low, high = np.transpose(pieces)
+    z = np.full_like(left, 3 * LAYER)
+    corners = [(left, low, z), (right, low, z), (right, high, z), (left, high, z)]
+    return quads(np.moveaxis(np.array(corners), 2, 0), WHITE, "sign")
 
 
 def traffic_signal(rng: np.random.Generator, state: str = "red", reach: float = 0.0) -> Surface:
     """A signal that faces -x, read by traffic that drives in +x.
 
     Args:
-        rng: chooses the pole's paint and the boards behind the lamps.
         state: "red", "amber", "green" or "off".
         reach: metres of a mast arm to +y, over the road for traffic on the right, with a second
             head at its end; 0 for none, else 2 to 12.
-
-    Raises:
-        InputError: for unknown states and impossible reaches.
     """
     require_known("traffic_signal", "state", state, SIGNAL_STATES)
     if reach != 0.0:
@@ -242,23 +193,11 @@ def traffic_signal(rng: np.random.Generator, state: str = "red", reach: float = 
     bordered = rng.random() < 0.5
     radius = 0.06 if reach == 0.0 else 0.11
     top = 3.6 if reach == 0.0 else 6.2
-    pole = lathe(
-        [
-            (2.2 * radius, -0.2),
-            (2.2 * radius, 0.03),
-            (1.25 * radius, 0.05),
-            (radius, 0.5),
-            (0.8 * radius, top),
-            (0.0, top + 0.02),
-        ],
-        10,
-        paint,
-        material,
-    )
-    low = at(_head(state, bordered), -0.2, 0.0, 2.45)
+    radii = radius * np.array([2.2, 2.2, 1.25, 1.0, 0.8, 0.0])
+    heights = (-0.2, 0.03, 0.05, 0.5, top, top + 0.02)
     parts = [
-        pole,
-        low,
+        lathe(np.column_stack([radii, heights]), 10, paint, material),
+        at(_head(state, bordered), -0.2, 0.0, 2.45),
         boxes((-0.2, -0.03, 2.6), (0.0, 0.03, 2.66), HOUSING, "plastic"),
         boxes((-0.2, -0.03, 3.2), (0.0, 0.03, 3.26), HOUSING, "plastic"),
     ]
@@ -275,27 +214,14 @@ def _head(state: str, bordered: bool) -> Surface:
     parts = [boxes((-0.12, -0.16, 0.0), (0.1, 0.16, 1.0), HOUSING, "plastic")]
     if bordered:
         parts.append(boxes((-0.01, -0.27, -0.1), (0.01, 0.27, 1.1), HOUSING, "plastic"))
-        edge = np.array(
-            [
-                (-0.013, -0.27, -0.1),
-                (-0.013, 0.245, -0.1),
-                (-0.013, -0.27, 1.075),
-                (-0.013, -0.27, -0.1),
-            ]
-        )
-        size = np.array(
-            [(0.004, 0.025, 1.2), (0.004, 0.025, 1.2), (0.004, 0.54, 0.025), (0.004, 0.54, 0.025)]
-        )
-        parts.append(boxes(edge, edge + size, (0.6, 0.6, 0.58), "sign"))
+        edge = np.array([(-0.27, -0.1), (0.245, -0.1), (-0.27, 1.075), (-0.27, -0.1)])
+        size = np.array([(0.025, 1.2), (0.025, 1.2), (0.54, 0.025), (0.54, 0.025)])
+        low, high = np.insert(edge, 0, -0.013, 1), np.insert(edge + size, 0, -0.009, 1)
+        parts.append(boxes(low, high, (0.6, 0.6, 0.58), "sign"))
     for name, foot in LAMP_HEIGHTS.items():
         centre = foot + 0.14
-        lit = name == state
-        lens = lathe(
-            [(0.105, 0.0), (0.085, 0.025), (0.0, 0.04)],
-            14,
-            LIT[name] if lit else UNLIT[name],
-            "signal" if lit else "plastic",
-        )
+        glow = (LIT[name], "signal") if name == state else (UNLIT[name], "plastic")
+        lens = lathe([(0.105, 0.0), (0.085, 0.025), (0.0, 0.04)], 14, *glow)
         parts.append(at(lens.transformed(FACING_MINUS_X), -0.121, 0.0, centre))
         parts.append(_visor(centre))
     return concatenate(parts)
@@ -309,7 +235,66 @@ def _visor(centre: float) -> Surface:
     )
     reach = 0.2 * np.clip(0.55 + 0.45 * np.sin(angle), 0.2, 1.0)
     far = near - np.column_stack([reach, np.zeros(9), np.zeros(9)])
-    a = np.arange(8)
-    faces = np.concatenate([np.stack([a, a + 1, a + 10], 1), np.stack([a, a + 10, a + 9], 1)])
-    both = np.concatenate([faces, faces[:, ::-1]])
-    return Surface.make(np.concatenate([near, far]), both, HOUSING, "plastic", 0.0)
+    hood = np.stack([near[:-1], near[1:], far[1:], far[:-1]], axis=1)
+    return quads(np.concatenate([hood, hood[:, ::-1]]), HOUSING, "plastic")
+
+
+def _arc(cx: float, cy: float, rx: float, ry: float, start: float, end: float) -> list[list[float]]:
+    """Points on an ellipse from one angle to another, degrees counter-clockwise from +u."""
+    steps = max(2, round(abs(end - start) / 30))
+    angle = np.deg2rad(np.linspace(start, end, steps + 1))
+    return np.column_stack([cx + rx * np.cos(angle), cy + ry * np.sin(angle)]).tolist()
+
+
+_UPPER = (0.3, 0.74, 0.27, 0.26)
+_LOWER = (0.3, 0.27, 0.3, 0.27)
+STROKES: dict[str, list[list[list[float]]]] = {
+    "0": [_arc(0.3, 0.5, 0.3, 0.5, 0, 360)],
+    "1": [[[0.1, 0.78], [0.36, 1.0], [0.36, 0.0]]],
+    "2": [[*_arc(0.3, 0.72, 0.3, 0.28, 170, -30), [0.0, 0.0], [0.6, 0.0]]],
+    "3": [_arc(*_UPPER, 160, -90), _arc(*_LOWER, 90, -160)],
+    "4": [[[0.45, 0.0], [0.45, 1.0], [0.0, 0.3], [0.62, 0.3]]],
+    "5": [[[0.55, 1.0], [0.08, 1.0], [0.04, 0.52], *_arc(0.28, 0.31, 0.32, 0.31, 120, -150)]],
+    "6": [[[0.5, 0.97], *_arc(0.42, 0.4, 0.42, 0.57, 110, 180)], _arc(*_LOWER, 0, 360)],
+    "7": [[[0.0, 1.0], [0.6, 1.0], [0.22, 0.0]]],
+    "8": [_arc(*_UPPER, 0, 360), _arc(*_LOWER, 0, 360)],
+    "9": [_arc(0.3, 0.72, 0.3, 0.28, 0, 360), [[0.6, 0.72], *_arc(0.2, 0.6, 0.4, 0.58, 0, -80)]],
+    "O": [_arc(0.3, 0.5, 0.32, 0.5, 0, 360)],
+    "P": [[[0.03, 0.0], [0.03, 1.0], *_arc(0.3, 0.74, 0.3, 0.26, 90, -90), [0.03, 0.48]]],
+    "S": [[*_arc(0.3, 0.75, 0.28, 0.25, 30, 270), *_arc(0.3, 0.25, 0.3, 0.25, 90, -150)]],
+    "T": [[[0.0, 1.0], [0.6, 1.0]], [[0.3, 1.0], [0.3, 0.0]]],
+    "!": [[[0.3, 1.0], [0.3, 0.35]], [[0.3, 0.1], [0.3, 0.02]]],
+    "^": [[[0.3, 0.0], [0.3, 1.0]], [[0.0, 0.62], [0.3, 1.0], [0.6, 0.62]]],
+    "<": [[[0.62, 0.5], [0.0, 0.5]], [[0.3, 0.85], [0.0, 0.5], [0.3, 0.15]]],
+    ">": [[[0.0, 0.5], [0.62, 0.5]], [[0.3, 0.85], [0.62, 0.5], [0.3, 0.15]]],
+}
+
+
+def text_quads(text: str, height: float, weight: float = 0.17) -> Array:
+    """Flat four-sided pieces that draw a text, centred at the origin.
+
+    Args:
+        text: of the characters in `STROKES`.
+        height: metres.
+        weight: thickness of the strokes as a share of the height.
+
+    Returns:
+        (N, 4, 2) metres, u to the reader's right, v up, counter-clockwise.
+    """
+    advance = GLYPH_WIDTH + 2.2 * weight
+    first = -(len(text) * advance - 1.2 * weight - weight) / 2
+    inner = 1.0 - weight
+    pieces = []
+    for k, character in enumerate(text):
+        for stroke in STROKES[character]:
+            points = np.asarray(stroke) * [1.0, inner] + [first + k * advance, -inner / 2]
+            pieces += [_segment(a, b, weight / 2) for a, b in pairwise(points)]
+    return np.stack(pieces) * height
+
+
+def _segment(a: Array, b: Array, half: float) -> Array:
+    """A bar from a to b, a little longer than that so that bends have no gaps."""
+    along = (b - a) / np.linalg.norm(b - a)
+    across = half * np.array([-along[1], along[0]])
+    a, b = a - 0.45 * half * along, b + 0.45 * half * along
+    return np.stack([a - across, b - across, b + across, a + across])

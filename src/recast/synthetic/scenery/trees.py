@@ -5,34 +5,29 @@ Leaves are lumpy opaque cores, and a skin of small irregular sprays that breaks 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from recast.arrays import Array
-from recast.synthetic.scenery.primitives import lathe, require_known, require_size, tube
-from recast.synthetic.surface import MATERIAL_INDEX, Surface, concatenate
-
-GREENS = np.array(
-    [
-        (0.125, 0.205, 0.040),
-        (0.090, 0.175, 0.045),
-        (0.165, 0.215, 0.042),
-        (0.105, 0.160, 0.055),
-        (0.170, 0.185, 0.035),
-        (0.080, 0.150, 0.038),
-    ]
+from recast.arrays import Array, Float32Array
+from recast.synthetic.scenery.primitives import (
+    choose,
+    lathe,
+    quads,
+    require_known,
+    require_size,
+    tube,
 )
-"""Linear RGB of leaves by species, with the light that shines through them."""
+from recast.synthetic.surface import Surface, concatenate
 
 SPRAY_SHAPE = np.array([1.25, 0.6, 1.1, 0.6])
 """How far a spray's four corners reach: pointed at both ends."""
 
 CORE_SHADE = 0.55
 """Leaves deep inside get this share of the outer leaves' colour: they shade each other."""
-NEEDLES = np.array([(0.042, 0.090, 0.032), (0.058, 0.096, 0.058), (0.066, 0.098, 0.030)])
 TIERS = 17
 FANS = 15
 """Branches in the lowest tier of full detail, 4 triangles each; fewer further up."""
@@ -82,7 +77,6 @@ def cores(
     """Lumpy closed bodies.
 
     Args:
-        rng: chooses the lumps.
         centres: (N, 3) metres.
         radii: (N, 3) half axes, metres.
         colour: (3,) of outer leaves; the cores are darker.
@@ -110,7 +104,6 @@ def sprays(
     """Small ragged pieces of two triangles each, that overlap like leaves on twigs.
 
     Args:
-        rng: chooses outlines, tilts and shades.
         points: (N, 3) metres, their middles.
         outward: (N, 3) unit vectors that they face, roughly; also their shading normal, so that a
             crown is shaded as one body.
@@ -128,33 +121,26 @@ def sprays(
     up = np.cross(facing, side)
     angle = 2 * np.pi * (np.arange(4) + rng.uniform(-0.3, 0.3, (count, 4))) / 4
     reach = 0.5 * size * rng.uniform(0.7, 1.3, (count, 4)) * SPRAY_SHAPE
-    corners = (
-        points[:, None]
-        + (reach * np.cos(angle))[..., None] * side[:, None]
-        + (reach * np.sin(angle))[..., None] * up[:, None]
-    )
-    first = 4 * np.arange(count, dtype=np.int32)[:, None]
-    faces = np.concatenate(
-        [first + np.array([0, 1, 2]), first + np.array([0, 2, 3])], axis=1
-    ).reshape(-1, 3)
+    across = (reach * np.cos(angle))[..., None] * side[:, None]
+    along = (reach * np.sin(angle))[..., None] * up[:, None]
     normal = 0.75 * outward + 0.45 * facing
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     shade = rng.uniform(0.72, 1.3, (count, 1)) * np.column_stack(
         [rng.uniform(0.85, 1.2, count), np.ones(count), rng.uniform(0.8, 1.1, count)]
     )
-    colours = np.repeat(np.clip(np.asarray(colour) * shade, 0, 1), 2, axis=0)
-    return Surface(
-        corners.reshape(-1, 3),
-        faces.astype(np.int32),
-        np.repeat(np.repeat(normal, 2, axis=0)[:, None], 3, axis=1).astype(np.float32),
-        colours.astype(np.float32),
-        np.full(2 * count, MATERIAL_INDEX["foliage"], np.uint8),
-    )
+    colours = np.clip(np.asarray(colour) * shade, 0, 1)
+    flat = quads(points[:, None] + across + along, colours, "foliage")
+    return replace(flat, normals=_for_corners(np.repeat(normal, 2, axis=0)))
+
+
+def _for_corners(normals: Array) -> Float32Array:
+    """One normal (F, 3) a face, for all its corners."""
+    return np.repeat(normals[:, None], 3, axis=1).astype(np.float32)
 
 
 def conifer(rng: np.random.Generator, height: float, detail: float) -> Surface:
     """A conifer of `height` metres at the origin: tiers of drooping branches round a dark core."""
-    green = NEEDLES[rng.integers(len(NEEDLES))] * rng.uniform(0.85, 1.25)
+    green = choose(rng, "needles") * rng.uniform(0.85, 1.25)
     low = height * rng.uniform(0.06, 0.14)
     half = height * rng.uniform(0.18, 0.27)
     stem = [(0.022 * height, -0.2), (0.016 * height, 0.1 * height), (0.006 * height, 0.8 * height)]
@@ -205,18 +191,12 @@ def _tier(
     shade = np.repeat(rng.uniform(0.7, 1.25, (count, 1)), 4, axis=0)
     # The new growth at the tips is lighter.
     shade *= np.tile([0.85, 1.2, 1.2, 0.85], count)[:, None]
-    return Surface(
-        corners.reshape(-1, 3),
-        faces,
-        np.repeat(normal[:, None], 3, axis=1).astype(np.float32),
-        np.clip(green * shade, 0, 1).astype(np.float32),
-        np.full(len(faces), MATERIAL_INDEX["foliage"], np.uint8),
-    )
+    flat = Surface.make(corners, faces, np.clip(green * shade, 0, 1), "foliage", 0.0)
+    return replace(flat, normals=_for_corners(normal))
 
 
 TREE_STYLES = ("round", "conifer", "tall")
 
-BARKS = np.array([(0.11, 0.085, 0.06), (0.15, 0.13, 0.11), (0.09, 0.07, 0.055)])
 SPRAYS = 1080
 """In a broad-leaved tree of full detail; two triangles each."""
 
@@ -227,13 +207,9 @@ def tree(
     """A tree whose trunk stands at the origin, its crown within 0.45 * height of it.
 
     Args:
-        rng: chooses the shape and the greens.
         height: metres, 1.5 to 30.
         style: "round" (broad-leaved), "conifer" or "tall" (poplar).
         detail: share of the triangles to spend, 0.2 to 1.
-
-    Raises:
-        InputError: for impossible sizes and unknown styles.
     """
     require_size("tree", "height", height, 1.5, 30.0)
     require_size("tree", "detail", detail, 0.2, 1.0)
@@ -244,8 +220,8 @@ def tree(
 
 
 def _broad_leaved(rng: np.random.Generator, height: float, slim: bool, detail: float) -> Surface:
-    green = GREENS[rng.integers(len(GREENS))] * rng.uniform(0.85, 1.2)
-    bark = BARKS[rng.integers(len(BARKS))] * rng.uniform(0.8, 1.2)
+    green = choose(rng, "greens") * rng.uniform(0.85, 1.2)
+    bark = choose(rng, "barks") * rng.uniform(0.8, 1.2)
     half = height * (rng.uniform(0.11, 0.15) if slim else rng.uniform(0.29, 0.39))
     low = height * (rng.uniform(0.08, 0.16) if slim else rng.uniform(0.15, 0.27))
     centres, radii = _clumps(rng, height, half, low, slim)
@@ -280,11 +256,9 @@ def _clumps(
         width = half * np.sqrt(np.clip(1 - (1.7 * share - 0.75) ** 2, 0.12, 1))
         angle = 2.4 * np.arange(count) + rng.uniform(0, 6.3)
         offset = 0.22 * width
-        centres = np.column_stack(
-            [offset * np.cos(angle), offset * np.sin(angle), low + tall * (0.08 + 0.86 * share)]
-        )
+        z = np.minimum(low + tall * (0.08 + 0.86 * share), height - 0.15 * tall)
+        centres = np.column_stack([offset * np.cos(angle), offset * np.sin(angle), z])
         across = width * rng.uniform(0.75, 0.95, count)
-        centres[:, 2] = np.minimum(centres[:, 2], height - 0.15 * tall)
         return centres, np.column_stack([across, across, np.full(count, 0.16 * tall)])
     count = int(rng.integers(8, 12))
     out = directions(rng, count)
@@ -311,9 +285,8 @@ def _trunk(
     if not slim:
         order = np.argsort(centres[:, 2], kind="stable")[:5]
         start = bend[2] + 0.6 * (bend[3] - bend[2])
+        thick = foot * np.array([0.5, 0.36, 0.2])
         for target in centres[order]:
             knee = 0.5 * (start + target) + [0, 0, -0.02 * height]
-            parts.append(
-                tube([start, knee, target], foot * np.array([0.5, 0.36, 0.2]), 5, bark, "bark")
-            )
+            parts.append(tube([start, knee, target], thick, 5, bark, "bark"))
     return concatenate(parts)

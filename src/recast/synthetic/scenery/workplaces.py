@@ -7,57 +7,21 @@ from itertools import pairwise
 import numpy as np
 
 from recast.synthetic.scenery.facades import (
-    BRICKS,
     Colour,
+    Facade,
     Look,
     Opening,
     around,
     bays,
     pick,
     scaled,
-    wall_storey,
     window_row,
 )
 from recast.synthetic.scenery.primitives import Panels
 from recast.synthetic.scenery.roofs import flat_roof, gable_roof
 from recast.synthetic.surface import Surface, concatenate
 
-SHED_CLADDINGS = np.array(
-    [
-        (0.42, 0.44, 0.45),
-        (0.52, 0.52, 0.50),
-        (0.18, 0.24, 0.30),
-        (0.26, 0.32, 0.27),
-        (0.50, 0.46, 0.37),
-        (0.13, 0.14, 0.15),
-    ]
-)
-ACCENTS = np.array(
-    [
-        (0.03, 0.10, 0.30),
-        (0.35, 0.03, 0.025),
-        (0.04, 0.18, 0.09),
-        (0.5, 0.22, 0.02),
-        (0.06, 0.065, 0.07),
-    ]
-)
 STRIP_GLASS: Colour = (0.05, 0.058, 0.062)
-DOOR_PAINTS = np.array(
-    [(0.45, 0.46, 0.47), (0.05, 0.12, 0.28), (0.30, 0.06, 0.04), (0.5, 0.48, 0.42)]
-)
-OFFICE_CLADDINGS = np.array(
-    [
-        (0.48, 0.47, 0.44),
-        (0.36, 0.36, 0.36),
-        (0.58, 0.57, 0.54),
-        (0.20, 0.21, 0.22),
-        (0.42, 0.34, 0.26),
-        (0.30, 0.16, 0.11),
-    ]
-)
-TINTS = np.array(
-    [(0.02, 0.035, 0.05), (0.03, 0.05, 0.05), (0.025, 0.03, 0.03), (0.04, 0.06, 0.085)]
-)
 PANES = 310
 """At most on the whole building; panes get wider before there are more."""
 
@@ -68,44 +32,35 @@ def industrial(
     """See `building`; a storey is 4 m."""
     top = 4.0 * storeys + 0.5 if storeys else rng.uniform(6.0, 10.5)
     plinth = rng.uniform(0.5, 2.2)
-    cladding, accent = pick(rng, SHED_CLADDINGS), pick(rng, ACCENTS)
-    base = pick(rng, BRICKS) if rng.random() < 0.5 else (0.38, 0.37, 0.35)
+    cladding, accent = pick(rng, "shed_claddings"), pick(rng, "accents")
+    base = pick(rng, "bricks") if rng.random() < 0.5 else (0.38, 0.37, 0.35)
     material = "brick" if base[0] > 1.5 * base[2] else "concrete"
     look = Look(
         cladding,
         "corrugated",
         frame=(0.12, 0.125, 0.13),
         trim=(0.4, 0.4, 0.4),
-        door=pick(rng, DOOR_PAINTS),
+        door=pick(rng, "door_paints"),
         reveal=0.15,
         lean=True,
     )
     lower = Look(base, material, frame=look.frame, trim=look.trim, door=look.door, reveal=0.15)
-    front = Panels()
-    _front(front, rng, width, plinth, top, look, lower, accent)
+    front = Facade(rng, width, look)
+    _front(front, plinth, top, lower, accent)
     sides = [_side(rng, length, plinth, top, look, lower) for length in (depth, width, depth)]
     walls = around(width, depth, front, *sides)
-    roof = Panels()
+    steel = (cladding, "corrugated")
     if rng.random() < 0.55:
         rise, tone = rng.uniform(0.06, 0.12) * depth, scaled(cladding, 0.8)
-        metal = ("corrugated", "corrugated")
-        gable_roof(roof, width, depth, top, rise, 0.3, 0.2, tone, cladding, *metal)
+        roof = gable_roof((width, depth, rise), top, (0.3, 0.2), tone, steel, "corrugated")
     else:
-        flat_roof(roof, rng, width, depth, top, 0.5, cladding, "corrugated", accent)
+        roof = flat_roof(rng, width, depth, top, 0.5, steel, accent)
     return concatenate([*walls, roof.surface()])
 
 
-def _front(
-    panels: Panels,
-    rng: np.random.Generator,
-    width: float,
-    plinth: float,
-    top: float,
-    look: Look,
-    lower: Look,
-    accent: Colour,
-) -> None:
+def _front(panels: Facade, plinth: float, top: float, lower: Look, accent: Colour) -> None:
     """Roller shutters, an office corner of two rows of windows, strip windows above, a sign."""
+    rng, width, look = panels.rng, panels.width, panels.look
     gate = min(rng.uniform(3.6, 4.6), top - 1.5)
     office = min(rng.uniform(5.0, 9.0), 0.45 * width) if width > 9 else 0.0
     centres = bays(width - office, rng.uniform(5.5, 8.0), 0.6) + office
@@ -122,8 +77,9 @@ def _front(
         rows[middle] = Opening(x - 0.55, x + 0.55, 0.1, 2.4, "door")
         holes = rows + holes
     # The plinth ends at the openings: lower walls between them, cladding above all.
-    split = [Opening(h.left, h.right, h.low, h.high, h.kind) for h in holes]
-    wall_storey(panels, rng, width, -0.3, gate, split, lower if plinth > 1.6 else look)
+    panels.look = lower if plinth > 1.6 else look
+    panels.storey(-0.3, gate, holes)
+    panels.look = look
     if plinth <= 1.6:
         edges = [0.0, *(x for h in holes for x in (h.left, h.right)), width]
         for a, b in zip(edges[::2], edges[1::2], strict=True):
@@ -132,16 +88,14 @@ def _front(
     if office and top - gate > 2.2:
         upper += window_row(bays(office, 1.7, 0.4), 1.25, gate + 0.5, gate + 1.7)
     if top - gate > 2.6:
-        upper += [Opening(office + 0.6, width - 0.6, top - 1.7, top - 0.8, "none")]
-        strip = upper[-1]
-        panes = np.linspace(
-            strip.left, strip.right, max(2, round((strip.right - strip.left) / 2.0)) + 1
-        )
-        for a, b in pairwise(panes):
+        strip = Opening(office + 0.6, width - 0.6, top - 1.7, top - 0.8, "none")
+        upper.append(strip)
+        count = max(2, round((strip.right - strip.left) / 2.0))
+        for a, b in pairwise(np.linspace(strip.left, strip.right, count + 1)):
             glass = scaled(STRIP_GLASS, rng.uniform(0.6, 1.5))
             panels.rect(a + 0.05, b - 0.05, strip.low, strip.high, 0.1, glass, "window")
             panels.rect(b - 0.05, b + 0.05, strip.low, strip.high, 0.05, look.frame, "plastic")
-    wall_storey(panels, rng, width, gate, top, upper, look)
+    panels.storey(gate, top, upper)
     panels.box((0, -0.06, top - 0.5), (width, 0, top), accent, "corrugated", "k")
     for h in holes:
         if h.kind == "shutter":
@@ -149,15 +103,14 @@ def _front(
             panels.box(low, high, scaled(look.door, 0.8), "corrugated", "k")
             for x in (h.left - 0.2, h.right + 0.05):
                 panels.box((x, -0.5, 0), (x + 0.15, -0.35, 1.0), (0.6, 0.42, 0.02), "plastic", "b")
-    _sign(panels, rng, width, top, accent)
+    _sign(panels, top, accent)
 
 
-def _sign(
-    panels: Panels, rng: np.random.Generator, width: float, top: float, accent: Colour
-) -> None:
+def _sign(panels: Facade, top: float, accent: Colour) -> None:
     """The firm's name: a white board with blocks for letters."""
-    wide = min(6.0, 0.3 * width)
-    x = rng.uniform(0.1, 0.85) * (width - wide)
+    rng = panels.rng
+    wide = min(6.0, 0.3 * panels.width)
+    x = rng.uniform(0.1, 0.85) * (panels.width - wide)
     low = top - 2.9 if top > 7.5 else top - 0.45
     high = low + (1.1 if top > 7.5 else 0.4)
     panels.box((x, -0.12, low), (x + wide, 0, high), (0.65, 0.65, 0.63), "plastic", "k")
@@ -173,16 +126,17 @@ def _side(
     rng: np.random.Generator, width: float, plinth: float, top: float, look: Look, lower: Look
 ) -> Panels:
     """Cladding over the plinth with strip windows, a shutter now and then, and downpipes."""
-    panels = Panels()
-    holes = []
+    panels = Facade(rng, width, lower)
+    base, above = [], []
     if rng.random() < 0.5:
         x = rng.uniform(0.2, 0.6) * width
-        holes = [Opening(x, min(x + 4.0, width - 0.5), 0.0, plinth + 2.4, "shutter")]
-    base = [Opening(h.left, h.right, 0.0, plinth, "none") for h in holes]
-    wall_storey(panels, rng, width, -0.3, plinth, base, lower)
-    above = [Opening(h.left, h.right, plinth, h.high, "none") for h in holes]
-    wall_storey(panels, rng, width, plinth, top, above, look)
-    for h in holes:
+        end = min(x + 4.0, width - 0.5)
+        base = [Opening(x, end, 0.0, plinth, "none")]
+        above = [Opening(x, end, plinth, plinth + 2.4, "none")]
+    panels.storey(-0.3, plinth, base)
+    panels.look = look
+    panels.storey(plinth, top, above)
+    for h in above:
         panels.rect(h.left, h.right, 0.0, h.high, 0.12, look.door, "corrugated")
     for a in bays(width, 7.0, 1.0):
         glass = scaled(STRIP_GLASS, rng.uniform(0.6, 1.5))
@@ -196,38 +150,33 @@ def office(rng: np.random.Generator, width: float, depth: float, storeys: int | 
     count = storeys or int(rng.integers(3, 8))
     ground, upper = rng.uniform(3.9, 4.8), rng.uniform(3.3, 3.8)
     edges = np.concatenate([[0.0], ground + upper * np.arange(count)])
-    wall, tint = pick(rng, OFFICE_CLADDINGS), pick(rng, TINTS, 0.25)
+    wall, tint = pick(rng, "office_claddings"), pick(rng, "tints", 0.25)
     form = ("bands", "curtain", "grid")[rng.integers(3)]
-    frame = pick(rng, np.array([(0.05, 0.052, 0.055), (0.42, 0.43, 0.44)]))
+    frame = pick(rng, "mullions")
     pane = max(rng.uniform(1.4, 2.4), 2 * (width + depth) * count / PANES)
     look = Look(
         wall, "concrete", frame=frame, trim=scaled(wall, 1.15), reveal=0.3, lean=True, blinds=0.25
     )
     sides = []
     for k, length in enumerate((width, depth, width, depth)):
-        panels = Panels()
-        _ground(panels, rng, length, ground, look, tint, entrance=k == 0)
+        side = Facade(rng, length, look)
+        _ground(side, ground, tint, entrance=k == 0)
         for low, high in pairwise(edges[1:]):
-            _storey(panels, rng, form, length, low, high, pane, look, tint, k == 0)
+            _storey(side, form, low, high, pane, tint, k == 0)
         if form == "curtain":
-            _fins(panels, length, ground, float(edges[-1]), 2 * pane, look.frame)
-        sides.append(panels)
-    roof = Panels()
-    top, parapet = float(edges[-1]), rng.uniform(0.5, 1.1)
-    flat_roof(roof, rng, width, depth, top, parapet, look.trim, "concrete", look.frame)
+            # Upright bars in front of the glass.
+            for x in np.linspace(0.06, length - 0.06, max(2, round(length / (2 * pane))) + 1):
+                ends = (x - 0.05, -0.15, ground), (x + 0.05, 0, edges[-1])
+                side.box(*ends, look.frame, "metal", "tk")
+        sides.append(side)
+    stone = (look.trim, "concrete")
+    roof = flat_roof(rng, width, depth, edges[-1], rng.uniform(0.5, 1.1), stone, look.frame)
     return concatenate([*around(width, depth, *sides), roof.surface()])
 
 
-def _ground(
-    panels: Panels,
-    rng: np.random.Generator,
-    length: float,
-    high: float,
-    look: Look,
-    tint: Colour,
-    entrance: bool,
-) -> None:
+def _ground(panels: Facade, high: float, tint: Colour, entrance: bool) -> None:
     """Tall glass between piers; the front has a canopy and doors."""
+    rng, length, look = panels.rng, panels.width, panels.look
     panels.rect(0, length, -0.3, 0.25, 0.0, scaled(look.wall, 0.6), "concrete")
     panels.rect(0, length, high - 0.7, high, 0.0, look.trim, "concrete")
     z = high - 0.7
@@ -241,55 +190,45 @@ def _ground(
         panels.rect(x - 0.05, x + 0.05, 0.25, high - 0.7, 0.37, look.frame, "plastic")
     panels.rect(0, length, 2.5, 2.6, 0.36, look.frame, "plastic")
     for x in np.linspace(0.35, length - 0.35, len(centres) + 1):
-        panels.box(
-            (x - 0.35, -0.06, -0.3), (x + 0.35, 0.5, high - 0.7), look.wall, "concrete", "btk"
-        )
+        ends = (x - 0.35, -0.06, -0.3), (x + 0.35, 0.5, high - 0.7)
+        panels.box(*ends, look.wall, "concrete", "btk")
     if entrance:
         x = centres[len(centres) // 2]
         panels.box((x - 2.2, -1.5, 2.9), (x + 2.2, 0.3, 3.15), look.frame, "metal")
-        panels.box(
-            (x - 1.7, -0.15, -0.3), (x + 1.7, 0.4, 0.12), (0.35, 0.34, 0.33), "concrete", "bk"
-        )
+        stair = (x - 1.7, -0.15, -0.3), (x + 1.7, 0.4, 0.12)
+        panels.box(*stair, (0.35, 0.34, 0.33), "concrete", "bk")
         for a in (-1.0, 0.05):
             panels.rect(x + a, x + a + 0.95, 0.12, 2.45, 0.3, (0.05, 0.06, 0.065), "window")
             panels.rect(x + a + 0.85, x + a + 0.9, 0.9, 1.4, 0.26, (0.5, 0.5, 0.5), "metal")
 
 
 def _storey(
-    panels: Panels,
-    rng: np.random.Generator,
-    form: str,
-    length: float,
-    low: float,
-    high: float,
-    pane: float,
-    look: Look,
-    tint: Colour,
-    front: bool,
+    panels: Facade, form: str, low: float, high: float, pane: float, tint: Colour, front: bool
 ) -> None:
+    rng, length, look = panels.rng, panels.width, panels.look
     if form == "grid":
         centres = bays(length, max(2.6, 1.9 * pane), 0.2)
         wide = 0.6 * (length - 0.4) / len(centres)
         holes = window_row(centres, wide, low + 0.75, high - 0.45)
         if front:
-            wall_storey(panels, rng, length, low, high, holes, look)
+            panels.storey(low, high, holes)
             return
-        panels.rect(0, length, low, high, 0.0, look.wall, "concrete")
+        panels.wall(0, length, low, high)
         for hole in holes:
             shade = np.asarray(tint) * rng.uniform(0.6, 1.5)
             panels.rect(hole.left, hole.right, hole.low, hole.high, -0.01, shade, "window")
         return
-    sill, back = (low + 0.95, 0.25) if form == "bands" else (low + 0.7, 0.02)
-    spandrel = look.wall if form == "bands" else scaled(tint, 1.8)
-    panels.rect(0, length, low, sill, 0.0, spandrel, "concrete" if form == "bands" else "window")
     if form == "bands":
-        panels.rect(0, length, high - 0.3, high, 0.0, spandrel, "concrete")
+        sill, back, top = low + 0.95, 0.25, high - 0.3
+        panels.wall(0, length, low, sill)
+        panels.wall(0, length, top, high)
         ledge = [(0, 0, sill), (length, 0, sill), (length, back, sill), (0, back, sill)]
         panels.polygon(ledge, look.trim, "concrete")
-        z = high - 0.3
-        soffit = [(0, back, z), (length, back, z), (length, 0, z), (0, 0, z)]
+        soffit = [(0, back, top), (length, back, top), (length, 0, top), (0, 0, top)]
         panels.polygon(soffit, look.wall, "concrete")
-    top = high - 0.3 if form == "bands" else high
+    else:
+        sill, back, top = low + 0.7, 0.02, high
+        panels.rect(0, length, low, sill, 0.0, scaled(tint, 1.8), "window")
     edges = np.linspace(0, length, max(2, round(length / pane)) + 1)
     for a, b in pairwise(edges):
         shade = np.asarray(tint) * rng.uniform(0.6, 1.5)
@@ -298,11 +237,3 @@ def _storey(
         panels.rect(a, b - 0.08, sill, top, back, shade, "window")
         panels.rect(b - 0.08, b, sill, top, back - 0.01, look.frame, "plastic")
     panels.rect(0, length, sill - 0.05, sill + 0.03, back - 0.02, look.frame, "plastic")
-
-
-def _fins(
-    panels: Panels, length: float, low: float, high: float, step: float, colour: Colour
-) -> None:
-    """Upright bars in front of a curtain wall."""
-    for x in np.linspace(0.06, length - 0.06, max(2, round(length / step)) + 1):
-        panels.box((x - 0.05, -0.15, low), (x + 0.05, 0, high), colour, "metal", "tk")

@@ -53,11 +53,7 @@ def make_street(name: str, rng: Generator, length: float) -> Street:
     if name not in _KINDS:
         raise InputError("scene", "name", f"'{name}' is unknown", f"use one of {', '.join(SCENES)}")
     if not np.isfinite(length) or not MIN_LENGTH <= length <= MAX_LENGTH:
-        raise InputError(
-            "scene",
-            "length",
-            f"{length} m is not possible",
-            f"give metres from {MIN_LENGTH:g} to {MAX_LENGTH:g}",
-        )
+        mend = f"give metres from {MIN_LENGTH:g} to {MAX_LENGTH:g}"
+        raise InputError("scene", "length", f"{length} m is not possible", mend)
     build, elevation = _KINDS[name]
     return build(rng, length).finish(name, elevation)

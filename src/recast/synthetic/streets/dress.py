@@ -10,11 +10,10 @@ import numpy as np
 import shapely
 from numpy.random import Generator
 
-from recast.arrays import Array
 from recast.synthetic import scenery
 from recast.synthetic.streets.ground import KERB_HEIGHT, Colour, forest_belt
 from recast.synthetic.streets.road import Road
-from recast.synthetic.streets.shapes import Pose
+from recast.synthetic.streets.shapes import Pose, placed
 from recast.synthetic.streets.site import Prop, Site
 from recast.synthetic.surface import Surface
 
@@ -49,8 +48,8 @@ def build_along(
         width = float(rng.uniform(*frontage.width))
         depth, away = float(rng.uniform(*frontage.depth)), float(rng.uniform(*frontage.away))
         pose = site.beside(road, s + width / 2, side, away)
-        body = _rectangle(pose, width, depth)
-        if site.ground.filled.intersects(body):
+        body = shapely.box(-width / 2, 0, width / 2, depth)
+        if site.ground.filled.intersects(placed(body, pose)):
             s += 3.0
             continue
         storeys = None if frontage.storeys is None else int(rng.integers(*frontage.storeys))
@@ -61,12 +60,6 @@ def build_along(
         else:
             s += 3.0
     return built
-
-
-def _rectangle(pose: Pose, width: float, depth: float) -> shapely.Polygon:
-    c, s = np.cos(pose.heading), np.sin(pose.heading)
-    corners = np.array([[-width / 2, 0], [width / 2, 0], [width / 2, depth], [-width / 2, depth]])
-    return shapely.Polygon(corners @ np.array([[c, s], [-s, c]]) + np.array([pose.x, pose.y]))
 
 
 def several(rng: Generator, make: Callable[[Generator], Surface], count: int) -> list[Prop]:
@@ -129,19 +122,14 @@ def joints(site: Site, road: Road, side: int, width: float, pitch: float = 1.9) 
             continue
         one = road.point(np.full(2, s + 0.012), lateral)
         other = road.point(np.full(2, s - 0.012), lateral)
-        left, right = (other, one) if side > 0 else (one, other)
-        left, right = (left, right) if _left_of(left, right) else (right, left)
-        site.decals.strip(left, right, height, tone, "concrete")
+        site.decals.strip(one, other, height, tone, "concrete")
     s = road.stations(road.paved[0] + 1, road.paved[1] - 1, 4.0)
     for out in np.arange(1.3, width - 0.4, 1.3):
         one = road.point(s, kerb + side * (out + 0.012))
         other = road.point(s, kerb + side * (out - 0.012))
-        left, right = (one, other) if side > 0 else (other, one)
-        outside = ~shapely.intersects(
-            covered, shapely.linestrings(np.stack([one[:-1], one[1:]], 1))
-        )
-        for k in np.flatnonzero(outside):
-            site.decals.strip(left[k : k + 2], right[k : k + 2], height, tone, "concrete")
+        pieces = shapely.linestrings(np.stack([one[:-1], one[1:]], 1))
+        for k in np.flatnonzero(~shapely.intersects(covered, pieces)):
+            site.decals.strip(one[k : k + 2], other[k : k + 2], height, tone, "concrete")
 
 
 def line_along(
@@ -153,19 +141,17 @@ def line_along(
     start: float,
     end: float,
     piece: float = 8.0,
-    chance: float = 1.0,
+    share: float = 1.0,
 ) -> None:
     """Hedges, fences, rails or walls along a road, in straight pieces.
 
     Args:
-        site: the street.
-        road: the road.
         side: +1 left, -1 right.
         away: metres outside the kerb.
         make: from a length in metres, along x.
         start, end: arc lengths.
         piece: metres of a piece, about.
-        chance: that a piece is there.
+        share: of the pieces that are there.
     """
     if end - start < 1.5:
         return
@@ -174,7 +160,7 @@ def line_along(
     for a, b in itertools.pairwise(road.point(edges, lateral)):
         if side < 0:
             a, b = b, a
-        if site.rng.random() >= chance:
+        if site.rng.random() >= share:
             continue
         heading = float(np.arctan2(b[1] - a[1], b[0] - a[0]))
         prop = Prop.of(make(float(np.hypot(*(b - a)))))
@@ -192,11 +178,6 @@ def driveway(
     outline = outline.difference(site.ground.filled)
     site.decals.polygon(outline, KERB_HEIGHT + 0.004, colour, "concrete")
     site.placer.reserve(outline)
-
-
-def _left_of(left: Array, right: Array) -> bool:
-    along, across = right[1] - right[0], left[0] - right[0]
-    return bool(along[0] * across[1] - along[1] * across[0] > 0)
 
 
 def woods(site: Site, share: float, height: float = 11.0) -> None:

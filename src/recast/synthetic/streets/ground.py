@@ -17,6 +17,8 @@ from recast.synthetic.streets.shapes import flat, ribbon, soup
 from recast.synthetic.surface import Surface
 
 Colour = tuple[float, float, float]
+Cover = tuple[Colour, str]
+"""Colour and material of a piece of ground."""
 
 KERB_HEIGHT = 0.12
 _KERB_WIDTH = 0.16
@@ -25,10 +27,10 @@ _STONE = 1.5
 _HORIZON = 1800.0
 _CELL = 1.0
 
-PAVING: Colour = (0.30, 0.29, 0.27)
-GRASS: Colour = (0.085, 0.135, 0.035)
-SOIL: Colour = (0.20, 0.15, 0.10)
-GRAVEL: Colour = (0.26, 0.24, 0.21)
+PAVING: Cover = ((0.30, 0.29, 0.27), "concrete")
+GRASS: Cover = ((0.085, 0.135, 0.035), "grass")
+SOIL: Cover = ((0.20, 0.15, 0.10), "soil")
+GRAVEL: Cover = ((0.26, 0.24, 0.21), "soil")
 
 
 @dataclass(frozen=True)
@@ -37,13 +39,12 @@ class Band:
 
     Attributes:
         width: metres.
-        colour, material: of the strip.
+        cover: of the strip.
         height: z at its outer edge, metres.
     """
 
     width: float
-    colour: Colour
-    material: str
+    cover: Cover
     height: float = KERB_HEIGHT
 
 
@@ -54,13 +55,13 @@ class Edge:
     Attributes:
         kerb: whether a kerb stone comes first.
         bands: strips from the asphalt outwards.
-        land: colour and material from there to the horizon.
+        land: cover from there to the horizon.
         hills: height of the hills far off, metres.
     """
 
     kerb: bool
     bands: tuple[Band, ...]
-    land: tuple[Colour, str]
+    land: Cover
     hills: float = 12.0
 
     @property
@@ -81,12 +82,11 @@ class Island:
 
     Attributes:
         outline: its kerb's face.
-        colour, material: of its top.
+        cover: of its top.
     """
 
     outline: shapely.Polygon
-    colour: Colour = PAVING
-    material: str = "concrete"
+    cover: Cover = PAVING
 
 
 @dataclass(frozen=True)
@@ -158,20 +158,17 @@ class Ground:
         """All triangles, of the asphalt and to the horizon."""
         parts = [flat(self.asphalt, 0.0, self.colour, "asphalt")]
         if self.edge.kerb or self.islands:
-            lines = (
-                self.asphalt
-                if self.edge.kerb
-                else shapely.union_all([island.outline for island in self.islands])
-            )
+            raised = shapely.union_all([island.outline for island in self.islands])
+            lines = self.asphalt if self.edge.kerb else raised
             parts += _kerbs(lines, not self.edge.kerb, rng)
         for island in self.islands:
             top = island.outline.buffer(-0.02)
-            parts.append(flat(top, KERB_HEIGHT - 0.002, island.colour, island.material))
+            parts.append(flat(top, KERB_HEIGHT - 0.002, *island.cover))
         inside = self.filled
         for band, distance in zip(self.edge.bands, self.edge.profile()[0][1:], strict=True):
             outside = self.filled.buffer(distance, quad_segs=6)
             ring = outside.difference(inside)
-            parts.append(flat(ring, self._band_height, band.colour, band.material))
+            parts.append(flat(ring, self._band_height, *band.cover))
             inside = outside
         return parts + self._land(inside, rng)
 
@@ -202,7 +199,7 @@ class Ground:
         points = np.concatenate([rings, (level + np.maximum(bumps, 0))[..., None]], axis=-1)
         corners = np.stack([points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]], 2)
         shade = rng.uniform(0.85, 1.15, (corners.shape[0] * corners.shape[1], 1))
-        far = np.array(colour if material in ("grass", "soil") else GRASS)
+        far = np.array(colour if material in ("grass", "soil") else GRASS[0])
         return [
             flat(disc.difference(inside), level, colour, material),
             quads(corners.reshape(-1, 4, 3), far * shade, "grass"),
@@ -240,9 +237,10 @@ def _kerb_ring(points: Array, rng: Generator) -> list[Surface]:
     mitre *= (2 / np.maximum(length2, 0.6))[:, None]
     mitre = np.concatenate([mitre, mitre[:1]])
     back = points + _KERB_WIDTH * mitre
-    foot = np.concatenate([points, np.full((len(points), 1), -0.02)], axis=1)
-    top = np.concatenate([points, np.full((len(points), 1), KERB_HEIGHT)], axis=1)
-    rear = np.concatenate([back, np.full((len(points), 1), KERB_HEIGHT)], axis=1)
+    foot, top, rear = (
+        np.insert(place, 2, z, axis=1)
+        for place, z in ((points, -0.02), (points, KERB_HEIGHT), (back, KERB_HEIGHT))
+    )
     colour = np.array([0.34, 0.335, 0.32]) * rng.uniform(0.82, 1.12, (len(along), 1))
     return [ribbon(top, rear, colour, "concrete"), ribbon(foot, top, colour * 0.92, "concrete")]
 

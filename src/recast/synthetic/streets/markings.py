@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import shapely
@@ -13,7 +13,7 @@ from numpy.random import Generator
 from recast.arrays import Array
 from recast.synthetic.streets.network import Arm
 from recast.synthetic.streets.road import Road
-from recast.synthetic.streets.shapes import Decals, Pose
+from recast.synthetic.streets.shapes import Decals, Pose, placed
 from recast.synthetic.world import ParkingSpot
 
 if TYPE_CHECKING:
@@ -106,30 +106,9 @@ class Markings:
         count = max(int((high - low) / 0.75), 1)
         middles = low + (np.arange(count) + 0.5) * (high - low) / count
         for middle in middles:
-            s_points = np.array([s, s, s - towards * 0.6])
-            laterals = np.array([middle - 0.25, middle + 0.25, middle])
-            corners = road.point(s_points, laterals, side)
-            self.decals.add(_turned(corners), HEIGHT, self._paint(WHITE, 1), "marking")
-
-    def hatching(self, region: shapely.Geometry, heading: float) -> None:
-        """Diagonal bars over a painted island, and its outline."""
-        if region.is_empty:
-            return
-        low_x, low_y, high_x, high_y = region.bounds
-        middle = np.array([(low_x + high_x) / 2, (low_y + high_y) / 2])
-        reach = float(np.hypot(high_x - low_x, high_y - low_y))
-        along = np.array([np.cos(heading + 0.8), np.sin(heading + 0.8)])
-        step = np.array([np.cos(heading), np.sin(heading)])
-        bars = [
-            shapely.LineString(
-                [middle + k * step - reach * along, middle + k * step + reach * along]
-            )
-            for k in np.arange(-reach / 2, reach / 2, 1.6)
-        ]
-        painted = shapely.union_all(shapely.buffer(bars, 0.22, cap_style="flat"))
-        painted = shapely.intersection(painted, region.buffer(-0.1))
-        painted = shapely.union_all([painted, region.difference(region.buffer(-0.12))])
-        self.decals.polygon(painted, HEIGHT, WHITE * self._wear, "marking")
+            laterals = [middle - 0.25, middle + 0.25, middle]
+            corners = road.point([s, s, s - towards * 0.6], laterals, side)
+            self.decals.add(corners, HEIGHT, self._paint(WHITE, 1), "marking")
 
     def arrow(self, pose: Pose, kind: ArrowKind) -> None:
         """An arrow, 4 m long, that begins at the pose and shows where to drive on."""
@@ -142,32 +121,17 @@ class Markings:
                     [(x, sign * y) for x, y in points] for points in (_HOOK_STEM, _HOOK_HEAD)
                 ]
         whole = shapely.union_all([shapely.Polygon(points) for points in shapes])
-        c, s = np.cos(pose.heading), np.sin(pose.heading)
-        turn = np.array([[c, -s], [s, c]])
-        placed = shapely.transform(whole, lambda xy: xy @ turn.T + np.array(pose[:2]))
-        self.decals.polygon(placed, HEIGHT, self._paint(WHITE, 1)[0], "marking")
+        self.decals.polygon(placed(whole, pose), HEIGHT, self._paint(WHITE, 1)[0], "marking")
 
     def _box(
         self, road: Road, start: float, end: float, near: float, far: float, side: int | None = None
     ) -> None:
         low, high = sorted((near, far))
-        s = np.array([start, end])
-        self.decals.strip(
-            road.point(s, high, side),
-            road.point(s, low, side),
-            HEIGHT,
-            self._paint(WHITE, 1),
-            "marking",
-        )
+        left, right = (road.point([start, end], lateral, side) for lateral in (high, low))
+        self.decals.strip(left, right, HEIGHT, self._paint(WHITE, 1), "marking")
 
     def _paint(self, colour: Array, count: int) -> Array:
         return colour * self._wear * self.rng.uniform(0.86, 1.0, (count, 1))
-
-
-def _turned(corners: Array) -> Array:
-    """A triangle (3, 2), counter-clockwise."""
-    a, b = corners[1] - corners[0], corners[2] - corners[0]
-    return corners if a[0] * b[1] - a[1] * b[0] > 0 else corners[::-1]
 
 
 @dataclass(frozen=True)
@@ -202,24 +166,24 @@ def paint_road(site: Site, road: Road, paint: RoadPaint, solid_ends: tuple[bool,
         end = road.paved[1]
     free = (start + paint.solid * solid_ends[0], end - paint.solid * solid_ends[1])
     colour = YELLOW if paint.yellow else WHITE
-    if section.median > 0.5 or road.spread:
-        for side in (1, -1):
-            if section.median > 0.5:
-                lateral = side * (section.median / 2 + 0.02)
-                marks.line(road, start, end, lateral, colour=colour)
-    elif paint.centre == "double" or paint.centre == "solid":
-        for lateral in (0.11, -0.11) if paint.centre == "double" else (0.0,):
-            marks.line(road, start, end, lateral, colour=colour, side=0)
-    elif paint.centre == "dashed":
-        marks.dashes(road, *free, 0.0, paint.dash, paint.gap, colour=colour)
+
+    def broken(lateral: float, **options: Any) -> None:
+        marks.dashes(road, *free, lateral, paint.dash, paint.gap, **options)
         for a, b in ((start, free[0]), (free[1], end)):
-            marks.line(road, a, b, 0.0, colour=colour)
+            marks.line(road, a, b, lateral, **options)
+
+    if section.median > 0.5:
+        for side in (1, -1):
+            marks.line(road, start, end, side * (section.median / 2 + 0.02), colour=colour)
+    centre = "none" if section.median > 0.5 or road.spread else paint.centre
+    if centre == "double" or centre == "solid":
+        for lateral in (0.11, -0.11) if centre == "double" else (0.0,):
+            marks.line(road, start, end, lateral, colour=colour, side=0)
+    elif centre == "dashed":
+        broken(0.0, colour=colour)
     for side, count in ((1, section.backward), (-1, section.forward)):
         for k in range(1, count):
-            lateral = side * (section.median / 2 + k * section.lane_width)
-            marks.dashes(road, *free, lateral, paint.dash, paint.gap, side=side)
-            for a, b in ((start, free[0]), (free[1], end)):
-                marks.line(road, a, b, lateral, side=side)
+            broken(side * (section.median / 2 + k * section.lane_width), side=side)
         if paint.edges:
             lateral = section.lanes_edge(side) + side * 0.02
             marks.line(road, start, end, lateral, 0.14, side=side)
@@ -247,7 +211,6 @@ def paint_arm(
     """Stop or give-way line, crossing and arrows where a road meets a junction.
 
     Args:
-        site: the street.
         arm: the road's end.
         control: line across the incoming lanes.
         zebra: a pedestrian crossing beyond the line.
@@ -294,7 +257,6 @@ def park_along(
     """Parking spots in the parking lane of a road.
 
     Args:
-        site: the street.
         road: has a parking lane on that side.
         side: +1 left, -1 right.
         middles: arc lengths of places, see `bays`.

@@ -23,7 +23,6 @@ class Arm:
     """A road's end at a junction.
 
     Attributes:
-        road: the road.
         at_end: its forward lanes enter the junction; else its backward lanes do.
     """
 
@@ -122,23 +121,18 @@ class Network:
 
     def _movement(self, name: str, arm: Arm, other: Arm, right_reach: float) -> None:
         sources, targets = arm.incoming(), other.outgoing()
-        turn = float(
-            se2.wrap_angle(
-                start_pose(self.lanes[targets[0]]).heading
-                - end_pose(self.lanes[sources[0]]).heading
-            )
-        )
+        leaving, entering = self.lanes[sources[0]], self.lanes[targets[0]]
+        turn = float(se2.wrap_angle(start_pose(entering).heading - end_pose(leaving).heading))
         stem = f"{name}-{arm.road.name}-{other.road.name}"
         if abs(turn) < _STRAIGHT:
             made = [
                 self.connect(f"{stem}-{k + 1}", source, target)
                 for k, (source, target) in enumerate(zip(sources, targets, strict=False))
             ]
-            limit = self.lanes[sources[0]].speed_limit
             for k, lane_id in enumerate(made):
                 self.lanes[lane_id] = replace(
                     self.lanes[lane_id],
-                    speed_limit=limit,
+                    speed_limit=leaving.speed_limit,
                     left_neighbour=made[k - 1] if k > 0 else None,
                     right_neighbour=made[k + 1] if k + 1 < len(made) else None,
                 )
@@ -153,19 +147,15 @@ class Network:
         Raises:
             ValueError: the goal cannot be reached.
         """
-        before = {start: ""}
-        queue = deque([start])
-        while queue:
-            here = queue.popleft()
-            if here == goal:
-                chain = [here]
-                while before[chain[-1]]:
-                    chain.append(before[chain[-1]])
-                return tuple(reversed(chain))
-            for ahead in self.lanes[here].successors:
-                if ahead not in before:
-                    before[ahead] = here
-                    queue.append(ahead)
+        chains: deque[tuple[str, ...]] = deque([(start,)])
+        met = {start}
+        while chains:
+            chain = chains.popleft()
+            if chain[-1] == goal:
+                return chain
+            ahead = [name for name in self.lanes[chain[-1]].successors if name not in met]
+            met.update(ahead)
+            chains.extend((*chain, name) for name in ahead)
         raise ValueError(f"no way from lane {start!r} to {goal!r}")
 
 
@@ -240,9 +230,8 @@ def tee(
     total = line.length
     ahead = Road("ahead", line, section, crossing + half, total, speed, (crossing, total))
     here = line.pose(crossing)
-    side_line = ReferenceLine.straight(
-        here._replace(heading=here.heading + way * np.pi / 2), side_length
-    )
+    across = here._replace(heading=here.heading + way * np.pi / 2)
+    side_line = ReferenceLine.straight(across, side_length)
     kerb = abs(section.kerb(way))
     begin = kerb - 3.0 if section.median > 0.5 else 0.0
     start = kerb + fillet + 0.5

@@ -8,8 +8,8 @@ import numpy as np
 import shapely
 from numpy.random import Generator
 
-from recast.geometry import se3
 from recast.synthetic import scenery
+from recast.synthetic.scenery.primitives import at
 from recast.synthetic.streets.dress import (
     Frontage,
     build_along,
@@ -36,28 +36,17 @@ from recast.synthetic.streets.road import Road, Section, Wear
 from recast.synthetic.streets.shapes import Pose, ReferenceLine
 from recast.synthetic.streets.site import EGO_START, RUN_OUT, Layout, Site
 
-ARTERIAL_EDGE = Edge(
-    kerb=True,
-    bands=(Band(2.4, GRASS, "grass"), Band(2.6, PAVING, "concrete")),
-    land=(GRASS, "grass"),
-)
+ARTERIAL_EDGE = Edge(True, (Band(2.4, GRASS), Band(2.6, PAVING)), GRASS)
 ARTERIAL_OFFICES = Frontage("office", (12.0, 18.0), (24.0, 46.0), (15.0, 24.0), (8.0, 22.0))
 ARTERIAL_SPEED = 16.7
-UNDERPASS_EDGE = Edge(
-    kerb=True,
-    bands=(Band(2.6, PAVING, "concrete"), Band(1.2, GRASS, "grass")),
-    land=(GRASS, "grass"),
-)
+UNDERPASS_EDGE = Edge(True, (Band(2.6, PAVING), Band(1.2, GRASS)), GRASS)
 UNDERPASS_OFFICES = Frontage("office", (16.0, 24.0), (20.0, 40.0), (14.0, 20.0), (10.0, 26.0))
 UNDERPASS_SHEDS = Frontage("industrial", (14.0, 22.0), (24.0, 40.0), (18.0, 26.0), (10.0, 22.0))
 UNDERPASS_SPEED = 13.9
 CLEARANCE = 5.0
 _SLOPE = 1.6
-ESTATE_EDGE = Edge(
-    kerb=True,
-    bands=(Band(1.8, PAVING, "concrete"), Band(1.6, GRASS, "grass")),
-    land=((0.215, 0.21, 0.195), "concrete"),
-)
+ESTATE_LAND = ((0.215, 0.21, 0.195), "concrete")
+ESTATE_EDGE = Edge(True, (Band(1.8, PAVING), Band(1.6, GRASS)), ESTATE_LAND)
 ESTATE_SHEDS = Frontage("industrial", (15.0, 24.0), (26.0, 48.0), (22.0, 36.0), (14.0, 24.0))
 ESTATE_SPEED = 13.9
 
@@ -95,8 +84,8 @@ def _arterial_layout(rng: Generator, length: float) -> Layout:
         section,
         Section(1, 1, lane_width=3.3, edge=0.4),
         crossing,
-        -1,
-        ARTERIAL_SPEED,
+        way=-1,
+        speed=ARTERIAL_SPEED,
         fillet=9.0,
         zebra=False,
         barred=[("ahead", "side"), ("side", "main")],
@@ -106,7 +95,7 @@ def _arterial_layout(rng: Generator, length: float) -> Layout:
     half_median = section.median / 2 - 0.35
     rim = np.concatenate([main.point(s, -half_median), main.point(s, half_median)[::-1]])
     median = shapely.Polygon(rim).buffer(-0.3).buffer(0.3)
-    islands = (Island(median, GRASS, "grass"),)
+    islands = (Island(median, GRASS),)
     return Layout(roads.network, roads.route(2), ARTERIAL_SPEED - 2.5, ARTERIAL_EDGE, 9.0, islands)
 
 
@@ -123,10 +112,10 @@ def _furnish_arterial(site: Site, main: Road, ahead: Road) -> None:
     for road in (main, ahead):
         lamps(site, road, (1, -1), 40.0, 10.0, 2.5)
         for way in (1, -1):
-            site.row(road, way, crowns, 22.0, 6.8, jitter=4.0, turn=None, chance=0.7)
+            site.row(road, way, crowns, 22.0, 6.8, jitter=4.0, turn=None, share=0.7)
             site.row(road, way, boards, 110.0, 7.0, jitter=20.0)
             site.row(road, way, small, 60.0, 4.4, jitter=15.0)
-            site.row(road, way, bushes, 17.0, 9.0, jitter=8.0, turn=None, chance=0.6)
+            site.row(road, way, bushes, 17.0, 9.0, jitter=8.0, turn=None, share=0.6)
 
 
 def _plant_median(site: Site, main: Road, ahead: Road) -> None:
@@ -135,8 +124,8 @@ def _plant_median(site: Site, main: Road, ahead: Road) -> None:
     hedge = several(rng, lambda r: scenery.bush(r, 0.9), 3)
     inside = -main.section.kerb(1)
     for way_road in (main, ahead):
-        site.row(way_road, 1, crowns, 20.0, inside, jitter=1.0, turn=None, chance=0.9)
-        site.row(way_road, 1, hedge, 9.0, inside, jitter=1.5, turn=None, chance=0.7)
+        site.row(way_road, 1, crowns, 20.0, inside, jitter=1.0, turn=None, share=0.9)
+        site.row(way_road, 1, hedge, 9.0, inside, jitter=1.5, turn=None, share=0.7)
 
 
 def underpass(rng: Generator, length: float) -> Site:
@@ -155,16 +144,10 @@ def underpass(rng: Generator, length: float) -> Site:
     sign(site, main, second + 40.0, -1, "direction", away=2.9)
     for way, frontage in ((1, UNDERPASS_OFFICES), (-1, UNDERPASS_SHEDS)):
         build_along(site, main, way, frontage, 0.0, main.end)
-        for start, end in ((first - 46.0, first - wide / 2 - 9.0), (second + 13.0, second + 45.0)):
-            line_along(
-                site,
-                main,
-                way,
-                UNDERPASS_EDGE.width + 0.5,
-                lambda n: scenery.wall(site.rng, n, 2.6, "concrete"),
-                start,
-                end,
-            )
+        walls = partial(scenery.wall, site.rng, height=2.6, style="concrete")
+        away = UNDERPASS_EDGE.width + 0.5
+        line_along(site, main, way, away, walls, first - 46.0, first - wide / 2 - 9.0)
+        line_along(site, main, way, away, walls, second + 13.0, second + 45.0)
     lamps(site, main, (1, -1), 36.0, 9.0, 2.2)
     _plant_underpass(site, main)
     woods(site, 0.8, 13.0)
@@ -189,10 +172,7 @@ def _bridge(site: Site, road: Road, s: float, width: float) -> None:
     span = 2 * (abs(road.section.kerb(1)) + UNDERPASS_EDGE.width)
     middle = road.line.pose(s)
     made = scenery.bridge(site.rng, span, width, CLEARANCE)
-    world_from_bridge = se3.from_rotation_translation(
-        se3.rotation_z(middle.heading), np.array([middle.x, middle.y, 0.0])
-    )
-    site.extras.append(made.transformed(world_from_bridge))
+    site.extras.append(at(made, middle.x, middle.y, 0.0, middle.heading))
     reach = width / 2 + _SLOPE * (CLEARANCE + 1.5)
     corners = [(s - reach, 1), (s + reach, 1), (s + reach, -1), (s - reach, -1)]
     for near in (1, -1):
@@ -210,9 +190,9 @@ def _plant_underpass(site: Site, road: Road) -> None:
     crowns = trees(rng, (6.5, 9.5), ("round", "tall", "conifer"), 5)
     bushes = several(rng, lambda r: scenery.bush(r, float(r.uniform(0.7, 1.4))), 4)
     for way in (1, -1):
-        site.row(road, way, crowns, 16.0, 6.5, jitter=3.0, turn=None, chance=0.7)
-        site.row(road, way, crowns, 24.0, 14.0, jitter=7.0, turn=None, chance=0.5)
-        site.row(road, way, bushes, 8.0, 5.2, jitter=2.5, turn=None, chance=0.6)
+        site.row(road, way, crowns, 16.0, 6.5, jitter=3.0, turn=None, share=0.7)
+        site.row(road, way, crowns, 24.0, 14.0, jitter=7.0, turn=None, share=0.5)
+        site.row(road, way, bushes, 8.0, 5.2, jitter=2.5, turn=None, share=0.6)
         site.row(road, way, several(rng, scenery.hoarding, 1), 130.0, 6.0, jitter=25.0)
 
 
@@ -270,30 +250,18 @@ def _yards(site: Site, road: Road, side: int, start: float, end: float) -> None:
 
 def _clutter(site: Site, main: Road, ahead: Road) -> None:
     rng = site.rng
-    boxes = [
-        *several(rng, scenery.container, 3),
-        *several(rng, lambda r: scenery.container(r, 12.19), 2),
-    ]
+    boxes = several(rng, scenery.container, 3)
+    boxes += several(rng, lambda r: scenery.container(r, 12.19), 2)
     goods = several(rng, scenery.pallets, 4)
     boards = several(rng, scenery.hoarding, 1)
     crowns = trees(rng, (6.0, 9.0), ("round", "tall"), 3)
     for road in (main, ahead):
         for way in (1, -1):
-            site.row(road, way, boxes, 15.0, 9.0, jitter=4.0, chance=0.75, off_pavement=True)
-            site.row(
-                road,
-                way,
-                boxes,
-                21.0,
-                9.5,
-                jitter=5.0,
-                turn=np.pi / 2,
-                chance=0.5,
-                off_pavement=True,
-            )
-            site.row(
-                road, way, goods, 8.0, 5.6, jitter=2.5, turn=None, chance=0.5, off_pavement=True
-            )
-            site.row(road, way, crowns, 48.0, 2.6, jitter=8.0, turn=None, chance=0.6)
-            site.row(road, way, boards, 130.0, 4.6, jitter=25.0, off_pavement=True)
-            site.row(road, way, several(rng, scenery.hydrant, 1), 70.0, 0.6, jitter=9.0)
+            row = partial(site.row, road, way)
+            yard = partial(row, off_pavement=True)
+            yard(boxes, 15.0, 9.0, jitter=4.0, share=0.75)
+            yard(boxes, 21.0, 9.5, jitter=5.0, turn=np.pi / 2, share=0.5)
+            yard(goods, 8.0, 5.6, jitter=2.5, turn=None, share=0.5)
+            row(crowns, 48.0, 2.6, jitter=8.0, turn=None, share=0.6)
+            yard(boards, 130.0, 4.6, jitter=25.0)
+            row(several(rng, scenery.hydrant, 1), 70.0, 0.6, jitter=9.0)

@@ -212,15 +212,13 @@ class Wear:
 
 def wear_road(decals: Decals, road: Road, wear: Wear, rng: Generator) -> None:
     """Wear the lanes of a road down."""
-    base = np.array(wear.colour)
-    indices = [*range(1, road.section.forward + 1), *range(-road.section.backward, 0)]
-    for index in indices:
-        inner, outer = road.section.lane(index)
-        middle, side = (inner + outer) / 2, -int(np.sign(index))
-        _tracks(decals, road, middle, side, base, wear.tracks, rng)
-        _patches(decals, road, (inner, outer), side, base, wear.patches, rng)
-        _covers(decals, road, middle, side, wear.covers, rng)
-        _cracks(decals, road, (inner, outer), side, base, wear.cracks, rng)
+    for index in [*range(1, road.section.forward + 1), *range(-road.section.backward, 0)]:
+        low, high = sorted(road.section.lane(index))
+        lane = _LaneWear(decals, road, wear, rng, low, high, -int(np.sign(index)))
+        lane.tracks()
+        lane.patches()
+        lane.covers()
+        lane.cracks()
 
 
 def wear_turns(decals: Decals, lanes: list[Lane], wear: Wear, clear: shapely.Geometry) -> None:
@@ -237,92 +235,86 @@ def wear_turns(decals: Decals, lanes: list[Lane], wear: Wear, clear: shapely.Geo
     decals.polygon(region, _TRACKS, np.array(wear.colour) * (1 - 0.13 * wear.tracks), "asphalt")
 
 
-def _tracks(
-    decals: Decals, road: Road, middle: float, side: int, base: Array, share: float, rng: Generator
-) -> None:
-    s = road.stations(road.paved[0] + 0.5, road.paved[1] - 0.5, 5.0)
-    drift = 0.12 * _wander(len(s), rng)
-    shade = 1 + 0.05 * _wander(len(s) - 1, rng)
-    for wheel in (0.82, -0.82):
-        for (outer, bright), inner in zip(_SOFT, (0.34, 0.18, 0.0), strict=True):
-            colours = base * (1 - share * (1 - bright)) * shade[:, None]
-            for sign in (1.0, -1.0):
-                far = road.point(s, middle + drift + wheel + sign * outer, side)
-                near = road.point(s, middle + drift + wheel + sign * inner, side)
-                left, right = (far, near) if sign > 0 else (near, far)
-                decals.strip(left, right, _TRACKS, colours, "asphalt")
+@dataclass(frozen=True)
+class _LaneWear:
+    """Wears one lane down, between the laterals `low` and `high` on one side of a road."""
 
+    decals: Decals
+    road: Road
+    wear: Wear
+    rng: Generator
+    low: float
+    high: float
+    side: int
 
-def _patches(
-    decals: Decals,
-    road: Road,
-    lane: tuple[float, float],
-    side: int,
-    base: Array,
-    rate: float,
-    rng: Generator,
-) -> None:
-    low, high = sorted(lane)
-    s = road.start + rng.uniform(0, 20)
-    while rate > 0 and s < road.end - 12:
-        if rng.random() < 0.3:  # a trench along the lane
-            length, width = rng.uniform(5, 18), rng.uniform(0.5, 0.9)
-        else:
-            length, width = rng.uniform(0.8, 4.0), rng.uniform(0.7, high - low - 0.4)
-        length = min(length, road.end - s - 1)
-        start = rng.uniform(low + 0.1, high - width - 0.1)
-        tone = base * rng.choice([rng.uniform(0.55, 0.8), rng.uniform(1.12, 1.4)])
-        stations = road.stations(s, s + length)
-        left = road.point(stations, start + width, side)
-        right = road.point(stations, start, side)
-        decals.strip(left, right, _PATCHES, tone, "asphalt")
-        s += length + rng.exponential(100 / rate)
+    def _strip(
+        self, s: Array, left: ArrayLike, right: ArrayLike, height: float, tone: ArrayLike
+    ) -> None:
+        one, other = (self.road.point(s, lateral, self.side) for lateral in (left, right))
+        self.decals.strip(one, other, height, np.asarray(tone) * self.wear.colour, "asphalt")
 
+    def tracks(self) -> None:
+        """Wheel tracks, soft at their edges."""
+        start, end = self.road.paved
+        s = self.road.stations(start + 0.5, end - 0.5, 5.0)
+        drift = (self.low + self.high) / 2 + 0.12 * _wander(len(s), self.rng)
+        shade = 1 + 0.05 * _wander(len(s) - 1, self.rng)[:, None]
+        for wheel in (0.82, -0.82):
+            for (outer, bright), inner in zip(_SOFT, (0.34, 0.18, 0.0), strict=True):
+                tone = (1 - self.wear.tracks * (1 - bright)) * shade
+                for sign in (1.0, -1.0):
+                    far, near = (drift + wheel + sign * reach for reach in (outer, inner))
+                    self._strip(s, far, near, _TRACKS, tone)
 
-def _covers(
-    decals: Decals, road: Road, middle: float, side: int, rate: float, rng: Generator
-) -> None:
-    s = road.start + rng.uniform(3, 40)
-    while rate > 0 and s < road.end - 3:
-        centre = road.point(s, middle + rng.uniform(-0.5, 0.5), side)
-        for radius, tone, lift in ((0.42, 0.075, 0.0), (0.33, 0.05, 2e-4), (0.2, 0.09, 4e-4)):
-            disc = shapely.Point(centre).buffer(radius, quad_segs=4)
-            decals.polygon(disc, _COVERS + lift, [tone, tone * 0.97, tone * 0.93], "asphalt")
-        s += 8 + rng.exponential(100 / rate)
+    def patches(self) -> None:
+        """Mended places, some of them trenches along the lane."""
+        rng, low, high, end = self.rng, self.low, self.high, self.road.end
+        s = self.road.start + rng.uniform(0, 20)
+        while self.wear.patches > 0 and s < end - 12:
+            if rng.random() < 0.3:  # a trench along the lane
+                length, width = rng.uniform(5, 18), rng.uniform(0.5, 0.9)
+            else:
+                length, width = rng.uniform(0.8, 4.0), rng.uniform(0.7, high - low - 0.4)
+            length = min(length, end - s - 1)
+            start = rng.uniform(low + 0.1, high - width - 0.1)
+            tone = rng.choice([rng.uniform(0.55, 0.8), rng.uniform(1.12, 1.4)])
+            stations = self.road.stations(s, s + length)
+            self._strip(stations, start + width, start, _PATCHES, tone)
+            s += length + rng.exponential(100 / self.wear.patches)
 
+    def covers(self) -> None:
+        """Round covers of manholes."""
+        rng = self.rng
+        s = self.road.start + rng.uniform(3, 40)
+        while self.wear.covers > 0 and s < self.road.end - 3:
+            middle = (self.low + self.high) / 2 + rng.uniform(-0.5, 0.5)
+            centre = shapely.Point(self.road.point(s, middle, self.side))
+            for radius, tone, lift in ((0.42, 0.075, 0.0), (0.33, 0.05, 2e-4), (0.2, 0.09, 4e-4)):
+                disc = centre.buffer(radius, quad_segs=4)
+                colour = [tone, tone * 0.97, tone * 0.93]
+                self.decals.polygon(disc, _COVERS + lift, colour, "asphalt")
+            s += 8 + rng.exponential(100 / self.wear.covers)
 
-def _cracks(
-    decals: Decals,
-    road: Road,
-    lane: tuple[float, float],
-    side: int,
-    base: Array,
-    rate: float,
-    rng: Generator,
-) -> None:
-    low, high = sorted(lane)
-    s = road.start + rng.exponential(8)
-    while rate > 0 and s < road.end - 12:
-        if rng.random() < 0.55:  # across the lane
-            lateral = np.linspace(low, high, 9)
-            along = s + 0.25 * _wander(9, rng) + rng.uniform(-0.15, 0.15) * np.arange(9)
-            width = np.array([rng.uniform(0.012, 0.032), 0.0])
-        else:
-            along = s + np.linspace(0.0, rng.uniform(3.0, 10.0), 14)
-            lateral = np.clip(rng.uniform(low, high) + 0.3 * _wander(14, rng), low, high)
-            width = np.array([0.0, rng.uniform(0.012, 0.032)])
-        one = road.point(along + width[0], lateral + width[1], side)
-        other = road.point(along - width[0], lateral - width[1], side)
-        _upwards(decals, one, other, base * rng.uniform(0.35, 0.6))
-        s += rng.exponential(100 / rate)
-
-
-def _upwards(decals: Decals, left: Array, right: Array, colour: Array) -> None:
-    """A strip whose sides may have been given the wrong way round."""
-    across, along = left[0] - right[0], right[1] - right[0]
-    if along[0] * across[1] - along[1] * across[0] < 0:
-        left, right = right, left
-    decals.strip(left, right, _SEALS, colour, "asphalt")
+    def cracks(self) -> None:
+        """Sealed cracks across and along the lane."""
+        rng, low, high = self.rng, self.low, self.high
+        s = self.road.start + rng.exponential(8)
+        while self.wear.cracks > 0 and s < self.road.end - 12:
+            if rng.random() < 0.55:  # across the lane
+                lateral = np.linspace(low, high, 9)
+                along = s + 0.25 * _wander(9, rng) + rng.uniform(-0.15, 0.15) * np.arange(9)
+                width = np.array([rng.uniform(0.012, 0.032), 0.0])
+            else:
+                along = s + np.linspace(0.0, rng.uniform(3.0, 10.0), 14)
+                lateral = np.clip(rng.uniform(low, high) + 0.3 * _wander(14, rng), low, high)
+                width = np.array([0.0, rng.uniform(0.012, 0.032)])
+            one, other = (
+                self.road.point(along + sign * width[0], lateral + sign * width[1], self.side)
+                for sign in (1, -1)
+            )
+            tone = np.array(self.wear.colour) * rng.uniform(0.35, 0.6)
+            self.decals.strip(one, other, _SEALS, tone, "asphalt")
+            s += rng.exponential(100 / self.wear.cracks)
 
 
 def _wander(count: int, rng: Generator) -> Array:

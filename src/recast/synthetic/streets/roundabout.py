@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import shapely
@@ -37,12 +38,7 @@ _JOIN = 0.56
 """Radians between an arm's axis and where its lanes leave and join the ring."""
 _SPREAD = 2.3
 """Metres by which the lanes of a road move apart on both sides of the splitter island."""
-EDGE = Edge(
-    kerb=True,
-    bands=(Band(1.6, GRASS, "grass"), Band(2.0, PAVING, "concrete")),
-    land=(GRASS, "grass"),
-    hills=18.0,
-)
+EDGE = Edge(True, (Band(1.6, GRASS), Band(2.0, PAVING)), GRASS, hills=18.0)
 HOUSES = Frontage("suburban", (9.0, 14.0), (10.0, 14.0), (8.0, 11.0), (7.0, 14.0))
 SPEED = 11.1
 
@@ -104,12 +100,8 @@ def make_roundabout(
         if name == "main":
             far = near + length * out
             line = ReferenceLine.straight(Pose(far[0], far[1], angle + np.pi), length)
-            spread = (
-                (0.0, 0.0),
-                (length - 27.0, 0.0),
-                (length - 4.0, _SPREAD),
-                (length + _GAP, _SPREAD),
-            )
+            near_end = ((length - 27.0, 0.0), (length - 4.0, _SPREAD), (length + _GAP, _SPREAD))
+            spread = ((0.0, 0.0), *near_end)
             paved = (0.0, length + _GAP)
         else:
             line = ReferenceLine.straight(Pose(near[0], near[1], angle), length)
@@ -153,14 +145,8 @@ def _link(
 
 def _splitters(road: Road) -> list[shapely.Polygon]:
     """Raised islands where a road's directions have moved apart, before and after a crossing."""
-    s = road.stations(
-        *(
-            (road.end - 24.0, road.end + 1.0)
-            if road.name == "main"
-            else (road.start - 1.0, road.start + 24.0)
-        ),
-        1.0,
-    )
+    start = road.end - 24.0 if road.name == "main" else road.start - 1.0
+    s = road.stations(start, start + 25.0, 1.0)
     half = np.maximum(road.apart(s) - 0.35, 0.0)
     wide = half > 0.25
     s, half = s[wide], half[wide]
@@ -195,17 +181,8 @@ def roundabout_approach(rng: Generator, length: float) -> Site:
             start = 0.0 if entering else road.start + 10.0
             end = road.end - 10.0 if entering else road.end
             build_along(site, road, side, HOUSES, start, end)
-            line_along(
-                site,
-                road,
-                side,
-                EDGE.width + 0.6,
-                lambda n: scenery.hedge(site.rng, n, 1.2),
-                start,
-                end,
-                piece=6.0,
-                chance=0.55,
-            )
+            hedge, away = partial(scenery.hedge, site.rng, height=1.2), EDGE.width + 0.6
+            line_along(site, road, side, away, hedge, start, end, piece=6.0, share=0.55)
         lamps(site, road, (1, -1), 38.0, 8.0, 1.8)
         _plant(site, road)
     woods(site, 0.9, 12.0)
@@ -217,27 +194,18 @@ def _layout(rng: Generator, length: float) -> tuple[Roundabout, Layout]:
     beyond = length + RUN_OUT - (approach - EGO_START)
     side = float(rng.uniform(75, 90))
     angles = (np.pi, -np.pi / 2 + rng.uniform(-0.2, 0.2), 0.0, np.pi / 2 + rng.uniform(-0.2, 0.2))
-    round_ = make_roundabout(
-        Pose(approach - EGO_START + 24.0, 0.0, 0.0),
-        radius=float(rng.uniform(17.0, 20.0)),
-        arms=tuple(
-            zip(
-                ("main", "right", "ahead", "left"),
-                angles,
-                (approach, side, beyond, side),
-                strict=True,
-            )
-        ),
-        speed=SPEED,
-    )
+    names, lengths = ("main", "right", "ahead", "left"), (approach, side, beyond, side)
+    arms = tuple(zip(names, angles, lengths, strict=True))
+    centre = Pose(approach - EGO_START + 24.0, 0.0, 0.0)
+    round_ = make_roundabout(centre, float(rng.uniform(17.0, 20.0)), arms, SPEED)
     network = round_.network
     ahead = network.roads["ahead"]
     route = network.route(
         network.roads["main"].lane_id(0, 1), ahead.lane_id(len(ahead.blocks()) - 2, 1)
     )
     islands = (
-        Island(round_.centre_disc, GRASS, "grass"),
-        *(Island(outline, PAVING, "concrete") for outline in round_.splitters),
+        Island(round_.centre_disc, GRASS),
+        *(Island(outline, PAVING) for outline in round_.splitters),
     )
     layout = Layout(network, route, 9.5, EDGE, 6.0, islands, paved=(round_.disc,))
     return round_, layout
@@ -258,9 +226,7 @@ def _mound(round_: Roundabout) -> Surface:
         xy = np.array(round_.centre) + round_.island_radius * max(share, 1e-3) * rim
         z = np.full(len(xy), KERB_HEIGHT - 0.004 + _MOUND * height)
         rings.append(np.concatenate([xy, z[:, None]], axis=1))
-    return concatenate(
-        [ribbon(near, far, GRASS, "grass") for near, far in itertools.pairwise(rings)]
-    )
+    return concatenate([ribbon(near, far, *GRASS) for near, far in itertools.pairwise(rings)])
 
 
 def _middle(site: Site, round_: Roundabout) -> None:
@@ -288,7 +254,6 @@ def _plant(site: Site, road: Road) -> None:
     rng = site.rng
     crowns = trees(rng, (6.0, 9.0), ("round", "conifer", "tall"), 4, detail=0.8)
     for side in (1, -1):
-        site.row(
-            road, side, crowns, 15.0, 6.8, jitter=3.0, turn=None, chance=0.5, off_pavement=True
-        )
-        site.row(road, side, crowns, 18.0, 25.0, jitter=6.0, turn=None, chance=0.6)
+        row = partial(site.row, road, side, crowns, turn=None)
+        row(15.0, 6.8, jitter=3.0, share=0.5, off_pavement=True)
+        row(18.0, 25.0, jitter=6.0, share=0.6)

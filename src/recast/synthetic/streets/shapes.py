@@ -177,11 +177,21 @@ def triangulate(region: shapely.Geometry) -> Array:
     ]
     if not triangles:
         return np.zeros((0, 3, 2))
-    corners = np.concatenate(triangles)[:, :3]
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return _upwards(np.concatenate(triangles)[:, :3])
+
+
+def _upwards(triangles: Array) -> Array:
+    """Triangles (T, 3, 2), all counter-clockwise."""
+    a, b = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     clockwise = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] < 0
-    corners[clockwise] = corners[clockwise][:, ::-1]
-    return corners
+    return np.where(clockwise[:, None, None], triangles[:, ::-1], triangles)
+
+
+def placed(outline: shapely.Geometry, pose: Pose) -> shapely.Geometry:
+    """An outline in its own frame, moved to a pose."""
+    c, s = np.cos(pose.heading), np.sin(pose.heading)
+    turn = np.array([[c, -s], [s, c]])
+    return shapely.transform(outline, lambda xy: xy @ turn.T + np.array([pose.x, pose.y]))
 
 
 def without_holes(region: shapely.Geometry) -> list[shapely.Polygon]:
@@ -237,8 +247,8 @@ class Decals:
         self._materials: list[NDArray[np.uint8]] = []
 
     def add(self, triangles: ArrayLike, height: float, colour: ArrayLike, material: str) -> None:
-        """Add triangles (T, 3, 2), counter-clockwise, with colour (3,) or (T, 3)."""
-        xy = np.asarray(triangles, np.float64).reshape(-1, 3, 2)
+        """Add triangles (T, 3, 2), turned to be seen from above, with colour (3,) or (T, 3)."""
+        xy = _upwards(np.asarray(triangles, np.float64).reshape(-1, 3, 2))
         self._triangles.append(np.concatenate([xy, np.full((len(xy), 3, 1), height)], axis=2))
         self._colours.append(np.broadcast_to(np.asarray(colour, np.float64), (len(xy), 3)))
         self._materials.append(np.full(len(xy), MATERIAL_INDEX[material], np.uint8))

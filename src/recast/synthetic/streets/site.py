@@ -10,13 +10,13 @@ import shapely
 from numpy.random import Generator
 
 from recast.arrays import Array
-from recast.geometry import se3
 from recast.logs import HdMap
+from recast.synthetic.scenery.primitives import at
 from recast.synthetic.streets.ground import Edge, Ground, Island
 from recast.synthetic.streets.markings import Markings
 from recast.synthetic.streets.network import Network
 from recast.synthetic.streets.road import Road, Wear, wear_road, wear_turns
-from recast.synthetic.streets.shapes import Decals, Pose, without_holes
+from recast.synthetic.streets.shapes import Decals, Pose, placed, without_holes
 from recast.synthetic.surface import Surface, concatenate
 from recast.synthetic.world import ParkingSpot, Street, daylight
 
@@ -104,7 +104,7 @@ class Placer:
             overlap: share of the smaller of two outlines by which they may overlap.
             lift: metres above the ground at which it stands.
         """
-        foot, low, whole = (_moved(part, pose) for part in (prop.foot, prop.low, prop.whole))
+        foot, low, whole = (placed(part, pose) for part in (prop.foot, prop.low, prop.whole))
         if self._road.intersects(foot) or self._lanes.intersects(low):
             return False
         if keep_off is not None and keep_off.intersects(foot):
@@ -113,10 +113,7 @@ class Placer:
             return False
         self.reserve(whole)
         z = lift + float(self._ground.height(np.array([[pose.x, pose.y]]))[0])
-        world_from_prop = se3.from_rotation_translation(
-            se3.rotation_z(pose.heading), np.array([pose.x, pose.y, z])
-        )
-        self.placed.append(prop.surface.transformed(world_from_prop))
+        self.placed.append(at(prop.surface, pose.x, pose.y, z, pose.heading))
         return True
 
     def _collides(self, outline: shapely.Geometry, overlap: float) -> bool:
@@ -132,12 +129,6 @@ class Placer:
             if outline.intersection(other).area > overlap * least:
                 return True
         return False
-
-
-def _moved(outline: shapely.Geometry, pose: Pose) -> shapely.Geometry:
-    c, s = np.cos(pose.heading), np.sin(pose.heading)
-    turn = np.array([[c, -s], [s, c]])
-    return shapely.transform(outline, lambda xy: xy @ turn.T + np.array([pose.x, pose.y]))
 
 
 @dataclass(frozen=True)
@@ -224,12 +215,11 @@ class Site:
         turn: float | None = 0.0,
         off_pavement: bool = False,
         overlap: float = 0.12,
-        chance: float = 1.0,
+        share: float = 1.0,
     ) -> None:
         """Props along a road.
 
         Args:
-            road: the road.
             side: +1 left, -1 right.
             props: one is drawn for each place.
             spacing: metres between them.
@@ -239,7 +229,7 @@ class Site:
             turn: radians added to the heading; None for any.
             off_pavement: keep clear of the pavement and verges too.
             overlap: as in `Placer.place`.
-            chance: that there is one at each place.
+            share: of the places that have one.
         """
         begin = (road.start if start is None else start) + self.rng.uniform(0.2, 0.8) * spacing
         for s in np.arange(begin, road.end if end is None else end, spacing):
@@ -247,7 +237,7 @@ class Site:
             out = away + self.rng.uniform(-jitter, jitter) / 3
             prop = props[int(self.rng.integers(len(props)))]
             angle = self.rng.uniform(0, 2 * np.pi) if turn is None else turn
-            if self.rng.random() > chance:
+            if self.rng.random() > share:
                 continue
             pose = self.beside(road, place, side, max(out, 0.3) if away > 0 else out)
             pose = Pose(pose.x, pose.y, pose.heading + angle)

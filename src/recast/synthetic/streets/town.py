@@ -25,18 +25,15 @@ from recast.synthetic.streets.road import Road, Section, Wear
 from recast.synthetic.streets.shapes import Pose, ReferenceLine
 from recast.synthetic.streets.site import EGO_START, RUN_OUT, Layout, Prop, Site
 
-TOWN_EDGE = Edge(
-    kerb=True, bands=(Band(4.6, PAVING, "concrete"),), land=((0.25, 0.24, 0.22), "concrete")
-)
+CITY = ((0.25, 0.24, 0.22), "concrete")
+TOWN_EDGE = Edge(True, (Band(4.6, PAVING),), CITY)
 STRAIGHT_HOUSES = Frontage("urban", (4.8, 5.0), (10.0, 20.0), (10.0, 14.0), (0.0, 0.0), (3, 6))
 TOWN_SPEED = 13.9
 CROSSING_HOUSES = Frontage("urban", (4.8, 5.0), (11.0, 22.0), (11.0, 15.0), (0.0, 0.0), (3, 7))
 CROSSING_OFFICES = Frontage("office", (5.2, 6.5), (22.0, 34.0), (15.0, 20.0), (1.0, 6.0))
 
 FILLET = 8.0
-NARROW_EDGE = Edge(
-    kerb=True, bands=(Band(3.0, PAVING, "concrete"),), land=((0.25, 0.24, 0.22), "concrete")
-)
+NARROW_EDGE = Edge(True, (Band(3.0, PAVING),), CITY)
 NARROW_HOUSES = Frontage("urban", (3.2, 3.4), (7.5, 13.0), (9.0, 12.0), (0.0, 0.0), (2, 4))
 NARROW_SPEED = 8.3
 PITCH, BLOCK = 6.0, 4
@@ -87,17 +84,13 @@ def _furnish_straight(site: Site, main: Road, ahead: Road, side: Road) -> None:
     lamps(site, main, (1, -1), 34.0, 8.5, 2.2)
     lamps(site, ahead, (1, -1), 34.0, 8.5, 2.2)
     crowns = trees(rng, (5.0, 6.0), ("round",), 4) + trees(rng, (7.0, 8.5), ("tall",), 2)
-    small = [
-        *several(rng, scenery.litter_bin, 1),
-        *several(rng, scenery.hydrant, 1),
-        *several(rng, scenery.parking_meter, 1),
-        *several(rng, scenery.bollard, 1),
-    ]
+    kinds = (scenery.litter_bin, scenery.hydrant, scenery.parking_meter, scenery.bollard)
+    small = [Prop.of(make(rng)) for make in kinds]
     benches = several(rng, scenery.bench, 2)
     for road in (main, ahead):
         for way in (1, -1):
-            site.row(road, way, crowns, 16.0, 1.6, jitter=0.9, turn=None, chance=0.85, overlap=0.35)
-            site.row(road, way, small, 14.0, 0.6, jitter=4.0, chance=0.8)
+            site.row(road, way, crowns, 16.0, 1.6, jitter=0.9, turn=None, share=0.85, overlap=0.35)
+            site.row(road, way, small, 14.0, 0.6, jitter=4.0, share=0.8)
             site.row(road, way, benches, 45.0, 2.6, jitter=8.0)
 
 
@@ -172,17 +165,13 @@ def _furnish_crossing(site: Site, road: Road) -> None:
     rng = site.rng
     lamps(site, road, (1, -1), 34.0, 8.5, 2.2)
     crowns = trees(rng, (5.0, 6.0), ("round",), 2) + trees(rng, (7.0, 8.5), ("tall",), 1)
-    small = [
-        *several(rng, scenery.litter_bin, 1),
-        *several(rng, scenery.hydrant, 1),
-        *several(rng, scenery.bollard, 1),
-        *several(rng, scenery.bench, 1),
-    ]
+    kinds = (scenery.litter_bin, scenery.hydrant, scenery.bollard, scenery.bench)
+    small = [Prop.of(make(rng)) for make in kinds]
     sign(site, road, (road.start + road.end) / 2, -1, "speed", speed=50)
     for way in (1, -1):
         start, end = road.start + 8, road.end - 8
-        site.row(road, way, crowns, 17.0, 1.6, start, end, 0.9, None, overlap=0.35, chance=0.75)
-        site.row(road, way, small, 16.0, 0.6, jitter=4.0, chance=0.8)
+        site.row(road, way, crowns, 17.0, 1.6, start, end, 0.9, None, overlap=0.35, share=0.75)
+        site.row(road, way, small, 16.0, 0.6, jitter=4.0, share=0.8)
 
 
 def parked_street(rng: Generator, length: float) -> Site:
@@ -243,23 +232,17 @@ def _build_out(road: Road, s: float, side: int) -> Island:
     section = road.section
     inner, outer = section.lanes_edge(side) + side * 0.5, section.kerb(side) + side * 0.05
     half = PITCH / 2 - 0.4
-    corners = road.point(
-        np.array([s - half, s - half + 0.8, s + half - 0.8, s + half]),
-        np.array([outer, inner, inner, outer]),
-    )
-    return Island(shapely.Polygon(corners), PAVING, "concrete")
+    places = [s - half, s - half + 0.8, s + half - 0.8, s + half]
+    return Island(shapely.Polygon(road.point(places, [outer, inner, inner, outer])))
 
 
 def _furnish_parked(site: Site, main: Road, ahead: Road) -> None:
     rng = site.rng
     # Only narrow crowns fit between a lane and the houses.
     crowns = trees(rng, (5.5, 8.5), ("tall",), 6)
-    small = [
-        *several(rng, scenery.litter_bin, 1),
-        *several(rng, scenery.parking_meter, 2),
-        *several(rng, scenery.bollard, 1),
-        *several(rng, scenery.bench, 1),
-    ]
+    meters = (scenery.parking_meter, scenery.parking_meter)
+    kinds = (scenery.litter_bin, *meters, scenery.bollard, scenery.bench)
+    small = [Prop.of(make(rng)) for make in kinds]
     for road in (main, ahead):
         lamps(site, road, (1, -1), 30.0, 6.5, 1.2)
         for way in (1, -1):
@@ -268,4 +251,4 @@ def _furnish_parked(site: Site, main: Road, ahead: Road) -> None:
                 spot = site.beside(road, s, way, -0.45)
                 turned = Pose(spot.x, spot.y, float(rng.uniform(0, 2 * np.pi)))
                 site.placer.place(crown, turned, overlap=0.5)
-            site.row(road, way, small, 11.0, 0.5, jitter=3.0, chance=0.8)
+            site.row(road, way, small, 11.0, 0.5, jitter=3.0, share=0.8)

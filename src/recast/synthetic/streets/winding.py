@@ -28,32 +28,26 @@ from recast.synthetic.streets.shapes import Pose, ReferenceLine, flat
 from recast.synthetic.streets.site import EGO_START, RUN_OUT, Layout, Prop, Site
 from recast.synthetic.surface import Surface
 
-DRY_GRASS = (0.14, 0.15, 0.05)
 RURAL_EDGE = Edge(
     kerb=False,
     bands=(
-        Band(0.9, GRAVEL, "soil", -0.02),
-        Band(1.4, GRASS, "grass", -0.25),
-        Band(0.9, (0.07, 0.11, 0.03), "grass", -0.30),
-        Band(1.8, DRY_GRASS, "grass", 0.0),
+        Band(0.9, GRAVEL, -0.02),
+        Band(1.4, GRASS, -0.25),
+        Band(0.9, ((0.07, 0.11, 0.03), "grass"), -0.30),
+        Band(1.8, ((0.14, 0.15, 0.05), "grass"), 0.0),
     ),
     land=((0.10, 0.14, 0.04), "grass"),
     hills=38.0,
 )
 CROPS = (
     ((0.26, 0.21, 0.08), "grass"),
-    (SOIL, "soil"),
+    SOIL,
     ((0.07, 0.13, 0.03), "grass"),
     ((0.30, 0.27, 0.05), "grass"),
     ((0.17, 0.17, 0.06), "grass"),
 )
 RURAL_SPEED = 16.7
-SUBURBAN_EDGE = Edge(
-    kerb=True,
-    bands=(Band(1.5, GRASS, "grass"), Band(1.7, PAVING, "concrete")),
-    land=(GRASS, "grass"),
-    hills=20.0,
-)
+SUBURBAN_EDGE = Edge(True, (Band(1.5, GRASS), Band(1.7, PAVING)), GRASS, hills=20.0)
 SUBURBAN_HOUSES = Frontage("suburban", (8.5, 11.0), (9.5, 14.0), (8.0, 11.0), (6.0, 9.0))
 SUBURBAN_SPEED = 11.1
 
@@ -72,9 +66,12 @@ def rural_two_lane(rng: Generator, length: float) -> Site:
     sign(site, main, main.end - 45.0, -1, "warning", away=1.5)
     sign(site, main, main.end - 18.0, -1, "direction", away=3.4)
     for road in (main, ahead):
-        for way in (1, -1):
-            _markers(site, road, way)
-    _wires(site, main, ahead)
+        for way in (1, -1):  # marker posts with reflectors
+            site.row(road, way, several(site.rng, scenery.bollard, 1), 25.0, 0.75)
+    way = int(site.rng.choice([-1, 1]))
+    for road in (main, ahead):
+        start, end = road.paved[0] + 5.0, road.paved[1] - 2.0
+        line_along(site, road, way, 8.5, partial(_span, site.rng), start, end, piece=38.0)
     _rails(site, main)
     _rails(site, ahead)
     _farm(site, side)
@@ -108,25 +105,9 @@ def _far(side: Road) -> int:
     return -1 if np.sin(side.line.headings[0]) > 0 else 1
 
 
-def _markers(site: Site, road: Road, side: int) -> None:
-    """Marker posts with reflectors."""
-    post = Prop.of(scenery.bollard(site.rng))
-    site.row(road, side, [post], 25.0, 0.75)
-
-
-def _wires(site: Site, main: Road, ahead: Road) -> None:
-    side = int(site.rng.choice([-1, 1]))
-    for road in (main, ahead):
-        line_along(
-            site,
-            road,
-            side,
-            8.5,
-            lambda n: scenery.pole_line(site.rng, n, n),
-            road.paved[0] + 5.0,
-            road.paved[1] - 2.0,
-            piece=38.0,
-        )
+def _span(rng: Generator, length: float) -> Surface:
+    """Wires on two poles."""
+    return scenery.pole_line(rng, length, length)
 
 
 def _rails(site: Site, road: Road) -> None:
@@ -135,10 +116,8 @@ def _rails(site: Site, road: Road) -> None:
     turn = np.gradient(road.line.heading(s), s)
     for at, curvature in zip(s, turn, strict=True):
         if abs(curvature) > 1 / 360:
-            side = -int(np.sign(curvature))
-            line_along(
-                site, road, side, 1.1, lambda n: scenery.guard_rail(site.rng, n), at, at + 8.0, 9.0
-            )
+            side, rail = -int(np.sign(curvature)), partial(scenery.guard_rail, site.rng)
+            line_along(site, road, side, 1.1, rail, at, at + 8.0, piece=9.0)
 
 
 def _farm(site: Site, side: Road) -> None:
@@ -179,10 +158,10 @@ def _rural_trees(site: Site, main: Road, ahead: Road) -> None:
     bushes = [Prop.of(scenery.bush(rng, float(rng.uniform(0.8, 1.6)))) for _ in range(4)]
     for road in (main, ahead):
         for way in (1, -1):
-            site.row(road, way, crowns, 26.0, 7.0, jitter=9.0, turn=None, chance=0.55)
-            site.row(road, way, bushes, 11.0, 5.6, jitter=4.0, turn=None, chance=0.5)
-            for away, chance in ((26.0, 0.3), (48.0, 0.5), (78.0, 0.6)):
-                site.row(road, way, far, 22.0, away, jitter=18.0, turn=None, chance=chance)
+            site.row(road, way, crowns, 26.0, 7.0, jitter=9.0, turn=None, share=0.55)
+            site.row(road, way, bushes, 11.0, 5.6, jitter=4.0, turn=None, share=0.5)
+            for away, share in ((26.0, 0.3), (48.0, 0.5), (78.0, 0.6)):
+                site.row(road, way, far, 22.0, away, jitter=18.0, turn=None, share=share)
 
 
 def suburban_curve(rng: Generator, length: float) -> Site:
@@ -202,10 +181,9 @@ def suburban_curve(rng: Generator, length: float) -> Site:
         for way in (1, -1):
             _plots(site, road, way, 22.0 if road is side else 0.0, end)
     for road in (main, ahead):
+        places = bays(road.start + 4, road.end - 6, 9.0, 3)[0]
         for way in (1, -1):
-            park_along(
-                site, road, way, bays(road.start + 4, road.end - 6, 9.0, 3)[0], 0.35, ticks=False
-            )
+            park_along(site, road, way, places, 0.35, ticks=False)
         lamps(site, road, (1 if main.line.length % 2 < 1 else -1,), 36.0, 6.5, 1.4)
         _suburban_trees(site, road)
     woods(site, 0.9, 13.0)
@@ -217,33 +195,16 @@ def _suburban_layout(rng: Generator, length: float) -> Layout:
     way = float(rng.choice([-1.0, 1.0]))
     first, second = way / rng.uniform(70, 110), -way / rng.uniform(80, 130)
     arc = float(np.clip(0.42 * length, 30.0, 90.0))
-    line = ReferenceLine.from_bends(
-        Pose(-EGO_START, 0.0, 0.0),
-        [
-            (EGO_START + 0.06 * length, 0.0),
-            (arc, first),
-            (0.16 * length + 18.0, 0.0),
-            (arc, second),
-            (total, 0.0),
-        ],
-        transition=26.0,
-    ).part(0.0, total)
+    bends = [(EGO_START + 0.06 * length, 0.0), (arc, first), (0.16 * length + 18.0, 0.0)]
+    bends += [(arc, second), (total, 0.0)]
+    line = ReferenceLine.from_bends(Pose(-EGO_START, 0.0, 0.0), bends, 26.0).part(0.0, total)
     section = Section(1, 1, lane_width=3.3, parking_right=2.2, parking_left=2.2, edge=0.15)
     crossing = EGO_START + 0.06 * length + arc + 0.08 * length + 9.0
-    roads = tee(
-        line,
-        section,
-        Section(1, 1, lane_width=3.3),
-        crossing,
-        -int(way),
-        SUBURBAN_SPEED,
-        6.0,
-        zebra=False,
-    )
+    minor = Section(1, 1, lane_width=3.3)
+    roads = tee(line, section, minor, crossing, -int(way), SUBURBAN_SPEED, 6.0, zebra=False)
     wear = Wear((0.135, 0.133, 0.13), patches=5.0, cracks=12.0, covers=2.0, tracks=0.7)
-    return Layout(
-        roads.network, roads.route(1), SUBURBAN_SPEED - 1.1, SUBURBAN_EDGE, 6.0, wear=wear
-    )
+    speed = SUBURBAN_SPEED - 1.1
+    return Layout(roads.network, roads.route(1), speed, SUBURBAN_EDGE, 6.0, wear=wear)
 
 
 def _plots(site: Site, road: Road, side: int, start: float, end: float) -> None:
@@ -277,10 +238,9 @@ def _suburban_trees(site: Site, road: Road) -> None:
     crowns = trees(rng, (6.0, 9.0), ("round", "conifer", "round", "tall"), 6)
     bushes = several(rng, lambda r: scenery.bush(r, float(r.uniform(0.7, 1.3))), 4)
     for way in (1, -1):
-        site.row(road, way, crowns[:1] + crowns[2:3], 19.0, 0.8, jitter=1.5, turn=None, chance=0.5)
-        site.row(
-            road, way, crowns, 13.0, 6.6, jitter=3.0, turn=None, chance=0.45, off_pavement=True
-        )
-        site.row(road, way, crowns, 15.0, 24.0, jitter=6.0, turn=None, chance=0.7)
-        site.row(road, way, bushes, 8.0, 7.4, jitter=2.0, turn=None, chance=0.5)
+        row = partial(site.row, road, way, turn=None)
+        row(crowns[:1] + crowns[2:3], 19.0, 0.8, jitter=1.5, share=0.5)
+        row(crowns, 13.0, 6.6, jitter=3.0, share=0.45, off_pavement=True)
+        row(crowns, 15.0, 24.0, jitter=6.0, share=0.7)
+        row(bushes, 8.0, 7.4, jitter=2.0, share=0.5)
         site.row(road, way, several(rng, scenery.hydrant, 1), 80.0, 0.6, jitter=10.0)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from recast.arrays import Array
 from recast.synthetic.surface import Surface
-from recast.synthetic.vehicles.fittings import grid_block, pebble
+from recast.synthetic.vehicles.fittings import Parts, grid_block, pebble
 from recast.synthetic.vehicles.loft import Body
 from recast.synthetic.vehicles.parameters import VehicleParameters
 from recast.synthetic.vehicles.solid import (
@@ -28,12 +30,10 @@ from recast.synthetic.vehicles.solid import (
     Finish,
     Solid,
     rectangle,
+    rounded,
     smooth_max,
     strip,
-    xyz,
 )
-
-Parts = list[tuple[str, Surface]]
 
 
 def disc(
@@ -102,8 +102,6 @@ def front_face(solid: Solid, p: VehicleParameters, end: float, edge: float) -> P
     """Paint the front of half a body; returns the parts that are set into it.
 
     Args:
-        solid: half of the body.
-        p: the vehicle.
         end: x of the foremost point.
         edge: height of the face's upper edge: the bonnet's leading edge.
     """
@@ -114,15 +112,13 @@ def front_face(solid: Solid, p: VehicleParameters, end: float, edge: float) -> P
     intake = p.ground_clearance + 0.07
 
     def grille(s: Solid) -> Array:
-        x, y, z = xyz(s)
-        half = p.grille_width / 2 * (0.82 + 0.18 * (z - grille_low) / p.grille_height)
-        fields = [y - half, z - top, grille_low - z]
-        return np.maximum(smooth_max(fields, 0.04), near - x)
+        half = p.grille_width / 2 * (0.82 + 0.18 * (s.z - grille_low) / p.grille_height)
+        return rounded([s.y - half, s.z - top, grille_low - s.z], 0.04, near - s.x)
 
     def lower(s: Solid) -> Array:
-        x, y, z = xyz(s)
-        fields = [y - 0.36 * p.width - 0.3 * (z - intake), intake - z, z - intake - p.intake_height]
-        return np.maximum(smooth_max(fields, 0.03), near - x)
+        rise = s.z - intake
+        fields = [s.y - 0.36 * p.width - 0.3 * rise, -rise, rise - p.intake_height]
+        return rounded(fields, 0.03, near - s.x)
 
     if p.chrome:
         solid.paint(lambda s: grille(s) - 0.02, CHROME, over=("paint",))
@@ -131,15 +127,20 @@ def front_face(solid: Solid, p: VehicleParameters, end: float, edge: float) -> P
         height = grille_low + p.grille_height * (k + 1) / (p.grille_bars + 1)
 
         def bar(s: Solid, height: float = height) -> Area:
-            return strip(s.points[:, 2] - height, 0.009), [grille(s) + 0.01]
+            return strip(s.z - height, 0.009), [grille(s) + 0.01]
 
         solid.paint(bar, CHROME, over=("plastic",))
     solid.paint(lower, TRIM, over=("paint",))
 
-    _fog_pocket(solid, p, end, intake)
-    spots = _spots(p, top)
+    # Pockets of the fog lamps.
+    centre = (0.385 * p.width, intake + 0.09)
+    solid.paint(
+        lambda s: (rectangle(s.y, s.z, centre, (0.17, 0.11)), [end - 0.6 - s.x]),
+        TRIM,
+        over=("paint", "plastic"),
+    )
     parts: Parts = []
-    for name, (y, z, radius, finish) in spots.items():
+    for name, y, z, radius, finish in _spots(p, top):
         for side, sign in (("left", 1), ("right", -1)):
             parts.append((f"{name}-{side}", disc(solid, sign * y, z, 1.0, radius, finish)))
     parts.append(("badge", badge(solid, top - min(0.5 * p.grille_height, 0.09), 1.0)))
@@ -147,17 +148,14 @@ def front_face(solid: Solid, p: VehicleParameters, end: float, edge: float) -> P
     return parts
 
 
-def _spots(p: VehicleParameters, top: float) -> dict[str, tuple[float, float, float, Finish]]:
-    """Round lamps: y, z, radius and finish."""
+def _spots(p: VehicleParameters, top: float) -> Iterator[tuple[str, float, float, float, Finish]]:
+    """Round lamps: name, y, z, radius and finish."""
     inner, middle = p.width / 2 - p.lamp_width, top - 0.5 * p.lamp_height
-    spots = {}
     for k, share in enumerate((0.27, 0.55)):
         along = share * min(p.lamp_width, 0.46)
         height = middle + 0.85 * p.lamp_slant * (along - 0.22)
-        radius = min(0.33 * p.lamp_height, 0.05)
-        spots[f"projector-{k}"] = (inner + along, height, radius, PROJECTOR)
-    spots["fog-lamp"] = (0.385 * p.width, p.ground_clearance + 0.16, 0.035, LAMP)
-    return spots
+        yield f"projector-{k}", inner + along, height, min(0.33 * p.lamp_height, 0.05), PROJECTOR
+    yield "fog-lamp", 0.385 * p.width, p.ground_clearance + 0.16, 0.035, LAMP
 
 
 def _headlamp(solid: Solid, p: VehicleParameters, end: float, top: float) -> None:
@@ -165,38 +163,24 @@ def _headlamp(solid: Solid, p: VehicleParameters, end: float, top: float) -> Non
     inner = outer - p.lamp_width
     low = top - p.lamp_height
 
-    def lamp(s: Solid) -> Array:
-        x, y, z = xyz(s)
+    def rise(s: Solid) -> Array:
         # Along the skin from the inner end outwards, round the corner and back.
-        along = (y - inner) + 0.8 * (end - x)
-        rise = p.lamp_slant * (along - 0.3)
-        ends = [inner - y + 0.4 * (z - low), end - 0.5 - 0.12 * p.lamp_slant - x]
-        return smooth_max([*ends, low + rise - z, z - top - 0.7 * rise - 0.01], 0.05)
+        return p.lamp_slant * ((s.y - inner) + 0.8 * (end - s.x) - 0.3)
+
+    def lamp(s: Solid) -> Array:
+        ends = [inner - s.y + 0.4 * (s.z - low), end - 0.5 - 0.12 * p.lamp_slant - s.x]
+        return smooth_max([*ends, low + rise(s) - s.z, s.z - top - 0.7 * rise(s) - 0.01], 0.05)
+
+    def daylight(s: Solid) -> Area:
+        return strip(s.z - low - rise(s) - 0.028, 0.012), [lamp(s) + 0.012]
+
+    def indicator(s: Solid) -> Area:
+        return strip(s.x - end + 0.37, 0.025), [lamp(s) + 0.012]
 
     solid.paint(lamp, BEZEL)
     solid.paint(lambda s: lamp(s) + 0.014, LAMP)
-
-    def daylight(s: Solid) -> Area:
-        x, y, z = xyz(s)
-        rise = p.lamp_slant * ((y - inner) + 0.8 * (end - x) - 0.3)
-        return strip(z - low - rise - 0.028, 0.012), [lamp(s) + 0.012]
-
     solid.paint(daylight, DAYLIGHT, over=("headlamp",))
-
-    def indicator(s: Solid) -> Area:
-        return strip(s.points[:, 0] - end + 0.37, 0.025), [lamp(s) + 0.012]
-
     solid.paint(indicator, INDICATOR, over=("headlamp",))
-
-
-def _fog_pocket(solid: Solid, p: VehicleParameters, end: float, low: float) -> None:
-    centre = (0.385 * p.width, low + 0.09)
-
-    def pocket(s: Solid) -> Area:
-        x, y, z = xyz(s)
-        return rectangle(y, z, centre, (0.17, 0.11)), [end - 0.6 - x]
-
-    solid.paint(pocket, TRIM, over=("paint", "plastic"))
 
 
 def rear_face(
@@ -205,41 +189,31 @@ def rear_face(
     """Paint the rear of half a body; returns the parts that are set into it.
 
     Args:
-        solid: half of the body.
-        p: the vehicle.
         end: x of the rearmost point.
         top: height of the tail lamps' upper edge.
         plate_low: height of the plate's lower edge.
         exhaust: bright pipes in the bumper.
     """
-    sill = p.ground_clearance
-    near = end + 0.5
+    sill, near, gate = p.ground_clearance, end + 0.5, 0.4 * p.width
+    foot = min(plate_low - 0.05, top - 0.2)
 
     def apron(s: Solid) -> Array:
-        x, y, z = xyz(s)
-        fields = [z - sill - 0.15 + 0.25 * np.maximum(y - 0.3 * p.width, 0), y - 0.44 * p.width]
-        return np.maximum(smooth_max(fields, 0.04), x - near)
+        edge = s.z - sill - 0.15 + 0.25 * np.maximum(s.y - 0.3 * p.width, 0)
+        return rounded([edge, s.y - 0.44 * p.width], 0.04, s.x - near)
+
+    def gate_edge(s: Solid) -> Area:
+        return strip(s.y - gate, 0.005), [s.x - near, foot - s.z, s.z - top - 0.25]
+
+    def gate_foot(s: Solid) -> Area:
+        return strip(s.z - foot, 0.006), [s.x - near, s.y - gate]
+
+    def reflector(s: Solid) -> Area:
+        return rectangle(s.y, s.z, (0.38 * p.width, sill + 0.19), (0.16, 0.04)), [s.x - near]
 
     solid.paint(apron, TRIM, over=("paint",))
     tail_lamp(solid, p, end, top)
-    gate = 0.4 * p.width
-    foot = min(plate_low - 0.05, top - 0.2)
-
-    def gate_edge(s: Solid) -> Area:
-        x, y, z = xyz(s)
-        return strip(y - gate, 0.005), [x - near, foot - z, z - top - 0.25]
-
-    def gate_foot(s: Solid) -> Area:
-        x, y, z = xyz(s)
-        return strip(z - foot, 0.006), [x - near, y - gate]
-
     solid.paint(gate_edge, SEAM, over=("paint",))
     solid.paint(gate_foot, SEAM, over=("paint",))
-
-    def reflector(s: Solid) -> Area:
-        x, y, z = xyz(s)
-        return rectangle(y, z, (0.38 * p.width, sill + 0.19), (0.16, 0.04)), [x - near]
-
     solid.paint(reflector, TAIL, over=("paint", "plastic"))
     parts: Parts = [
         ("badge-rear", badge(solid, top - 0.05, -1.0, 0.04)),
@@ -259,19 +233,16 @@ def tail_lamp(solid: Solid, p: VehicleParameters, end: float, top: float) -> Non
     upright = p.tail_height > p.tail_width
 
     def lamp(s: Solid) -> Array:
-        x, y, z = xyz(s)
-        back = x - end - 0.25
-        ends = [inner - y + (0.03 if upright else 0.25) * (z - low), x - end - reach - 0.06]
-        return smooth_max([*ends, low - z + 0.08 * back, z - top - 0.1 * back], 0.04)
+        back = s.x - end - 0.25
+        ends = [inner - s.y + (0.03 if upright else 0.25) * (s.z - low), s.x - end - reach - 0.06]
+        return smooth_max([*ends, low - s.z + 0.08 * back, s.z - top - 0.1 * back], 0.04)
 
     solid.paint(lamp, BEZEL)
     solid.paint(lambda s: lamp(s) + 0.011, TAIL)
 
     def band(s: Solid, start: float, stop: float) -> Area:
-        _, y, z = xyz(s)
-        share = (z - low) / p.tail_height if upright else (y - inner) / p.tail_width
-        size = p.tail_height if upright else p.tail_width
-        return [(start - share) * size, (share - stop) * size], [lamp(s) + 0.011]
+        along, size = (s.z - low, p.tail_height) if upright else (s.y - inner, p.tail_width)
+        return [start * size - along, along - stop * size], [lamp(s) + 0.011]
 
     solid.paint(lambda s: band(s, 0.05, 0.2), REVERSE, over=("taillamp",))
     solid.paint(lambda s: band(s, 0.22, 0.34), INDICATOR, over=("taillamp",))
@@ -297,11 +268,9 @@ def seam(
     """
 
     def fields(s: Solid) -> Area:
-        x, _, z = xyz(s)
-        main, other = (x, z) if axis == 0 else (z, x)
-        distance = main - at + (tilt * (z - across[0]) if axis == 0 else 0)
-        limits = [across[0] - other, other - across[1]]
-        return strip(distance, half), [*limits, 0.93 - s.coords[:, 1]]
+        main, other = (s.x, s.z) if axis == 0 else (s.z, s.x)
+        distance = main - at + (tilt * (s.z - across[0]) if axis == 0 else 0)
+        return strip(distance, half), [across[0] - other, other - across[1], 0.93 - s.across]
 
     solid.paint(fields, SEAM, over=("paint", "plastic"))
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from recast.arrays import Array
+from recast.synthetic.scenery.primitives import at
 from recast.synthetic.vehicles import fittings
-from recast.synthetic.vehicles.bodywork import Parts, doors, front_face, rear_face, seam
-from recast.synthetic.vehicles.fittings import SideGlass, screen, side_windows, wheel
+from recast.synthetic.vehicles.bodywork import doors, front_face, rear_face, seam
+from recast.synthetic.vehicles.fittings import Parts, SideGlass, screen, side_windows, wheel
 from recast.synthetic.vehicles.loft import Body, Profile, underside, wheel_wells
 from recast.synthetic.vehicles.parameters import VehicleParameters
 from recast.synthetic.vehicles.solid import (
@@ -19,9 +20,8 @@ from recast.synthetic.vehicles.solid import (
     Area,
     Finish,
     Solid,
-    smooth_max,
+    rounded,
     strip,
-    xyz,
 )
 
 
@@ -130,23 +130,19 @@ def rear_window(solid: Solid, body: Body, p: VehicleParameters, deck: float, gut
     """Glass in the rear, of the form that the kind has."""
     if p.kind == "van":
         _van_rear(solid, p)
-        return
-    if p.kind == "pickup":
+    elif p.kind == "pickup":
         _cab_back(solid, p, deck, gutter)
-        return
-    run = gutter - deck
-    upper, lower = gutter - 0.04 * run - 0.02, deck + 0.1 * run
-    if p.kind == "sedan":
-        lower = deck + 0.06
-    screen(solid, body, lower, upper, 0.1, low_z=p.deck_height + 0.05)
+    else:
+        run = gutter - deck
+        lower = deck + (0.06 if p.kind == "sedan" else 0.1 * run)
+        upper = gutter - 0.04 * run - 0.02
+        screen(solid, body, lower, upper, 0.1, low_z=p.deck_height + 0.05)
 
 
 def _cab_back(solid: Solid, p: VehicleParameters, deck: float, gutter: float) -> None:
     def pane(s: Solid) -> Array:
-        x, y, z = xyz(s)
-        fields = [y - 0.34 * p.width, p.deck_height + 0.1 - z, z - p.height + 0.19]
-        limits = [x - gutter - 0.15, deck - 0.2 - x, 0.75 - s.coords[:, 2]]
-        return np.maximum(smooth_max(fields, 0.06), np.maximum.reduce(limits))
+        fields = [s.y - 0.34 * p.width, p.deck_height + 0.1 - s.z, s.z - p.height + 0.19]
+        return rounded(fields, 0.06, s.x - gutter - 0.15, deck - 0.2 - s.x, 0.75 - s.up)
 
     solid.paint(pane, TRIM)
     solid.paint(lambda s: pane(s) + 0.03, GLASS)
@@ -157,15 +153,11 @@ def _van_rear(solid: Solid, p: VehicleParameters) -> None:
     rear = -p.length / 2
     low, high = p.belt_height + 0.05, p.height - 0.25
 
-    def joint(s: Solid) -> Area:
-        return strip(s.points[:, 1], 0.005), [s.points[:, 0] - rear - 0.3]
-
     def pane(s: Solid) -> Array:
-        x, y, z = xyz(s)
-        fields = [0.07 - y, y - 0.38 * p.width, low - z, z - min(high, low + 0.65)]
-        return np.maximum(smooth_max(fields, 0.07), x - rear - 0.4)
+        fields = [0.07 - s.y, s.y - 0.38 * p.width, low - s.z, s.z - min(high, low + 0.65)]
+        return rounded(fields, 0.07, s.x - rear - 0.4)
 
-    solid.paint(joint, SEAM)
+    solid.paint(lambda s: (strip(s.y, 0.005), [s.x - rear - 0.3]), SEAM)
     if p.side_windows:
         solid.paint(lambda s: pane(s) - 0.02, TRIM)
         solid.paint(pane, GLASS)
@@ -177,9 +169,8 @@ def open_bed(solid: Solid, p: VehicleParameters, front: float, rear: float) -> N
     floor = p.wheel_radius * 2.12 + 0.06
 
     def area(s: Solid) -> Array:
-        x, y, _ = xyz(s)
-        fields = [x - front + 0.06, rear + 0.17 - x, y - p.width / 2 + 0.13]
-        return np.maximum(smooth_max(fields, 0.04), 0.8 - s.coords[:, 2])
+        fields = [s.x - front + 0.06, rear + 0.17 - s.x, s.y - p.width / 2 + 0.13]
+        return rounded(fields, 0.04, 0.8 - s.up)
 
     def down(points: Array) -> Array:
         moved = points.copy()
@@ -219,21 +210,16 @@ def car(p: VehicleParameters, paint: Finish) -> Parts:
 
 
 def _bonnet_lines(solid: Solid, p: VehicleParameters, end: float, cowl: float) -> None:
-    edge = 0.4 * p.width
-    seam_x = end - 0.16
-
     def sides(s: Solid) -> Area:
-        x, y, _ = xyz(s)
-        off = y - edge + 0.04 * (x - cowl)
-        return strip(off, 0.004), [x - seam_x, cowl - 0.03 - x, 0.8 - s.coords[:, 2]]
+        off = s.y - 0.4 * p.width + 0.04 * (s.x - cowl)
+        return strip(off, 0.004), [s.x - end + 0.16, cowl - 0.03 - s.x, 0.8 - s.up]
 
     if p.bonnet_length > 0.6:
         solid.paint(sides, SEAM, over=("paint",))
 
     # The cowl between bonnet and windscreen is black.
     def grille(s: Solid) -> Area:
-        station, across, up = s.coords.T
-        return [cowl - 0.08 - station, station - cowl + 0.005, across - 0.88], [0.8 - up]
+        return [cowl - 0.08 - s.station, s.station - cowl + 0.005, s.across - 0.88], [0.8 - s.up]
 
     solid.paint(grille, TRIM)
     seam(solid, 0, end - 0.42, (p.ground_clearance + 0.1, p.nose_height - p.lamp_height - 0.1))
@@ -256,10 +242,9 @@ def _fittings(
     parts: Parts = []
     front, rear = p.axles
     turned = wheel(p.wheel_radius, p.tyre_width, p.rim_share, p.spokes, dished=False)
+    y = p.width / 2 - p.tyre_width / 2 - 0.035
     for name, x in (("wheel-front", front), ("wheel-rear", rear)):
-        pose = np.eye(4)
-        pose[:3, 3] = x, p.width / 2 - p.tyre_width / 2 - 0.035, p.wheel_radius
-        parts.append((name, turned.transformed(pose)))
+        parts.append((name, at(turned, x, y, p.wheel_radius)))
     mx = min(cowl - 0.38, edges[0] - 0.05) if p.kind != "van" else edges[0] - 0.1
     mz = float(body.belt_at(np.array(mx))) + 0.05
     pieces = fittings.mirror(mx, skin(mx, mz) - 0.01, mz, paint, tall=p.kind == "van")

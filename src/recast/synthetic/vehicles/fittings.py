@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from recast.arrays import Array
-from recast.synthetic.surface import Surface, corner_normals
+from recast.synthetic.scenery.primitives import at
+from recast.synthetic.surface import Surface, corner_normals, sheet, spindle
 from recast.synthetic.vehicles.loft import Body, half_box
 from recast.synthetic.vehicles.parameters import VehicleParameters
 from recast.synthetic.vehicles.solid import (
@@ -22,9 +23,8 @@ from recast.synthetic.vehicles.solid import (
     Area,
     Finish,
     Solid,
-    smooth_max,
+    rounded,
     strip,
-    xyz,
 )
 
 
@@ -39,32 +39,17 @@ def pebble(
 
     Args:
         centre, size: metres.
-        finish: all over.
         roundness: the exponent.
-        cells: from pole to pole (along z) and around.
+        cells: from pole to pole (upwards) and around.
     """
     rows, columns = cells
-    polar = np.linspace(0, np.pi, rows + 1)[1:-1]
+    polar = np.linspace(np.pi, 0, rows + 1)[1:-1, None]
     around = (np.arange(columns) + 0.5) * 2 * np.pi / columns
-    ball = np.stack(
-        [
-            np.sin(polar)[:, None] * np.cos(around),
-            np.sin(polar)[:, None] * np.sin(around),
-            np.broadcast_to(np.cos(polar)[:, None], (rows - 1, columns)),
-        ],
-        axis=-1,
-    ).reshape(-1, 3)
-    ball = np.concatenate([ball, [[0, 0, 1.0], [0, 0, -1.0]]])
+    parts = (np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar))
+    rings = np.stack(np.broadcast_arrays(*parts), axis=-1)
+    ball, faces = spindle(rings, [[0, 0, -1], [0, 0, 1]])
     norm = (np.abs(ball) ** roundness).sum(axis=1) ** (1 / roundness)
     points = np.array(centre) + ball / norm[:, None] * np.array(size) / 2
-    index = np.arange((rows - 1) * columns).reshape(rows - 1, columns)
-    after = np.roll(index, -1, axis=1)
-    a, b, c, d = index[:-1], after[:-1], after[1:], index[1:]
-    sides = np.concatenate([np.stack([a, c, b], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)
-    top, low = len(ball) - 2, len(ball) - 1
-    lid = np.stack([np.full(columns, top), index[0], after[0]], axis=1)
-    base = np.stack([np.full(columns, low), after[-1], index[-1]], axis=1)
-    faces = np.concatenate([sides, lid, base])
     return Solid.of(points, faces, finish, crease=np.deg2rad(50))
 
 
@@ -75,9 +60,7 @@ def grid_block(xs: Array, ys: Array, zs: Array, finish: Finish) -> Solid:
     # `half_box` leaves the side at the first y open.
     at = {tuple(point): k for k, point in enumerate(np.round(points, 9).tolist())}
     index = np.array([[at[tuple(np.round((x, ys[0], z), 9))] for z in zs] for x in xs])
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    side = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
-    return Solid.of(points, np.concatenate([faces, side]), finish)
+    return Solid.of(points, np.concatenate([faces, sheet(index.T)]), finish)
 
 
 def block(
@@ -94,12 +77,12 @@ def mirror(x: float, y: float, z: float, paint: Finish, tall: bool = False) -> l
     centre = (x - 0.02, y + size[1] / 2 + 0.045, z + (0.08 if tall else 0.05))
     shell = pebble(centre, size, TRIM if tall else paint, 3.0, (8, 12))
     rear = centre[0] - 0.36 * size[0]
-    shell.paint(lambda s: s.points[:, 0] - rear, TRIM)
+    shell.paint(lambda s: s.x - rear, TRIM)
     glass = np.array(size) * 0.42
 
     def pane(s: Solid) -> Array:
         off = np.abs(s.points - np.array(centre)) / glass
-        return np.maximum(s.points[:, 0] - rear + 0.012, (np.maximum(off[:, 1], off[:, 2]) - 1) / 9)
+        return np.maximum(s.x - rear + 0.012, (np.maximum(off[:, 1], off[:, 2]) - 1) / 9)
 
     shell.paint(pane, CHROME)
     foot = pebble((x, y + 0.03, z), (0.07, 0.14, 0.05), TRIM, 3.0, (4, 6))
@@ -128,22 +111,10 @@ def rail(start: tuple[float, float, float], end: tuple[float, float, float]) -> 
     ]
 
 
-def mirrored(part: Surface) -> Surface:
-    """The same part on the other side."""
-    flip = np.array([1.0, -1.0, 1.0])
-    return Surface(
-        part.vertices * flip,
-        part.faces[:, [0, 2, 1]].copy(),
-        (part.normals[:, [0, 2, 1]] * flip).astype(np.float32),
-        part.colours,
-        part.materials,
-    )
-
-
-def both(side: list[tuple[str, Surface]]) -> list[tuple[str, Surface]]:
+def both(side: Parts) -> Parts:
     """Parts of the left side, by name, and their mirror images."""
     return [(f"{name}-left", part) for name, part in side] + [
-        (f"{name}-right", mirrored(part)) for name, part in side
+        (f"{name}-right", part.scaled((1, -1, 1))) for name, part in side
     ]
 
 
@@ -192,17 +163,8 @@ def wheel(
         y[2:4] -= half * 0.35
     x, z = r[:, None] * np.cos(angle), r[:, None] * np.sin(angle)
     ends = np.array([[0, y[0, 0] + 0.008, 0], [0, y[-1, 0], 0]])
-    points = np.concatenate([np.stack([x, y, z], axis=-1).reshape(-1, 3), ends])
-    index = np.arange(len(rings) * count).reshape(len(rings), count)
-    after = np.roll(index, -1, axis=1)
-    a, b, c, d = index[:-1], after[:-1], after[1:], index[1:]
-    body = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2)
-    hub, axle = len(points) - 2, len(points) - 1
-    cap = np.stack([np.full(count, hub), after[0], index[0]], axis=1)
-    back = np.stack([np.full(count, axle), index[-1], after[-1]], axis=1)
-    faces = np.concatenate([body.reshape(-1, 3), cap, back])
-    ring_of = np.repeat(np.arange(len(rings) - 1), 2 * count)
-    ring_of = np.concatenate([ring_of, np.full(count, -1), np.full(count, len(rings))])
+    points, faces = spindle(np.stack([x, y, z], axis=-1), ends)
+    ring_of = np.repeat([*np.tile(np.arange(len(rings) - 1), 2), -1, len(rings)], count)
     solid = Solid.of(points, faces, TYRE)
     bright = STEEL if dished else ALLOY
     solid.paint_faces((ring_of >= -1) & (ring_of <= 4), bright)
@@ -217,21 +179,19 @@ def wheel(
     return solid.surface()
 
 
-def steel_wheels(
-    p: VehicleParameters, front: list[float], rear: list[float]
-) -> list[tuple[str, Surface]]:
-    """Wheels of a heavy vehicle on axles at these x; the rear ones are twins."""
+def steel_wheels(p: VehicleParameters) -> Parts:
+    """Wheels of a heavy vehicle; the rear ones are twins."""
     turned = wheel(p.wheel_radius, p.tyre_width, p.rim_share, 8, dished=True)
-    side: list[tuple[str, Surface]] = []
     edge = p.width / 2 - p.tyre_width / 2 - 0.04
-    for k, x in enumerate([*front, *rear]):
-        inset = 0.04 * p.width if x in front and p.kind == "box-truck" else 0.0
-        for inner in (False, True) if x in rear else (False,):
-            pose = np.eye(4)
-            shift = (p.tyre_width + 0.03) if inner else 0.0
-            pose[:3, 3] = x, edge - inset - shift, p.wheel_radius
-            side.append((f"wheel-{k}{'-inner' if inner else ''}", turned.transformed(pose)))
-    return both(side)
+    inset = 0.04 * p.width if p.kind == "box-truck" else 0.0
+    front, rear = p.axles
+    places = [("0", front, edge - inset), ("1", rear, edge)]
+    places.append(("1-inner", rear, edge - (p.tyre_width + 0.03)))
+    return both([(f"wheel-{name}", at(turned, x, y, p.wheel_radius)) for name, x, y in places])
+
+
+Parts = list[tuple[str, Surface]]
+"""Closed surfaces by name."""
 
 
 @dataclass(frozen=True)
@@ -242,7 +202,6 @@ class SideGlass:
         rear: x at the belt line where the glass ends.
         rear_lean: metres that the rear end moves forward per metre of height.
         pillar: width of the windscreen pillar and the roof rail above the glass.
-        front: x at the belt line where it begins; None follows the windscreen.
         sill: height of the lower edge over the belt line.
         tall: greatest height of the glass over the belt line.
     """
@@ -250,22 +209,17 @@ class SideGlass:
     rear: float
     rear_lean: float
     pillar: float = 0.1
-    front: float | None = None
     sill: float = 0.015
     tall: float = 2.0
 
     def field(self, body: Body, solid: Solid) -> Array:
         """Negative inside."""
-        x, _, z = xyz(solid)
-        station, across, _ = solid.coords.T
-        slope = body.top.slope(body.length / 2 - station)
-        over = (z - body.outline(station)) / np.sqrt(1 + slope**2) + self.pillar
-        belt = body.belt_at(x)
-        fields = [belt + self.sill - z, over, z - belt - self.tall]
-        fields.append((self.rear + self.rear_lean * (z - belt)) - x)
-        if self.front is not None:
-            fields.append(x - self.front)
-        return np.maximum(smooth_max(fields, 0.06), 0.8 - across)
+        slope = body.top.slope(body.length / 2 - solid.station)
+        over = (solid.z - body.outline(solid.station)) / np.sqrt(1 + slope**2) + self.pillar
+        rise = solid.z - body.belt_at(solid.x)
+        fields = [self.sill - rise, over, rise - self.tall]
+        fields.append((self.rear + self.rear_lean * rise) - solid.x)
+        return rounded(fields, 0.06, 0.8 - solid.across)
 
 
 def side_windows(
@@ -278,42 +232,31 @@ def side_windows(
         half = 0.045 if k == 0 else 0.032
 
         def post(s: Solid, x: float = pillar, half: float = half) -> Area:
-            lean = 0.08 * (s.points[:, 2] - body.belt_at(s.points[:, 0]))
-            return strip(s.points[:, 0] - x + lean, half), [glass.field(body, s)]
+            lean = 0.08 * (s.z - body.belt_at(s.x))
+            return strip(s.x - x + lean, half), [glass.field(body, s)]
 
         solid.paint(post, TRIM, over=("glass",))
 
 
 def screen(
-    solid: Solid,
-    body: Body,
-    low_x: float,
-    high_x: float,
-    inset: float,
-    paint: Finish | None = None,
-    low_z: float = 0.0,
+    solid: Solid, body: Body, low_x: float, high_x: float, inset: float, low_z: float = 0.0
 ) -> None:
-    """A window in the upper skin between two stations, such as the windscreen.
+    """A window in the upper skin, such as the windscreen, in a black band of ceramic ink.
 
     Args:
-        solid: half of the body.
-        body: its shape.
+        solid, body: half of the body; its shape.
         low_x, high_x: where the glass begins and ends, x in the middle plane.
         inset: metres from the glass to the upper edge of the side.
-        paint: finish of the frame; None gives a black band of ceramic ink.
         low_z: the glass stays above.
     """
 
     def field(s: Solid) -> Array:
-        station, across, up = s.coords.T
-        slope = np.sqrt(1 + body.top.slope(body.length / 2 - station) ** 2)
-        half = body.half_width(s.points[:, 0], s.points[:, 2])
-        sides = (across - 1) * half + inset
-        fields = [(low_x - station) * slope, (station - high_x) * slope, sides]
-        fields.append(low_z - s.points[:, 2])
-        return np.maximum(smooth_max(fields, 0.07), 0.8 - up)
+        slope = np.sqrt(1 + body.top.slope(body.length / 2 - s.station) ** 2)
+        sides = (s.across - 1) * body.half_width(s.x, s.z) + inset
+        fields = [(low_x - s.station) * slope, (s.station - high_x) * slope, sides, low_z - s.z]
+        return rounded(fields, 0.07, 0.8 - s.up)
 
-    solid.paint(field, paint or TRIM)
+    solid.paint(field, TRIM)
     solid.paint(lambda s: field(s) + 0.035, GLASS)
 
 
@@ -323,9 +266,7 @@ def face_window(
     """Glass in an upright end of the body: front (sign 1) or rear (-1)."""
 
     def field(s: Solid) -> Array:
-        x, y, z = xyz(s)
-        fields = [y - half, low - z, z - high]
-        return np.maximum(smooth_max(fields, 0.08), sign * (x_limit - x))
+        return rounded([s.y - half, low - s.z, s.z - high], 0.08, sign * (x_limit - s.x))
 
     solid.paint(lambda s: field(s) - 0.03, TRIM)
     solid.paint(field, DARK_GLASS if sign < 0 else GLASS)

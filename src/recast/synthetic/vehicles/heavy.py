@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from recast.arrays import Array
+from recast.synthetic.scenery.primitives import at
 from recast.synthetic.surface import Surface
 from recast.synthetic.vehicles import fittings
 from recast.synthetic.vehicles.bodywork import (
-    Parts,
     destination,
     doors,
     front_face,
@@ -19,11 +20,11 @@ from recast.synthetic.vehicles.bodywork import (
     tail_lamp,
 )
 from recast.synthetic.vehicles.fittings import (
+    Parts,
     SideGlass,
     face_window,
     screen,
     side_windows,
-    steel_wheels,
 )
 from recast.synthetic.vehicles.loft import Body, Profile, underside, wheel_wells
 from recast.synthetic.vehicles.parameters import VehicleParameters
@@ -42,33 +43,26 @@ from recast.synthetic.vehicles.solid import (
     Finish,
     Solid,
     rectangle,
-    smooth_max,
+    rounded,
     strip,
-    xyz,
 )
 
+Span = tuple[float, float]
 BOX = Finish((0.68, 0.68, 0.67), "plastic")
 
 
 def box_truck(p: VehicleParameters, paint: Finish) -> Parts:
     """Closed parts of a truck: cab, frame and load box; heights above the ground."""
     end = p.length / 2
-    front, rear = p.axles
     cab_length = p.length - p.box_length - 0.12
     offset = end - cab_length / 2
     cab = replace(p, width=0.92 * p.width, height=p.cab_height, cladding=0.05)
-    parts: Parts = []
-    for name, part in _cab(cab, paint, cab_length, front - offset):
-        pose = np.eye(4)
-        pose[0, 3] = offset
-        parts.append((name, part.transformed(pose)))
+    made = _cab(cab, paint, cab_length, p.axles[0] - offset)
+    parts: Parts = [(name, at(part, offset, 0.0)) for name, part in made]
     floor = 2 * p.wheel_radius + 0.14
-    box = _load_box(p, paint, floor)
-    pose = np.eye(4)
-    pose[0, 3] = -end + p.box_length / 2
-    parts.append(("box", box.transformed(pose)))
+    parts.append(("box", at(_load_box(p, paint, floor), -end + p.box_length / 2, 0.0)))
     parts += _frame(p, floor, end - cab_length)
-    return parts + steel_wheels(p, [front], [rear])
+    return parts + fittings.steel_wheels(p)
 
 
 def _cab(p: VehicleParameters, paint: Finish, length: float, axle: float) -> Parts:
@@ -155,29 +149,22 @@ def _load_box(p: VehicleParameters, paint: Finish, floor: float) -> Surface:
     near = p.box_length / 2 - 0.06
     ends = (floor, p.height)
     # Aluminium edges, a band of the firm's colour, and two doors behind.
-    solid.paint(lambda s: s.points[:, 2] - floor - 0.09, STEEL)
-    solid.paint(lambda s: p.height - 0.07 - s.points[:, 2], STEEL)
+    solid.paint(lambda s: s.z - floor - 0.09, STEEL)
+    solid.paint(lambda s: p.height - 0.07 - s.z, STEEL)
     if p.shade < 0.0:
         low = floor + 0.45 * (p.height - floor)
-        solid.paint(
-            lambda s: (
-                [low - s.points[:, 2], s.points[:, 2] - low - 0.42],
-                [np.abs(s.points[:, 0]) - near],
-            ),
-            paint,
-            bright,
-        )
+        solid.paint(lambda s: ([low - s.z, s.z - low - 0.42], [np.abs(s.x) - near]), paint, bright)
     seam(solid, 0, near - 0.04, ends, half=0.012)
     for y in (0.0, p.width / 2 - 0.09):
 
         def joint(s: Solid, y: float = y) -> Area:
-            return strip(s.points[:, 1] - y, 0.008), [s.points[:, 0] + near]
+            return strip(s.y - y, 0.008), [s.x + near]
 
         solid.paint(joint, SEAM)
 
     def bar(s: Solid) -> Area:
-        x, y, z = xyz(s)
-        return strip(y - 0.28 * p.width, 0.02), [x + near, floor + 0.12 - z, z - p.height + 0.1]
+        limits = [s.x + near, floor + 0.12 - s.z, s.z - p.height + 0.1]
+        return strip(s.y - 0.28 * p.width, 0.02), limits
 
     solid.paint(bar, CHROME)
     return solid.mirrored().surface()
@@ -188,46 +175,33 @@ def _frame(p: VehicleParameters, floor: float, cab_rear: float) -> Parts:
     end, half = p.length / 2, p.width / 2
     rear = p.axles[1]
     low = p.wheel_radius * 1.15
-    parts: Parts = [
-        (
-            "frame",
-            fittings.block(
-                (-end + 0.1, -0.42, low), (cab_rear + 0.1, 0.42, floor - 0.02), UNDERSIDE
-            ).surface(),
-        ),
-        (
-            "bumper-bar",
-            fittings.block(
-                (-end, -0.92 * half, low - 0.02), (-end + 0.1, 0.92 * half, low + 0.13), STEEL
-            ).surface(),
-        ),
-    ]
+
+    def box(x: Span, y: Span, z: Span, finish: Finish) -> Surface:
+        return fittings.grid_block(np.array(x), np.array(y), np.array(z), finish).surface()
+
+    wide = (-0.92 * half, 0.92 * half)
     bar = fittings.block((-end, -0.3, low), (-end + 0.05, 0.3, low + 0.1), TRIM)
-    parts.append(("plate-rear", number_plate(bar, low + 0.005, -1.0)))
+    parts = [
+        ("frame", box((-end + 0.1, cab_rear + 0.1), (-0.42, 0.42), (low, floor - 0.02), UNDERSIDE)),
+        ("bumper-bar", box((-end, -end + 0.1), wide, (low - 0.02, low + 0.13), STEEL)),
+        ("plate-rear", number_plate(bar, low + 0.005, -1.0)),
+    ]
     side: Parts = []
-    for name, y, wide, finish in (
-        ("tail", 0.78, 0.13, TAIL),
-        ("turn", 0.88, 0.09, INDICATOR),
-        ("reverse", 0.69, 0.07, REVERSE),
-    ):
-        block = fittings.block(
-            (-end - 0.004, y * half - wide / 2, low + 0.14),
-            (-end + 0.08, y * half + wide / 2, low + 0.26),
-            finish,
-        )
-        side.append((f"lamp-{name}", block.surface()))
+    lamps = (("tail", 0.78, 0.13, TAIL), ("turn", 0.88, 0.09, INDICATOR))
+    for name, share, width, finish in (*lamps, ("reverse", 0.69, 0.07, REVERSE)):
+        y = (share * half - width / 2, share * half + width / 2)
+        lamp = box((-end - 0.004, -end + 0.08), y, (low + 0.14, low + 0.26), finish)
+        side.append((f"lamp-{name}", lamp))
     guard = (rear + p.wheel_radius + 0.3, cab_rear - 0.15)
     for k, z in enumerate((0.48, 0.72)):
-        plank = fittings.block((guard[0], half - 0.12, z), (guard[1], half - 0.08, z + 0.1), STEEL)
-        side.append((f"guard-{k}", plank.surface()))
+        plank = box(guard, (half - 0.12, half - 0.08), (z, z + 0.1), STEEL)
+        side.append((f"guard-{k}", plank))
     place = ((guard[0] + guard[1]) / 2, half - 0.42, 0.68)
     tank = fittings.pebble(place, (0.9, 0.5, 0.5), STEEL, 4.0, (6, 12))
     side.append(("tank", tank.surface()))
     for k, x in enumerate((rear - p.wheel_radius - 0.12, rear + p.wheel_radius + 0.1)):
-        flap = fittings.block(
-            (x, half - 0.62, low - 0.12), (x + 0.03, half - 0.05, floor), CLADDING
-        )
-        side.append((f"flap-{k}", flap.surface()))
+        flap = box((x, x + 0.03), (half - 0.62, half - 0.05), (low - 0.12, floor), CLADDING)
+        side.append((f"flap-{k}", flap))
     return parts + fittings.both(side)
 
 
@@ -272,7 +246,14 @@ def bus(p: VehicleParameters, paint: Finish) -> Parts:
     high = roof - 0.42
     _side_band(solid, p, high)
     face_window(solid, 1.0, end - 0.5, half - 0.1, p.cowl_height - 0.05, high - 0.02)
-    sign = _dress_end(solid, p, end, high, roof)
+    # The dark brow over the windscreen, with the lit destination in it.
+    solid.paint(
+        lambda s: rounded(
+            [high - 0.04 - s.z, s.z - roof + 0.1, s.y - half + 0.14], 0.05, end - 0.5 - s.x
+        ),
+        GLASS,
+    )
+    sign = destination(solid, (high + roof - 0.1) / 2)
     set_in = [("destination", sign), *front_face(solid, p, end, p.nose_height)]
     face_window(solid, -1.0, -end + 0.4, half - 0.3, p.belt_height + 0.35, high)
     tail_lamp(solid, p, -end, 1.0 + p.tail_height)
@@ -286,13 +267,11 @@ def bus(p: VehicleParameters, paint: Finish) -> Parts:
     size = (0.26 * p.length, 0.7 * p.width, 0.3)
     pod = fittings.pebble((-0.1 * p.length, 0, p.height - 0.15), size, paint, 5.0, (8, 16))
     parts.append(("air-conditioning", pod.surface()))
-    for side in (1.0, -1.0):
-        name = "left" if side > 0 else "right"
-        for piece in _bus_mirror(end, half, high):
-            surface = piece.surface()
-            part = surface if side > 0 else fittings.mirrored(surface)
-            parts.append((f"mirror-{name}", part))
-    return parts + steel_wheels(p, [front], [rear])
+    arm = ((end + 0.02, half - 0.05, high + 0.05), (0.5, 0.06, 0.06), TRIM, 4.0, (4, 8))
+    shell = ((end + 0.2, half + 0.02, high - 0.22), (0.12, 0.2, 0.5), TRIM, 3.0, (8, 10))
+    mirrors = [("mirror", fittings.pebble(*shape).surface()) for shape in (arm, shell)]
+    parts += fittings.both(mirrors)
+    return parts + fittings.steel_wheels(p)
 
 
 def _side_band(solid: Solid, p: VehicleParameters, high: float) -> None:
@@ -300,9 +279,8 @@ def _side_band(solid: Solid, p: VehicleParameters, high: float) -> None:
     end = p.length / 2
 
     def band(s: Solid) -> Array:
-        x, _, z = xyz(s)
-        fields = [p.belt_height - z, z - high, x - end + 0.5, -end + 0.55 - x]
-        return np.maximum(smooth_max(fields, 0.1), 0.8 - s.coords[:, 1])
+        fields = [p.belt_height - s.z, s.z - high, s.x - end + 0.5, -end + 0.55 - s.x]
+        return rounded(fields, 0.1, 0.8 - s.across)
 
     solid.paint(lambda s: band(s) - 0.03, TRIM)
     solid.paint(band, GLASS)
@@ -311,42 +289,26 @@ def _side_band(solid: Solid, p: VehicleParameters, high: float) -> None:
         x = end - 0.5 - k * (p.length - 1.05) / panes
 
         def post(s: Solid, x: float = x) -> Area:
-            return strip(s.points[:, 0] - x, 0.045), [band(s)]
+            return strip(s.x - x, 0.045), [band(s)]
 
         solid.paint(post, TRIM, over=("glass",))
-
-    def flap_line(s: Solid) -> Area:
-        return strip(s.points[:, 2] - high + 0.32, 0.014), [band(s) + 0.05]
-
-    solid.paint(flap_line, TRIM, over=("glass",))
+    # The line of the opening flaps.
+    solid.paint(lambda s: (strip(s.z - high + 0.32, 0.014), [band(s) + 0.05]), TRIM, ("glass",))
     seam(solid, 2, p.ground_clearance + 0.5, (-end + 0.3, end - 0.3), half=0.006)
-
-
-def _dress_end(solid: Solid, p: VehicleParameters, end: float, high: float, roof: float) -> Surface:
-    """The dark brow over the windscreen; returns the lit destination in it."""
-
-    def brow(s: Solid) -> Array:
-        x, y, z = xyz(s)
-        fields = [high - 0.04 - z, z - roof + 0.1, y - p.width / 2 + 0.14]
-        return np.maximum(smooth_max(fields, 0.05), end - 0.5 - x)
-
-    solid.paint(brow, GLASS)
-    return destination(solid, (high + roof - 0.1) / 2)
 
 
 def _engine_grille(solid: Solid, p: VehicleParameters, end: float) -> None:
     low = p.ground_clearance + 0.5
 
     def area(s: Solid) -> Array:
-        x, y, z = xyz(s)
-        fields = [y - 0.3 * p.width, low - z, z - p.belt_height - 0.1]
-        return np.maximum(smooth_max(fields, 0.05), x - end - 0.3)
+        fields = [s.y - 0.3 * p.width, low - s.z, s.z - p.belt_height - 0.1]
+        return rounded(fields, 0.05, s.x - end - 0.3)
 
     solid.paint(area, CLADDING)
     for k in range(3):
 
         def slat(s: Solid, k: int = k) -> Area:
-            return strip(s.points[:, 2] - low - 0.1 - 0.14 * k, 0.03), [area(s) + 0.04]
+            return strip(s.z - low - 0.1 - 0.14 * k, 0.03), [area(s) + 0.04]
 
         solid.paint(slat, SEAM, over=("plastic",))
 
@@ -357,32 +319,13 @@ def _bus_doors(solid: Solid, p: VehicleParameters) -> None:
     low, high = p.ground_clearance + 0.07, p.height - 0.75
     first = (front + p.wheel_radius + 0.12, p.length / 2 - 0.38)
     second = (front - p.wheel_radius - 2.9, front - p.wheel_radius - 1.6)
+
+    def pane(s: Solid, x: float, width: float, tall: float) -> Area:
+        return rectangle(s.x, s.z, (x, (low + high) / 2), (width, tall)), [s.across + 0.8]
+
     for start, stop in (first, second):
-        centre, size = ((start + stop) / 2, (low + high) / 2), (stop - start, high - low)
-
-        def frame(s: Solid, centre=centre, size=size) -> Area:  # type: ignore[no-untyped-def]
-            x, _, z = xyz(s)
-            return rectangle(x, z, centre, size), [s.coords[:, 1] + 0.8]
-
-        solid.paint(frame, TRIM)
-        for side in (-0.25, 0.25):
-
-            def leaf(s: Solid, centre=centre, size=size, side=side) -> Area:  # type: ignore[no-untyped-def]
-                x, _, z = xyz(s)
-                middle = (centre[0] + side * size[0], centre[1])
-                return (
-                    rectangle(x, z, middle, (0.5 * size[0] - 0.09, size[1] - 0.16)),
-                    [s.coords[:, 1] + 0.8],
-                )
-
+        middle, width, tall = (start + stop) / 2, stop - start, high - low
+        solid.paint(partial(pane, x=middle, width=width, tall=tall), TRIM)
+        for x in (middle - 0.25 * width, middle + 0.25 * width):
+            leaf = partial(pane, x=x, width=0.5 * width - 0.09, tall=tall - 0.16)
             solid.paint(leaf, GLASS)
-
-
-def _bus_mirror(end: float, half: float, high: float) -> list[Solid]:
-    arm = fittings.pebble(
-        (end + 0.02, half - 0.05, high + 0.05), (0.5, 0.06, 0.06), TRIM, 4.0, (4, 8)
-    )
-    shell = fittings.pebble(
-        (end + 0.2, half + 0.02, high - 0.22), (0.12, 0.2, 0.5), TRIM, 3.0, (8, 10)
-    )
-    return [arm, shell]

@@ -5,13 +5,15 @@ Underbody and wheel wells follow the shape.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recast.arrays import Array
+from recast.synthetic.surface import sheet
 from recast.synthetic.vehicles.parameters import VehicleParameters
 from recast.synthetic.vehicles.solid import CLADDING, TRIM, UNDERSIDE, Finish, Solid
 
@@ -244,23 +246,9 @@ def half_box(grid: tuple[Array, Array, Array]) -> tuple[Array, NDArray[np.int64]
     index = np.full(skin.shape, -1)
     index[skin] = np.arange(int(skin.sum()))
     points = np.stack([axis[n[skin]] for axis, n in zip(grid, (i, j, k), strict=True)], axis=1)
-
-    def quads(sheet: NDArray[np.int64], flip: bool) -> NDArray[np.int64]:
-        a, b, c, d = sheet[:-1, :-1], sheet[1:, :-1], sheet[1:, 1:], sheet[:-1, 1:]
-        faces = np.concatenate(
-            [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
-        )
-        return faces[:, ::-1] if flip else faces
-
-    return points, np.concatenate(
-        [
-            quads(index[nx], False),
-            quads(index[0], True),
-            quads(index[:, ny], True),
-            quads(index[:, :, nz], False),
-            quads(index[:, :, 0], True),
-        ]
-    )
+    outer = [sheet(side.T) for side in (index[nx], index[:, :, nz])]
+    inner = [sheet(side) for side in (index[0], index[:, ny], index[:, :, 0])]
+    return points, np.concatenate([*outer, *inner])
 
 
 def _round(points: Array, extents: Array, radii: Array) -> Array:
@@ -276,26 +264,31 @@ def _round(points: Array, extents: Array, radii: Array) -> Array:
 def underside(solid: Solid, p: VehicleParameters) -> None:
     """Dark floor, and unpainted sills where the vehicle has cladding."""
     sill = p.ground_clearance + (0.13 if p.cladding else 0.045)
-    solid.paint(lambda s: s.points[:, 2] - sill, CLADDING if p.cladding else TRIM)
-    solid.paint(lambda s: s.coords[:, 2] - 0.025, UNDERSIDE)
+    solid.paint(lambda s: s.z - sill, CLADDING if p.cladding else TRIM)
+    solid.paint(lambda s: s.up - 0.025, UNDERSIDE)
 
 
 def wheel_wells(solid: Solid, body: Body, p: VehicleParameters) -> None:
     """Arches with cladding, opened inwards."""
     inner = p.width / 2 - p.tyre_width - 0.13
+
+    def circle(s: Solid, x: float, z: float, radius: float) -> Array:
+        field = np.hypot(s.x - x, s.z - z) - radius
+        return np.maximum(np.maximum(field, s.up - 0.8), inner - s.y)
+
+    def inwards(points: Array) -> Array:
+        moved = points.copy()
+        # A little depth is kept so that no triangle collapses.
+        moved[:, 1] = inner + 0.03 * (points[:, 1] - inner)
+        return moved
+
     for x, z, radius in body.arches:
-
-        def circle(s: Solid, x: float = x, z: float = z, radius: float = radius) -> Array:
-            field = np.hypot(s.points[:, 0] - x, s.points[:, 2] - z) - radius
-            return np.maximum(np.maximum(field, s.coords[:, 2] - 0.8), inner - s.points[:, 1])
-
+        area = partial(circle, x=x, z=z, radius=radius)
         if p.cladding:
-            solid.paint(lambda s, circle=circle: circle(s) - p.cladding, CLADDING)  # type: ignore[misc]
+            solid.paint(partial(_within, area, p.cladding), CLADDING)
+        solid.push(area, inwards, UNDERSIDE)
 
-        def inwards(points: Array) -> Array:
-            moved = points.copy()
-            # A little depth is kept so that no triangle collapses.
-            moved[:, 1] = inner + 0.03 * (points[:, 1] - inner)
-            return moved
 
-        solid.push(circle, inwards, UNDERSIDE)
+def _within(region: Callable[[Solid], Array], metres: float, solid: Solid) -> Array:
+    """The field of a region and what lies at most some metres around it."""
+    return region(solid) - metres

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.geometry.colour import srgb_to_linear
+from recast.synthetic.scenery.primitives import at
 from recast.synthetic.surface import (
     CREASE_ANGLE,
     MATERIAL_INDEX,
@@ -37,7 +38,6 @@ def sample_shape(rng: np.random.Generator, name: str | None = None) -> VehicleMo
     """A random shape: kind "shape-NAME", category "misc", every part closed, standing upright.
 
     Args:
-        rng: source of all choices.
         name: one of `SHAPES`; None draws one.
 
     Raises:
@@ -49,9 +49,8 @@ def sample_shape(rng: np.random.Generator, name: str | None = None) -> VehicleMo
         raise InputError("shape", "name", f"{name!r} is unknown", f"use {', '.join(SHAPES)}")
     surface = concatenate(_MAKERS[name](rng))
     low, high = surface.bounds()
-    pose = np.eye(4)
-    pose[:3, 3] = -(low + high) / 2
-    return VehicleModel(f"shape-{name}", "misc", "mixed", high - low, surface.transformed(pose))
+    centred = at(surface, *-(low + high) / 2)
+    return VehicleModel(f"shape-{name}", "misc", "mixed", high - low, centred)
 
 
 def _finish(rng: np.random.Generator) -> Finish:
@@ -126,9 +125,9 @@ def _vessel(rng: np.random.Generator) -> list[Surface]:
     body = pebble((0, 0, 0), (2, 2, 2), _finish(rng), 2.0, (rings + 1, count))
     along = np.repeat(np.arange(rings), count)
     flat = np.linalg.norm(body.points[:-2, :2], axis=1, keepdims=True)
-    body.points[:-2, :2] *= radius[::-1][along][:, None] / flat
-    body.points[:-2, 2] = (up[::-1] * height)[along]
-    body.points[-2:, 2] = height, 0.0
+    body.points[:-2, :2] *= radius[along][:, None] / flat
+    body.points[:-2, 2] = (up * height)[along]
+    body.points[-2:, 2] = 0.0, height
     return [Surface.make(body.points, body.faces, body.colours, "plastic")]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +44,13 @@ class Solid:
     normals: Array
     colours: Array
     materials: NDArray[np.uint8]
+
+    x = property(lambda self: self.points[:, 0])
+    y = property(lambda self: self.points[:, 1])
+    z = property(lambda self: self.points[:, 2])
+    station = property(lambda self: self.coords[:, 0])
+    across = property(lambda self: self.coords[:, 1])
+    up = property(lambda self: self.coords[:, 2])
 
     @classmethod
     def of(
@@ -303,6 +311,6 @@ def rectangle(
     return [*strip(u - centre[0], size[0] / 2), *strip(v - centre[1], size[1] / 2)]
 
 
-def xyz(solid: Solid) -> tuple[Array, Array, Array]:
-    """The coordinates of a solid's points, one array each."""
-    return solid.points[:, 0], solid.points[:, 1], solid.points[:, 2]
+def rounded(fields: Sequence[Array], radius: float, *limits: Array) -> Array:
+    """One field of what lies within all fields, its corners rounded, and within sharp limits."""
+    return reduce(np.maximum, limits, smooth_max(fields, radius))

@@ -1,8 +1,7 @@
 """Folders in the layout of the published TRELLIS checkpoints: read, check, write, begin anew."""
 
-from recast.trellis.checkpoints.header import ModelCheck
 from recast.trellis.checkpoints.load import Checkpoint, export_model, load_checkpoint, load_model
-from recast.trellis.checkpoints.model_files import save_checkpoint, save_model
+from recast.trellis.checkpoints.model_files import ModelCheck, build, save_checkpoint, save_model
 from recast.trellis.checkpoints.record import (
     GENERATION_ROLES,
     OPTIONAL_ROLES,
@@ -27,6 +26,7 @@ __all__ = [
     "CheckpointSizes",
     "ModelCheck",
     "PipelineRecord",
+    "build",
     "check_details",
     "check_table",
     "export_model",

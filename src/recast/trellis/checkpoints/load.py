@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from recast.core.errors import InputError
 from recast.core.torch_file import read_safetensors
@@ -112,11 +111,9 @@ def load_image_encoder(
     named: Path | None,
     device: torch.device,
 ) -> ImageEncoder:
-    """The image encoder that a record asks for.
+    """The image encoder that the record of a checkpoint's folder asks for.
 
     Args:
-        folder: of the checkpoint.
-        record: its `pipeline.json`.
         models: by role; an encoder of the folder's own is one of them, and is given back.
         named: where the user says that the published backbone's weights lie; None takes the
             checkpoint's subfolder `dinov2`.
@@ -201,8 +198,7 @@ def load_checkpoint(
 
     Args:
         folder: with `pipeline.json` and `ckpts/`.
-        roles: which models to load.
-        device: where to.
+        roles, device: which models to load, and where to.
         torso_dtype: of the transformer and convolution blocks; None takes float32 on the CPU, and
             what each configuration says elsewhere.
         image_encoder: weights of the published backbone; None takes `folder`/dinov2.
@@ -220,11 +216,7 @@ def load_checkpoint(
         wanted = list(dict.fromkeys([*wanted, record.encoder_role]))
     # Headers of all files first: a fault in the last one shows before gigabytes are read.
     files = {role: model_files(folder, record, role) for role in wanted}
-    models = {role: files[role].meta_model() for role in wanted}
-    for role in wanted:
-        fault = files[role].check(models[role]).fault(loading=True)
-        if fault is not None:
-            raise fault
+    models = {role: files[role].checked_model() for role in wanted}
     encoder = None
     if with_encoder:
         encoder = load_image_encoder(folder, record, models, image_encoder, device)
@@ -238,21 +230,9 @@ def load_model(
     files: ModelFiles, device: str | torch.device = "cpu", torso_dtype: torch.dtype | None = None
 ) -> TrellisModel:
     """Load one model from its two files; see `load_checkpoint`."""
-    model = files.meta_model()
-    fault = files.check(model).fault(loading=True)
-    if fault is not None:
-        raise fault
+    model = files.checked_model()
     _fill(model, files, torch.device(device), torso_dtype)
     return model
-
-
-def read_tensors(path: Path) -> dict[str, Tensor]:
-    """All tensors of a checked safetensors file, mapped from disk until they are copied.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
-    return read_safetensors(path, "file", "fetch it anew")[0]
 
 
 def _fill(
@@ -263,7 +243,7 @@ def _fill(
         torso_dtype = torch.float32
     if torso_dtype is not None:
         model.set_torso_dtype(torso_dtype)
-    tensors = read_tensors(files.weights)
+    tensors = read_safetensors(files.weights, "file", "fetch it anew")[0]
     model.to_empty(device=device)
     model.load_published(tensors)
     model.eval()

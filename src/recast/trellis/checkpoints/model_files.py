@@ -1,11 +1,10 @@
-"""A model's two files, `<stem>.json` (class, arguments) and `<stem>.safetensors`: found, written.
-
-Models are written as a folder in the published layout.
-"""
+"""A model's two files, `<stem>.json` (class, arguments) and `<stem>.safetensors`: found, checked by
+the header alone, and written as a folder in the published layout."""
 
 from __future__ import annotations
 
 import errno
+import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,19 +20,134 @@ from torch import Tensor
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, read_json, write_json
 from recast.core.records import validation_error
-from recast.trellis.checkpoints.header import ModelCheck, read_header, tensor_specs
+from recast.core.torch_file import DTYPES, read_header, state_error, state_faults
 from recast.trellis.checkpoints.record import PIPELINE_FILE, PipelineRecord, write_pipeline
 from recast.trellis.conditioning import CompactImageEncoder, Dinov2Encoder
-from recast.trellis.models import MODELS
+from recast.trellis.models import (
+    SLatEncoder,
+    SLatFlowModel,
+    SLatGaussianDecoder,
+    SparseStructureDecoder,
+    SparseStructureEncoder,
+    SparseStructureFlowModel,
+)
 from recast.trellis.models.base import TrellisModel
-from recast.trellis.models.registry import build
 
-MODEL_CLASSES: Mapping[str, type[TrellisModel]] = {
-    **MODELS,
-    Dinov2Encoder.published_name: Dinov2Encoder,
-    CompactImageEncoder.published_name: CompactImageEncoder,
+MODEL_CLASSES: dict[str, type[TrellisModel]] = {
+    model.published_name: model
+    for model in (
+        SparseStructureFlowModel,
+        SparseStructureEncoder,
+        SparseStructureDecoder,
+        SLatFlowModel,
+        SLatEncoder,
+        SLatGaussianDecoder,
+        Dinov2Encoder,
+        CompactImageEncoder,
+    )
 }
-"""By published name; give it to `recast.trellis.models.build`."""
+"""The networks and image encoders by published name."""
+
+# Training configurations name these classes with a controller of activation memory; their modules
+# and weights are the same.
+MODEL_CLASSES |= {
+    f"Elastic{model.published_name}": model
+    for model in (SLatFlowModel, SLatEncoder, SLatGaussianDecoder)
+}
+
+_MEND = "fetch or write the file anew"
+
+
+def build(name: str, args: Any, where: str | Path) -> TrellisModel:
+    """A new network from its published configuration, `{"name": ..., "args": {...}}`.
+
+    Args:
+        name: published name, such as "SLatFlowModel" or "ElasticSLatFlowModel".
+        args: constructor arguments.
+        where: the file that holds it, for messages.
+
+    Raises:
+        InputError: no such network, or an argument that is unknown, missing, wrong or makes layers
+            too large to exist.
+    """
+    if name not in MODEL_CLASSES:
+        known = ", ".join(sorted(one for one in MODEL_CLASSES if not one.startswith("Elastic")))
+        raise InputError(where, "name", f"{name!r} is no known network", f"choose one of {known}")
+    chosen = MODEL_CLASSES[name]
+    mend = f"give the arguments of {chosen.published_name}"
+    try:
+        return chosen(chosen.config_class.model_validate(args))
+    except ValidationError as error:
+        raise validation_error(where, error, mend) from None
+    except (RuntimeError, ValueError, TypeError, OverflowError) as error:  # of torch's layers
+        reason = str(error).partition("\n")[0]
+        raise InputError(where, "args", f"make no network ({reason})", mend) from None
+
+
+def file_bytes(tensors: Mapping[str, Tensor]) -> int:
+    """Size of the safetensors file of these tensors, which may be on the meta device.
+
+    The file has no metadata: the header's length (8 bytes), the JSON header padded to a multiple of
+    8 bytes, and the tensors one after another.
+    """
+    codes = {dtype: code for code, dtype in DTYPES.items()}
+    ranks = list(codes)
+    header, end = {}, 0
+    for name in sorted(tensors, key=lambda name: (-ranks.index(tensors[name].dtype), name)):
+        tensor = tensors[name]
+        begin, end = end, end + tensor.nbytes
+        code, shape = codes[tensor.dtype], list(tensor.shape)
+        header[name] = {"dtype": code, "shape": shape, "data_offsets": [begin, end]}
+    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    return 8 + -(-len(text) // 8) * 8 + end
+
+
+@dataclass(frozen=True)
+class ModelCheck:
+    """What was found of one model, and what its class expects.
+
+    Attributes:
+        role: in `pipeline.json`.
+        file: the weights, or what names them.
+        class_name: published name of the class; empty where it could not be told.
+        found: tensors of the file, on the meta device unless their values are checked too.
+        expected: tensors of the class.
+        bytes_found: size of the file.
+        parameters: trainable numbers of the class, saved buffers left out.
+        error: the file cannot be read, or its class cannot be built; nothing else is known then.
+        note: why nothing was checked, of a model that may be absent.
+    """
+
+    role: str
+    file: Path
+    class_name: str = ""
+    found: Mapping[str, Tensor] | None = None
+    expected: Mapping[str, Tensor] | None = None
+    bytes_found: int = 0
+    parameters: int = 0
+    error: InputError | None = None
+    note: str = ""
+
+    @property
+    def bytes_expected(self) -> int:
+        """Size of the file of this class without metadata."""
+        return file_bytes(self.expected) if self.expected else 0
+
+    def faults(self, *, loading: bool = False) -> dict[str, dict[str, str]]:
+        """Tensors at fault by kind, see `state_faults`.
+
+        Args:
+            loading: let another floating-point type pass, which loading converts.
+        """
+        return state_faults(self.found or {}, self.expected or {}, exact=not loading)
+
+    def fault(self, *, loading: bool = False) -> InputError | None:
+        """The error that stands for all that is wrong, or None; see `faults`.
+
+        It names the file and the first bad tensor, and counts the others.
+        """
+        found = state_error(self.file, self.faults(loading=loading), _MEND, self.class_name)
+        return self.error or found
 
 
 class ModelRecord(BaseModel):
@@ -68,9 +182,21 @@ class ModelFiles:
         try:
             record = ModelRecord.model_validate(read_json(self.config))
         except ValidationError as error:
-            raise validation_error(self.config, error, "fetch or write the file anew") from None
+            raise validation_error(self.config, error, _MEND) from None
         with torch.device("meta"):
-            return build(record.name, record.args, self.config, MODEL_CLASSES)
+            return build(record.name, record.args, self.config)
+
+    def checked_model(self) -> TrellisModel:
+        """The model on the meta device, which the weights fit by their header.
+
+        Raises:
+            InputError: see `meta_model` and `ModelCheck.fault`.
+        """
+        model = self.meta_model()
+        fault = self.check(model).fault(loading=True)
+        if fault is not None:
+            raise fault
+        return model
 
     def check(self, model: TrellisModel) -> ModelCheck:
         """Compare the header of the weights with a model.
@@ -78,14 +204,13 @@ class ModelFiles:
         Raises:
             InputError: see `read_header`.
         """
-        header = read_header(self.weights)
         return ModelCheck(
             self.role,
             self.weights,
             model.published_name,
-            header.specs,
-            tensor_specs(model.published_state()),
-            header.file_bytes,
+            read_header(self.weights, _MEND),
+            model.published_state(),
+            self.weights.stat().st_size,
             sum(parameter.numel() for parameter in model.parameters()),
         )
 

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from recast.trellis.checkpoints.load import Checkpoint
-from recast.trellis.checkpoints.model_files import MODEL_CLASSES
+from recast.trellis.checkpoints.model_files import build
 from recast.trellis.checkpoints.record import (
     GAUSSIAN_DECODER,
     IMAGE_ENCODER,
@@ -23,19 +23,13 @@ from recast.trellis.checkpoints.record import (
     PipelineRecord,
 )
 from recast.trellis.conditioning import ImageEncoder
-from recast.trellis.models import TrellisModel, build
+from recast.trellis.models import TrellisModel
 from recast.trellis.sampler import SamplerSettings
 
 
 @dataclass(frozen=True)
 class ModelSize:
-    """Class, arguments and file name of one model.
-
-    Attributes:
-        stem: path in the folder, without ending.
-        name: published class name.
-        args: constructor arguments.
-    """
+    """Path in the folder (without ending), published class name and arguments of one model."""
 
     stem: str
     name: str
@@ -168,22 +162,7 @@ OFFICIAL = CheckpointSizes(
             {"in_channels": 1024, **_voxels(64, 768, 12, 12, True)},
         ),
     },
-    ModelSize(
-        "dinov2",
-        "DinoVisionTransformer",
-        {
-            "img_size": 518,
-            "patch_size": 14,
-            "embed_dim": 1024,
-            "depth": 24,
-            "num_heads": 16,
-            "num_register_tokens": 4,
-            "init_values": 1.0,
-            "block_chunks": 0,
-            "interpolate_antialias": True,
-            "interpolate_offset": 0.0,
-        },
-    ),
+    ModelSize("dinov2", "DinoVisionTransformer", {}),
     (
         -2.1687545776367188,
         -0.004347046371549368,
@@ -288,7 +267,6 @@ def new_checkpoint(
 
     Args:
         sizes: `OFFICIAL`, `SMALL` or others.
-        seed: of all weights.
         roles: which models to make; all where not given.
         with_encoder: whether to make the image encoder; 1.2 GB for the published one.
 
@@ -315,4 +293,4 @@ def _seeded(size: ModelSize, role: str, seed: int) -> TrellisModel:
     # Constructors draw from torch's own generator, which is put back as it was.
     with torch.random.fork_rng(devices=()):
         torch.random.default_generator.manual_seed(int.from_bytes(mixed, "little"))
-        return build(size.name, size.args, f"size of {role}", MODEL_CLASSES).eval()
+        return build(size.name, size.args, f"size of {role}").eval()

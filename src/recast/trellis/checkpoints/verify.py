@@ -10,9 +10,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from recast.core.errors import InputError
-from recast.trellis.checkpoints.header import ModelCheck
-from recast.trellis.checkpoints.load import BACKBONE_FOLDER, check_agreement, read_tensors
-from recast.trellis.checkpoints.model_files import model_files
+from recast.core.torch_file import read_safetensors
+from recast.trellis.checkpoints.load import BACKBONE_FOLDER, check_agreement
+from recast.trellis.checkpoints.model_files import ModelCheck, model_files
 from recast.trellis.checkpoints.record import (
     GENERATION_ROLES,
     OPTIONAL_ROLES,
@@ -96,10 +96,11 @@ def check_table(checks: Sequence[ModelCheck], folder: str | Path) -> Table:
         model = "\n".join(filter(None, (check.role, check.class_name, str(file))))
         tensors, sizes = verdict, ""
         if check.expected is not None and check.found is not None:
+            counts = {kind: len(names) for kind, names in check.faults().items()}
             tensors = (
                 f"{len(check.found)}/{len(check.expected)}: {verdict}\n"
-                f"{len(check.missing)} missing, {len(check.unexpected)} unexpected\n"
-                f"{len(check.wrong_shape)} shapes, {len(check.wrong_dtype)} types wrong"
+                f"{counts['missing']} missing, {counts['unexpected']} unexpected\n"
+                f"{counts['of another shape']} shapes, {counts['of another type']} types wrong"
             )
             sizes = (
                 f"{check.bytes_found:,} bytes\n{check.bytes_expected:,} expected\n"
@@ -111,18 +112,11 @@ def check_table(checks: Sequence[ModelCheck], folder: str | Path) -> Table:
 
 def check_details(check: ModelCheck) -> list[str]:
     """Lines that name the bad tensors of a model, the first few of each kind."""
-    kinds = (
-        ("missing", check.missing),
-        ("unexpected", check.unexpected),
-        ("of another shape", check.wrong_shape),
-        ("of another type", check.wrong_dtype),
-        ("not finite", check.not_finite),
-    )
     lines = [] if check.error is None else [f"{check.role}: {check.error}"]
-    for kind, names in kinds:
+    for kind, names in check.faults().items():
         if names:
             more = f", and {len(names) - LISTED} more" if len(names) > LISTED else ""
-            lines.append(f"{check.role}: {kind}: {', '.join(names[:LISTED])}{more}")
+            lines.append(f"{check.role}: {kind}: {', '.join([*names][:LISTED])}{more}")
     return lines
 
 
@@ -145,11 +139,10 @@ def _check(
     try:
         models[role] = files.meta_model()
         check = files.check(models[role])
-        return dataclasses.replace(check, not_finite=_not_finite(path)) if values else check
+        if values:
+            return dataclasses.replace(
+                check, found=read_safetensors(path, "file", "fetch it anew")[0]
+            )
+        return check
     except InputError as error:
         return ModelCheck(role, path, error=error)
-
-
-def _not_finite(path: Path) -> tuple[str, ...]:
-    tensors = read_tensors(path)
-    return tuple(name for name in sorted(tensors) if not bool(tensors[name].isfinite().all()))

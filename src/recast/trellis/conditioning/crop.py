@@ -101,13 +101,10 @@ def check_crop(rgba: Image, where: str | Path) -> None:
 
 
 def object_box(alpha: Image, threshold: int = OPAQUE) -> tuple[int, int, int, int]:
-    """First and last column and row with alpha above `threshold`, all inclusive.
+    """Left, top, right, bottom in pixels, all inclusive, of where alpha is above `threshold`.
 
     Args:
         alpha: (H, W) uint8 with at least one such pixel.
-
-    Returns:
-        left, top, right, bottom in pixels.
     """
     inside = alpha > threshold
     columns, rows = np.flatnonzero(inside.any(axis=0)), np.flatnonzero(inside.any(axis=1))
@@ -152,9 +149,7 @@ def training_crop(rgba: Image, size: int, where: str | Path = "crop") -> NDArray
     and the product of colour and alpha stays in float.
 
     Args:
-        rgba: (H, W, 4) uint8, straight alpha.
-        size: side of the result in pixels.
-        where: file or source to name in an error.
+        rgba, size, where: see `crop_to_object`.
 
     Returns:
         (3, size, size) float32 RGB on black, in [0, 1].

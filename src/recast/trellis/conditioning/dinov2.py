@@ -15,6 +15,7 @@ import torch
 from pydantic import Field, PositiveFloat, model_validator
 from torch import Tensor, nn
 
+from recast.core.torch_file import state_faults
 from recast.trellis.attention import final_norm
 from recast.trellis.conditioning.encoder import normalise
 from recast.trellis.models.base import Depth, ModelConfig, Size, TrellisModel
@@ -49,10 +50,7 @@ _IN_QKV = re.compile(r"attention\.(?:attention\.)?(query|key|value|q_proj|k_proj
 
 
 def hub_name(name: str) -> tuple[str, int | None]:
-    """Where a tensor of transformers is in the torch-hub layout.
-
-    Returns:
-        Name there, and 0, 1 or 2 where it is the query, key or value part of it, else None.
+    """Name of a tensor of transformers in torch hub; 0, 1, 2 if it is the q, k or v part of it.
 
     Raises:
         KeyError: no tensor of this model.
@@ -221,13 +219,9 @@ class Dinov2Encoder(TrellisModel):
         return cast(Tensor, self.backbone.encoder(embedded).last_hidden_state)
 
     def encode(self, images: Tensor) -> Tensor:
-        """Context of the published flow models: all tokens, normalised without learnt weights.
+        """Context of the published flow models: `tokens_before_norm`, layer-normalised (eps 1e-5).
 
-        Args:
-            images: as in `tokens_before_norm`; (B, 3, 518, 518) for the published models.
-
-        Returns:
-            (B, 1374, 1024) at the published size, layer-normalised (eps 1e-5).
+        From (B, 3, 518, 518) to (B, 1374, 1024) at the published size, without learnt weights.
         """
         return final_norm(self.tokens_before_norm(images))
 
@@ -241,15 +235,10 @@ class Dinov2Encoder(TrellisModel):
         """Copy weights in from torch hub's names.
 
         Raises:
-            RuntimeError: a name is missing or unknown, or a shape differs.
+            RuntimeError: a name is missing or unknown, or a shape differs, see `state_faults`.
         """
         own = self.backbone.state_dict()
-        wanted = to_hub({name: tensor.to("meta") for name, tensor in own.items()})
-        wrong = {
-            name
-            for name in wanted.keys() | state.keys()
-            if name not in wanted or name not in state or wanted[name].shape != state[name].shape
-        }
-        if wrong:
-            raise RuntimeError(f"missing, unknown or of another shape: {sorted(wrong)}")
+        faults = state_faults(state, to_hub({n: tensor.to("meta") for n, tensor in own.items()}))
+        if any(faults.values()):
+            raise RuntimeError(f"other tensors than those of this network: {faults}")
         self.backbone.load_state_dict(from_hub(state, own), strict=True)

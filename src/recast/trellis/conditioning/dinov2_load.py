@@ -13,7 +13,7 @@ from torch import Tensor
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.records import validation_error
-from recast.core.torch_file import read_tensors
+from recast.core.torch_file import read_tensors, require_state
 from recast.trellis.conditioning.dinov2 import Dinov2Config, Dinov2Encoder, to_hub
 
 # Channels of an attention head in every published DINOv2; the weights alone do not tell.
@@ -56,34 +56,9 @@ def load_dinov2(path: str | Path, config: Dinov2Config | None = None) -> Dinov2E
     # On the meta device nothing is drawn that the file would replace.
     with torch.device("meta"):
         encoder = Dinov2Encoder(told)
-    check_tensors(path, encoder.published_state(), state)
+    require_state(path, state, encoder.published_state(), _MEND)
     encoder.to_empty(device="cpu").load_published(state)
     return encoder
-
-
-def check_tensors(
-    where: str | Path, wanted: Mapping[str, Tensor], found: Mapping[str, Tensor]
-) -> None:
-    """Compare names, shapes and finiteness.
-
-    Raises:
-        InputError: with the first fault and the number of missing and unknown tensors.
-    """
-    missing = [name for name in wanted if name not in found]
-    unknown = [name for name in found if name not in wanted]
-    if missing or unknown:
-        first = f"{missing[0]!r} is missing" if missing else f"{unknown[0]!r} is unknown"
-        counts = f"{len(missing)} missing, {len(unknown)} unknown of {len(wanted)}"
-        raise InputError(where, "tensor", f"{first} ({counts})", _MEND)
-    for name, tensor in wanted.items():
-        if found[name].shape != tensor.shape:
-            shapes = f"{tuple(found[name].shape)}, not {tuple(tensor.shape)}"
-            raise InputError(where, f"tensor {name!r}", f"has shape {shapes}", _MEND)
-    for name, tensor in found.items():
-        if not bool(torch.isfinite(tensor).all()):
-            raise InputError(
-                where, f"tensor {name!r}", "holds NaN or infinity", "fetch the file again"
-            )
 
 
 def config_from_shapes(state: Mapping[str, Tensor], where: str | Path) -> Dinov2Config:

@@ -41,10 +41,7 @@ class ImageEncoder(Protocol):
 
 
 def images_from_crops(crops: Sequence[Image]) -> Tensor:
-    """Stack crops of `crop_to_object` for an encoder.
-
-    Args:
-        crops: B crops (S, S, 3) uint8 of the same size.
+    """Stack B crops (S, S, 3) uint8 of `crop_to_object` for an encoder.
 
     Returns:
         (B, 3, S, S) float32 in [0, 1].
@@ -152,10 +149,7 @@ class CompactImageEncoder(TrellisModel):
         return self.config.channels
 
     def encode(self, images: Tensor) -> Tensor:
-        """Tokens of crops.
-
-        Args:
-            images: (B, 3, S, S) in [0, 1], S the `image_size`.
+        """Tokens of crops (B, 3, S, S) in [0, 1], S the `image_size`.
 
         Returns:
             (B, 1 + grid * grid, channels): a token of the whole picture, then the grid row by
@@ -178,15 +172,11 @@ class CompactImageEncoder(TrellisModel):
 
 
 def grid_positions(grid: int, channels: int) -> Tensor:
-    """Sines and cosines of the rows and columns of a square grid.
+    """Sines and cosines of the rows and columns of a square grid: (grid * grid, C), row by row.
 
-    Args:
-        grid: cells along a side.
-        channels: C, a multiple of 4.
-
-    Returns:
-        (grid * grid, C), row by row: sine and cosine of the row, then of the column, of C / 4
-        wavelengths each, from 2 pi to 2 pi * 10000 cells.
+    Sine and cosine of the row, then of the column, of C / 4 wavelengths each, from 2 pi to
+    2 pi * 10000 cells. C is `channels`, a multiple of 4; `grid` is the number of cells along a
+    side.
     """
     quarter = channels // 4
     frequencies = torch.exp(torch.arange(quarter) * (-math.log(10000.0) / quarter))

@@ -8,7 +8,6 @@ from recast.trellis.models.flow_transformer import (
     SparseStructureFlowModel,
 )
 from recast.trellis.models.gaussians import RepresentationConfig, raw_to_gaussians
-from recast.trellis.models.registry import MODELS, build, model_class
 from recast.trellis.models.slat_vae import (
     SLatEncoder,
     SLatEncoderConfig,
@@ -24,7 +23,6 @@ from recast.trellis.models.ss_vae import (
 )
 
 __all__ = [
-    "MODELS",
     "ModelConfig",
     "Posterior",
     "RepresentationConfig",
@@ -42,7 +40,5 @@ __all__ = [
     "SparseStructureFlowConfig",
     "SparseStructureFlowModel",
     "TrellisModel",
-    "build",
-    "model_class",
     "raw_to_gaussians",
 ]

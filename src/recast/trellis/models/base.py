@@ -80,12 +80,9 @@ class TrellisModel(nn.Module):
     are saved, so a model made under `torch.device("meta")` and then `to_empty(device=...)` is
     complete once `load_published` has filled it.
 
-    Args:
-        config: constructor arguments; kept as `config`.
-
     Attributes:
         published_name: class name in the published configurations.
-        config_class: type of `config`.
+        config: constructor arguments, a `config_class`.
         torso: names of the children whose layers change precision.
         checkpointing: recompute the blocks' activations in the backward pass to save memory.
     """
@@ -115,9 +112,7 @@ class TrellisModel(nn.Module):
 
         Time embeddings are N(0, 0.02) and the modulation of cross blocks starts at zero.
         Subclasses extend this with their own layers that start at zero, such as the output.
-
-        Args:
-            generator: source of all random numbers; None takes PyTorch's own.
+        Without a generator, PyTorch's own is taken.
         """
         for module in self.modules():
             if isinstance(module, nn.Linear):
@@ -168,28 +163,17 @@ class TrellisModel(nn.Module):
         self.load_state_dict(state, strict=True)
 
 
-def start_at_zero(layer: nn.Module) -> None:
-    """Zero the parameters of an output, modulation or last convolution layer."""
-    for parameter in layer.parameters():
-        nn.init.zeros_(parameter)
-
-
 @dataclass(frozen=True)
 class Posterior:
     """Independent normal distributions, one for each latent value.
 
-    Args:
-        mean: (B, C, R, R, R) for the sparse structure.
+    Attributes:
+        mean: (B, C, R, R, R) for the sparse structure; what latent caches hold.
         logvar: same shape, natural logarithm of the variance.
     """
 
     mean: Tensor
     logvar: Tensor
-
-    @property
-    def mode(self) -> Tensor:
-        """The most probable latents: the mean, which is what latent caches hold."""
-        return self.mean
 
     def sample(self, generator: torch.Generator) -> Tensor:
         """Draw latents; gradients flow into mean and logvar.

@@ -17,15 +17,9 @@ from recast.trellis.blocks import (
     TimestepEmbedder,
     absolute_positions,
     modulation_layer,
-)
-from recast.trellis.models.base import (
-    Depth,
-    ModelConfig,
-    Size,
-    TransformerConfig,
-    TrellisModel,
     start_at_zero,
 )
+from recast.trellis.models.base import Depth, ModelConfig, Size, TransformerConfig, TrellisModel
 from recast.trellis.sparse import PackedTokens, SparseTensor, SubMConv3d, pool
 
 
@@ -54,13 +48,10 @@ class FlowConfig(TransformerConfig):
 
 
 class FlowTransformer(TrellisModel):
-    """Base of the flow transformers; a subclass appends its input, `blocks` and output.
-
-    Args:
-        config: constructor arguments.
-    """
+    """Base of the flow transformers; a subclass appends its input, `blocks` and `out_layer`."""
 
     config: FlowConfig
+    out_layer: nn.Linear
 
     def __init__(self, config: FlowConfig) -> None:
         super().__init__(config)
@@ -87,10 +78,11 @@ class FlowTransformer(TrellisModel):
 
     @torch.no_grad()
     def initialise(self, generator: torch.Generator | None = None) -> None:
-        """As the base; the shared modulation starts at zero."""
+        """As the base; shared modulation and output start at zero: no velocity is predicted."""
         super().initialise(generator)
         if self.adaLN_modulation is not None:
             start_at_zero(self.adaLN_modulation)
+        start_at_zero(self.out_layer)
 
     def modulation(self, t: Tensor, cond: Tensor) -> tuple[Tensor, Tensor]:
         """The embedding (B, C) of time, and what modulates the blocks, in the torso's precision.
@@ -151,20 +143,18 @@ class SparseStructureFlowModel(FlowTransformer):
         self.finish()
 
     def initialise(self, generator: torch.Generator | None = None) -> None:
-        """As the base, and zero output: a new model predicts no velocity."""
+        """As the base; computes the position embedding."""
         super().initialise(generator)
         along = torch.arange(self.config.resolution // self.config.patch_size)
         coords = torch.cartesian_prod(along, along, along)
         self.pos_emb.copy_(absolute_positions(coords, self.config.model_channels))
-        start_at_zero(self.out_layer)
 
     def forward(self, x: Tensor, t: Tensor, cond: Tensor) -> Tensor:
         """Velocity of the flow.
 
         Args:
             x: (B, in_channels, R, R, R) latents at time t.
-            t: (B,) times, already multiplied by 1000.
-            cond: (B, L, cond_channels) image tokens.
+            t, cond: see `modulation`.
 
         Returns:
             (B, out_channels, R, R, R) in the dtype of `x`.
@@ -236,9 +226,6 @@ class SLatFlowModel(FlowTransformer):
     Residual blocks of submanifold convolutions pool the voxels to the tokens of a transformer with
     adaptive layer norm and cross-attention to the image, and take its tokens back to the voxels
     (Xiang et al., Structured 3D Latents for Scalable and Versatile 3D Generation, CVPR 2025).
-
-    Args:
-        config: constructor arguments.
     """
 
     published_name: ClassVar[str] = "SLatFlowModel"
@@ -269,7 +256,7 @@ class SLatFlowModel(FlowTransformer):
 
     @torch.no_grad()
     def initialise(self, generator: torch.Generator | None = None) -> None:
-        """As the base; residual blocks start as their skip connection, the velocity at zero."""
+        """As the base; residual blocks start as their skip connection."""
         super().initialise(generator)
         for module in self.modules():
             if isinstance(module, SubMConv3d):
@@ -278,18 +265,13 @@ class SLatFlowModel(FlowTransformer):
                     nn.init.uniform_(parameter, -bound, bound, generator=generator)
         for block in (*self.input_blocks, *self.out_blocks):
             start_at_zero(block.conv2)
-        start_at_zero(self.out_layer)
 
     def forward(self, x: SparseTensor, t: Tensor, cond: Tensor) -> SparseTensor:
-        """Velocities of noisy latents.
+        """Velocities (T, out_channels), in the dtype of `x`, of normalised latents of B samples.
 
         Args:
-            x: (T, in_channels) normalised latents of the voxels of B samples.
-            t: (B,) times, already multiplied by 1000.
-            cond: (B, L, cond_channels) image tokens.
-
-        Returns:
-            (T, out_channels) on the voxels of `x`, in its dtype.
+            x: (T, in_channels) voxels at times t.
+            t, cond: see `modulation`.
         """
         dtype = self.torso_dtype
         t_emb, modulation = self.modulation(t, cond)

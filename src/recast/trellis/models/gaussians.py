@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
+import numpy as np
 import torch
 from pydantic import ConfigDict, Field
 from torch import Tensor
@@ -65,23 +66,16 @@ class RepresentationConfig(Record):
         return 14 * self.num_gaussians
 
 
-def radical_inverse(base: int, n: int) -> float:
-    """The digits of `n` in `base` mirrored at the radix point, in [0, 1)."""
-    value, digit = 0.0, 1.0 / base
-    while n:
-        n, remainder = divmod(n, base)
-        value += remainder * digit
-        digit /= base
-    return value
-
-
 def hammersley(count: int) -> Tensor:
     """Hammersley's evenly spread points of the unit cube, (count, 3) float32.
 
-    Point g is [g / count, radical_inverse(2, g), radical_inverse(3, g)] (Hammersley 1960).
+    Point g is g / count and g's digits in base 2 and 3, mirrored at the radix point, in [0, 1)
+    (Hammersley 1960).
     """
-    points = [[g / count, radical_inverse(2, g), radical_inverse(3, g)] for g in range(count)]
-    return torch.tensor(points, dtype=torch.float32)
+    from scipy.stats.qmc import Halton  # imports for most of a second, which only training pays
+
+    points = np.column_stack([np.arange(count) / count, Halton(2, scramble=False).random(count)])
+    return torch.from_numpy(points).float()
 
 
 def offset_perturbation(config: RepresentationConfig) -> Tensor:
@@ -90,26 +84,17 @@ def offset_perturbation(config: RepresentationConfig) -> Tensor:
 
 
 def split_raw(raw: Tensor, config: RepresentationConfig) -> dict[str, Tensor]:
-    """Cut the raw channels into attributes, each times its rate factor, in float32.
+    """Cut the raw channels (T, 14 G) of T voxels into attributes, each times its rate, in float32.
 
-    Args:
-        raw: (T, 14 G) channels of T voxels: all positions, then colours, scales, rotations,
-            opacities.
-
-    Returns:
-        position, colour, scale (T, G, 3), rotation (T, G, 4), opacity (T, G, 1).
+    All positions come first, then colours, scales, rotations, opacities: position, colour, scale
+    (T, G, 3), rotation (T, G, 4), opacity (T, G, 1).
     """
-    g, rates = config.num_gaussians, config.rates
-    position, colour, scale, rotation, opacity = (
-        part.unflatten(1, (g, -1))
-        for part in raw.float().split([3 * g, 3 * g, 3 * g, 4 * g, g], dim=1)
-    )
+    g = config.num_gaussians
+    widths = {"position": 3, "colour": 3, "scale": 3, "rotation": 4, "opacity": 1}
+    parts = raw.float().split([g * width for width in widths.values()], dim=1)
     return {
-        "position": position * rates.position,
-        "colour": colour * rates.colour,
-        "scale": scale * rates.scale,
-        "rotation": rotation * rates.rotation,
-        "opacity": opacity * rates.opacity,
+        name: part.unflatten(1, (g, -1)) * getattr(config.rates, name)
+        for name, part in zip(widths, parts, strict=True)
     }
 
 

@@ -14,15 +14,8 @@ from torch import Tensor, nn
 from recast.splats import Gaussians
 from recast.splats.sh import C0
 from recast.trellis.attention import final_norm
-from recast.trellis.blocks import TransformerBlock, absolute_positions
-from recast.trellis.models.base import (
-    ModelConfig,
-    Posterior,
-    Size,
-    TransformerConfig,
-    TrellisModel,
-    start_at_zero,
-)
+from recast.trellis.blocks import TransformerBlock, absolute_positions, start_at_zero
+from recast.trellis.models.base import ModelConfig, Posterior, Size, TransformerConfig, TrellisModel
 from recast.trellis.models.gaussians import (
     RepresentationConfig,
     offset_perturbation,
@@ -52,10 +45,7 @@ class SLatVaeConfig(TransformerConfig):
 class SLatTransformer(TrellisModel):
     """Transformer over voxels with attention in windows, half a window apart in every other block.
 
-    Args:
-        config: constructor arguments.
-        in_channels: features of a voxel.
-        out_channels: outputs of a voxel.
+    `in_channels` and `out_channels` are the features and outputs of a voxel.
     """
 
     torso: ClassVar[tuple[str, ...]] = ("blocks",)
@@ -94,18 +84,11 @@ class SLatTransformer(TrellisModel):
 class SparsePosterior:
     """Independent normal distributions of the latents of every voxel.
 
-    Attributes:
-        mean: (T, C) voxels.
-        logvar: (T, C) natural log of the variance, on the same voxels.
+    `mean` (T, C), and `logvar` (T, C) on the same voxels; see `Posterior`.
     """
 
     mean: SparseTensor
     logvar: SparseTensor
-
-    @property
-    def mode(self) -> SparseTensor:
-        """The most likely latents, the ones to cache as training targets."""
-        return self.mean
 
     def sample(self, generator: torch.Generator) -> SparseTensor:
         """Draw latents; gradients flow into mean and logvar, see `Posterior.sample`."""
@@ -131,9 +114,6 @@ class SLatEncoder(SLatTransformer):
 
     The published encoder takes DINOv2 patch features averaged over 150 views of the asset
     (Xiang et al., Structured 3D Latents for Scalable and Versatile 3D Generation, CVPR 2025).
-
-    Args:
-        config: constructor arguments.
     """
 
     published_name: ClassVar[str] = "SLatEncoder"
@@ -174,9 +154,6 @@ class SLatGaussianDecoderConfig(SLatVaeConfig):
 
 class SLatGaussianDecoder(SLatTransformer):
     """Structured latents (raw, not normalised) to a fixed number of Gaussians per voxel.
-
-    Args:
-        config: constructor arguments.
 
     Attributes:
         offset_perturbation: (G, 3) buffer that spreads the Gaussians of a voxel; stored in the

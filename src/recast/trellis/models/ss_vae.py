@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import OrderedDict
+from collections.abc import Callable, Iterable
 from itertools import pairwise
 from typing import ClassVar, Literal
 
@@ -12,14 +13,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from recast.trellis.attention import ChannelLayerNorm32
-from recast.trellis.models.base import (
-    Depth,
-    ModelConfig,
-    Posterior,
-    Size,
-    TrellisModel,
-    start_at_zero,
-)
+from recast.trellis.blocks import start_at_zero
+from recast.trellis.models.base import Depth, ModelConfig, Posterior, Size, TrellisModel
 
 
 class SparseStructureVaeConfig(ModelConfig):
@@ -43,8 +38,7 @@ class SparseStructureVaeConfig(ModelConfig):
 class ResBlock3d(nn.Module):
     """x + conv(SiLU(norm(conv(SiLU(norm(x)))))), with 3x3x3 convolutions.
 
-    Args:
-        channels: in and out; the published networks never change them inside a block.
+    The published networks never change the channels inside a block.
     """
 
     def __init__(self, channels: int) -> None:
@@ -61,17 +55,12 @@ class ResBlock3d(nn.Module):
         return out
 
 
-class Downsample3d(nn.Module):
-    """Halve a grid with a 2x2x2 convolution of stride 2."""
+def downsample_3d(in_channels: int, out_channels: int) -> nn.Sequential:
+    """Grid (B, in_channels, 2X, 2Y, 2Z) to (B, out_channels, X, Y, Z).
 
-    def __init__(self, in_channels: int, out_channels: int) -> None:
-        super().__init__()
-        self.conv = nn.Conv3d(in_channels, out_channels, 2, stride=2)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Grid (B, in_channels, 2X, 2Y, 2Z) to (B, out_channels, X, Y, Z)."""
-        out: Tensor = self.conv(x)
-        return out
+    A 2x2x2 convolution of stride 2.
+    """
+    return nn.Sequential(OrderedDict(conv=nn.Conv3d(in_channels, out_channels, 2, stride=2)))
 
 
 class Upsample3d(nn.Module):
@@ -97,12 +86,7 @@ def channels_last(grid: Tensor) -> Tensor:
 def pixel_shuffle_3d(x: Tensor, factor: int = 2) -> Tensor:
     """Move channels into space: channel c r^3 + (dx r + dy) r + dz goes to cell offset dx, dy, dz.
 
-    Args:
-        x: (B, C r^3, X, Y, Z), r = `factor`.
-        factor: r.
-
-    Returns:
-        (B, C, r X, r Y, r Z).
+    From (B, C r^3, X, Y, Z) to (B, C, r X, r Y, r Z), r = `factor`.
     """
     batch, _, *size = x.shape
     split = x.reshape(batch, -1, factor, factor, factor, *size)
@@ -110,16 +94,50 @@ def pixel_shuffle_3d(x: Tensor, factor: int = 2) -> Tensor:
     return woven.reshape(batch, split.shape[1], *(factor * n for n in size))
 
 
-def residual_blocks(channels: int, count: int) -> list[nn.Module]:
-    """`count` residual blocks in a row."""
-    return [ResBlock3d(channels) for _ in range(count)]
+class SparseStructureVae(TrellisModel):
+    """What encoder and decoder share; a subclass adds `blocks` and `middle_block` in its order."""
 
+    torso = ("blocks", "middle_block")
+    config: SparseStructureVaeConfig
+    input_layer: nn.Conv3d
+    out_layer: nn.Sequential
 
-def zero_last_convolutions(blocks: Iterable[nn.Module]) -> None:
-    """Make every residual block start as the identity."""
-    for block in blocks:
-        if isinstance(block, ResBlock3d):
-            start_at_zero(block.conv2)
+    def res_blocks(self, channels: int, count: int) -> nn.Sequential:
+        """Residual blocks in a row."""
+        return nn.Sequential(*(ResBlock3d(channels) for _ in range(count)))
+
+    def levels(self, change: Callable[[int, int], nn.Module]) -> nn.ModuleList:
+        """The residual blocks of each level, and what takes one to the next between them."""
+        channels, count = self.config.channels, self.config.num_res_blocks
+        blocks = nn.ModuleList(self.res_blocks(channels[0], count))
+        for before, after in pairwise(channels):
+            blocks.append(change(before, after))
+            blocks.extend(self.res_blocks(after, count))
+        return blocks
+
+    def head(self, out_channels: int) -> nn.Sequential:
+        """The output layer."""
+        last = self.config.channels[-1]
+        return nn.Sequential(
+            ChannelLayerNorm32(last), nn.SiLU(), nn.Conv3d(last, out_channels, 3, padding=1)
+        )
+
+    def initialise(self, generator: torch.Generator | None = None) -> None:
+        """Convolutions as in PyTorch; each residual block starts as the identity."""
+        super().initialise(generator)
+        for block in self.modules():
+            if isinstance(block, ResBlock3d):
+                start_at_zero(block.conv2)
+
+    def run(self, x: Tensor, blocks: Iterable[nn.Module]) -> Tensor:
+        """Input layer, blocks in the torso's precision, output layer."""
+        h = self.input_layer(channels_last(x))
+        outer = h.dtype
+        h = h.to(self.torso_dtype)
+        for block in blocks:
+            h = self.run_block(block, h)
+        out: Tensor = self.out_layer(h.to(outer))
+        return out
 
 
 class SparseStructureEncoderConfig(SparseStructureVaeConfig):
@@ -132,35 +150,21 @@ class SparseStructureEncoderConfig(SparseStructureVaeConfig):
     in_channels: Size
 
 
-class SparseStructureEncoder(TrellisModel):
+class SparseStructureEncoder(SparseStructureVae):
     """Convolutional encoder of the sparse-structure autoencoder; official size 64^3 to 16^3."""
 
     published_name = "SparseStructureEncoder"
     config_class: ClassVar[type[ModelConfig]] = SparseStructureEncoderConfig
-    torso = ("blocks", "middle_block")
     config: SparseStructureEncoderConfig
 
     def __init__(self, config: SparseStructureEncoderConfig) -> None:
         super().__init__(config)
         levels = config.channels
         self.input_layer = nn.Conv3d(config.in_channels, levels[0], 3, padding=1)
-        self.blocks = nn.ModuleList(residual_blocks(levels[0], config.num_res_blocks))
-        for fine, coarse in pairwise(levels):
-            self.blocks.append(Downsample3d(fine, coarse))
-            self.blocks.extend(residual_blocks(coarse, config.num_res_blocks))
-        middle = residual_blocks(levels[-1], config.num_res_blocks_middle)
-        self.middle_block = nn.Sequential(*middle)
-        self.out_layer = nn.Sequential(
-            ChannelLayerNorm32(levels[-1]),
-            nn.SiLU(),
-            nn.Conv3d(levels[-1], 2 * config.latent_channels, 3, padding=1),
-        )
+        self.blocks = self.levels(downsample_3d)
+        self.middle_block = self.res_blocks(levels[-1], config.num_res_blocks_middle)
+        self.out_layer = self.head(2 * config.latent_channels)
         self.finish()
-
-    def initialise(self, generator: torch.Generator | None = None) -> None:
-        """Convolutions as in PyTorch; each residual block starts as the identity."""
-        super().initialise(generator)
-        zero_last_convolutions([*self.blocks, *self.middle_block])
 
     def forward(self, grid: Tensor) -> Posterior:
         """Distribution of the latent.
@@ -171,12 +175,8 @@ class SparseStructureEncoder(TrellisModel):
         Returns:
             Mean and logvar (B, latent_channels, R / f, R / f, R / f) with f = 2^(levels - 1).
         """
-        h = self.input_layer(channels_last(grid.to(self.input_layer.weight.dtype)))
-        outer = h.dtype
-        h = h.to(self.torso_dtype)
-        for block in (*self.blocks, *self.middle_block):
-            h = self.run_block(block, h)
-        mean, logvar = self.out_layer(h.to(outer)).chunk(2, dim=1)
+        grid = grid.to(self.input_layer.weight.dtype)
+        mean, logvar = self.run(grid, (*self.blocks, *self.middle_block)).chunk(2, dim=1)
         return Posterior(mean, logvar)
 
 
@@ -190,35 +190,21 @@ class SparseStructureDecoderConfig(SparseStructureVaeConfig):
     out_channels: Size
 
 
-class SparseStructureDecoder(TrellisModel):
+class SparseStructureDecoder(SparseStructureVae):
     """Convolutional decoder of the sparse-structure autoencoder; official size 16^3 to 64^3."""
 
     published_name = "SparseStructureDecoder"
     config_class: ClassVar[type[ModelConfig]] = SparseStructureDecoderConfig
-    torso = ("blocks", "middle_block")
     config: SparseStructureDecoderConfig
 
     def __init__(self, config: SparseStructureDecoderConfig) -> None:
         super().__init__(config)
         levels = config.channels
         self.input_layer = nn.Conv3d(config.latent_channels, levels[0], 3, padding=1)
-        middle = residual_blocks(levels[0], config.num_res_blocks_middle)
-        self.middle_block = nn.Sequential(*middle)
-        self.blocks = nn.ModuleList(residual_blocks(levels[0], config.num_res_blocks))
-        for coarse, fine in pairwise(levels):
-            self.blocks.append(Upsample3d(coarse, fine))
-            self.blocks.extend(residual_blocks(fine, config.num_res_blocks))
-        self.out_layer = nn.Sequential(
-            ChannelLayerNorm32(levels[-1]),
-            nn.SiLU(),
-            nn.Conv3d(levels[-1], config.out_channels, 3, padding=1),
-        )
+        self.middle_block = self.res_blocks(levels[0], config.num_res_blocks_middle)
+        self.blocks = self.levels(Upsample3d)
+        self.out_layer = self.head(config.out_channels)
         self.finish()
-
-    def initialise(self, generator: torch.Generator | None = None) -> None:
-        """Convolutions as in PyTorch; each residual block starts as the identity."""
-        super().initialise(generator)
-        zero_last_convolutions([*self.blocks, *self.middle_block])
 
     def forward(self, z: Tensor) -> Tensor:
         """Occupancy logits; a voxel is occupied where its logit is positive.
@@ -229,20 +215,12 @@ class SparseStructureDecoder(TrellisModel):
         Returns:
             (B, out_channels, R, R, R) with R = r 2^(levels - 1), in the dtype of `z`.
         """
-        h = self.input_layer(channels_last(z)).to(self.torso_dtype)
-        for block in (*self.middle_block, *self.blocks):
-            h = self.run_block(block, h)
-        logits: Tensor = self.out_layer(h.to(z.dtype))
-        return logits
+        return self.run(z, (*self.middle_block, *self.blocks))
 
 
 def occupied_voxels(logits: Tensor) -> Tensor:
-    """Voxels with a positive logit.
+    """Voxels of logits (B, 1, R, R, R) above zero: (T, 4) int32 rows [batch, x, y, z].
 
-    Args:
-        logits: (B, 1, R, R, R).
-
-    Returns:
-        (T, 4) int32 rows [batch, x, y, z], sorted lexicographically.
+    The rows are sorted lexicographically.
     """
     return torch.argwhere(logits > 0)[:, [0, 2, 3, 4]].int()

@@ -45,10 +45,6 @@ class SubMConv3d(nn.Module):
         """(T,in) features to (T,out) on the same voxels."""
         return submanifold_convolution(x, self.conv.weight, self.conv.bias)
 
-    def extra_repr(self) -> str:
-        """Channels in and out."""
-        return f"{self.in_channels}, {self.out_channels}"
-
 
 class _Kernel(nn.Module):
     """Weight and bias, initialised as torch's own convolutions are."""

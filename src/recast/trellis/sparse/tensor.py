@@ -83,25 +83,13 @@ class SparseTensor:
             start += count
         return ranges
 
-    def sample(self, index: int) -> SparseTensor:
-        """Sample `index` alone, as a batch of one."""
-        rows = self.slices[index]
-        coords = self.coords[rows].clone()
-        coords[:, 0] = 0
-        return SparseTensor(coords, self.feats[rows], 1)
-
     def with_feats(self, feats: Tensor) -> SparseTensor:
         """The same voxels with other features (T,C'); what was derived from them is kept."""
         return replace(self, feats=feats)
 
-    def to(
-        self, device: torch.device | str | None = None, dtype: torch.dtype | None = None
-    ) -> SparseTensor:
-        """On another device, or with features of another dtype."""
-        feats = self.feats.to(device=device, dtype=dtype)
-        if feats.device == self.coords.device:
-            return self.with_feats(feats)
-        return SparseTensor(self.coords.to(feats.device), feats, self.batch_size)
+    def to(self, device: torch.device | str) -> SparseTensor:
+        """On another device."""
+        return SparseTensor(self.coords.to(device), self.feats.to(device), self.batch_size)
 
     def validate(self) -> None:
         """Check shapes, the order of the rows and that no voxel stands twice in a sample.
@@ -126,41 +114,17 @@ class SparseTensor:
         if bool((batch[1:] < batch[:-1]).any()):
             found = "the rows of a sample are not contiguous"
             raise InputError(_WHERE, "coords", found, "order the rows by batch index")
-        voxel_keys(coords, margin=0).sort()
+        sorted_keys(voxel_keys(coords, margin=0)[0])
 
 
-@dataclass(frozen=True, eq=False)
-class VoxelKeys:
-    """One integer per voxel, ascending in the lexicographic order (batch, x, y, z).
+def voxel_keys(coords: Tensor, margin: int) -> tuple[Tensor, tuple[int, int, int, int]]:
+    """Keys (T,) int64 of voxels (T,4), and what one step along (batch, x, y, z) adds to a key.
 
-    Args:
-        keys: (T,) int64.
-        strides: what one step along (batch, x, y, z) adds to a key.
-    """
-
-    keys: Tensor
-    strides: tuple[int, int, int, int]
-
-    def sort(self) -> tuple[Tensor, Tensor]:
-        """Keys in ascending order and the rows (T,) they come from.
-
-        Raises:
-            InputError: a voxel stands twice in a sample.
-        """
-        ordered, rows = self.keys.sort()
-        if bool((ordered[1:] == ordered[:-1]).any()):
-            found = "a voxel stands twice in a sample"
-            raise InputError(_WHERE, "coords", found, "give every voxel once")
-        return ordered, rows
-
-
-def voxel_keys(coords: Tensor, margin: int) -> VoxelKeys:
-    """Number the voxels (T,4) so that steps of up to `margin` along any axis cannot meet others.
-
-    The numbers span the bounding box of the voxels, not a grid that is ever held in memory.
+    They ascend in lexicographic order; steps of up to `margin` along any axis cannot meet others.
+    They span the bounding box of the voxels, not a grid that is ever held in memory.
     """
     if coords.shape[0] == 0:
-        return VoxelKeys(coords.new_empty(0, dtype=torch.int64), (1, 1, 1, 1))
+        return coords.new_empty(0, dtype=torch.int64), (1, 1, 1, 1)
     low, high = torch.aminmax(coords.long(), dim=0)
     _, x, y, z = (high - low + 1 + 2 * margin).tolist()
     strides = (x * y * z, y * z, z, 1)
@@ -168,7 +132,20 @@ def voxel_keys(coords: Tensor, margin: int) -> VoxelKeys:
     keys = torch.zeros(coords.shape[0], dtype=torch.int64, device=coords.device)
     for axis, stride in enumerate(strides):
         keys += (coords[:, axis].long() - low[axis] + (margin if axis else 0)) * stride
-    return VoxelKeys(keys, strides)
+    return keys, strides
+
+
+def sorted_keys(keys: Tensor) -> tuple[Tensor, Tensor]:
+    """Keys (T,) in ascending order and the rows (T,) they come from.
+
+    Raises:
+        InputError: a voxel stands twice in a sample.
+    """
+    ordered, rows = keys.sort()
+    if bool((ordered[1:] == ordered[:-1]).any()):
+        found = "a voxel stands twice in a sample"
+        raise InputError(_WHERE, "coords", found, "give every voxel once")
+    return ordered, rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,11 +191,11 @@ def neighbour_map(x: SparseTensor) -> NeighbourMap:
         InputError: a voxel stands twice.
     """
     if "neighbours" not in x.cache:
-        numbered = voxel_keys(x.coords, margin=1)
-        ordered, order = numbered.sort()
+        keys, strides = voxel_keys(x.coords, margin=1)
+        ordered, order = sorted_keys(keys)
         pairs = []
         for offset in OFFSETS[:CENTRE]:
-            step = sum(d * s for d, s in zip(offset, numbered.strides[1:], strict=True))
+            step = sum(d * s for d, s in zip(offset, strides[1:], strict=True))
             wanted = ordered + step
             place = torch.searchsorted(ordered, wanted)  # never T: the steps lead backwards
             found = torch.nonzero(ordered[place] == wanted).squeeze(1)

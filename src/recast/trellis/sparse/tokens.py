@@ -37,8 +37,7 @@ class PackedTokens:
         """softmax(q k^T / sqrt(D)) v within each sample; all (T,H,D)."""
         counts = self.x.counts
         parts = zip(q.split(counts), k.split(counts), v.split(counts), strict=True)
-        rows = [attention(*part) for part in parts]
-        return rows[0] if len(rows) == 1 else torch.cat(rows)
+        return torch.cat([attention(*part) for part in parts])
 
     def attend_reference(self, q: Tensor, k: Tensor, v: Tensor) -> Tensor:
         """Readable twin of `attend`: one sample after another, weights written out."""
@@ -47,8 +46,7 @@ class PackedTokens:
     def attend_to(self, q: Tensor, k: Tensor, v: Tensor) -> Tensor:
         """Queries (T,H,D) of each sample over that sample's context k, v (B,L,H,D)."""
         parts = zip(q.split(self.x.counts), k.unbind(), v.unbind(), strict=True)
-        rows = [attention(*part) for part in parts]
-        return rows[0] if len(rows) == 1 else torch.cat(rows)
+        return torch.cat([attention(*part) for part in parts])
 
 
 def attention(q: Tensor, k: Tensor, v: Tensor) -> Tensor:
@@ -90,7 +88,7 @@ def window_partition(x: SparseTensor, window: int, shift: int) -> WindowPartitio
     key = ("windows", window, shift)
     cached: dict[Any, WindowPartition] = x.cache
     if key not in cached:
-        keys = voxel_keys(window_cells(x, window, shift), margin=0).keys
+        keys, _ = voxel_keys(window_cells(x, window, shift), margin=0)
         _, cell, counts = keys.unique(return_inverse=True, return_counts=True)
         # By size, then by window: equal sizes become one batch without padding.
         order = torch.argsort(counts[cell] * max(len(counts), 1) + cell, stable=True)
@@ -167,8 +165,7 @@ class PoolIndex:
     """Which fine voxels lie in which coarse voxel.
 
     Args:
-        fine: the fine voxels, without features (T,0).
-        coarse: the coarse voxels, without features (T',0).
+        fine, coarse: the voxels, without features, (T,0) and (T',0).
         parent: (T,) int64 row of the coarse voxel around each fine one.
         children: (factor^3,T') int64 rows of the fine voxels in each coarse one, by their place in
             it; T where there is none.
@@ -229,7 +226,7 @@ def _pool_index(x: SparseTensor, factor: int) -> PoolIndex:
     if ("pool", factor) not in cached:
         coords = x.coords.clone()
         coords[:, 1:] = x.coords[:, 1:].div(factor, rounding_mode="floor")
-        keys = voxel_keys(coords, margin=0).keys
+        keys, _ = voxel_keys(coords, margin=0)
         _, parent, counts = keys.unique(return_inverse=True, return_counts=True)
         place = torch.zeros_like(parent)
         for axis in (1, 2, 3):

@@ -1,10 +1,6 @@
 """`recast bench scene-level`, from scenes to the paper's table of rendering quality, and figures.
 
-OUT/bench.json               what the evaluation is
-OUT/scene_level.parquet      one row an image of each arm
-OUT/features/ARM/SCENE.npz   features of its images
-OUT/results.json, table.md   the table, image counts, weights
-OUT/figure_MOTION.png        moments x arms
+docs/scene_level.md lists the files that it writes.
 """
 
 from __future__ import annotations
@@ -14,20 +10,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from PIL import Image as PilImage
 from PIL import ImageDraw
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from recast.arrays import Image
-from recast.core import Store, files, open_store
+from recast.core import Store, files
 from recast.core.errors import printable
 from recast.core.names import folder_name
-from recast.core.ray_cluster import worker_pool
 from recast.evaluation.scene_level.files import (
     cell,
     results_json,
@@ -36,8 +29,13 @@ from recast.evaluation.scene_level.files import (
     write_images,
 )
 from recast.evaluation.scene_level.frames import RolloutFrame, read_frames, read_references
-from recast.evaluation.scene_level.networks import Networks
-from recast.evaluation.scene_level.scores import COLUMNS, FEATURES_FILE, Features, load_features
+from recast.evaluation.scene_level.scores import (
+    COLUMNS,
+    FEATURES_FILE,
+    Features,
+    Networks,
+    load_features,
+)
 from recast.evaluation.scene_level.summary import LevelRow, MeasuredScene, summarise
 from recast.pipeline.bench.closed_loop import check_grid
 from recast.pipeline.bench.results import broken_name
@@ -47,14 +45,13 @@ from recast.pipeline.bench.scene_level.worker import (
     LevelTasks,
     LevelWorker,
     measured,
-    start_level_worker,
 )
 from recast.pipeline.bench.scene_run import Outcome, Task
 from recast.pipeline.bench.settings import RESULTS_FILE, begin
-from recast.pipeline.bench.worker import Courier, work_off
-from recast.pipeline.display import FrameProgress
+from recast.pipeline.bench.worker import Workers
+from recast.pipeline.display import FrameProgress, narrow_table
 from recast.pipeline.layout import use_name
-from recast.pipeline.run import STORE_FOLDER
+from recast.reporting.canvas import at_width
 
 MOST_ROWS = 8
 _WIDTH, _HEAD, _GAP = 360, 18, 4
@@ -76,9 +73,7 @@ def run_scene_level(
     command finished stays; all files are the same bytes for any number of workers.
 
     Args:
-        settings: settings of the evaluation.
         out: new, empty, or of this very evaluation.
-        console: shows progress and the table.
         workers, ray, store: see `recast.pipeline.bench.run_closed_loop`.
 
     Raises:
@@ -86,9 +81,7 @@ def run_scene_level(
             killed.
     """
     settings.validate()
-    pool = worker_pool(workers, ray)
-    place = str(out.absolute().parent / STORE_FOLDER if store is None else store)
-    opened = open_store(place)
+    team = Workers(out, workers, ray, store)
     check_grid(settings.grid)
     # Wrong weights end here, not after the first street; the VQA scorer's are too large for that.
     Networks(**asdict(replace(settings.networks, vqa=None, device="cpu")))
@@ -97,10 +90,6 @@ def run_scene_level(
     if ray is not None:
         settings = settings.absolute()
     tasks = LevelTasks(settings)
-    courier = None
-    if ray is not None:
-        courier = Courier(opened, settings.grid, lambda finds: LevelWorker(finds, settings, None))
-    arguments = (None if courier else place, settings, None if courier is None else courier.fetch)
 
     def done(task: Task, outcome: Outcome) -> None:
         tasks.note(task, outcome)
@@ -108,21 +97,21 @@ def run_scene_level(
 
     with files.alone_in(out):
         with FrameProgress(console, tasks.total, "scenes and arms") as bar:
-            work_off(pool, start_level_worker, arguments, tasks, courier, done)
+            team.do(LevelWorker, (settings,), settings.grid, tasks, done)
         failures = {
             (scene if not what else f"{scene}, {what}"): reason
             for (scene, what), reason in sorted(tasks.failures.items())
         }
-        found = _Found(settings, tasks, opened)
+        found = _Found(settings, tasks, team.store)
         scenes = found.scenes(failures)
-        for told, reason in failures.items():
-            line = printable(f"{told}: {reason}")
+        for where, reason in failures.items():
+            line = printable(f"{where}: {reason}")
             console.print(line, markup=False, highlight=False, style="red")
         rows = summarise(
             scenes, REPLAY, settings.grid.samples, settings.frechet_samples, settings.grid.run.seed
         )
         warned = warnings(rows, scenes)
-        notes = [*warned, *(f"{told}: {why}" for told, why in failures.items())]
+        notes = [*warned, *(f"{where}: {why}" for where, why in failures.items())]
         write_images(scenes, out / IMAGES_FILE)
         for scene in scenes:
             for name in measured(settings):
@@ -203,19 +192,11 @@ def _table(name: str, rows: Sequence[LevelRow]) -> Table:
     """One column of the table with intervals and differences, 80 characters wide."""
     column = COLUMNS[name]
     better = "higher" if column.higher_is_better else "lower"
-    table = Table(
-        title=f"{column.heading}, {better} is better",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        collapse_padding=True,
-        pad_edge=False,
-    )
-    table.add_column("arm", overflow="fold")
-    for heading in ("images", "value", "95 % over scenes", f"minus {rows[0].arm}"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    figures = ("images", "value", "95 % over scenes", f"minus {rows[0].arm}")
+    table = narrow_table(f"{column.heading}, {better} is better", ["arm"], figures)
     for row in rows:
-        told = [*cell(name, row.values.get(name)).split("\n"), "", "", ""][:3]
-        table.add_row(Text(broken_name(printable(row.arm))), str(row.images), *told)
+        cells = [*cell(name, row.values.get(name)).split("\n"), "", "", ""][:3]
+        table.add_row(Text(broken_name(printable(row.arm))), str(row.images), *cells)
     return table
 
 
@@ -228,8 +209,6 @@ def write_figures(
     """Write a figure for each motion: a row for each scene and setting, a column for each arm.
 
     Args:
-        frames: images by scene.
-        arms: names.
         pictures: from scene and arm to pictures by number of the image.
     """
     motions = dict.fromkeys(frame.motion for scene in frames.values() for frame in scene)
@@ -273,6 +252,4 @@ def _figure(
 def _cell(path: Path | None) -> Image:
     if path is None:
         return np.full((_WIDTH * 2 // 3, _WIDTH, 3), 200, np.uint8)
-    image = np.asarray(PilImage.open(path).convert("RGB"))
-    height = round(image.shape[0] * _WIDTH / image.shape[1])
-    return np.asarray(cv2.resize(image, (_WIDTH, height), interpolation=cv2.INTER_AREA), np.uint8)
+    return at_width(np.asarray(PilImage.open(path).convert("RGB")), _WIDTH)

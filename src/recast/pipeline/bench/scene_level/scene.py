@@ -17,7 +17,6 @@ from recast.arrays import Array, Image
 from recast.core import Artefact, files
 from recast.dynamics import EgoState
 from recast.dynamics.state import SIZE as EGO_SIZE
-from recast.evaluation.oracle_scores import Rectangle
 from recast.evaluation.scene_level.frames import (
     FRAMES_FILE,
     REFERENCES_FILE,
@@ -30,8 +29,7 @@ from recast.evaluation.scene_level.frames import (
     shown_frames,
     spread_over_azimuth,
 )
-from recast.evaluation.scene_level.networks import Networks, SeenImage
-from recast.evaluation.scene_level.scores import FEATURES_FILE, save_features
+from recast.evaluation.scene_level.scores import FEATURES_FILE, Networks, SeenImage, save_features
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.pipeline.arms import Arm
 from recast.pipeline.bench.scene_level.settings import (
@@ -48,6 +46,7 @@ from recast.pipeline.layout import use_name
 from recast.pipeline.rollouts import read_rollout
 from recast.pipeline.sources import RECIPES
 from recast.scene import load_scene
+from recast.scene.scores import Rectangle
 from recast.scene.views import read_view
 from recast.simulation import (
     Rollout,
@@ -67,13 +66,7 @@ REPLAY = "log-replay"
 
 
 class LevelScene:
-    """A scene of the evaluation.
-
-    Args:
-        run: the scene with its store.
-        settings: settings of the evaluation.
-        networks: gives the networks, loaded once a worker.
-    """
+    """A scene of the evaluation, `run` with its store; `networks` are loaded once a worker."""
 
     def __init__(
         self, run: SceneRun, settings: LevelSettings, networks: Callable[[], Networks]

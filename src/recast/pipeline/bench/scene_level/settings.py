@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from recast.arrays import Array
 from recast.core.artefact import file_hash, folder_hash
-from recast.core.errors import InputError
-from recast.evaluation.oracle_scores import Rectangle
+from recast.core.errors import InputError, require_range
 from recast.evaluation.scene_level.frames import FrameRule, RolloutFrame, visible_share
 from recast.geometry import se3
 from recast.pipeline.bench.settings import BenchSettings
 from recast.pipeline.sources import vqa_source
 from recast.planning import CameraMount
 from recast.scene import SceneRasterizer, StreetScene
+from recast.scene.scores import Rectangle
 from recast.simulation import Rollout
 from recast.synthetic import Oracle, World
 
@@ -45,10 +45,8 @@ class NetworkFiles:
 
     Attributes:
         inception: weights file, see `load_inception`.
-        clip: folder of a CLIP model.
         lpips: ImageNet weights of AlexNet or VGG-16, see `load_lpips`.
         vqa: what `load_vqa_scorer` takes as text.
-        device: where the networks compute: cpu, cuda or cuda:1.
     """
 
     inception: Path | None = None
@@ -81,12 +79,9 @@ class LevelSettings:
 
     Attributes:
         grid: scenes, motions and arms (the first is the baseline); its one planner is `DRIVER`.
-        rule: when an image counts.
         crop: "boxed" keeps the background around the vehicle, "masked" takes away what lies outside
             of the box's outline.
         most_references: logged crops of a scene that LPIPS and the CLIP image score compare with.
-        networks: weights.
-        hashes: hashes of the networks' files by name.
         frechet_samples: bootstrap samples of Frechet distances; the other scores' are the grid's.
     """
 
@@ -112,14 +107,9 @@ class LevelSettings:
         return replace(self, grid=self.grid.absolute(), networks=replace(self.networks, **files))
 
     def validate(self) -> None:
-        """Raise InputError naming the option at fault."""
+        """Raise InputError naming the setting at fault."""
         self.rule.validate()
-        for option, value in (
-            ("--references", self.most_references),
-            ("--frechet-samples", self.frechet_samples),
-        ):
-            if value < 1:
-                raise InputError(option, "value", f"is {value}", "give 1 or more")
+        require_range(1, references=self.most_references, frechet_samples=self.frechet_samples)
 
     def record(self) -> dict[str, Any]:
         """What makes this evaluation another than others: plain data."""
@@ -144,7 +134,6 @@ def visible_frames(
     """Images that count, by rollout, step and camera: no street hides the vehicle in them.
 
     Args:
-        mounts: cameras as they are rendered.
         depths: depth functions of every street that an arm uses.
     """
     for rollout in rollouts:

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
-from recast.core import Artefact, Store, open_store
-from recast.core.depot import Fetch
-from recast.core.ray_cluster import node_folder
-from recast.evaluation.scene_level.networks import Networks
+from recast.core import Artefact, Store
+from recast.core.remote import Fetch
+from recast.evaluation.scene_level.scores import Networks
 from recast.pipeline.bench.scene_level.scene import FEATURES, REFERENCES, REPLAY, LevelScene
 from recast.pipeline.bench.scene_level.settings import LevelSettings
 from recast.pipeline.bench.scene_run import Outcome, RolloutTimes, SceneRun, Task
 from recast.pipeline.bench.worker import BenchWorker
-from recast.splats import set_threads
 
 
 @dataclass(frozen=True)
@@ -31,9 +28,6 @@ class MeasureTask(Task):
 
 class LevelTasks:
     """The tasks that are ready, and what came of them.
-
-    Args:
-        settings: settings of the evaluation.
 
     Attributes:
         used: references of artefacts by scene and use.
@@ -80,12 +74,7 @@ def measured(settings: LevelSettings) -> tuple[str, ...]:
 
 
 class LevelWorker(BenchWorker):
-    """Does the tasks of a scene-level evaluation; the networks are loaded once.
-
-    Args:
-        settings: settings of the evaluation.
-        fetch: see `BenchWorker`.
-    """
+    """Does the tasks of a scene-level evaluation, see `BenchWorker`; networks are loaded once."""
 
     def __init__(self, store: Store, settings: LevelSettings, fetch: Fetch | None) -> None:
         super().__init__(store, settings.grid, False, fetch)
@@ -112,15 +101,6 @@ class LevelWorker(BenchWorker):
         if self._loaded is None:
             self._loaded = Networks(**asdict(self._level.networks))
         return self._loaded
-
-
-def start_level_worker(
-    number: int, place: str | None, settings: LevelSettings, fetch: Fetch | None
-) -> Callable[[Task], Outcome]:
-    """A worker of a pool; see `recast.pipeline.bench.worker.start_worker`."""
-    del number
-    set_threads(1)
-    return LevelWorker(open_store(node_folder() if place is None else place), settings, fetch)
 
 
 def _is_features(use: str) -> bool:

@@ -13,9 +13,9 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.dynamics import PACIFICA
-from recast.pipeline.planner_data.dataset import FIRST_SEED, make_dataset
-from recast.pipeline.planner_data.situation import draw_situation
-from recast.pipeline.planner_data.stage import Stage, make_stage, place_actor
+from recast.pipeline.gtrs_data.dataset import FIRST_SEED, make_dataset
+from recast.pipeline.gtrs_data.situation import draw_situation
+from recast.pipeline.gtrs_data.stage import Stage, make_stage, place_actor
 from recast.planning.gtrs_training.samples import DatasetRecord, SampleStore, world_folder
 from recast.planning.gtrs_training.targets import touched
 from recast.planning.gtrs_training.vocabulary import make_vocabulary
@@ -90,7 +90,7 @@ def test_killed_and_repeated_it_has_the_same_bytes(tmp_path: Path) -> None:
     code = (
         "import sys, numpy as np\n"
         "from pathlib import Path\n"
-        "from recast.pipeline.planner_data.dataset import make_dataset\n"
+        "from recast.pipeline.gtrs_data.dataset import make_dataset\n"
         "from recast.planning.gtrs_training.samples import DatasetRecord\n"
         f"record = DatasetRecord.model_validate({RECORD.model_dump()!r})\n"
         "folder = Path(sys.argv[1])\n"

@@ -1,4 +1,4 @@
-"""Judge a generator of actors: make each vehicle from one picture, compare with reserved ones."""
+"""Judge actors: by reserved pictures of the vehicles of a set, or by held-out images of a log."""
 
 from __future__ import annotations
 
@@ -8,28 +8,44 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
+from PIL import Image as PilImage
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from recast.actors import ActorGenerator, Observation
-from recast.actors.observe import observation_of_view
+from recast.actors import Actor, ActorGenerator, insert, load_actor
+from recast.actors.insert import require_model
 from recast.actors.place import PlacementReport, place_asset
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, write_json
 from recast.core.progress import Progress
 from recast.evaluation.actor_scores import (
     ACTOR_COLUMNS,
+    TrackView,
     drawn,
+    held_out_track,
     mean_scores,
     photographed,
     score_view,
 )
-from recast.evaluation.cases import ActorCase, ActorView, read_cases
+from recast.evaluation.cases import ActorView, read_cases
 from recast.evaluation.perceptual import ImageDistance
 from recast.evaluation.sheets import ComparedView, comparison_sheet
 from recast.evaluation.table import rounded
+from recast.logs import DrivingLog
+from recast.pipeline.actor import ActorMakers, StageProgress, make_actor, refine_actor
+from recast.pipeline.generation_maker import case_observation
+from recast.pipeline.layout import ACTOR_FOLDER
+from recast.reporting.canvas import at_width
+from recast.scene import SceneConfig, StreetScene
 
 METRICS_FILE, TIMINGS_FILE = "metrics.json", "timings.json"
+MODELS = ("reconstructed", "registered", "refined")
+"""The scene's own model of the track, the actor as registered, and as refined."""
+_TILE_WIDTH = 960
+_SHOWN = 6
 
 
 @dataclass(frozen=True)
@@ -46,13 +62,7 @@ class VehicleResult:
     """One vehicle.
 
     Attributes:
-        id: of the vehicle.
         input: name of the picture that it was made from, and `input_azimuth_deg` whence.
-        further: names of other pictures that it was made from.
-        details: the asset's own facts.
-        placement: how it was placed.
-        views: of the reserved cameras.
-        mean: of every score over the views.
     """
 
     id: str
@@ -70,9 +80,6 @@ class ActorEvaluation:
     """What a run over a set found.
 
     Attributes:
-        generator, seed: what made the vehicles.
-        vehicles: that were made.
-        failures: by id, why one could not be made.
         mean: of every score over the vehicles, each counting the same.
     """
 
@@ -84,8 +91,7 @@ class ActorEvaluation:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, rounded to six decimals."""
-        data: dict[str, Any] = rounded({"version": 1, **asdict(self)})
-        return data
+        return rounded({"version": 1, **asdict(self)})
 
 
 def evaluate_actors(
@@ -106,14 +112,9 @@ def evaluate_actors(
     of the means.
 
     Args:
-        generator: what is judged.
         folder: real crops or a vehicle set, see `read_cases`.
-        out: to be made.
         seed: of the generator, and of the choice of input views.
-        limit: judge only the first vehicles.
         views: input views that a vehicle is made from, at most.
-        distances: further measures.
-        progress: told the number of vehicles done, and of all.
 
     Raises:
         InputError: the set is at fault, no vehicle could be made, or `out` exists.
@@ -122,7 +123,7 @@ def evaluate_actors(
     results, failures, seconds = [], {}, {}
     with atomic_folder(out) as partial:
         for index, case in enumerate(cases):
-            observations = [_observation(case, view) for view in case.inputs]
+            observations = [case_observation(case, view) for view in case.inputs]
             start = time.perf_counter()
             try:
                 first = replace(observations[0], further=tuple(observations[1:views]))
@@ -198,20 +199,112 @@ def evaluation_table(evaluation: ActorEvaluation) -> Table:
     return table
 
 
-def _observation(case: ActorCase, view: ActorView) -> Observation:
-    return observation_of_view(
-        view.load(),
-        view.camera,
-        view.camera_from_actor,
-        case.size,
-        name=f"{case.id}/{view.name}",
-        category=case.category,
-    )
-
-
 def _caption(view: ActorView, scores: dict[str, float]) -> str:
     decibels = f"PSNR {scores['psnr']:.1f} ({scores['psnr_vehicle']:.1f})"
     return (
         f"azimuth {view.azimuth_deg:.0f}\n"
         f"{decibels}  SSIM {scores['ssim']:.3f}  IoU {scores['mask_iou']:.2f}"
     )
+
+
+@dataclass(frozen=True)
+class TrackResult:
+    """One track.
+
+    Attributes:
+        images: held-out ones that show it.
+        psnr, ssim: means by model.
+    """
+
+    track_id: str
+    images: int
+    psnr: dict[str, float]
+    ssim: dict[str, float]
+    provenance: dict[str, Any]
+
+
+def evaluate_tracks(
+    log: DrivingLog,
+    scene: StreetScene,
+    config: SceneConfig,
+    tracks: Sequence[str],
+    makers: ActorMakers,
+    out: Path,
+    seed: int = 0,
+    progress: StageProgress | None = None,
+) -> list[TrackResult]:
+    """Make and refine the actor of every track, and compare it with held-out images.
+
+    Writes `metrics.json`, and for every track a folder with its actor and `held_out.png` (each row
+    an image: recording, reconstructed, registered, refined) to `out`, whole or not at all.
+
+    Args:
+        scene, config: reconstructed from the log, with models of the tracks; and its training.
+        progress: told stage, pieces done, and all of the stage.
+
+    Raises:
+        InputError: no track named, one that the scene has no model of or no held-out image shows;
+            see `make_actor`.
+    """
+    if not tracks:
+        raise InputError("`track`", "tracks", "none is named", "name one; log info lists them")
+    for track_id in tracks:
+        require_model(scene, track_id)
+    results = []
+    with atomic_folder(out) as folder:
+        for number, track_id in enumerate(tracks):
+            place = folder / f"track_{number}"
+            place.mkdir()
+            make_actor(log, track_id, makers, seed, place, config, progress=progress)
+            refined = refine_actor(place, scene, seed, place / "refined", progress)
+            models = {
+                "reconstructed": scene,
+                "registered": insert(scene, load_actor(place / ACTOR_FOLDER)),
+                "refined": insert(scene, refined),
+            }
+            views = list(held_out_track(log, track_id, config, models))
+            if not views:
+                raise InputError(
+                    log.name, f"track {track_id}", "is in no held-out image", "name another track"
+                )
+            PilImage.fromarray(_sheet(views)).save(place / "held_out.png", format="PNG")
+            results.append(_result(track_id, views, refined))
+        write_json(
+            folder / "metrics.json",
+            rounded({"version": 1, "seed": seed, "tracks": [vars(one) for one in results]}),
+        )
+    return results
+
+
+def tracks_table(results: Sequence[TrackResult]) -> Table:
+    """PSNR and SSIM of every track by model; 80 columns wide."""
+    table = Table(
+        title="held-out images, in the vehicle's box: PSNR dB, SSIM",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    for heading in ("track", "images", "made by", *MODELS):
+        table.add_column(heading)
+    for one in results:
+        chosen = [c for c in one.provenance["candidates"] if c["chosen"]]
+        made_by = chosen[0]["label"] if chosen else one.provenance["generator"]
+        cells = [f"{one.psnr[model]:.2f} {one.ssim[model]:.3f}" for model in MODELS]
+        table.add_row(one.track_id, str(one.images), made_by, *cells)
+    return table
+
+
+def _result(track_id: str, views: Sequence[TrackView], actor: Actor) -> TrackResult:
+    return TrackResult(
+        track_id=track_id,
+        images=len(views),
+        psnr={model: float(np.mean([v.psnr[model] for v in views])) for model in MODELS},
+        ssim={model: float(np.mean([v.ssim[model] for v in views])) for model in MODELS},
+        provenance=actor.provenance.model_dump(mode="json"),
+    )
+
+
+def _sheet(views: Sequence[TrackView]) -> NDArray[np.uint8]:
+    """Pictures of a few images, one below the other, of one width."""
+    some = np.unique(np.linspace(0, len(views) - 1, _SHOWN).round().astype(int))
+    return np.concatenate([at_width(views[index].picture, _TILE_WIDTH) for index in some], axis=0)

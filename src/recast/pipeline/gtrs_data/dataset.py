@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.arrays import Image
-from recast.core.errors import InputError
+from recast.core.errors import InputError, require_range
 from recast.core.files import alone_in, write_json
 from recast.core.progress import Progress
 from recast.core.ray_cluster import worker_pool
 from recast.core.records import read_record
 from recast.dynamics import state as ego
 from recast.geometry import se2
-from recast.pipeline.planner_data.situation import Situation, draw_situation
-from recast.pipeline.planner_data.stage import Stage, make_stage
+from recast.pipeline.gtrs_data.situation import Situation, draw_situation
+from recast.pipeline.gtrs_data.stage import Stage, make_stage
 from recast.planning.gtrs.scores import Trajectories, read_vocabulary, write_vocabulary
 from recast.planning.gtrs_training.samples import (
     CLUES,
@@ -31,8 +31,8 @@ from recast.planning.gtrs_training.samples import (
     world_folder,
     write_world,
 )
-from recast.planning.gtrs_training.settings import HALF_VIEWS
 from recast.planning.gtrs_training.targets import score_vocabulary
+from recast.planning.gtrs_training.task import HALF_VIEWS
 from recast.planning.gtrs_training.vocabulary import mirror_index
 from recast.planning.types import ego_status
 from recast.synthetic.oracle import Oracle
@@ -73,9 +73,7 @@ def make_dataset(
     """
     from recast.synthetic.rendering import require_embree
 
-    for option, value in (("--samples", count), ("--workers", workers)):
-        if value < 1:
-            raise InputError(option, "value", f"is {value}", "give 1 or more")
+    require_range(1, samples=count, workers=workers)
     require_embree()
     mirror_index(vocabulary)
     _open(out, record, vocabulary)
@@ -141,7 +139,7 @@ def _next(
             stage.world.name,
             f"seed {stage.world.seed}",
             "has no room for the ego",
-            "this should not happen; take another --seed",
+            "this should not happen; take another `seed`",
         )
     return found, False
 

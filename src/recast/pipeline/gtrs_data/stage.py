@@ -47,8 +47,6 @@ class Stage:
 
     Attributes:
         world: with further vehicles, which stand nowhere until they are placed.
-        log: its drive, without sensors.
-        route, surface, road: where the ego drives.
         actors: ids of the vehicles to be placed.
     """
 
@@ -110,7 +108,6 @@ class PlacedActor:
     """A vehicle from now on.
 
     Attributes:
-        obstacle: its poses.
         speed: m/s now.
         world_from_actor: (4, 4) now.
         s: of the route, now.

@@ -1,4 +1,4 @@
-"""Waymo LiDAR: the range images of a segment as sweeps.
+"""Waymo cameras and LiDARs: images with their rolling shutter, range images as sweeps.
 
 A range image has a row for each beam and a column for each direction of the turn, seen in the
 vehicle frame: column 0 looks backwards, the middle one forwards, and the scanner turns clockwise
@@ -8,22 +8,138 @@ others' turns is not known, and not undone.
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from recast.geometry import se3
+from recast.core.errors import InputError
+from recast.geometry import PinholeCamera, se3
 from recast.logs import checks
-from recast.logs.importers.waymo_schema import lidar_name
-from recast.logs.importers.waymo_segment import FrameEntry, LaserCalibration, LaserEntry, Segment
-from recast.logs.types import Array, Float32Array, Int64Array, LidarStream, LidarSweep, Trajectory
+from recast.logs.images import decode, require_size, size_of
+from recast.logs.importers.common import Timed
+from recast.logs.importers.waymo_proto import lidar_name
+from recast.logs.importers.waymo_segment import (
+    FrameEntry,
+    ImageEntry,
+    LaserCalibration,
+    LaserEntry,
+    Segment,
+)
+from recast.logs.types import (
+    Array,
+    CameraStream,
+    Float32Array,
+    Image,
+    Int64Array,
+    LidarStream,
+    LidarSweep,
+    Trajectory,
+)
 
+_SAYS = "the camera's calibration"
 TURN_US = 100_000
 """Of one turn of the TOP LiDAR. Cameras fire as it sweeps past them: in the real frame the middles
 of their exposures fit columns of a turn of this length, begun at the frame's time, within 1 ms."""
 _CHANNELS = 4  # range, intensity, elongation, in no-label zone
 _POSE_CHANNELS = 6  # roll, pitch, yaw, x, y, z
+
+
+@dataclass(frozen=True)
+class WaymoImages:
+    """The images of one camera of a segment; an `EncodedImageSource`.
+
+    Attributes:
+        entries: in the order of time.
+        camera: intrinsics, which tell the size that every image must have.
+    """
+
+    entries: tuple[ImageEntry, ...]
+    camera: PinholeCamera
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.entries)
+
+    def __getitem__(self, index: int) -> Image:
+        """Decode frame `index` to (height, width, 3) uint8 RGB."""
+        return self._decode(index, self.entries[index].jpeg.read())
+
+    def encoded(self, index: int) -> tuple[bytes, str]:
+        """The JPEG file as it is in the dataset, decoded once if no checksum vouches for it.
+
+        Raises:
+            InputError: it is no JPEG, or of another size than the calibration says.
+        """
+        jpeg = self.entries[index].jpeg
+        data = jpeg.read()
+        if not jpeg.sealed:
+            self._decode(index, data)
+            return data, "jpeg"
+        with self._errors(index):
+            require_size(size_of(data, "jpeg", ""), self._size, "", _SAYS)
+        return data, "jpeg"
+
+    @property
+    def _size(self) -> tuple[int, int]:
+        return self.camera.width, self.camera.height
+
+    def _decode(self, index: int, data: bytes) -> Image:
+        with self._errors(index):
+            return decode(data, "jpeg", self._size, "", _SAYS)
+
+    @contextmanager
+    def _errors(self, index: int) -> Iterator[None]:
+        try:
+            yield
+        except InputError as error:
+            raise self.entries[index].jpeg.place.error(error.problem) from None
+
+
+def read_cameras(segment: Segment) -> dict[str, CameraStream]:
+    """The cameras of a segment by name; those without images keep their calibration.
+
+    Raises:
+        InputError: a calibration is missing, or images of a camera are out of order.
+    """
+    for frame in segment.frames:
+        for name, image in frame.images.items():
+            if name not in segment.cameras:
+                raise image.jpeg.place.error(f"there is no calibration of camera {name}")
+    streams = {}
+    for name, known in sorted(segment.cameras.items()):
+        entries = tuple(frame.images[name] for frame in segment.frames if name in frame.images)
+        times = np.array([entry.time_us for entry in entries], np.int64)
+        late = np.flatnonzero(np.diff(times) <= 0)
+        if len(late):
+            raise entries[late[0] + 1].jpeg.place.error(
+                "its pose is not later than that of the one before"
+            )
+        images = WaymoImages(entries, known.camera)
+        streams[name] = CameraStream(name, known.camera, known.rig_from_camera, times, images)
+    return streams
+
+
+def shutter_notes(segment: Segment) -> Mapping[str, str]:
+    """How each camera's shutter rolls, for the log's metadata: there is no other place for it.
+
+    One entry `rolling_shutter` with JSON: by camera, the direction, and the medians over all images
+    of the times at which the first and the last column (or row) read was exposed, in microseconds
+    from the image's timestamp.
+    """
+    notes = {}
+    for name, known in sorted(segment.cameras.items()):
+        entries = [frame.images[name] for frame in segment.frames if name in frame.images]
+        if entries:
+            notes[name] = {
+                "direction": known.shutter,
+                "first_us": round(np.median([e.first_us - e.time_us for e in entries])),
+                "last_us": round(np.median([e.last_us - e.time_us for e in entries])),
+            }
+    return {"rolling_shutter": json.dumps(notes)} if notes else {}
 
 
 def beams(calibration: LaserCalibration, rows: int) -> Array:
@@ -96,7 +212,7 @@ def range_image_points(
 
 
 @dataclass(frozen=True)
-class WaymoSweeps:
+class WaymoSweeps(Timed):
     """The sweeps of one LiDAR of a segment, both returns, read on demand.
 
     Attributes:
@@ -113,10 +229,6 @@ class WaymoSweeps:
     calibration: LaserCalibration
     rig_from_vehicle: Array
 
-    def __len__(self) -> int:
-        """Number of sweeps."""
-        return len(self.frames)
-
     def __getitem__(self, index: int) -> LidarSweep:
         """Decode sweep `index`: first returns, then second ones.
 
@@ -130,11 +242,11 @@ class WaymoSweeps:
         points, intensities, columns = [], [], []
         for part, image in zip(laser.returns, images, strict=True):
             if image.shape != images[0].shape:
-                raise part.error(f"is {image.shape}, the first return {images[0].shape}")
+                raise part.place.error(f"is {image.shape}, the first return {images[0].shape}")
             try:
                 placed, row, column = range_image_points(image, self.calibration, poses)
             except ValueError as error:
-                raise part.error(str(error)) from None
+                raise part.place.error(str(error)) from None
             points.append(placed)
             # The sensor's scale is open above; most surfaces are below 1.
             intensities.append(np.tanh(np.maximum(image[row, column, 1], 0.0)))
@@ -174,7 +286,9 @@ def read_lidars(
                 raise frame.place.inside(f"LiDAR {name}").error("its range image is missing")
             if name not in segment.lasers:
                 raise (
-                    frame.lasers[name].returns[0].error(f"there is no calibration of LiDAR {name}")
+                    frame.lasers[name]
+                    .returns[0]
+                    .place.error(f"there is no calibration of LiDAR {name}")
                 )
     world_from_vehicle = world_from_global @ np.stack([frame.pose for frame in segment.frames])
     rig_from_vehicle = se3.inverse(trajectory.at(frame_times_us)) @ world_from_vehicle
@@ -192,7 +306,7 @@ def _pixel_poses(laser: LaserEntry, shape: tuple[int, ...]) -> Float32Array | No
         return None
     poses = laser.pixel_poses.read(_POSE_CHANNELS)
     if not np.all(np.abs(poses) <= checks.WORLD_REACH):
-        raise laser.pixel_poses.error(f"holds a pose not within {checks.WORLD_REACH:g} m")
+        raise laser.pixel_poses.place.error(f"holds a pose not within {checks.WORLD_REACH:g} m")
     if poses.shape[:2] != shape:
-        raise laser.pixel_poses.error(f"is {poses.shape[:2]}, the range image {shape}")
+        raise laser.pixel_poses.place.error(f"is {poses.shape[:2]}, the range image {shape}")
     return poses

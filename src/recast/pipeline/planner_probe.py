@@ -17,8 +17,7 @@ from recast.evaluation.collision import no_collision
 from recast.logs import DrivingLog, Track
 from recast.pipeline.sources import RECIPES, planner_source
 from recast.planning import CameraMount, Planner, make_planner
-from recast.planning.gtrs import GtrsPlanner
-from recast.planning.gtrs_training.settings import HALF_VIEWS, MINI_VIEWS
+from recast.planning.views import wanted_views
 from recast.simulation import (
     Rollout,
     RolloutSetup,
@@ -38,6 +37,8 @@ from recast.synthetic import make_rig, make_world
 from recast.synthetic.world import World
 
 VISIBLE, ERASED = "visible", "erased"
+_SIZE = (480, 320)
+"""Width and height of images in runs, pixels."""
 _FAR_BELOW = 1000.0
 """Metres under the road, where an erased vehicle is drawn."""
 
@@ -62,7 +63,6 @@ class ProbeRow:
     """One scenario in one scene, driven twice.
 
     Attributes:
-        scene, scenario: which.
         collided: seconds of the first contact by arm, None without any.
         nearest: least metres between the boxes' centres, by arm.
         driven: metres, by arm.
@@ -119,10 +119,10 @@ def probe(request: ProbeRequest, on_row: Callable[[ProbeRow], None]) -> list[Pro
     planner = make_planner(request.planner, request.device)
     if not planner.needs_images:
         raise InputError("planner", planner.name, "reads no images", "probe one that does")
-    width, height = MINI_VIEWS.width, MINI_VIEWS.height
-    if not request.full_size and isinstance(planner, GtrsPlanner) and planner.views == MINI_VIEWS:
-        planner.views = HALF_VIEWS
-        width, height = HALF_VIEWS.width, HALF_VIEWS.height
+    width, height = _SIZE
+    wanted = {(view.camera.width, view.camera.height) for view in wanted_views(planner)}
+    if not request.full_size and wanted == {_SIZE}:
+        width, height = width // 2, height // 2
     motions = [motion for name in request.motions for motion in parse_motions(name)]
     rows = []
     for scene in request.scenes:

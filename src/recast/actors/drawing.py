@@ -1,23 +1,55 @@
-"""Pictures of an actor from all around."""
+"""Pictures of a vehicle: drawn alone, beside the crop that it was made from, from all around."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from recast.actors.actor import Actor
+from recast.actors.observation import Observation
 from recast.arrays import Array
 from recast.geometry import PinholeCamera, se3
-from recast.splats import CLASSIC, Gaussians, LowPass, concatenate, rasterize
+from recast.splats import CLASSIC, Gaussians, LowPass, Rasterization, concatenate, rasterize
 from recast.splats.gaussians import quat_to_matrix
 from recast.splats.sh import C0
 
 _DISTANCE = 2.1  # of the camera, in diagonals of the box
 _SHADE = 0.55  # brightness of what lies flat against what stands upright
+_RENDER_WIDTH = 160  # pixels: enough to tell lamps from grilles
+_GAINS = (0.3, 3.0)  # of the light, where colours are compared
+
+
+def draw(
+    gaussians: Gaussians,
+    camera_from_object: Array | Tensor,
+    camera: PinholeCamera,
+    low_pass: LowPass = CLASSIC,
+    background: Sequence[float] | None = None,
+) -> Rasterization:
+    """Gaussians drawn through the filter `low_pass` that they were made for; differentiable.
+
+    Args:
+        gaussians: object frame.
+        camera_from_object: (4, 4).
+        camera: rectified.
+        background: display colour; black if None.
+    """
+    return rasterize(
+        gaussians,
+        torch.as_tensor(camera_from_object).float(),
+        torch.from_numpy(camera.matrix).float(),
+        camera.width,
+        camera.height,
+        background=None if background is None else torch.tensor(background),
+        eps2d=low_pass.variance,
+        antialiased=low_pass.antialiased,
+    )
 
 
 def turntable(
@@ -30,18 +62,9 @@ def turntable(
     background: tuple[float, float, float] = (0.55, 0.56, 0.58),
     with_shadow: bool = True,
 ) -> list[NDArray[np.uint8]]:
-    """Render an actor from azimuths evenly around it; the first view faces its front.
+    """Render an actor from azimuths evenly around it, with its contact shadow or without.
 
-    Args:
-        actor: the vehicle.
-        views: number of pictures, counter-clockwise seen from above.
-        width, height: pixels.
-        elevation: of the camera above the box centre, radians.
-        background: display colour behind it.
-        with_shadow: also draw the contact shadow.
-
-    Returns:
-        `views` images (height, width, 3) uint8.
+    The first view faces its front; see `orbit`.
     """
     parts = [actor.gaussians, actor.shadow] if with_shadow else [actor.gaussians]
     return orbit(
@@ -94,7 +117,7 @@ def orbit(
         size: (3,) extents of what should fill the picture, same unit.
         views: number of pictures, counter-clockwise seen from above.
         width, height: pixels.
-        elevation: of the camera, radians.
+        elevation: of the camera above the origin, radians.
         background: display colour behind it.
         low_pass: the filter that they were made for.
 
@@ -115,16 +138,7 @@ def orbit(
         )
         pose = look_at(distance * direction, np.zeros(3))
         with torch.no_grad():
-            picture = rasterize(
-                gaussians,
-                torch.from_numpy(pose).float(),
-                torch.from_numpy(camera.matrix).float(),
-                width,
-                height,
-                background=torch.tensor(background),
-                eps2d=low_pass.variance,
-                antialiased=low_pass.antialiased,
-            )
+            picture = draw(gaussians, pose, camera, low_pass, background)
         images.append((picture.rgb.clamp(0, 1) * 255).round().to(torch.uint8).numpy())
     return images
 
@@ -147,3 +161,63 @@ def look_at(eye: Array, target: Array) -> Array:
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     return se3.from_rotation_translation(rotation, -rotation @ eye)
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """An asset as the crop's camera sees it, beside the crop, both at most 160 pixels wide.
+
+    Attributes:
+        shown: (H, W, 3) display values on black; alpha: (H, W) of the asset.
+        wanted: (H, W, 3) display values of the crop; mask: (H, W) of the vehicle in it.
+    """
+
+    shown: Array
+    alpha: Array
+    wanted: Array
+    mask: NDArray[np.bool_]
+
+
+def draw_beside(gaussians: Gaussians, low_pass: LowPass, observation: Observation) -> Pictures:
+    """Draw an asset placed in the actor frame (metres) where the observation was made from.
+
+    Args:
+        low_pass: the filter that the Gaussians were made for.
+        observation: crop, mask and camera.
+    """
+    height, width = observation.rgba.shape[:2]
+    small = (min(width, _RENDER_WIDTH), max(1, round(height * min(1.0, _RENDER_WIDTH / width))))
+    camera = observation.camera.resized(*small)
+    with torch.no_grad():
+        picture = draw(gaussians, observation.camera_from_object, camera, low_pass)
+    crop = cv2.resize(observation.rgba, small, interpolation=cv2.INTER_AREA)
+    return Pictures(
+        picture.rgb.numpy().astype(np.float64),
+        picture.alpha.numpy().astype(np.float64),
+        crop[..., :3].astype(np.float64) / 255,
+        crop[..., 3] > 127,
+    )
+
+
+def compare_views(
+    gaussians: Gaussians, low_pass: LowPass, observation: Observation
+) -> tuple[float, float]:
+    """Silhouette overlap and colour difference of an asset; see `draw_beside`, `agree`."""
+    return agree(draw_beside(gaussians, low_pass, observation))
+
+
+def agree(pictures: Pictures) -> tuple[float, float]:
+    """Intersection over union of the silhouettes, and `colour_difference` where both are."""
+    alpha, mask = pictures.alpha > 0.5, pictures.mask
+    union = int((alpha | mask).sum())
+    both = alpha & mask
+    if union == 0 or both.sum() < 20:
+        return 0.0, 1.0
+    overlap = float(both.sum() / union)
+    return overlap, colour_difference(pictures.shown[both], pictures.wanted[both])
+
+
+def colour_difference(shown: Array, wanted: Array) -> float:
+    """Mean absolute difference of display values (N, 3), after the best gain of each channel."""
+    gain = np.sum(wanted * shown, axis=0) / np.maximum(np.sum(shown * shown, axis=0), 1e-6)
+    return float(np.abs(wanted - np.clip(shown * np.clip(gain, *_GAINS), 0, 1)).mean())

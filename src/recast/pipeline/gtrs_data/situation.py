@@ -10,7 +10,7 @@ from recast.arrays import Array
 from recast.dynamics import PACIFICA, make_state
 from recast.dynamics import state as ego
 from recast.geometry import se2
-from recast.pipeline.planner_data.stage import ABOUT, PlacedActor, Stage, place_actor
+from recast.pipeline.gtrs_data.stage import ABOUT, PlacedActor, Stage, place_actor
 from recast.planning import DrivingCommand
 from recast.planning.gtrs_training.targets import FORESEEN, Obstacle, touched
 from recast.planning.pdm.forecast import box_corners
@@ -29,10 +29,6 @@ class Situation:
 
     Attributes:
         states: (K, 11) of the ego, equal in pose.
-        command: where the route leads.
-        actor: the vehicle placed, or None.
-        others: logged vehicles that are there too.
-        parked: vehicles that always are.
     """
 
     states: Array

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from recast.pipeline import sources
-from recast.pipeline.planner_data.probe import ProbeRequest, rollout_folder
+from recast.pipeline.planner_probe import ProbeRequest, rollout_folder
 from recast.simulation import MOTIONS
 
 REQUEST = ProbeRequest("gtrs-mini", Path("out"), (), (), 1, 4.0, False, 1)

@@ -1,0 +1,1 @@
+"""Samples for training the small GTRS planner, rendered and scored."""
