@@ -107,7 +107,7 @@ def test_folders_and_limits_that_are_refused(tmp_path: Path, vehicle_set: Path) 
         read_cases(tmp_path / "nowhere")
     with pytest.raises(InputError, match=r"no set.json, no index.json and no ID/input_views"):
         read_cases(tmp_path)
-    with pytest.raises(InputError, match="--limit: value: is 0"):
+    with pytest.raises(InputError, match="`limit`: value: is 0"):
         read_cases(vehicle_set, limit=0)
 
 
@@ -235,5 +235,5 @@ def test_further_inputs_show_other_sides(vehicle_set: Path) -> None:
         assert abs(first - second) == pytest.approx(180.0)
     everything = read_cases(vehicle_set, views=99)
     assert {len(case.inputs) for case in everything} == {8}
-    with pytest.raises(InputError, match="--views: value: is 0"):
+    with pytest.raises(InputError, match="`views`: value: is 0"):
         read_cases(vehicle_set, views=0)

@@ -336,10 +336,10 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"views": 0}, "--views: value: is 0"),
-        ({"fov_deg": 180.0}, "--fov: value: is 180"),
-        ({"licence": " "}, "--licence: value: is empty"),
-        ({"duplicate_bits": 256}, "--duplicate-bits: value: is 256"),
+        ({"views": 0}, "`views`: value: is 0"),
+        ({"fov_deg": 180.0}, "`fov`: value: is 180"),
+        ({"licence": " "}, "`licence`: value: is empty"),
+        ({"duplicate_bits": 256}, "`duplicate_bits`: value: is 256"),
     ],
 )
 def test_impossible_settings(tmp_path: Path, change: dict[str, object], message: str) -> None:
@@ -351,5 +351,5 @@ def test_a_fov_needs_the_shape_of_the_set(tmp_path: Path) -> None:
     photos = write_photos(tmp_path / "photos", 1)
     settings = replace(SETTINGS, fov_deg=40.0, width=40)
     ingest(photos, tmp_path / "wide", settings=settings)  # as wide as before, with free rows
-    with pytest.raises(InputError, match="--fov needs the shape of 90x40"):
+    with pytest.raises(InputError, match="`fov` needs the shape of 90x40"):
         ingest(photos, tmp_path / "set", settings=replace(settings, width=90))

@@ -374,13 +374,13 @@ def test_check_pictures_looks_at_all(packed: ShardedSet) -> None:
     [("256MB", 256_000_000), ("1GiB", 2**30), ("1.5 kb", 1500), ("77", 77), ("3TB", 3 * 10**12)],
 )
 def test_sizes_as_people_write_them(text: str, size: int) -> None:
-    assert parse_byte_size(text, "--shard-bytes") == size
+    assert parse_byte_size(text, "`shard_bytes`") == size
 
 
 @pytest.mark.parametrize("text", ["", "MB", "0", "-1MB", "12XB", "0.1", "1e9", "9" * 400])
 def test_no_size(text: str) -> None:
-    with pytest.raises(InputError, match="--shard-bytes: value: is"):
-        parse_byte_size(text, "--shard-bytes")
+    with pytest.raises(InputError, match="`shard_bytes`: value: is"):
+        parse_byte_size(text, "`shard_bytes`")
 
 
 def test_the_tar_is_what_tarfile_writes(folders: VehicleSet, packed: ShardedSet) -> None:

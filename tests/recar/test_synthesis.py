@@ -118,7 +118,7 @@ def test_other_axes_are_another_identity(block: Path, tmp_path: Path) -> None:
     synthesize_set(tmp_path / "set", 0, TINY, meshes=[block])
     with pytest.raises(InputError, match="not among the 1 asked for"):
         synthesize_set(tmp_path / "set", 0, TINY, meshes=[block], mesh_axes="-z,y")
-    with pytest.raises(InputError, match="--mesh-axes"):
+    with pytest.raises(InputError, match="`mesh_axes`"):
         synthesize_set(tmp_path / "set", 0, TINY, meshes=[block], mesh_axes="z")
 
 
@@ -138,16 +138,16 @@ def test_a_mesh_is_checked_before_any_work(block: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "counts", "option"),
     [
-        (TINY, {"vehicles": -1}, "--vehicles"),
-        (TINY, {"vehicles": 0}, "--vehicles"),
-        (TINY, {"vehicles": 1, "shapes": -1}, "--shapes"),
+        (TINY, {"vehicles": -1}, "`vehicles`"),
+        (TINY, {"vehicles": 0}, "`vehicles`"),
+        (TINY, {"vehicles": 1, "shapes": -1}, "`shapes`"),
         (TINY, {"vehicles": 1, "workers": 0}, "`workers`"),
-        (SynthesisSettings(width=0), {"vehicles": 1}, "--width"),
-        (SynthesisSettings(height=100_000), {"vehicles": 1}, "--height"),
-        (SynthesisSettings(views=0), {"vehicles": 1}, "--views"),
-        (SynthesisSettings(seed=-1), {"vehicles": 1}, "--seed"),
-        (SynthesisSettings(kinds=("tank",)), {"vehicles": 1}, "--kinds: tank"),
-        (SynthesisSettings(licence=" "), {"vehicles": 1}, "--licence"),
+        (SynthesisSettings(width=0), {"vehicles": 1}, "`width`"),
+        (SynthesisSettings(height=100_000), {"vehicles": 1}, "`height`"),
+        (SynthesisSettings(views=0), {"vehicles": 1}, "`views`"),
+        (SynthesisSettings(seed=-1), {"vehicles": 1}, "`seed`"),
+        (SynthesisSettings(kinds=("tank",)), {"vehicles": 1}, "`kinds`: tank"),
+        (SynthesisSettings(licence=" "), {"vehicles": 1}, "`licence`"),
     ],
 )
 def test_impossible_wishes(

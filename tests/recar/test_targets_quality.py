@@ -325,7 +325,7 @@ def test_the_aesthetic_filter_of_a_target(tmp_path: Path, clip: Path) -> None:
 
 def test_unnamed_or_wrong_clip_weights(tmp_path: Path, clip: Path) -> None:
     predictor = write_predictor(tmp_path / "p.pth")
-    with pytest.raises(InputError, match="--clip: weights: are not named"):
+    with pytest.raises(InputError, match="`clip`: weights: are not named"):
         filter_record(FilterSettings(kind="aesthetic", predictor=predictor))
     with pytest.raises(InputError, match=r"config\.json: is missing"):
         filter_record(FilterSettings(kind="aesthetic", predictor=predictor, clip=tmp_path))

@@ -92,5 +92,5 @@ def test_the_stage_of_a_command(tmp_path: Path) -> None:
     write_json(path, {"preset": "stage-1", "latent": None})
     assert chosen_stage(None, path).settings.keys() == {"structure"}
     for stage, file in ((None, None), ("1", path)):
-        with pytest.raises(InputError, match="--stage"):
+        with pytest.raises(InputError, match="`stage`"):
             chosen_stage(stage, file)

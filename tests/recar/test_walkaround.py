@@ -235,5 +235,5 @@ def test_the_command_says_that_the_layout_is_experimental(
     args[4] = str(tmp_path / "other")
     assert main([*args, "--azimuth-within", "0.001"]) == 2
     assert "no photograph within 0.001 degrees of 90" in " ".join(capsys.readouterr().err.split())
-    with pytest.raises(InputError, match="--layout: diorama: is unknown"):
+    with pytest.raises(InputError, match="`layout`: diorama: is unknown"):
         replace(WALK, layout="diorama").validate()

@@ -9,7 +9,7 @@ import pytest
 import torch
 from tests.splats.scenes import HEIGHT, WIDTH, K, camera, random_gaussians
 
-from recast.kernel import library
+from recast import kernel
 from recast.splats import Gaussians, native, rasterize
 
 
@@ -93,11 +93,11 @@ def no_library(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if recast had been installed without a compiler."""
     from importlib import import_module
 
-    monkeypatch.setattr(library, "_candidates", list)
-    library._load.cache_clear()
+    monkeypatch.setattr(kernel, "_candidates", list)
+    kernel._load.cache_clear()
     import_module("recast.splats.rasterize")._warn_once.cache_clear()
     yield
-    library._load.cache_clear()
+    kernel._load.cache_clear()
 
 
 @pytest.mark.usefixtures("no_library")
@@ -126,12 +126,12 @@ def test_unknown_instruction_set_in_the_environment(monkeypatch: pytest.MonkeyPa
     if not native.info().available:
         pytest.skip(native.info().reason)
     monkeypatch.setenv("RECAST_ISA", "mmx")
-    library._load.cache_clear()
+    kernel._load.cache_clear()
     try:
         with pytest.raises(RuntimeError, match="RECAST_ISA=mmx"):
             native.info()
     finally:
-        library._load.cache_clear()
+        kernel._load.cache_clear()
 
 
 def test_threads_must_be_positive() -> None:

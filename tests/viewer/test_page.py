@@ -164,5 +164,5 @@ def test_evidence_has_words_and_the_vehicle_in_its_crop(inputs: ViewInputs) -> N
 
 
 def test_an_unknown_host_is_refused(inputs: ViewInputs) -> None:
-    with pytest.raises(InputError, match="--host"):
+    with pytest.raises(InputError, match="`host`"):
         Page(replace(inputs, runner=None), host="203.0.113.9", port=8120)

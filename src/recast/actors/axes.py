@@ -125,7 +125,7 @@ def axes_of(text: str) -> AxisConvention:
         convention.rotation()
     except ValueError:
         raise InputError(
-            "--axes",
+            "`axes`",
             text,
             "is no axis convention",
             f"give {AXES_HELP}; or one of {', '.join(CONVENTIONS)}",
@@ -202,7 +202,7 @@ def upright(points: Array, size: ArrayLike, path: Path) -> Posture:
     Raises:
         InputError: no orientation fits the box, or the shape does not tell it.
     """
-    mend = f"name them by --axes: {AXES_HELP}"
+    mend = f"name them by `axes`: {AXES_HELP}"
     best, second, *_ = found = postures(points, size)
     if not best.fits:
         box = " x ".join(f"{metres:.2f}" for metres in np.asarray(size))
@@ -280,8 +280,7 @@ def _smallest_rectangle(flat: Array) -> tuple[float, bool]:
 
 def _turned_back(points: Array, yaw: float) -> Array:
     sine, cosine = np.sin(yaw), np.cos(yaw)
-    turned: Array = points @ np.array([[cosine, -sine], [sine, cosine]])
-    return turned
+    return points @ np.array([[cosine, -sine], [sine, cosine]])
 
 
 def _asymmetry(points: Array, axis: int) -> float:

@@ -58,8 +58,7 @@ class FreeSpace:
         if len(self.centres) == 0:
             return np.zeros(len(points), bool)
         near, _ = cKDTree(self.centres).query(points, p=np.inf)
-        inside: NDArray[np.bool_] = near <= self.edge / 2 + 1e-6
-        return inside
+        return near <= self.edge / 2 + 1e-6
 
 
 def free_space(log: DrivingLog, track: Track, hits: ArrayLike) -> FreeSpace:

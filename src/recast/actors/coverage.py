@@ -241,8 +241,7 @@ def _black(gaussians: Gaussians) -> Gaussians:
 
 def _reach(gaussians: Gaussians) -> Tensor:
     """(N,) metres from its centre beyond which a Gaussian is not drawn."""
-    reach: Tensor = _REACH * gaussians.log_scales.max(dim=1).values.exp()
-    return reach
+    return _REACH * gaussians.log_scales.max(dim=1).values.exp()
 
 
 def _bounds(gaussians: Gaussians) -> tuple[Array, Array]:

@@ -64,8 +64,7 @@ class Sighting:
     def eye(self) -> Array:
         """(3,) position of the camera in the object frame, metres."""
         pose = self.camera_from_object
-        eye: Array = -pose[:3, :3].T @ pose[:3, 3]
-        return eye
+        return -pose[:3, :3].T @ pose[:3, 3]
 
 
 @dataclass(frozen=True)

@@ -90,13 +90,12 @@ def make_generator(generator: str | Path | ActorGenerator, axes: str = AUTO) -> 
     options = {} if axes == AUTO else {"axes": axes}
     if options and not GENERATORS.takes(generator, "axes"):
         raise InputError(
-            "--axes",
+            "`axes`",
             axes,
             f"is not for the generator {generator}, which knows its axes",
             "leave it out",
         )
-    made: ActorGenerator = GENERATORS.resolve(generator, **options)
-    return made
+    return GENERATORS.resolve(generator, **options)
 
 
 class ImageTo3DGenerator:

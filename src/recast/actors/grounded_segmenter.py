@@ -243,7 +243,7 @@ class GroundedSamSegmenter:
                 self.sam.path,
                 "mask",
                 "is empty for this crop",
-                "take the view from another camera, or use --segmenter box-lidar",
+                "take the view from another camera, or use `segmenter` box-lidar",
             )
         best = choose_mask(masks, predicted, target, prompt.box)
         doubts = [] if prompt.detected else [f"the logged box stood in: {prompt.reason}"]
@@ -347,8 +347,7 @@ def segmenter_of(segmenter: str | Path | Segmenter) -> Segmenter:
         InputError: no such segmenter or folder, a folder without its networks, or an object that is
             not a segmenter.
     """
-    found: Segmenter = SEGMENTERS.resolve(segmenter)
-    return found
+    return SEGMENTERS.resolve(segmenter)
 
 
 def is_segmenter_folder(name_or_folder: str) -> bool:

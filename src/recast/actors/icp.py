@@ -105,8 +105,7 @@ def _frontmost(points: Array, direction: Array, cell: float) -> NDArray[np.bool_
     nearest = np.full((row.max() + 1, column.max() + 1), beyond)
     np.minimum.at(nearest, (row, column), depth)
     closed = median_filter(nearest, size=3, mode="constant", cval=beyond)
-    front: NDArray[np.bool_] = depth < closed[row, column] + 1.5 * cell
-    return front
+    return depth < closed[row, column] + 1.5 * cell
 
 
 def _normals(gaussians: Gaussians, index: NDArray[np.int64], points: Array) -> Array:
@@ -291,8 +290,7 @@ def _step(
     information = 1 / np.array([limits.scale_deviation, *_PRIOR]) ** 2
     normal = worth * (jacobian * weight[:, None]).T @ jacobian + np.diag(information)
     right = worth * jacobian.T @ (weight * residual) - information * prior
-    step: Array = np.linalg.solve(normal, right)
-    return step
+    return np.linalg.solve(normal, right)
 
 
 def _limited(state: Array, limits: IcpLimits, floor: float | None, bottom: float) -> Array:

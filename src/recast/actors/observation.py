@@ -160,8 +160,7 @@ class Observation:
     def eye(self) -> Array:
         """(3,) position of the camera in the object frame, metres."""
         rotation, translation = self.camera_from_object[:3, :3], self.camera_from_object[:3, 3]
-        eye: Array = -rotation.T @ translation
-        return eye
+        return -rotation.T @ translation
 
     @property
     def azimuth(self) -> float:

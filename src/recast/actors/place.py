@@ -323,5 +323,4 @@ def minimum(
     """Where a function of `count` numbers is least, near 0; one is a usual deviation."""
     simplex = np.concatenate([np.zeros((1, count)), 0.6 * np.eye(count)])
     options = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": xatol, "fatol": fatol}
-    found: Array = minimize(cost, np.zeros(count), method="Nelder-Mead", options=options).x
-    return found
+    return minimize(cost, np.zeros(count), method="Nelder-Mead", options=options).x

@@ -302,8 +302,7 @@ def _lidar_pixels(target: SegmentationTarget, object_points: Array) -> Array:
         np.floor(pixels / cell), axis=0, return_inverse=True, return_counts=True
     )
     enough = count[which.ravel()] >= max(2.0, np.quantile(count, 0.02))
-    kept: Array = pixels[enough]
-    return kept
+    return pixels[enough]
 
 
 def _dense(pixels: Array, shape: tuple[int, ...], extent: float) -> Mask:
@@ -314,5 +313,4 @@ def _dense(pixels: Array, shape: tuple[int, ...], extent: float) -> Mask:
     hit[v, u] = 1
     closed = cv2.morphologyEx(hit, cv2.MORPH_CLOSE, disc(_GAP * extent))
     across, up = (2 * max(round(share * extent), 1) + 1 for share in _SHRINK)
-    shrunk: Mask = cv2.erode(closed, np.ones((up, across), np.uint8)) > 0
-    return shrunk
+    return cv2.erode(closed, np.ones((up, across), np.uint8)) > 0

@@ -268,7 +268,7 @@ def vehicle_generator(
     if is_actor_folder(path):
         return ActorFolderGenerator(path)
     if not path.is_file():
-        raise InputError(path, "file", "is missing", "check the path given as --generator")
+        raise InputError(path, "file", "is missing", "check the path given as `generator`")
     if path.suffix.lower() == _PLY:
         return PlyGenerator(path, axes)
     return MeshGenerator(path, axes) if spacing is None else MeshGenerator(path, axes, spacing)

@@ -53,9 +53,9 @@ class EvalActor:
 
     def __call__(self) -> None:
         from recast.actors import make_generator
+        from recast.core.progress import ProgressBar
         from recast.evaluation.perceptual import load_distances
         from recast.logs.store import LOG_FILE
-        from recast.pipeline.display import FrameProgress
         from recast.pipeline.evaluate_actors import evaluate_actors, evaluation_table
         from recast.weights import located
 
@@ -69,7 +69,7 @@ class EvalActor:
         )
         generator = make_generator(self.model, self.axes)
         console = console_for(self.json)
-        with FrameProgress(console, None, "vehicles") as progress:
+        with ProgressBar("vehicles", console) as progress:
             evaluation = evaluate_actors(
                 generator,
                 self.set,
@@ -78,7 +78,7 @@ class EvalActor:
                 limit=self.limit,
                 views=self.views,
                 distances=distances,
-                progress=progress.reach,
+                progress=progress,
             )
         console.print(f"wrote {self.out}", markup=False)
         if self.json:
@@ -165,6 +165,7 @@ class EvalGeneration:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
+        from recast.core.progress import ProgressBar
         from recast.evaluation.generation_report import (
             differences_table,
             paper_table,
@@ -174,7 +175,6 @@ class EvalGeneration:
         from recast.pipeline.generation_plan import StudySettings
         from recast.pipeline.generation_rows import parse_models, read_rows
         from recast.pipeline.generation_study import run_study
-        from recast.recar.progress import PictureProgress
         from recast.weights import located
 
         models, beside = parse_models(self.model), dict[str, str]()
@@ -203,7 +203,7 @@ class EvalGeneration:
             beside,
         )
         console = console_for(self.json)
-        with PictureProgress("vehicles", console) as progress:
+        with ProgressBar("vehicles", console) as progress:
             blocks = run_study(settings, self.out, workers=self.workers, progress=progress)
         console.print(f"wrote {self.out}", markup=False)
         if self.json:

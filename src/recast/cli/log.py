@@ -56,13 +56,13 @@ class Import:
     def __call__(self) -> None:
         from recast.core.files import require_new
         from recast.core.plugins import IMPORTERS
+        from recast.core.progress import ProgressBar
         from recast.logs import load_log, write_log
-        from recast.pipeline.display import FrameProgress
 
         require_new(self.out)
         options: dict[str, Any] = {} if self.refine else {"refine": False}
         console = console_for(False)
-        with FrameProgress(console, None, "images and sweeps") as bar:
+        with ProgressBar("images and sweeps", console) as bar:
             log = load_log(
                 self.root,
                 importer=self.importer,
@@ -71,7 +71,7 @@ class Import:
                 cameras=self.cameras,
                 **options,
             )
-            write_log(log, self.out, bar.reach)
+            write_log(log, self.out, bar)
         if self.importer in IMPORTERS.experimental:
             told = (
                 f"note: {self.importer} is experimental, it has not met real data: look at the log"
@@ -131,7 +131,7 @@ class Synth:
     """Add walking pedestrians and cyclists."""
 
     def __call__(self) -> None:
-        from recast.pipeline.display import FrameProgress
+        from recast.core.progress import ProgressBar
         from recast.synthetic import CAMERAS, check_request, make_world, synthesize_log
 
         console = console_for(False)
@@ -139,7 +139,7 @@ class Synth:
         with console.status(f"building {self.scene}"):
             world = make_world(self.scene, self.seed, self.seconds, self.light, self.people)
         frames = (len(CAMERAS) + 1) * (len(world.ego.timestamps_us) - 1)
-        with FrameProgress(console, frames, "images and sweeps") as bar:
+        with ProgressBar("images and sweeps", console, frames) as bar:
             synthesize_log(
                 world,
                 self.out,
@@ -148,7 +148,7 @@ class Synth:
                 workers=self.workers,
                 truth=self.truth,
                 label_noise=self.label_noise,
-                progress=bar.reach,
+                progress=bar,
             )
         console.print(
             f"wrote {self.out}, target track {world.target}; next: recast log info {self.out}",

@@ -46,16 +46,16 @@ class Dataset:
     workers: Annotated[int, shared.WORKERS] = 1
 
     def __call__(self) -> None:
+        from recast.core.progress import ProgressBar
         from recast.pipeline.gtrs_data.dataset import make_dataset
         from recast.planning.gtrs import read_vocabulary
         from recast.planning.gtrs_training.samples import DatasetRecord
-        from recast.recar.progress import PictureProgress
         from recast.synthetic import SCENES
 
         console = console_for(False)
         record = DatasetRecord(seed=self.seed, per_world=self.per_world, scenes=SCENES)
         vocabulary = read_vocabulary(self.vocabulary)
-        with PictureProgress("samples", console) as progress:
+        with ProgressBar("samples", console) as progress:
             made = make_dataset(
                 self.out, self.samples, record, vocabulary, workers=self.workers, progress=progress
             )

@@ -74,7 +74,7 @@ class Targets:
         from itertools import islice
 
         from recast.core.errors import require_range
-        from recast.recar.progress import PictureProgress
+        from recast.core.progress import ProgressBar
         from recast.recar.shards import open_set
         from recast.recar.targets import (
             FilterSettings,
@@ -108,7 +108,7 @@ class Targets:
             ),
         )
         console = console_for(self.json)
-        with PictureProgress("targets", console) as progress:
+        with ProgressBar("targets", console) as progress:
             cache = build_targets(
                 vehicles,
                 ModelSource(model, located("--image-encoder", self.image_encoder), self.device),
@@ -174,8 +174,8 @@ class Synth:
     workers: Annotated[int, shared.WORKERS] = 1
 
     def __call__(self) -> None:
+        from recast.core.progress import ProgressBar
         from recast.recar import SynthesisSettings, synthesize_set
-        from recast.recar.progress import PictureProgress
 
         settings = SynthesisSettings(
             self.seed,
@@ -187,7 +187,7 @@ class Synth:
             self.held_out,
         )
         console = console_for(False)
-        with PictureProgress("pictures", console) as progress:
+        with ProgressBar("pictures", console) as progress:
             made = synthesize_set(
                 self.out,
                 self.vehicles,
@@ -218,14 +218,14 @@ class Stats:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
+        from recast.core.progress import ProgressBar
         from recast.recar import set_statistics, statistics_table
         from recast.recar.figure import FIGURE_FILES, write_figure
-        from recast.recar.progress import PictureProgress
         from recast.recar.shards import open_set
 
         vehicle_set = open_set(self.set)
         console = console_for(self.json)
-        with PictureProgress("checked", console) as progress:
+        with ProgressBar("checked", console) as progress:
             vehicle_set.check_pictures(self.decode, progress)
         statistics = set_statistics(vehicle_set)
         if self.json:

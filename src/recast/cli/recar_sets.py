@@ -70,8 +70,8 @@ class Ingest:
     def __call__(self) -> None:
         from recast.actors.cutout import remover_of
         from recast.core.errors import InputError, printable
+        from recast.core.progress import ProgressBar
         from recast.recar.ingest import EXPERIMENTAL, IngestSettings, ingest_photographs
-        from recast.recar.progress import PictureProgress
 
         settings = IngestSettings(
             self.licence,
@@ -99,7 +99,7 @@ class Ingest:
         def show(name: str, error: InputError) -> None:
             console.print(f"{printable(name)}: {error}", markup=False, soft_wrap=True)
 
-        with PictureProgress("pictures", console) as progress:
+        with ProgressBar("pictures", console) as progress:
             report = ingest_photographs(
                 self.photos,
                 self.out,
@@ -132,14 +132,14 @@ class Pack:
     """Maximum size of a shard, such as 256MB or 1GiB."""
 
     def __call__(self) -> None:
+        from recast.core.progress import ProgressBar
         from recast.recar import read_set
-        from recast.recar.progress import PictureProgress
         from recast.recar.shards import pack_set, parse_byte_size
 
         shard_bytes = parse_byte_size(self.shard_bytes, "--shard-bytes")
         vehicle_set = read_set(self.set)
         console = console_for(False)
-        with PictureProgress("pictures", console) as progress:
+        with ProgressBar("pictures", console) as progress:
             index = pack_set(vehicle_set, self.out, shard_bytes, progress)
         console.print(
             f"wrote {self.out}: {index.identities} identities in {len(index.shards)} shards, "

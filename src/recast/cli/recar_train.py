@@ -26,12 +26,12 @@ class Assets:
     workers: Annotated[int, shared.WORKERS] = 1
 
     def __call__(self) -> None:
-        from recast.recar.progress import PictureProgress
+        from recast.core.progress import ProgressBar
         from recast.recar.training.asset_synthesis import AssetsRecord, make_assets
 
         console = console_for(False)
         record = AssetsRecord(seed=self.seed, shape_every=self.shape_every)
-        with PictureProgress("assets", console) as progress:
+        with ProgressBar("assets", console) as progress:
             make_assets(self.out, self.count, record, workers=self.workers, progress=progress)
         console.print(f"wrote {self.out}: {self.count} assets", markup=False)
 
@@ -95,12 +95,12 @@ class Assemble:
     seed: Annotated[int, shared.SEED] = 0
 
     def __call__(self) -> None:
-        from recast.recar.progress import PictureProgress
+        from recast.core.progress import ProgressBar
         from recast.recar.training.assemble import assemble
 
         parts = {"structure": self.structure, "latent": self.latent, "image": self.image}
         console = console_for(False)
-        with PictureProgress("assets", console) as progress:
+        with ProgressBar("assets", console) as progress:
             assemble(self.assets, parts, self.model, self.cache, seed=self.seed, progress=progress)
         console.print(f"wrote {self.model} and {self.cache}", markup=False)
 

@@ -33,6 +33,7 @@ class Registry:
 
     Attributes:
         group: entry-point group in which other packages announce theirs.
+        built_in: name to code.
         members: attributes that tell an object of the kind from other objects.
         protocol: where these members are documented, for messages.
         makes_parts: whether code is a class or function that returns the part when called; if

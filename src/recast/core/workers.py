@@ -180,7 +180,7 @@ def _cancelling(executor: ProcessPoolExecutor, finished: str) -> Iterator[None]:
         yield
     except BrokenProcessPool:
         raise InputError(
-            "--workers",
+            "`workers`",
             "process",
             "ended, perhaps for want of memory",
             f"run again with fewer; {finished} stay",

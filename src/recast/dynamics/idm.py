@@ -75,8 +75,7 @@ def idm_acceleration(
     )
     gap = np.maximum(np.asarray(gap, np.float64), parameters.min_gap)
     free = (speed / np.asarray(target_speed, np.float64)) ** parameters.exponent
-    acceleration: Array = np.clip(a * (1 - free - (desired / gap) ** 2), -parameters.hardest, a)
-    return acceleration
+    return np.clip(a * (1 - free - (desired / gap) ** 2), -parameters.hardest, a)
 
 
 def idm_step(
@@ -124,10 +123,7 @@ def free_road_acceleration(
     free = (speed / np.where(standing, 1.0, target)) ** parameters.exponent
     acceleration = np.where(standing, -b, np.clip(a * (1 - free), -b, a))
     needed = speed**2 / (2 * np.maximum(distance, 1e-9))
-    braking: Array = np.where(
-        needed >= _STOP_ONSET * b, np.minimum(acceleration, -needed), acceleration
-    )
-    return braking
+    return np.where(needed >= _STOP_ONSET * b, np.minimum(acceleration, -needed), acceleration)
 
 
 def free_road_step(

@@ -220,8 +220,7 @@ class EgoState(np.ndarray[tuple[int], np.dtype[np.float64]]):
     @property
     def pose(self) -> Array:
         """(3,) x, y, heading of the rear axle, world."""
-        pose: Array = self[POSE]
-        return pose
+        return self[POSE]
 
     @property
     def speed(self) -> float:

@@ -180,8 +180,7 @@ def _steering_rate(
     slope, curve = np.zeros_like(lateral), np.full_like(lateral, weights.r_lateral)
     for q, e, d in zip(weights.q_lateral, error, derivative, strict=True):
         slope, curve = slope + d * q * e, curve + d * q * d
-    rate: Array = -slope / curve
-    return rate
+    return -slope / curve
 
 
 @dataclass(frozen=True)

@@ -95,13 +95,11 @@ class Cutout:
     @property
     def mask(self) -> Mask:
         """(H, W) pixels covered by more than half."""
-        covered: Mask = self.alpha > 0.5
-        return covered
+        return self.alpha > 0.5
 
     def before(self, grey: float) -> Array:
         """(H, W, 3) with that grey behind it."""
-        composed: Array = np.clip(self.rgb + (1 - self.alpha[..., None]) * grey, 0.0, 1.0)
-        return composed
+        return np.clip(self.rgb + (1 - self.alpha[..., None]) * grey, 0.0, 1.0)
 
     def within(self, window: Window) -> Cutout:
         """The part in a window; beyond the image there is nothing, as around the vehicle."""

@@ -100,7 +100,7 @@ def read_cases(
             what the readers refuse.
     """
     folder = Path(folder)
-    for option, value in (("--limit", limit), ("--views", views)):
+    for option, value in (("`limit`", limit), ("`views`", views)):
         if value is not None and value < 1:
             raise InputError(option, "value", f"is {value}", "give 1 or more")
     if not folder.is_dir():
@@ -221,7 +221,7 @@ def _orbit_view(id: str, view: ActorView, radius: float) -> ActorView:
             f"{id}/{view.name}",
             "camera",
             "does not look at the box centre",
-            "compare in the set's own views: --targets set",
+            "compare in the set's own views: `targets` set",
         )
     camera = pinhole(ORBIT_PIXELS, ORBIT_PIXELS, FOV_DEG)
     pose = view.camera_from_actor.copy()

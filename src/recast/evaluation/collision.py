@@ -191,8 +191,7 @@ def _velocity(actor: Array) -> Array:
     moved = np.concatenate([moved[:1], moved])
     forward = np.stack([np.cos(actor[:, 2]), np.sin(actor[:, 2])], axis=-1)
     sign = np.where(np.sum(moved * forward, axis=-1) < 0, -1.0, 1.0)
-    velocity: Array = (sign * actor[:, 3])[:, None] * forward
-    return velocity
+    return (sign * actor[:, 3])[:, None] * forward
 
 
 def _advance(actor: Array, velocity: Array, time: ArrayLike) -> Array:

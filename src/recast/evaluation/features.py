@@ -58,8 +58,7 @@ def cosine(first: Array, second: Array) -> float:
 
 
 def _unit(features: Array) -> Array:
-    unit: Array = features / max(float(np.linalg.norm(features)), 1e-12)
-    return unit
+    return features / max(float(np.linalg.norm(features)), 1e-12)
 
 
 def load_clip(folder: Path) -> FeatureDistance:
@@ -97,8 +96,7 @@ def load_dino(folder: Path) -> FeatureDistance:
     processor, model = published.read("cpu")
 
     def class_token(pixels: Tensor) -> Tensor:
-        token: Tensor = model(pixel_values=pixels).last_hidden_state[:, 0]
-        return token
+        return model(pixel_values=pixels).last_hidden_state[:, 0]
 
     return FeatureDistance("dino", class_token, processor)
 
@@ -167,8 +165,7 @@ class ToyFeatures:
         edges = _EDGE_GAIN * np.hypot(vertical, horizontal)[..., None] * share
         cell = _SIDE // _CELLS
         cells = np.concatenate([small, edges], axis=2).reshape(_CELLS, cell, _CELLS, cell, -1)
-        features: Array = cells.mean(axis=(1, 3)).reshape(-1)
-        return features
+        return cells.mean(axis=(1, 3)).reshape(-1)
 
 
 class NetworkFeatures:

@@ -79,10 +79,9 @@ class StudyFacts:
 
 def study_json(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> dict[str, Any]:
     """All results as plain data, rounded to six decimals."""
-    data: dict[str, Any] = rounded(
+    return rounded(
         {"version": 1, **facts.to_json(), "blocks": [_block_json(block) for block in blocks]}
     )
-    return data
 
 
 def study_markdown(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> str:

@@ -169,8 +169,7 @@ def _stands_in_another(log: DrivingLog, track: Track, pose: Array) -> bool:
 def view_direction(world_from_actor: Array, world_from_camera: Array) -> Array:
     """Unit vector (3,) from a vehicle's box centre to a camera, in the actor frame."""
     eye: Array = se3.apply(se3.inverse(world_from_actor), world_from_camera[None, :3, 3])[0]
-    direction: Array = eye / np.linalg.norm(eye)
-    return direction
+    return eye / np.linalg.norm(eye)
 
 
 def logged_views(log: DrivingLog, track: Track) -> Array:

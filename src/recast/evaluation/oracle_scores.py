@@ -110,8 +110,7 @@ def actor_mask(
     placed = actor.gaussians.detach().transformed(torch.from_numpy(world_from_actor))
     with torch.no_grad():
         alone = draw(placed, camera_from_world, camera, actor.low_pass)
-    covered: Mask = alone.alpha.numpy() > 0.5
-    return covered
+    return alone.alpha.numpy() > 0.5
 
 
 MEASURES = ("psnr", "ssim", "mask_iou")

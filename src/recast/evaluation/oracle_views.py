@@ -146,8 +146,7 @@ class Painter:
         camera_from_world = se3.inverse(view.world_from_camera)
         poses = {self._track_id: view.world_from_actor}
         drawn = self._rasterizers[arm].render(camera, camera_from_world, poses)
-        image: Image = np.rint(np.clip(drawn.rgb, 0.0, 1.0) * 255).astype(np.uint8)
-        return image
+        return np.rint(np.clip(drawn.rgb, 0.0, 1.0) * 255).astype(np.uint8)
 
     def _true(self, camera: PinholeCamera, view: PlacedView) -> OracleFrame:
         return self._oracle.render(

@@ -61,8 +61,7 @@ def comparison_sheet(title: str, source: Cutout, views: Sequence[ComparedView]) 
             "difference",
         ]
         rows.append(np.hstack([_captioned(t, c) for t, c in zip(tiles, captions, strict=True)]))
-    sheet: Image = np.vstack(rows)
-    return sheet
+    return np.vstack(rows)
 
 
 def _around(mask: Mask) -> tuple[slice, slice]:
@@ -167,8 +166,7 @@ def sheet(title: str, models: Sequence[str], rows: Sequence[SheetRow]) -> Image:
                 line[: TILE[1], left : left + shown.shape[1]] = shown
             left += views + _GAP
         lines.append(line)
-    page: Image = np.vstack(lines)
-    return page
+    return np.vstack(lines)
 
 
 def pages(rows: Sequence[SheetRow], most: int = 10) -> list[Sequence[SheetRow]]:

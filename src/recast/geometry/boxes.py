@@ -43,8 +43,7 @@ def contains(
 ) -> BoolArray:
     """Which points (N, 3) lie in a box of size (3,) grown by `margin` metres on every side."""
     local = se3.apply(se3.inverse(target_from_box), points)
-    inside: BoolArray = np.all(np.abs(local) <= np.asarray(size, np.float64) / 2 + margin, axis=-1)
-    return inside
+    return np.all(np.abs(local) <= np.asarray(size, np.float64) / 2 + margin, axis=-1)
 
 
 def bev_corners(poses: ArrayLike, length: ArrayLike, width: ArrayLike) -> Array:

@@ -62,8 +62,7 @@ class Polyline:
     @cached_property
     def _directions(self) -> Array:
         steps = np.diff(self.points, axis=0)
-        unit: Array = steps / np.linalg.norm(steps, axis=1, keepdims=True)
-        return unit
+        return steps / np.linalg.norm(steps, axis=1, keepdims=True)
 
     def _segment(self, s: Array) -> NDArray[np.intp]:
         index = np.searchsorted(self.arc_lengths, s, side="right") - 1
@@ -77,21 +76,18 @@ class Polyline:
         s = np.asarray(s, np.float64)
         index = self._segment(s)
         along = s - self.arc_lengths[index]
-        moved: Array = self.points[index] + along[..., None] * self._directions[index]
-        return moved
+        return self.points[index] + along[..., None] * self._directions[index]
 
     def heading(self, s: ArrayLike) -> Array:
         """Tangent heading (...) in radians at arc lengths (...)."""
         direction = self._directions[self._segment(np.asarray(s, np.float64))]
-        angle: Array = np.arctan2(direction[..., 1], direction[..., 0])
-        return angle
+        return np.arctan2(direction[..., 1], direction[..., 0])
 
     def to_cartesian(self, s: ArrayLike, lateral: ArrayLike) -> Array:
         """Points (..., 2) of Frenet coordinates: s along, lateral to the left, metres."""
         heading = self.heading(s)
         normal = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
-        moved: Array = self.position(s) + np.asarray(lateral, np.float64)[..., None] * normal
-        return moved
+        return self.position(s) + np.asarray(lateral, np.float64)[..., None] * normal
 
     def to_frenet(self, points: ArrayLike) -> tuple[Array, Array]:
         """Frenet coordinates of points (..., 2): the nearest point of the chain.

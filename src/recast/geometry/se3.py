@@ -37,8 +37,7 @@ def apply(matrix: ArrayLike, points: ArrayLike) -> Array:
     """Transform points (..., N, 3) by matrices (..., 4, 4)."""
     matrix = np.asarray(matrix, np.float64)
     points = np.asarray(points, np.float64)
-    moved: Array = points @ np.swapaxes(matrix[..., :3, :3], -1, -2) + matrix[..., None, :3, 3]
-    return moved
+    return points @ np.swapaxes(matrix[..., :3, :3], -1, -2) + matrix[..., None, :3, 3]
 
 
 def quat_to_matrix(quat: ArrayLike) -> Array:
@@ -72,8 +71,7 @@ def rotation_z(angle: ArrayLike) -> Array:
 def yaw(matrix: ArrayLike) -> Array:
     """Heading in radians of the x axis projected to the xy plane, of (..., 3 or 4, 3 or 4)."""
     matrix = np.asarray(matrix, np.float64)
-    heading: Array = np.arctan2(matrix[..., 1, 0], matrix[..., 0, 0])
-    return heading
+    return np.arctan2(matrix[..., 1, 0], matrix[..., 0, 0])
 
 
 def slerp(quat0: ArrayLike, quat1: ArrayLike, fraction: ArrayLike) -> Array:
@@ -95,8 +93,7 @@ def slerp(quat0: ArrayLike, quat1: ArrayLike, fraction: ArrayLike) -> Array:
     weight0 = np.where(near, 1.0 - fraction, np.sin((1.0 - fraction) * angle) / sine)
     weight1 = np.where(near, fraction, np.sin(fraction * angle) / sine)
     quat = weight0 * quat0 + weight1 * quat1
-    unit: Array = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
-    return unit
+    return quat / np.linalg.norm(quat, axis=-1, keepdims=True)
 
 
 def exp(twist: ArrayLike) -> Array:

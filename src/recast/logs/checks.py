@@ -86,8 +86,7 @@ def are_box_sides(metres: ArrayLike) -> NDArray[np.bool_]:
     """Which of these lengths can be sides of a labelled box (see `BOX_SIDE`); NaN cannot."""
     metres = np.asarray(metres)
     shortest, longest = BOX_SIDE
-    sides: NDArray[np.bool_] = (metres >= shortest) & (metres <= longest)
-    return sides
+    return (metres >= shortest) & (metres <= longest)
 
 
 def check_poses(where: str, poses: NDArray[np.float64], reach: float) -> None:

@@ -117,8 +117,7 @@ def surface_of(grid: GroundGrid, path: Array) -> Grid:
 
 def _closed(known: Grid, kerbs: Grid) -> Grid:
     """Known cells with the gaps between them, but for kerbs."""
-    closed: Grid = ndimage.binary_closing(known, _disk(CLOSING), border_value=0) & ~kerbs
-    return closed
+    return ndimage.binary_closing(known, _disk(CLOSING), border_value=0) & ~kerbs
 
 
 def _kerbs(level: Array) -> Grid:

@@ -61,10 +61,9 @@ class GroundHeight:
         col, row = index[..., 0], index[..., 1]
         rows, cols = self.height.shape
         inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-        heights: Array = np.where(
+        return np.where(
             inside, self.height[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)], np.nan
         )
-        return heights
 
     def validate(self) -> None:
         """Raise ValueError naming the field at fault."""

@@ -48,8 +48,7 @@ def distort(
 def _apply_each(transforms: Array, index: Int64Array, points: Array) -> Array:
     chosen = transforms[index]
     points = np.asarray(points, np.float64)
-    moved: Array = np.einsum("nij,nj->ni", chosen[:, :3, :3], points) + chosen[:, :3, 3]
-    return moved
+    return np.einsum("nij,nj->ni", chosen[:, :3, :3], points) + chosen[:, :3, 3]
 
 
 def extended(trajectory: Trajectory, first_us: int, last_us: int) -> Trajectory:
@@ -79,8 +78,7 @@ def extended(trajectory: Trajectory, first_us: int, last_us: int) -> Trajectory:
 
 def _continued(before: Array, at: Array, interval_us: int, ahead_us: int) -> Array:
     twist = se3.log(se3.inverse(before) @ at)
-    moved: Array = at @ se3.exp(twist * (ahead_us / interval_us))
-    return moved
+    return at @ se3.exp(twist * (ahead_us / interval_us))
 
 
 def logged_velocity(trajectory: Trajectory, timestamps_us: Int64Array | int, step_us: int) -> Array:
@@ -92,8 +90,7 @@ def logged_velocity(trajectory: Trajectory, timestamps_us: Int64Array | int, ste
     around = np.clip([timestamps_us - step_us, timestamps_us + step_us], *ends)
     before, after = trajectory.at(around)[..., :2, 3]
     seconds: Array = np.maximum((around[1] - around[0]) * 1e-6, 1e-6)
-    velocity: Array = (after - before) / seconds[..., None]
-    return velocity
+    return (after - before) / seconds[..., None]
 
 
 class TrackPoints(NamedTuple):

@@ -37,11 +37,11 @@ from recast.actors.refine import refine
 from recast.actors.views import Usable
 from recast.core import files
 from recast.core.errors import InputError
-from recast.core.progress import Progress
+from recast.core.progress import Progress, ProgressBar
 from recast.evaluation import evaluate_oracle_views
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog
-from recast.pipeline.display import FrameProgress, truth_table
+from recast.pipeline.display import truth_table
 from recast.pipeline.layout import (
     ACTOR_FOLDER,
     EVIDENCE_FILE,
@@ -242,7 +242,7 @@ def compare_with_truth(
     """
     mounts = camera_mounts(source.log, config.cameras or None, config.scale)
     world = source.world
-    with FrameProgress(console, 1, "views") as progress:
+    with ProgressBar("views", console, 1) as progress:
         views = evaluate_oracle_views(
             source.log,
             scene,
@@ -254,6 +254,6 @@ def compare_with_truth(
             rng=np.random.default_rng(seed),
             exposures={name: exposure(world.seed, name) for name in mounts},
             shares=actor.shares,
-            progress=progress.reach,
+            progress=progress,
         )
     console.print(truth_table(views))

@@ -220,6 +220,7 @@ class Renderers:
     Args:
         actor_of: gives the vehicle that an arm puts in the place of a track.
         world_of: gives the world of a synthetic log.
+        oracle_workers: processes of an oracle, see `OracleRenderer`.
     """
 
     def __init__(
@@ -254,6 +255,7 @@ class Renderers:
 
         Args:
             planner: whose cameras are among `mounts`.
+            tracks: whose vehicles are replaced where the arm does that, the target first.
 
         Raises:
             InputError: the street has no such actor, or the log is not synthetic.

@@ -11,10 +11,10 @@ from rich.console import Console
 
 from recast.actors import Actor, insert, load_actor
 from recast.core import Artefact, Store
+from recast.core.progress import ProgressBar
 from recast.pipeline.actor import ActorMakers
 from recast.pipeline.arms import OWN_STREET, PRESETS, Arm, Renderers, truth_of
 from recast.pipeline.config import RunConfig
-from recast.pipeline.display import FrameProgress
 from recast.pipeline.layout import ACTOR_FOLDER, rollout_name, use_name
 from recast.pipeline.making import (
     Maker,
@@ -47,6 +47,7 @@ class Artefacts:
     Args:
         sources: see `Sources.of`; taken before any planner or generator was loaded.
         scene: name of the scene, for generators that have a file for each.
+        oracle_workers: processes of an oracle, see `OracleRenderer`.
 
     Attributes:
         used: artefacts by use, such as "scene/recast" or "rollout/cut-in-a/idm-follower/native".
@@ -251,13 +252,13 @@ class Artefacts:
                 renderer = self.renderers.of(arm, tracks, planner, mounts)
                 meter = self.renderers.meter(arm, tracks)
             steps = self.possible_steps.get(motion, config.steps)
-            with FrameProgress(self.console, steps) as progress:
+            with ProgressBar("steps", self.console, steps) as progress:
                 make_rollout(
                     setup,
                     self.planner(planner),
                     renderer,
                     out,
-                    progress,
+                    progress.advance,
                     config.films,
                     timings,
                     meter,

@@ -193,6 +193,7 @@ def resolve_config(
 
     Args:
         run_options: values of `RunConfig` by member; `arms` are words, see `parse_arms`.
+        scene_options: values of `SceneConfig` by member.
 
     Raises:
         InputError: a file or an option is wrong.

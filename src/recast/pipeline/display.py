@@ -24,8 +24,8 @@ from recast.core.progress import Bars
 from recast.evaluation import COLUMNS, OracleViews
 
 
-class _CountingBars(Bars):
-    """Progress bars with the number of finished pieces and the remaining time."""
+class SamplingProgress(Bars):
+    """One progress bar for each sampling stage; call it with stage, finished and all steps."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(
@@ -35,35 +35,6 @@ class _CountingBars(Bars):
             TimeRemainingColumn(),
             console=console,
         )
-
-
-class FrameProgress(_CountingBars):
-    """A progress bar over equal pieces of work; call it after each piece.
-
-    Args:
-        console: console that shows the bar.
-        total: number of pieces; None if `reach` will set it.
-        what: name of the pieces, such as "steps".
-    """
-
-    def __init__(self, console: Console, total: int | None, what: str = "steps") -> None:
-        super().__init__(console)
-        self._task = self._bars.add_task(what, total=total)
-
-    def __call__(self) -> None:
-        """Count one more finished piece."""
-        self._bars.advance(self._task)
-
-    def reach(self, done: int, total: int) -> None:
-        """Set the number of finished pieces and of all pieces."""
-        self._bars.update(self._task, completed=done, total=total)
-
-
-class SamplingProgress(_CountingBars):
-    """One progress bar for each sampling stage; call it with stage, finished and all steps."""
-
-    def __init__(self, console: Console) -> None:
-        super().__init__(console)
         self._tasks: dict[str, TaskID] = {}
 
     def __call__(self, stage: str, done: int, total: int) -> None:

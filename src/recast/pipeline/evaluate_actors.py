@@ -63,6 +63,7 @@ class VehicleResult:
 
     Attributes:
         input: name of the picture that it was made from, and `input_azimuth_deg` whence.
+        further: names of other pictures that it was made from.
     """
 
     id: str
@@ -81,6 +82,7 @@ class ActorEvaluation:
 
     Attributes:
         mean: of every score over the vehicles, each counting the same.
+        failures: by id, why one could not be made.
     """
 
     generator: str
@@ -239,7 +241,7 @@ def evaluate_tracks(
     an image: recording, reconstructed, registered, refined) to `out`, whole or not at all.
 
     Args:
-        scene, config: reconstructed from the log, with models of the tracks; and its training.
+        scene, config: reconstructed from the log, with models of the tracks; of its training.
         progress: told stage, pieces done, and all of the stage.
 
     Raises:

@@ -91,6 +91,7 @@ def make_rollout(
         folder: empty; gets `states/` (see `save_rollout`), `planner.json` (see `seen_record`), the
             films and `films.json`, and with a meter `coverage.parquet`; or `failure.json`.
         filmed: render every step, not only those that the planner sees.
+        on_step, timings: called after each filmed step; is added to.
         meter: of the actor that the renderer draws; None for one without shares.
 
     Raises:

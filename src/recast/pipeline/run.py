@@ -53,6 +53,7 @@ def run(
     Args:
         log_path: log folder, or its address in object storage.
         out: run folder; one that holds this run already is resumed.
+        store: folder or address of the artefacts; beside `out` where none is named.
 
     Raises:
         InputError: bad log, track, planner, generator or segmenter, a camera that the planner wants

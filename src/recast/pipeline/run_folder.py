@@ -86,8 +86,8 @@ class RunFolder:
         """Start a run, or resume the one that lies there.
 
         Args:
-            path, config: the run folder, made where it is missing; resolved, JSON-able.
-            log, log_hash, store: folder or address of the log, its content hash, of the store.
+            path, config: the run folder, made where it is missing; resolved settings, JSON-able.
+            log, store, log_hash: folder or address of each; content hash of the log.
 
         Raises:
             InputError: the folder holds something else: another log, another configuration,

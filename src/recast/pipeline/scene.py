@@ -15,9 +15,9 @@ from rich.table import Table
 
 from recast.arrays import Image
 from recast.core.errors import printable
+from recast.core.progress import ProgressBar
 from recast.evaluation.perceptual import load_distances
 from recast.logs import DrivingLog
-from recast.pipeline.display import FrameProgress
 from recast.scene import (
     SHIFTS,
     RegionScore,
@@ -72,6 +72,7 @@ def evaluate_and_print(
     A scene that another program trained is scored on the images that ours would keep by default.
 
     Args:
+        workers: processes that render the truth; 0 for one for each core.
         shifts: also views from beside the drive, `recast.scene.SHIFTS`: against the truth where the
             log is synthetic, else as pictures alone.
 
@@ -88,7 +89,7 @@ def evaluate_and_print(
         truth = None
         if shifts and is_synthetic(log):
             truth = partial(shifted_truth, stack.enter_context(OraclePool(world_of(log), workers)))
-        progress = stack.enter_context(FrameProgress(console, 1, "views"))
+        progress = stack.enter_context(ProgressBar("views", console, 1))
         evaluation = evaluate_scene(
             loaded,
             log,
@@ -97,7 +98,7 @@ def evaluate_and_print(
             lpips=distances[0] if distances else None,
             shifts=SHIFTS if shifts else (),
             truth=truth,
-            progress=progress.reach,
+            progress=progress,
         )
     console.print(evaluation_table(evaluation))
     if evaluation.shift_truth:

@@ -18,11 +18,11 @@ from recast.actors.vehicle_files import files_of_vehicle, is_vehicle_file
 from recast.core.artefact import file_hash, files_hash, folder_hash
 from recast.core.errors import InputError
 from recast.core.plugins import Registry
+from recast.core.progress import ProgressBar
 from recast.core.remote import remote_path
 from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.logs.load import local_folder
 from recast.pipeline.config import RunConfig
-from recast.pipeline.display import FrameProgress
 from recast.planning import PLANNERS, planner_folder, planner_source_files
 from recast.pretrained import VQA_SCORERS
 from recast.synthetic import CAMERAS, World, synthesize_log, world_metadata, world_of
@@ -55,6 +55,7 @@ class SourceLog:
 
     Attributes:
         address: where it lies, if that is another place than the folder, which holds a copy.
+        hash: of all its bytes.
     """
 
     path: Path
@@ -122,7 +123,7 @@ def drive_log(
         console.print("  finished before")
         return path
     width, height = image_size
-    with FrameProgress(console, round(world.seconds * 10) * len(names), "images") as progress:
+    with ProgressBar("images", console, round(world.seconds * 10) * len(names)) as progress:
         synthesize_log(
             world,
             path,
@@ -130,7 +131,7 @@ def drive_log(
             height=height,
             cameras=names,
             workers=workers,
-            progress=progress.reach,
+            progress=progress,
         )
     return path
 

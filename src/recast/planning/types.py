@@ -77,6 +77,7 @@ class ActorState:
     Attributes:
         pose: (3,) x, y, heading of the box centre, world.
         velocity: (2,) m/s, world; need not point along the heading.
+        category: as in `Track.category`.
         size: (3,) length, width, height in metres.
     """
 

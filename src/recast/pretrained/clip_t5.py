@@ -146,8 +146,7 @@ class ClipT5:
         # Published embeddings have more rows than there are tokens. The authors cut them off.
         logits = logits[..., : len(self._tokenizer)].float()
         loss = functional.cross_entropy(logits.transpose(1, 2), labels, reduction="none")
-        probability: Array = torch.exp(-loss.mean(dim=1)).double().cpu().numpy()
-        return probability
+        return torch.exp(-loss.mean(dim=1)).double().cpu().numpy()
 
     def _patches(self, image: Picture) -> Tensor:
         """(P, D) the patches of a picture in the language of T5."""
@@ -159,8 +158,7 @@ class ClipT5:
         return functional.linear(inner, second, second_bias)
 
     def _embedded(self, text: str) -> Tensor:
-        embedded: Tensor = self._language.get_input_embeddings()(self._ids(text))
-        return embedded
+        return self._language.get_input_embeddings()(self._ids(text))
 
     def _ids(self, text: str) -> Tensor:
         return torch.tensor(self._tokenizer(text)["input_ids"], device=self._language.device)

@@ -150,8 +150,7 @@ class Clip:
                 name: torch.tensor(tokens[name], device=self.device)
                 for name in ("input_ids", "attention_mask")
             }
-            found: Tensor = model.text_projection(model.text_model(**read).pooler_output)
-            return found
+            return model.text_projection(model.text_model(**read).pooler_output)
 
         return _scaled(in_batches(embedded, texts, self.width, batch), unit)
 
@@ -199,8 +198,7 @@ def load_vqa_scorer(value: Any, device: str = "cpu", dtype: str | None = None) -
     Raises:
         InputError: see `Registry.resolve`.
     """
-    scorer: VqaScorer = VQA_SCORERS.resolve(value, device=device, dtype=dtype)
-    return scorer
+    return VQA_SCORERS.resolve(value, device=device, dtype=dtype)
 
 
 def checked_scores(scores: Any, images: int, texts: int, name: str) -> Array:

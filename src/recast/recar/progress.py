@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import math
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,39 +15,6 @@ from recast.core.errors import InputError
 from recast.core.progress import Bars
 
 _SHOWN = ("loss", "held_out", "gap", "gradient")
-
-
-class PictureProgress(Bars):
-    """Draws in the terminal; pass the object itself as `progress`."""
-
-    def __init__(self, what: str, console: Console | None = None) -> None:
-        super().__init__(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[left]}"),
-            console=console,
-        )
-        self._task = self._bars.add_task(what, total=None, left="")
-        self._start: tuple[float, int] | None = None
-
-    def __call__(self, done: int, total: int) -> None:
-        """`done` of `total` pictures are finished; those of the first call cost nothing."""
-        now = time.monotonic()
-        if self._start is None:
-            self._start = (now, done)
-        started, skipped = self._start
-        left = ""
-        if skipped < done < total:
-            left = time_left((now - started) / (done - skipped) * (total - done))
-        self._bars.update(self._task, completed=done, total=total, left=left)
-
-
-def time_left(seconds: float) -> str:
-    """Such as "4:05 left" or "2:30:00 left"."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d} left" if hours else f"{minutes}:{rest:02d} left"
 
 
 class TrainingDisplay(Bars):
@@ -112,7 +78,7 @@ def tensorboard_writer(folder: Path) -> Any:
         module: Any = importlib.import_module("torch.utils.tensorboard")
     except ImportError:
         raise InputError(
-            "--tensorboard",
+            "`tensorboard`",
             "package",
             "tensorboard is not installed",
             "pip install tensorboard, or leave the option out: log.jsonl holds the same figures",

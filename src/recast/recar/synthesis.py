@@ -75,19 +75,19 @@ class SynthesisSettings:
         from recast.synthetic.vehicles import KINDS
 
         if self.seed < 0:
-            raise InputError("--seed", "value", f"is {self.seed}", "give 0 or more")
+            raise InputError("`seed`", "value", f"is {self.seed}", "give 0 or more")
         if not 1 <= self.views <= MOST_VIEWS:
-            raise InputError("--views", "value", f"is {self.views}", f"give 1 to {MOST_VIEWS}")
-        for option, pixels in (("--width", self.width), ("--height", self.height)):
+            raise InputError("`views`", "value", f"is {self.views}", f"give 1 to {MOST_VIEWS}")
+        for option, pixels in (("`width`", self.width), ("`height`", self.height)):
             if not 16 <= pixels <= LARGEST_SIDE:
                 raise InputError(option, "value", f"is {pixels}", f"give 16 to {LARGEST_SIDE}")
         for kind in self.kinds:
             if kind not in KINDS:
-                raise InputError("--kinds", kind, "is unknown", f"choose of {', '.join(KINDS)}")
+                raise InputError("`kinds`", kind, "is unknown", f"choose of {', '.join(KINDS)}")
         if not 0 <= self.held_out <= 1:
-            raise InputError("--held-out", "value", f"is {self.held_out}", "give 0 to 1")
+            raise InputError("`held_out`", "value", f"is {self.held_out}", "give 0 to 1")
         if not self.licence.strip():
-            raise InputError("--licence", "value", "is empty", "name the licence of the pictures")
+            raise InputError("`licence`", "value", "is empty", "name the licence of the pictures")
 
     def record(self, name: str, identities: int) -> SetRecord:
         """The record of the finished set."""
@@ -146,11 +146,11 @@ def plan_identities(
     Raises:
         InputError: a negative count, nothing at all, or a mesh file that is missing or named twice.
     """
-    for option, count in (("--vehicles", vehicles), ("--shapes", shapes)):
+    for option, count in (("`vehicles`", vehicles), ("`shapes`", shapes)):
         if count < 0:
             raise InputError(option, "value", f"is {count}", "give 0 or more")
     if vehicles + shapes + len(meshes) == 0:
-        raise InputError("--vehicles", "value", "is 0 with nothing else asked", "give 1 or more")
+        raise InputError("`vehicles`", "value", "is 0 with nothing else asked", "give 1 or more")
     plan = [_planned(settings, "vehicle", i, f"vehicle-{i:05d}", i) for i in range(vehicles)]
     plan += [_planned(settings, "shape", i, f"shape-{i:05d}", i) for i in range(shapes)]
     for index, path in enumerate(meshes):
@@ -192,7 +192,7 @@ def _digest(path: Path, axes: str) -> str:
     if not path.is_file():
         raise InputError(path, "mesh", "is missing", "check the path")
     if len(axes.split(",")) != 2:
-        raise InputError("--mesh-axes", "value", f"is {axes!r}", "give forward and up, such as z,y")
+        raise InputError("`mesh_axes`", "value", f"is {axes!r}", "give forward and up, such as z,y")
     return hashlib.sha256(axes.encode() + path.read_bytes()).hexdigest()[:8]
 
 

@@ -40,6 +40,7 @@ class Figure:
     Args:
         horizontal: label of the horizontal axis, with its unit.
         every: distance between the numbers of the horizontal axis; None chooses one.
+        end, low, high: the horizontal axis goes from 0 to `end`, the vertical from `low` to `high`.
     """
 
     def __init__(

@@ -40,6 +40,7 @@ class ScenarioFacts:
 
     Attributes:
         start: seconds after the first pose of the log.
+        ego_speed, actor_speeds: at the start; at the start, and at the end.
         gap: along the route from the ego's front bumper to the actor's near end, at the start.
         laterals: of the actor beside the route, left positive, at the start, and at the end.
         meets_log: when the actor's box and that of the ego as recorded first overlap, or None.

@@ -77,7 +77,7 @@ def export_scene_at(scene: StreetScene, folder: str | Path, seconds: float) -> i
     if not 0 <= seconds * 1e6 <= last - first:
         raise InputError(
             "command line",
-            "--time",
+            "`time`",
             f"{seconds:g} s is not within the scene's times",
             f"name one from 0 to {(last - first) / 1e6:g}",
         )

@@ -56,8 +56,7 @@ def usable_pixels(view: View, uv: Float32Array) -> Mask:
     """Which pixel coordinates (M, 2) the view's mask lets count."""
     if view.mask is None:
         return np.ones(len(uv), bool)
-    usable: Mask = view.mask[uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)]
-    return usable
+    return view.mask[uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)]
 
 
 def coloured_background(

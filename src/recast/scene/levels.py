@@ -128,8 +128,7 @@ def make_level(
 def _wholly(mask: Mask, size: tuple[int, int]) -> Mask:
     """Pixels of the smaller image that lie in the mask altogether."""
     area = cv2.resize(mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
-    whole: Mask = area == 255
-    return whole
+    return area == 255
 
 
 def make_levels(

@@ -122,8 +122,7 @@ def _cost(
 
 
 def _grey(view: View) -> NDArray[np.uint8]:
-    grey: NDArray[np.uint8] = np.maximum(cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY), 1)
-    return grey
+    return np.maximum(cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY), 1)
 
 
 def _mean_of_best_two(costs: Sequence[Float32Array]) -> Float32Array:
@@ -132,8 +131,7 @@ def _mean_of_best_two(costs: Sequence[Float32Array]) -> Float32Array:
     for cost in costs[2:]:
         second = np.minimum(second, np.maximum(best, cost))
         best = np.minimum(best, cost)
-    mean: Float32Array = (best + second) * np.float32(0.5)
-    return mean
+    return (best + second) * np.float32(0.5)
 
 
 def _winner(volume: Float32Array) -> tuple[Array, Mask]:

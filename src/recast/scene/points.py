@@ -215,8 +215,7 @@ def neighbour_distance(points: Float32Array) -> Float32Array:
     if len(points) <= 3:
         return np.full(len(points), 0.1, np.float32)
     distance, _ = cKDTree(points).query(points, k=4)
-    rms: Float32Array = np.sqrt((distance[:, 1:] ** 2).mean(axis=1)).astype(np.float32)
-    return rms
+    return np.sqrt((distance[:, 1:] ** 2).mean(axis=1)).astype(np.float32)
 
 
 def surface_frames(points: Float32Array) -> tuple[Array, Array]:

@@ -158,8 +158,7 @@ def _trained_labels(trajectory: Trajectory, views: Sequence[View]) -> NDArray[np
     times = np.array([view.timestamp_us for view in views], np.int64)
     held_out = np.array([view.held_out for view in views], bool)
     nearest = np.abs(trajectory.timestamps_us[:, None] - times[None]).argmin(axis=1)
-    trained: NDArray[np.bool_] = ~held_out[nearest]
-    return trained
+    return ~held_out[nearest]
 
 
 def _offset(pose: Tensor, offset: Tensor) -> Tensor:

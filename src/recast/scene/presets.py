@@ -147,7 +147,7 @@ def resolve_config(
     """
     if preset is not None and written is not None and written.is_whole():
         raise InputError(
-            "--preset",
+            "`preset`",
             preset,
             "changes nothing: the configuration file names every field",
             "leave one of the two out",

@@ -101,8 +101,7 @@ def _read_mask(path: Path, width: int, height: int) -> Mask:
     pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_GRAYSCALE)
     if pixels is None or pixels.shape != (height, width):
         raise InputError(path, "sky mask", "is no image, or cut short", "write it anew")
-    white: Mask = pixels > 127
-    return white
+    return pixels > 127
 
 
 def _from_network(views: Sequence[View], folder: Path) -> Iterator[Mask]:

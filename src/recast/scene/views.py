@@ -147,8 +147,7 @@ def fit_mask(camera: PinholeCamera, mask: Mask, scale: float) -> Mask:
         fitted = np.asarray(cv2.remap(fitted, *_source_pixels(camera), cv2.INTER_NEAREST), np.uint8)
     target = scaled_camera(camera, scale)
     size = (target.width, target.height)
-    whole: Mask = cv2.resize(fitted, size, interpolation=cv2.INTER_NEAREST) > 0
-    return whole
+    return cv2.resize(fitted, size, interpolation=cv2.INTER_NEAREST) > 0
 
 
 @lru_cache(maxsize=1)  # a camera's images come one after the other

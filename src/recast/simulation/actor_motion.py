@@ -262,13 +262,11 @@ class Scripted:
 
     def start(self, situation: StartSituation) -> Array:
         """The first state (4,) of the script."""
-        first: Array = self.script(situation, 1, 0.1)[0]
-        return first
+        return self.script(situation, 1, 0.1)[0]
 
     def step(self, state: MotionInput, dt: float) -> Array:
         """The state (4,) after `state.step`, whatever the others do."""
-        following: Array = self.script(state.situation, state.steps, dt)[state.step + 1]
-        return following
+        return self.script(state.situation, state.steps, dt)[state.step + 1]
 
     def script(self, start: StartSituation, steps: int, dt: float) -> Array:
         """States (steps + 1, 4), see `ScriptMotion`."""

@@ -84,8 +84,7 @@ class RecordedRoad:
         """Metres (...) from points (..., 2) to the own path."""
         assert self.own is not None
         path = shapely.points(self.own[0]) if len(self.own) == 1 else shapely.linestrings(self.own)
-        metres: Array = shapely.distance(path, shapely.points(points))
-        return metres
+        return shapely.distance(path, shapely.points(points))
 
 
 def who(setup: RolloutSetup, track_id: str) -> str:

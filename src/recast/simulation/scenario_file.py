@@ -206,8 +206,7 @@ def _required(node: Node, key: str, mend: str) -> Node:
     """The member `key` of a mapping; `mend` says what to write if it is missing."""
     if key not in node.value:
         raise node.error(key, "is missing", mend)
-    found: Node = node.value[key]
-    return found
+    return node.value[key]
 
 
 def _refuse_unknown(node: Node, known: tuple[str, ...]) -> None:

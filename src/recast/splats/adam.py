@@ -10,7 +10,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from recast.kernel.library import AdamRows, AdamSettings, info, library
+from recast.kernel import AdamRows, AdamSettings, info, library
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
 _LANES = 16  # kAdamLanes of frame.hpp

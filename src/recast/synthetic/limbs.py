@@ -90,8 +90,7 @@ def middle_joint(
     bend /= np.linalg.norm(bend)
     along = (upper**2 - lower**2 + reach**2) / (2 * reach)
     along = float(np.clip(along, -upper, upper))
-    joint: Array = root + along * axis + np.sqrt(upper**2 - along**2) * bend
-    return joint
+    return root + along * axis + np.sqrt(upper**2 - along**2) * bend
 
 
 def assembled(parts: Sequence[Surface], poses: Sequence[Array], shift: Array) -> Surface:

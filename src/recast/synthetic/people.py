@@ -93,8 +93,7 @@ class Footing:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    turn: Array = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return turn
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 def _cut(triangles: Array, z: float) -> Array:

@@ -31,7 +31,7 @@ from recast.synthetic.traffic import (
 from recast.synthetic.vehicles import sample_vehicle
 from recast.synthetic.world import Quality, Street, Vehicle, World
 
-WORLD_VERSION = 1
+WORLD_VERSION = 2
 """Counted up whenever the same name, seed and duration give another world or another log."""
 
 DATASET = "synthetic"
@@ -199,8 +199,7 @@ def _vehicle(
 
 
 def _stamps(times: Array) -> NDArray[np.int64]:
-    stamps: NDArray[np.int64] = START_US + np.rint(times * 1e6).astype(np.int64)
-    return stamps
+    return START_US + np.rint(times * 1e6).astype(np.int64)
 
 
 def _generator(name: str, seed: int, *stream: int) -> np.random.Generator:

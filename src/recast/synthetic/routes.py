@@ -81,21 +81,18 @@ class LanePath:
 
     def position(self, s: ArrayLike) -> Array:
         """Points (..., 2) at arc lengths (...) within [0, length]."""
-        points: Array = self._spline(np.asarray(s, np.float64))
-        return points
+        return self._spline(np.asarray(s, np.float64))
 
     def heading(self, s: ArrayLike) -> Array:
         """Tangent heading (...), radians."""
         tangent = self._spline(np.asarray(s, np.float64), 1)
-        angle: Array = np.arctan2(tangent[..., 1], tangent[..., 0])
-        return angle
+        return np.arctan2(tangent[..., 1], tangent[..., 0])
 
     def curvature(self, s: ArrayLike) -> Array:
         """Signed curvature (...), 1/m, positive to the left."""
         s = np.asarray(s, np.float64)
         (dx, dy), (ddx, ddy) = (np.moveaxis(self._spline(s, order), -1, 0) for order in (1, 2))
-        bend: Array = (dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3
-        return bend
+        return (dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3
 
     def poses(self, s: ArrayLike, wheelbase: float = 0.0) -> Array:
         """Planar poses (..., 3) of a vehicle whose middle is at s.
@@ -195,8 +192,7 @@ class SpeedProfile:
 
     def at(self, s: ArrayLike) -> Array:
         """Speeds (...) at arc lengths (...)."""
-        speed: Array = np.interp(np.asarray(s, np.float64), self.s, self.speed)
-        return speed
+        return np.interp(np.asarray(s, np.float64), self.s, self.speed)
 
     @cached_property
     def _clock(self) -> tuple[Array, Array]:
@@ -215,8 +211,7 @@ class SpeedProfile:
         times = np.interp(start, place, clock) + np.asarray(seconds, np.float64)
         reached = np.interp(times, clock, place)
         reached = reached + np.minimum(times, 0.0) * self.speed[0]
-        driven: Array = reached + np.maximum(times - clock[-1], 0.0) * self.speed[-1]
-        return driven
+        return reached + np.maximum(times - clock[-1], 0.0) * self.speed[-1]
 
 
 def speed_profile(path: LanePath, cruise: float, rng: np.random.Generator) -> SpeedProfile:

@@ -131,8 +131,7 @@ def _in_next_lane(path: LanePath, ego: EgoDrive, manner: Manner) -> Array | None
         return None
     if wanted.min() < marks[0] + CENTRE_OFFSET or wanted.max() > marks[-1] - 5.0:
         return None
-    place: Array = PchipInterpolator(marks, beside_marks)(wanted)
-    return place
+    return PchipInterpolator(marks, beside_marks)(wanted)
 
 
 @dataclass(frozen=True)

@@ -189,8 +189,7 @@ def hiding(
     )
     ends = np.concatenate([outline, target[:, None, :2]], axis=1)
     sight = shapely.linestrings(np.stack(np.broadcast_arrays(eyes[:, None], ends), axis=2))
-    hidden: Times = np.any(shapely.intersects(sight, shapely.polygons(wall)[:, None]), axis=1)
-    return hidden
+    return np.any(shapely.intersects(sight, shapely.polygons(wall)[:, None]), axis=1)
 
 
 def daylight(rng: Generator, elevation: tuple[float, float] = (25.0, 60.0)) -> Sky:

@@ -148,8 +148,7 @@ class SelfAttention(_HeadNorms):
         """Tokens (..., C) to tokens (..., C)."""
         q, k, v = self.split(self.to_qkv(h), 3)
         q, k = self.normalised(q, k)
-        out: Tensor = self.to_out(layout.attend(q, k, v).flatten(-2))
-        return out
+        return self.to_out(layout.attend(q, k, v).flatten(-2))
 
 
 class CrossAttention(_HeadNorms):
@@ -176,5 +175,4 @@ class CrossAttention(_HeadNorms):
         (q,) = self.split(self.to_q(h), 1)
         k, v = self.split(self.to_kv(context), 2)
         q, k = self.normalised(q, k)
-        out: Tensor = self.to_out(layout.attend_to(q, k, v).flatten(-2))
-        return out
+        return self.to_out(layout.attend_to(q, k, v).flatten(-2))

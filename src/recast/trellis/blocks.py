@@ -116,8 +116,7 @@ class TransformerBlock(nn.Module):
     def forward(self, h: Tensor, layout: TokenLayout) -> Tensor:
         """Tokens (..., C) to tokens (..., C)."""
         h = h + self.attn(self.norm1(h), layout)
-        out: Tensor = h + self.mlp(self.norm2(h))
-        return out
+        return h + self.mlp(self.norm2(h))
 
 
 def timestep_embedding(t: Tensor, channels: int) -> Tensor:
@@ -163,8 +162,7 @@ class TimestepEmbedder(nn.Module):
 
     def forward(self, t: Tensor) -> Tensor:
         """Times (B,), already multiplied by 1000, to (B, channels)."""
-        out: Tensor = self.mlp(timestep_embedding(t, _FREQUENCIES))
-        return out
+        return self.mlp(timestep_embedding(t, _FREQUENCIES))
 
 
 class SparseResBlock3d(nn.Module):

@@ -193,8 +193,7 @@ class ImageTo3D:
     @torch.no_grad()
     def decode(self, latent: SparseTensor) -> list[Gaussians]:
         """Gaussians of each sample from de-normalised structured latents."""
-        decoded: list[Gaussians] = self.decoder.gaussians(self.decoder(latent))
-        return decoded
+        return self.decoder.gaussians(self.decoder(latent))
 
 
 def _reporter(

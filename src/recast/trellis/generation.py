@@ -44,9 +44,9 @@ class GenerationLimits:
 
     def __post_init__(self) -> None:
         if self.max_voxels is not None and self.max_voxels < 1:
-            raise InputError("--max-voxels", "value", f"is {self.max_voxels}", "give 1 or more")
+            raise InputError("`max_voxels`", "value", f"is {self.max_voxels}", "give 1 or more")
         if self.retries < 0:
-            raise InputError("--retries", "value", f"is {self.retries}", "give 0 or more")
+            raise InputError("`retries`", "value", f"is {self.retries}", "give 0 or more")
 
 
 @dataclass(frozen=True)

@@ -108,8 +108,7 @@ def importance(gaussians: Gaussians, distances: Array) -> Array:
     sigmas = gaussians.log_scales.detach().double().exp().sort(dim=1).values
     opacity = torch.sigmoid(gaussians.logit_opacities.detach().double())
     area = (opacity * sigmas[:, 1] * sigmas[:, 2]).numpy()
-    found: Array = area / np.maximum(distances, NEAREST) ** 2
-    return found
+    return area / np.maximum(distances, NEAREST) ** 2
 
 
 def path_distances(gaussians: Gaussians, path: Array) -> Array:
@@ -167,8 +166,7 @@ def segments(lines: Sequence[Array]) -> Array:
     """Line segments (M, 2, 3) of polylines (N_i, 3), without those that have no length."""
     pairs = [np.stack([line[:-1], line[1:]], axis=1) for line in lines if len(line) > 1]
     joined = np.concatenate(pairs) if pairs else np.zeros((0, 2, 3))
-    found: Array = joined[np.any(joined[:, 0] != joined[:, 1], axis=1)]
-    return found
+    return joined[np.any(joined[:, 0] != joined[:, 1], axis=1)]
 
 
 def raised(points: Array) -> Array:

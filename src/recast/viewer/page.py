@@ -198,7 +198,7 @@ def _require_own(host: str) -> None:
             trial.bind((host, 0))
     except OSError as error:
         raise InputError(
-            "--host",
+            "`host`",
             host,
             f"cannot be listened on ({error.strerror or error})",
             "name an IPv4 address of this machine",

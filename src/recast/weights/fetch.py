@@ -77,7 +77,7 @@ def fetch(
             "weights",
             weights.name,
             f"have terms to accept ({terms.name}, {terms.link})",
-            "read them, then add --accept-licence",
+            "read them, then add `accept_licence`",
         )
     partial = files.partial_name(folder)
     with files.disk_errors(partial):

@@ -113,7 +113,7 @@ def test_the_figure_shows_the_largest_of_each_motion_and_setting() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rule", "option"), [(FrameRule(every=0), "--every"), (FrameRule(least_px=1), "--least-px")]
+    ("rule", "option"), [(FrameRule(every=0), "`every`"), (FrameRule(least_px=1), "`least_px`")]
 )
 def test_rules_out_of_range_are_refused(rule: FrameRule, option: str) -> None:
     with pytest.raises(InputError, match=option):

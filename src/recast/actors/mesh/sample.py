@@ -186,8 +186,7 @@ def _bilinear(picture: NDArray[np.float32], uv: Array) -> Array:
     left, right, upper, lower = x % width, (x + 1) % width, y % height, (y + 1) % height
     above = (1 - u) * picture[upper, left] + u * picture[upper, right]
     below = (1 - u) * picture[lower, left] + u * picture[lower, right]
-    mixed: Array = (1 - v) * above + v * below
-    return mixed
+    return (1 - v) * above + v * below
 
 
 @dataclass(frozen=True)

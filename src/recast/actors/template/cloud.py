@@ -221,10 +221,7 @@ def group_patches(
 
 def shell_groups(points: Array, normals: Array, cell: float) -> Int64Array:
     """Group (N,) of each patch by voxel and main direction alone, whatever they look like."""
-    group: Int64Array = np.unique(_directional_voxels(points, normals, cell), return_inverse=True)[
-        1
-    ]
-    return group
+    return np.unique(_directional_voxels(points, normals, cell), return_inverse=True)[1]
 
 
 def _directional_voxels(points: Array, normals: Array, cell: float) -> Int64Array:

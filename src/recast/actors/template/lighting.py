@@ -147,8 +147,7 @@ def fit_harmonics(
     # a Gaussian seen from nowhere takes this ridge's target: its diffuse colour in the shade
     ridge = np.array([1e-3, 0.15, 0.15, 0.15])
     right[:, 0] += ridge[0] * (linear_to_gamma(0.3 * light.level * albedo) - 0.5) / C0
-    coefficients: Array = np.linalg.solve(normal + np.diag(ridge), right)
-    return coefficients
+    return np.linalg.solve(normal + np.diag(ridge), right)
 
 
 def estimate_light(

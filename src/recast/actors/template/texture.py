@@ -165,8 +165,7 @@ def _mix(weights: Array, values: Array) -> Array:
     """Weighted means (N, C) of values (V, N, C) over the views, the first's where none counts."""
     total = weights.sum(axis=0)
     weights = np.where(total > 1e-9, weights, np.arange(len(weights))[:, None] == 0)
-    mixed: Array = np.einsum("vn,vnc->nc", weights / weights.sum(axis=0), values)
-    return mixed
+    return np.einsum("vn,vnc->nc", weights / weights.sum(axis=0), values)
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,7 @@ def results_json(
         failures: what does not count, and why.
         record: description of the evaluation, see `LevelSettings.record`.
     """
-    value: dict[str, Any] = rounded(
+    return rounded(
         {
             **record,
             "columns": {name: vars(column) for name, column in COLUMNS.items()},
@@ -101,7 +101,6 @@ def results_json(
             "published": PUBLISHED,
         }
     )
-    return value
 
 
 def warnings(rows: Sequence[LevelRow], scenes: Mapping[str, MeasuredScene]) -> list[str]:

@@ -51,8 +51,8 @@ class FrameRule:
     def validate(self) -> None:
         """Raise InputError naming the option at fault."""
         checks = (
-            ("--every", self.every >= 1, self.every, "1 or more"),
-            ("--least-px", self.least_px >= 4, self.least_px, "4 or more"),
+            ("`every`", self.every >= 1, self.every, "1 or more"),
+            ("`least_px`", self.least_px >= 4, self.least_px, "4 or more"),
         )
         for option, fits, value, range_of in checks:
             if not fits:

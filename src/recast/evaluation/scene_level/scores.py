@@ -161,8 +161,7 @@ class Networks:
         assert self._lpips is not None
         if not references or not crops:
             return np.full(len(crops), np.nan)
-        mean: Array = self._lpips.distances(crops, references).mean(axis=1)
-        return mean
+        return self._lpips.distances(crops, references).mean(axis=1)
 
     def _crop(self, seen: SeenImage) -> Image:
         return square_crop(seen.image, seen.rectangle, self._colour, mask=seen.outline)
@@ -224,14 +223,12 @@ def vqa_margin(positive: Array, negative: Array) -> Array:
         positive, negative: (N, P) and (N, Q) scores of whole frames, see
             `recast.pretrained.VqaScorer`.
     """
-    margin: Array = positive.mean(axis=1) - negative.mean(axis=1)
-    return margin
+    return positive.mean(axis=1) - negative.mean(axis=1)
 
 
 def clip_text_score(crops: Array, text: Array) -> Array:
     """(N,) 100 times the cosine of crops (N, D) with a text (D,), all of unit length."""
-    score: Array = 100.0 * (crops @ text)
-    return score
+    return 100.0 * (crops @ text)
 
 
 def clip_image_score(crops: Array, references: Array) -> tuple[Array, Array]:

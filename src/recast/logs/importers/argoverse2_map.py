@@ -186,8 +186,7 @@ def _mean_line(left: Array, right: Array) -> Array:
         np.stack([np.interp(share * length[-1], length, line[:, k]) for k in range(3)], axis=-1)
         for line, length in zip((left, right), lengths, strict=True)
     ]
-    mean: Array = (sides[0] + sides[1]) / 2
-    return mean
+    return (sides[0] + sides[1]) / 2
 
 
 def _check_place(path: Path, lanes: dict[str, Lane], ego: Array) -> None:

@@ -26,7 +26,7 @@ CATEGORIES = {"vehicle": "car", "pedestrian": "pedestrian", "cyclist": "cyclist"
 """Ours by the classes of the file that are reconstructed; it may hold others."""
 _COLUMNS = (11, 12)  # frame track class alpha h w l cx cy cz heading [speed]
 LEFT_OUT = ("sign", "misc")
-_MEND = "process the scene again, or name another file with --labels"
+_MEND = "process the scene again, or name another file with `labels`"
 
 
 @returns_valid

@@ -154,15 +154,13 @@ def beams(calibration: LaserCalibration, rows: int) -> Array:
             raise ValueError(f"{rows} rows, but {len(listed)} beam inclinations")
         return listed[::-1]
     share = (np.arange(rows)[::-1] + 0.5) / rows
-    spread: Array = calibration.lowest + share * (calibration.highest - calibration.lowest)
-    return spread
+    return calibration.lowest + share * (calibration.highest - calibration.lowest)
 
 
 def azimuths(columns: int) -> Array:
     """Directions (columns,) in the vehicle frame of a range image's columns, radians."""
     share = (columns - np.arange(columns) - 0.5) / columns
-    turned: Array = (2 * share - 1) * np.pi
-    return turned
+    return (2 * share - 1) * np.pi
 
 
 def scan_times(azimuth: Array, start_us: int) -> Int64Array:

@@ -13,6 +13,7 @@ from rich.markup import escape
 from recast.actors import make_generator, segmenter_of
 from recast.core import files
 from recast.core.errors import InputError, printable
+from recast.core.progress import ProgressBar
 from recast.evaluation.verdicts import write_rows
 from recast.logs import read_log
 from recast.pipeline.arms import truth_of
@@ -29,7 +30,7 @@ from recast.pipeline.bench.scene_run import Outcome, RolloutTask, Task
 from recast.pipeline.bench.schedule import SceneDesk, Schedule, Times
 from recast.pipeline.bench.settings import RESULTS_FILE, ROLLOUTS_FILE, BenchSettings, begin
 from recast.pipeline.bench.worker import BenchWorker, Workers
-from recast.pipeline.display import FrameProgress, failure_lines
+from recast.pipeline.display import failure_lines
 from recast.pipeline.rollouts import (
     announce_planner,
     planner_mounts,
@@ -62,6 +63,8 @@ def run_closed_loop(
 
     Args:
         out: new, empty, or of this very grid.
+        retry_failures: run rollouts again that failed in an earlier try.
+        store: folder or address of the artefacts; beside `out` where none is named.
         ray: address of a Ray cluster, or None for none. Its machines need share no folder: logs
             and artefacts travel through Ray. Planners, models, vehicles' files and scenes that are
             named by their path must lie on every machine.
@@ -107,11 +110,11 @@ def _make(
     def done(task: Task, outcome: Outcome) -> None:
         desk.note(task, outcome)
         schedule.note(task, outcome)
-        bar.reach(schedule.done, schedule.total)
+        bar(schedule.done, schedule.total)
         if isinstance(task, RolloutTask) and outcome.times is not None:
             times.note(task, outcome.times, time.perf_counter() - began)
 
-    with FrameProgress(console, schedule.total, "scenes and rollouts") as bar:
+    with ProgressBar("scenes and rollouts", console, schedule.total) as bar:
         team.do(BenchWorker, (settings, retry_failures), settings, schedule, done)
     spent = times.write(time.perf_counter() - began, settings, desk.seconds)
     results = summarise(schedule.rows(), settings)

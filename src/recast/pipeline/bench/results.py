@@ -32,6 +32,7 @@ class GridResults:
 
     Attributes:
         differences: of every arm from the first, by planner.
+        table, truth: a line for each planner and arm; for each that was compared with the truth.
     """
 
     rows: tuple[GridRow, ...]

@@ -35,6 +35,7 @@ class BenchScene:
 
     Attributes:
         id: its name in results and its folder below OUT/scenes.
+        world, seed: of a synthetic one, else None; `log` and `track` of a recorded one, else None.
     """
 
     id: str

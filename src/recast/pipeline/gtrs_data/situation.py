@@ -29,6 +29,7 @@ class Situation:
 
     Attributes:
         states: (K, 11) of the ego, equal in pose.
+        others, parked: logged vehicles that are there too; vehicles that always are.
     """
 
     states: Array

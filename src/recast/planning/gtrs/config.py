@@ -51,6 +51,7 @@ class BackboneConfig(Record):
     Attributes:
         stem: channels of the three 3x3 convolutions; the first and the last have stride 2.
         stages: the first works at stride 4, each further one halves the resolution.
+        layers: 3x3 convolutions in a block.
         frozen_norm: batch norms use their running statistics also in training, as in the released
             training, which starts from a pretrained backbone. False for training from scratch.
     """

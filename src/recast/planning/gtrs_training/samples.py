@@ -167,8 +167,7 @@ class SampleStore:
     @property
     def held_out(self) -> NDArray[np.bool_]:
         """(N,) samples of the worlds that are not trained on."""
-        found: NDArray[np.bool_] = self.worlds % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
-        return found
+        return self.worlds % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
 
 
 def _read_world(path: Path) -> tuple[NDArray[np.uint8], dict[str, np.ndarray]]:

@@ -223,8 +223,7 @@ class ClueReader(nn.Module):
         """Image tokens (B, T, d) to clues (B, 10), in units of `scales`; the first is a logit."""
         weights = self.weigh(tokens).softmax(dim=1)
         pooled = torch.einsum("btq,btd->bqd", weights, tokens).flatten(1)
-        out: Tensor = self.read(pooled)
-        return out
+        return self.read(pooled)
 
     def loss(self, found: Tensor, clues: Tensor) -> Tensor:
         """Presence by cross-entropy; the vehicle's place where it is there; the road always."""
@@ -343,4 +342,4 @@ def chosen_training(
     try:
         return PlannerTrainingConfig.model_validate(chosen)
     except ValidationError as error:
-        raise validation_error(path or "--steps", error, "see the defaults") from None
+        raise validation_error(path or "`steps`", error, "see the defaults") from None

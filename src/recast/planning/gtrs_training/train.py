@@ -201,7 +201,7 @@ def _begin_from(model: GtrsModel, folder: Path) -> None:
             folder / CONFIG_FILE,
             "model",
             "has other sizes than those to be trained",
-            "name another planner, or give its sizes as network with --config",
+            "name another planner, or give its sizes as network with `config`",
         )
     model.load_state_dict(found.state_dict())
 

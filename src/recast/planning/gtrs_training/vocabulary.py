@@ -126,8 +126,7 @@ def _medoids(trajectories: Array, count: int, rng: np.random.Generator) -> Array
 def _distances(points: Array, centres: Array) -> Array:
     """Squared, (N, K)."""
     squares = (points**2).sum(axis=1)[:, None] + (centres**2).sum(axis=1)
-    found: Array = squares - 2.0 * points @ centres.T
-    return found
+    return squares - 2.0 * points @ centres.T
 
 
 def sample_driving(count: int, rng: np.random.Generator) -> Array:

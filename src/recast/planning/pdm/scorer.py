@@ -81,6 +81,7 @@ def score_proposals(
 
     Args:
         forecast: covers T + 9 steps.
+        centreline: what progress is measured on.
         reference_quirks: comfort is smoothed over all T samples, see `comfort_signals`.
     """
     poses = states[..., ego.POSE]

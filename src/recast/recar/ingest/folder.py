@@ -56,7 +56,7 @@ def photographs_of(photos: Path, row: VehicleRow, settings: IngestSettings) -> t
             folder,
             "photographs",
             f"are {len(found)} where the set has {settings.views} views{looked}",
-            "add the missing azimuths, or give --views",
+            "add the missing azimuths, or give `views`",
         )
     ordered = (
         _by_azimuth(folder, found, row) if row.azimuths_deg else _by_order(found, row, settings)
@@ -118,8 +118,8 @@ def check_sizes(paths: Sequence[Path], settings: IngestSettings) -> None:
         raise InputError(
             paths[0],
             "size",
-            f"is {width}x{height}: --fov needs the shape of {settings.width}x{settings.height}",
-            "give --width and --height of that shape",
+            f"is {width}x{height}: `fov` needs the shape of {settings.width}x{settings.height}",
+            "give `width` and `height` of that shape",
         )
 
 

@@ -198,7 +198,7 @@ class _Ingest:
                         "duplicate",
                         f"{count} of {record.views} photographs are those of {other}"
                         f"{', which is in the other split' if len(splits) == 2 else ''}",
-                        "keep one of the two; if both are right, lower --duplicate-bits",
+                        "keep one of the two; if both are right, lower `duplicate_bits`",
                     ),
                 )
                 return
@@ -225,7 +225,7 @@ class _Ingest:
             "vehicles",
             f"{len(self.skipped)} of {total} cannot be taken, such as {name} "
             f"({first.field}: {first.problem}, in {Path(first.where).name}); {report}{others}",
-            "mend them and run again, or leave them out with --skip-bad",
+            "mend them and run again, or leave them out with `skip_bad`",
         )
 
     def _remember(self, identity: Identity) -> None:

@@ -231,7 +231,7 @@ def prepare(
         elif alpha is None:
             if remover is None:
                 raise InputError(
-                    path, "alpha", "is absent", "cut out the background, or name a --remover"
+                    path, "alpha", "is absent", "cut out the background, or name a `remover`"
                 )
             cutout = remover.remove(rgb, candidate.row.category)
             alpha = cutout.alpha
@@ -250,6 +250,6 @@ def prepare(
             second,
             "duplicate",
             f"is the same picture as {first.name}",
-            "replace it; if both are right, lower --duplicate-bits",
+            "replace it; if both are right, lower `duplicate_bits`",
         )
     return Prepared(tuple(pictures), stacked, tuple(doubts))

@@ -101,23 +101,23 @@ class IngestSettings:
             InputError: the first one, named as the option of the command line.
         """
         for option, value, low, high in (
-            ("--views", self.views, 1, MOST_VIEWS),
-            ("--width", self.width, 16, LARGEST_SIDE),
-            ("--height", self.height, 16, LARGEST_SIDE),
-            ("--elevation", self.elevation_deg, -89, 89),
-            ("--fov", self.fov_deg, 1, 170),
-            ("--split-seed", self.split_seed, 0, 2**63),
-            ("--held-out", self.held_out_share, 0, 1),
-            ("--duplicate-bits", self.duplicate_bits, 0, BITS),
-            ("--azimuth-within", self.azimuth_within_deg, 0, 180),
+            ("`views`", self.views, 1, MOST_VIEWS),
+            ("`width`", self.width, 16, LARGEST_SIDE),
+            ("`height`", self.height, 16, LARGEST_SIDE),
+            ("`elevation`", self.elevation_deg, -89, 89),
+            ("`fov`", self.fov_deg, 1, 170),
+            ("`split_seed`", self.split_seed, 0, 2**63),
+            ("`held_out`", self.held_out_share, 0, 1),
+            ("`duplicate_bits`", self.duplicate_bits, 0, BITS),
+            ("`azimuth_within`", self.azimuth_within_deg, 0, 180),
         ):
             if value is not None and not low <= value <= high:
                 raise InputError(option, "value", f"is {value}", f"give {low} to {high}")
         if self.layout not in LAYOUTS:
             raise InputError(
-                "--layout", self.layout, "is unknown", f"choose of {', '.join(LAYOUTS)}"
+                "`layout`", self.layout, "is unknown", f"choose of {', '.join(LAYOUTS)}"
             )
-        for option, text in (("--licence", self.licence), ("--source", self.source)):
+        for option, text in (("`licence`", self.licence), ("`source`", self.source)):
             if not text.strip():
                 raise InputError(option, "value", "is empty", "say it in words")
 
@@ -228,7 +228,7 @@ def find_table(photos: Path) -> Path:
             photos,
             " or ".join(TABLES),
             "are both there" if found else "is missing",
-            "write one of them, with at least id and kind of each vehicle, or name it by --table",
+            "write one of them, with at least id and kind of each vehicle, or name it by `table`",
         )
     return found[0]
 

@@ -53,7 +53,7 @@ def pick_photographs(
             folder,
             "photographs",
             f"are {len(found)} where the set has {views} views",
-            "give fewer --views",
+            "give fewer `views`",
         )
     known, azimuths, elevations = _directions(folder, found, row)
     taken, off = _nearest(folder, azimuths, elevations, views, within_deg)
@@ -171,7 +171,7 @@ def _nearest(
                 folder,
                 "azimuths",
                 f"no photograph within {within_deg:g} degrees of {goal:g}",
-                "give fewer --views, or a larger --azimuth-within",
+                "give fewer `views`, or a larger `azimuth_within`",
             )
         taken.append(int(np.argmin(np.where(fits, off + unlike, np.inf))))
         worst = max(worst, float(off[taken[-1]]))

@@ -143,7 +143,7 @@ class ScreeningServer(uvicorn.Server):
         except (OSError, OverflowError) as error:
             taken = getattr(error, "errno", None) == errno.EADDRINUSE
             problem = "is taken by another program" if taken else f"cannot be used ({error})"
-            raise InputError("--port", str(port), problem, "name another, or 0 for any") from None
+            raise InputError("`port`", str(port), problem, "name another, or 0 for any") from None
         app = screening_app(service)
         # Nothing is logged: the terminal is free for people.
         super().__init__(

@@ -124,7 +124,7 @@ def pack_set(
             the disk is full.
     """
     if shard_bytes < 1:
-        raise InputError("--shard-bytes", "value", f"is {shard_bytes}", "give 1 or more")
+        raise InputError("`shard_bytes`", "value", f"is {shard_bytes}", "give 1 or more")
     out = Path(out)
     _check_out(out, vehicle_set.record, shard_bytes)
     plan = plan_shards(vehicle_set, shard_bytes)

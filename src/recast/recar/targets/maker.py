@@ -249,7 +249,7 @@ def filter_record(settings: FilterSettings) -> FilterRecord:
     """
     if settings.kind == "none":
         if settings.threshold is not None:
-            raise InputError("--threshold", "value", "needs a filter", "choose one, or leave it")
+            raise InputError("`threshold`", "value", "needs a filter", "choose one, or leave it")
         return FilterRecord()
     weights: dict[str, str] = {}
     if settings.kind == "agreement":
@@ -264,12 +264,12 @@ def filter_record(settings: FilterSettings) -> FilterRecord:
 
 def _aesthetic_files(settings: FilterSettings) -> tuple[Path, Path]:
     if settings.predictor is None or settings.clip is None:
-        missing = "--predictor" if settings.predictor is None else "--clip"
+        missing = "`predictor`" if settings.predictor is None else "`clip`"
         raise InputError(
             missing,
             "weights",
             "are not named",
             "the aesthetic filter needs the predictor's .pth file and a folder of CLIP ViT-L/14; "
-            "small models use --filter agreement",
+            "small models use `filter` agreement",
         )
     return settings.predictor, settings.clip

@@ -169,7 +169,7 @@ def train_part(
             the image encoder no trained structure encoder.
     """
     if steps is not None and steps < 1:
-        raise InputError("--steps", "value", f"is {steps}", "give 1 or more")
+        raise InputError("`steps`", "value", f"is {steps}", "give 1 or more")
     steps = steps or STEPS[part]
     start = time.perf_counter()
 
@@ -185,7 +185,7 @@ def train_part(
     else:
         if structure is None:
             raise InputError(
-                "--structure",
+                "`structure`",
                 "folder",
                 "is missing",
                 "train the structure autoencoder first and name its folder",

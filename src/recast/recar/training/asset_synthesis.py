@@ -67,7 +67,7 @@ def make_assets(
         InputError: `out` holds assets of other settings, embreex is not installed, a count or a
             number of workers below one, or the disk is full.
     """
-    for option, value in (("--count", count), ("--workers", workers)):
+    for option, value in (("`count`", count), ("`workers`", workers)):
         if value < 1:
             raise InputError(option, "value", f"is {value}", "give 1 or more")
     require_embree()

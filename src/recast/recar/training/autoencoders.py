@@ -274,8 +274,7 @@ def read_structure(reader: SparseStructureFlowModel, tokens: Tensor) -> Tensor:
     """Structure latents (B, C, r, r, r) that a network reads from image tokens (B, L, C)."""
     config = reader.config
     nothing = tokens.new_zeros(len(tokens), config.in_channels, *[config.resolution] * 3)
-    out: Tensor = reader(nothing, tokens.new_zeros(len(tokens)), tokens)
-    return out
+    return reader(nothing, tokens.new_zeros(len(tokens)), tokens)
 
 
 def view_azimuths(asset: TrainingAsset) -> Tensor:

@@ -69,8 +69,7 @@ def sample_sheet(model: ImageTo3D, rows: Sequence[SheetRow], seed: int) -> Image
             tiles += [_captioned(blank, error.problem)] + [_captioned(blank, "")] * 2
         tiles += _sides(row.truth, "target")
         sheet.append(np.hstack(tiles))
-    found: Image = np.vstack(sheet)
-    return found
+    return np.vstack(sheet)
 
 
 def _sides(gaussians: Gaussians, what: str) -> list[Image]:

@@ -101,7 +101,7 @@ class _Stage:
         first = [n for n in self.config.settings if n in asked or self._is_trained(n)]
         if self.config.train_encoder and "structure" not in first:
             raise InputError(
-                "--flow",
+                "`flow`",
                 "latent",
                 "needs the image encoder, which trains with the structure flow",
                 "train the structure flow first",

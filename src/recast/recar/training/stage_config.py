@@ -157,7 +157,7 @@ COMMAND_NAMES: Mapping[str, StageConfig] = {
     "mini-1": MINI_STAGE_1,
     "mini-2": MINI_STAGE_2,
 }
-"""What `--stage` takes."""
+"""What `stage` takes."""
 
 
 def read_stage_config(path: Path) -> StageConfig:
@@ -192,9 +192,9 @@ def chosen_stage(stage: str | None, file: Path | None) -> StageConfig:
     """
     if (stage is None) == (file is None):
         raise InputError(
-            "--stage",
+            "`stage`",
             "value",
-            "neither it nor --config is given" if stage is None else "--config is given too",
+            "neither it nor `config` is given" if stage is None else "`config` is given too",
             "give one of the two",
         )
     if file is not None:

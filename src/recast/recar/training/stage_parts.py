@@ -86,7 +86,7 @@ def open_stage(request: StageRequest, processes: Processes) -> StageParts:
     config = request.config
     for flow in request.flows:
         if flow not in config.settings:
-            raise InputError("--flow", flow, f"is not trained by {config.name}", "name another")
+            raise InputError("`flow`", flow, f"is not trained by {config.name}", "name another")
     for name, settings in config.settings.items():
         parts = settings.accumulate * processes.count
         if parts > config.objective.batch:

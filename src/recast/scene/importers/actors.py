@@ -31,7 +31,7 @@ OVERLAP = 0.5
 def check_share(share: float) -> None:
     """Refuse a share of time that is not in [0, 1]; InputError names the option."""
     if not 0 <= share <= 1:
-        raise InputError("command line", "--share", f"is {share}", "give a number from 0 to 1")
+        raise InputError("command line", "`share`", f"is {share}", "give a number from 0 to 1")
 
 
 def read_track_names(path: Path | None) -> dict[str, str]:
@@ -81,7 +81,7 @@ def track_of(table: Table, log: DrivingLog, name: str, candidates: Sequence[str]
         table.path,
         f"actor {name}",
         f"is no track of log {log.name} (looked for {', '.join(candidates)})",
-        "give the log it was trained on, name its track in a file (--tracks), or --leave-out it",
+        "give the log it was trained on, name its track in a file (`tracks`), or `leave_out` it",
     )
 
 
@@ -137,8 +137,8 @@ def choose_tracks(
             raise models.fault(
                 "RigidNodes",
                 f"actor {name} is no track of log {log.name}: {near}",
-                "give the log it was trained on and its first frame (--first-frame), name its "
-                "track in a file (--tracks), or --leave-out it",
+                "give the log it was trained on and its first frame (`first_frame`), name its "
+                "track in a file (`tracks`), or `leave_out` it",
             )
         chosen[name] = found
         distances.append(distance)

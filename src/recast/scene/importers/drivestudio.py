@@ -253,7 +253,7 @@ def read_instances(
         raise table.fault(
             "instances_trans",
             f"has {frames} frames, the log {len(times_us)} from its first one",
-            "give the log it was trained on, and the first frame (--first-frame)",
+            "give the log it was trained on, and the first frame (`first_frame`)",
         )
     if np.any(np.linalg.norm(quats[present], axis=-1) == 0):
         raise table.fault("instances_quats", "holds a quaternion of norm zero")

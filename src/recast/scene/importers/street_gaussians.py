@@ -183,7 +183,7 @@ def _corrections(table: Table, drive: ProcessedDrive | None) -> tuple[Tensor, Te
             "opt_trans",
             f"is for {list(translations.shape[:2])} frames and slots, the processed folder has "
             f"{list(shape)} in the frames and cameras named",
-            "name those of the training (--frames, --cameras)",
+            "name those of the training (`frames`, `cameras`)",
         )
     return translations, parameters.tensor("opt_rots", *shape, 1)
 

@@ -230,8 +230,7 @@ def _left(
     sky: Array, sky_left: Array | float, sun: Array, sun_hidden: NDArray[np.floating]
 ) -> Array:
     """Share of the light of sky and sun that is left where both are hidden in part."""
-    left: Array = (sky * sky_left + sun * (1 - sun_hidden)) / (sky + sun)
-    return left
+    return (sky * sky_left + sun * (1 - sun_hidden)) / (sky + sun)
 
 
 def _light_left(sheet: Array, contact: Gaussians, grid: Array) -> Array:
@@ -245,8 +244,7 @@ def _light_left(sheet: Array, contact: Gaussians, grid: Array) -> Array:
     ):
         distance = ((grid[near] - centre) ** 2).sum(axis=1)
         depth[near] -= np.log1p(-alpha * np.exp(-distance / (2 * reach**2)))
-    left: Array = np.exp(-depth)
-    return left
+    return np.exp(-depth)
 
 
 def _turned(values: Array, yaw: float) -> Array:

@@ -57,8 +57,7 @@ class SunBelief:
     def harmonics(self) -> Array:
         """(9,) coefficients of the expected cosine to the sun, 0 where it is behind, by normal."""
         values = basis(torch.from_numpy(directions()[0]), 2).numpy()
-        coefficients: Array = _BANDS.numpy() * (self.probability @ values)
-        return coefficients
+        return _BANDS.numpy() * (self.probability @ values)
 
     def given(self, evidence: Array) -> SunBelief:
         """The belief with more evidence.
@@ -117,8 +116,7 @@ def _expected(patches: Patches, occupancy: Occupancy, towards: Array) -> Array:
     seen = np.zeros(len(patches))
     seen[lit] = occupancy.through(patches.points[lit] + _LIFT_M * patches.normals[lit], towards)
     sky = 0.5 + 0.5 * patches.normals[:, 2]
-    light: Array = np.log1p(SUN_OVER_SKY * facing * seen / np.maximum(sky, 0.1))
-    return light
+    return np.log1p(SUN_OVER_SKY * facing * seen / np.maximum(sky, 0.1))
 
 
 def _explained(light: Array, values: Array) -> float:

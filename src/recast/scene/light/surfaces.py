@@ -63,15 +63,13 @@ class Patches:
     def warmth(self) -> Array:
         """(P,) logarithm of red over blue."""
         red, _, blue = np.log(np.maximum(self.colours, _BLACK)).T
-        warmth: Array = red - blue
-        return warmth
+        return red - blue
 
     @property
     def lifeless(self) -> Mask:
         """(P,) those that are not green: roads, pavements, walls."""
         red, green, blue = np.log(np.maximum(self.colours, _BLACK)).T
-        found: Mask = green - (red + blue) / 2 < _GREEN
-        return found
+        return green - (red + blue) / 2 < _GREEN
 
     def select(self, index: NDArray[np.int64] | Mask) -> Patches:
         """Some of them."""
@@ -113,8 +111,7 @@ def _outward(points: Array, normals: Array, paths: Array) -> Array:
     nearest = paths[cKDTree(paths).query(points)[1]]
     towards = np.sum(normals * (nearest - points), axis=1)
     sign = np.where(np.abs(normals[:, 2]) > _LEVEL, normals[:, 2], towards)
-    turned: Array = np.where(sign < 0, -1.0, 1.0)[:, None] * normals
-    return turned
+    return np.where(sign < 0, -1.0, 1.0)[:, None] * normals
 
 
 def _gathered(points: Array, normals: Array, colours: Array, areas: Array) -> Patches:
@@ -169,8 +166,7 @@ class Occupancy:
             np.clip(place, 0, size - 1).astype(np.int32)
             for place, size in zip(places, self._shape, strict=True)
         )
-        index: NDArray[np.int32] = (x * self._shape[1] + y) * self._shape[2] + z
-        return index
+        return (x * self._shape[1] + y) * self._shape[2] + z
 
     def through(self, points: Array, towards: Array) -> Array:
         """Share (N,) of light from a unit direction (3,) that reaches points (N, 3)."""
@@ -178,5 +174,4 @@ class Occupancy:
         step = towards.astype(np.float32)[:, None, None]
         index = self._index(start[:, None] + _STEPS[:, None] * step)
         depth = _STRIDES @ self._depth[index]
-        passed: Array = np.exp(-depth.astype(np.float64))
-        return passed
+        return np.exp(-depth.astype(np.float64))

@@ -85,7 +85,7 @@ RECAST_EXPORT void recast_set_threads(int n) { recast::set_thread_count(n); }
 RECAST_EXPORT Context* recast_create() { return new (std::nothrow) Context(); }
 RECAST_EXPORT void recast_destroy(Context* c) { delete c; }
 
-// What crosses the border: laid out like the ctypes structures in kernel/library.py.
+// What crosses the border: laid out like the ctypes structures in kernel.py.
 struct RecastView {
   int64_t count;
   int32_t sh_bases, width, height, antialiased, training, most_at_once;

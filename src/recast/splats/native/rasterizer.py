@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from recast.kernel.library import Gradients, View, library
+from recast.kernel import Gradients, View, library
 from recast.splats.gaussians import Gaussians
 from recast.splats.rasterization import Rasterization, RasterMeta, RasterSettings
 

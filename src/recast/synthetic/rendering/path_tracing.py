@@ -118,8 +118,7 @@ def path_light(light: SkyLight, points: SurfacePoints, rng: np.random.Generator)
     radiance = np.asarray(path.sample(scene, sampler, rays)[0], np.float32)
     # A path that meets the sun's glow by chance would leave a speck.
     radiance = np.minimum(radiance.T, np.float32(4 * light.white))
-    mean: Float32Array = radiance.reshape(len(points), SAMPLES, 3).mean(axis=1)
-    return mean
+    return radiance.reshape(len(points), SAMPLES, 3).mean(axis=1)
 
 
 @lru_cache(maxsize=1)

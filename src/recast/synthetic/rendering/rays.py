@@ -79,8 +79,7 @@ class Mesh:
         if self._scene is None or not len(origins):
             return np.zeros(len(origins), bool)
         far = None if limit is None else limit.astype(np.float32)
-        hit: BoolArray = self._scene.run(origins, directions, dists=far, query="OCCLUDED") >= 0
-        return hit
+        return self._scene.run(origins, directions, dists=far, query="OCCLUDED") >= 0
 
 
 def require_embree() -> None:

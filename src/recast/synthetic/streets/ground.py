@@ -175,8 +175,7 @@ class Ground:
     def _band_height(self, points: Array) -> Array:
         away = shapely.distance(self.filled, shapely.points(points))
         lowered = 0.002 if self.edge.kerb else 0.0  # below the tops of the kerb stones
-        heights: Array = np.interp(away, *self.edge.profile()) - lowered
-        return heights
+        return np.interp(away, *self.edge.profile()) - lowered
 
     def _land(self, inside: shapely.Geometry, rng: Generator) -> list[Surface]:
         colour, material = self.edge.land

@@ -105,8 +105,7 @@ class Road:
         at, metres = np.array(self.spread).T
         k = np.clip(np.searchsorted(at, s, side="right") - 1, 0, len(at) - 2)
         u = np.clip((s - at[k]) / (at[k + 1] - at[k]), 0.0, 1.0)
-        moved: Array = metres[k] + (metres[k + 1] - metres[k]) * u * u * (3 - 2 * u)
-        return moved
+        return metres[k] + (metres[k + 1] - metres[k]) * u * u * (3 - 2 * u)
 
     def pose(self, s: float, lateral: float, reverse: bool = False) -> Pose:
         """The pose of something that stands along the road."""
@@ -320,5 +319,4 @@ class _LaneWear:
 def _wander(count: int, rng: Generator) -> Array:
     """A smooth random walk (count,) of about unit size."""
     steps = rng.normal(size=count + 8)
-    smooth: Array = np.convolve(steps, np.ones(9) / 3.0, mode="valid")
-    return smooth
+    return np.convolve(steps, np.ones(9) / 3.0, mode="valid")

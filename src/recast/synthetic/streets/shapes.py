@@ -124,8 +124,7 @@ class ReferenceLine:
 
     def heading(self, s: ArrayLike) -> Array:
         """Tangent heading (...) at arc lengths (...)."""
-        angle: Array = np.interp(np.asarray(s, np.float64), self.arc_lengths, self.headings)
-        return angle
+        return np.interp(np.asarray(s, np.float64), self.arc_lengths, self.headings)
 
     def offset(self, s: ArrayLike, lateral: ArrayLike) -> Array:
         """Points (..., 2), `lateral` metres to the left of the curve at arc lengths s (...).

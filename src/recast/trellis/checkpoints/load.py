@@ -131,7 +131,7 @@ def load_image_encoder(
                 path,
                 "image encoder",
                 f"the weights of {PUBLISHED_BACKBONE} are not there",
-                "name their file or folder with --image-encoder, or put them there",
+                "name their file or folder with `image_encoder`, or put them there",
             )
         return load_dinov2(path).to(device).eval()
     if named is not None:

@@ -76,8 +76,7 @@ class SLatTransformer(TrellisModel):
         layouts = [WindowedTokens(x, window, shift) for shift in (0, window // 2)]
         for i, block in enumerate(self.blocks):
             h = self.run_block(block, h, layouts[i % 2])
-        out: Tensor = self.out_layer(final_norm(h.to(x.feats.dtype)))
-        return out
+        return self.out_layer(final_norm(h.to(x.feats.dtype)))
 
 
 @dataclass(frozen=True)

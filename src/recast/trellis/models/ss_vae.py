@@ -51,8 +51,7 @@ class ResBlock3d(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Grid (B, channels, X, Y, Z) to the same shape."""
         h = self.conv1(functional.silu(self.norm1(x)))
-        out: Tensor = x + self.conv2(functional.silu(self.norm2(h)))
-        return out
+        return x + self.conv2(functional.silu(self.norm2(h)))
 
 
 def downsample_3d(in_channels: int, out_channels: int) -> nn.Sequential:
@@ -136,8 +135,7 @@ class SparseStructureVae(TrellisModel):
         h = h.to(self.torso_dtype)
         for block in blocks:
             h = self.run_block(block, h)
-        out: Tensor = self.out_layer(h.to(outer))
-        return out
+        return self.out_layer(h.to(outer))
 
 
 class SparseStructureEncoderConfig(SparseStructureVaeConfig):

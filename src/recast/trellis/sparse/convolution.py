@@ -243,8 +243,7 @@ def spconv() -> ModuleType | None:
         import spconv.pytorch as module
     except (ImportError, OSError):
         return None
-    found: ModuleType = module
-    return found
+    return module
 
 
 def spconv_convolution(x: SparseTensor, weight: Tensor) -> Tensor:
@@ -270,8 +269,7 @@ def spconv_convolution(x: SparseTensor, weight: Tensor) -> Tensor:
     layer = _layer(weight.shape[4], weight.shape[0])
     result: Any = torch.func.functional_call(layer, {"weight": weight}, (tensor,))
     x.cache["spconv_pairs"] = result.indice_dict
-    features: Tensor = result.features
-    return features
+    return result.features
 
 
 @cache

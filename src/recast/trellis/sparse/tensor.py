@@ -71,8 +71,7 @@ class SparseTensor:
         if "counts" not in self.cache:
             counts = torch.bincount(self.batch, minlength=self.batch_size)
             self.cache["counts"] = counts.tolist()
-        found: list[int] = self.cache["counts"]
-        return found
+        return self.cache["counts"]
 
     @property
     def slices(self) -> list[slice]:
@@ -201,5 +200,4 @@ def neighbour_map(x: SparseTensor) -> NeighbourMap:
             found = torch.nonzero(ordered[place] == wanted).squeeze(1)
             pairs.append((order[found], order[place[found]]))
         x.cache["neighbours"] = NeighbourMap(tuple(pairs), len(order))
-    neighbours: NeighbourMap = x.cache["neighbours"]
-    return neighbours
+    return x.cache["neighbours"]

@@ -127,8 +127,7 @@ class WindowedTokens(PackedTokens):
                 partition.buckets, q.split(sizes), k.split(sizes), v.split(sizes), strict=True
             )
         ]
-        out: Tensor = _Permute.apply(torch.cat(rows), partition.inverse, partition.order)
-        return out
+        return _Permute.apply(torch.cat(rows), partition.inverse, partition.order)
 
     def attend_reference(self, q: Tensor, k: Tensor, v: Tensor) -> Tensor:
         """Readable twin of `attend`: one window after another."""

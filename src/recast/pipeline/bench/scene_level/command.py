@@ -21,6 +21,7 @@ from recast.arrays import Image
 from recast.core import Store, files
 from recast.core.errors import printable
 from recast.core.names import folder_name
+from recast.core.progress import ProgressBar
 from recast.evaluation.scene_level.files import (
     cell,
     results_json,
@@ -49,7 +50,7 @@ from recast.pipeline.bench.scene_level.worker import (
 from recast.pipeline.bench.scene_run import Outcome, Task
 from recast.pipeline.bench.settings import RESULTS_FILE, begin
 from recast.pipeline.bench.worker import Workers
-from recast.pipeline.display import FrameProgress, narrow_table
+from recast.pipeline.display import narrow_table
 from recast.pipeline.layout import use_name
 from recast.reporting.canvas import at_width
 
@@ -93,10 +94,10 @@ def run_scene_level(
 
     def done(task: Task, outcome: Outcome) -> None:
         tasks.note(task, outcome)
-        bar.reach(tasks.done, tasks.total)
+        bar(tasks.done, tasks.total)
 
     with files.alone_in(out):
-        with FrameProgress(console, tasks.total, "scenes and arms") as bar:
+        with ProgressBar("scenes and arms", console, tasks.total) as bar:
             team.do(LevelWorker, (settings,), settings.grid, tasks, done)
         failures = {
             (scene if not what else f"{scene}, {what}"): reason

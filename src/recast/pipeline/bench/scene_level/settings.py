@@ -47,6 +47,7 @@ class NetworkFiles:
         inception: weights file, see `load_inception`.
         lpips: ImageNet weights of AlexNet or VGG-16, see `load_lpips`.
         vqa: what `load_vqa_scorer` takes as text.
+        clip, device: folder of a CLIP model; where they compute: cpu, cuda or cuda:1.
     """
 
     inception: Path | None = None
@@ -79,6 +80,7 @@ class LevelSettings:
 
     Attributes:
         grid: scenes, motions and arms (the first is the baseline); its one planner is `DRIVER`.
+        rule, hashes: when an image counts; hashes of the networks' files by name.
         crop: "boxed" keeps the background around the vehicle, "masked" takes away what lies outside
             of the box's outline.
         most_references: logged crops of a scene that LPIPS and the CLIP image score compare with.

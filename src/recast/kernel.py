@@ -1,4 +1,4 @@
-"""The compiled rasterizer: finding and loading it, and the structures that cross its border."""
+"""The compiled CPU kernel: finding it, loading it, its structures and calls. Needs no torch."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def _candidates() -> list[Path]:
     An editable install, or a source tree on PYTHONPATH, has the Python files in one place and the
     library in the other.
     """
-    packages = [Path(__file__).parents[1]]
+    packages = [Path(__file__).parent]
     with contextlib.suppress(PackageNotFoundError):
         packages.append(Path(str(distribution("recast-sim").locate_file("recast"))))
     return [
