@@ -62,8 +62,8 @@ MODELS = {
         ),
     ),
     "Training of the image-to-3D model": (
-        ("recast.recar.targets.record", "TargetSettings", "settings of the pseudo-targets"),
-        ("recast.recar.targets.record", "FilterSettings", "`filter` of the pseudo-targets"),
+        ("recast.recar.targets.cache_records", "TargetSettings", "settings of the pseudo-targets"),
+        ("recast.recar.targets.cache_records", "FilterSettings", "`filter` of the pseudo-targets"),
         ("recast.recar.perturb.compose", "PerturbationConfig", "file for `--perturbations`"),
         ("recast.recar.training.stage_config", "StageConfig", "one stage of `recast recar train`"),
         ("recast.recar.training.stage_config", "FlowObjective", "`objective` of a stage"),

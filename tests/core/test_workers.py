@@ -49,10 +49,14 @@ def test_ray_does_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))  # workers import this module
     monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # no token file in the home folder
     workers = min(2, usable_cores())  # each waits for a core of its own
-    assert done_by(worker_pool(workers, ray="local", gpu=True)) == EXPECTED
-    with pytest.raises(InputError, match="factor"):
-        done_by(worker_pool(workers, ray="local"), factor=0)
-    assert not ray.is_initialized()
+    ray.init(address="local", log_to_driver=False)
+    try:
+        assert done_by(worker_pool(workers, ray="local", gpu=True)) == EXPECTED
+        with pytest.raises(InputError, match="factor"):
+            done_by(worker_pool(workers, ray="local"), factor=0)
+        assert ray.is_initialized()  # a connection that was there stays
+    finally:
+        ray.shutdown()
 
 
 def test_a_fault_of_the_start_reaches_the_caller() -> None:

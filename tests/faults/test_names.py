@@ -127,7 +127,7 @@ def test_scenes_of_a_grid_with_hostile_names(
     """Two tracks whose names differ in what folders cannot hold are two scenes."""
     track = hostile.tracks[TRACK]
     both = dataclasses.replace(hostile, tracks={TRACK: track, TRACK.replace("/", "\\"): track})
-    monkeypatch.setattr("recast.pipeline.bench.settings.read_log", lambda path: both)
+    monkeypatch.setattr("recast.pipeline.bench.grid.read_log", lambda path: both)
     ids = [parse_scenes([str(tmp_path)], 0, name)[0].id for name in both.tracks]
     assert len(set(ids)) == 2
     for name in ids:

@@ -13,7 +13,7 @@ from recast.core.artefact import folder_hash
 from recast.core.errors import InputError
 from recast.logs import read_log
 from recast.pipeline.bench import resolve_bench
-from recast.pipeline.bench.settings import begin
+from recast.pipeline.bench.grid import begin
 from recast.pipeline.config import resolve_config
 from recast.pipeline.run_folder import RunFolder
 from recast.scene import SceneConfig

@@ -19,7 +19,7 @@ from recast.recar.targets import (
     build_targets,
     identity_seed,
 )
-from recast.recar.targets.record import FilterSettings
+from recast.recar.targets.cache_records import FilterSettings
 from recast.trellis import GenerationLimits, generate
 from support.target_places import SETTINGS, Places
 from support.vehicle_pictures import shape

@@ -16,8 +16,8 @@ import pytest
 import torch
 
 from recast.recar.targets import TargetCache, build_targets
+from recast.recar.targets.cache_records import TargetRecord
 from recast.recar.targets.maker import Outcome, TargetMaker, VehicleTask
-from recast.recar.targets.record import TargetRecord
 from support.moments import forked
 from support.target_caches import box_target
 from support.target_places import SETTINGS, Places

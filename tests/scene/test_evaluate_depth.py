@@ -11,7 +11,7 @@ import pytest
 from recast.geometry import PinholeCamera, se2, se3
 from recast.logs import DrivingLog, LidarStream, LidarSweep, Trajectory
 from recast.scene import SceneImage
-from recast.scene.evaluate_record import DepthScore, NearestSweeps, depth_score, mean_depth
+from recast.scene.evaluate_record import DepthScore, SweepsOfImages, depth_score, mean_depth
 from recast.scene.views import View
 
 CAMERA = PinholeCamera(60, 40, 50.0, 50.0, 30.0, 20.0)
@@ -41,7 +41,7 @@ def rendered(depth: float, alpha: float = 1.0) -> SceneImage:
 
 
 def test_depth_is_that_of_the_surface_not_weighted_with_its_opacity() -> None:
-    sweeps = NearestSweeps(wall_log(500_000), {}).at(510_000)
+    sweeps = SweepsOfImages(wall_log(500_000), {}).at(510_000)
     assert depth_score(rendered(WALL_M, 0.7), view(510_000), sweeps, {}) == DepthScore(
         200,
         0.0,
@@ -53,7 +53,7 @@ def test_depth_is_that_of_the_surface_not_weighted_with_its_opacity() -> None:
 
 
 def test_errors_and_holes() -> None:
-    sweeps = NearestSweeps(wall_log(500_000), {}).at(500_000)
+    sweeps = SweepsOfImages(wall_log(500_000), {}).at(500_000)
     image = rendered(WALL_M + 0.5)
     image.depth[:20] += 2.0  # the upper half of the wall is further off still
     image.alpha[:, :30] = 0.4  # half of it is not there
@@ -67,7 +67,7 @@ def test_errors_and_holes() -> None:
 
 def test_the_sweep_of_the_moment_is_taken_and_no_other() -> None:
     log = wall_log(400_000, 500_000, 600_000)
-    sweeps = NearestSweeps(log, {})
+    sweeps = SweepsOfImages(log, {})
     assert [s.timestamp_us for s in sweeps.at(520_000)] == [500_000]
     assert sweeps.at(725_000) == []
 
@@ -92,9 +92,9 @@ def test_the_cameras_of_a_moment_share_its_sweeps() -> None:
     both = replace(plain, lidars={"low": second, "top": plain.lidars["top"]})
     counted = {name: Counted(stream.sweeps) for name, stream in both.lidars.items()}
     lidars = {name: replace(s, sweeps=counted[name]) for name, s in both.lidars.items()}
-    sweeps = NearestSweeps(replace(both, lidars=lidars), {})
+    sweeps = SweepsOfImages(replace(both, lidars=lidars), {})
     for time in (390_000, 400_000, 415_000, 490_000, 500_000, 515_000, 620_000):
-        alone = NearestSweeps(both, {}).at(time)
+        alone = SweepsOfImages(both, {}).at(time)
         found = sweeps.at(time)
         assert [s.timestamp_us for s in found] == [s.timestamp_us for s in alone]
         image = rendered(WALL_M + 0.2)

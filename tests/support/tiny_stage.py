@@ -12,7 +12,7 @@ from rich.console import Console
 
 from recast.core.files import write_json
 from recast.recar import begin_set, finish_set, regular_azimuths, write_identity
-from recast.recar.record import IdentityRecord, SetRecord
+from recast.recar.set_records import IdentityRecord, SetRecord
 from recast.recar.targets import CacheRecord, ModelRecord, Target, TargetCache, TargetRecord
 from recast.recar.training.stage import train_stage
 from recast.recar.training.stage_config import StageConfig

@@ -8,7 +8,7 @@ import torch
 from recast.trellis.checkpoints import OFFICIAL, SMALL, build, new_checkpoint
 from recast.trellis.checkpoints.load import check_agreement
 from recast.trellis.checkpoints.model_files import file_bytes
-from recast.trellis.checkpoints.record import GENERATION_ROLES
+from recast.trellis.checkpoints.pipeline_record import GENERATION_ROLES
 from recast.trellis.checkpoints.sizes import ModelSize
 from recast.trellis.models import TrellisModel
 from support.trellis import official_keys

@@ -16,7 +16,7 @@ from recast.core.plugins import GENERATORS, PLANNERS, SEGMENTERS
 from recast.pretrained import VQA_SCORERS
 from recast.weights import PUBLISHED, Licence, Source, Weights, weights_folder
 from recast.weights.fetch import fetch
-from recast.weights.record import opened, read_weights_record, verify
+from recast.weights.fetched import opened, read_weights_record, verify
 from support.moments import killed_before
 from weights.conftest import FILES, MIT, entry
 from weights.hub import Hub, data_of, sha256
@@ -200,7 +200,7 @@ def test_unchanged_files_are_not_read_at_every_use(
 ) -> None:
     folder = fetch(toy)
     note = folder.with_name(".toy.verified.json")
-    monkeypatch.setattr("recast.weights.record.file_record", lambda path: pytest.fail("read"))
+    monkeypatch.setattr("recast.weights.fetched.file_record", lambda path: pytest.fail("read"))
     assert opened(toy) == folder
     note.unlink()
     with pytest.raises(pytest.fail.Exception):
@@ -250,7 +250,7 @@ def test_terms_must_be_accepted_before_the_first_request(hub: Hub, toy: Weights)
     terms = Licence("CC BY-NC 4.0", "https://example.org/terms", restricted=True)
     weights = entry(replace(toy.sources[0], licence=terms))
     said = refusal(weights)
-    assert "CC BY-NC 4.0, https://example.org/terms" in said and "--accept-licence" in said
+    assert "CC BY-NC 4.0, https://example.org/terms" in said and "`accept_licence`" in said
     assert hub.asked == []
     fetch(weights, accepted=True)
     asked = len(hub.asked)

@@ -24,7 +24,7 @@ from recast.planning.gtrs import folder, load_checkpoint, new_model, write_vocab
 from recast.planning.gtrs.folder import PREFIX
 from recast.weights import PUBLISHED, Licence, Source, Weights, located, place, weights_folder
 from recast.weights.fetch import fetch
-from recast.weights.record import read_weights_record
+from recast.weights.fetched import read_weights_record
 from support.tiny_networks import write_tiny_networks
 from support.trellis_folder import write_golden_model
 from weights.conftest import MIT, entry

@@ -43,7 +43,7 @@ _LIMIT = 4.0  # units that one kind of evidence is worth at most
 
 
 @dataclass(frozen=True)
-class Agreement:
+class PoseAgreement:
     """How a turned asset agrees with the observation.
 
     Attributes:
@@ -74,7 +74,7 @@ def heading_agreement(track: Track) -> float:
 
 
 def front_votes(
-    as_is: Agreement, turned: Agreement, declared: bool, heading: float
+    as_is: PoseAgreement, turned: PoseAgreement, declared: bool, heading: float
 ) -> dict[str, float]:
     """Evidence, in units, for the first of two orientations half a turn apart; each at most 4.
 
@@ -180,7 +180,7 @@ class PlacementReport:
         flipped: whether the votes turned it half around.
         overlap_before, overlap: mean intersection over union with the masks, before and after the
             refinement.
-        colour: mean absolute difference of colours to the views, see `agreement.Agreement`.
+        colour: mean absolute difference of colours to the views, see `agreement.PoseAgreement`.
         width_over_box, height_over_box: extents at the scale of the length over the box's.
     """
 
@@ -288,8 +288,8 @@ class _Search:
         overlap, colour = np.mean(both, axis=0)
         return float(overlap), float(colour)
 
-    def agreement(self, start: Start) -> Agreement:
-        return Agreement(None, *self.compare(self.placed(start)))
+    def agreement(self, start: Start) -> PoseAgreement:
+        return PoseAgreement(None, *self.compare(self.placed(start)))
 
     def cost(self, start: Start) -> float:
         """How badly a start explains the views and fills the box, in units."""

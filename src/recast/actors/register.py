@@ -20,7 +20,7 @@ from recast.actors.observe import require_points
 from recast.actors.place import (
     COARSE_YAWS,
     FINE_YAWS,
-    Agreement,
+    PoseAgreement,
     Start,
     front_votes,
     heading_agreement,
@@ -161,12 +161,12 @@ def _agreement(
     lidar: Array,
     start: Start,
     observation: Observation,
-) -> Agreement:
+) -> PoseAgreement:
     """What speaks for one orientation after a short alignment."""
     start = aligned(surface, lidar, start, observation.size)
     moved = gaussians.transformed(torch.from_numpy(start.matrix), start.scale)
     silhouette, colour = compare_views(moved, low_pass, observation)
-    return Agreement(fit_of(start.apply(surface).points, lidar), silhouette, colour)
+    return PoseAgreement(fit_of(start.apply(surface).points, lidar), silhouette, colour)
 
 
 def aligned(surface: Surface, lidar: Array, start: Start, size: Array) -> Start:

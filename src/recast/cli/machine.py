@@ -89,7 +89,7 @@ class Path:
 
     def __call__(self) -> None:
         from recast.weights import published
-        from recast.weights.record import opened
+        from recast.weights.fetched import opened
 
         print(opened(published(self.name)))
 

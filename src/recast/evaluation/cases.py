@@ -24,7 +24,7 @@ from recast.arrays import Array, Image
 from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.recar import RealView, holds_real_crops, read_real_crops
-from recast.recar.record import SET_FILE
+from recast.recar.set_records import SET_FILE
 from recast.recar.shards.layout import INDEX_FILE
 from recast.recar.shards.sharded_set import open_set
 from recast.recar.views import FOV_DEG, IdentitySource, VehicleSource, pinhole

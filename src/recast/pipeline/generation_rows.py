@@ -25,7 +25,7 @@ from recast.evaluation.cases import ActorCase, Targets
 from recast.evaluation.generation_report import PAPER_ROWS
 from recast.pipeline.sources import generator_source
 from recast.recar.perturb import PerturbationConfig
-from recast.recar.record import Text
+from recast.recar.set_records import Text
 from recast.recar.views import Image, read_picture
 from recast.trellis import verify_checkpoint
 

@@ -4,7 +4,7 @@ See docs/data.md.
 """
 
 from recast.recar.real_crops import RealVehicle, RealView, holds_real_crops, read_real_crops
-from recast.recar.record import (
+from recast.recar.set_records import (
     HELD_OUT_SHARE,
     IdentityRecord,
     SetRecord,

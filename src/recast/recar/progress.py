@@ -17,7 +17,7 @@ from recast.core.progress import Bars
 _SHOWN = ("loss", "held_out", "gap", "gradient")
 
 
-class TrainingDisplay(Bars):
+class TrainingBar(Bars):
     """A bar with the latest means; where there is no terminal, a line for each line of the log.
 
     Args:

@@ -28,7 +28,7 @@ from recast.core.names import member
 from recast.core.records import validation_error
 from recast.geometry import PinholeCamera
 from recast.recar.ingest.photograph import photograph_size
-from recast.recar.record import Metres, Text
+from recast.recar.set_records import Metres, Text
 from recast.recar.views import MOST_BYTES, camera_pose, pinhole
 
 INPUT_VIEWS, RESERVED_VIEWS = "input_views", "reserved_views"

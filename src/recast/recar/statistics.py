@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from recast.core.errors import printable
-from recast.recar.record import SPLITS
+from recast.recar.set_records import SPLITS
 from recast.recar.views import VehicleSource
 
 

@@ -17,7 +17,7 @@ from recast.core.files import alone_in
 from recast.core.progress import Progress, tell
 from recast.core.ray_cluster import worker_pool
 from recast.geometry import PinholeCamera, se3
-from recast.recar.record import (
+from recast.recar.set_records import (
     HELD_OUT_SHARE,
     LARGEST_SIDE,
     MOST_VIEWS,

@@ -18,7 +18,7 @@ from recast.core import files
 from recast.core.errors import InputError
 from recast.core.files import disk_errors, read_bytes
 from recast.core.records import read_record
-from recast.recar.record import (
+from recast.recar.set_records import (
     IDENTITY_FILE,
     SET_FILE,
     SET_FORMAT,

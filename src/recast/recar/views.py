@@ -22,7 +22,7 @@ from recast.core.errors import InputError
 from recast.core.files import atomic_file, read_bytes
 from recast.core.progress import Progress, tell
 from recast.geometry import PinholeCamera, boxes, se3
-from recast.recar.record import LARGEST_SIDE, IdentityRecord, SetRecord, Split
+from recast.recar.set_records import LARGEST_SIDE, IdentityRecord, SetRecord, Split
 
 ELEVATION_DEG = 15.0
 FOV_DEG = 40.0

@@ -17,7 +17,7 @@ from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.scene.config import SceneConfig
 from recast.scene.dynamic import box_rectangle
-from recast.scene.evaluate_record import FrameScore, NearestSweeps, SceneEvaluation, depth_score
+from recast.scene.evaluate_record import FrameScore, SceneEvaluation, SweepsOfImages, depth_score
 from recast.scene.evaluate_shifts import (
     ShiftedScore,
     ShiftedView,
@@ -160,7 +160,7 @@ class ViewScorer:
     def __init__(self, scene: StreetScene, log: DrivingLog, lpips: Distance | None) -> None:
         self.rasterizer = SceneRasterizer(scene)
         self._scene, self._moving, self._lpips = scene, moving_tracks(log), lpips
-        self._sweeps = NearestSweeps(log, self._moving)
+        self._sweeps = SweepsOfImages(log, self._moving)
 
     def held_out(self, view: View, rendered: SceneImage) -> FrameScore:
         """Score a held-out image against its recording and the LiDAR of its moment.

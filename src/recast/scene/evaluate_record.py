@@ -167,7 +167,7 @@ class DepthScore:
     lag_ms: float
 
 
-class NearestSweeps:
+class SweepsOfImages:
     """The sweep of each LiDAR that is nearest in time to an image.
 
     A sweep is read once for all cameras of its moment, as long as they are asked for in order of

@@ -16,7 +16,7 @@ from recast.core.files import atomic_file
 from recast.core.names import member
 from recast.core.records import Record, read_record
 from recast.weights import transfer
-from recast.weights.record import (
+from recast.weights.fetched import (
     RECORD_FILE,
     FileRecord,
     WeightsRecord,

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, ValidationErr
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.records import Record, validation_error
-from recast.weights.record import FileRecord, Sha256, file_record
+from recast.weights.fetched import FileRecord, Sha256, file_record
 from recast.weights.table import HUB, Source
 
 MIRROR = "RECAST_WEIGHTS_MIRROR"

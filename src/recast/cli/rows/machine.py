@@ -30,7 +30,7 @@ from recast.core.plugins import GENERATORS, IMPORTERS, PLANNERS, SEGMENTERS
 from recast.core.workers import usable_cores
 from recast.weights import PUBLISHED, Weights, published, weights_folder
 from recast.weights.fetch import fetch, is_whole
-from recast.weights.record import is_fetched, read_weights_record, verify
+from recast.weights.fetched import is_fetched, read_weights_record, verify
 
 _OPTIONAL = {
     "embreex": ("synthetic worlds, the demo", "pip install 'recast-sim[synthetic]'"),

@@ -1,7 +1,7 @@
 """The paper's closed-loop protocol: scenes x motions x settings x arms, as one command."""
 
 from recast.pipeline.bench.closed_loop import run_closed_loop
-from recast.pipeline.bench.settings import (
+from recast.pipeline.bench.grid import (
     BenchScene,
     BenchSettings,
     DriveSize,

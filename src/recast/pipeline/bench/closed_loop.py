@@ -17,6 +17,7 @@ from recast.core.progress import ProgressBar
 from recast.evaluation.verdicts import write_rows
 from recast.logs import read_log
 from recast.pipeline.arms import truth_of
+from recast.pipeline.bench.grid import RESULTS_FILE, ROLLOUTS_FILE, BenchSettings, begin
 from recast.pipeline.bench.results import (
     GridResults,
     differences_table,
@@ -28,7 +29,6 @@ from recast.pipeline.bench.results import (
 )
 from recast.pipeline.bench.scene_run import Outcome, RolloutTask, Task
 from recast.pipeline.bench.schedule import SceneDesk, Schedule, Times
-from recast.pipeline.bench.settings import RESULTS_FILE, ROLLOUTS_FILE, BenchSettings, begin
 from recast.pipeline.bench.worker import BenchWorker, Workers
 from recast.pipeline.display import failure_lines
 from recast.pipeline.rollouts import (

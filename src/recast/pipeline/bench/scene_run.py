@@ -13,7 +13,7 @@ from recast.core import Artefact, Store, folder_hash
 from recast.evaluation.grid import GridRow
 from recast.evaluation.pairs import script_difference
 from recast.pipeline.artefacts import Artefacts
-from recast.pipeline.bench.settings import BenchScene, BenchSettings
+from recast.pipeline.bench.grid import BenchScene, BenchSettings
 from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import rollout_name
 from recast.pipeline.making import copy_folder

@@ -18,6 +18,7 @@ from recast.core import Store, files
 from recast.core.errors import InputError
 from recast.core.records import read_record
 from recast.evaluation.grid import GridRow
+from recast.pipeline.bench.grid import SCENES_FOLDER, TIMES_FILE, BenchSettings
 from recast.pipeline.bench.scene_run import (
     Outcome,
     RolloutTask,
@@ -28,7 +29,6 @@ from recast.pipeline.bench.scene_run import (
     open_scene,
     scene_rows,
 )
-from recast.pipeline.bench.settings import SCENES_FOLDER, TIMES_FILE, BenchSettings
 from recast.pipeline.layout import METRICS_FILE, use_parts
 from recast.pipeline.run_folder import RunFolder
 from recast.pipeline.scores import read_metrics, write_metrics

@@ -13,6 +13,7 @@ from recast.core import Artefact, Store, open_store
 from recast.core.ray_cluster import fetch_parcel, node_folder, send_parcel, worker_pool
 from recast.core.remote import Fetch, ParcelDepot, pack
 from recast.core.store import NotInStoreError
+from recast.pipeline.bench.grid import BenchSettings
 from recast.pipeline.bench.scene_run import (
     Outcome,
     RolloutTask,
@@ -21,7 +22,6 @@ from recast.pipeline.bench.scene_run import (
     Task,
     log_artefact,
 )
-from recast.pipeline.bench.settings import BenchSettings
 from recast.pipeline.rollouts import is_failure
 from recast.pipeline.run import STORE_FOLDER
 from recast.pipeline.sources import Sources

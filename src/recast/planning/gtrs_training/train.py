@@ -32,7 +32,7 @@ from recast.planning.gtrs_training.task import (
     PlannerTrainingConfig,
     first_model,
 )
-from recast.recar.progress import TrainingDisplay
+from recast.recar.progress import TrainingBar
 from recast.recar.training.loop import train
 from recast.recar.training.output import hash_files
 from recast.recar.training.state import TrainingState
@@ -109,7 +109,7 @@ def train_planner(
         sheet = decision_sheet(task, _spread(shown, _SHEET_ROWS), config.scoring)
         write_bytes(out / "sheets" / f"{name}.png", encode_rgb(sheet))
 
-    with TrainingDisplay("planner", trainer.steps, console) as display:
+    with TrainingBar("planner", trainer.steps, console) as display:
 
         def after_step(state: TrainingState) -> None:
             display.step(state.step)

@@ -25,7 +25,7 @@ from recast.recar.ingest.folder import check_sizes, photographs_of
 from recast.recar.ingest.photograph import BackgroundRemover, Candidate, Prepared, prepare
 from recast.recar.ingest.settings import LAYOUTS, IngestSettings, VehicleRow, find_table, read_table
 from recast.recar.ingest.walkaround import pick_photographs
-from recast.recar.record import IDENTITY_FILE, IdentityRecord, SetRecord, split_of, view_file
+from recast.recar.set_records import IDENTITY_FILE, IdentityRecord, SetRecord, split_of, view_file
 from recast.recar.vehicle_set import (
     Identity,
     VehicleSet,

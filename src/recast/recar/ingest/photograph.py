@@ -21,7 +21,7 @@ from recast.core.errors import InputError
 from recast.core.files import disk_errors
 from recast.recar.ingest.duplicates import Hashes, first_twice, perceptual_hash
 from recast.recar.ingest.settings import IngestSettings, VehicleRow
-from recast.recar.record import LARGEST_SIDE
+from recast.recar.set_records import LARGEST_SIDE
 from recast.recar.views import Image, encode_picture
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")

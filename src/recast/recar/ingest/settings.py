@@ -16,7 +16,7 @@ from recast.core import files
 from recast.core.errors import InputError
 from recast.core.records import Record, validation_error
 from recast.recar.ingest.duplicates import BITS, DUPLICATE_BITS
-from recast.recar.record import (
+from recast.recar.set_records import (
     HELD_OUT_SHARE,
     LARGEST_SIDE,
     MOST_VIEWS,

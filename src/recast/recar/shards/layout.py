@@ -14,7 +14,7 @@ from pydantic import Field
 from recast.core.errors import InputError
 from recast.core.files import JSON_LIMIT, disk_errors, parse_json, read_bytes
 from recast.core.records import Record, parse_record
-from recast.recar.record import (
+from recast.recar.set_records import (
     IDENTITY_FILE,
     SET_VERSION,
     IdentityName,

@@ -14,7 +14,7 @@ from recast.core.errors import InputError
 from recast.core.files import disk_errors
 from recast.core.progress import Progress, tell
 from recast.core.records import read_record
-from recast.recar.record import (
+from recast.recar.set_records import (
     IDENTITY_FILE,
     SPLITS,
     SetRecord,

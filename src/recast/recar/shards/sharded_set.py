@@ -11,7 +11,7 @@ import numpy as np
 
 from recast.core.errors import InputError
 from recast.core.records import read_record
-from recast.recar.record import IdentityRecord, SetRecord, Split
+from recast.recar.set_records import IdentityRecord, SetRecord, Split
 from recast.recar.shards.layout import (
     INDEX_FILE,
     MEND,

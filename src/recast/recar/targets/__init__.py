@@ -7,8 +7,7 @@ from recast.recar.targets.builder import (
     target_table,
 )
 from recast.recar.targets.cache import ChannelStatistics, Target, TargetCache
-from recast.recar.targets.quality import Candidate, Quality, QualityScore
-from recast.recar.targets.record import (
+from recast.recar.targets.cache_records import (
     CacheRecord,
     FilterRecord,
     FilterSettings,
@@ -18,6 +17,7 @@ from recast.recar.targets.record import (
     TargetSettings,
     identity_seed,
 )
+from recast.recar.targets.quality import Candidate, Quality, QualityScore
 
 __all__ = [
     "CacheRecord",

@@ -19,10 +19,10 @@ from recast.core.errors import InputError, printable
 from recast.core.progress import Progress, tell
 from recast.core.ray_cluster import worker_pool
 from recast.core.workers import in_this_process
-from recast.recar.record import SPLITS, first_difference
+from recast.recar.set_records import SPLITS, first_difference
 from recast.recar.targets.cache import TargetCache
+from recast.recar.targets.cache_records import CACHE_FILE, CacheRecord, ModelSource, TargetSettings
 from recast.recar.targets.maker import VehicleTask, absolute, filter_record, start_maker
-from recast.recar.targets.record import CACHE_FILE, CacheRecord, ModelSource, TargetSettings
 from recast.recar.targets.views import encoded_view, nearest_views
 from recast.recar.views import VehicleSource
 from recast.trellis.generation import TRAINED_VOXEL_SHARE

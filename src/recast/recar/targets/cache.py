@@ -20,9 +20,8 @@ from recast.arrays import Array
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.records import read_record
-from recast.recar.record import Split
-from recast.recar.targets.decisions import Decision, Screening
-from recast.recar.targets.record import (
+from recast.recar.set_records import Split
+from recast.recar.targets.cache_records import (
     CACHE_FILE,
     CACHE_FORMAT,
     CACHE_VERSION,
@@ -32,6 +31,7 @@ from recast.recar.targets.record import (
     CacheRecord,
     TargetRecord,
 )
+from recast.recar.targets.decisions import Decision, Screening
 from recast.recar.views import write_arrays
 from recast.tables import read_npz
 

@@ -17,7 +17,7 @@ from recast.core import files
 from recast.core.errors import InputError
 from recast.core.files import disk_errors
 from recast.core.records import Record, read_record
-from recast.recar.record import IdentityName, is_identity_name
+from recast.recar.set_records import IdentityName, is_identity_name
 
 SCREENING_FILE = "screening.json"
 SCREENING_FORMAT = "recast-screening"

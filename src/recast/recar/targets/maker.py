@@ -10,8 +10,16 @@ import numpy as np
 import torch
 
 from recast.core.errors import InputError
-from recast.recar.record import Split
+from recast.recar.set_records import Split
 from recast.recar.targets.cache import Target
+from recast.recar.targets.cache_records import (
+    FilterRecord,
+    FilterSettings,
+    ModelSource,
+    TargetRecord,
+    TargetSettings,
+    identity_seed,
+)
 from recast.recar.targets.quality import (
     AestheticScore,
     AgreementScore,
@@ -19,14 +27,6 @@ from recast.recar.targets.quality import (
     Quality,
     QualityScore,
     weight_hashes,
-)
-from recast.recar.targets.record import (
-    FilterRecord,
-    FilterSettings,
-    ModelSource,
-    TargetRecord,
-    TargetSettings,
-    identity_seed,
 )
 from recast.recar.targets.views import (
     EncodedView,

@@ -22,7 +22,7 @@ from recast.core.files import read_json
 from recast.core.torch_file import read_tensors
 from recast.pretrained import ClipImages
 from recast.recar.targets.cache import Target
-from recast.recar.targets.record import file_hash
+from recast.recar.targets.cache_records import file_hash
 from recast.recar.targets.views import (
     Cutout,
     Viewpoint,

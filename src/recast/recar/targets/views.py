@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from recast.core.errors import InputError
 from recast.geometry import se3
-from recast.recar.record import SetRecord
-from recast.recar.targets.record import VIEWS_DEG
+from recast.recar.set_records import SetRecord
+from recast.recar.targets.cache_records import VIEWS_DEG
 from recast.recar.views import (
     ELEVATION_DEG,
     FOV_DEG,

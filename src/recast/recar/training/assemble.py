@@ -15,7 +15,7 @@ from recast.core.files import write_json
 from recast.core.progress import Progress, tell
 from recast.recar.targets import CacheRecord, ModelSource, Target, TargetCache, TargetRecord
 from recast.recar.targets.cache import ChannelMoments
-from recast.recar.targets.record import CACHE_FILE
+from recast.recar.targets.cache_records import CACHE_FILE
 from recast.recar.training.assets import AssetStore, TrainingAsset, occupancy, voxel_features
 from recast.recar.training.recipe import (
     REPORT_FILE,
@@ -34,7 +34,7 @@ from recast.trellis.checkpoints import (
     save_checkpoint,
 )
 from recast.trellis.checkpoints.model_files import model_files
-from recast.trellis.checkpoints.record import (
+from recast.trellis.checkpoints.pipeline_record import (
     GAUSSIAN_DECODER,
     IMAGE_ENCODER,
     LATENT_ENCODER,

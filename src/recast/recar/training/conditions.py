@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from recast.core.errors import InputError
-from recast.recar.record import SET_FILE, Split
+from recast.recar.set_records import SET_FILE, Split
 from recast.recar.shards.layout import INDEX_FILE
 from recast.recar.shards.sharded_set import open_set
 from recast.recar.training.assets import TrainingAsset, read_asset

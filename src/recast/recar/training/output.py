@@ -18,7 +18,7 @@ from recast.core.records import Record, read_record
 from recast.recar.training.stage_config import FlowName, StageConfig
 from recast.trellis.checkpoints import PipelineRecord, save_model
 from recast.trellis.checkpoints.load import BACKBONE_FOLDER
-from recast.trellis.checkpoints.record import PIPELINE_FILE
+from recast.trellis.checkpoints.pipeline_record import PIPELINE_FILE
 from recast.trellis.models import TrellisModel
 
 RECORD_FILE = "training.json"

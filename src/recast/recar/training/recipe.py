@@ -30,7 +30,7 @@ from recast.recar.training.task import TrainerSettings, TrainingTask
 from recast.scene import psnr
 from recast.trellis import crop_to_object
 from recast.trellis.checkpoints import SMALL, new_checkpoint, save_model
-from recast.trellis.checkpoints.record import (
+from recast.trellis.checkpoints.pipeline_record import (
     GAUSSIAN_DECODER,
     IMAGE_ENCODER,
     LATENT_ENCODER,

@@ -13,7 +13,7 @@ from torch import nn
 
 from recast.core.errors import InputError
 from recast.recar.perturb import PerturbationConfig, perturb
-from recast.recar.progress import TrainingDisplay, tensorboard_writer
+from recast.recar.progress import TrainingBar, tensorboard_writer
 from recast.recar.training.conditions import ConditionTokens, Perturb
 from recast.recar.training.flow_task import ConditionGap, Flow, FlowTask, LatentFlow, StructureFlow
 from recast.recar.training.loop import Processes, train
@@ -29,7 +29,7 @@ from recast.recar.training.stage_parts import StageParts, StageRequest, open_sta
 from recast.recar.training.state import TrainingState, steps_done
 from recast.recar.training.task import LOG_FILE, Means, TrainerSettings, read_log_lines
 from recast.recar.views import Image
-from recast.trellis.checkpoints.record import LATENT_FLOW, STRUCTURE_FLOW
+from recast.trellis.checkpoints.pipeline_record import LATENT_FLOW, STRUCTURE_FLOW
 from recast.trellis.generation import Stopwatch
 
 ROLES: dict[FlowName, str] = {"structure": STRUCTURE_FLOW, "latent": LATENT_FLOW}
@@ -149,7 +149,7 @@ class _Stage:
         if self.processes.first and min(len(held_out), self.config.probe) >= 2:
             probe = ConditionGap(task, task.tokens, held_out[: self.config.probe])
         sheets = self._sheets(name, task.tokens) if self.processes.first else None
-        with TrainingDisplay(name, settings.steps, self.console, self.writer) as display:
+        with TrainingBar(name, settings.steps, self.console, self.writer) as display:
 
             def after_step(state: TrainingState) -> None:
                 display.step(state.step)

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from recast.core.errors import InputError
-from recast.recar.record import SET_FILE
+from recast.recar.set_records import SET_FILE
 from recast.recar.shards.layout import INDEX_FILE
 from recast.recar.targets import TargetCache
 from recast.recar.training.conditions import (

@@ -2,7 +2,7 @@
 
 from recast.trellis.checkpoints.load import Checkpoint, export_model, load_checkpoint, load_model
 from recast.trellis.checkpoints.model_files import ModelCheck, build, save_checkpoint, save_model
-from recast.trellis.checkpoints.record import (
+from recast.trellis.checkpoints.pipeline_record import (
     GENERATION_ROLES,
     OPTIONAL_ROLES,
     PipelineRecord,

@@ -15,7 +15,7 @@ import torch
 from recast.core.errors import InputError
 from recast.core.torch_file import read_safetensors
 from recast.trellis.checkpoints.model_files import ModelFiles, model_files, save_checkpoint
-from recast.trellis.checkpoints.record import (
+from recast.trellis.checkpoints.pipeline_record import (
     GAUSSIAN_DECODER,
     GENERATION_ROLES,
     LATENT_ENCODER,

@@ -21,7 +21,7 @@ from recast.core.errors import InputError
 from recast.core.files import atomic_folder, read_json, write_json
 from recast.core.records import validation_error
 from recast.core.torch_file import DTYPES, read_header, state_error, state_faults
-from recast.trellis.checkpoints.record import PIPELINE_FILE, PipelineRecord, write_pipeline
+from recast.trellis.checkpoints.pipeline_record import PIPELINE_FILE, PipelineRecord, write_pipeline
 from recast.trellis.conditioning import CompactImageEncoder, Dinov2Encoder
 from recast.trellis.models import (
     SLatEncoder,

@@ -11,7 +11,7 @@ import torch
 
 from recast.trellis.checkpoints.load import Checkpoint
 from recast.trellis.checkpoints.model_files import build
-from recast.trellis.checkpoints.record import (
+from recast.trellis.checkpoints.pipeline_record import (
     GAUSSIAN_DECODER,
     IMAGE_ENCODER,
     LATENT_ENCODER,

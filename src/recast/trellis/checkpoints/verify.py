@@ -13,7 +13,7 @@ from recast.core.errors import InputError
 from recast.core.torch_file import read_safetensors
 from recast.trellis.checkpoints.load import BACKBONE_FOLDER, check_agreement
 from recast.trellis.checkpoints.model_files import ModelCheck, model_files
-from recast.trellis.checkpoints.record import (
+from recast.trellis.checkpoints.pipeline_record import (
     GENERATION_ROLES,
     OPTIONAL_ROLES,
     PIPELINE_FILE,

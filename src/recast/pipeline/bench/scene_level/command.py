@@ -39,16 +39,16 @@ from recast.evaluation.scene_level.scores import (
 )
 from recast.evaluation.scene_level.summary import LevelRow, MeasuredScene, summarise
 from recast.pipeline.bench.closed_loop import check_grid
+from recast.pipeline.bench.grid import RESULTS_FILE, begin
 from recast.pipeline.bench.results import broken_name
+from recast.pipeline.bench.scene_level.request import LevelSettings
 from recast.pipeline.bench.scene_level.scene import FEATURES, FRAMES, REFERENCES, REPLAY, shown_file
-from recast.pipeline.bench.scene_level.settings import LevelSettings
 from recast.pipeline.bench.scene_level.worker import (
     LevelTasks,
     LevelWorker,
     measured,
 )
 from recast.pipeline.bench.scene_run import Outcome, Task
-from recast.pipeline.bench.settings import RESULTS_FILE, begin
 from recast.pipeline.bench.worker import Workers
 from recast.pipeline.display import narrow_table
 from recast.pipeline.layout import use_name

@@ -32,7 +32,7 @@ from recast.evaluation.scene_level.frames import (
 from recast.evaluation.scene_level.scores import FEATURES_FILE, Networks, SeenImage, save_features
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.pipeline.arms import Arm
-from recast.pipeline.bench.scene_level.settings import (
+from recast.pipeline.bench.scene_level.request import (
     DRIVER,
     LEVEL_FORMAT,
     DepthOf,

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass
 from recast.core import Artefact, Store
 from recast.core.remote import Fetch
 from recast.evaluation.scene_level.scores import Networks
+from recast.pipeline.bench.scene_level.request import LevelSettings
 from recast.pipeline.bench.scene_level.scene import FEATURES, REFERENCES, REPLAY, LevelScene
-from recast.pipeline.bench.scene_level.settings import LevelSettings
 from recast.pipeline.bench.scene_run import Outcome, RolloutTimes, SceneRun, Task
 from recast.pipeline.bench.worker import BenchWorker
 

@@ -11,12 +11,12 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, FiniteFloat
 
 from recast.core.records import Record
-from recast.recar.record import IdentityName, Split, Text
+from recast.recar.set_records import IdentityName, Split, Text
 from recast.trellis import ImageTo3D, MultiImageMode, SamplerSettings
 from recast.trellis.checkpoints import GENERATION_ROLES, PipelineRecord, read_pipeline
 from recast.trellis.checkpoints.load import BACKBONE_FOLDER
 from recast.trellis.checkpoints.model_files import model_files
-from recast.trellis.checkpoints.record import LATENT_FLOW, PIPELINE_FILE
+from recast.trellis.checkpoints.pipeline_record import LATENT_FLOW, PIPELINE_FILE
 
 FilterKind = Literal["agreement", "aesthetic", "none"]
 Heading = Literal["any", "+x"]
