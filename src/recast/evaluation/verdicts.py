@@ -68,7 +68,7 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class VerdictAgreement:
+class VerdictCounts:
     """The verdicts of a planner under an arm.
 
     Attributes:
@@ -113,9 +113,7 @@ def verdicts(rows: Sequence[GridRow], truth: str | None) -> list[Verdict | None]
     return [None if r.arm == truth else _verdict(r, true.get(r.scenario)) for r in rows]
 
 
-def agreements(
-    rows: Sequence[GridRow], truth: str, samples: int, seed: int
-) -> list[VerdictAgreement]:
+def agreements(rows: Sequence[GridRow], truth: str, samples: int, seed: int) -> list[VerdictCounts]:
     """A line for each planner and arm with a rollout to compare, in the order of the rows.
 
     Args:
@@ -147,7 +145,7 @@ def _verdict(row: GridRow, truth: GridRow | None) -> Verdict | None:
 
 def _agreement(
     compared: Sequence[tuple[GridRow, Verdict]], asked: int, samples: int, seed: int
-) -> VerdictAgreement:
+) -> VerdictCounts:
     same: dict[str, list[float]] = {}
     errors: dict[str, list[float]] = {}
     for row, verdict in compared:
@@ -159,7 +157,7 @@ def _agreement(
         return cluster_bootstrap(list(scenes.values()), np.random.default_rng(seed), samples)
 
     wrong = [verdict for _, verdict in compared if not verdict.agrees]
-    return VerdictAgreement(
+    return VerdictCounts(
         planner=compared[0][0].planner,
         arm=compared[0][0].arm,
         asked=asked,

@@ -10,7 +10,7 @@ from recast.cli.output import Rows, with_unit
 from recast.evaluation import COLUMNS
 from recast.evaluation.pairs import Bootstrap
 from recast.evaluation.scene_level.summary import LevelRow
-from recast.evaluation.verdicts import VerdictAgreement
+from recast.evaluation.verdicts import VerdictCounts
 from recast.pipeline.bench.results import GridResults
 from recast.pipeline.layout import METRICS_FILE
 from recast.pipeline.scores import read_metrics
@@ -106,7 +106,7 @@ def _interval(name: str, interval: Bootstrap | None) -> dict[str, float | None]:
     return {f"{name}_low": interval.low, f"{name}_high": interval.high}
 
 
-def _verdicts(one: VerdictAgreement) -> dict[str, Any]:
+def _verdicts(one: VerdictCounts) -> dict[str, Any]:
     error = one.ttc_error
     return {
         "planner": one.planner,

@@ -17,7 +17,7 @@ from recast.evaluation.grid import (
 )
 from recast.evaluation.pairs import Bootstrap
 from recast.evaluation.table import COLUMNS, rounded
-from recast.evaluation.verdicts import VerdictAgreement, agreements
+from recast.evaluation.verdicts import VerdictCounts, agreements
 from recast.pipeline.arms import truth_of
 from recast.pipeline.bench.grid import BENCH_FORMAT, BENCH_VERSION, BenchSettings
 from recast.pipeline.display import narrow_table
@@ -38,7 +38,7 @@ class GridResults:
     rows: tuple[GridRow, ...]
     table: tuple[ArmSummary, ...]
     differences: tuple[PairedDifference, ...]
-    truth: tuple[VerdictAgreement, ...]
+    truth: tuple[VerdictCounts, ...]
 
 
 def summarise(rows: Sequence[GridRow], settings: BenchSettings) -> GridResults:
@@ -87,7 +87,7 @@ def _line(line: ArmSummary) -> dict[str, Any]:
     }
 
 
-def _agreement(one: VerdictAgreement) -> dict[str, Any]:
+def _agreement(one: VerdictCounts) -> dict[str, Any]:
     return {
         **{k: v for k, v in vars(one).items() if not isinstance(v, Bootstrap)},
         "share": _interval(one.share),
@@ -151,7 +151,7 @@ def differences_table(differences: Sequence[PairedDifference]) -> Table:
     return table
 
 
-def truth_table(lines: Sequence[VerdictAgreement]) -> Table:
+def truth_table(lines: Sequence[VerdictCounts]) -> Table:
     """A line for each arm: whether its rollouts end as the truth's do.
 
     False are collisions that the truth's rollouts do not have, missed are those that they have.
@@ -213,7 +213,7 @@ def _mean(line: ArmSummary, name: str) -> str:
     return "\n".join(shown)
 
 
-def _pairs(one: PairedDifference | VerdictAgreement) -> str:
+def _pairs(one: PairedDifference | VerdictCounts) -> str:
     """How many of how many, and how many of them end where one of the two was cut."""
     pairs = f"{one.pairs}/{one.asked}"
     return f"{pairs}\n{one.cut} cut" if one.cut else pairs
