@@ -11,7 +11,9 @@ from rich.console import Console
 
 from recast.core.errors import InputError
 from recast.pipeline.run import DemoSize, demo
+from recast.pipeline.sources import drive_log
 from recast.reporting.video import read_video
+from recast.synthetic import make_world
 
 SCENE = "urban-straight"
 TINY = DemoSize(2.0, 192, 128, ("front",), 40, ("cut-in-a",), 10, "idm-follower")
@@ -73,9 +75,12 @@ def test_what_is_there_is_used_again(finished: Path) -> None:
     assert {p: p.stat().st_mtime_ns for p in finished.rglob("*.mp4")} == files
 
 
-def test_another_demo_in_the_same_folder_is_refused(finished: Path) -> None:
+def test_another_demo_in_the_same_folder_is_refused(tmp_path: Path) -> None:
+    world = make_world(SCENE, 1, TINY.seconds)
+    size = TINY.width, TINY.height
+    drive_log(world, tmp_path / "log", size, TINY.cameras, 1, Console(quiet=True))
     with pytest.raises(InputError, match="another drive"):
-        run(finished, seed=2)
+        run(tmp_path, seed=2)
 
 
 def test_an_unknown_scene_lists_the_known_ones(tmp_path: Path) -> None:
