@@ -10,7 +10,6 @@ from itertools import pairwise
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike
-from shapely.ops import substring
 
 from recast.arrays import Array
 from recast.geometry import se2
@@ -79,7 +78,12 @@ class LanePath:
         inside = (start <= self.progress) & (self.progress <= end)
         if vertices_only and np.count_nonzero(inside) >= 2:
             return shapely.LineString(self.poses[inside, :2])
-        return substring(self.line, start, end)
+        ends = shapely.line_interpolate_point(self.line, [start, end])
+        if start == end:
+            return ends[0]
+        first, last = shapely.get_coordinates(ends)
+        between = self.poses[(start < self.progress) & (self.progress < end), :2]
+        return shapely.LineString(np.vstack([first, between, last]))
 
     def shifted(self, offset: float) -> LanePath:
         """The parallel path `offset` metres to the left; every pose keeps its heading."""

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
-from recast.arrays import Array, BoolArray
+from recast.arrays import Array, BoolArray, Int64Array
 from recast.dynamics import VehicleParameters
 from recast.geometry import boxes, se2
 from recast.planning.map import PlannerMap
@@ -66,19 +66,6 @@ class Obstacle:
         """Metres per second; 0 for static objects."""
         return float(np.hypot(*self.velocity)) if self.kind.moves else 0.0
 
-    @property
-    def drift(self) -> Array:
-        """Velocity (2,) of the forecast: the speed along the box's heading.
-
-        Against it where the velocity points backwards.
-        """
-        if self.speed == 0.0:
-            return np.zeros(2)
-        course = np.arctan2(self.velocity[1], self.velocity[0])
-        forward = abs(float(se2.wrap_angle(self.pose[2] - course))) < np.pi / 2
-        heading = self.pose[2] if forward else self.pose[2] + np.pi
-        return self.speed * np.array([np.cos(heading), np.sin(heading)])
-
 
 @dataclass(frozen=True)
 class Forecast:
@@ -99,17 +86,48 @@ class Forecast:
     ignored: NDArray[np.bool_]
 
     @cached_property
-    def _trees(self) -> list[shapely.STRtree]:
-        return [shapely.STRtree(row) for row in self.polygons]
+    def red(self) -> BoolArray:
+        """(n,) which are red lights."""
+        return np.array([kind is Kind.RED_LIGHT for kind in self.kinds], np.bool_)
 
     def at(self, step: int) -> NDArray[np.object_]:
         """The polygons (n,) at a step."""
         return self.polygons[step // STRIDE]
 
-    def touching(self, step: int, shapes: NDArray[np.object_]) -> list[tuple[int, int]]:
-        """Pairs (index of shape, index of obstacle) that meet at a step; shapes in order."""
-        rows, columns = self._trees[step // STRIDE].query(shapes, predicate="intersects")
-        return sorted(zip(rows.tolist(), columns.tolist(), strict=True))
+    def first_contacts(self, corners: Array, steps: Int64Array, counted: BoolArray) -> Int64Array:
+        """Index (P, n) of the first look at which a box meets an obstacle; L where none does.
+
+        Ignored obstacles and red lights are met by nobody.
+
+        Args:
+            corners: (P, L, 4, 2) of P boxes at L looks.
+            steps: (L,) of the forecast, for each look.
+            counted: (P, L) looks that count.
+        """
+        looks, maps = corners.shape[1], steps // STRIDE
+        shapes = np.flatnonzero(~(self.ignored | self.red))
+        found = np.full((len(corners), len(self.tokens)), looks)
+        # In the order of box, obstacle, look.
+        left, bottom, right, top = shapely.bounds(self.polygons[:, shapes]).T[:, :, maps]
+        low, high = corners.min(axis=2)[:, None], corners.max(axis=2)[:, None]
+        near = (low[..., 0] <= right) & (high[..., 0] >= left)
+        near &= (low[..., 1] <= top) & (high[..., 1] >= bottom)
+        near &= counted[:, None]
+        p, i, look = np.nonzero(near)
+        k = shapes[i]
+        # Exact tests are dear, and only the first hit of each pair is wanted: ever more looks at a
+        # time, until all pairs have met or have none left.
+        pair = p * len(self.tokens) + k
+        rank = np.arange(len(pair)) - np.searchsorted(pair, pair)
+        begin, count = 0, 1
+        while begin <= rank.max(initial=-1):
+            tried = (begin <= rank) & (rank < begin + count) & (found[p, k] == looks)
+            at = np.flatnonzero(tried)
+            boxes_then = shapely.polygons(corners[p[at], look[at]])
+            met = at[shapely.intersects(boxes_then, self.polygons[maps[look[at]], k[at]])]
+            np.minimum.at(found, (p[met], k[met]), look[met])
+            begin, count = begin + count, 2 * count
+        return found
 
 
 def forecast(
@@ -139,31 +157,39 @@ def forecast(
     count = len(chosen)
     times = dt * STRIDE * np.arange(-(-steps // STRIDE) + 1)
     polygons = np.empty((len(times), count + len(red_lights)), np.object_)
+    zeros = [0.0] * len(red_lights)
+    speeds = np.array([*(o.speed for o in chosen), *zeros])
     if count:
-        corners = np.stack([boxes.bev_corners(o.pose, o.size[0], o.size[1]) for o in chosen])
-        drift = np.stack([o.drift for o in chosen])
+        poses = np.stack([o.pose for o in chosen])
+        length, width = np.array([o.size[:2] for o in chosen]).T
+        drift = _drift(poses[:, 2], np.stack([o.velocity for o in chosen]), speeds[:count])
+        corners = boxes.bev_corners(poses, length, width)
         moved = corners + times[:, None, None, None] * drift[:, None, :]
         polygons[:, :count] = shapely.polygons(moved)
     for i, (_, polygon) in enumerate(red_lights):
         polygons[:, count + i] = polygon
     tokens = (*(o.token for o in chosen), *(RED_LIGHT + lane for lane, _ in red_lights))
     kinds = (*(o.kind for o in chosen), *(Kind.RED_LIGHT for _ in red_lights))
-    ignored = np.zeros(len(tokens), np.bool_)
-    for i, (token, kind) in enumerate(zip(tokens, kinds, strict=True)):
-        shape = polygons[0, i]
-        red = kind is Kind.RED_LIGHT
-        touched = shapely.within(ego, shape) if red else shapely.intersects(ego, shape)
-        ignored[i] = touched or token in collided
+    known = np.array([token in collided for token in tokens], np.bool_)
+    ignored = known | shapely.intersects(ego, polygons[0])
+    ignored[count:] = known[count:] | shapely.within(ego, polygons[0, count:])
     collided.update(token for token, gone in zip(tokens, ignored, strict=True) if gone)
-    zeros = np.zeros(len(red_lights))
-    return Forecast(
-        tokens,
-        kinds,
-        np.array([*(float(o.pose[2]) for o in chosen), *zeros]),
-        np.array([*(o.speed for o in chosen), *zeros]),
-        polygons,
-        ignored,
-    )
+    headings = np.array([*(float(o.pose[2]) for o in chosen), *zeros])
+    return Forecast(tokens, kinds, headings, speeds, polygons, ignored)
+
+
+def _drift(headings: Array, velocities: Array, speeds: Array) -> Array:
+    """Velocities (n, 2) of the forecast: the speed along the box's heading.
+
+    Against it where the velocity points backwards.
+
+    Args:
+        headings, velocities, speeds: (n,), (n, 2) and (n,) now; speed 0 for what stands.
+    """
+    course = np.arctan2(velocities[:, 1], velocities[:, 0])
+    forward = np.abs(se2.wrap_angle(headings - course)) < np.pi / 2
+    heading = np.where(forward, headings, headings + np.pi)
+    return speeds[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
 
 
 def _nearest(

@@ -9,14 +9,14 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from recast.arrays import Array
+from recast.arrays import Array, BoolArray, Int64Array
 from recast.dynamics import IdmParameters, TrackerConfig, VehicleParameters, idm_step
 from recast.dynamics import state as ego
 from recast.dynamics.idm import PDM_BATCH
 from recast.dynamics.tracker import DEFAULT, PDM_REFERENCE
 from recast.geometry import se2
 from recast.planning.pdm.centreline import LanePath
-from recast.planning.pdm.forecast import STRIDE, Forecast, Kind, box_corners
+from recast.planning.pdm.forecast import STRIDE, Forecast, box_corners
 
 DT = 0.1
 """Seconds per step. Its windows and look-aheads are counted in steps of this length."""
@@ -99,6 +99,7 @@ class Unroll:
         self._per_path = len(speeds)
         self._targets = np.tile(speeds, len(paths))
         quirks = config.reference_quirks
+        self._lengths = np.array([path.length for path in paths])
         self._reach = vehicle.length / 2 if quirks else vehicle.front_length
         shape = (len(self._targets), config.plan_steps + 1)
         self.states, self.leads = np.zeros((*shape, 2)), np.zeros((*shape, 3))
@@ -106,74 +107,104 @@ class Unroll:
         self.states[:, 0, 0] = np.repeat(start, self._per_path)
         self.states[:, 0, 1] = state[ego.VX]
         reach = speeds.max() * config.plan_steps * DT
-        self._corridors = [
-            shapely.buffer(
-                path.stretch(s, s + reach, vertices_only=quirks),
-                vehicle.width / 2,
-                cap_style="square",
-            )
+        stretches = [
+            path.stretch(s, s + reach, vertices_only=quirks)
             for path, s in zip(paths, start, strict=True)
         ]
+        self._corridors = shapely.buffer(stretches, vehicle.width / 2, cap_style="square")
         shapely.prepare(self._corridors)
-        for first in range(0, len(self._targets), self._per_path):
-            rows = list(range(first, first + self._per_path))
-            for step in range(1, config.proposal_steps + 1):
-                self._advance(rows, step)
+        self._advance(np.arange(len(self._targets)), 1, config.proposal_steps)
 
     def extend(self, proposal: int) -> None:
         """Unroll one proposal to the length of a plan."""
-        for step in range(self._config.proposal_steps + 1, self._config.plan_steps + 1):
-            self._advance([proposal], step)
+        first = self._config.proposal_steps + 1
+        self._advance(np.array([proposal]), first, self._config.plan_steps)
 
     def poses(self, proposals: Sequence[int], steps: int) -> Array:
         """World poses (len(proposals), steps + 1, 3) of the rear axle on the paths."""
-        return np.stack(
-            [self._paths[p // self._per_path].at(self.states[p, : steps + 1, 0]) for p in proposals]
-        )
+        rows = np.asarray(proposals)
+        return self._on_paths(rows, self.states[rows, : steps + 1, 0])
 
-    def _advance(self, rows: list[int], step: int) -> None:
-        config = self._config
-        if step % STRIDE == 0 or (step == 1 and not config.reference_quirks):
-            self._refresh(rows, step)
-        else:
-            self.leads[rows, step] = self.leads[rows, step - 1]
-        moved = idm_step(
-            self.states[rows, step - 1],
-            self.leads[rows, step],
-            self._targets[rows],
-            config.idm,
-            DT,
-        )
-        if not config.reference_quirks:
-            moved[:, 1] = np.maximum(moved[:, 1], 0.0)
-        self.states[rows, step] = moved
+    def _on_paths(self, rows: Int64Array, progress: Array) -> Array:
+        """Poses (R, ..., 3) at progress (R, ...) of some proposals (R,), each on its own path."""
+        found = np.empty((*progress.shape, 3))
+        which = rows // self._per_path
+        for i in set(which.tolist()):
+            found[which == i] = self._paths[i].at(progress[which == i])
+        return found
 
-    def _refresh(self, rows: list[int], step: int) -> None:
-        """Find the leads (rows of one path) among what is in the corridor at a step."""
-        path, forecast = self._paths[rows[0] // self._per_path], self._forecast
-        shapes = forecast.at(step)
-        corridor = self._corridors[rows[0] // self._per_path]
-        inside = np.flatnonzero(shapely.intersects(corridor, shapes) & ~forecast.ignored)
-        centres = shapely.get_coordinates(shapely.centroid(shapes[inside]))
-        progress = path.project(centres)
-        before = self.states[rows, step - 1, 0]
-        poses = path.at(before)
+    def _advance(self, rows: Int64Array, first: int, last: int) -> None:
+        """Unroll some proposals (R,) side by side, from one step to another."""
+        config, targets = self._config, self._targets[rows]
+        offset = first // STRIDE
+        places = self._places(np.unique(rows // self._per_path), offset, last // STRIDE)
+        state, lead = self.states[rows, first - 1], self.leads[rows, first - 1]
+        for step in range(first, last + 1):
+            if step % STRIDE == 0 or (step == 1 and not config.reference_quirks):
+                lead = self._lead(rows, state[:, 0], places[:, step // STRIDE - offset], step)
+            state = idm_step(state, lead, targets, config.idm, DT)
+            if not config.reference_quirks:
+                np.maximum(state[:, 1], 0.0, out=state[:, 1])
+            self.states[rows, step], self.leads[rows, step] = state, lead
+
+    def _places(self, paths: Int64Array, first: int, last: int) -> Array:
+        """Where obstacles are along the paths: progress (all paths, maps, n) of their centroids.
+
+        Minus infinity for other paths, and outside of the corridor.
+
+        Args:
+            paths: (K,) indices.
+            first, last: maps of the forecast, both included.
+        """
+        shapes = self._forecast.polygons[first : last + 1]
+        places = np.full((len(self._paths), *shapes.shape), -np.inf)
+        inside = shapely.intersects(self._corridors[paths, None, None], shapes)
+        inside &= ~self._forecast.ignored
+        for i, found in zip(paths.tolist(), inside, strict=True):
+            centres = shapely.get_coordinates(shapely.centroid(shapes[found]))
+            places[i, found] = self._paths[i].project(centres)
+        return places
+
+    def _lead(self, rows: Int64Array, before: Array, places: Array, step: int) -> Array:
+        """The leads (R, 3) of proposals at progress (R,), by `_places` (all paths, n) at a step."""
+        path = rows // self._per_path
+        lead = np.zeros((len(rows), 3))
+        lead[:, 0] = self._lengths[path]
+        lead[:, 2] = self._reach
+        ahead = places[path] > before[:, None]
+        follows = ahead.any(axis=1)
+        if not follows.any():
+            return lead
+        forecast, shapes = self._forecast, self._forecast.at(step)
+        followers = np.flatnonzero(follows)
+        poses = self._on_paths(rows[followers], before[followers])
         outlines = shapely.polygons(box_corners(poses, self._vehicle))
-        lead = np.zeros(3)
-        for i, row in enumerate(rows):
-            if not self._config.reference_quirks:
-                lead = np.zeros(3)
-            ahead = inside[progress > before[i]]
-            if len(ahead) == 0:
-                lead[:] = path.length, 0.0, self._reach
-            else:
-                gaps = shapely.distance(outlines[i], shapes[ahead])
-                nearest = ahead[np.argmin(gaps)]
-                lead[0] = before[i] + gaps.min()
-                if forecast.kinds[nearest] is not Kind.RED_LIGHT:
-                    turn = poses[i, 2] - forecast.headings[nearest]
-                    lead[1] = forecast.speeds[nearest] * np.cos(turn)
-            self.leads[row, step] = lead
+        gaps = np.full((len(followers), len(shapes)), np.inf)
+        i, k = np.nonzero(ahead[followers])
+        gaps[i, k] = shapely.distance(outlines[i], shapes[k])
+        nearest = gaps.argmin(axis=1)
+        lead[followers, 0] = before[followers] + gaps.min(axis=1)
+        lead[followers, 1] = forecast.speeds[nearest] * np.cos(
+            poses[:, 2] - forecast.headings[nearest]
+        )
+        lead[followers, 2] = 0.0
+        red = np.zeros(len(rows), np.bool_)
+        red[followers] = forecast.red[nearest]
+        lead[red, 1] = 0.0
+        if self._config.reference_quirks:
+            lead[:, 1] = _carried_over(lead[:, 1], ~red, path)
+            lead[:, 2] = _carried_over(lead[:, 2], ~follows, path)
+        return lead
+
+
+def _carried_over(values: Array, given: BoolArray, path: Int64Array) -> Array:
+    """Values (R,) where given, else the last given one before on the same path, else 0.
+
+    Args:
+        path: (R,) indices, not falling.
+    """
+    last = np.maximum.accumulate(np.where(given, np.arange(len(values)), -1))
+    return np.where(last >= np.searchsorted(path, path), values[last], 0.0)
 
 
 def brakes(speed: float, collision_time: float) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
-from recast.arrays import Array
+from recast.arrays import Array, Int64Array
 from recast.dynamics import VehicleParameters
 from recast.dynamics import state as ego
 from recast.dynamics.comfort import NUPLAN_LIMITS, check, savgol_signals
@@ -17,9 +17,9 @@ from recast.geometry import se2
 from recast.planning.map import PlannerMap
 from recast.planning.pdm.centreline import LanePath
 from recast.planning.pdm.forecast import (
+    STRIDE,
     EgoAreas,
     Forecast,
-    Kind,
     box_centres,
     box_corners,
     ego_areas,
@@ -163,22 +163,17 @@ def at_fault_collisions(
         areas: flags (P, T).
         forecast: covers T steps.
     """
-    verdict = _clean(len(states))
-    ignored = _ignored(len(states), forecast)
-    outlines = shapely.polygons(corners)
-    for step in range(states.shape[1]):
-        for p, k in forecast.touching(step, outlines[:, step]):
-            if ignored[p, k]:
-                continue
-            bumper = corners[p, step, [0, 3]]
-            irregular = bool(areas.irregular[p, step])
-            if _at_fault(states[p, step], bumper, irregular, forecast, step, k):
-                score = 0.0 if forecast.kinds[k].moves else 0.5
-                verdict.score[p] = min(verdict.score[p], score)
-                verdict.first_step[p] = min(verdict.first_step[p], step)
-            else:
-                ignored[p, k] = True
-    return verdict
+    count, steps = states.shape[:2]
+    first = forecast.first_contacts(corners, np.arange(steps), np.ones((count, steps), np.bool_))
+    p, k = np.nonzero(first < steps)
+    step = first[p, k]
+    state, shapes = states[p, step], forecast.polygons[step // STRIDE, k]
+    bumpers = shapely.linestrings(corners[p, step][:, [0, 3]])
+    in_front = shapely.intersects(bumpers, shapes) | areas.irregular[p, step]
+    fault = (forecast.speeds[k] <= _STOPPED) | ((_bearing(state, shapes) <= _BEHIND) & in_front)
+    fault &= np.hypot(state[:, ego.VX], state[:, ego.VY]) > _STOPPED
+    moves = np.array([kind.moves for kind in forecast.kinds], np.bool_)
+    return _verdict(count, p[fault], np.where(moves[k], 0.0, 0.5)[fault], step[fault])
 
 
 def time_to_collision(
@@ -193,56 +188,35 @@ def time_to_collision(
 
     The arguments are those of `at_fault_collisions`; the forecast covers 9 steps more.
     """
-    verdict = _clean(len(states))
-    ignored = _ignored(len(states), forecast)
+    count, steps = states.shape[:2]
     speed = np.hypot(states[..., ego.VX], states[..., ego.VY])
     heading = states[..., ego.HEADING]
     per_step = dt * speed[..., None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     moved = np.stack([corners + f * per_step[..., None, :] for f in _LOOK_AHEAD], axis=2)
-    outlines = shapely.polygons(moved)
-    exposed = areas.irregular | areas.in_intersection
-    for step in range(states.shape[1]):
-        for i, ahead in enumerate(_LOOK_AHEAD):
-            for p, k in forecast.touching(step + ahead, outlines[:, step, i]):
-                if ignored[p, k] or speed[p, step] < _STOPPED_TTC:
-                    continue
-                bearing = _bearing(states[p, step], forecast.at(step + ahead)[k])
-                if bearing < _AHEAD or (exposed[p, step] and bearing <= _BEHIND):
-                    verdict.score[p] = 0.0
-                    verdict.first_step[p] = min(verdict.first_step[p], step)
-                else:
-                    ignored[p, k] = True
+    looks = np.add.outer(np.arange(steps), _LOOK_AHEAD).ravel()
+    moving = np.repeat(speed >= _STOPPED_TTC, len(_LOOK_AHEAD), axis=1)
+    first = forecast.first_contacts(moved.reshape(count, -1, 4, 2), looks, moving)
+    p, k = np.nonzero(first < len(looks))
+    step = first[p, k] // len(_LOOK_AHEAD)
+    bearing = _bearing(states[p, step], forecast.polygons[looks[first[p, k]] // STRIDE, k])
+    exposed = (areas.irregular | areas.in_intersection)[p, step]
+    fault = (bearing < _AHEAD) | (exposed & (bearing <= _BEHIND))
+    return _verdict(count, p[fault], np.zeros(np.count_nonzero(fault)), step[fault])
+
+
+def _bearing(states: Array, shapes: NDArray[np.object_]) -> Array:
+    """Radians (N,), 0 to pi, between headings and the ways from the rear axles to centroids."""
+    x, y = shapely.get_coordinates(shapely.centroid(shapes)).T
+    course = np.arctan2(y - states[:, ego.Y], x - states[:, ego.X])
+    return np.abs(se2.wrap_angle(course - states[:, ego.HEADING]))
+
+
+def _verdict(proposals: int, p: Int64Array, scores: Array, steps: Int64Array) -> Verdict:
+    """The worst score and the first step of the faults (F,) of each proposal."""
+    verdict = Verdict(np.ones(proposals), np.full(proposals, np.inf))
+    np.minimum.at(verdict.score, p, scores)
+    np.minimum.at(verdict.first_step, p, steps)
     return verdict
-
-
-def _at_fault(
-    state: Array, bumper: Array, irregular: bool, forecast: Forecast, step: int, k: int
-) -> bool:
-    if np.hypot(state[ego.VX], state[ego.VY]) <= _STOPPED:
-        return False
-    if forecast.speeds[k] <= _STOPPED:
-        return True
-    shape = forecast.at(step)[k]
-    if _bearing(state, shape) > _BEHIND:
-        return False
-    return bool(shapely.intersects(shapely.LineString(bumper), shape)) or irregular
-
-
-def _bearing(state: Array, shape: shapely.Polygon) -> float:
-    """Radians, 0 to pi, between the heading and the way from the rear axle to the centroid."""
-    x, y = shapely.get_coordinates(shapely.centroid(shape))[0]
-    course = np.arctan2(y - state[ego.Y], x - state[ego.X])
-    return abs(float(se2.wrap_angle(course - state[ego.HEADING])))
-
-
-def _clean(proposals: int) -> Verdict:
-    return Verdict(np.ones(proposals), np.full(proposals, np.inf))
-
-
-def _ignored(proposals: int, forecast: Forecast) -> NDArray[np.bool_]:
-    """(P, n) obstacles that do not count for a proposal: touched before, or red lights."""
-    red = np.array([kind is Kind.RED_LIGHT for kind in forecast.kinds], np.bool_)
-    return np.tile(forecast.ignored | red, (proposals, 1))
 
 
 def comfort_signals(
