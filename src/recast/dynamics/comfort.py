@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,15 +44,14 @@ def savgol_signals(
         whole_window: tuplan_garage's slip: the accelerations and then the derivatives (of
             accelerations smoothed over 8) over all N samples, so that little but trends remains.
     """
-    from scipy.signal import savgol_filter  # half a second, which most commands need not wait
-
     heading = np.unwrap(np.asarray(heading, np.float64), axis=-1)
     samples = heading.shape[-1]
     acceleration_window, jerk_window = (samples, samples) if whole_window else (8, 15)
 
     def smooth(values: ArrayLike, window: int, order: int = 2, derivative: int = 0) -> Array:
-        smoothed = savgol_filter(values, window, order, deriv=derivative, delta=dt, axis=-1)
-        return np.asarray(smoothed, np.float64)
+        return np.asarray(values, np.float64) @ _savgol_matrix(
+            samples, window, order, derivative, dt
+        )
 
     return {
         "lon_accel": smooth(lon_accel, acceleration_window),
@@ -61,6 +61,15 @@ def savgol_signals(
         "lat_accel": smooth(lat_accel, acceleration_window),
         "jerk": smooth(smooth(magnitude, 8), jerk_window, derivative=1),
     }
+
+
+@lru_cache(maxsize=64)
+def _savgol_matrix(samples: int, window: int, order: int, derivative: int, dt: float) -> Array:
+    """(N, N): what each sample adds to each smoothed one; the filter is linear, ends included."""
+    from scipy.signal import savgol_filter  # half a second, which most commands need not wait
+
+    unit = np.eye(samples)
+    return np.asarray(savgol_filter(unit, window, order, deriv=derivative, delta=dt), np.float64)
 
 
 def check(

@@ -164,23 +164,31 @@ def _steering_rate(
     heading = se2.wrap_angle(state[..., ego.HEADING] - pose[..., 2])
     steering = state[..., ego.STEERING_ANGLE]
     # Carry the error through the horizon without input, and beside it its derivative with respect
-    # to the (constant) steering rate.
-    d_lateral = d_heading = d_steering = np.zeros_like(lateral)
-    last = profile.curvature.shape[-1] - 1
-    for k in range(steps):
-        speed = state[..., ego.VX] + k * dt * acceleration
-        step = speed * dt
-        curvature = profile.curvature[..., min(index + k, last)]
-        lateral, d_lateral = lateral + step * heading, d_lateral + step * d_heading
-        heading = heading + step * (steering / vehicle.wheelbase - curvature)
-        d_heading = d_heading + step * d_steering / vehicle.wheelbase
-        d_steering = d_steering + dt
+    # to the (constant) steering rate: running sums over steps, which are the leading axis.
+    horizon = np.arange(steps)
+    steady = (steps, *(1,) * lateral.ndim)
+    ahead = np.minimum(index + horizon, profile.curvature.shape[-1] - 1)
+    curvature = np.moveaxis(profile.curvature[..., ahead], -1, 0)
+    step = (state[..., ego.VX] + (horizon * dt).reshape(steady) * acceleration) * dt
+    headings = _running(heading, step * (steering / vehicle.wheelbase - curvature))
+    lateral = _running(lateral, step * headings[:-1])[-1]
+    d_steering = _running(0.0, np.full(steady, dt))
+    d_heading = _running(0.0, step * d_steering[:-1] / vehicle.wheelbase)
+    d_lateral = _running(0.0, step * d_heading[:-1])[-1]
+    heading, d_heading, d_steering = headings[-1], d_heading[-1], d_steering[-1]
     error = (lateral, se2.wrap_angle(heading), se2.wrap_angle(steering))
     derivative = (d_lateral, d_heading, d_steering)
     slope, curve = np.zeros_like(lateral), np.full_like(lateral, weights.r_lateral)
     for q, e, d in zip(weights.q_lateral, error, derivative, strict=True):
         slope, curve = slope + d * q * e, curve + d * q * d
     return -slope / curve
+
+
+def _running(start: ArrayLike, changes: Array) -> Array:
+    """Values (K + 1, ...) from a start (...) on, by changes (K, ...) added one after the other."""
+    values = np.empty((len(changes) + 1, *changes.shape[1:]))
+    values[0], values[1:] = start, changes
+    return np.add.accumulate(values, axis=0)
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,12 @@ from recast.geometry import se3
 def wrap_angle(angle: ArrayLike) -> Array:
     """Angles (...) wrapped to [-pi, pi); those within stay as they are, to the last bit."""
     angle = np.asarray(angle, np.float64)
+    inside = (angle >= -np.pi) & (angle < np.pi)
+    if inside.all():
+        return angle.copy()
     wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
     wrapped = np.where(wrapped >= np.pi, -np.pi, wrapped)  # the remainder may round up to 2 pi
-    return np.where((angle >= -np.pi) & (angle < np.pi), angle, wrapped)
+    return np.where(inside, angle, wrapped)
 
 
 def compose(a_from_b: ArrayLike, b_from_c: ArrayLike) -> Array:
