@@ -54,14 +54,11 @@ def bev_corners(poses: ArrayLike, length: ArrayLike, width: ArrayLike) -> Array:
         length, width: (...) metres.
     """
     poses = np.asarray(poses, np.float64)
-    half = np.stack(
-        np.broadcast_arrays(np.asarray(length, np.float64) / 2, np.asarray(width, np.float64) / 2),
-        axis=-1,
-    )
-    local = _BEV_SIGNS * half[..., None, :]
+    ahead = _BEV_SIGNS[:, 0] * (np.asarray(length, np.float64) / 2)[..., None]
+    left = _BEV_SIGNS[:, 1] * (np.asarray(width, np.float64) / 2)[..., None]
     cos, sin = np.cos(poses[..., 2])[..., None], np.sin(poses[..., 2])[..., None]
-    x = poses[..., 0, None] + cos * local[..., 0] - sin * local[..., 1]
-    y = poses[..., 1, None] + sin * local[..., 0] + cos * local[..., 1]
+    x = poses[..., 0, None] + cos * ahead - sin * left
+    y = poses[..., 1, None] + sin * ahead + cos * left
     return np.stack([x, y], axis=-1)
 
 

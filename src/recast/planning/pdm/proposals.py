@@ -156,13 +156,18 @@ class Unroll:
             paths: (K,) indices.
             first, last: maps of the forecast, both included.
         """
-        shapes = self._forecast.polygons[first : last + 1]
+        forecast, shapes = self._forecast, self._forecast.polygons[first : last + 1]
         places = np.full((len(self._paths), *shapes.shape), -np.inf)
-        inside = shapely.intersects(self._corridors[paths, None, None], shapes)
-        inside &= ~self._forecast.ignored
-        for i, found in zip(paths.tolist(), inside, strict=True):
-            centres = shapely.get_coordinates(shapely.centroid(shapes[found]))
-            places[i, found] = self._paths[i].project(centres)
+        stands = forecast.speeds == 0.0
+        # What stands is at one place in all maps: there it is looked for once.
+        for columns, maps in ((stands, shapes[:1]), (~stands, shapes)):
+            inside = shapely.intersects(self._corridors[paths, None, None], maps[:, columns])
+            inside &= ~forecast.ignored[columns]
+            for i, found in zip(paths.tolist(), inside, strict=True):
+                centres = shapely.get_coordinates(shapely.centroid(maps[:, columns][found]))
+                progress = np.full(found.shape, -np.inf)
+                progress[found] = self._paths[i].project(centres)
+                places[i][:, columns] = progress
         return places
 
     def _lead(self, rows: Int64Array, before: Array, places: Array, step: int) -> Array:
