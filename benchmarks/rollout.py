@@ -2,10 +2,12 @@
 
     python benchmarks/rollout.py                              # 16 s, 3 cameras, 300k Gaussians
     python benchmarks/rollout.py --planner ./my-gtrs --gaussians 100000
+    python benchmarks/rollout.py --planner pdm-closed --scene parked-street   # boxes alone
 
 The street is made up, as dense as a reconstructed one, along a synthetic drive. The planner
 decides on the pictures as in any rollout, but the log's own motion is driven, so that every planner
-is timed on the same drive. Only the planner's cameras are rendered, and only when it plans.
+is timed on the same drive. Only the planner's cameras are rendered, and only when it plans. A
+planner that needs no images gets the boxes of all the street's vehicles instead.
 Times are wall-clock seconds.
 """
 
@@ -99,9 +101,8 @@ def made_up_scene(stage: Stage, track: Track, count: int) -> StreetScene:
 def main() -> None:
     """Print one line a rollout and the ratio to the time driven."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument(
-        "--planner", default="gtrs-mini", help="a planner of docs/planners.md that looks at images"
-    )
+    parser.add_argument("--planner", default="gtrs-mini", help="a planner of docs/planners.md")
+    parser.add_argument("--scene", default="urban-straight", help="a street of recast.synthetic")
     parser.add_argument("--gaussians", type=int, default=300_000)
     parser.add_argument("--size", type=int, nargs=2, default=(480, 320))
     parser.add_argument("--steps", type=int, default=160)
@@ -112,10 +113,17 @@ def main() -> None:
     set_threads(chosen.threads)
 
     planner = make_planner(chosen.planner)
-    stage = make_stage("urban-straight", 0, seconds=20.0)
+    stage = make_stage(chosen.scene, 0, seconds=20.0)
     vehicle = stage.world.vehicles[stage.world.target]
     track = Track(stage.world.target, "car", np.asarray(vehicle.model.size), vehicle.trajectory)
-    log = replace(stage.log, tracks={track.track_id: track})
+    tracks = {track.track_id: track}
+    if not planner.needs_images:
+        tracks |= {
+            key: Track(key, "car", np.asarray(other.model.size), other.trajectory)
+            for key, other in stage.world.vehicles.items()
+            if key not in (*stage.actors, track.track_id)
+        }
+    log = replace(stage.log, tracks=tracks)
     mounts = {
         name: CameraMount(mounted.camera, mounted.rig_from_camera)
         for name, mounted in make_rig(*chosen.size).cameras.items()
@@ -125,21 +133,25 @@ def main() -> None:
         track.track_id,
         MOTIONS["oncoming-a"],
         steps=chosen.steps,
+        keep_other_actors=True,
         camera_names=planner_cameras(planner, mounts),
     )
     renderer = SceneRenderer(made_up_scene(stage, track, chosen.gaussians), mounts)
     print(
-        f"{planner.name}, {chosen.gaussians} Gaussians, {len(setup.camera_names or ())} cameras "
-        f"{chosen.size[0]}x{chosen.size[1]}, {chosen.threads} threads"
+        f"{planner.name}, {len(tracks)} vehicles, {chosen.gaussians} Gaussians, "
+        f"{len(setup.camera_names or ())} cameras {chosen.size[0]}x{chosen.size[1]}, "
+        f"{chosen.threads} threads"
     )
     for _ in range(chosen.repeats):
         timings, began = Timings(), perf_counter()
         rollout = run_rollout(setup, OnRails(planner), renderer, timings=timings)
         seconds, driven = perf_counter() - began, (len(rollout.ego) - 1) * setup.dt
+        plans = -(-(len(rollout.ego) - 1) // setup.plan_every)
         rest = seconds - timings.render - timings.plan - timings.control
         print(
             f"{driven:.1f} s driven in {seconds:.1f} s, ratio {seconds / driven:.2f}: rendering "
-            f"{timings.render:.1f} s ({timings.frames} images), planning {timings.plan:.1f} s, "
+            f"{timings.render:.1f} s ({timings.frames} images), planning {timings.plan:.1f} s "
+            f"({1e3 * timings.plan / plans:.0f} ms a plan), "
             f"control {timings.control:.1f} s, rest {rest:.1f} s"
         )
 

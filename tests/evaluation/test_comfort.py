@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.signal import savgol_filter
 
 from recast.dynamics import make_state, track
+from recast.dynamics.comfort import savgol_signals
 from recast.evaluation import comfort
 
 T = 0.1 * np.arange(41)
@@ -48,6 +50,33 @@ def jerky(jerk):
 def test_jerk_limits(jerk, hugsim, strict):
     assert failed(jerky(jerk)) == hugsim
     assert failed(jerky(jerk), comfort.com_4_13) == strict
+
+
+@pytest.mark.parametrize("whole_window", [False, True])
+def test_smoothing_is_scipys_filter(whole_window):
+    rng = np.random.default_rng(0)
+    lon, lat = rng.normal(0, 3, (2, 7, 41))
+    heading = np.cumsum(rng.normal(0, 0.1, (7, 41)), axis=-1)
+    size = np.hypot(lon, lat)
+    found = savgol_signals(lon, lat, size, heading, 0.1, whole_window=whole_window)
+    wide, narrow = (41, 41) if whole_window else (8, 15)
+
+    def jerk(values):
+        return savgol_filter(savgol_filter(values, 8, 2), narrow, 2, deriv=1, delta=0.1)
+
+    wanted = {
+        "lon_accel": savgol_filter(lon, wide, 2),
+        "lat_accel": savgol_filter(lat, wide, 2),
+        "lon_jerk": jerk(lon),
+        "jerk": jerk(size),
+        "yaw_rate": savgol_filter(heading, 5, 2, deriv=1, delta=0.1),
+        "yaw_accel": savgol_filter(heading, 5, 3, deriv=2, delta=0.1),
+    }
+    assert found.keys() == wanted.keys()
+    for name, values in wanted.items():
+        # Both round sums of up to 41 products, of weights up to 1 / 0.1^2 at worst.
+        bound = 2 * 41 * np.finfo(float).eps * 1e2 * np.abs([lon, size, heading]).max()
+        np.testing.assert_allclose(found[name], values, rtol=0, atol=bound)
 
 
 def test_yaw_rate():

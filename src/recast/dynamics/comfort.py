@@ -49,9 +49,8 @@ def savgol_signals(
     acceleration_window, jerk_window = (samples, samples) if whole_window else (8, 15)
 
     def smooth(values: ArrayLike, window: int, order: int = 2, derivative: int = 0) -> Array:
-        return np.asarray(values, np.float64) @ _savgol_matrix(
-            samples, window, order, derivative, dt
-        )
+        values = np.asarray(values, np.float64)
+        return values @ _savgol_matrix(values.shape[-1], window, order, derivative, dt)
 
     return {
         "lon_accel": smooth(lon_accel, acceleration_window),

@@ -11,7 +11,7 @@ from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.planning.map import PlannerMap
 from recast.planning.pdm import LanePath, PdmClosed, PdmConfig, PdmPlan, forecast
-from recast.planning.pdm.forecast import outline
+from recast.planning.pdm.forecast import box_corners, outline
 from recast.planning.pdm.proposals import brake_plan, brakes
 
 QUIRKS = {"quirks": PdmConfig(reference_quirks=True), "sane": PdmConfig()}
@@ -165,3 +165,26 @@ def test_bad_input_is_one_line():
     pdm = PdmClosed(golden_map(), ["R1", "C1", "R2"])
     with pytest.raises(InputError, match="away from the nearest lane of the route"):
         pdm.plan(ego_state(10.0, -90.0, 0.0, 5.0), [])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_first_contacts_are_those_of_looking_at_every_box(seed):
+    rng = np.random.default_rng(seed)
+    others = [
+        vehicle(str(i), *rng.uniform(-9, 9, 2), rng.uniform(-3, 3), speed)
+        for i, speed in enumerate([0.0, 0.0, 3.0, 6.0, 9.0])
+    ]
+    red = [("Al", shapely.box(-5.0, -5.0, 5.0, 5.0))]
+    far = np.array([-20.0, 0.0, 0.0])
+    seen = forecast(others, red, far, outline(far, PACIFICA), {"4"}, steps=20, dt=0.1, radius=50.0)
+    steps = np.repeat(np.arange(20), 2)
+    poses = np.cumsum(rng.normal(0, 1, (6, len(steps), 3)) * [1.0, 1.0, 0.1], axis=1)
+    corners, counted = box_corners(poses, PACIFICA), rng.uniform(size=poses.shape[:2]) < 0.7
+    wanted = np.full((6, len(seen.tokens)), len(steps))
+    for p, look, k in np.ndindex(6, len(steps), len(seen.tokens) - 1):  # less the red light
+        meets = shapely.intersects(shapely.Polygon(corners[p, look]), seen.at(steps[look])[k])
+        if counted[p, look] and meets:
+            wanted[p, k] = min(wanted[p, k], look)
+    found = seen.first_contacts(corners, steps, counted)
+    np.testing.assert_array_equal(found, wanted)
+    assert 0 < np.count_nonzero(found < len(steps)) < found.size - 6

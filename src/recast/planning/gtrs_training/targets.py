@@ -2,7 +2,7 @@
 
 Collisions are scored for hundreds of trajectories at once, against known futures: the same verdicts
 as `recast.planning.pdm.scorer` gives where the ego is always to blame for contacts from the side
-(its areas say "multiple lanes" everywhere), without its loops over pairs.
+(its areas say "multiple lanes" everywhere), by arithmetic on boxes instead of tests of polygons.
 """
 
 from __future__ import annotations

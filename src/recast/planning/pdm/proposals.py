@@ -177,7 +177,7 @@ class Unroll:
         lead[:, 0] = self._lengths[path]
         lead[:, 2] = self._reach
         ahead = places[path] > before[:, None]
-        follows = ahead.any(axis=1)
+        follows = np.asarray(ahead.any(axis=1))
         if not follows.any():
             return lead
         forecast, shapes = self._forecast, self._forecast.at(step)
