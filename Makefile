@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-NATIVE := CMakeLists.txt $(wildcard src/recast/splats/csrc/*)
+NATIVE := CMakeLists.txt $(wildcard src/recast/*/csrc/*)
 # Two workers suit two cores; each runs torch on one thread.
 WORKERS ?= 2
 

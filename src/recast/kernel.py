@@ -10,7 +10,7 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
-_ABI = 2
+_ABI = 3
 _SUFFIXES = (".so", ".dylib", ".dll")
 
 
@@ -113,6 +113,7 @@ def _candidates() -> list[Path]:
 
 def _declare(library: ctypes.CDLL) -> None:
     pointer, integer = ctypes.c_void_p, ctypes.c_int
+    long, real = ctypes.c_int64, ctypes.c_float
     signatures: dict[str, tuple[object, list[object]]] = {
         "recast_isa": (ctypes.c_char_p, []),
         "recast_isa_available": (ctypes.c_char_p, [integer]),
@@ -139,6 +140,14 @@ def _declare(library: ctypes.CDLL) -> None:
                 ctypes.c_int64,
             ],
         ),
+        "recast_smooth": (None, [pointer, pointer, long, long, pointer, pointer, long]),
+        "recast_borrow": (
+            None,
+            [*[pointer] * 5, long, long, *[pointer] * 4, long, long, long, real, real]
+            + [pointer] * 2,
+        ),
+        "recast_surface": (None, [pointer, long, *[pointer] * 14]),
+        "recast_edges": (None, [*[pointer] * 7, long, long, real, pointer]),
     }
     for name, (result, arguments) in signatures.items():
         function = getattr(library, name)
@@ -185,6 +194,11 @@ def library() -> ctypes.CDLL:
     if loaded is None:
         raise RuntimeError(f"the native rasterizer is not available: {reason}")
     return loaded
+
+
+def find() -> ctypes.CDLL | None:
+    """The loaded library; None where it is not available, see `info` for why."""
+    return _load()[0]
 
 
 def info() -> NativeInfo:

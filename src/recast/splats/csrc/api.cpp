@@ -22,7 +22,7 @@ extern const Kernels kernels_avx512;
 
 namespace {
 
-constexpr int kAbi = 2;
+constexpr int kAbi = 3;
 
 // Best first.
 int available(const Kernels** out) {

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.synthetic.rendering import compiled
 from recast.synthetic.rendering.ray_scene import PosedScene
 from recast.synthetic.rendering.rays import (
     BoolArray,
@@ -193,11 +194,12 @@ class LightFilter:
         rows[0, self._pixels] = noisy.sun
         rows[1:, self._pixels] = noisy.sky.T
         value = rows.reshape(4, *self._shape)
-        for step in SKY_STEPS:
-            channels = slice(0 if step in SUN_STEPS else 1, 4)
-            for axis in (1, 2):
-                value[channels] = _pass(value[channels], self._guide, step, axis)
-        flat = value.reshape(4, -1)[:, self._pixels]
+        first = [0 if step in SUN_STEPS else 1 for step in SKY_STEPS]
+        if not compiled.smooth(value, self._guide, SKY_STEPS, first):
+            for step, channel in zip(SKY_STEPS, first, strict=True):
+                for axis in (1, 2):
+                    value[channel:] = _pass(value[channel:], self._guide, step, axis)
+        flat = np.take(value.reshape(4, -1), self._pixels, axis=1)
         return Light(flat[0], np.ascontiguousarray(flat[1:].T))
 
 

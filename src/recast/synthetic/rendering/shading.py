@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from recast.arrays import Array
 from recast.geometry.colour import linear_to_srgb
+from recast.synthetic.rendering import compiled
 from recast.synthetic.rendering.lighting import PI, PLANE_TOLERANCE, Light, incoming, sun_cosine
 from recast.synthetic.rendering.rays import (
     BoolArray,
@@ -172,16 +173,23 @@ def edge_pixels(
     Differs in instance, material, normal, distance or colour, and for mirrors in what they show.
     """
     count = height * width
-    # Sky keeps zeros: its normal differs from all.
-    flat_planes = np.zeros((8, count), np.float32)
-    flat_planes[0:3, pixels] = points.flat.T
-    flat_planes[3, pixels] = 1 / np.maximum(points.distance, np.float32(1e-3))
-    flat_planes[4, pixels] = points.colour @ np.array([0.5, 0.9, 0.25], np.float32)
+    inverse = 1 / np.maximum(points.distance, np.float32(1e-3))
+    grey = points.colour @ np.array([0.5, 0.9, 0.25], np.float32)
     mirror = (TABLE.specular[points.material] > 0) & (
         TABLE.roughness[points.material] <= MIRROR_ROUGHNESS
     )
     shown = np.sqrt(np.minimum(radiance[:, 1] / np.float32(white), 2))
-    flat_planes[5, pixels] = np.where(mirror, shown, 0) / CONTRAST
+    shown = np.where(mirror, shown, np.float32(0)) / CONTRAST
+    found = compiled.edges(
+        points, inverse, grey, shown, compiled.index_plane(pixels, height, width), COLOUR_STEP
+    )
+    if found is not None:
+        return found
+    # Sky keeps zeros: its normal differs from all.
+    flat_planes = np.zeros((8, count), np.float32)
+    flat_planes[0:3, pixels] = points.flat.T
+    for plane, values in enumerate((inverse, grey, shown), 3):
+        flat_planes[plane, pixels] = values
     flat_planes[6, pixels] = points.material
     flat_planes[7, pixels] = points.instance
     planes = flat_planes.reshape(8, height, width)
@@ -232,6 +240,18 @@ def borrow_light(
         their light, and the indices of those that found no like surface nearby.
     """
     wide = width + 2
+    right, down = (1 if offset > 0 else -1 for offset in place)
+    found = compiled.borrow(
+        points,
+        (arriving.sun, arriving.sky),
+        compiled.index_plane(pixels, height, width),
+        others,
+        other_pixels,
+        (right, down),
+        (PLANE_TOLERANCE, LEAST_LIKENESS),
+    )
+    if found is not None:
+        return Light(*found[:2]), found[2]
     table = np.zeros(((height + 2) * wide, 10), np.float32)
     row = (pixels // width + 1) * wide + pixels % width + 1
     table[row, 0:3], table[row, 3:6] = points.position, points.normal
@@ -239,7 +259,6 @@ def borrow_light(
     centre = (other_pixels // width + 1) * wide + other_pixels % width + 1
     borrowed = np.zeros((len(others), 4), np.float32)
     # The four pixels whose centres lie nearest serve most; the rest look further.
-    right, down = (1 if offset > 0 else -1 for offset in place)
     near = ((0, 0), (right, 0), (0, down), (right, down))
     far = [(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1) if (x, y) not in near]
     left = np.arange(len(others))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.geometry import colour
+from recast.synthetic.rendering import compiled
 from recast.synthetic.rendering.patterns import (
     SIZE,
     Pattern,
@@ -130,11 +131,19 @@ def surface_points(
     attributes = posed.scene.attributes
     instance = rows(hits.instance, rays)
     face = rows(hits.face, rays) + rows(attributes.first, instance)
-    view, distance = rows(directions, rays), rows(hits.distance, rays)
+    distance = rows(hits.distance, rays)
+    colour, material = rows(attributes.colours, face), rows(attributes.materials, face)
+    found = compiled.surface(rays, origins, directions, hits, instance, face, posed, smooth)
+    if found is not None:
+        position, view, flat, normal = found
+        return rays, SurfacePoints(
+            position, view, distance, flat, normal, colour, material, instance, posed
+        )
+    view = rows(directions, rays)
     moved = np.flatnonzero(instance != STREET)
     rotation = posed.rotation[instance[moved]]
     flat = rows(attributes.flat_normals, face)
-    flat[moved] = np.einsum("ikj,ij->ik", rotation, flat[moved])
+    flat[moved] = _rotated(rotation, flat[moved])
     # Both sides of a face are seen; its normal looks at the viewer.
     side = np.where(dot(view, flat) > 0, np.float32(-1), np.float32(1))
     scale(flat, side)
@@ -145,7 +154,7 @@ def surface_points(
         normal = scaled(corners[:, 0], 1 - u - v)
         normal += scaled(corners[:, 1], u)
         normal += scaled(corners[:, 2], v)
-        normal[moved] = np.einsum("ikj,ij->ik", rotation, normal[moved])
+        normal[moved] = _rotated(rotation, normal[moved])
         scale(normal, side)
         # Near an outline a shading normal may look away: bend it back to a right angle.
         normal -= scaled(view, np.maximum(dot(view, normal), 0))
@@ -153,11 +162,14 @@ def surface_points(
         normalise(normal)
     position = scaled(view, distance)
     position += rows(origins, rays)
-    colour, material = rows(attributes.colours, face), rows(attributes.materials, face)
-    points = SurfacePoints(
+    return rays, SurfacePoints(
         position, view, distance, flat, normal, colour, material, instance, posed
     )
-    return rays, points
+
+
+def _rotated(rotations: Float32Array, vectors: Float32Array) -> Float32Array:
+    """Vectors (N, 3), each turned by its own rotation (N, 3, 3)."""
+    return np.stack([dot(rotations[:, k], vectors) for k in range(3)], axis=1)
 
 
 class Atlas:

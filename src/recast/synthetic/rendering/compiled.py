@@ -1,0 +1,129 @@
+"""Arithmetic of frames in the compiled kernel, where there is one: the same bits as numpy's, sooner.
+
+Every function here says, by None or False, that nothing is compiled; its caller then computes the
+same in numpy, which is the reference. csrc/frames.cpp holds the other side.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast import kernel
+from recast.arrays import Float32Array, Int64Array
+
+if TYPE_CHECKING:
+    from recast.synthetic.rendering.ray_scene import Hits, PosedScene
+    from recast.synthetic.rendering.surface_points import SurfacePoints
+
+
+def library() -> ctypes.CDLL | None:
+    """The kernel."""
+    return kernel.find()
+
+
+def index_plane(pixels: Int64Array, height: int, width: int) -> NDArray[np.int32]:
+    """(H * W,) which of the points at `pixels` (N,) a pixel shows, -1 for none."""
+    plane = np.full(height * width, -1, np.int32)
+    plane[pixels] = np.arange(len(pixels), dtype=np.int32)
+    return plane.reshape(height, width)
+
+
+def smooth(
+    value: Float32Array, guide: Float32Array, steps: Sequence[int], first: Sequence[int]
+) -> bool:
+    """All passes of `LightFilter.smooth` over (4, H, W), in place."""
+    found = library()
+    if found is None:
+        return False
+    passes = np.array(steps, np.int64), np.array(first, np.int64)
+    found.recast_smooth(_at(value), _at(guide), *value.shape[1:], *map(_at, passes), len(steps))
+    return True
+
+
+def borrow(
+    points: SurfacePoints,
+    arriving: tuple[Float32Array, Float32Array],
+    index: NDArray[np.int32],
+    others: SurfacePoints,
+    other_pixels: Int64Array,
+    towards: tuple[int, int],
+    limits: tuple[np.float32, np.float32],
+) -> tuple[Float32Array, Float32Array, Int64Array] | None:
+    """`borrow_light`: sun (M,), sky (M, 3), and who found none."""
+    found = library()
+    if found is None:
+        return None
+    light, served = np.empty((len(others), 4), np.float32), np.empty(len(others), bool)
+    near = points.position, points.normal, *arriving, index
+    further = others.position, others.normal, others.distance, other_pixels
+    found.recast_borrow(
+        *map(_at, near),
+        *index.shape,
+        *map(_at, further),
+        len(others),
+        *towards,
+        *limits,
+        _at(light),
+        _at(served),
+    )
+    return light[:, 0].copy(), np.ascontiguousarray(light[:, 1:]), np.flatnonzero(~served)
+
+
+def surface(
+    rays: Int64Array,
+    origins: Float32Array,
+    directions: Float32Array,
+    hits: Hits,
+    instance: NDArray[np.uint16],
+    face: Int64Array,
+    posed: PosedScene,
+    smooth: bool,
+) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array] | None:
+    """`surface_points`: positions, views, flat and shading normals (M, 3)."""
+    found = library()
+    if found is None:
+        return None
+    position, view, flat = np.empty((3, len(rays), 3), np.float32)
+    normal = np.empty_like(flat) if smooth else flat
+    attributes = posed.scene.attributes
+    cast = origins, directions, hits.distance, hits.u, hits.v, instance, face
+    found.recast_surface(
+        _at(rays),
+        len(rays),
+        *map(_at, cast),
+        _at(attributes.flat_normals),
+        _at(attributes.corner_normals) if smooth else None,
+        *map(_at, (posed.rotation, position, view, flat, normal)),
+    )
+    return position, view, flat, normal
+
+
+def edges(
+    points: SurfacePoints,
+    inverse: Float32Array,
+    grey: Float32Array,
+    shown: Float32Array,
+    index: NDArray[np.int32],
+    colour_step: np.float32,
+) -> Int64Array | None:
+    """`edge_pixels`."""
+    found = library()
+    if found is None:
+        return None
+    edge = np.zeros(index.shape, bool)
+    looks = points.flat, inverse, grey, shown, points.material, points.instance, index
+    found.recast_edges(*map(_at, looks), *index.shape, colour_step, _at(edge))
+    return np.flatnonzero(edge)
+
+
+
+def _at(array: np.ndarray) -> int:
+    """Address of an array's numbers; its type is the caller's care."""
+    if not array.flags.c_contiguous:
+        raise ValueError(f"compiled: array of shape {array.shape} is not contiguous")
+    return array.ctypes.data
