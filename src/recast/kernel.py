@@ -147,6 +147,16 @@ def _declare(library: ctypes.CDLL) -> None:
             + [pointer] * 2,
         ),
         "recast_surface": (None, [pointer, long, *[pointer] * 14]),
+        "recast_entered": (None, [*[pointer] * 2, long, *[pointer] * 2, long, pointer]),
+        "recast_expose": (None, [*[pointer] * 3, long, real]),
+        "recast_first_hits": (
+            None,
+            [pointer, long, *[pointer] * 4, long, ctypes.c_int32, *[pointer] * 4],
+        ),
+        "recast_occluded": (
+            None,
+            [pointer, long, *[pointer] * 3, long, ctypes.c_int32, pointer],
+        ),
         "recast_edges": (None, [*[pointer] * 7, long, long, real, pointer]),
     }
     for name, (result, arguments) in signatures.items():

@@ -216,3 +216,27 @@ RECAST_EXPORT void recast_edges(const float* flat, const float* inverse, const f
     above.swap(here);
   }
 }
+
+// `_Spheres.entered`: distance (spheres, N) at which rays enter, at most; infinite where they miss.
+RECAST_EXPORT void recast_entered(const float* centres, const float* radii, int64_t spheres,
+                                  const float* origins, const float* directions, int64_t count,
+                                  float* entry) {
+  for (int64_t k = 0; k < spheres; ++k) {
+    const Vector centre = load(centres, k);
+    const float radius = radii[k], reach = radius * radius;
+    for (int64_t i = 0; i < count; ++i) {
+      const Vector to = centre - load(origins, i);
+      const float along = dot(to, load(directions, i)), squared = dot(to, to);
+      const bool missed = squared - along * along > reach || (squared > reach && along < 0);
+      entry[k * count + i] = missed ? INFINITY : along - radius;
+    }
+  }
+}
+
+// Adds light (N, 3), no more than `clip`, to the sums of `pixels`.
+RECAST_EXPORT void recast_expose(float* sums, const int64_t* pixels, const float* light,
+                                 int64_t count, float clip) {
+  for (int64_t i = 0; i < count; ++i)
+    for (int k = 0; k < 3; ++k)
+      sums[3 * pixels[i] + k] += light[3 * i + k] < clip ? light[3 * i + k] : clip;
+}

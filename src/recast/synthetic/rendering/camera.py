@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from recast.arrays import Array, Int64Array
 from recast.geometry import PinholeCamera, se3
+from recast.synthetic.rendering import compiled
 from recast.synthetic.rendering.lighting import Light, LightFilter, add_light_samples, sample_light
 from recast.synthetic.rendering.path_tracing import path_light
 from recast.synthetic.rendering.ray_scene import SKY, Hits, PosedScene, Poses, RayScene
@@ -90,11 +91,14 @@ class Film:
         """One ray each of `pixels`, each at most once; rays `at` brought the light `shaded`."""
         self._rays[pixels] += 1
         self._covered[pixels[at]] += 1
-        self._sums[pixels[at]] += np.minimum(shaded, self._clip)
+        self._expose(pixels[at], shaded)
         if not self._transparent:
             missed = np.flatnonzero(hits.instance == SKY)
-            sky = self._light.background(directions[missed])
-            self._sums[pixels[missed]] += np.minimum(sky, self._clip)
+            self._expose(pixels[missed], self._light.background(directions[missed]))
+
+    def _expose(self, pixels: Int64Array, light: Float32Array) -> None:
+        if not compiled.expose(self._sums, pixels, light, self._clip):
+            self._sums[pixels] += np.minimum(light, self._clip)
 
     def develop(self) -> NDArray[np.uint8]:
         """(N, 3) uint8 sRGB."""
@@ -124,7 +128,7 @@ def trace_image(
 
     grid = camera.pixel_grid().reshape(-1, 2)
     origins, directions, stretch = camera_rays(camera, world_from_camera, grid)
-    hits = posed.cast(origins, directions)
+    hits = posed.cast(origins, directions, coherent=True)
     pixels, points = surface_points(posed, origins, directions, hits)
     samples = [pixel_samples(height, width, rng).reshape(-1, 2)[pixels] for _ in range(2)]
     noisy = sample_light(light, points, *samples)
@@ -139,7 +143,7 @@ def trace_image(
     edges = edge_pixels(points, pixels, shaded, light.white, height, width)
     for offset in OFFSETS:
         origins, directions, _ = camera_rays(camera, world_from_camera, grid[edges] + offset)
-        further = posed.cast(origins, directions)
+        further = posed.cast(origins, directions, coherent=True)
         at, others = surface_points(posed, origins, directions, further)
         borrowed, alone = borrow_light(
             points, pixels, arriving, others, edges[at], offset, height, width

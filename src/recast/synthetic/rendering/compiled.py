@@ -41,7 +41,9 @@ def smooth(
     if found is None:
         return False
     passes = np.array(steps, np.int64), np.array(first, np.int64)
-    found.recast_smooth(_at(value), _at(guide), *value.shape[1:], *map(_at, passes), len(steps))
+    found.recast_smooth(
+        address(value), address(guide), *value.shape[1:], *map(address, passes), len(steps)
+    )
     return True
 
 
@@ -62,14 +64,14 @@ def borrow(
     near = points.position, points.normal, *arriving, index
     further = others.position, others.normal, others.distance, other_pixels
     found.recast_borrow(
-        *map(_at, near),
+        *map(address, near),
         *index.shape,
-        *map(_at, further),
+        *map(address, further),
         len(others),
         *towards,
         *limits,
-        _at(light),
-        _at(served),
+        address(light),
+        address(served),
     )
     return light[:, 0].copy(), np.ascontiguousarray(light[:, 1:]), np.flatnonzero(~served)
 
@@ -93,12 +95,12 @@ def surface(
     attributes = posed.scene.attributes
     cast = origins, directions, hits.distance, hits.u, hits.v, instance, face
     found.recast_surface(
-        _at(rays),
+        address(rays),
         len(rays),
-        *map(_at, cast),
-        _at(attributes.flat_normals),
-        _at(attributes.corner_normals) if smooth else None,
-        *map(_at, (posed.rotation, position, view, flat, normal)),
+        *map(address, cast),
+        address(attributes.flat_normals),
+        address(attributes.corner_normals) if smooth else None,
+        *map(address, (posed.rotation, position, view, flat, normal)),
     )
     return position, view, flat, normal
 
@@ -117,12 +119,35 @@ def edges(
         return None
     edge = np.zeros(index.shape, bool)
     looks = points.flat, inverse, grey, shown, points.material, points.instance, index
-    found.recast_edges(*map(_at, looks), *index.shape, colour_step, _at(edge))
+    found.recast_edges(*map(address, looks), *index.shape, colour_step, address(edge))
     return np.flatnonzero(edge)
 
 
+def entered(
+    centres: Float32Array, radii: Float32Array, origins: Float32Array, directions: Float32Array
+) -> Float32Array | None:
+    """`_Spheres.entered`, to rounding."""
+    found = library()
+    if found is None:
+        return None
+    entry = np.empty((len(centres), len(origins)), np.float32)
+    spheres, rays = (centres, radii), (origins, directions)
+    found.recast_entered(
+        *map(address, spheres), len(centres), *map(address, rays), len(origins), address(entry)
+    )
+    return entry
 
-def _at(array: np.ndarray) -> int:
+
+def expose(sums: Float32Array, pixels: Int64Array, light: Float32Array, clip: np.float32) -> bool:
+    """Adds light (N, 3), no more than `clip`, to the sums (P, 3) of `pixels` (N,), all different."""
+    found = library()
+    if found is None:
+        return False
+    found.recast_expose(*map(address, (sums, pixels, light)), len(pixels), clip)
+    return True
+
+
+def address(array: np.ndarray) -> int:
     """Address of an array's numbers; its type is the caller's care."""
     if not array.flags.c_contiguous:
         raise ValueError(f"compiled: array of shape {array.shape} is not contiguous")

@@ -129,7 +129,7 @@ def scan_lidar(
     draw = rng.random(len(local), np.float32)
 
     posed = scene.posed(poses)
-    hits = posed.cast(origins, directions)
+    hits = posed.cast(origins, directions, coherent=True)
     within = (hits.distance >= spec.minimum_range) & (hits.distance <= spec.maximum_range)
     rays = np.flatnonzero(within & (hits.instance != SKY))
     _, points = surface_points(posed, origins, directions, hits, rays, smooth=False)

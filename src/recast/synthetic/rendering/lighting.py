@@ -68,7 +68,7 @@ def sample_light(
     towards = sun_cosine(light, points) > 0
     lit = np.flatnonzero(towards)
     directions = disc_directions(light.sun_direction, light.sky.sun_radius, rows(sun_samples, lit))
-    sun[lit] = ~points.posed.occluded(rows(points.origin, lit), directions)
+    sun[lit] = ~points.posed.occluded(rows(points.origin, lit), directions, coherent=True)
     directions = cosine_directions(points.normal, sky_samples)
     _above_face(directions, points)
     return Light(sun, incoming(points.posed, light, points.origin, directions, diffuse=True))

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from recast.arrays import Array
 from recast.geometry import se3
+from recast.synthetic.rendering import compiled
 from recast.synthetic.rendering.rays import BoolArray, Float32Array, Mesh, dot, rows, shift
 from recast.synthetic.surface import Surface, corner_normals
 
@@ -170,9 +171,16 @@ class PosedScene:
         self._actors = actors
         self._spheres = _Spheres(spheres)
 
-    def cast(self, origins: Float32Array, directions: Float32Array) -> Hits:
-        """First hits of rays from `origins` (N, 3) along unit `directions` (N, 3), contiguous."""
-        distance, face, u, v = self.scene.mesh(STREET).first_hits(origins, directions)
+    def cast(
+        self, origins: Float32Array, directions: Float32Array, *, coherent: bool = False
+    ) -> Hits:
+        """First hits of rays from `origins` (N, 3) along unit `directions` (N, 3), contiguous.
+
+        Args:
+            coherent: neighbouring rays lie close together: sooner then, and later where they do not.
+        """
+        street = self.scene.mesh(STREET)
+        distance, face, u, v = street.first_hits(origins, directions, coherent=coherent)
         instance = np.where(face >= 0, np.uint16(STREET), np.uint16(SKY))
         enter = self._spheres.entered(origins, directions)
         for (index, local), entry in zip(self._actors, enter, strict=True):
@@ -180,7 +188,7 @@ class PosedScene:
             if not len(rays):
                 continue
             moved = _move(local, rows(origins, rays), rows(directions, rays))
-            hits = self.scene.mesh(index).first_hits(*moved, distance[rays])
+            hits = self.scene.mesh(index).first_hits(*moved, distance[rays], coherent=coherent)
             hit = hits.face >= 0
             at = rays[hit]
             distance[at], face[at] = hits.distance[hit], hits.face[hit]
@@ -188,9 +196,11 @@ class PosedScene:
         distance[face < 0] = np.inf
         return Hits(distance, instance, face, u, v)
 
-    def occluded(self, origins: Float32Array, directions: Float32Array) -> BoolArray:
+    def occluded(
+        self, origins: Float32Array, directions: Float32Array, *, coherent: bool = False
+    ) -> BoolArray:
         """Whether rays from `origins` (N, 3) along unit `directions` (N, 3) meet anything."""
-        blocked = self.scene.mesh(STREET).occluded(origins, directions)
+        blocked = self.scene.mesh(STREET).occluded(origins, directions, coherent=coherent)
         free = np.flatnonzero(~blocked)
         if not self._actors or not len(free):
             return blocked
@@ -200,7 +210,7 @@ class PosedScene:
             rays = rays[~blocked[rays]]
             if len(rays):
                 moved = _move(local, rows(origins, rays), rows(directions, rays))
-                blocked[rays] = self.scene.mesh(index).occluded(*moved)
+                blocked[rays] = self.scene.mesh(index).occluded(*moved, coherent=coherent)
         return blocked
 
 
@@ -220,6 +230,9 @@ class _Spheres:
         if not len(self._centres):
             return np.zeros((0, len(origins)), np.float32)
         origins = shift(origins.copy(), -self._middle)
+        entry = compiled.entered(self._centres, self._radii, origins, directions)
+        if entry is not None:
+            return entry
         own = dot(origins, origins)
         along = self._centres @ directions.T
         along -= dot(origins, directions)
