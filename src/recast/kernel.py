@@ -112,8 +112,8 @@ def _candidates() -> list[Path]:
 
 
 def _declare(library: ctypes.CDLL) -> None:
-    pointer, integer = ctypes.c_void_p, ctypes.c_int
-    long, real = ctypes.c_int64, ctypes.c_float
+    pointer: object = ctypes.c_void_p
+    integer, short, long, real = ctypes.c_int, ctypes.c_int32, ctypes.c_int64, ctypes.c_float
     signatures: dict[str, tuple[object, list[object]]] = {
         "recast_isa": (ctypes.c_char_p, []),
         "recast_isa_available": (ctypes.c_char_p, [integer]),
@@ -151,11 +151,11 @@ def _declare(library: ctypes.CDLL) -> None:
         "recast_expose": (None, [*[pointer] * 3, long, real]),
         "recast_first_hits": (
             None,
-            [pointer, long, *[pointer] * 4, long, ctypes.c_int32, *[pointer] * 4],
+            [pointer, long, *[pointer] * 4, long, short, *[pointer] * 4],
         ),
         "recast_occluded": (
             None,
-            [pointer, long, *[pointer] * 3, long, ctypes.c_int32, pointer],
+            [pointer, long, *[pointer] * 3, long, short, pointer],
         ),
         "recast_edges": (None, [*[pointer] * 7, long, long, real, pointer]),
     }

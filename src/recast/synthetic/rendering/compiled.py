@@ -1,4 +1,4 @@
-"""Arithmetic of frames in the compiled kernel, where there is one: the same bits as numpy's, sooner.
+"""Arithmetic of frames in the compiled kernel, where there is one: numpy's bits, sooner.
 
 Every function here says, by None or False, that nothing is compiled; its caller then computes the
 same in numpy, which is the reference. csrc/frames.cpp holds the other side.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +42,7 @@ def smooth(
         return False
     passes = np.array(steps, np.int64), np.array(first, np.int64)
     found.recast_smooth(
-        address(value), address(guide), *value.shape[1:], *map(address, passes), len(steps)
+        address(value), address(guide), *value.shape[1:], *addresses(*passes), len(steps)
     )
     return True
 
@@ -64,9 +64,9 @@ def borrow(
     near = points.position, points.normal, *arriving, index
     further = others.position, others.normal, others.distance, other_pixels
     found.recast_borrow(
-        *map(address, near),
+        *addresses(*near),
         *index.shape,
-        *map(address, further),
+        *addresses(*further),
         len(others),
         *towards,
         *limits,
@@ -97,10 +97,10 @@ def surface(
     found.recast_surface(
         address(rays),
         len(rays),
-        *map(address, cast),
+        *addresses(*cast),
         address(attributes.flat_normals),
         address(attributes.corner_normals) if smooth else None,
-        *map(address, (posed.rotation, position, view, flat, normal)),
+        *addresses(posed.rotation, position, view, flat, normal),
     )
     return position, view, flat, normal
 
@@ -119,7 +119,7 @@ def edges(
         return None
     edge = np.zeros(index.shape, bool)
     looks = points.flat, inverse, grey, shown, points.material, points.instance, index
-    found.recast_edges(*map(address, looks), *index.shape, colour_step, address(edge))
+    found.recast_edges(*addresses(*looks), *index.shape, colour_step, address(edge))
     return np.flatnonzero(edge)
 
 
@@ -133,22 +133,27 @@ def entered(
     entry = np.empty((len(centres), len(origins)), np.float32)
     spheres, rays = (centres, radii), (origins, directions)
     found.recast_entered(
-        *map(address, spheres), len(centres), *map(address, rays), len(origins), address(entry)
+        *addresses(*spheres), len(centres), *addresses(*rays), len(origins), address(entry)
     )
     return entry
 
 
 def expose(sums: Float32Array, pixels: Int64Array, light: Float32Array, clip: np.float32) -> bool:
-    """Adds light (N, 3), no more than `clip`, to the sums (P, 3) of `pixels` (N,), all different."""
+    """Adds light (N, 3), no more than `clip`, to the sums (P, 3) of `pixels` (N,)."""
     found = library()
     if found is None:
         return False
-    found.recast_expose(*map(address, (sums, pixels, light)), len(pixels), clip)
+    found.recast_expose(*addresses(sums, pixels, light), len(pixels), clip)
     return True
 
 
-def address(array: np.ndarray) -> int:
+def address(array: NDArray[Any]) -> int:
     """Address of an array's numbers; its type is the caller's care."""
     if not array.flags.c_contiguous:
         raise ValueError(f"compiled: array of shape {array.shape} is not contiguous")
     return array.ctypes.data
+
+
+def addresses(*arrays: NDArray[Any]) -> list[int]:
+    """`address` of each."""
+    return [address(array) for array in arrays]

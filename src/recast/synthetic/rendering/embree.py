@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.arrays import BoolArray, Float32Array
-from recast.synthetic.rendering.compiled import address, library
+from recast.synthetic.rendering.compiled import address, addresses, library
 
 _MAJOR = 4
 _VERSION, _NATIVE_WIDTHS = 0, {16: 34, 8: 33, 4: 32}  # RTC_DEVICE_PROPERTY_...
@@ -127,7 +127,7 @@ class PacketScene:
             None if limit is None else address(limit),
             len(origins),
             coherent,
-            *map(address, (distance, face, u, v)),
+            *addresses(distance, face, u, v),
         )
         return distance, face, u, v
 

@@ -177,7 +177,7 @@ class PosedScene:
         """First hits of rays from `origins` (N, 3) along unit `directions` (N, 3), contiguous.
 
         Args:
-            coherent: neighbouring rays lie close together: sooner then, and later where they do not.
+            coherent: neighbouring rays lie close together: sooner then, later where they do not.
         """
         street = self.scene.mesh(STREET)
         distance, face, u, v = street.first_hits(origins, directions, coherent=coherent)

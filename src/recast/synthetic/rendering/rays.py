@@ -71,7 +71,7 @@ class Mesh:
         """Nearest hits of rays (N, 3), (N, 3), nearer than `limit` (N,) where given.
 
         Args:
-            coherent: neighbouring rays lie close together: sooner then, and later where they do not.
+            coherent: neighbouring rays lie close together: sooner then, later where they do not.
         """
         count = len(origins)
         if self._packets is not None and count:

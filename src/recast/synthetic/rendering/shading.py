@@ -173,18 +173,18 @@ def edge_pixels(
     Differs in instance, material, normal, distance or colour, and for mirrors in what they show.
     """
     count = height * width
-    inverse = 1 / np.maximum(points.distance, np.float32(1e-3))
+    inverse = np.reciprocal(np.maximum(points.distance, np.float32(1e-3)))
     grey = points.colour @ np.array([0.5, 0.9, 0.25], np.float32)
     mirror = (TABLE.specular[points.material] > 0) & (
         TABLE.roughness[points.material] <= MIRROR_ROUGHNESS
     )
-    shown = np.sqrt(np.minimum(radiance[:, 1] / np.float32(white), 2))
-    shown = np.where(mirror, shown, np.float32(0)) / CONTRAST
-    found = compiled.edges(
+    shown: Float32Array = np.sqrt(np.minimum(radiance[:, 1] / np.float32(white), 2))
+    shown = np.where(mirror, shown, np.float32(0)).astype(np.float32, copy=False) / CONTRAST
+    edge = compiled.edges(
         points, inverse, grey, shown, compiled.index_plane(pixels, height, width), COLOUR_STEP
     )
-    if found is not None:
-        return found
+    if edge is not None:
+        return edge
     # Sky keeps zeros: its normal differs from all.
     flat_planes = np.zeros((8, count), np.float32)
     flat_planes[0:3, pixels] = points.flat.T
@@ -193,14 +193,14 @@ def edge_pixels(
     flat_planes[6, pixels] = points.material
     flat_planes[7, pixels] = points.instance
     planes = flat_planes.reshape(8, height, width)
-    edge = np.zeros((height, width), bool)
+    marked = np.zeros((height, width), bool)
     for axis in (0, 1):
         first = (slice(None),) * axis + (slice(None, -1),)
         second = (slice(None),) * axis + (slice(1, None),)
         differs = _differ(planes[:, *first], planes[:, *second])
-        edge[first] |= differs
-        edge[second] |= differs
-    return np.flatnonzero(edge)
+        marked[first] |= differs
+        marked[second] |= differs
+    return np.flatnonzero(marked)
 
 
 def _differ(first: Float32Array, second: Float32Array) -> BoolArray:
@@ -241,7 +241,7 @@ def borrow_light(
     """
     wide = width + 2
     right, down = (1 if offset > 0 else -1 for offset in place)
-    found = compiled.borrow(
+    served = compiled.borrow(
         points,
         (arriving.sun, arriving.sky),
         compiled.index_plane(pixels, height, width),
@@ -250,8 +250,9 @@ def borrow_light(
         (right, down),
         (PLANE_TOLERANCE, LEAST_LIKENESS),
     )
-    if found is not None:
-        return Light(*found[:2]), found[2]
+    if served is not None:
+        sun, sky, alone = served
+        return Light(sun, sky), alone
     table = np.zeros(((height + 2) * wide, 10), np.float32)
     row = (pixels // width + 1) * wide + pixels % width + 1
     table[row, 0:3], table[row, 3:6] = points.position, points.normal
