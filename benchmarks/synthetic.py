@@ -4,7 +4,8 @@
     OMP_NUM_THREADS=1 python benchmarks/synthetic.py --scene roundabout-approach --size 960 640
 
 CPU milliseconds of the process, minimum of the repeats, so that other work on the machine disturbs
-little. The stages repeat what `render_camera` does, on the same frame; `frame` is the call itself.
+little. The stages repeat what `render_camera` does, on the same frame; `frame` is the call itself,
+and `frame, nothing compiled` the reference: rays one by one, all arithmetic in numpy.
 
 Threads or processes: embreex and numpy both give Python's lock up while they work (the last lines
 of the output: another thread stands still for a few of some hundred ms), so threads can cast at the
@@ -19,11 +20,12 @@ import resource
 import threading
 import time
 from collections.abc import Callable
+from unittest.mock import patch
 
 import numpy as np
 
 from recast.geometry import PinholeCamera, se3
-from recast.synthetic.rendering import WAYMO_TOP, RayScene, render_camera, scan_lidar
+from recast.synthetic.rendering import WAYMO_TOP, RayScene, compiled, render_camera, scan_lidar
 from recast.synthetic.rendering.camera import LONELY_SAMPLES, camera_rays
 from recast.synthetic.rendering.lighting import LightFilter, add_light_samples, sample_light
 from recast.synthetic.rendering.rays import Mesh, pixel_samples
@@ -76,10 +78,10 @@ class Setting:
         place = [here[0] - np.sin(heading) * left, here[1] + np.cos(heading) * left, z]
         return se3.from_rotation_translation(se3.rotation_z(heading + turn), place)
 
-    def frame(self) -> object:
-        """One image."""
+    def frame(self, rays: RayScene | None = None) -> object:
+        """One image; of another scene than the setting's if one is given."""
         return render_camera(
-            self.rays,
+            rays or self.rays,
             self.street.sky,
             self.camera,
             self.world_from_camera,
@@ -126,8 +128,8 @@ def camera_stages(setting: Setting, stages: Stages) -> dict[str, float]:
 
     origins, directions = stages("rays", lambda: rays(grid))
     static = setting.rays.posed({})
-    stages("cast, street alone", lambda: static.cast(origins, directions))
-    hits = stages("cast", lambda: posed.cast(origins, directions))
+    stages("cast, street alone", lambda: static.cast(origins, directions, coherent=True))
+    hits = stages("cast", lambda: posed.cast(origins, directions, coherent=True))
     pixels, points = stages("points", lambda: surface_points(posed, origins, directions, hits))
     samples = [pixel_samples(height, width, rng).reshape(-1, 2)[pixels] for _ in range(2)]
     noisy = stages("light", lambda: sample_light(light, points, *samples))
@@ -146,7 +148,7 @@ def camera_stages(setting: Setting, stages: Stages) -> dict[str, float]:
     def further() -> None:
         for offset in OFFSETS:
             ray = rays(grid[edges] + offset)
-            index, others = surface_points(posed, *ray, posed.cast(*ray))
+            index, others = surface_points(posed, *ray, posed.cast(*ray, coherent=True))
             borrowed, _ = borrow_light(
                 points, pixels, arriving, others, edges[index], offset, height, width
             )
@@ -200,8 +202,12 @@ def main() -> None:
     placed = concatenate(
         [setting.surfaces[name].transformed(pose) for name, pose in setting.poses.items()]
     )
+    with patch.object(compiled, "library", lambda: None):
+        reference = RayScene(setting.street.surface, setting.surfaces)
     for _ in range(options.repeats):
         stages("frame", setting.frame)
+        with patch.object(compiled, "library", lambda: None):
+            stages("reference", lambda: setting.frame(reference))
         stages("lidar", setting.scan)
         stages("build street", lambda: Mesh(setting.street.surface))
         stages("build vehicles", lambda: Mesh(placed))
@@ -216,6 +222,7 @@ def main() -> None:
     print(f"table of a sky                  {ms['sky table']:8.0f}")
     print(f"first frame of a process        {first:8.0f}  (textures drawn, sky tabulated)\n")
     print(f"frame {width} x {height}              {ms['frame']:12.0f}  share of frame")
+    print(f"frame, nothing compiled {ms['reference']:17.0f}")
     names = (
         "rays",
         "cast",

@@ -61,9 +61,11 @@ def test_spheres_are_entered_where_numpy_says(monkeypatch: pytest.MonkeyPatch) -
     assert np.allclose(ours[both], numpy[both], atol=100 * 8 * np.finfo(np.float32).eps)
 
 
-def test_what_is_not_contiguous_is_refused() -> None:
+def test_arrays_that_the_kernel_would_misread_are_refused() -> None:
     with pytest.raises(ValueError, match="contiguous"):
-        compiled.address(np.zeros((4, 4))[:, 1])
+        compiled.address(np.zeros((4, 4), np.float32)[:, 1])
+    with pytest.raises(ValueError, match="float64"):
+        compiled.address(np.zeros((4, 4)))
 
 
 def crumpled(rng: np.random.Generator) -> Surface:

@@ -148,9 +148,11 @@ def expose(sums: Float32Array, pixels: Int64Array, light: Float32Array, clip: np
 
 
 def address(array: NDArray[Any]) -> int:
-    """Address of an array's numbers; its type is the caller's care."""
+    """Address of an array's numbers; ValueError for gaps between them and for float64."""
     if not array.flags.c_contiguous:
         raise ValueError(f"compiled: array of shape {array.shape} is not contiguous")
+    if array.dtype == np.float64:
+        raise ValueError(f"compiled: array of shape {array.shape} is float64, expected float32")
     return array.ctypes.data
 
 

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.arrays import BoolArray, Float32Array
-from recast.synthetic.rendering.compiled import address, addresses, library
+from recast.synthetic.rendering import compiled
+from recast.synthetic.rendering.compiled import address, addresses
 
 _MAJOR = 4
 _VERSION, _NATIVE_WIDTHS = 0, {16: 34, 8: 33, 4: 32}  # RTC_DEVICE_PROPERTY_...
@@ -73,7 +74,7 @@ def _embree() -> _Embree | None:
 
 def packets_work() -> bool:
     """Whether `PacketScene` can be used here."""
-    return library() is not None and _embree() is not None
+    return compiled.library() is not None and _embree() is not None
 
 
 class PacketScene:
@@ -87,7 +88,7 @@ class PacketScene:
     """
 
     def __init__(self, triangles: Float32Array) -> None:
-        embree, kernel = _embree(), library()
+        embree, kernel = _embree(), compiled.library()
         if embree is None or kernel is None:
             raise RuntimeError("PacketScene: needs the compiled kernel and embree's library")
         self._embree, self._kernel = embree, kernel
