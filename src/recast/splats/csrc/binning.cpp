@@ -156,8 +156,9 @@ void Binning::number(Frame& f, int64_t chunks, const Band& band) {
     uint32_t slot = counts[c];
     for (uint32_t i = 0; i < f.chunks[c].visible; ++i) {
       const uint32_t id = f.chunk_ids[c * kChunk + i];
+      const Footprint print = f.footprints[id];
       f.slots[id] = slot;
-      slot += tiles_of(clipped(f.footprints[id], band.first, band.end));
+      slot += tiles_of(whole ? print : clipped(print, band.first, band.end));
     }
   });
 }
@@ -225,6 +226,7 @@ void Binning::scatter(Frame& f, int64_t chunks, const Band& band) {
   const int64_t first = int64_t(f.tiles_x) * band.first, tiles = int64_t(f.tiles_x) * band.end - first;
   const int64_t parts = n < 16384 ? 1 : thread_count();
   const int tiles_x = f.tiles_x;
+  const bool whole = band.first == 0 && band.end == f.tiles_y;
   Placed* placed = placed_.reserve(n + 1);
   uint32_t* counts = counts_.reserve(parts * tiles);
   const uint64_t* sorted = sorted_;
@@ -238,7 +240,8 @@ void Binning::scatter(Frame& f, int64_t chunks, const Band& band) {
         __builtin_prefetch(f.slots + uint32_t(sorted[i + kAhead]));
       }
       const uint32_t id = uint32_t(sorted[i]);
-      const Footprint print = clipped(f.footprints[id], band.first, band.end);
+      const Footprint print =
+          whole ? f.footprints[id] : clipped(f.footprints[id], band.first, band.end);
       placed[i] = {print, id, f.slots[id]};
       for_each_tile(print, tiles_x, [count](int tile) { ++count[tile]; });
     }

@@ -60,6 +60,7 @@ int Context::forward(const Kernels& kernels, Frame f, int64_t* fault_row) {
   f.chunks = chunks_.reserve(chunks);
   uint8_t* given = f.visible;
   f.visible = visible_.reserve(n);
+  f.lit = lit_.reserve(n);
   parallel_for(chunks, [&](int64_t c) { kernels.project(f, c); });
   for (int64_t c = 0; c < chunks; ++c)
     if (f.chunks[c].fault) {
@@ -153,7 +154,7 @@ void Context::backward(const Kernels& kernels, const Frame& g, float* pose_grad)
 int64_t Context::bytes() const {
   return binning_.bytes() + splats_.bytes() + footprints_.bytes() + slots_.bytes() + ids_.bytes() +
          keys_.bytes() + tile_begin_.bytes() + chunks_.bytes() + intersections_.bytes() +
-         visible_.bytes() + used_.bytes() + state_.bytes() + records_.bytes() +
+         visible_.bytes() + lit_.bytes() + used_.bytes() + state_.bytes() + records_.bytes() +
          absolute_records_.bytes() + sums_.bytes() + absolute_sums_.bytes() + pose_.bytes();
 }
 

@@ -86,6 +86,7 @@ struct Frame {
   uint32_t* chunk_keys;     // their depths as sortable integers
   ChunkResult* chunks;
   uint8_t* visible;
+  uint8_t* lit;             // bit i: colour channel i is above zero
   float* radii;
   float* means2d;
 

@@ -105,6 +105,24 @@ static inline void store_rows(float* base, const uint32_t* rows, int lanes, cons
   }
 }
 
+// The same past the caches, a cache line at a time: `base` aligned to one, and Floats a whole number
+// of lines.
+template <int Floats>
+static inline void stream_rows(float* base, const uint32_t* rows, int lanes, const vf* columns) {
+  constexpr int kLine = 16, kParts = kLine / W;
+  static_assert(Floats % kLine == 0, "rows of whole lines");
+  for (int c = 0; c < Floats; c += kLine) {
+    vf part[kParts][W];
+    for (int k = 0; k < kParts; ++k) {
+      for (int j = 0; j < W; ++j) part[k][j] = columns[c + k * W + j];
+      transpose(part[k]);
+    }
+    for (int lane = 0; lane < lanes; ++lane)
+      for (int k = 0; k < kParts; ++k)
+        stream(base + int64_t(rows[lane]) * Floats + c + k * W, part[k][lane]);
+  }
+}
+
 // Unit vectors from the camera centre to W points, and the reciprocal of the distance.
 // offset = R^T t, minus the camera centre.
 static inline vf view_direction(const vf* mean, const float* offset, vf* d) {

@@ -24,6 +24,31 @@ void note_fault(ChunkResult& result, vm good, uint32_t lanes, uint32_t row, uint
   }
 }
 
+// The eight low bits as eight bytes.
+inline uint64_t spread_bits(uint64_t b) {
+  b = (b | b << 28) & 0x0000000F0000000Full;
+  b = (b | b << 14) & 0x0003000300030003ull;
+  return (b | b << 7) & 0x0101010101010101ull;
+}
+
+inline void store_upto(float* p, vf a, int lanes) {
+  if (lanes == W)
+    store(p, a);
+  else
+    store_first(p, a, lanes);
+}
+
+inline void store_pairs(float* p, const vf (&a)[2], int lanes) {
+  alignas(64) float stage[2][W], both[2 * W];
+  store(stage[0], a[0]);
+  store(stage[1], a[1]);
+  for (int i = 0; i < W; ++i) {
+    both[2 * i] = stage[0][i];
+    both[2 * i + 1] = stage[1][i];
+  }
+  __builtin_memcpy(p, both, size_t(2 * lanes) * sizeof(float));
+}
+
 // Projects rows first .. first + lanes - 1 and appends the visible ones to the chunk's list.
 void project_group(const Frame& f, uint32_t first, int lanes, ChunkResult& result, uint32_t* ids,
                    uint32_t* keys) {
@@ -33,15 +58,16 @@ void project_group(const Frame& f, uint32_t first, int lanes, ChunkResult& resul
   const Parameters p = load_parameters(f, rows);
   const Projection o = project(f, p);
 
-  vm ok_mean = all_below(p.mean, 3, kLargestInput), ok_quat = all_finite(p.quat, 4);
-  vm ok_scale = all_finite(p.log_scale, 3);
-  for (int i = 0; i < 3; ++i)  // larger ones would overflow the determinant
+  // In turn: no NaN passes a comparison, and a norm in range has finite parts.
+  vm ok_scale = p.log_scale[0] < vf(14.0f);  // larger ones would overflow the determinant
+  for (int i = 0; i < 3; ++i)
     ok_scale = ok_scale & (p.log_scale[i] < vf(14.0f)) & (p.log_scale[i] > vf(-60.0f));
-  vm ok_logit = all_below(&p.logit, 1, kLargestInput);
-  vm ok_norm = (o.norm2 > vf(1e-30f)) & (o.norm2 < vf(1e30f));
-  if ((bits(ok_mean & ok_quat & ok_scale & ok_logit & ok_norm) & valid) != valid) {
+  const vm ok_mean = all_below(p.mean, 3, kLargestInput);
+  const vm ok_logit = all_below(&p.logit, 1, kLargestInput);
+  const vm ok_norm = (o.norm2 > vf(1e-30f)) & (o.norm2 < vf(1e30f));
+  if (__builtin_expect((bits(ok_mean & ok_scale & ok_logit & ok_norm) & valid) != valid, 0)) {
     note_fault(result, ok_mean, valid, first, kFaultMeans);
-    note_fault(result, ok_quat, valid, first, kFaultQuats);
+    note_fault(result, all_finite(p.quat, 4), valid, first, kFaultQuats);
     note_fault(result, ok_scale, valid, first, kFaultScales);
     note_fault(result, ok_logit, valid, first, kFaultOpacity);
     note_fault(result, ok_norm, valid, first, kFaultQuatNorm);
@@ -61,17 +87,13 @@ void project_group(const Frame& f, uint32_t first, int lanes, ChunkResult& resul
                   (o.y + extent_y > half) & (o.y - extent_y < size_y - half);
   const uint32_t visible = bits(seen) & valid;
 
-  alignas(64) float radius[W], px[W], py[W];
-  store(radius, vmax(extent_x, extent_y));
-  store(px, o.x);
-  store(py, o.y);
-  for (int i = 0; i < lanes; ++i) {
-    const bool v = visible >> i & 1;
-    const int64_t row = int64_t(first) + i;
-    f.visible[row] = v;
-    f.radii[row] = v ? __builtin_ceilf(radius[i]) : 0.0f;
-    f.means2d[2 * row] = v ? px[i] : 0.0f;
-    f.means2d[2 * row + 1] = v ? py[i] : 0.0f;
+  store_upto(f.radii + first, keep(seen, vceil(vmax(extent_x, extent_y))), lanes);
+  vf pixel[2] = {keep(seen, o.x), keep(seen, o.y)};
+  store_pairs(f.means2d + 2 * int64_t(first), pixel, lanes);
+  for (int i = 0; i < W; i += 8) {
+    const uint64_t bytes = spread_bits(visible >> i & 0xFF);
+    const int n = lanes - i < 8 ? lanes - i : 8;
+    if (n > 0) __builtin_memcpy(f.visible + first + i, &bytes, size_t(n));
   }
   if (!visible) return;
 
@@ -97,12 +119,12 @@ void project_group(const Frame& f, uint32_t first, int lanes, ChunkResult& resul
 
   Footprints prints;
   find_footprints(f, o, extent_x, extent_y, log2_opacity, visible, prints);
+  alignas(64) int32_t depth_bits[W];  // positive floats sort as integers
+  store(depth_bits, as_int(o.point[2]));
   for (uint32_t m = visible; m; m &= m - 1) {
     const int i = __builtin_ctz(m);
-    const uint32_t row = rows[i];
+    const uint32_t row = rows[i], key = uint32_t(depth_bits[i]);
     f.footprints[row] = prints.print[i];
-    uint32_t key;
-    __builtin_memcpy(&key, &f.splats[row].depth, 4);  // positive floats sort as integers
     ids[result.visible] = row;
     keys[result.visible] = key;
     ++result.visible;
@@ -140,8 +162,13 @@ void colour(const Frame& f, const uint32_t* ids, ChunkResult& result) {
       result.fault_row = rows[lane];
     }
     alignas(64) float rgb[3][W];
-    for (int j = 0; j < 3; ++j) store(rgb[j], vmax(c[j], vf(0.0f)));
+    uint32_t lit[3];
+    for (int j = 0; j < 3; ++j) {
+      lit[j] = bits(c[j] > vf(0.0f));
+      store(rgb[j], vmax(c[j], vf(0.0f)));
+    }
     for (int i = 0; i < lanes; ++i) {
+      f.lit[rows[i]] = uint8_t((lit[0] >> i & 1) | (lit[1] >> i & 1) << 1 | (lit[2] >> i & 1) << 2);
       Splat& s = f.splats[rows[i]];
       s.r = rgb[0][i];
       s.g = rgb[1][i];

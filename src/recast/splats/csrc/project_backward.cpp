@@ -8,6 +8,8 @@ namespace recast {
 namespace RECAST_ISA {
 namespace {
 
+constexpr int64_t kStreamRows = 1 << 16;  // 12 MB of harmonics
+
 enum Sum { kSumU, kSumV, kSumUU, kSumUV, kSumVV, kSumOpacity, kSumR, kSumG, kSumB, kSumDepth };
 
 // Adds up `records` of the Gaussian's tiles, in the order of its slots.
@@ -83,21 +85,25 @@ void quat_gradient(const Projection& o, const vf* axes_grad, vf* quat_grad) {
   for (int i = 0; i < 4; ++i) quat_grad[i] = (g[i] - o.q[i] * radial) * o.inverse_norm;
 }
 
+// Whether the harmonics' gradient goes past the caches: where it is too large for them, reading its
+// lines before they are overwritten would cost as much as writing.
+template <int K>
+bool streams(const Frame& f) {
+  return K == 16 && f.count >= kStreamRows && reinterpret_cast<uintptr_t>(f.sh_grad) % 64 == 0;
+}
+
 template <int K>
 void colour_gradient(const Frame& f, const uint32_t* rows, int lanes, vm valid, const Parameters& p,
                      const vf* sums, const float* offset, vf* mean_grad, PoseSums& pose) {
   vf d[3], b[16], columns[3 * K];
   const vf inverse = view_direction(p.mean, offset, d);
   harmonics<K>(d, b);
-  alignas(64) float rgb[3][W];
-  for (int i = 0; i < W; ++i) {
-    rgb[0][i] = f.splats[rows[i]].r;
-    rgb[1][i] = f.splats[rows[i]].g;
-    rgb[2][i] = f.splats[rows[i]].b;
-  }
+  uint32_t lit[3] = {};
+  for (int i = 0; i < W; ++i)
+    for (int j = 0; j < 3; ++j) lit[j] |= uint32_t(f.lit[rows[i]] >> j & 1) << i;
   vf v[3];
   for (int j = 0; j < 3; ++j)  // none where the colour was clamped at zero
-    v[j] = keep((load(rgb[j]) > vf(0.0f)) & valid, sums[kSumR + j]);
+    v[j] = keep(mask_from_bits(lit[j]) & valid, sums[kSumR + j]);
   if (K > 1) {
     load_rows<3 * K>(f.sh, rows, columns);
     vf s[16], along[3];
@@ -117,7 +123,10 @@ void colour_gradient(const Frame& f, const uint32_t* rows, int lanes, vm valid, 
   }
   for (int k = 0; k < K; ++k)
     for (int j = 0; j < 3; ++j) columns[3 * k + j] = b[k] * v[j];
-  store_rows<3 * K>(f.sh_grad, rows, lanes, columns);
+  if (streams<K>(f))
+    stream_rows<K == 16 ? 48 : 16>(f.sh_grad, rows, lanes, columns);
+  else
+    store_rows<3 * K>(f.sh_grad, rows, lanes, columns);
 }
 
 template <int Stride>
@@ -228,7 +237,10 @@ void chunk_gradient(const Frame& f, int64_t chunk) {
     __builtin_memset(f.log_scales_grad + 3 * row, 0, 3 * sizeof(float));
     __builtin_memset(f.means2d_grad + 2 * row, 0, 2 * sizeof(float));
     if (f.means2d_absgrad) __builtin_memset(f.means2d_absgrad + 2 * row, 0, 2 * sizeof(float));
-    __builtin_memset(f.sh_grad + 3 * K * row, 0, 3 * K * sizeof(float));
+    if (streams<K>(f))
+      for (int i = 0; i < 3 * K; i += W) stream(f.sh_grad + 3 * K * row + i, vf(0.0f));
+    else
+      __builtin_memset(f.sh_grad + 3 * K * row, 0, 3 * K * sizeof(float));
     f.logits_grad[row] = 0.0f;
   }
   float offset[3];
@@ -247,6 +259,7 @@ void chunk_gradient(const Frame& f, int64_t chunk) {
     if (K > 1) prefetch_rows<3 * K>(f.sh, ids + ahead, more);
     group<K>(f, rows, n - first < W ? n - first : W, offset, pose);
   }
+  if (streams<K>(f)) stream_end();
   double* out = f.pose_grad_chunks + 12 * chunk;
   for (int i = 0; i < 12; ++i) {
     alignas(64) float lanes[W];

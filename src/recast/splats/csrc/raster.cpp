@@ -8,51 +8,55 @@ namespace {
 
 struct State {
   alignas(64) float r[kTilePixels], g[kTilePixels], b[kTilePixels], depth[kTilePixels];
-  // Transmittance: zero once a pixel has stopped, its last value then being in `final`.
-  alignas(64) float open[kTilePixels], final[kTilePixels];
+  alignas(64) float open[kTilePixels];  // transmittance
+  // log2 alpha from which a Gaussian is blended: none (infinite, or not a number) outside of the
+  // image, and once a pixel has stopped, so that no branch is needed, which no machine could foresee.
+  alignas(64) float least[kTilePixels];
 };
+
+constexpr float kNever = __builtin_inff();
+constexpr int kLook = 16;  // Gaussians between looks at whether a block has stopped
 
 // Blends the listed Gaussians over block `block`; false once all its pixels have stopped.
 bool blend(State& state, const Batch& batch, const uint8_t* list, int n, int block,
            float max_alpha) {
   alignas(64) float lane_x[W], lane_y[W];
   for (int i = 0; i < W; ++i) {
-    lane_x[i] = float(block % kBlockColumns * kBlockWidth + i % kBlockWidth) + 0.5f;
-    lane_y[i] = float(block / kBlockColumns * kBlockHeight + i / kBlockWidth) + 0.5f;
+    lane_x[i] = float(i % kBlockWidth) + 0.5f;
+    lane_y[i] = float(i / kBlockWidth) + 0.5f;
   }
-  const vf px = load(lane_x), py = load(lane_y);
-  const vf threshold = kLog2AlphaThreshold, stop_at = kTransmittanceThreshold, cap = max_alpha;
+  const vf px = load(lane_x) + vf(float(block % kBlockColumns * kBlockWidth));
+  const vf py = load(lane_y) + vf(float(block / kBlockColumns * kBlockHeight));
+  const vf stop_at = kTransmittanceThreshold, cap = max_alpha;
   const int at = block * W;
   vf r = load(state.r + at), g = load(state.g + at), b = load(state.b + at);
-  vf depth = load(state.depth + at), open = load(state.open + at);
+  vf depth = load(state.depth + at), open = load(state.open + at), least = load(state.least + at);
   bool alive = true;
-  for (int i = 0; i < n; ++i) {
-    const Splat& s = batch.splats[list[i]];
-    const vf dx = px - vf(s.x), dy = py - vf(s.y);
-    const vf u = fma(vf(s.l1), dx, vf(s.l2) * dy), v = vf(s.l3) * dy;
-    const vf power = fnma(v, v, fnma(u, u, vf(s.log2_opacity)));
-    const vf alpha = keep(power >= threshold, vmin(exp2_bounded(power), cap));
-    vf weight = alpha * open;
-    vf next = fnma(alpha, open, open);
-    const vm stopped = (next <= stop_at) & (open > vf(0.0f));
-    if (__builtin_expect(any(stopped), 0)) {
-      store(state.final + at, select(stopped, open, load(state.final + at)));
-      weight = drop(stopped, weight);
-      next = drop(stopped, next);
-      alive = any(next > vf(0.0f));
-      if (!alive) n = i;  // this Gaussian is the last one
+  for (int begin = 0; begin < n && alive; begin += kLook) {
+    const int end = begin + kLook < n ? begin + kLook : n;
+    for (int i = begin; i < end; ++i) {
+      const Splat& s = batch.splats[list[i]];
+      vf u, v;
+      const vf power = power_at(batch, list[i], px, py, u, v);
+      const vf alpha = keep(power >= least, vmin(exp2_bounded(power), cap));
+      const vf next = fnma(alpha, open, open);
+      const vm stopped = next <= stop_at;
+      const vf weight = drop(stopped, alpha * open);
+      open = select(stopped, open, next);
+      least = never_where(stopped, least);
+      r = fma(weight, vf(s.r), r);
+      g = fma(weight, vf(s.g), g);
+      b = fma(weight, vf(s.b), b);
+      depth = fma(weight, vf(s.depth), depth);
     }
-    open = next;
-    r = fma(weight, vf(s.r), r);
-    g = fma(weight, vf(s.g), g);
-    b = fma(weight, vf(s.b), b);
-    depth = fma(weight, vf(s.depth), depth);
+    alive = any(least < vf(0.0f));
   }
   store(state.r + at, r);
   store(state.g + at, g);
   store(state.b + at, b);
   store(state.depth + at, depth);
   store(state.open + at, open);
+  store(state.least + at, least);
   return alive;
 }
 
@@ -71,25 +75,23 @@ struct Touched {
 void write_images(const Frame& f, const Tile& t, State& s) {
   const vf one = 1.0f;
   for (int i = 0; i < kTilePixels; i += W) {
-    const vf through = load(s.final + i);
+    const vf through = load(s.open + i);
     store(s.r + i, fma(through, vf(f.background[0]), load(s.r + i)));
     store(s.g + i, fma(through, vf(f.background[1]), load(s.g + i)));
     store(s.b + i, fma(through, vf(f.background[2]), load(s.b + i)));
-    store(s.final + i, one - through);
+    store(s.least + i, one - through);
   }
   for (int y = 0; y < t.height; ++y) {
     const int64_t row = int64_t(t.y + y) * f.width + t.x;
     for (int x = 0; x < t.width; x += kBlockWidth) {
       const int at = block_offset(y, x / kBlockWidth);
       const int n = t.width - x < kBlockWidth ? t.width - x : kBlockWidth;
+      alignas(16) float part[3 * kBlockWidth];
       float* rgb = f.rgb + 3 * (row + x);
-      for (int i = 0; i < n; ++i) {
-        rgb[3 * i] = s.r[at + i];
-        rgb[3 * i + 1] = s.g[at + i];
-        rgb[3 * i + 2] = s.b[at + i];
-        f.depth[row + x + i] = s.depth[at + i];
-        f.alpha[row + x + i] = s.final[at + i];
-      }
+      store_pixels(n == kBlockWidth ? rgb : part, s.r + at, s.g + at, s.b + at);
+      if (n < kBlockWidth) __builtin_memcpy(rgb, part, size_t(3 * n) * sizeof(float));
+      __builtin_memcpy(f.depth + row + x, s.depth + at, size_t(n) * sizeof(float));
+      __builtin_memcpy(f.alpha + row + x, s.least + at, size_t(n) * sizeof(float));
     }
   }
 }
@@ -102,10 +104,15 @@ void raster_tile(const Frame& f, int64_t index) {
   Batch batch;
   Touched touched;
   __builtin_memset(&state, 0, sizeof state);
+  for (int i = 0; i < kTilePixels; i += W) {
+    store(state.open + i, vf(1.0f));
+    store(state.least + i, vf(kNever));
+  }
   for (int y = 0; y < t.height; ++y)
     for (int column = 0; column < kBlockColumns; ++column)
       for (int i = 0; i < kBlockWidth; ++i)
-        if (column * kBlockWidth + i < t.width) state.open[block_offset(y, column) + i] = 1.0f;
+        if (column * kBlockWidth + i < t.width)
+          state.least[block_offset(y, column) + i] = kLog2AlphaThreshold;
 
   uint32_t alive = blocks_inside(t);
   for (uint32_t begin = t.begin; begin < t.end && alive; begin += kBatch) {
@@ -124,13 +131,9 @@ void raster_tile(const Frame& f, int64_t index) {
       if (n && !blend(state, batch, list, n, block, f.max_alpha)) alive &= ~(1u << block);
     }
   }
-  for (int i = 0; i < kTilePixels; i += W) {
-    const vf open = load(state.open + i);
-    store(state.final + i, select(open > vf(0.0f), open, load(state.final + i)));
-  }
   if (f.training) {
     float* out = f.tile_state + index * 5 * kTilePixels;
-    const float* planes[5] = {state.r, state.g, state.b, state.depth, state.final};
+    const float* planes[5] = {state.r, state.g, state.b, state.depth, state.open};
     for (int p = 0; p < 5; ++p)
       for (int i = 0; i < kTilePixels; i += W) store(out + p * kTilePixels + i, load(planes[p] + i));
   }

@@ -11,6 +11,8 @@ namespace recast {
 namespace RECAST_ISA {
 namespace {
 
+constexpr int kLook = 32;  // Gaussians between looks at which blocks have stopped
+
 struct Pixels {
   alignas(64) float x[kTilePixels], y[kTilePixels];
   alignas(64) float r[kTilePixels], g[kTilePixels], b[kTilePixels], depth[kTilePixels];
@@ -61,44 +63,34 @@ void load_pixels(const Frame& f, const Tile& t, int64_t index, Pixels& p) {
 }
 
 // Adds the gradient of one Gaussian over the blocks in `mask` to ten sums, and where `Absolute` the
-// sizes of its pixels' gradients along x and y, up to common factors, to two more; returns the blocks
-// whose last pixel stopped.
+// sizes of its pixels' gradients along x and y, up to common factors, to two more.
 template <bool Absolute>
-uint32_t gather(Pixels& p, const Splat& s, uint32_t mask, float max_alpha, float* record,
+void gather(Pixels& p, const Batch& batch, int i, uint32_t mask, float max_alpha, float* record,
                 float* absolute) {
-  const vf sx = s.x, sy = s.y, l1 = s.l1, l2 = s.l2, l3 = s.l3, lo = s.log2_opacity;
+  const Splat& s = batch.splats[i];
+  const vf l2 = s.l2, l3 = s.l3;
   const vf sr = s.r, sg = s.g, sb = s.b, sd = s.depth;
   const vf threshold = kLog2AlphaThreshold, stop_at = kTransmittanceThreshold, cap = max_alpha;
   const vf one = 1.0f, zero = 0.0f;
   vf sum_u = zero, sum_v = zero, sum_uu = zero, sum_uv = zero, sum_vv = zero, sum = zero;
   vf sum_r = zero, sum_g = zero, sum_b = zero, sum_d = zero;
   vf sum_ax = zero, sum_ay = zero;
-  uint32_t finished = 0;
   for (uint32_t left = mask; left; left &= left - 1) {
     const int block = __builtin_ctz(left);
     const int at = block * W;
-    const vf dx = load(p.x + at) - sx, dy = load(p.y + at) - sy;
-    const vf u = fma(l1, dx, l2 * dy), v = l3 * dy;
-    const vf power = fnma(v, v, fnma(u, u, lo));
+    vf u, v;
+    const vf power = power_at(batch, i, load(p.x + at), load(p.y + at), u, v);
     const vf bare = exp2_bounded(power);
-    vf alpha = keep(power >= threshold, vmin(bare, cap));
+    const vf full = keep(power >= threshold, vmin(bare, cap));
     const vf open = load(p.open + at);
-    vf rest = load(p.rest + at);
-    vf weight = alpha * open;
-    vf next = fnma(alpha, open, open);
-    const vm stopped = (next <= stop_at) & (open > zero);
-    if (__builtin_expect(any(stopped), 0)) {
-      alpha = drop(stopped, alpha);
-      weight = drop(stopped, weight);
-      next = drop(stopped, next);
-      rest = drop(stopped, rest);
-      if (!any(next > zero)) finished |= 1u << block;
-    }
-    store(p.open + at, next);
+    const vf next = fnma(full, open, open);
+    const vm stopped = next <= stop_at;  // now, or before
+    const vf alpha = drop(stopped, full), weight = alpha * open;
+    store(p.open + at, drop(stopped, next));
     const vf vr = load(p.r + at), vg = load(p.g + at), vb = load(p.b + at);
     const vf vd = load(p.depth + at);
     const vf c = fma(vr, sr, fma(vg, sg, fma(vb, sb, vd * sd)));
-    rest = fnma(weight, c, rest);
+    const vf rest = fnma(weight, c, load(p.rest + at));
     store(p.rest + at, rest);
     const vf alpha_grad = fnma(rest, fast_reciprocal(one - alpha), open * c);
     const vf q = keep(bare <= cap, alpha * alpha_grad);  // d F / d ln alpha; none where capped
@@ -121,7 +113,16 @@ uint32_t gather(Pixels& p, const Splat& s, uint32_t mask, float max_alpha, float
   const vf sums[kSums] = {sum_u, sum_v, sum_uu, sum_uv, sum_vv, sum, sum_r, sum_g, sum_b, sum_d};
   store_ten_sums(record, sums);
   if (Absolute) store_two_sums(absolute, sum_ax, sum_ay);
-  return finished;
+}
+
+// Those of the blocks in `alive` that have a pixel that has not stopped.
+uint32_t still_open(const Pixels& p, uint32_t alive) {
+  uint32_t found = 0;
+  for (uint32_t left = alive; left; left &= left - 1) {
+    const int block = __builtin_ctz(left);
+    if (any(load(p.open + block * W) > vf(0.0f))) found |= 1u << block;
+  }
+  return found;
 }
 
 template <bool Absolute>
@@ -142,7 +143,8 @@ void tile_gradient(const Frame& f, int64_t index) {
                   [&](int b, vm m) { masks = masks | select(m, vi(int32_t(1u << b)), vi(0)); });
       store(touched + first, masks);
     }
-    for (int i = 0; i < count && alive; ++i) {
+    for (int i = 0; i < count; ++i) {
+      if (i % kLook == 0 && !(alive = still_open(pixels, alive))) break;
       const uint32_t mask = uint32_t(touched[i]) & alive;
       if (i + 6 < count)
         __builtin_prefetch(
@@ -150,8 +152,8 @@ void tile_gradient(const Frame& f, int64_t index) {
       if (!mask) continue;
       const uint32_t slot = f.intersections[begin + uint32_t(i)].slot;
       f.record_used[slot] = 1;
-      alive &= ~gather<Absolute>(
-          pixels, batch.splats[i], mask, f.max_alpha, f.records + int64_t(slot) * kSums,
+      gather<Absolute>(
+          pixels, batch, i, mask, f.max_alpha, f.records + int64_t(slot) * kSums,
           Absolute ? f.absolute_records + int64_t(slot) * kAbsoluteSums : nullptr);
     }
   }

@@ -30,6 +30,9 @@ static inline __m256i first_lanes(int n) {
 }
 static inline vf load(const float* p) { return _mm256_loadu_ps(p); }
 static inline void store(float* p, vf a) { _mm256_storeu_ps(p, a.v); }
+// Past the caches: `p` aligned to the vector. `stream_end` before another thread reads it.
+static inline void stream(float* p, vf a) { _mm256_stream_ps(p, a.v); }
+static inline void stream_end() { _mm_sfence(); }
 static inline vf load_first(const float* p, int n) {
   return _mm256_maskload_ps(p, first_lanes(n));
 }
@@ -48,6 +51,7 @@ static inline vf vmin(vf a, vf b) { return _mm256_min_ps(a.v, b.v); }
 static inline vf vmax(vf a, vf b) { return _mm256_max_ps(a.v, b.v); }
 static inline vf vsqrt(vf a) { return _mm256_sqrt_ps(a.v); }
 static inline vf vabs(vf a) { return _mm256_andnot_ps(_mm256_set1_ps(-0.0f), a.v); }
+static inline vf vceil(vf a) { return _mm256_ceil_ps(a.v); }
 static inline vf fast_reciprocal(vf a) {
   // rcpps has 12 bits and one Newton step gives 23.
   __m256 r = _mm256_rcp_ps(a.v);
@@ -73,6 +77,8 @@ static inline vm mask_from_bits(uint32_t b) {
 static inline vf select(vm m, vf a, vf b) { return _mm256_blendv_ps(b.v, a.v, m.m); }
 static inline vf keep(vm m, vf a) { return _mm256_and_ps(m.m, a.v); }
 static inline vf drop(vm m, vf a) { return _mm256_andnot_ps(m.m, a.v); }
+// Something that no number is at least, where m; a elsewhere.
+static inline vf never_where(vm m, vf a) { return _mm256_or_ps(m.m, a.v); }
 
 static inline vi as_int(vf a) { return _mm256_castps_si256(a.v); }
 static inline vf as_float(vi a) { return _mm256_castsi256_ps(a.v); }
@@ -152,6 +158,16 @@ static inline void store_ten_sums(float* out, const vf* a) {
   _mm_storeu_ps(out, four(a[0].v, a[1].v, a[2].v, a[3].v));
   _mm_storeu_ps(out + 4, four(a[4].v, a[5].v, a[6].v, a[7].v));
   store_two_sums(out + 8, a[8], a[9]);
+}
+
+// Writes four pixels of three planes, interleaved.
+static inline void store_pixels(float* out, const float* r, const float* g, const float* b) {
+  const __m128 red = _mm_loadu_ps(r), green = _mm_loadu_ps(g), blue = _mm_loadu_ps(b);
+  const __m128 b0_r1 = _mm_shuffle_ps(blue, red, 0x50), g1_b1 = _mm_shuffle_ps(green, blue, 0x55);
+  const __m128 b2_r3 = _mm_shuffle_ps(blue, red, 0xFA), g3_b3 = _mm_shuffle_ps(green, blue, 0xFF);
+  _mm_storeu_ps(out, _mm_shuffle_ps(_mm_unpacklo_ps(red, green), b0_r1, 0x84));
+  _mm_storeu_ps(out + 4, _mm_shuffle_ps(g1_b1, _mm_unpackhi_ps(red, green), 0x48));
+  _mm_storeu_ps(out + 8, _mm_shuffle_ps(b2_r3, g3_b3, 0x88));
 }
 
 }  // namespace RECAST_ISA

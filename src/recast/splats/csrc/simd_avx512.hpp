@@ -27,6 +27,9 @@ struct vi {
 
 static inline vf load(const float* p) { return _mm512_loadu_ps(p); }
 static inline void store(float* p, vf a) { _mm512_storeu_ps(p, a.v); }
+// Past the caches: `p` aligned to the vector. `stream_end` before another thread reads it.
+static inline void stream(float* p, vf a) { _mm512_stream_ps(p, a.v); }
+static inline void stream_end() { _mm_sfence(); }
 static inline vf load_first(const float* p, int n) {
   return _mm512_maskz_loadu_ps(__mmask16((1u << n) - 1u), p);
 }
@@ -45,6 +48,7 @@ static inline vf vmin(vf a, vf b) { return _mm512_min_ps(a.v, b.v); }
 static inline vf vmax(vf a, vf b) { return _mm512_max_ps(a.v, b.v); }
 static inline vf vsqrt(vf a) { return _mm512_sqrt_ps(a.v); }
 static inline vf vabs(vf a) { return _mm512_abs_ps(a.v); }
+static inline vf vceil(vf a) { return _mm512_roundscale_ps(a.v, _MM_FROUND_TO_POS_INF | _MM_FROUND_NO_EXC); }
 static inline vf fast_reciprocal(vf a) {
   __m512 r = _mm512_rcp14_ps(a.v);
   return _mm512_mul_ps(r, _mm512_fnmadd_ps(a.v, r, _mm512_set1_ps(2.0f)));
@@ -63,6 +67,8 @@ static inline vm mask_from_bits(uint32_t b) { return {__mmask16(b)}; }
 static inline vf select(vm m, vf a, vf b) { return _mm512_mask_blend_ps(m.m, b.v, a.v); }
 static inline vf keep(vm m, vf a) { return _mm512_maskz_mov_ps(m.m, a.v); }
 static inline vf drop(vm m, vf a) { return _mm512_maskz_mov_ps(__mmask16(~m.m), a.v); }
+// Something that no number is at least, where m; a elsewhere.
+static inline vf never_where(vm m, vf a) { return _mm512_mask_mov_ps(a.v, m.m, _mm512_set1_ps(__builtin_inff())); }
 
 static inline vi as_int(vf a) { return _mm512_castps_si512(a.v); }
 static inline vf as_float(vi a) { return _mm512_castsi512_ps(a.v); }
@@ -167,6 +173,16 @@ static inline void store_ten_sums(float* out, const vf* a) {
                            _mm512_shuffle_f32x4(third, zero, 0xEE));
   __m512 sums = _mm512_add_ps(_mm512_shuffle_f32x4(x, y, 0x88), _mm512_shuffle_f32x4(x, y, 0xDD));
   _mm512_mask_storeu_ps(out, __mmask16(0x3FF), sums);
+}
+
+// Writes four pixels of three planes, interleaved.
+static inline void store_pixels(float* out, const float* r, const float* g, const float* b) {
+  const __m128 red = _mm_loadu_ps(r), green = _mm_loadu_ps(g), blue = _mm_loadu_ps(b);
+  const __m128 b0_r1 = _mm_shuffle_ps(blue, red, 0x50), g1_b1 = _mm_shuffle_ps(green, blue, 0x55);
+  const __m128 b2_r3 = _mm_shuffle_ps(blue, red, 0xFA), g3_b3 = _mm_shuffle_ps(green, blue, 0xFF);
+  _mm_storeu_ps(out, _mm_shuffle_ps(_mm_unpacklo_ps(red, green), b0_r1, 0x84));
+  _mm_storeu_ps(out + 4, _mm_shuffle_ps(g1_b1, _mm_unpackhi_ps(red, green), 0x48));
+  _mm_storeu_ps(out + 8, _mm_shuffle_ps(b2_r3, g3_b3, 0x88));
 }
 
 }  // namespace RECAST_ISA

@@ -40,6 +40,9 @@ static inline void store(float* p, vf x) {
   std::memcpy(p, &x.a, 16);
   std::memcpy(p + 4, &x.b, 16);
 }
+// Past the caches where the machine can; here it is a store.
+static inline void stream(float* p, vf a) { store(p, a); }
+static inline void stream_end() {}
 static inline vf load_first(const float* p, int n) {
   float t[8] = {0, 0, 0, 0, 0, 0, 0, 0};
   for (int i = 0; i < n; ++i) t[i] = p[i];
@@ -70,6 +73,8 @@ static inline f4 keep4(i4 m, f4 x) { return (f4)(m & (i4)x); }
 static inline f4 drop4(i4 m, f4 x) { return (f4)(~m & (i4)x); }
 static inline vf keep(vm m, vf x) { return {keep4(m.a, x.a), keep4(m.b, x.b)}; }
 static inline vf drop(vm m, vf x) { return {drop4(m.a, x.a), drop4(m.b, x.b)}; }
+// Something that no number is at least, where m; a elsewhere.
+static inline vf never_where(vm m, vf x) { return {(f4)(m.a | (i4)x.a), (f4)(m.b | (i4)x.b)}; }
 static inline f4 select4(i4 m, f4 x, f4 y) { return (f4)((m & (i4)x) | (~m & (i4)y)); }
 static inline vf select(vm m, vf x, vf y) { return {select4(m.a, x.a, y.a), select4(m.b, x.b, y.b)}; }
 static inline vi select(vm m, vi x, vi y) {
@@ -119,6 +124,13 @@ static inline vi round_to_int(vf x) {
 static inline vf vabs(vf x) {
   const i4 m = {0x7FFFFFFF, 0x7FFFFFFF, 0x7FFFFFFF, 0x7FFFFFFF};
   return {(f4)((i4)x.a & m), (f4)((i4)x.b & m)};
+}
+static inline vf vceil(vf x) {
+  for (int i = 0; i < 4; ++i) {
+    x.a[i] = __builtin_ceilf(x.a[i]);
+    x.b[i] = __builtin_ceilf(x.b[i]);
+  }
+  return x;
 }
 static inline vf fast_reciprocal(vf x) { return vf(1.0f) / x; }
 static inline bool any(vm x) { return bits(x) != 0; }
@@ -180,6 +192,15 @@ static inline void store_two_sums(float* out, vf a, vf b) {
 // Writes the sums over the lanes of ten vectors.
 static inline void store_ten_sums(float* out, const vf* x) {
   for (int i = 0; i < 10; ++i) out[i] = lane_sum(x[i]);
+}
+
+// Writes four pixels of three planes, interleaved.
+static inline void store_pixels(float* out, const float* r, const float* g, const float* b) {
+  for (int i = 0; i < 4; ++i) {
+    out[3 * i] = r[i];
+    out[3 * i + 1] = g[i];
+    out[3 * i + 2] = b[i];
+  }
 }
 
 }  // namespace RECAST_ISA

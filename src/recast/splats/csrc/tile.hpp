@@ -48,10 +48,20 @@ static inline uint32_t blocks_inside(const Tile& t) {
 // Gaussians of a tile, positions relative to its corner; once by row, once by column.
 struct Batch {
   alignas(64) Splat splats[kBatch];
-  alignas(64) float columns[8][kBatch];
+  alignas(64) float columns[10][kBatch];
   int count;
 };
-enum Column { kX, kY, kL1, kL2, kL3, kReach, kSlopeY, kSlopeX };
+// U0 and V0 are u and v at the corner of the tile, see `power_at`.
+enum Column { kX, kY, kL1, kL2, kL3, kReach, kSlopeY, kSlopeX, kU0, kV0 };
+
+// log2 alpha of Gaussian i at pixels relative to the corner of the tile, with u = l1 dx + l2 dy and
+// v = l3 dy; both passes use it, so that they agree bit by bit.
+static inline vf power_at(const Batch& batch, int i, vf px, vf py, vf& u, vf& v) {
+  const Splat& s = batch.splats[i];
+  u = fma(vf(s.l1), px, fma(vf(s.l2), py, vf(batch.columns[kU0][i])));
+  v = fma(vf(s.l3), py, vf(batch.columns[kV0][i]));
+  return fnma(v, v, fnma(u, u, vf(s.log2_opacity)));
+}
 
 static inline void load_batch(const Frame& f, const Tile& tile, uint32_t begin, int count,
                               Batch& batch) {
@@ -78,6 +88,8 @@ static inline void load_batch(const Frame& f, const Tile& tile, uint32_t begin, 
     store(batch.columns[kReach] + first, column[5] - slack);
     store(batch.columns[kSlopeY] + first, column[10]);
     store(batch.columns[kSlopeX] + first, column[11]);
+    store(batch.columns[kU0] + first, -fma(column[2], column[0], column[3] * column[1]));
+    store(batch.columns[kV0] + first, -(column[4] * column[1]));
   }
 }
 

@@ -18,6 +18,7 @@ from recast.splats.gaussians import Gaussians
 from recast.splats.rasterization import Rasterization, RasterMeta, RasterSettings
 
 _KEEP = 16
+_LINE = 64  # bytes of a cache line: the kernel writes large gradients by whole lines
 _store: list[np.ndarray] = []
 _store_lock = threading.Lock()
 # Blocks come back whenever Python collects a tensor, even while the lock is held: they wait here.
@@ -257,4 +258,5 @@ def _take(size: int) -> np.ndarray:
         if best >= 0:
             return _store.pop(best)
         del _store[: max(0, len(_store) - _KEEP)]
-    return np.empty(max(64, size + size // 8), np.uint8)
+    block = np.empty(size + size // 8 + 2 * _LINE, np.uint8)
+    return block[-block.ctypes.data % _LINE :]
