@@ -78,6 +78,8 @@ int Context::forward(const Kernels& kernels, Frame f, int64_t* fault_row) {
   if (most >= 0xFFFFFFFFull) return -1;
   f.tile_begin = tile_begin_.reserve(tiles + 1);
   f.intersections = intersections_.reserve(int64_t(most) + 1);
+  // In bands the intersections of one take the place of those of another.
+  f.blocks = f.training && bands_.size() == 1 ? blocks_.reserve(int64_t(most) + 1) : nullptr;
   if (f.training) f.tile_state = state_.reserve(tiles * 5 * kTilePixels);
   milliseconds[kBin] = milliseconds[kRaster] = 0;
   for (const Band& band : bands_) {
@@ -154,7 +156,7 @@ void Context::backward(const Kernels& kernels, const Frame& g, float* pose_grad)
 int64_t Context::bytes() const {
   return binning_.bytes() + splats_.bytes() + footprints_.bytes() + slots_.bytes() + ids_.bytes() +
          keys_.bytes() + tile_begin_.bytes() + chunks_.bytes() + intersections_.bytes() +
-         visible_.bytes() + lit_.bytes() + used_.bytes() + state_.bytes() + records_.bytes() +
+         visible_.bytes() + lit_.bytes() + blocks_.bytes() + used_.bytes() + state_.bytes() + records_.bytes() +
          absolute_records_.bytes() + sums_.bytes() + absolute_sums_.bytes() + pose_.bytes();
 }
 

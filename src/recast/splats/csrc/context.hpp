@@ -32,6 +32,7 @@ class Context {
   Buffer<uint32_t> slots_, ids_, keys_, tile_begin_;
   Buffer<ChunkResult> chunks_;
   Buffer<Intersection> intersections_;
+  Buffer<int32_t> blocks_;
   Buffer<uint8_t> lit_, visible_, used_;
   Buffer<float> state_, records_, absolute_records_, sums_, absolute_sums_;
   Buffer<double> pose_;

@@ -60,14 +60,11 @@ bool blend(State& state, const Batch& batch, const uint8_t* list, int n, int blo
   return alive;
 }
 
-// Gaussians of the batch that may touch each block: W bits a group.
+// Gaussians of the batch that may touch each block, one bit each.
 struct Touched {
   static constexpr int kBytes = kBatch / 8;
   alignas(64) uint8_t bits[kBlocks][kBytes];
 
-  void set(int block, int first, uint32_t mask) {
-    for (int i = 0; i < W / 8; ++i) bits[block][first / 8 + i] = uint8_t(mask >> (8 * i));
-  }
   // Their indices; writes up to W past the end.
   int list(int block, uint8_t* out) const { return list_bits(bits[block], kBytes, out); }
 };
@@ -118,12 +115,12 @@ void raster_tile(const Frame& f, int64_t index) {
   for (uint32_t begin = t.begin; begin < t.end && alive; begin += kBatch) {
     const int count = int(t.end - begin < kBatch ? t.end - begin : kBatch);
     load_batch(f, t, begin, count, batch);
+    alignas(64) int32_t masks[kBatch];
+    find_blocks(batch, masks);
+    if (f.blocks) __builtin_memcpy(f.blocks + begin, masks, size_t(count) * sizeof(int32_t));
     __builtin_memset(&touched, 0, sizeof touched);
-    for (int first = 0; first < count; first += W) {
-      const uint32_t valid = count - first >= W ? (1u << W) - 1u : (1u << (count - first)) - 1u;
-      test_blocks(batch, first, alive,
-                  [&](int b, vm m) { touched.set(b, first, bits(m) & valid); });
-    }
+    for (int first = 0; first < count; first += 32)
+      bits_of_blocks(masks + first, reinterpret_cast<uint8_t*>(&touched) + first / 8, Touched::kBytes);
     for (uint32_t left = alive; left; left &= left - 1) {
       const int block = __builtin_ctz(left);
       uint8_t list[kBatch + W];

@@ -133,18 +133,17 @@ void tile_gradient(const Frame& f, int64_t index) {
   Batch batch;
   load_pixels(f, t, index, pixels);
   uint32_t alive = blocks_inside(t);
-  for (uint32_t begin = t.begin; begin < t.end && alive; begin += kBatch) {
+  for (uint32_t begin = t.begin; begin < t.end; begin += kBatch) {
     const int count = int(t.end - begin < kBatch ? t.end - begin : kBatch);
+    if (!(alive = still_open(pixels, alive))) break;
     load_batch(f, t, begin, count, batch);
     alignas(64) int32_t touched[kBatch];
-    for (int first = 0; first < count; first += W) {
-      vi masks = vi(0);
-      test_blocks(batch, first, alive,
-                  [&](int b, vm m) { masks = masks | select(m, vi(int32_t(1u << b)), vi(0)); });
-      store(touched + first, masks);
-    }
+    if (f.blocks)
+      __builtin_memcpy(touched, f.blocks + begin, size_t(count) * sizeof(int32_t));
+    else
+      find_blocks(batch, touched);
     for (int i = 0; i < count; ++i) {
-      if (i % kLook == 0 && !(alive = still_open(pixels, alive))) break;
+      if (i && i % kLook == 0 && !(alive = still_open(pixels, alive))) break;
       const uint32_t mask = uint32_t(touched[i]) & alive;
       if (i + 6 < count)
         __builtin_prefetch(

@@ -52,6 +52,8 @@ static inline vf vmax(vf a, vf b) { return _mm256_max_ps(a.v, b.v); }
 static inline vf vsqrt(vf a) { return _mm256_sqrt_ps(a.v); }
 static inline vf vabs(vf a) { return _mm256_andnot_ps(_mm256_set1_ps(-0.0f), a.v); }
 static inline vf vceil(vf a) { return _mm256_ceil_ps(a.v); }
+// Relative error below 2^-11.
+static inline vf fast_rsqrt(vf a) { return _mm256_rsqrt_ps(a.v); }
 static inline vf fast_reciprocal(vf a) {
   // rcpps has 12 bits and one Newton step gives 23.
   __m256 r = _mm256_rcp_ps(a.v);
@@ -158,6 +160,38 @@ static inline void store_ten_sums(float* out, const vf* a) {
   _mm_storeu_ps(out, four(a[0].v, a[1].v, a[2].v, a[3].v));
   _mm_storeu_ps(out + 4, four(a[4].v, a[5].v, a[6].v, a[7].v));
   store_two_sums(out + 8, a[8], a[9]);
+}
+
+// Bits shift .. shift + 3 without as many of the lowest as `skip` says and of the highest as `miss` says,
+// both rounded, from 0 to 4.
+static inline vi run_of_four(vf skip, vf miss, int shift) {
+  const __m256i four = _mm256_set1_epi32(int(0xFu << shift));
+  return _mm256_and_si256(_mm256_sllv_epi32(four, _mm256_cvtps_epi32(skip.v)),
+                          _mm256_srlv_epi32(four, _mm256_cvtps_epi32(miss.v)));
+}
+
+// bits[b] gets bit i of Gaussian i of 32 whose masks hold bit b.
+static inline void bits_of_blocks(const int32_t* masks, void* rows, int stride) {
+  uint8_t* bits = static_cast<uint8_t*>(rows);
+  const __m256i planes = _mm256_setr_epi8(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15, 0, 4,
+                                          8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
+  __m256i m[4];
+  for (int k = 0; k < 4; ++k)
+    m[k] = _mm256_shuffle_epi8(
+        _mm256_loadu_si256(reinterpret_cast<const __m256i*>(masks + 8 * k)), planes);
+  const __m256i a = _mm256_unpacklo_epi32(m[0], m[1]), b = _mm256_unpackhi_epi32(m[0], m[1]);
+  const __m256i c = _mm256_unpacklo_epi32(m[2], m[3]), d = _mm256_unpackhi_epi32(m[2], m[3]);
+  __m256i plane[4] = {_mm256_unpacklo_epi64(a, c), _mm256_unpackhi_epi64(a, c),
+                      _mm256_unpacklo_epi64(b, d), _mm256_unpackhi_epi64(b, d)};
+  const __m256i order = _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7);
+  for (int p = 0; p < 4; ++p) {
+    __m256i bytes = _mm256_permutevar8x32_epi32(plane[p], order);
+    for (int bit = 7; bit >= 0; --bit) {
+      const uint32_t word = uint32_t(_mm256_movemask_epi8(bytes));
+      __builtin_memcpy(bits + (8 * p + bit) * stride, &word, 4);
+      bytes = _mm256_add_epi8(bytes, bytes);
+    }
+  }
 }
 
 // Writes four pixels of three planes, interleaved.

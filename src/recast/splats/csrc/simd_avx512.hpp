@@ -49,6 +49,8 @@ static inline vf vmax(vf a, vf b) { return _mm512_max_ps(a.v, b.v); }
 static inline vf vsqrt(vf a) { return _mm512_sqrt_ps(a.v); }
 static inline vf vabs(vf a) { return _mm512_abs_ps(a.v); }
 static inline vf vceil(vf a) { return _mm512_roundscale_ps(a.v, _MM_FROUND_TO_POS_INF | _MM_FROUND_NO_EXC); }
+// Relative error below 2^-11.
+static inline vf fast_rsqrt(vf a) { return _mm512_rsqrt14_ps(a.v); }
 static inline vf fast_reciprocal(vf a) {
   __m512 r = _mm512_rcp14_ps(a.v);
   return _mm512_mul_ps(r, _mm512_fnmadd_ps(a.v, r, _mm512_set1_ps(2.0f)));
@@ -173,6 +175,26 @@ static inline void store_ten_sums(float* out, const vf* a) {
                            _mm512_shuffle_f32x4(third, zero, 0xEE));
   __m512 sums = _mm512_add_ps(_mm512_shuffle_f32x4(x, y, 0x88), _mm512_shuffle_f32x4(x, y, 0xDD));
   _mm512_mask_storeu_ps(out, __mmask16(0x3FF), sums);
+}
+
+// Bits shift .. shift + 3 without as many of the lowest as `skip` says and of the highest as `miss` says,
+// both rounded, from 0 to 4.
+static inline vi run_of_four(vf skip, vf miss, int shift) {
+  const __m512i four = _mm512_set1_epi32(int(0xFu << shift));
+  return _mm512_and_si512(_mm512_sllv_epi32(four, _mm512_cvtps_epi32(skip.v)),
+                          _mm512_srlv_epi32(four, _mm512_cvtps_epi32(miss.v)));
+}
+
+// bits[b] gets bit i of Gaussian i of 32 whose masks hold bit b.
+static inline void bits_of_blocks(const int32_t* masks, void* rows, int stride) {
+  uint8_t* bits = static_cast<uint8_t*>(rows);
+  const __m512i low = _mm512_loadu_si512(masks), high = _mm512_loadu_si512(masks + 16);
+  for (int b = 0; b < 16; ++b) {
+    const __m512i bit = _mm512_set1_epi32(1 << b);
+    const uint32_t word = uint32_t(_mm512_test_epi32_mask(low, bit)) |
+                          uint32_t(_mm512_test_epi32_mask(high, bit)) << 16;
+    __builtin_memcpy(bits + b * stride, &word, 4);
+  }
 }
 
 // Writes four pixels of three planes, interleaved.

@@ -194,6 +194,39 @@ static inline void store_ten_sums(float* out, const vf* x) {
   for (int i = 0; i < 10; ++i) out[i] = lane_sum(x[i]);
 }
 
+// Relative error below 2^-9: the exponent halved in the bits, and one step of Newton's.
+static inline vf fast_rsqrt(vf x) {
+  const vf y = as_float(vi(0x5F3759DF) - shift_right<1>(as_int(x)));
+  return y * fnma(vf(0.5f) * x * y, y, vf(1.5f));
+}
+
+// Bits shift .. shift + 3 without as many of the lowest as `skip` says and of the highest as `miss` says,
+// both rounded, from 0 to 4.
+static inline vi run_of_four(vf skip, vf miss, int shift) {
+  // Powers of two by their exponents, since SSE2 cannot shift each lane by its own count.
+  const auto power = [](vi n) { return round_to_int(as_float(shift_left<23>(n + vi(127)))); };
+  const vi four = (vi(16) - power(round_to_int(skip))) & (power(vi(4) - round_to_int(miss)) - vi(1));
+  return {four.a << shift, four.b << shift};
+}
+
+// bits[b] gets bit i of Gaussian i of 32 whose masks hold bit b.
+static inline void bits_of_blocks(const int32_t* masks, void* rows, int stride) {
+  uint8_t* bits = static_cast<uint8_t*>(rows);
+  for (int i = 0; i < 32; i += 8)
+    for (int k = 0; k < 4; ++k) {
+      uint64_t x = 0;  // eight bits of eight Gaussians, then turned over
+      for (int j = 0; j < 8; ++j) x |= uint64_t(uint32_t(masks[i + j]) >> (8 * k) & 0xFF) << (8 * j);
+      if (!x) continue;
+      uint64_t t = (x ^ x >> 7) & 0x00AA00AA00AA00AAull;
+      x ^= t ^ t << 7;
+      t = (x ^ x >> 14) & 0x0000CCCC0000CCCCull;
+      x ^= t ^ t << 14;
+      t = (x ^ x >> 28) & 0x00000000F0F0F0F0ull;
+      x ^= t ^ t << 28;
+      for (int j = 0; j < 8; ++j) bits[(8 * k + j) * stride + i / 8] = uint8_t(x >> (8 * j));
+    }
+}
+
 // Writes four pixels of three planes, interleaved.
 static inline void store_pixels(float* out, const float* r, const float* g, const float* b) {
   for (int i = 0; i < 4; ++i) {

@@ -93,38 +93,45 @@ static inline void load_batch(const Frame& f, const Tile& tile, uint32_t begin, 
   }
 }
 
-// Calls visit(block, mask) with the lanes of Gaussians first .. first + W - 1 whose ellipse
-// alpha = 1/255 reaches a pixel of the block, for every block in `alive`.
-template <typename Visit>
-static inline void test_blocks(const Batch& batch, int first, uint32_t alive, Visit visit) {
+// The blocks that the ellipses alpha = 1/255 of Gaussians first .. first + W - 1 reach, one bit a
+// block: along each row of pixels an ellipse holds the centres of one interval. A few blocks too many
+// near its border, none too few.
+static inline vi blocks_reached(const Batch& batch, int first) {
   const vf x = load(batch.columns[kX] + first), y = load(batch.columns[kY] + first);
-  const vf l1 = load(batch.columns[kL1] + first), l2 = load(batch.columns[kL2] + first);
-  const vf l3 = load(batch.columns[kL3] + first), reach = load(batch.columns[kReach] + first);
-  const vf slope_y = load(batch.columns[kSlopeY] + first);
-  const vf slope_x = load(batch.columns[kSlopeX] + first);
-  const vf zero = 0.0f;
-  vf x0[kBlockColumns], x1[kBlockColumns], best_y[kBlockColumns], l1_dx[kBlockColumns];
-  for (int i = 0; i < kBlockColumns; ++i) {
-    x0[i] = vf(float(i * kBlockWidth) + 0.5f) - x;
-    x1[i] = x0[i] + vf(float(kBlockWidth - 1));
-    const vf dx = vmax(vmin(zero, x1[i]), x0[i]);
-    best_y[i] = slope_y * dx;
-    l1_dx[i] = l1 * dx;
-  }
+  const vf inverse = vf(1.0f) / load(batch.columns[kL1] + first);
+  const vf slope = load(batch.columns[kSlopeX] + first);
+  // Half the interval, squared, is wide - (steep dy)^2; the factor covers the error of its root.
+  const vf steep = load(batch.columns[kL3] + first) * inverse;
+  const vf wide = load(batch.columns[kReach] + first) * inverse * inverse * vf(1.004f);
+  const vf tiny = 1e-12f, zero = 0.0f, all = float(kBlockColumns), per_block = 1.0f / kBlockWidth;
+  // Blocks with a centre right of the left end and one left of the right end, with a slack of a
+  // hundredth of a block: rounded to the nearest integer.
+  const vf from = 0.49f - (kBlockWidth - 0.5f) / kBlockWidth;
+  const vf after = kBlockColumns - 1 + 0.49f + 0.5f / kBlockWidth;
+  vi masks = vi(0);
   for (int j = 0; j < kBlockRows; ++j) {
-    if (!(alive >> (j * kBlockColumns) & ((1u << kBlockColumns) - 1u))) continue;
-    const vf y0 = vf(float(j * kBlockHeight) + 0.5f) - y;
-    const vf y1 = y0 + vf(float(kBlockHeight - 1));
-    const vf dy = vmax(vmin(zero, y1), y0);
-    const vf best_x = slope_x * dy, l2_dy = l2 * dy, l3_dy = l3 * dy;
-    for (int i = 0; i < kBlockColumns; ++i) {
-      // The least value over a box lies at its point nearest in x or nearest in y.
-      const vf ey = vmin(vmax(best_y[i], y0), y1), ex = vmin(vmax(best_x, x0[i]), x1[i]);
-      const vf u = fma(l2, ey, l1_dx[i]), v = l3 * ey, p = fma(l1, ex, l2_dy);
-      const vf least = vmin(fma(u, u, v * v), fma(p, p, l3_dy * l3_dy));
-      visit(j * kBlockColumns + i, least <= reach);
+    vf left, right;
+    for (int k = 0; k < kBlockHeight; ++k) {
+      const vf dy = vf(float(j * kBlockHeight + k) + 0.5f) - y;
+      const vf v = steep * dy;
+      const vf square = fnma(v, v, wide);
+      // Far below zero where the row misses the ellipse: then the interval is empty.
+      const vf half = square * fast_rsqrt(vmax(square, tiny)), middle = fma(slope, dy, x);
+      left = k ? vmin(left, middle - half) : middle - half;
+      right = k ? vmax(right, middle + half) : middle + half;
     }
+    const vf skip = vmin(vmax(fma(left, per_block, from), zero), all);
+    const vf miss = vmin(vmax(fnma(right, per_block, after), zero), all);
+    masks = masks | run_of_four(skip, miss, j * kBlockColumns);
   }
+  return masks;
+}
+
+// The blocks that each Gaussian of the batch reaches; none past its end.
+static inline void find_blocks(const Batch& batch, int32_t (&masks)[kBatch]) {
+  for (int first = 0; first < batch.count; first += W)
+    store(masks + first, blocks_reached(batch, first));
+  __builtin_memset(masks + batch.count, 0, size_t(kBatch - batch.count) * sizeof(int32_t));
 }
 
 }  // namespace RECAST_ISA
