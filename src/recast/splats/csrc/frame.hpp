@@ -28,9 +28,8 @@ struct alignas(64) Splat {
   float l1, l2, l3;
   float log2_opacity;
   float r, g, b, depth;
-  float slope_y;  // dy of the ellipse's extremum at given dx: cov_xy / cov_xx
-  float slope_x;  // dx at given dy: cov_xy / cov_yy
-  float spare[4];
+  float slope_x;  // dx of the middle of the ellipse at given dy: cov_xy / cov_yy
+  float spare[5];
 };
 
 // Tiles a Gaussian may touch: x0 (12 bits), y0 (12), width - 1 (12), height - 1 (12), mask (16).

@@ -106,9 +106,8 @@ void project_group(const Frame& f, uint32_t first, int lanes, ChunkResult& resul
   columns[5] = log2_opacity;
   columns[6] = columns[7] = columns[8] = vf(0.0f);
   columns[9] = o.point[2];
-  columns[10] = o.slope_y;
-  columns[11] = o.slope_x;
-  for (int i = 12; i < 16; ++i) columns[i] = vf(0.0f);
+  columns[10] = o.slope_x;
+  for (int i = 11; i < 16; ++i) columns[i] = vf(0.0f);
   for (int c = 0; c < 16; c += W) {
     transpose(columns + c);
     for (uint32_t m = visible; m; m &= m - 1) {

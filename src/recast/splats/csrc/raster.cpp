@@ -35,19 +35,19 @@ bool blend(State& state, const Batch& batch, const uint8_t* list, int n, int blo
   for (int begin = 0; begin < n && alive; begin += kLook) {
     const int end = begin + kLook < n ? begin + kLook : n;
     for (int i = begin; i < end; ++i) {
-      const Splat& s = batch.splats[list[i]];
+      const int which = list[i];
       vf u, v;
-      const vf power = power_at(batch, list[i], px, py, u, v);
+      const vf power = power_at(batch, which, px, py, u, v);
       const vf alpha = keep(power >= least, vmin(exp2_bounded(power), cap));
       const vf next = fnma(alpha, open, open);
       const vm stopped = next <= stop_at;
       const vf weight = drop(stopped, alpha * open);
       open = select(stopped, open, next);
       least = never_where(stopped, least);
-      r = fma(weight, vf(s.r), r);
-      g = fma(weight, vf(s.g), g);
-      b = fma(weight, vf(s.b), b);
-      depth = fma(weight, vf(s.depth), depth);
+      r = fma(weight, batch.of(kR, which), r);
+      g = fma(weight, batch.of(kG, which), g);
+      b = fma(weight, batch.of(kB, which), b);
+      depth = fma(weight, batch.of(kDepth, which), depth);
     }
     alive = any(least < vf(0.0f));
   }

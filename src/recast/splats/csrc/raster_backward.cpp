@@ -67,9 +67,9 @@ void load_pixels(const Frame& f, const Tile& t, int64_t index, Pixels& p) {
 template <bool Absolute>
 void gather(Pixels& p, const Batch& batch, int i, uint32_t mask, float max_alpha, float* record,
                 float* absolute) {
-  const Splat& s = batch.splats[i];
-  const vf l2 = s.l2, l3 = s.l3;
-  const vf sr = s.r, sg = s.g, sb = s.b, sd = s.depth;
+  const vf l2 = batch.of(kL2, i), l3 = batch.of(kL3, i);
+  const vf sr = batch.of(kR, i), sg = batch.of(kG, i), sb = batch.of(kB, i);
+  const vf sd = batch.of(kDepth, i);
   const vf threshold = kLog2AlphaThreshold, stop_at = kTransmittanceThreshold, cap = max_alpha;
   const vf one = 1.0f, zero = 0.0f;
   vf sum_u = zero, sum_v = zero, sum_uu = zero, sum_uv = zero, sum_vv = zero, sum = zero;

@@ -11,7 +11,7 @@ constexpr int kBlockHeight = W / kBlockWidth;
 constexpr int kBlockColumns = kTile / kBlockWidth;
 constexpr int kBlockRows = kTile / kBlockHeight;
 constexpr int kBlocks = kBlockColumns * kBlockRows;
-constexpr int kBatch = 128;  // Gaussians handled at a time: they stay in the first-level cache
+constexpr int kBatch = 256;  // Gaussians handled at a time: they stay in the first-level cache
 
 // Where pixel row y of block column i lies in block order; four pixels are contiguous.
 static inline int block_offset(int y, int column) {
@@ -45,30 +45,29 @@ static inline uint32_t blocks_inside(const Tile& t) {
   return mask;
 }
 
-// Gaussians of a tile, positions relative to its corner; once by row, once by column.
+// Columns of a batch: of the splat, and u and v at the corner of the tile, see `power_at`.
+enum Column { kX, kY, kL1, kL2, kL3, kLog2Opacity, kR, kG, kB, kDepth, kSlopeX, kU0, kV0, kColumns };
+
+// Gaussians of a tile, positions relative to its corner, by column.
 struct Batch {
-  alignas(64) Splat splats[kBatch];
-  alignas(64) float columns[10][kBatch];
+  alignas(64) float columns[kColumns][kBatch];
   int count;
+
+  vf of(Column c, int i) const { return vf(columns[c][i]); }
 };
-// U0 and V0 are u and v at the corner of the tile, see `power_at`.
-enum Column { kX, kY, kL1, kL2, kL3, kReach, kSlopeY, kSlopeX, kU0, kV0 };
 
 // log2 alpha of Gaussian i at pixels relative to the corner of the tile, with u = l1 dx + l2 dy and
 // v = l3 dy; both passes use it, so that they agree bit by bit.
 static inline vf power_at(const Batch& batch, int i, vf px, vf py, vf& u, vf& v) {
-  const Splat& s = batch.splats[i];
-  u = fma(vf(s.l1), px, fma(vf(s.l2), py, vf(batch.columns[kU0][i])));
-  v = fma(vf(s.l3), py, vf(batch.columns[kV0][i]));
-  return fnma(v, v, fnma(u, u, vf(s.log2_opacity)));
+  u = fma(batch.of(kL1, i), px, fma(batch.of(kL2, i), py, batch.of(kU0, i)));
+  v = fma(batch.of(kL3, i), py, batch.of(kV0, i));
+  return fnma(v, v, fnma(u, u, batch.of(kLog2Opacity, i)));
 }
 
 static inline void load_batch(const Frame& f, const Tile& tile, uint32_t begin, int count,
                               Batch& batch) {
   batch.count = count;
-  alignas(64) float corner[16] = {float(tile.x), float(tile.y)};
-  // The slack keeps the test conservative under rounding.
-  const vf slack = kLog2AlphaThreshold - 0.01f;
+  const vf corner_x = float(tile.x), corner_y = float(tile.y);
   for (int first = 0; first < count; first += W) {
     vf part[16 / W][W];
     for (uint32_t i = begin + uint32_t(first) + 2 * W; i < begin + uint32_t(first) + 3 * W; ++i)
@@ -76,20 +75,16 @@ static inline void load_batch(const Frame& f, const Tile& tile, uint32_t begin, 
     for (int lane = 0; lane < W; ++lane) {
       const int i = first + lane < count ? first + lane : count - 1;
       const float* row = &f.splats[f.intersections[begin + uint32_t(i)].id].x;
-      float* out = &batch.splats[first + lane].x;
-      for (int c = 0; c < 16 / W; ++c) {
-        part[c][lane] = load(row + c * W) - load(corner + c * W);
-        store(out + c * W, part[c][lane]);
-      }
+      for (int c = 0; c < 16 / W; ++c) part[c][lane] = load(row + c * W);
     }
     for (int c = 0; c < 16 / W; ++c) transpose(part[c]);
-    const vf* column = part[0];
-    for (int c = 0; c < 5; ++c) store(batch.columns[c] + first, column[c]);
-    store(batch.columns[kReach] + first, column[5] - slack);
-    store(batch.columns[kSlopeY] + first, column[10]);
-    store(batch.columns[kSlopeX] + first, column[11]);
-    store(batch.columns[kU0] + first, -fma(column[2], column[0], column[3] * column[1]));
-    store(batch.columns[kV0] + first, -(column[4] * column[1]));
+    vf* column = part[0];
+    column[kX] = column[kX] - corner_x;
+    column[kY] = column[kY] - corner_y;
+    for (int c = 0; c <= kSlopeX; ++c) store(batch.columns[c] + first, column[c]);
+    store(batch.columns[kU0] + first,
+          -fma(column[kL1], column[kX], column[kL2] * column[kY]));
+    store(batch.columns[kV0] + first, -(column[kL3] * column[kY]));
   }
 }
 
@@ -102,7 +97,8 @@ static inline vi blocks_reached(const Batch& batch, int first) {
   const vf slope = load(batch.columns[kSlopeX] + first);
   // Half the interval, squared, is wide - (steep dy)^2; the factor covers the error of its root.
   const vf steep = load(batch.columns[kL3] + first) * inverse;
-  const vf wide = load(batch.columns[kReach] + first) * inverse * inverse * vf(1.004f);
+  const vf reach = load(batch.columns[kLog2Opacity] + first) - vf(kLog2AlphaThreshold - 0.01f);
+  const vf wide = reach * inverse * inverse * vf(1.004f);
   const vf tiny = 1e-12f, zero = 0.0f, all = float(kBlockColumns), per_block = 1.0f / kBlockWidth;
   // Blocks with a centre right of the left end and one left of the right end, with a slack of a
   // hundredth of a block: rounded to the nearest integer.
