@@ -103,11 +103,10 @@ uint64_t Binning::compact(Frame& f, int64_t chunks) {
   pairs_[1].reserve(visible + 1);
   const uint32_t low = key_min_;
   parallel_for(chunks, [&f, offsets, pairs, low](int64_t c) {
-    const uint32_t* ids = f.chunk_ids + c * kChunk;
-    const uint32_t* keys = f.chunk_keys + c * kChunk;
+    const uint32_t first = uint32_t(c * kChunk);
     uint64_t* out = pairs + offsets[c];
     for (uint32_t i = 0; i < f.chunks[c].visible; ++i)
-      out[i] = uint64_t(keys[i] - low) << 32 | ids[i];
+      out[i] = uint64_t(f.placements[first + i].key - low) << 32 | (first + i);
   });
   return total;
 }
@@ -117,7 +116,7 @@ std::vector<Band> Binning::bands(const Frame& f, int64_t chunks, uint64_t total,
   std::vector<uint64_t> rows(size_t(f.tiles_y), 0);
   for (int64_t c = 0; c < chunks; ++c)
     for (uint32_t i = 0; i < f.chunks[c].visible; ++i) {
-      const Footprint print = f.footprints[f.chunk_ids[c * kChunk + i]];
+      const Footprint print = f.placements[c * kChunk + i].print;
       const int y = int(print >> 40 & 0xFFF), h = int(print >> 16 & 0xFFF) + 1;
       for (int j = y; j < y + h; ++j) rows[size_t(j)] += tiles_of(clipped(print, j, j + 1));
     }
@@ -133,43 +132,38 @@ std::vector<Band> Binning::bands(const Frame& f, int64_t chunks, uint64_t total,
 }
 
 void Binning::number(Frame& f, int64_t chunks, const Band& band) {
-  uint32_t* counts = chunk_counts_.reserve(chunks + 1);
+  uint32_t* firsts = chunk_slots_.reserve(chunks + 1);
   const bool whole = band.first == 0 && band.end == f.tiles_y;
   parallel_for(chunks, [=, &f](int64_t c) {
     uint32_t count = uint32_t(f.chunks[c].intersections);
-    if (whole) {
-      counts[c] = count;
-      return;
+    if (!whole) {
+      count = 0;
+      for (uint32_t i = 0; i < f.chunks[c].visible; ++i) {
+        Placement& place = f.placements[c * kChunk + i];
+        place.slot = count;
+        count += tiles_of(clipped(place.print, band.first, band.end));
+      }
     }
-    count = 0;
-    for (uint32_t i = 0; i < f.chunks[c].visible; ++i)
-      count += tiles_of(clipped(f.footprints[f.chunk_ids[c * kChunk + i]], band.first, band.end));
-    counts[c] = count;
+    firsts[c] = count;
   });
   uint32_t total = 0;
   for (int64_t c = 0; c < chunks; ++c) {
-    const uint32_t count = counts[c];
-    counts[c] = total;
+    const uint32_t count = firsts[c];
+    firsts[c] = total;
     total += count;
   }
-  parallel_for(chunks, [=, &f](int64_t c) {
-    uint32_t slot = counts[c];
-    for (uint32_t i = 0; i < f.chunks[c].visible; ++i) {
-      const uint32_t id = f.chunk_ids[c * kChunk + i];
-      const Footprint print = f.footprints[id];
-      f.slots[id] = slot;
-      slot += tiles_of(whole ? print : clipped(print, band.first, band.end));
-    }
-  });
+  f.chunk_slots = firsts;
 }
 
 void Binning::fold(const Frame& f, int64_t chunks, const Band& band, const float* records,
                    int sums, float* out) const {
   parallel_for(chunks, [=, &f](int64_t c) {
     for (uint32_t i = 0; i < f.chunks[c].visible; ++i) {
-      const uint32_t id = f.chunk_ids[c * kChunk + i], first = f.slots[id];
-      const uint32_t end = first + tiles_of(clipped(f.footprints[id], band.first, band.end));
-      float* row = out + int64_t(id) * sums;
+      const int64_t place = c * kChunk + i;
+      const uint32_t first = f.chunk_slots[c] + f.placements[place].slot;
+      const uint32_t end =
+          first + tiles_of(clipped(f.placements[place].print, band.first, band.end));
+      float* row = out + place * sums;
       for (uint32_t k = first; k < end; ++k)
         if (f.record_used[k])
           for (int j = 0; j < sums; ++j) row[j] += records[int64_t(k) * sums + j];
@@ -233,17 +227,19 @@ void Binning::scatter(Frame& f, int64_t chunks, const Band& band) {
   parallel_for(parts, [=, &f](int64_t p) {
     std::memset(counts + p * tiles, 0, size_t(tiles) * sizeof(uint32_t));
     uint32_t* count = counts + p * tiles - first;  // by tile of the image
-    for (int64_t i = n * p / parts; i < n * (p + 1) / parts; ++i) {
+    const int64_t begin = n * p / parts, end = n * (p + 1) / parts;
+    for (int64_t i = begin; i < end; ++i) {
       // Depth order jumps all over the memory.
-      if (i + kAhead < n) {
-        __builtin_prefetch(f.footprints + uint32_t(sorted[i + kAhead]));
-        __builtin_prefetch(f.slots + uint32_t(sorted[i + kAhead]));
-      }
-      const uint32_t id = uint32_t(sorted[i]);
-      const Footprint print =
-          whole ? f.footprints[id] : clipped(f.footprints[id], band.first, band.end);
-      placed[i] = {print, id, f.slots[id]};
-      for_each_tile(print, tiles_x, [count](int tile) { ++count[tile]; });
+      if (i + kAhead < n) __builtin_prefetch(f.placements + uint32_t(sorted[i + kAhead]));
+      const uint32_t place = uint32_t(sorted[i]);
+      const Placement& g = f.placements[place];
+      placed[i] = {g.print, place, f.chunk_slots[place / kChunk] + g.slot};
+      if (whole) for_each_tile(g.print, tiles_x, [count](int tile) { ++count[tile]; });
+    }
+    if (whole) return;
+    for (int64_t i = begin; i < end; ++i) {
+      placed[i].print = clipped(placed[i].print, band.first, band.end);
+      for_each_tile(placed[i].print, tiles_x, [count](int tile) { ++count[tile]; });
     }
   });
   uint32_t total = 0;
@@ -262,14 +258,14 @@ void Binning::scatter(Frame& f, int64_t chunks, const Band& band) {
     for (int64_t i = n * p / parts; i < n * (p + 1) / parts; ++i) {
       const Placed g = placed[i];
       uint32_t slot = g.slot;
-      for_each_tile(g.print, tiles_x, [&](int tile) { out[next[tile]++] = {g.id, slot++}; });
+      for_each_tile(g.print, tiles_x, [&](int tile) { out[next[tile]++] = {g.place, slot++}; });
     }
   });
 }
 
 int64_t Binning::bytes() const {
   return pairs_[0].bytes() + pairs_[1].bytes() + counts_.bytes() + placed_.bytes() +
-         chunk_offsets_.bytes() + chunk_counts_.bytes();
+         chunk_offsets_.bytes() + chunk_slots_.bytes();
 }
 
 }  // namespace recast

@@ -52,15 +52,14 @@ int Context::forward(const Kernels& kernels, Frame f, int64_t* fault_row) {
     add(stage);
   };
 
-  f.splats = splats_.reserve(n);
-  f.footprints = footprints_.reserve(n);
-  f.slots = slots_.reserve(n);
-  f.chunk_ids = ids_.reserve(chunks * kChunk);
-  f.chunk_keys = keys_.reserve(chunks * kChunk);
+  const int64_t places = chunks * kChunk;
+  f.rows = rows_.reserve(places);
+  f.splats = splats_.reserve(places);
+  f.placements = placements_.reserve(places);
+  f.lit = lit_.reserve(places);
   f.chunks = chunks_.reserve(chunks);
   uint8_t* given = f.visible;
   f.visible = visible_.reserve(n);
-  f.lit = lit_.reserve(n);
   parallel_for(chunks, [&](int64_t c) { kernels.project(f, c); });
   for (int64_t c = 0; c < chunks; ++c)
     if (f.chunks[c].fault) {
@@ -109,13 +108,13 @@ void Context::backward(const Kernels& kernels, const Frame& g, float* pose_grad)
   f.sh_grad = g.sh_grad;
   f.means2d_grad = g.means2d_grad;
   f.means2d_absgrad = g.means2d_absgrad;
-  const int64_t chunks = chunk_count(f);
+  const int64_t chunks = chunk_count(f), places = chunks * kChunk;
   double start = cpu_milliseconds();
   const bool several = bands_.size() > 1;
   float *sums = nullptr, *absolute_sums = nullptr;
   if (several) {
-    sums = zeros(sums_, f.count * kSums);
-    if (f.means2d_absgrad) absolute_sums = zeros(absolute_sums_, f.count * kAbsoluteSums);
+    sums = zeros(sums_, places * kSums);
+    if (f.means2d_absgrad) absolute_sums = zeros(absolute_sums_, places * kAbsoluteSums);
   }
   f.folded = 0;
   f.absolute_records = nullptr;
@@ -154,9 +153,10 @@ void Context::backward(const Kernels& kernels, const Frame& g, float* pose_grad)
 }
 
 int64_t Context::bytes() const {
-  return binning_.bytes() + splats_.bytes() + footprints_.bytes() + slots_.bytes() + ids_.bytes() +
-         keys_.bytes() + tile_begin_.bytes() + chunks_.bytes() + intersections_.bytes() +
-         visible_.bytes() + lit_.bytes() + blocks_.bytes() + used_.bytes() + state_.bytes() + records_.bytes() +
+  return binning_.bytes() + rows_.bytes() + splats_.bytes() + placements_.bytes() +
+         tile_begin_.bytes() + chunks_.bytes() + intersections_.bytes() +
+         visible_.bytes() + lit_.bytes() + blocks_.bytes() + used_.bytes() + state_.bytes() +
+         records_.bytes() +
          absolute_records_.bytes() + sums_.bytes() + absolute_sums_.bytes() + pose_.bytes();
 }
 

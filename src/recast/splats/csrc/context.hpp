@@ -28,8 +28,8 @@ class Context {
   Binning binning_;
   std::vector<Band> bands_;
   Buffer<Splat> splats_;
-  Buffer<Footprint> footprints_;
-  Buffer<uint32_t> slots_, ids_, keys_, tile_begin_;
+  Buffer<Placement> placements_;
+  Buffer<uint32_t> rows_, tile_begin_;
   Buffer<ChunkResult> chunks_;
   Buffer<Intersection> intersections_;
   Buffer<int32_t> blocks_;

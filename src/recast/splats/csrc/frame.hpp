@@ -37,9 +37,16 @@ struct alignas(64) Splat {
 // rectangles count whole.
 typedef uint64_t Footprint;
 
+// Where a visible Gaussian goes.
+struct Placement {
+  Footprint print;
+  uint32_t slot;  // first gradient record, counted from the first one of its chunk
+  uint32_t key;   // depth as a sortable integer
+};
+
 struct Intersection {
-  uint32_t id;    // Gaussian
-  uint32_t slot;  // its gradient record
+  uint32_t place;  // of the Gaussian
+  uint32_t slot;   // its gradient record
 };
 
 // What is wrong with a Gaussian; order known to Python.
@@ -70,22 +77,25 @@ struct Frame {
   int32_t tiles_x, tiles_y;
   int32_t antialiased;
   int32_t training;
-  int32_t folded;           // records are sums of all tiles, one a row
+  int32_t folded;           // records are sums of all tiles, one a place
   float near_plane, far_plane, eps2d, max_alpha;
   float fx, fy, cx, cy;
   float rotation[9], translation[3];
   float background[3];
   const float *means, *quats, *log_scales, *logits, *sh;
 
-  // Per Gaussian.
+  // Per place: the visible Gaussians of a chunk in the order of their rows, chunks kChunk apart.
+  uint32_t* rows;
   Splat* splats;
-  Footprint* footprints;
-  uint32_t* slots;          // first gradient record
-  uint32_t* chunk_ids;      // visible rows, kChunk apart
-  uint32_t* chunk_keys;     // their depths as sortable integers
-  ChunkResult* chunks;
-  uint8_t* visible;
+  Placement* placements;
   uint8_t* lit;             // bit i: colour channel i is above zero
+
+  // Per chunk.
+  ChunkResult* chunks;
+  const uint32_t* chunk_slots;  // first gradient record
+
+  // Per Gaussian.
+  uint8_t* visible;
   float* radii;
   float* means2d;
 
@@ -100,7 +110,7 @@ struct Frame {
 
   // Backward.
   const float *rgb_grad, *depth_grad, *alpha_grad;  // may be null
-  float* records;           // kSums floats an intersection; where folded, a row
+  float* records;           // kSums floats an intersection; where folded, a place
   float* absolute_records;  // kAbsoluteSums floats an intersection; null where not asked for
   uint8_t* record_used;
   float *means_grad, *quats_grad, *log_scales_grad, *logits_grad, *sh_grad, *means2d_grad;

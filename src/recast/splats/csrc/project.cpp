@@ -49,9 +49,8 @@ inline void store_pairs(float* p, const vf (&a)[2], int lanes) {
   __builtin_memcpy(p, both, size_t(2 * lanes) * sizeof(float));
 }
 
-// Projects rows first .. first + lanes - 1 and appends the visible ones to the chunk's list.
-void project_group(const Frame& f, uint32_t first, int lanes, ChunkResult& result, uint32_t* ids,
-                   uint32_t* keys) {
+// Projects rows first .. first + lanes - 1 and appends the visible ones to the places from `base` on.
+void project_group(const Frame& f, uint32_t first, int lanes, int64_t base, ChunkResult& result) {
   uint32_t rows[W];
   for (int i = 0; i < W; ++i) rows[i] = first + uint32_t(i < lanes ? i : lanes - 1);
   const uint32_t valid = (1u << lanes) - 1u;
@@ -110,10 +109,8 @@ void project_group(const Frame& f, uint32_t first, int lanes, ChunkResult& resul
   for (int i = 11; i < 16; ++i) columns[i] = vf(0.0f);
   for (int c = 0; c < 16; c += W) {
     transpose(columns + c);
-    for (uint32_t m = visible; m; m &= m - 1) {
-      const int i = __builtin_ctz(m);
-      store(&f.splats[rows[i]].x + c, columns[c + i]);
-    }
+    float* out = &f.splats[base + result.visible].x + c;
+    for (uint32_t m = visible; m; m &= m - 1, out += 16) store(out, columns[c + __builtin_ctz(m)]);
   }
 
   Footprints prints;
@@ -122,11 +119,10 @@ void project_group(const Frame& f, uint32_t first, int lanes, ChunkResult& resul
   store(depth_bits, as_int(o.point[2]));
   for (uint32_t m = visible; m; m &= m - 1) {
     const int i = __builtin_ctz(m);
-    const uint32_t row = rows[i], key = uint32_t(depth_bits[i]);
-    f.footprints[row] = prints.print[i];
-    ids[result.visible] = row;
-    keys[result.visible] = key;
-    ++result.visible;
+    const uint32_t key = uint32_t(depth_bits[i]);
+    const int64_t place = base + result.visible++;
+    f.rows[place] = rows[i];
+    f.placements[place] = {prints.print[i], uint32_t(result.intersections), key};
     result.intersections += prints.tiles[i];
     if (key < result.key_min) result.key_min = key;
     if (key > result.key_max) result.key_max = key;
@@ -134,12 +130,13 @@ void project_group(const Frame& f, uint32_t first, int lanes, ChunkResult& resul
 }
 
 template <int K>
-void colour(const Frame& f, const uint32_t* ids, ChunkResult& result) {
+void colour(const Frame& f, int64_t base, ChunkResult& result) {
   float offset[3];
   for (int i = 0; i < 3; ++i)
     offset[i] = f.rotation[i] * f.translation[0] + f.rotation[3 + i] * f.translation[1] +
                 f.rotation[6 + i] * f.translation[2];
   const int n = int(result.visible);
+  const uint32_t* ids = f.rows + base;
   for (int begin = 0; begin < n; begin += W) {
     uint32_t rows[W];
     for (int i = 0; i < W; ++i) rows[i] = ids[begin + i < n ? begin + i : n - 1];
@@ -167,8 +164,8 @@ void colour(const Frame& f, const uint32_t* ids, ChunkResult& result) {
       store(rgb[j], vmax(c[j], vf(0.0f)));
     }
     for (int i = 0; i < lanes; ++i) {
-      f.lit[rows[i]] = uint8_t((lit[0] >> i & 1) | (lit[1] >> i & 1) << 1 | (lit[2] >> i & 1) << 2);
-      Splat& s = f.splats[rows[i]];
+      f.lit[base + begin + i] = uint8_t((lit[0] >> i & 1) | (lit[1] >> i & 1) << 1 | (lit[2] >> i & 1) << 2);
+      Splat& s = f.splats[base + begin + i];
       s.r = rgb[0][i];
       s.g = rgb[1][i];
       s.b = rgb[2][i];
@@ -181,17 +178,15 @@ void colour(const Frame& f, const uint32_t* ids, ChunkResult& result) {
 void project_chunk(const Frame& f, int64_t chunk) {
   ChunkResult result = {};
   result.key_min = ~0u;
-  uint32_t* ids = f.chunk_ids + chunk * kChunk;
-  uint32_t* keys = f.chunk_keys + chunk * kChunk;
   const int64_t begin = chunk * kChunk;
   const int64_t end = begin + kChunk < f.count ? begin + kChunk : f.count;
   for (int64_t first = begin; first < end && !result.fault; first += W)
-    project_group(f, uint32_t(first), int(end - first < W ? end - first : W), result, ids, keys);
+    project_group(f, uint32_t(first), int(end - first < W ? end - first : W), begin, result);
   if (!result.fault) {
-    if (f.sh_bases == 1) colour<1>(f, ids, result);
-    if (f.sh_bases == 4) colour<4>(f, ids, result);
-    if (f.sh_bases == 9) colour<9>(f, ids, result);
-    if (f.sh_bases == 16) colour<16>(f, ids, result);
+    if (f.sh_bases == 1) colour<1>(f, begin, result);
+    if (f.sh_bases == 4) colour<4>(f, begin, result);
+    if (f.sh_bases == 9) colour<9>(f, begin, result);
+    if (f.sh_bases == 16) colour<16>(f, begin, result);
   }
   f.chunks[chunk] = result;
 }

@@ -14,17 +14,17 @@ enum Sum { kSumU, kSumV, kSumUU, kSumUV, kSumVV, kSumOpacity, kSumR, kSumG, kSum
 
 // Adds up `records` of the Gaussian's tiles, in the order of its slots.
 template <int Sums>
-void collect(const Frame& f, const float* records, uint32_t row, float* out) {
+void collect(const Frame& f, const float* records, int64_t place, float* out) {
   if (f.folded) {
-    for (int i = 0; i < Sums; ++i) out[i] = records[int64_t(row) * Sums + i];
+    for (int i = 0; i < Sums; ++i) out[i] = records[place * Sums + i];
     return;
   }
   for (int i = 0; i < Sums; ++i) out[i] = 0.0f;
-  const Footprint print = f.footprints[row];
+  const Footprint print = f.placements[place].print;
   const uint32_t w = (print >> 28 & 0xFFF) + 1, h = (print >> 16 & 0xFFF) + 1;
   const uint32_t n =
       w > 4 || h > 4 ? w * h : uint32_t(__builtin_popcount(uint32_t(print & 0xFFFF)));
-  const uint32_t first = f.slots[row];
+  const uint32_t first = f.chunk_slots[place / kChunk] + f.placements[place].slot;
   for (uint32_t k = first; k < first + n; ++k) {
     if (!f.record_used[k]) continue;
     const float* record = records + int64_t(k) * Sums;
@@ -93,14 +93,14 @@ bool streams(const Frame& f) {
 }
 
 template <int K>
-void colour_gradient(const Frame& f, const uint32_t* rows, int lanes, vm valid, const Parameters& p,
+void colour_gradient(const Frame& f, const uint32_t* rows, int64_t place, int lanes, vm valid, const Parameters& p,
                      const vf* sums, const float* offset, vf* mean_grad, PoseSums& pose) {
   vf d[3], b[16], columns[3 * K];
   const vf inverse = view_direction(p.mean, offset, d);
   harmonics<K>(d, b);
   uint32_t lit[3] = {};
-  for (int i = 0; i < W; ++i)
-    for (int j = 0; j < 3; ++j) lit[j] |= uint32_t(f.lit[rows[i]] >> j & 1) << i;
+  for (int i = 0; i < lanes; ++i)
+    for (int j = 0; j < 3; ++j) lit[j] |= uint32_t(f.lit[place + i] >> j & 1) << i;
   vf v[3];
   for (int j = 0; j < 3; ++j)  // none where the colour was clamped at zero
     v[j] = keep(mask_from_bits(lit[j]) & valid, sums[kSumR + j]);
@@ -138,11 +138,12 @@ void store_columns(float* base, const uint32_t* rows, int lanes, const vf* colum
 }
 
 // The sum over pixels of each component's size: x is 2 ln 2 l1 q u, y is 2 ln 2 (l2 q u + l3 q v).
-void absolute_gradient(const Frame& f, const uint32_t* rows, int lanes, const Projection& o) {
+void absolute_gradient(const Frame& f, const uint32_t* rows, int64_t place, int lanes,
+                       const Projection& o) {
   alignas(64) float stage[kAbsoluteSums][W] = {};
   for (int lane = 0; lane < lanes; ++lane) {
     float total[kAbsoluteSums];
-    collect<kAbsoluteSums>(f, f.absolute_records, rows[lane], total);
+    collect<kAbsoluteSums>(f, f.absolute_records, place + lane, total);
     for (int i = 0; i < kAbsoluteSums; ++i) stage[i][lane] = total[i];
   }
   const vf c = 1.38629436111989f;
@@ -151,11 +152,12 @@ void absolute_gradient(const Frame& f, const uint32_t* rows, int lanes, const Pr
 }
 
 template <int K>
-void group(const Frame& f, const uint32_t* rows, int lanes, const float* offset, PoseSums& pose) {
+void group(const Frame& f, const uint32_t* rows, int64_t place, int lanes, const float* offset,
+           PoseSums& pose) {
   alignas(64) float stage[kSums][W];
   for (int lane = 0; lane < W; ++lane) {
     float total[kSums] = {};
-    if (lane < lanes) collect<kSums>(f, f.records, rows[lane], total);
+    if (lane < lanes) collect<kSums>(f, f.records, place + lane, total);
     for (int i = 0; i < kSums; ++i) stage[i][lane] = total[i];
   }
   vf sums[kSums];
@@ -169,7 +171,7 @@ void group(const Frame& f, const uint32_t* rows, int lanes, const float* offset,
   pixel_grad[0] = c * o.l1 * sums[kSumU];
   pixel_grad[1] = c * (o.l2 * sums[kSumU] + o.l3 * sums[kSumV]);
   store_columns<2>(f.means2d_grad, rows, lanes, pixel_grad);
-  if (f.absolute_records) absolute_gradient(f, rows, lanes, o);
+  if (f.absolute_records) absolute_gradient(f, rows, place, lanes, o);
 
   vf logit_grad = sums[kSumOpacity] * (vf(1.0f) - o.sigmoid);
   store_columns<1>(f.logits_grad, rows, lanes, &logit_grad);
@@ -222,7 +224,7 @@ void group(const Frame& f, const uint32_t* rows, int lanes, const float* offset,
     for (int k = 0; k < 3; ++k)
       pose.rotation[3 * j + k] = fma(v, p.mean[k], pose.rotation[3 * j + k]);
   }
-  colour_gradient<K>(f, rows, lanes, valid, p, sums, offset, mean_grad, pose);
+  colour_gradient<K>(f, rows, place, lanes, valid, p, sums, offset, mean_grad, pose);
   store_columns<3>(f.means_grad, rows, lanes, mean_grad);
 }
 
@@ -250,14 +252,14 @@ void chunk_gradient(const Frame& f, int64_t chunk) {
   PoseSums pose;
   for (int i = 0; i < 9; ++i) pose.rotation[i] = vf(0.0f);
   for (int i = 0; i < 3; ++i) pose.translation[i] = vf(0.0f);
-  const uint32_t* ids = f.chunk_ids + begin;
+  const uint32_t* ids = f.rows + begin;
   const int n = int(f.chunks[chunk].visible);
   for (int first = 0; first < n; first += W) {
     uint32_t rows[W];
     for (int i = 0; i < W; ++i) rows[i] = ids[first + i < n ? first + i : n - 1];
     const int ahead = first + 2 * W, more = n - ahead < W ? n - ahead : W;
     if (K > 1) prefetch_rows<3 * K>(f.sh, ids + ahead, more);
-    group<K>(f, rows, n - first < W ? n - first : W, offset, pose);
+    group<K>(f, rows, begin + first, n - first < W ? n - first : W, offset, pose);
   }
   if (streams<K>(f)) stream_end();
   double* out = f.pose_grad_chunks + 12 * chunk;

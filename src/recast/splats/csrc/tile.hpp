@@ -71,10 +71,10 @@ static inline void load_batch(const Frame& f, const Tile& tile, uint32_t begin, 
   for (int first = 0; first < count; first += W) {
     vf part[16 / W][W];
     for (uint32_t i = begin + uint32_t(first) + 2 * W; i < begin + uint32_t(first) + 3 * W; ++i)
-      if (i < tile.end) __builtin_prefetch(f.splats + f.intersections[i].id);
+      if (i < tile.end) __builtin_prefetch(f.splats + f.intersections[i].place);
     for (int lane = 0; lane < W; ++lane) {
       const int i = first + lane < count ? first + lane : count - 1;
-      const float* row = &f.splats[f.intersections[begin + uint32_t(i)].id].x;
+      const float* row = &f.splats[f.intersections[begin + uint32_t(i)].place].x;
       for (int c = 0; c < 16 / W; ++c) part[c][lane] = load(row + c * W);
     }
     for (int c = 0; c < 16 / W; ++c) transpose(part[c]);
