@@ -29,7 +29,7 @@ void for_tiles(const Frame& f, const Band& band, Visit visit) {
 }
 
 float* zeros(Buffer<float>& buffer, int64_t count) {
-  float* out = buffer.reserve(count + 1);
+  float* out = buffer.reserve(count + kPastRecord);
   std::memset(out, 0, size_t(count) * sizeof(float));
   return out;
 }
@@ -121,9 +121,9 @@ void Context::backward(const Kernels& kernels, const Frame& g, float* pose_grad)
   for (const Band& band : bands_) {
     if (several) binning_.scatter(f, chunks, band);
     const int64_t count = int64_t(band.intersections);
-    f.records = records_.reserve(count * kSums + 16);
+    f.records = records_.reserve(count * kSums + kPastRecord);
     if (f.means2d_absgrad)
-      f.absolute_records = absolute_records_.reserve(count * kAbsoluteSums + 1);
+      f.absolute_records = absolute_records_.reserve(count * kAbsoluteSums + kPastRecord);
     f.record_used = used_.reserve(count + 1);
     std::memset(f.record_used, 0, size_t(count));
     for_tiles(f, band, [&](int64_t t) { kernels.raster_backward(f, t); });

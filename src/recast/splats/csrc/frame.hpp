@@ -9,6 +9,7 @@ constexpr int kTilePixels = kTile * kTile;
 constexpr int kChunk = 1024;       // Gaussians a work item
 constexpr int kSums = 10;          // floats a gradient record
 constexpr int kAbsoluteSums = 2;   // of those more that absolute gradients need
+constexpr int kPastRecord = 16;    // floats behind the last record that may be read
 constexpr float kAlphaThreshold = 1.0f / 255.0f;
 constexpr float kLog2AlphaThreshold = -7.9943534369f;
 constexpr float kTransmittanceThreshold = 1e-4f;

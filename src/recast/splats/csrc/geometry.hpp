@@ -27,15 +27,13 @@ static inline void gather_columns(const float* base, const uint32_t* rows, vf (&
   for (int c = 0; c < Stride; ++c) out[c] = load(stage[c]);
 }
 
-static inline Parameters load_parameters(const Frame& f, const uint32_t* rows) {
-  Parameters p;
+static inline void load_parameters(const Frame& f, const uint32_t* rows, Parameters& p) {
   gather_columns(f.means, rows, p.mean);
   gather_columns(f.quats, rows, p.quat);
   gather_columns(f.log_scales, rows, p.log_scale);
   alignas(64) float logits[W];
   for (int lane = 0; lane < W; ++lane) logits[lane] = f.logits[rows[lane]];
   p.logit = load(logits);
-  return p;
 }
 
 struct Projection {
@@ -57,8 +55,7 @@ struct Projection {
   vf x, y;                  // pixels
 };
 
-static inline Projection project(const Frame& f, const Parameters& p) {
-  Projection o;
+static inline void project(const Frame& f, const Parameters& p, Projection& o) {
   o.norm2 = p.quat[0] * p.quat[0] + p.quat[1] * p.quat[1] + p.quat[2] * p.quat[2] +
             p.quat[3] * p.quat[3];
   o.inverse_norm = vf(1.0f) / vsqrt(o.norm2);
@@ -132,7 +129,6 @@ static inline Projection project(const Frame& f, const Parameters& p) {
   o.opacity = o.sigmoid;
   if (f.antialiased)
     o.opacity = o.opacity * vsqrt(vmax(o.exact_det / o.det, vf(kMinCompensation)));
-  return o;
 }
 
 }  // namespace RECAST_ISA

@@ -65,18 +65,21 @@ static inline void harmonics_gradient(const vf* d, const vf* s, vf* out) {
            u * eight * xz + v * (xx - yy);
 }
 
+// Columns of rows of Floats floats, whole vectors of them.
+template <int Floats>
+constexpr int kPadded = (Floats + W - 1) / W * W;
+
 // Reads rows of Floats floats of W Gaussians into columns.
 template <int Floats>
-static inline void load_rows(const float* base, const uint32_t* rows, vf* columns) {
+static inline void load_rows(const float* base, const uint32_t* rows,
+                             vf (&columns)[kPadded<Floats>]) {
   for (int c = 0; c < Floats; c += W) {
-    vf part[W];
     const int n = Floats - c < W ? Floats - c : W;
     for (int lane = 0; lane < W; ++lane) {
       const float* p = base + int64_t(rows[lane]) * Floats + c;
-      part[lane] = n == W ? load(p) : load_first(p, n);
+      columns[c + lane] = n == W ? load(p) : load_first(p, n);
     }
-    transpose(part);
-    for (int j = 0; j < n; ++j) columns[c + j] = part[j];
+    transpose(columns + c);
   }
 }
 
@@ -87,20 +90,20 @@ static inline void prefetch_rows(const float* base, const uint32_t* rows, int co
     for (int c = 0; c < Floats; c += 16) __builtin_prefetch(base + int64_t(rows[i]) * Floats + c);
 }
 
-// Writes columns back as rows; `lanes` rows are valid.
+// Writes columns back as rows, of which `lanes` are valid. The columns are lost.
 template <int Floats>
-static inline void store_rows(float* base, const uint32_t* rows, int lanes, const vf* columns) {
+static inline void store_rows(float* base, const uint32_t* rows, int lanes,
+                              vf (&columns)[kPadded<Floats>]) {
   for (int c = 0; c < Floats; c += W) {
-    vf part[W];
     const int n = Floats - c < W ? Floats - c : W;
-    for (int j = 0; j < W; ++j) part[j] = j < n ? columns[c + j] : vf(0.0f);
-    transpose(part);
+    for (int j = n; j < W; ++j) columns[c + j] = vf(0.0f);
+    transpose(columns + c);
     for (int lane = 0; lane < lanes; ++lane) {
       float* p = base + int64_t(rows[lane]) * Floats + c;
       if (n == W)
-        store(p, part[lane]);
+        store(p, columns[c + lane]);
       else
-        store_first(p, part[lane], n);
+        store_first(p, columns[c + lane], n);
     }
   }
 }
@@ -108,18 +111,14 @@ static inline void store_rows(float* base, const uint32_t* rows, int lanes, cons
 // The same past the caches, a cache line at a time: `base` aligned to one, and Floats a whole number
 // of lines.
 template <int Floats>
-static inline void stream_rows(float* base, const uint32_t* rows, int lanes, const vf* columns) {
-  constexpr int kLine = 16, kParts = kLine / W;
+static inline void stream_rows(float* base, const uint32_t* rows, int lanes, vf (&columns)[Floats]) {
+  constexpr int kLine = 16;
   static_assert(Floats % kLine == 0, "rows of whole lines");
   for (int c = 0; c < Floats; c += kLine) {
-    vf part[kParts][W];
-    for (int k = 0; k < kParts; ++k) {
-      for (int j = 0; j < W; ++j) part[k][j] = columns[c + k * W + j];
-      transpose(part[k]);
-    }
+    for (int k = 0; k < kLine; k += W) transpose(columns + c + k);
     for (int lane = 0; lane < lanes; ++lane)
-      for (int k = 0; k < kParts; ++k)
-        stream(base + int64_t(rows[lane]) * Floats + c + k * W, part[k][lane]);
+      for (int k = 0; k < kLine; k += W)
+        stream(base + int64_t(rows[lane]) * Floats + c + k, columns[c + k + lane]);
   }
 }
 

@@ -46,7 +46,10 @@ inline void store_pairs(float* p, const vf (&a)[2], int lanes) {
     both[2 * i] = stage[0][i];
     both[2 * i + 1] = stage[1][i];
   }
-  __builtin_memcpy(p, both, size_t(2 * lanes) * sizeof(float));
+  if (lanes == W)
+    __builtin_memcpy(p, both, sizeof both);
+  else
+    for (int i = 0; i < 2 * lanes; ++i) p[i] = both[i];
 }
 
 // Projects rows first .. first + lanes - 1 and appends the visible ones to the places from `base` on.
@@ -54,8 +57,10 @@ void project_group(const Frame& f, uint32_t first, int lanes, int64_t base, Chun
   uint32_t rows[W];
   for (int i = 0; i < W; ++i) rows[i] = first + uint32_t(i < lanes ? i : lanes - 1);
   const uint32_t valid = (1u << lanes) - 1u;
-  const Parameters p = load_parameters(f, rows);
-  const Projection o = project(f, p);
+  Parameters p;
+  Projection o;
+  load_parameters(f, rows, p);
+  project(f, p, o);
 
   // In turn: no NaN passes a comparison, and a norm in range has finite parts.
   vm ok_scale = p.log_scale[0] < vf(14.0f);  // larger ones would overflow the determinant
@@ -143,7 +148,7 @@ void colour(const Frame& f, int64_t base, ChunkResult& result) {
     const int lanes = n - begin < W ? n - begin : W;
     const int ahead = begin + 2 * W, more = n - ahead < W ? n - ahead : W;
     prefetch_rows<3 * K>(f.sh, ids + ahead, more);
-    vf mean[3], d[3], b[16], sh[3 * K];
+    vf mean[3], d[3], b[16], sh[kPadded<3 * K>];
     gather_columns(f.means, rows, mean);
     view_direction(mean, offset, d);
     harmonics<K>(d, b);

@@ -12,25 +12,38 @@ constexpr int64_t kStreamRows = 1 << 16;  // 12 MB of harmonics
 
 enum Sum { kSumU, kSumV, kSumUU, kSumUV, kSumVV, kSumOpacity, kSumR, kSumG, kSumB, kSumDepth };
 
-// Adds up `records` of the Gaussian's tiles, in the order of its slots.
+// Sums of W Gaussians by column: of what their tiles wrote, added up in the order of the slots.
 template <int Sums>
-void collect(const Frame& f, const float* records, int64_t place, float* out) {
-  if (f.folded) {
-    for (int i = 0; i < Sums; ++i) out[i] = records[place * Sums + i];
-    return;
+struct Collected {
+  static constexpr int kVectors = (Sums + W - 1) / W;
+  vf columns[kVectors * W];
+
+  Collected(const Frame& f, const float* records, int64_t place, int lanes) {
+    for (int lane = 0; lane < W; ++lane)
+      for (int c = 0; c < kVectors; ++c) columns[c * W + lane] = vf(0.0f);
+    for (int lane = 0; lane < lanes; ++lane) {
+      const int64_t at = place + lane;
+      if (f.folded) {
+        add(records + at * Sums, lane);
+        continue;
+      }
+      const Footprint print = f.placements[at].print;
+      const uint32_t w = (print >> 28 & 0xFFF) + 1, h = (print >> 16 & 0xFFF) + 1;
+      const uint32_t n =
+          w > 4 || h > 4 ? w * h : uint32_t(__builtin_popcount(uint32_t(print & 0xFFFF)));
+      const uint32_t first = f.chunk_slots[at / kChunk] + f.placements[at].slot;
+      for (uint32_t k = first; k < first + n; ++k)
+        if (f.record_used[k]) add(records + int64_t(k) * Sums, lane);
+    }
+    for (int c = 0; c < kVectors; ++c) transpose(columns + c * W);
   }
-  for (int i = 0; i < Sums; ++i) out[i] = 0.0f;
-  const Footprint print = f.placements[place].print;
-  const uint32_t w = (print >> 28 & 0xFFF) + 1, h = (print >> 16 & 0xFFF) + 1;
-  const uint32_t n =
-      w > 4 || h > 4 ? w * h : uint32_t(__builtin_popcount(uint32_t(print & 0xFFFF)));
-  const uint32_t first = f.chunk_slots[place / kChunk] + f.placements[place].slot;
-  for (uint32_t k = first; k < first + n; ++k) {
-    if (!f.record_used[k]) continue;
-    const float* record = records + int64_t(k) * Sums;
-    for (int i = 0; i < Sums; ++i) out[i] += record[i];
+
+  // Reads past the end of the record, into columns that nobody asks for.
+  void add(const float* record, int lane) {
+    for (int c = 0; c < kVectors; ++c)
+      columns[c * W + lane] = columns[c * W + lane] + load(record + c * W);
   }
-}
+};
 
 struct PoseSums {
   vf rotation[9], translation[3];
@@ -95,7 +108,7 @@ bool streams(const Frame& f) {
 template <int K>
 void colour_gradient(const Frame& f, const uint32_t* rows, int64_t place, int lanes, vm valid, const Parameters& p,
                      const vf* sums, const float* offset, vf* mean_grad, PoseSums& pose) {
-  vf d[3], b[16], columns[3 * K];
+  vf d[3], b[16], columns[kPadded<3 * K>];
   const vf inverse = view_direction(p.mean, offset, d);
   harmonics<K>(d, b);
   uint32_t lit[3] = {};
@@ -123,10 +136,9 @@ void colour_gradient(const Frame& f, const uint32_t* rows, int64_t place, int la
   }
   for (int k = 0; k < K; ++k)
     for (int j = 0; j < 3; ++j) columns[3 * k + j] = b[k] * v[j];
-  if (streams<K>(f))
-    stream_rows<K == 16 ? 48 : 16>(f.sh_grad, rows, lanes, columns);
-  else
-    store_rows<3 * K>(f.sh_grad, rows, lanes, columns);
+  if constexpr (K == 16)
+    if (streams<K>(f)) return stream_rows<48>(f.sh_grad, rows, lanes, columns);
+  store_rows<3 * K>(f.sh_grad, rows, lanes, columns);
 }
 
 template <int Stride>
@@ -140,31 +152,22 @@ void store_columns(float* base, const uint32_t* rows, int lanes, const vf* colum
 // The sum over pixels of each component's size: x is 2 ln 2 l1 q u, y is 2 ln 2 (l2 q u + l3 q v).
 void absolute_gradient(const Frame& f, const uint32_t* rows, int64_t place, int lanes,
                        const Projection& o) {
-  alignas(64) float stage[kAbsoluteSums][W] = {};
-  for (int lane = 0; lane < lanes; ++lane) {
-    float total[kAbsoluteSums];
-    collect<kAbsoluteSums>(f, f.absolute_records, place + lane, total);
-    for (int i = 0; i < kAbsoluteSums; ++i) stage[i][lane] = total[i];
-  }
+  const Collected<kAbsoluteSums> sums(f, f.absolute_records, place, lanes);
   const vf c = 1.38629436111989f;
-  const vf pixel_absgrad[2] = {c * o.l1 * load(stage[0]), c * load(stage[1])};
+  const vf pixel_absgrad[2] = {c * o.l1 * sums.columns[0], c * sums.columns[1]};
   store_columns<2>(f.means2d_absgrad, rows, lanes, pixel_absgrad);
 }
 
 template <int K>
 void group(const Frame& f, const uint32_t* rows, int64_t place, int lanes, const float* offset,
            PoseSums& pose) {
-  alignas(64) float stage[kSums][W];
-  for (int lane = 0; lane < W; ++lane) {
-    float total[kSums] = {};
-    if (lane < lanes) collect<kSums>(f, f.records, place + lane, total);
-    for (int i = 0; i < kSums; ++i) stage[i][lane] = total[i];
-  }
-  vf sums[kSums];
-  for (int i = 0; i < kSums; ++i) sums[i] = load(stage[i]);
+  const Collected<kSums> collected(f, f.records, place, lanes);
+  const vf* sums = collected.columns;
   const vm valid = mask_from_bits((1u << lanes) - 1u);
-  const Parameters p = load_parameters(f, rows);
-  const Projection o = project(f, p);
+  Parameters p;
+  Projection o;
+  load_parameters(f, rows, p);
+  project(f, p, o);
 
   const vf c = 1.38629436111989f;
   vf pixel_grad[2];
