@@ -251,7 +251,7 @@ void Binning::scatter(Frame& f, int64_t chunks, const Band& band) {
       total += c;
     }
   }
-  f.tile_begin[first + tiles] = total;
+  f.tile_begin[first + tiles] = f.listed = total;
   parallel_for(parts, [=, &f](int64_t p) {
     uint32_t* next = counts + p * tiles - first;
     Intersection* out = f.intersections;

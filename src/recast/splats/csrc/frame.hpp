@@ -103,6 +103,7 @@ struct Frame {
   // Per tile.
   uint32_t* tile_begin;     // tiles + 1
   Intersection* intersections;
+  uint32_t listed;          // intersections there are
   int32_t* blocks;          // of a tile that an intersection reaches; null where they are not kept
   float* tile_state;        // rgb, depth, transmittance: 5 x kTilePixels floats, in block order
 

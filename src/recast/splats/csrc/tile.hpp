@@ -11,6 +11,7 @@ constexpr int kBlockHeight = W / kBlockWidth;
 constexpr int kBlockColumns = kTile / kBlockWidth;
 constexpr int kBlockRows = kTile / kBlockHeight;
 constexpr int kBlocks = kBlockColumns * kBlockRows;
+constexpr int kAhead = 64;  // Gaussians fetched in advance: nearest first they lie all over the memory
 constexpr int kBatch = 256;  // Gaussians handled at a time: they stay in the first-level cache
 
 // Where pixel row y of block column i lies in block order; four pixels are contiguous.
@@ -70,8 +71,10 @@ static inline void load_batch(const Frame& f, const Tile& tile, uint32_t begin, 
   const vf corner_x = float(tile.x), corner_y = float(tile.y);
   for (int first = 0; first < count; first += W) {
     vf part[16 / W][W];
-    for (uint32_t i = begin + uint32_t(first) + 2 * W; i < begin + uint32_t(first) + 3 * W; ++i)
-      if (i < tile.end) __builtin_prefetch(f.splats + f.intersections[i].place);
+    // Past the end they are those of the next tile.
+    const uint32_t ahead = begin + uint32_t(first) + kAhead;
+    for (uint32_t i = ahead; i < ahead + W && i < f.listed; ++i)
+      __builtin_prefetch(f.splats + f.intersections[i].place);
     for (int lane = 0; lane < W; ++lane) {
       const int i = first + lane < count ? first + lane : count - 1;
       const float* row = &f.splats[f.intersections[begin + uint32_t(i)].place].x;
