@@ -62,22 +62,23 @@ void load_pixels(const Frame& f, const Tile& t, int64_t index, Pixels& p) {
   }
 }
 
-// Adds the gradient of one Gaussian over the blocks in `mask` to ten sums, and where `Absolute` the
-// sizes of its pixels' gradients along x and y, up to common factors, to two more.
-template <bool Absolute>
-void gather(Pixels& p, const Batch& batch, int i, uint32_t mask, float max_alpha, float* record,
-                float* absolute) {
-  const vf l2 = batch.of(kL2, i), l3 = batch.of(kL3, i);
+// What the pixels of the blocks that a Gaussian reaches add to its sums.
+struct Visits {
+  int count = 0;
+  int at[kBlocks];  // first pixel
+  // d F / d ln alpha, none where alpha is capped; alpha T; and the Gaussian's u and v.
+  alignas(64) float q[kTilePixels], weight[kTilePixels], u[kTilePixels], v[kTilePixels];
+};
+
+// Blends Gaussian i over the blocks in `mask` once more.
+void visit(Pixels& p, const Batch& batch, int i, uint32_t mask, float max_alpha, Visits& visits) {
   const vf sr = batch.of(kR, i), sg = batch.of(kG, i), sb = batch.of(kB, i);
   const vf sd = batch.of(kDepth, i);
   const vf threshold = kLog2AlphaThreshold, stop_at = kTransmittanceThreshold, cap = max_alpha;
-  const vf one = 1.0f, zero = 0.0f;
-  vf sum_u = zero, sum_v = zero, sum_uu = zero, sum_uv = zero, sum_vv = zero, sum = zero;
-  vf sum_r = zero, sum_g = zero, sum_b = zero, sum_d = zero;
-  vf sum_ax = zero, sum_ay = zero;
-  for (uint32_t left = mask; left; left &= left - 1) {
-    const int block = __builtin_ctz(left);
-    const int at = block * W;
+  const vf one = 1.0f;
+  int n = 0;
+  for (uint32_t left = mask; left; left &= left - 1, ++n) {
+    const int at = __builtin_ctz(left) * W;
     vf u, v;
     const vf power = power_at(batch, i, load(p.x + at), load(p.y + at), u, v);
     const vf bare = exp2_bounded(power);
@@ -87,13 +88,32 @@ void gather(Pixels& p, const Batch& batch, int i, uint32_t mask, float max_alpha
     const vm stopped = next <= stop_at;  // now, or before
     const vf alpha = drop(stopped, full), weight = alpha * open;
     store(p.open + at, drop(stopped, next));
-    const vf vr = load(p.r + at), vg = load(p.g + at), vb = load(p.b + at);
-    const vf vd = load(p.depth + at);
-    const vf c = fma(vr, sr, fma(vg, sg, fma(vb, sb, vd * sd)));
+    const vf c = fma(load(p.r + at), sr,
+                     fma(load(p.g + at), sg, fma(load(p.b + at), sb, load(p.depth + at) * sd)));
     const vf rest = fnma(weight, c, load(p.rest + at));
     store(p.rest + at, rest);
     const vf alpha_grad = fnma(rest, fast_reciprocal(one - alpha), open * c);
-    const vf q = keep(bare <= cap, alpha * alpha_grad);  // d F / d ln alpha; none where capped
+    visits.at[n] = at;
+    store(visits.q + n * W, keep(bare <= cap, alpha * alpha_grad));
+    store(visits.weight + n * W, weight);
+    store(visits.u + n * W, u);
+    store(visits.v + n * W, v);
+  }
+  visits.count = n;
+}
+
+// Adds visits up to ten sums: a loop of its own, since those fill the registers. Where `Absolute`, the
+// sizes of the pixels' gradients along x and y, up to common factors, go to two more.
+template <bool Absolute>
+void gather(const Pixels& p, const Batch& batch, int i, const Visits& visits, float* record,
+            float* absolute) {
+  const vf zero = 0.0f;
+  vf sum_u = zero, sum_v = zero, sum_uu = zero, sum_uv = zero, sum_vv = zero, sum = zero;
+  vf sum_r = zero, sum_g = zero, sum_b = zero, sum_d = zero;
+  for (int k = 0; k < visits.count; ++k) {
+    const int at = visits.at[k];
+    const vf q = load(visits.q + k * W), weight = load(visits.weight + k * W);
+    const vf u = load(visits.u + k * W), v = load(visits.v + k * W);
     const vf qu = q * u, qv = q * v;
     sum = sum + q;
     sum_u = sum_u + qu;
@@ -101,18 +121,23 @@ void gather(Pixels& p, const Batch& batch, int i, uint32_t mask, float max_alpha
     sum_uu = fma(qu, u, sum_uu);
     sum_uv = fma(qu, v, sum_uv);
     sum_vv = fma(qv, v, sum_vv);
-    sum_r = fma(weight, vr, sum_r);
-    sum_g = fma(weight, vg, sum_g);
-    sum_b = fma(weight, vb, sum_b);
-    sum_d = fma(weight, vd, sum_d);
-    if (Absolute) {
-      sum_ax = sum_ax + vabs(qu);
-      sum_ay = sum_ay + vabs(fma(l2, qu, l3 * qv));
-    }
+    sum_r = fma(weight, load(p.r + at), sum_r);
+    sum_g = fma(weight, load(p.g + at), sum_g);
+    sum_b = fma(weight, load(p.b + at), sum_b);
+    sum_d = fma(weight, load(p.depth + at), sum_d);
   }
   const vf sums[kSums] = {sum_u, sum_v, sum_uu, sum_uv, sum_vv, sum, sum_r, sum_g, sum_b, sum_d};
   store_ten_sums(record, sums);
-  if (Absolute) store_two_sums(absolute, sum_ax, sum_ay);
+  if (!Absolute) return;
+  const vf l2 = batch.of(kL2, i), l3 = batch.of(kL3, i);
+  vf sum_x = zero, sum_y = zero;
+  for (int k = 0; k < visits.count; ++k) {
+    const vf q = load(visits.q + k * W);
+    const vf qu = q * load(visits.u + k * W), qv = q * load(visits.v + k * W);
+    sum_x = sum_x + vabs(qu);
+    sum_y = sum_y + vabs(fma(l2, qu, l3 * qv));
+  }
+  store_two_sums(absolute, sum_x, sum_y);
 }
 
 // Those of the blocks in `alive` that have a pixel that has not stopped.
@@ -131,6 +156,7 @@ void tile_gradient(const Frame& f, int64_t index) {
   if (t.begin == t.end) return;
   Pixels pixels;
   Batch batch;
+  Visits visits;
   load_pixels(f, t, index, pixels);
   uint32_t alive = blocks_inside(t);
   for (uint32_t begin = t.begin; begin < t.end; begin += kBatch) {
@@ -151,9 +177,9 @@ void tile_gradient(const Frame& f, int64_t index) {
       if (!mask) continue;
       const uint32_t slot = f.intersections[begin + uint32_t(i)].slot;
       f.record_used[slot] = 1;
-      gather<Absolute>(
-          pixels, batch, i, mask, f.max_alpha, f.records + int64_t(slot) * kSums,
-          Absolute ? f.absolute_records + int64_t(slot) * kAbsoluteSums : nullptr);
+      visit(pixels, batch, i, mask, f.max_alpha, visits);
+      gather<Absolute>(pixels, batch, i, visits, f.records + int64_t(slot) * kSums,
+                       Absolute ? f.absolute_records + int64_t(slot) * kAbsoluteSums : nullptr);
     }
   }
 }
