@@ -8,13 +8,12 @@ namespace {
 
 struct State {
   alignas(64) float r[kTilePixels], g[kTilePixels], b[kTilePixels], depth[kTilePixels];
-  alignas(64) float open[kTilePixels];  // transmittance
-  // log2 alpha from which a Gaussian is blended: none (infinite, or not a number) outside of the
-  // image, and once a pixel has stopped, so that no branch is needed, which no machine could foresee.
-  alignas(64) float least[kTilePixels];
+  alignas(64) float through[kTilePixels];  // transmittance
+  // The same while the pixel is open; zero once it has stopped and outside of the image, so that no
+  // branch is needed, which no machine could foresee.
+  alignas(64) float open[kTilePixels];
 };
 
-constexpr float kNever = __builtin_inff();
 constexpr int kLook = 16;  // Gaussians between looks at whether a block has stopped
 
 // Blends the listed Gaussians over block `block`; false once all its pixels have stopped.
@@ -27,10 +26,11 @@ bool blend(State& state, const Batch& batch, const uint8_t* list, int n, int blo
   }
   const vf px = load(lane_x) + vf(float(block % kBlockColumns * kBlockWidth));
   const vf py = load(lane_y) + vf(float(block / kBlockColumns * kBlockHeight));
-  const vf stop_at = kTransmittanceThreshold, cap = max_alpha;
+  const vf threshold = kLog2AlphaThreshold, stop_at = kTransmittanceThreshold, cap = max_alpha;
   const int at = block * W;
   vf r = load(state.r + at), g = load(state.g + at), b = load(state.b + at);
-  vf depth = load(state.depth + at), open = load(state.open + at), least = load(state.least + at);
+  vf depth = load(state.depth + at), open = load(state.open + at);
+  vf through = load(state.through + at);
   bool alive = true;
   for (int begin = 0; begin < n && alive; begin += kLook) {
     const int end = begin + kLook < n ? begin + kLook : n;
@@ -38,25 +38,25 @@ bool blend(State& state, const Batch& batch, const uint8_t* list, int n, int blo
       const int which = list[i];
       vf u, v;
       const vf power = power_at(batch, which, px, py, u, v);
-      const vf alpha = keep(power >= least, vmin(exp2_bounded(power), cap));
+      const vf alpha = keep(power >= threshold, vmin(exp2_bounded(power), cap));
       const vf next = fnma(alpha, open, open);
       const vm stopped = next <= stop_at;
       const vf weight = drop(stopped, alpha * open);
-      open = select(stopped, open, next);
-      least = never_where(stopped, least);
+      open = drop(stopped, next);
+      through = select(stopped, through, next);
       r = fma(weight, batch.of(kR, which), r);
       g = fma(weight, batch.of(kG, which), g);
       b = fma(weight, batch.of(kB, which), b);
       depth = fma(weight, batch.of(kDepth, which), depth);
     }
-    alive = any(least < vf(0.0f));
+    alive = any(open > vf(0.0f));
   }
   store(state.r + at, r);
   store(state.g + at, g);
   store(state.b + at, b);
   store(state.depth + at, depth);
   store(state.open + at, open);
-  store(state.least + at, least);
+  store(state.through + at, through);
   return alive;
 }
 
@@ -72,11 +72,11 @@ struct Touched {
 void write_images(const Frame& f, const Tile& t, State& s) {
   const vf one = 1.0f;
   for (int i = 0; i < kTilePixels; i += W) {
-    const vf through = load(s.open + i);
+    const vf through = load(s.through + i);
     store(s.r + i, fma(through, vf(f.background[0]), load(s.r + i)));
     store(s.g + i, fma(through, vf(f.background[1]), load(s.g + i)));
     store(s.b + i, fma(through, vf(f.background[2]), load(s.b + i)));
-    store(s.least + i, one - through);
+    store(s.open + i, one - through);
   }
   for (int y = 0; y < t.height; ++y) {
     const int64_t row = int64_t(t.y + y) * f.width + t.x;
@@ -88,7 +88,7 @@ void write_images(const Frame& f, const Tile& t, State& s) {
       store_pixels(n == kBlockWidth ? rgb : part, s.r + at, s.g + at, s.b + at);
       if (n < kBlockWidth) __builtin_memcpy(rgb, part, size_t(3 * n) * sizeof(float));
       __builtin_memcpy(f.depth + row + x, s.depth + at, size_t(n) * sizeof(float));
-      __builtin_memcpy(f.alpha + row + x, s.least + at, size_t(n) * sizeof(float));
+      __builtin_memcpy(f.alpha + row + x, s.open + at, size_t(n) * sizeof(float));
     }
   }
 }
@@ -101,15 +101,12 @@ void raster_tile(const Frame& f, int64_t index) {
   Batch batch;
   Touched touched;
   __builtin_memset(&state, 0, sizeof state);
-  for (int i = 0; i < kTilePixels; i += W) {
-    store(state.open + i, vf(1.0f));
-    store(state.least + i, vf(kNever));
-  }
+  for (int i = 0; i < kTilePixels; i += W) store(state.through + i, vf(1.0f));
   for (int y = 0; y < t.height; ++y)
     for (int column = 0; column < kBlockColumns; ++column)
       for (int i = 0; i < kBlockWidth; ++i)
         if (column * kBlockWidth + i < t.width)
-          state.least[block_offset(y, column) + i] = kLog2AlphaThreshold;
+          state.open[block_offset(y, column) + i] = 1.0f;
 
   uint32_t alive = blocks_inside(t);
   for (uint32_t begin = t.begin; begin < t.end && alive; begin += kBatch) {
@@ -130,7 +127,7 @@ void raster_tile(const Frame& f, int64_t index) {
   }
   if (f.training) {
     float* out = f.tile_state + index * 5 * kTilePixels;
-    const float* planes[5] = {state.r, state.g, state.b, state.depth, state.open};
+    const float* planes[5] = {state.r, state.g, state.b, state.depth, state.through};
     for (int p = 0; p < 5; ++p)
       for (int i = 0; i < kTilePixels; i += W) store(out + p * kTilePixels + i, load(planes[p] + i));
   }

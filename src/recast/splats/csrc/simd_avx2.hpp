@@ -79,8 +79,6 @@ static inline vm mask_from_bits(uint32_t b) {
 static inline vf select(vm m, vf a, vf b) { return _mm256_blendv_ps(b.v, a.v, m.m); }
 static inline vf keep(vm m, vf a) { return _mm256_and_ps(m.m, a.v); }
 static inline vf drop(vm m, vf a) { return _mm256_andnot_ps(m.m, a.v); }
-// Something that no number is at least, where m; a elsewhere.
-static inline vf never_where(vm m, vf a) { return _mm256_or_ps(m.m, a.v); }
 
 static inline vi as_int(vf a) { return _mm256_castps_si256(a.v); }
 static inline vf as_float(vi a) { return _mm256_castsi256_ps(a.v); }

@@ -69,8 +69,6 @@ static inline vm mask_from_bits(uint32_t b) { return {__mmask16(b)}; }
 static inline vf select(vm m, vf a, vf b) { return _mm512_mask_blend_ps(m.m, b.v, a.v); }
 static inline vf keep(vm m, vf a) { return _mm512_maskz_mov_ps(m.m, a.v); }
 static inline vf drop(vm m, vf a) { return _mm512_maskz_mov_ps(__mmask16(~m.m), a.v); }
-// Something that no number is at least, where m; a elsewhere.
-static inline vf never_where(vm m, vf a) { return _mm512_mask_mov_ps(a.v, m.m, _mm512_set1_ps(__builtin_inff())); }
 
 static inline vi as_int(vf a) { return _mm512_castps_si512(a.v); }
 static inline vf as_float(vi a) { return _mm512_castsi512_ps(a.v); }

@@ -73,8 +73,6 @@ static inline f4 keep4(i4 m, f4 x) { return (f4)(m & (i4)x); }
 static inline f4 drop4(i4 m, f4 x) { return (f4)(~m & (i4)x); }
 static inline vf keep(vm m, vf x) { return {keep4(m.a, x.a), keep4(m.b, x.b)}; }
 static inline vf drop(vm m, vf x) { return {drop4(m.a, x.a), drop4(m.b, x.b)}; }
-// Something that no number is at least, where m; a elsewhere.
-static inline vf never_where(vm m, vf x) { return {(f4)(m.a | (i4)x.a), (f4)(m.b | (i4)x.b)}; }
 static inline f4 select4(i4 m, f4 x, f4 y) { return (f4)((m & (i4)x) | (~m & (i4)y)); }
 static inline vf select(vm m, vf x, vf y) { return {select4(m.a, x.a, y.a), select4(m.b, x.b, y.b)}; }
 static inline vi select(vm m, vi x, vi y) {
