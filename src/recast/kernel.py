@@ -33,6 +33,17 @@ class View(ctypes.Structure):
     ]
 
 
+class Part(ctypes.Structure):
+    """`Part` of frame.hpp."""
+
+    _fields_ = [
+        *((name, ctypes.c_int64) for name in ("blocks", "first_chunk", "sh_bases")),
+        *((name, ctypes.c_void_p) for name in ("geometry", "colours", "bounds")),
+        ("rotation", ctypes.c_float * 9),
+        ("translation", ctypes.c_float * 3),
+    ]
+
+
 class Gradients(ctypes.Structure):
     """`RecastGradients` of api.cpp."""
 
@@ -125,6 +136,10 @@ def _declare(library: ctypes.CDLL) -> None:
         "recast_forward": (
             integer,
             [pointer, ctypes.POINTER(View), ctypes.POINTER(ctypes.c_int64)],
+        ),
+        "recast_forward_frozen": (
+            integer,
+            [pointer, ctypes.POINTER(View), ctypes.POINTER(Part), integer],
         ),
         "recast_backward": (integer, [pointer, ctypes.POINTER(Gradients)]),
         "recast_timings": (None, [pointer, ctypes.POINTER(ctypes.c_double)]),

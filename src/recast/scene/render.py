@@ -15,18 +15,17 @@ from recast.scene.sky import composite, pixel_coordinates
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.splats import (
     CLASSIC,
-    Gaussians,
+    FrozenGaussians,
     LowPass,
-    Rasterization,
+    RasterImages,
+    freeze,
+    morton_order,
     pick_device,
-    rasterize,
-    refiltered,
+    rasterize_frozen,
 )
 
-Parts = list[tuple[Gaussians, LowPass]]
+Parts = list[tuple[FrozenGaussians, LowPass]]
 """Pieces of an actor, actor-local, each with the filter that it was made for."""
-
-FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 
 
 @dataclass(frozen=True)
@@ -45,9 +44,7 @@ class SceneImage:
 
 
 class SceneRasterizer:
-    """Draws one scene again and again: the background stays in place, only actors are written.
-
-    Holds a copy of the scene's parameters with room for all actors behind them.
+    """Draws one scene again and again: what does not change is worked out once.
 
     Args:
         device: where it is drawn, see `recast.splats.pick_device`.
@@ -61,34 +58,11 @@ class SceneRasterizer:
         self._actors, self._device = scene.actors, place
         self._standing = scene.standing
         self._sky = scene.sky.colours.to(place)
+        background = scene.background.detach()
+        self._background = freeze(background.select(morton_order(background.means)).to(place))
         self._parts = {track_id: _parts(actor, place) for track_id, actor in scene.actors.items()}
         self._lit: dict[str, tuple[Array, Parts]] = {}
         self._shaped: dict[str, tuple[int | None, int | None, Parts]] = {}
-        local = [part for parts in self._parts.values() for part, _ in parts]
-        shadows = [actor.light.shadow_room for actor in scene.actors.values() if actor.light]
-        first = len(scene.background)
-        room = first + sum(len(part) for part in local) + sum(shadows)
-        bases = max(g.sh.shape[1] for g in (scene.background, *local))
-        self._first = first
-        self._buffer = Gaussians(
-            means=torch.zeros(room, 3, device=place),
-            quats=torch.zeros(room, 4, device=place),
-            log_scales=torch.zeros(room, 3, device=place),
-            logit_opacities=torch.zeros(room, device=place),
-            sh=torch.zeros(room, bases, 3, device=place),
-        )
-        self._write(scene.background.detach(), 0)
-
-    def _write(self, part: Gaussians, first: int) -> int:
-        last = first + len(part)
-        for name in FIELDS:
-            target = getattr(self._buffer, name)[first:last]
-            value = getattr(part, name)
-            if name == "sh":
-                target[:, value.shape[1] :] = 0
-                target = target[:, : value.shape[1]]
-            target.copy_(value)
-        return last
 
     def _parts_at(
         self, track_id: str, pose: Array, colours_us: int | None, shapes_us: int | None
@@ -136,7 +110,7 @@ class SceneRasterizer:
         poses: Mapping[str, Array],
         colours_us: int | None = None,
         shapes_us: int | None = None,
-    ) -> Rasterization:
+    ) -> RasterImages:
         """Draw one view and leave it where it was drawn, sky included, rgb in [0, 1].
 
         Args:
@@ -145,16 +119,17 @@ class SceneRasterizer:
             shapes_us: time of the recording whose shapes deformable actors have, see
                 `SceneActor.shaped_at`.
         """
-        last = self._first
-        view = torch.from_numpy(np.asarray(camera_from_world)).float()
+        view = torch.from_numpy(np.asarray(camera_from_world, np.float64))
         K = torch.from_numpy(camera.matrix).float()
+        drawn = [(self._background, torch.eye(4, dtype=torch.float64))]
         for track_id, pose in {**self._standing, **poses}.items():
+            world_from_actor = torch.from_numpy(np.asarray(pose, np.float64))
+            camera_from_actor = view @ world_from_actor
             for local, low_pass in self._parts_at(track_id, pose, colours_us, shapes_us):
-                posed = local.transformed(torch.from_numpy(pose))
-                last = self._write(refiltered(posed, low_pass, CLASSIC, view, K), last)
-        drawn = Gaussians(*(getattr(self._buffer, name)[:last] for name in FIELDS))
+                part = local.refiltered(low_pass, CLASSIC, camera_from_actor.float(), K)
+                drawn.append((part, world_from_actor))
         with torch.no_grad():
-            result = rasterize(
+            result = rasterize_frozen(
                 drawn,
                 view,
                 K,
@@ -174,9 +149,9 @@ class SceneRasterizer:
 
 def _parts(actor: SceneActor, place: torch.device) -> Parts:
     """What is drawn of an actor, actor-local, each with the filter that it was made for."""
-    parts = [(actor.gaussians.detach().to(place), actor.low_pass)]
+    parts = [(freeze(actor.gaussians.to(place)), actor.low_pass)]
     if actor.shadow is not None:
-        parts.append((actor.shadow.detach().to(place), CLASSIC))
+        parts.append((freeze(actor.shadow.to(place)), CLASSIC))
     return parts
 
 

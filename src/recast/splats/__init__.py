@@ -2,25 +2,30 @@
 
 from recast.splats.adam import RowAdam
 from recast.splats.cuda import pick_device
+from recast.splats.frozen import FrozenGaussians, freeze
 from recast.splats.gaussians import Gaussians, concatenate, morton_order
 from recast.splats.low_pass import CLASSIC, MIP, LowPass, refiltered
 from recast.splats.native import set_threads
 from recast.splats.ply import read_ply, write_ply
-from recast.splats.rasterization import Rasterization, RasterMeta
-from recast.splats.rasterize import rasterize
+from recast.splats.rasterization import RasterImages, Rasterization, RasterMeta
+from recast.splats.rasterize import rasterize, rasterize_frozen
 
 __all__ = [
     "CLASSIC",
     "MIP",
+    "FrozenGaussians",
     "Gaussians",
     "LowPass",
+    "RasterImages",
     "RasterMeta",
     "Rasterization",
     "RowAdam",
     "concatenate",
+    "freeze",
     "morton_order",
     "pick_device",
     "rasterize",
+    "rasterize_frozen",
     "read_ply",
     "refiltered",
     "set_threads",

@@ -47,19 +47,24 @@ class RasterMeta:
 
 
 @dataclass(frozen=True)
-class Rasterization:
+class RasterImages:
     """One rendered view.
 
     Attributes:
         rgb: (H, W, 3) colour, composited over the background where one is given; not clamped.
         depth: (H, W) sum of T alpha z, metres, not divided by alpha.
         alpha: (H, W) accumulated opacity.
-        meta: per-Gaussian facts.
     """
 
     rgb: Tensor
     depth: Tensor
     alpha: Tensor
+
+
+@dataclass(frozen=True)
+class Rasterization(RasterImages):
+    """One rendered view, with per-Gaussian facts in `meta`."""
+
     meta: RasterMeta
 
 
@@ -100,17 +105,7 @@ def check_settings(
     Raises:
         ValueError: names the argument at fault.
     """
-    if tuple(camera_from_world.shape) != (4, 4):
-        raise ValueError(
-            f"rasterize: camera_from_world: shape {tuple(camera_from_world.shape)}, expected (4, 4)"
-        )
-    pose = camera_from_world.detach().double().cpu()
-    if not bool(torch.isfinite(pose).all()):
-        raise ValueError("rasterize: camera_from_world is not finite")
-    rotation = pose[:3, :3]
-    skewed = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max() > 1e-3
-    if skewed or pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-        raise ValueError("rasterize: camera_from_world is not a rigid transform")
+    check_pose(camera_from_world)
     if tuple(K.shape) != (3, 3):
         raise ValueError(f"rasterize: K: shape {tuple(K.shape)}, expected (3, 3)")
     (fx, skew, cx), (_, fy, cy) = K.detach().double().cpu()[:2].tolist()
@@ -124,6 +119,19 @@ def check_settings(
     if background is not None and tuple(background.shape) != (3,):
         raise ValueError(f"rasterize: background: shape {tuple(background.shape)}, expected (3,)")
     return RasterSettings(fx, fy, cx, cy, **numbers)
+
+
+def check_pose(pose: Tensor, name: str = "camera_from_world") -> None:
+    """Raise ValueError unless a pose (4, 4) is a rigid transform."""
+    if tuple(pose.shape) != (4, 4):
+        raise ValueError(f"rasterize: {name}: shape {tuple(pose.shape)}, expected (4, 4)")
+    pose = pose.detach().double().cpu()
+    if not bool(torch.isfinite(pose).all()):
+        raise ValueError(f"rasterize: {name} is not finite")
+    rotation = pose[:3, :3]
+    skewed = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max() > 1e-3
+    if skewed or pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+        raise ValueError(f"rasterize: {name} is not a rigid transform")
 
 
 def check_shapes(gaussians: Gaussians, device_type: str) -> None:

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Literal
 
+import torch
 from torch import Tensor, device
 
 from recast.splats import cuda, native
 from recast.splats.cuda import rasterize_gsplat
-from recast.splats.gaussians import Gaussians
-from recast.splats.native.rasterizer import rasterize_native
-from recast.splats.rasterization import Rasterization, check_settings, check_shapes
+from recast.splats.frozen import FrozenGaussians, FrozenTables, in_world
+from recast.splats.gaussians import Gaussians, concatenate
+from recast.splats.native.rasterizer import rasterize_native, rasterize_tables
+from recast.splats.rasterization import (
+    RasterImages,
+    Rasterization,
+    check_pose,
+    check_settings,
+    check_shapes,
+)
 from recast.splats.reference import rasterize_reference
 
 Backend = Literal["auto", "native", "gsplat", "reference"]
@@ -98,6 +107,75 @@ def rasterize(
     if backend == "native":
         return rasterize_native(gaussians, camera_from_world, settings, background)
     return rasterize_reference(gaussians, camera_from_world, settings, background)
+
+
+def rasterize_frozen(
+    parts: Sequence[tuple[FrozenGaussians, Tensor]],
+    camera_from_world: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    *,
+    background: Tensor | None = None,
+    near: float = 0.2,
+    far: float = 1e10,
+    eps2d: float = 0.3,
+    antialiased: bool = False,
+    max_alpha: float | None = None,
+    backend: Backend = "auto",
+) -> RasterImages:
+    """Render frozen Gaussians, each part where its pose puts it; not differentiable.
+
+    The image is that of `rasterize` of all parts moved to the world and concatenated, up to
+    rounding and to the half precision of colours. The compiled kernel moves nothing: it looks at
+    each part from its own frame, skips blocks out of view, and reads what `freeze` worked out.
+
+    Args:
+        parts: each with `world_from_part` (4, 4), rigid. At least one.
+        camera_from_world, K, width, height: and all others as of `rasterize`.
+
+    Raises:
+        ValueError, InputError, RuntimeError: as `rasterize`; or there is no part.
+    """
+    if not parts:
+        raise ValueError("rasterize_frozen: no part given")
+    if backend == "auto":
+        backend = _choose(parts[0][0].gaussians.means.device)
+    if backend != "native" or any(part.tables is None for part, _ in parts):
+        world = concatenate([in_world(part, pose) for part, pose in parts])
+        with torch.no_grad():
+            return rasterize(
+                world,
+                camera_from_world.to(world.means.dtype),
+                K,
+                width,
+                height,
+                background=background,
+                near=near,
+                far=far,
+                eps2d=eps2d,
+                antialiased=antialiased,
+                max_alpha=max_alpha,
+                backend=backend,
+            )
+    settings = check_settings(
+        camera_from_world,
+        K,
+        background,
+        width=width,
+        height=height,
+        near=near,
+        far=far,
+        eps2d=eps2d,
+        antialiased=antialiased,
+        max_alpha=MAX_ALPHA if max_alpha is None else max_alpha,
+    )
+    tables: list[tuple[FrozenTables, Tensor]] = []
+    for part, world_from_part in parts:
+        if part.tables is not None:
+            check_pose(world_from_part, "world_from_part")
+            tables.append((part.tables, camera_from_world.double() @ world_from_part.double()))
+    return rasterize_tables(tables, settings, background)
 
 
 def _choose(where: device) -> Backend:

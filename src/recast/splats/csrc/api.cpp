@@ -32,7 +32,8 @@ int available(const Kernels** out) {
   if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
       __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl"))
     out[n++] = &kernels_avx512;
-  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) out[n++] = &kernels_avx2;
+  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") &&
+      __builtin_cpu_supports("f16c")) out[n++] = &kernels_avx2;
 #endif
   out[n++] = &kernels_portable;
   return n;
@@ -106,8 +107,7 @@ struct RecastGradients {
   float* means2d_absgrad;  // null: not asked for
 };
 
-// 0; a Fault (> 0) with its row; -1 too many intersections; -2 out of memory.
-RECAST_EXPORT int recast_forward(Context* c, const RecastView* v, int64_t* fault_row) {
+static Frame frame_of(const RecastView* v) {
   Frame f = {};
   f.count = v->count;
   f.sh_bases = v->sh_bases;
@@ -137,9 +137,25 @@ RECAST_EXPORT int recast_forward(Context* c, const RecastView* v, int64_t* fault
   f.visible = v->visible;
   f.radii = v->radii;
   f.means2d = v->means2d;
+  return f;
+}
+
+// 0; a Fault (> 0) with its row; -1 too many intersections; -2 out of memory.
+RECAST_EXPORT int recast_forward(Context* c, const RecastView* v, int64_t* fault_row) {
   if (v->most_at_once > 0) c->most_at_once = uint64_t(v->most_at_once);
   try {
-    return c->forward(recast::kernels(), f, fault_row);
+    return c->forward(recast::kernels(), frame_of(v), fault_row);
+  } catch (const std::bad_alloc&) {
+    return -2;
+  }
+}
+
+// The same of `count` frozen parts instead of the Gaussians of the view.
+RECAST_EXPORT int recast_forward_frozen(Context* c, const RecastView* v, const recast::Part* parts,
+                                        int count) {
+  if (v->most_at_once > 0) c->most_at_once = uint64_t(v->most_at_once);
+  try {
+    return c->forward_frozen(recast::kernels(), frame_of(v), parts, count);
   } catch (const std::bad_alloc&) {
     return -2;
   }

@@ -20,6 +20,9 @@ double cpu_milliseconds() {
 }
 
 int64_t chunk_count(const Frame& f) { return (f.count + kChunk - 1) / kChunk; }
+int64_t part_chunks(const Part& p) {
+  return (p.blocks * kFrozenBlock + kChunk - 1) / kChunk;
+}
 int64_t tile_count(const Frame& f) { return int64_t(f.tiles_x) * f.tiles_y; }
 
 template <typename Visit>
@@ -37,7 +40,7 @@ float* zeros(Buffer<float>& buffer, int64_t count) {
 }  // namespace
 
 int Context::forward(const Kernels& kernels, Frame f, int64_t* fault_row) {
-  const int64_t n = f.count, chunks = chunk_count(f);
+  const int64_t chunks = chunk_count(f);
   f.tiles_x = (f.width + kTile - 1) / kTile;
   f.tiles_y = (f.height + kTile - 1) / kTile;
   const int64_t tiles = tile_count(f);
@@ -58,15 +61,19 @@ int Context::forward(const Kernels& kernels, Frame f, int64_t* fault_row) {
   f.placements = placements_.reserve(places);
   f.lit = lit_.reserve(places);
   f.chunks = chunks_.reserve(chunks);
-  uint8_t* given = f.visible;
-  f.visible = visible_.reserve(n);
-  parallel_for(chunks, [&](int64_t c) { kernels.project(f, c); });
+  if (f.parts) {
+    parallel_for(chunks, [&](int64_t c) { kernels.project_frozen(f, c); });
+  } else {
+    uint8_t* given = f.visible;
+    f.visible = visible_.reserve(f.count);
+    parallel_for(chunks, [&](int64_t c) { kernels.project(f, c); });
+    if (f.count) std::memcpy(given, f.visible, size_t(f.count));
+  }
   for (int64_t c = 0; c < chunks; ++c)
     if (f.chunks[c].fault) {
       *fault_row = f.chunks[c].fault_row;
       return int(f.chunks[c].fault);
     }
-  if (n) std::memcpy(given, f.visible, size_t(n));
   intersections = binning_.compact(f, chunks);
   lap(kProject);
   binning_.sort();
@@ -89,6 +96,20 @@ int Context::forward(const Kernels& kernels, Frame f, int64_t* fault_row) {
   }
   frame_ = f;
   return 0;
+}
+
+int Context::forward_frozen(const Kernels& kernels, Frame f, const Part* parts, int count) {
+  parts_.assign(parts, parts + count);
+  parts_.push_back({});
+  int64_t chunks = 0;
+  for (Part& part : parts_) {
+    part.first_chunk = chunks;
+    chunks += part_chunks(part);
+  }
+  f.parts = parts_.data();
+  f.count = chunks * kChunk;
+  int64_t row;
+  return forward(kernels, f, &row);
 }
 
 void Context::backward(const Kernels& kernels, const Frame& g, float* pose_grad) {

@@ -14,6 +14,8 @@ class Context {
   // Inputs and images of `f` are filled in; returns 0, or a fault with its row, or -1 when there are
   // too many intersections.
   int forward(const Kernels& kernels, Frame f, int64_t* fault_row);
+  // The same of frozen sets of Gaussians.
+  int forward_frozen(const Kernels& kernels, Frame f, const Part* parts, int count);
   // Gradients of `g` are filled in; the rest comes from the last forward pass.
   void backward(const Kernels& kernels, const Frame& g, float* pose_grad);
   int64_t bytes() const;
@@ -27,6 +29,7 @@ class Context {
   Frame frame_ = {};
   Binning binning_;
   std::vector<Band> bands_;
+  std::vector<Part> parts_;
   Buffer<Splat> splats_;
   Buffer<Placement> placements_;
   Buffer<uint32_t> rows_, tile_begin_;

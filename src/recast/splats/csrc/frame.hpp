@@ -7,6 +7,10 @@ namespace recast {
 constexpr int kTile = 16;          // tile edge, pixels
 constexpr int kTilePixels = kTile * kTile;
 constexpr int kChunk = 1024;       // Gaussians a work item
+constexpr int kFrozenBlock = 128;  // Gaussians that a frozen set culls together
+constexpr int kFrozenLanes = 16;   // and that lie together, by column: enough for any vector width
+constexpr int kFrozenColumns = 13; // of their geometry: centre, rotation times scale, log2 opacity
+constexpr int kFrozenBounds = 5;   // of a block: centre and radius of its centres, largest scale
 constexpr int kSums = 10;          // floats a gradient record
 constexpr int kAbsoluteSums = 2;   // of those more that absolute gradients need
 constexpr int kPastRecord = 16;    // floats behind the last record that may be read
@@ -70,6 +74,17 @@ struct ChunkResult {
   uint64_t intersections;
 };
 
+// A frozen set of Gaussians by column, kFrozenLanes at a time; its last block is filled up with
+// Gaussians of no opacity. Laid out like the ctypes structure in kernel.py.
+struct Part {
+  int64_t blocks, first_chunk;
+  int64_t sh_bases;          // 1, 4, 9 or 16
+  const float* geometry;     // kFrozenColumns columns
+  const uint16_t* colours;   // 3 sh_bases columns, half precision
+  const float* bounds;       // kFrozenBounds a block
+  float rotation[9], translation[3];  // camera_from_part
+};
+
 struct Frame {
   // Inputs.
   int64_t count;
@@ -84,6 +99,7 @@ struct Frame {
   float rotation[9], translation[3];
   float background[3];
   const float *means, *quats, *log_scales, *logits, *sh;
+  const Part* parts;         // instead of these, one more behind the last; null where there are none
 
   // Per place: the visible Gaussians of a chunk in the order of their rows, chunks kChunk apart.
   uint32_t* rows;
@@ -141,6 +157,7 @@ struct AdamSettings {
 struct Kernels {
   const char* name;
   void (*project)(const Frame&, int64_t chunk);
+  void (*project_frozen)(const Frame&, int64_t chunk);
   void (*raster)(const Frame&, int64_t tile);
   void (*raster_backward)(const Frame&, int64_t tile);
   void (*project_backward)(const Frame&, int64_t chunk);

@@ -55,28 +55,20 @@ struct Projection {
   vf x, y;                  // pixels
 };
 
-static inline void project(const Frame& f, const Parameters& p, Projection& o) {
-  o.norm2 = p.quat[0] * p.quat[0] + p.quat[1] * p.quat[1] + p.quat[2] * p.quat[2] +
-            p.quat[3] * p.quat[3];
-  o.inverse_norm = vf(1.0f) / vsqrt(o.norm2);
-  for (int i = 0; i < 4; ++i) o.q[i] = p.quat[i] * o.inverse_norm;
-  const vf w = o.q[0], x = o.q[1], y = o.q[2], z = o.q[3], one = 1.0f, two = 2.0f;
-  o.rotation[0] = one - two * (y * y + z * z);
-  o.rotation[1] = two * (x * y - w * z);
-  o.rotation[2] = two * (x * z + w * y);
-  o.rotation[3] = two * (x * y + w * z);
-  o.rotation[4] = one - two * (x * x + z * z);
-  o.rotation[5] = two * (y * z - w * x);
-  o.rotation[6] = two * (x * z - w * y);
-  o.rotation[7] = two * (y * z + w * x);
-  o.rotation[8] = one - two * (x * x + y * y);
-  for (int i = 0; i < 3; ++i) {
-    o.scale[i] = vexp(p.log_scale[i]);
-    o.point[i] = fma(vf(f.rotation[3 * i]), p.mean[0],
-                     fma(vf(f.rotation[3 * i + 1]), p.mean[1],
-                         fma(vf(f.rotation[3 * i + 2]), p.mean[2], vf(f.translation[i]))));
-  }
-  o.inverse_z = one / o.point[2];
+// R^T t: minus the centre of the camera.
+static inline void camera_offset(const Frame& f, float (&offset)[3]) {
+  for (int i = 0; i < 3; ++i)
+    offset[i] = f.rotation[i] * f.translation[0] + f.rotation[3 + i] * f.translation[1] +
+                f.rotation[6 + i] * f.translation[2];
+}
+
+// Where the centres lie, and how the image changes around them.
+static inline void to_image(const Frame& f, const vf* mean, Projection& o) {
+  for (int i = 0; i < 3; ++i)
+    o.point[i] = fma(vf(f.rotation[3 * i]), mean[0],
+                     fma(vf(f.rotation[3 * i + 1]), mean[1],
+                         fma(vf(f.rotation[3 * i + 2]), mean[2], vf(f.translation[i]))));
+  o.inverse_z = vf(1.0f) / o.point[2];
   const vf slope_x = o.point[0] * o.inverse_z, slope_y = o.point[1] * o.inverse_z;
   o.x = fma(vf(f.fx), slope_x, vf(f.cx));
   o.y = fma(vf(f.fy), slope_y, vf(f.cy));
@@ -96,12 +88,10 @@ static inline void project(const Frame& f, const Parameters& p, Projection& o) {
     o.image_from_world[j] = jx * fnma(held_x, vf(f.rotation[6 + j]), vf(f.rotation[j]));
     o.image_from_world[3 + j] = jy * fnma(held_y, vf(f.rotation[6 + j]), vf(f.rotation[3 + j]));
   }
-  for (int i = 0; i < 2; ++i)
-    for (int j = 0; j < 3; ++j) {
-      const vf* t = o.image_from_world + 3 * i;
-      o.axes[3 * i + j] = (t[0] * o.rotation[j] + t[1] * o.rotation[3 + j] +
-                           t[2] * o.rotation[6 + j]) * o.scale[j];
-    }
+}
+
+// The blurred covariance and its factor, from the axes in the image.
+static inline void blurred(const Frame& f, Projection& o) {
   const vf* u = o.axes;
   const vf* v = o.axes + 3;
   const vf exact_xx = u[0] * u[0] + u[1] * u[1] + u[2] * u[2];
@@ -124,7 +114,32 @@ static inline void project(const Frame& f, const Parameters& p, Projection& o) {
   o.slope_y = o.xy / o.xx;
   o.l2 = -o.l1 * o.slope_x;
   o.l3 = unit / vsqrt(o.yy);
+}
 
+static inline void project(const Frame& f, const Parameters& p, Projection& o) {
+  o.norm2 = p.quat[0] * p.quat[0] + p.quat[1] * p.quat[1] + p.quat[2] * p.quat[2] +
+            p.quat[3] * p.quat[3];
+  o.inverse_norm = vf(1.0f) / vsqrt(o.norm2);
+  for (int i = 0; i < 4; ++i) o.q[i] = p.quat[i] * o.inverse_norm;
+  const vf w = o.q[0], x = o.q[1], y = o.q[2], z = o.q[3], one = 1.0f, two = 2.0f;
+  o.rotation[0] = one - two * (y * y + z * z);
+  o.rotation[1] = two * (x * y - w * z);
+  o.rotation[2] = two * (x * z + w * y);
+  o.rotation[3] = two * (x * y + w * z);
+  o.rotation[4] = one - two * (x * x + z * z);
+  o.rotation[5] = two * (y * z - w * x);
+  o.rotation[6] = two * (x * z - w * y);
+  o.rotation[7] = two * (y * z + w * x);
+  o.rotation[8] = one - two * (x * x + y * y);
+  for (int i = 0; i < 3; ++i) o.scale[i] = vexp(p.log_scale[i]);
+  to_image(f, p.mean, o);
+  for (int i = 0; i < 2; ++i)
+    for (int j = 0; j < 3; ++j) {
+      const vf* t = o.image_from_world + 3 * i;
+      o.axes[3 * i + j] = (t[0] * o.rotation[j] + t[1] * o.rotation[3 + j] +
+                           t[2] * o.rotation[6 + j]) * o.scale[j];
+    }
+  blurred(f, o);
   o.sigmoid = one / (one + vexp(-p.logit));
   o.opacity = o.sigmoid;
   if (f.antialiased)

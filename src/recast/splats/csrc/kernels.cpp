@@ -10,9 +10,13 @@ namespace recast {
 
 extern const Kernels RECAST_JOIN(kernels_, RECAST_ISA);
 const Kernels RECAST_JOIN(kernels_, RECAST_ISA) = {
-    RECAST_TEXT(RECAST_ISA),       RECAST_ISA::project_chunk,
-    RECAST_ISA::raster_tile,       RECAST_ISA::raster_tile_backward,
-    RECAST_ISA::project_chunk_backward, RECAST_ISA::adam_rows,
+    RECAST_TEXT(RECAST_ISA),
+    RECAST_ISA::project_chunk,
+    RECAST_ISA::project_frozen_chunk,
+    RECAST_ISA::raster_tile,
+    RECAST_ISA::raster_tile_backward,
+    RECAST_ISA::project_chunk_backward,
+    RECAST_ISA::adam_rows,
 };
 
 }  // namespace recast

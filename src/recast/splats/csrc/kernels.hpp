@@ -6,6 +6,7 @@ namespace recast {
 namespace RECAST_ISA {
 
 void project_chunk(const Frame& f, int64_t chunk);
+void project_frozen_chunk(const Frame& f, int64_t chunk);
 void raster_tile(const Frame& f, int64_t tile);
 void raster_tile_backward(const Frame& f, int64_t tile);
 void project_chunk_backward(const Frame& f, int64_t chunk);

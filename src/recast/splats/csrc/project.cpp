@@ -1,8 +1,8 @@
 // Forward, per Gaussian: project, find the tiles, colour.
-#include "footprint.hpp"
 #include "geometry.hpp"
 #include "harmonics.hpp"
 #include "kernels.hpp"
+#include "visible.hpp"
 
 namespace recast {
 namespace RECAST_ISA {
@@ -78,68 +78,26 @@ void project_group(const Frame& f, uint32_t first, int lanes, int64_t base, Chun
     return;
   }
 
-  const vf log2_opacity = vlog2(vmax(o.opacity, vf(1e-30f)));
-  const vf reach = log2_opacity - vf(kLog2AlphaThreshold);
-  // 2 ln(255 o) = 2 ln 2 * reach.
-  const vf spread = vmax(reach, vf(0.0f)) * vf(1.38629436f);
-  const vf extent_x = vsqrt(spread * o.xx), extent_y = vsqrt(spread * o.yy);
-  const vf size_x = float(f.width), size_y = float(f.height), half = 0.5f;
-  const vm seen = (o.point[2] >= vf(f.near_plane)) & (o.point[2] <= vf(f.far_plane)) &
-                  (o.opacity >= vf(kAlphaThreshold)) & (o.det > vf(0.0f)) &
-                  (o.det < vf(kLargestDeterminant)) &
-                  (o.x + extent_x > half) & (o.x - extent_x < size_x - half) &
-                  (o.y + extent_y > half) & (o.y - extent_y < size_y - half);
-  const uint32_t visible = bits(seen) & valid;
+  Seen seen;
+  find_visible(f, o, o.opacity >= vf(kAlphaThreshold), vlog2(vmax(o.opacity, vf(1e-30f))), valid,
+               seen);
 
-  store_upto(f.radii + first, keep(seen, vceil(vmax(extent_x, extent_y))), lanes);
-  vf pixel[2] = {keep(seen, o.x), keep(seen, o.y)};
+  store_upto(f.radii + first, keep(seen.mask, vceil(vmax(seen.extent_x, seen.extent_y))), lanes);
+  vf pixel[2] = {keep(seen.mask, o.x), keep(seen.mask, o.y)};
   store_pairs(f.means2d + 2 * int64_t(first), pixel, lanes);
   for (int i = 0; i < W; i += 8) {
-    const uint64_t bytes = spread_bits(visible >> i & 0xFF);
+    const uint64_t bytes = spread_bits(seen.lanes >> i & 0xFF);
     const int n = lanes - i < 8 ? lanes - i : 8;
     if (n > 0) __builtin_memcpy(f.visible + first + i, &bytes, size_t(n));
   }
-  if (!visible) return;
-
-  vf columns[16];
-  columns[0] = o.x;
-  columns[1] = o.y;
-  columns[2] = o.l1;
-  columns[3] = o.l2;
-  columns[4] = o.l3;
-  columns[5] = log2_opacity;
-  columns[6] = columns[7] = columns[8] = vf(0.0f);
-  columns[9] = o.point[2];
-  columns[10] = o.slope_x;
-  for (int i = 11; i < 16; ++i) columns[i] = vf(0.0f);
-  for (int c = 0; c < 16; c += W) {
-    transpose(columns + c);
-    float* out = &f.splats[base + result.visible].x + c;
-    for (uint32_t m = visible; m; m &= m - 1, out += 16) store(out, columns[c + __builtin_ctz(m)]);
-  }
-
-  Footprints prints;
-  find_footprints(f, o, extent_x, extent_y, log2_opacity, visible, prints);
-  alignas(64) int32_t depth_bits[W];  // positive floats sort as integers
-  store(depth_bits, as_int(o.point[2]));
-  for (uint32_t m = visible; m; m &= m - 1) {
-    const int i = __builtin_ctz(m);
-    const uint32_t key = uint32_t(depth_bits[i]);
-    const int64_t place = base + result.visible++;
-    f.rows[place] = rows[i];
-    f.placements[place] = {prints.print[i], uint32_t(result.intersections), key};
-    result.intersections += prints.tiles[i];
-    if (key < result.key_min) result.key_min = key;
-    if (key > result.key_max) result.key_max = key;
-  }
+  const vf rgb[3] = {vf(0.0f), vf(0.0f), vf(0.0f)};  // see `colour`
+  if (seen.lanes) list_visible(f, o, seen, rgb, first, base, result);
 }
 
 template <int K>
 void colour(const Frame& f, int64_t base, ChunkResult& result) {
   float offset[3];
-  for (int i = 0; i < 3; ++i)
-    offset[i] = f.rotation[i] * f.translation[0] + f.rotation[3 + i] * f.translation[1] +
-                f.rotation[6 + i] * f.translation[2];
+  camera_offset(f, offset);
   const int n = int(result.visible);
   const uint32_t* ids = f.rows + base;
   for (int begin = 0; begin < n; begin += W) {

@@ -249,9 +249,7 @@ void chunk_gradient(const Frame& f, int64_t chunk) {
     f.logits_grad[row] = 0.0f;
   }
   float offset[3];
-  for (int i = 0; i < 3; ++i)
-    offset[i] = f.rotation[i] * f.translation[0] + f.rotation[3 + i] * f.translation[1] +
-                f.rotation[6 + i] * f.translation[2];
+  camera_offset(f, offset);
   PoseSums pose;
   for (int i = 0; i < 9; ++i) pose.rotation[i] = vf(0.0f);
   for (int i = 0; i < 3; ++i) pose.translation[i] = vf(0.0f);

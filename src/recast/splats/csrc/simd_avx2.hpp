@@ -33,6 +33,9 @@ static inline void store(float* p, vf a) { _mm256_storeu_ps(p, a.v); }
 // Past the caches: `p` aligned to the vector. `stream_end` before another thread reads it.
 static inline void stream(float* p, vf a) { _mm256_stream_ps(p, a.v); }
 static inline void stream_end() { _mm_sfence(); }
+static inline vf load_half(const uint16_t* p) {
+  return _mm256_cvtph_ps(_mm_loadu_si128(reinterpret_cast<const __m128i*>(p)));
+}
 static inline vf load_first(const float* p, int n) {
   return _mm256_maskload_ps(p, first_lanes(n));
 }

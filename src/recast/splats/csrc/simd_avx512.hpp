@@ -30,6 +30,9 @@ static inline void store(float* p, vf a) { _mm512_storeu_ps(p, a.v); }
 // Past the caches: `p` aligned to the vector. `stream_end` before another thread reads it.
 static inline void stream(float* p, vf a) { _mm512_stream_ps(p, a.v); }
 static inline void stream_end() { _mm_sfence(); }
+static inline vf load_half(const uint16_t* p) {
+  return _mm512_cvtph_ps(_mm256_loadu_si256(reinterpret_cast<const __m256i*>(p)));
+}
 static inline vf load_first(const float* p, int n) {
   return _mm512_maskz_loadu_ps(__mmask16((1u << n) - 1u), p);
 }

@@ -7,15 +7,24 @@ import math
 import threading
 import weakref
 from collections import deque
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from recast.kernel import Gradients, View, library
+from recast.kernel import Gradients, Part, View, library
 from recast.splats.gaussians import Gaussians
-from recast.splats.rasterization import Rasterization, RasterMeta, RasterSettings
+from recast.splats.rasterization import (
+    RasterImages,
+    Rasterization,
+    RasterMeta,
+    RasterSettings,
+)
+
+if TYPE_CHECKING:
+    from recast.splats.frozen import FrozenTables
 
 _KEEP = 16
 _LINE = 64  # bytes of a cache line: the kernel writes large gradients by whole lines
@@ -81,16 +90,61 @@ def run_forward(
         ValueError: a Gaussian is not finite or degenerate.
     """
     means, quats, log_scales, logits, sh = parameters
+    images = _images(settings)
+    view = _view(settings, background, images)
+    view.count, view.sh_bases, view.training = means.shape[0], sh.shape[1], training
+    view.rotation, view.translation = _rigid(pose)
+    view.means, view.quats, view.sh = means.data_ptr(), quats.data_ptr(), sh.data_ptr()
+    view.log_scales, view.logits = log_scales.data_ptr(), logits.data_ptr()
+    view.visible, view.radii = meta.visible.data_ptr(), meta.radii.data_ptr()
+    view.means2d = meta.means2d.data_ptr()
+    row = ctypes.c_int64()
+    status = library().recast_forward(workspace.handle, ctypes.byref(view), ctypes.byref(row))
+    if status > 0:
+        field, problem = _FAULTS[status]
+        raise ValueError(f"Gaussians.{field}: row {row.value} {problem}")
+    _check(status)
+    return images
+
+
+def rasterize_tables(
+    parts: Sequence[tuple[FrozenTables, Tensor]],
+    settings: RasterSettings,
+    background: Tensor | None,
+) -> RasterImages:
+    """Render frozen parts, each with its `camera_from_part` (4, 4), with the compiled kernel."""
+    images = _images(settings)
+    view = _view(settings, background, images)
+    given = (Part * len(parts))()
+    for part, (tables, pose) in zip(given, parts, strict=True):
+        part.blocks, part.sh_bases = len(tables.bounds), tables.colours.shape[1] // 3
+        part.geometry, part.colours = tables.geometry.data_ptr(), tables.colours.data_ptr()
+        part.bounds = tables.bounds.data_ptr()
+        part.rotation, part.translation = _rigid(pose)
+    handle = Workspace().handle
+    _check(library().recast_forward_frozen(handle, ctypes.byref(view), given, len(parts)))
+    return RasterImages(*images)
+
+
+def _images(settings: RasterSettings) -> tuple[Tensor, Tensor, Tensor]:
     height, width = settings.height, settings.width
-    images = empty(height, width, 3), empty(height, width), empty(height, width)
+    return empty(height, width, 3), empty(height, width), empty(height, width)
+
+
+def _rigid(pose: Tensor) -> tuple[ctypes.Array[ctypes.c_float], ctypes.Array[ctypes.c_float]]:
     matrix = pose.detach().double().cpu()
-    view = View(
-        count=means.shape[0],
-        sh_bases=sh.shape[1],
-        width=width,
-        height=height,
+    rotation = (ctypes.c_float * 9)(*matrix[:3, :3].flatten().tolist())
+    return rotation, (ctypes.c_float * 3)(*matrix[:3, 3].tolist())
+
+
+def _view(
+    settings: RasterSettings, background: Tensor | None, images: tuple[Tensor, Tensor, Tensor]
+) -> View:
+    rgb, depth, alpha = images
+    return View(
+        width=settings.width,
+        height=settings.height,
         antialiased=settings.antialiased,
-        training=training,
         most_at_once=MOST_AT_ONCE,
         near=settings.near,
         far=settings.far,
@@ -100,33 +154,20 @@ def run_forward(
         fy=settings.fy,
         cx=settings.cx,
         cy=settings.cy,
-        rotation=(ctypes.c_float * 9)(*matrix[:3, :3].flatten().tolist()),
-        translation=(ctypes.c_float * 3)(*matrix[:3, 3].tolist()),
         background=(ctypes.c_float * 3)(*([] if background is None else background.tolist())),
-        means=means.data_ptr(),
-        quats=quats.data_ptr(),
-        log_scales=log_scales.data_ptr(),
-        logits=logits.data_ptr(),
-        sh=sh.data_ptr(),
-        rgb=images[0].data_ptr(),
-        depth=images[1].data_ptr(),
-        alpha=images[2].data_ptr(),
-        visible=meta.visible.data_ptr(),
-        radii=meta.radii.data_ptr(),
-        means2d=meta.means2d.data_ptr(),
+        rgb=rgb.data_ptr(),
+        depth=depth.data_ptr(),
+        alpha=alpha.data_ptr(),
     )
-    row = ctypes.c_int64()
-    status = library().recast_forward(workspace.handle, ctypes.byref(view), ctypes.byref(row))
-    if status > 0:
-        field, problem = _FAULTS[status]
-        raise ValueError(f"Gaussians.{field}: row {row.value} {problem}")
+
+
+def _check(status: int) -> None:
     if status == -1:
         raise ValueError(
             "rasterize: the Gaussians cover more than 2^32 tiles of one row: scales too large"
         )
     if status:
         raise MemoryError("rasterize: out of memory")
-    return images
 
 
 class _Rasterize(torch.autograd.Function):
