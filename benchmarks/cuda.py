@@ -118,7 +118,7 @@ def train(
     config = SceneConfig(
         iterations=WARM_UP + steps, coarse_fraction=0.0, max_gaussians=2 * len(start.background)
     )
-    trainer = Trainer(config, views, {}, start, 1, device)
+    trainer = Trainer(config, views, {}, start, device)
     first = mean(trainer.step().psnr for _ in range(WARM_UP))
     reports = []
     took = seconds(lambda: reports.extend(trainer.step().psnr for _ in range(steps)), device)

@@ -13,6 +13,7 @@ from upath import UPath
 
 from recast.logs import DrivingLog, read_log, write_log
 from recast.logs.importers.kitti import load_kitti
+from recast.splats import native
 from support.tiny_drive import DRIVE, TinyDrive, write_tiny_drive
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -27,6 +28,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("slow") is not None:
             item.add_marker(pytest.mark.skip(reason="slow: set RECAST_SLOW=1"))
+
+
+@pytest.fixture(params=["avx512", "avx2", "portable"])
+def isa(request: pytest.FixtureRequest) -> Iterator[str]:
+    """Run the test on each instruction set that this machine has."""
+    info = native.info()
+    if request.param not in info.isas:
+        pytest.skip(f"{request.param} not available: {info.reason or 'this machine has no such'}")
+    native.set_isa(request.param)
+    yield request.param
+    native.set_isa(info.isa)
+
+
+@pytest.fixture
+def compiled() -> None:
+    """Skip where there is no compiled rasterizer."""
+    if not native.info().available:
+        pytest.skip(native.info().reason)
 
 
 @pytest.fixture(scope="session")

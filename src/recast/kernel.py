@@ -85,6 +85,19 @@ class AdamSettings(ctypes.Structure):
     ]
 
 
+class Photometric(ctypes.Structure):
+    """`Photometric` of frame.hpp."""
+
+    _fields_ = [
+        *((name, ctypes.c_void_p) for name in ("image", "target")),
+        *((name, ctypes.c_void_p) for name in ("by_mean", "by_square", "by_product")),
+        *((name, ctypes.c_void_p) for name in ("sums", "gradient")),
+        *((name, ctypes.c_int64) for name in ("height", "row")),
+        ("window", ctypes.c_float * 6),
+        *((name, ctypes.c_float) for name in ("c1", "c2", "l1", "ssim")),
+    ]
+
+
 @dataclass(frozen=True)
 class NativeInfo:
     """State of the compiled rasterizer.
@@ -173,6 +186,8 @@ def _declare(library: ctypes.CDLL) -> None:
             [pointer, long, *[pointer] * 3, long, short, pointer],
         ),
         "recast_edges": (None, [*[pointer] * 7, long, long, real, pointer]),
+        "recast_photometric": (None, [ctypes.POINTER(Photometric)]),
+        "recast_photometric_backward": (None, [ctypes.POINTER(Photometric)]),
     }
     for name, (result, arguments) in signatures.items():
         function = getattr(library, name)

@@ -7,53 +7,10 @@ import torch
 
 from recast.scene.losses import (
     depth_loss,
-    photometric_loss,
     sky_entropy,
     sky_loss,
     solid_loss,
 )
-from recast.scene.scores import ssim_map
-
-
-@pytest.fixture
-def pair() -> tuple[torch.Tensor, torch.Tensor]:
-    generator = torch.Generator().manual_seed(0)
-    target = torch.rand(37, 52, 3, generator=generator)
-    image = target + 0.1 * torch.randn(target.shape, generator=generator)
-    return image.clamp(0, 1), target
-
-
-@pytest.mark.parametrize("threads", [1, 2, 3])
-@pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
-def test_photometric_matches_the_plain_form(
-    pair: tuple[torch.Tensor, torch.Tensor], threads: int, weight: float
-) -> None:
-    image, target = pair
-    plain = image.double().requires_grad_()
-    similarity = ssim_map(plain, target.double()).mean()
-    expected = (1 - weight) * (plain - target).abs().mean() + weight * (1 - similarity)
-    expected.backward()
-    fused = image.clone().requires_grad_()
-    loss = photometric_loss(fused, target, weight, threads)
-    (3 * loss).backward()
-    assert loss.item() == pytest.approx(expected.item(), abs=1e-6)
-    assert plain.grad is not None and fused.grad is not None
-    largest = plain.grad.abs().max()
-    # where image and target are both clipped to the same value, |x| has no derivative
-    smooth = image != target
-    assert ((fused.grad / 3 - plain.grad).abs()[smooth] < 1e-4 * largest).all()
-
-
-def test_photometric_gradient_hangs_not_on_threads(
-    pair: tuple[torch.Tensor, torch.Tensor],
-) -> None:
-    image, target = pair
-    gradients = []
-    for threads in (1, 2):
-        leaf = image.clone().requires_grad_()
-        photometric_loss(leaf, target, 0.2, threads).backward()
-        gradients.append(leaf.grad)
-    assert torch.equal(gradients[0], gradients[1])
 
 
 def test_depth_loss_is_relative_and_trimmed() -> None:

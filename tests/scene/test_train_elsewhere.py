@@ -17,7 +17,7 @@ from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.planning import CameraMount
 from recast.scene import TrainingStatus, TrainResult, train_scene
-from recast.scene.losses import photometric_loss
+from recast.scene.photometric import photometric_loss
 from recast.scene.render import SceneRasterizer
 from recast.scene.train import WORK_FOLDER
 from recast.simulation.scene_renderer import SceneRenderer

@@ -7,21 +7,18 @@ indices of pixels that are surely sky, and surely none.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
-from typing import Any, Literal
+from typing import Literal
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
 
-from recast.arrays import Array, Float32Array
+from recast.arrays import Array
 from recast.geometry import boxes
 from recast.scene.config import SceneConfig
 from recast.scene.levels import Level
+from recast.scene.photometric import photometric_loss
 from recast.scene.poses import TrackPoses
-from recast.scene.scores import C1, C2, WINDOW, ssim_map, window
 from recast.scene.trainable import Drawn, rows
 from recast.splats import Gaussians, Rasterization, rasterize
 
@@ -35,121 +32,6 @@ SHARP_SHAPE_EVERY = 10
 """Steps between the costs of sharp shapes (OmniRe)."""
 SMOOTH_OVER = 5
 """Track positions are compared with those up to this many labels before and after (OmniRe)."""
-
-
-class _Photometric(torch.autograd.Function):
-    """Value and gradient in one sweep of separable filters on interleaved float32 images."""
-
-    @staticmethod
-    def forward(ctx: Any, image: Tensor, target: Tensor, ssim_weight: float, slabs: int) -> Tensor:
-        x, y = image.detach().numpy(), target.numpy()
-        gradient = np.empty_like(x)
-        edges = np.linspace(0, len(x), slabs + 1).astype(int)
-
-        def run(slab: int) -> float:
-            return _photometric_rows(x, y, gradient, edges[slab], edges[slab + 1], ssim_weight)
-
-        parts = map(run, range(slabs)) if slabs == 1 else _pool(slabs).map(run, range(slabs))
-        ctx.gradient = torch.from_numpy(gradient)
-        return image.new_tensor(sum(parts) / x.size)
-
-    @staticmethod
-    def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor, None, None, None]:
-        return ctx.gradient * grad_outputs[0], None, None, None
-
-
-def photometric_loss(
-    image: Tensor, target: Tensor, ssim_weight: float = 0.2, threads: int = 1
-) -> Tensor:
-    """(1 - w) mean |x - y| + w (1 - mean SSIM) of float32 images (H, W, 3) in [0, 1].
-
-    Zhao et al. 2017 as used by 3D Gaussian splatting (eq. 7). Differentiable in `image` only. Fused
-    on the CPU; on another device it is torch's own kernels, by the plain twin `scores.ssim_map`.
-    """
-    if image.device.type != "cpu":
-        similarity = ssim_map(image, target).mean()
-        return (1 - ssim_weight) * (image - target).abs().mean() + ssim_weight * (1 - similarity)
-    return _Photometric.apply(image.contiguous(), target.contiguous(), ssim_weight, threads)
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads)
-
-
-def _blur(image: Float32Array) -> Float32Array:
-    kernel = window().numpy().astype(np.float32)
-    blurred = cv2.sepFilter2D(image, -1, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(blurred, np.float32)
-
-
-def _photometric_rows(
-    image: Float32Array,
-    target: Float32Array,
-    gradient: Float32Array,
-    first: int,
-    last: int,
-    ssim_weight: float,
-) -> float:
-    """Fill rows [first, last) of the gradient of the mean loss; return the rows' sum of the loss.
-
-    With S = A B / (C D), A = 2 mx my + C1, B = 2 sxy + C2, C = mx^2 + my^2 + C1, D = sx + sy + C2,
-    the moments of x enter S through mx, blur(x^2), blur(x y); the window is symmetric, so the
-    adjoint of a blur is the same blur. Two blurs in a row need a halo of two half windows.
-    """
-    halo = 2 * (WINDOW // 2)
-    top, bottom = max(0, first - halo), min(len(image), last + halo)
-    inner = slice(first - top, last - top)
-    x, y = image[top:bottom], target[top:bottom]
-    difference = x[inner] - y[inner]
-    loss = (1 - ssim_weight) * float(np.abs(difference).sum(dtype=np.float32))
-    weight = np.float32((1 - ssim_weight) / image.size)
-    np.copysign(weight, difference, out=gradient[first:last])
-    if ssim_weight == 0:
-        return loss
-
-    mx, my = _blur(x), _blur(y)
-    d = _blur(x * x + y * y)  # the variances enter only as their sum
-    b = _blur(x * y)
-    mxy = mx * my
-    c = mx * mx
-    c += my * my
-    d -= c
-    d += np.float32(C2)
-    c += np.float32(C1)
-    b -= mxy
-    b *= 2
-    b += np.float32(C2)
-    mxy *= 2
-    mxy += np.float32(C1)
-    a = mxy
-    inverse = c * d
-    np.divide(np.float32(2 * ssim_weight / image.size), inverse, out=inverse)
-    by_cross = a * inverse
-    s = by_cross * b
-    s *= 0.5
-    by_energy = s / d
-    by_mean = b
-    by_mean -= a
-    by_mean *= my
-    by_mean *= inverse
-    s /= c
-    np.subtract(by_energy, s, out=s)
-    s *= 2
-    s *= mx
-    by_mean += s
-    similarity = by_energy[inner] * d[inner]
-    out = gradient[first:last]
-    out -= _blur(by_mean)[inner]
-    energy_term = _blur(by_energy)[inner]
-    energy_term *= 2
-    energy_term *= x[inner]
-    out += energy_term
-    cross_term = _blur(by_cross)[inner]
-    cross_term *= y[inner]
-    out -= cross_term
-    total = float(similarity.sum(dtype=np.float32)) * image.size
-    return loss + ssim_weight * similarity.size - total
 
 
 def depth_loss(
@@ -224,15 +106,13 @@ def solid_loss(alpha: Tensor, ground: Tensor) -> Tensor:
     return -a.log().sum() / alpha.numel()
 
 
-def view_loss(
-    config: SceneConfig, image: Tensor, result: Rasterization, level: Level, threads: int
-) -> Tensor:
+def view_loss(config: SceneConfig, image: Tensor, result: Rasterization, level: Level) -> Tensor:
     """The weighted sum of photometric, depth, sky and opacity loss.
 
     Args:
         image: (H, W, 3) composited of `result`, unusable pixels black.
     """
-    loss = photometric_loss(image, level.target, config.ssim_weight, threads)
+    loss = photometric_loss(image, level.target, config.ssim_weight)
     if config.depth_weight > 0:
         drawn, measured = (result.depth, result.alpha), (level.depth_pixels, level.depths)
         depth = depth_loss(*drawn, *measured, config.depth_keep, config.depth_error)

@@ -195,7 +195,7 @@ class _Run:
             rng = np.random.default_rng(config.seed)
             start = initialise(self._log, views, tracks, config, rng, self._threads, bodies)
             save_initialisation(start, path)
-        trainer = Trainer(config, views, tracks, start, self._threads, self._device, bodies)
+        trainer = Trainer(config, views, tracks, start, self._device, bodies)
         return start, trainer
 
     def _evaluate(self, trainer: Trainer, held_out: list[View]) -> dict[str, float]:

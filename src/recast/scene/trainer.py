@@ -81,14 +81,12 @@ class Trainer:
         views: Sequence[View],
         tracks: Mapping[str, Track],
         start: Initialisation,
-        threads: int,
         device: torch.device | str = "cpu",
         bodies: Mapping[str, Body] | None = None,
     ) -> None:
         self.config = config
         self.iteration = 0
         self.device = torch.device(device)
-        self._threads = threads
         self._views = [view for view in views if not view.held_out]
         self._tracks = dict(tracks)
         self._density = DensitySchedule(config, len(self._views))
@@ -223,7 +221,7 @@ class Trainer:
             prior = config.exposure_weight * change
         if level.usable is not None:
             image = image * level.usable
-        loss = view_loss(config, image, result, level, self._threads)
+        loss = view_loss(config, image, result, level)
         if config.sharp_shape_weight > 0 and self.iteration % SHARP_SHAPE_EVERY == 0:
             prior = prior + config.sharp_shape_weight * sharp_shape(drawn.gaussians.log_scales)
         if config.track_smoothness_weight > 0:

@@ -18,7 +18,7 @@ from recast.actors.icp import outer_surface, thinned
 from recast.actors.refine.parameters import FIELDS, Bend, FreeGaussians, PoseOffsets
 from recast.actors.refine.surroundings import Layers
 from recast.scene.appearance import mirrored
-from recast.scene.losses import photometric_loss
+from recast.scene.photometric import photometric_loss
 from recast.scene.schedule import generator, picked_view
 from recast.splats import Gaussians, LowPass
 

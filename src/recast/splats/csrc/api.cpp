@@ -203,3 +203,19 @@ RECAST_EXPORT void recast_adam(const recast::AdamRows* tensors, int count,
     for (int i = 0; i < count; ++i) kernels.adam(tensors[i], *settings, visible, p * part, end);
   });
 }
+
+// `rows` runs on all rows of an image, a few at a time.
+static void for_rows(const recast::Photometric& p,
+                     void (*rows)(const recast::Photometric&, int64_t, int64_t)) {
+  const int64_t part = 8;
+  recast::parallel_for((p.height + part - 1) / part, [&](int64_t i) {
+    rows(p, i * part, (i + 1) * part < p.height ? (i + 1) * part : p.height);
+  });
+}
+
+RECAST_EXPORT void recast_photometric(const recast::Photometric* p) {
+  for_rows(*p, recast::kernels().photometric);
+}
+RECAST_EXPORT void recast_photometric_backward(const recast::Photometric* p) {
+  for_rows(*p, recast::kernels().photometric_backward);
+}

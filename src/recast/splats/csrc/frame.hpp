@@ -154,6 +154,20 @@ struct AdamSettings {
   float correction;    // 1 / sqrt(1 - beta2^t)
 };
 
+constexpr int kWindowHalf = 5;  // taps of SSIM's window to either side of its centre
+
+struct Photometric {
+  const float *image, *target;  // height rows of `row` floats, three a pixel
+  // Of the same shape: d SSIM by the blurred image, its square, and its product with the target.
+  float *by_mean, *by_square, *by_product;
+  double* sums;     // two a row: |image - target|, SSIM
+  float* gradient;  // backward
+  int64_t height, row;
+  float window[kWindowHalf + 1];  // from the outermost tap to the centre
+  float c1, c2;
+  float l1, ssim;  // backward: factors of the two gradients
+};
+
 struct Kernels {
   const char* name;
   void (*project)(const Frame&, int64_t chunk);
@@ -163,6 +177,8 @@ struct Kernels {
   void (*project_backward)(const Frame&, int64_t chunk);
   void (*adam)(const AdamRows&, const AdamSettings&, const uint8_t* visible, int64_t begin,
                int64_t end);
+  void (*photometric)(const Photometric&, int64_t begin, int64_t end);
+  void (*photometric_backward)(const Photometric&, int64_t begin, int64_t end);
 };
 
 }  // namespace recast

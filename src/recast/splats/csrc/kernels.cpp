@@ -17,6 +17,8 @@ const Kernels RECAST_JOIN(kernels_, RECAST_ISA) = {
     RECAST_ISA::raster_tile_backward,
     RECAST_ISA::project_chunk_backward,
     RECAST_ISA::adam_rows,
+    RECAST_ISA::photometric_rows,
+    RECAST_ISA::photometric_rows_backward,
 };
 
 }  // namespace recast
