@@ -98,6 +98,18 @@ class Photometric(ctypes.Structure):
     ]
 
 
+class Sky(ctypes.Structure):
+    """`Sky` of sky.hpp."""
+
+    _fields_ = [
+        *((name, ctypes.c_void_p) for name in ("rgb", "alpha", "colours", "coordinates")),
+        *((name, ctypes.c_void_p) for name in ("image", "image_grad")),
+        *((name, ctypes.c_void_p) for name in ("alpha_grad", "colours_grad")),
+        *((name, ctypes.c_int64) for name in ("pixels", "height", "width")),
+        ("opaque", ctypes.c_float),
+    ]
+
+
 @dataclass(frozen=True)
 class NativeInfo:
     """State of the compiled rasterizer.
@@ -188,6 +200,8 @@ def _declare(library: ctypes.CDLL) -> None:
         "recast_edges": (None, [*[pointer] * 7, long, long, real, pointer]),
         "recast_photometric": (None, [ctypes.POINTER(Photometric)]),
         "recast_photometric_backward": (None, [ctypes.POINTER(Photometric)]),
+        "recast_sky": (None, [ctypes.POINTER(Sky)]),
+        "recast_sky_backward": (None, [ctypes.POINTER(Sky)]),
     }
     for name, (result, arguments) in signatures.items():
         function = getattr(library, name)

@@ -54,7 +54,7 @@ def test_true_yaw_about_the_box_centre() -> None:
     poses = TrackPoses({"7": track()}, [view(i) for i in range(6)])
     with torch.no_grad():
         poses.table.value[:] = torch.tensor([0.5, -0.25, 0.1, 0.3])
-    pose = poses.world_from_actor("7", 250_000)
+    pose = poses.world_from_actors(250_000)["7"]
     assert pose is not None
     assert se3.yaw(pose.detach().numpy()) == pytest.approx(0.3, abs=1e-6)
     assert np.allclose(pose.detach().numpy()[:3, 3], [10.5 + 0.5, -0.25, 0.1], atol=1e-5)
@@ -128,7 +128,7 @@ def test_track_refinement_undoes_a_planted_error() -> None:
         targets.append(draw(gaussians.transformed(pose), camera))
     for step in range(120):
         seen, target = views[step % 6], targets[step % 6]
-        moved = poses.world_from_actor("7", seen.timestamp_us)
+        moved = poses.world_from_actors(seen.timestamp_us)["7"]
         assert moved is not None
         camera = torch.from_numpy(seen.camera_from_world).float()
         (draw(gaussians.transformed(moved), camera) - target).abs().mean().backward()

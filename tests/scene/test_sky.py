@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from recast.scene.sky import (
     pixel_coordinates,
     sky_from_pixels,
 )
+from recast.scene.sky_composite import fused_composite
 from recast.scene.sky_masks import sky_mask
 
 
@@ -68,7 +70,8 @@ def naive_lookup(colours: torch.Tensor, ray: torch.Tensor) -> torch.Tensor:
     return result
 
 
-def test_composite_matches_the_plain_expression() -> None:
+@pytest.mark.parametrize("put", [composite, fused_composite])
+def test_composite_matches_the_plain_expression(put: Callable[..., torch.Tensor]) -> None:
     generator = torch.Generator().manual_seed(2)
     rgb, alpha = (torch.rand(*s, generator=generator) for s in ((5, 7, 3), (5, 7)))
     alpha[0, 0] = 1.0  # opaque: no sky there
@@ -77,7 +80,7 @@ def test_composite_matches_the_plain_expression() -> None:
     weights = torch.rand(5, 7, 3, generator=generator)
     leaves = [t.clone().requires_grad_() for t in (rgb, alpha, colours)]
     plain = [t.clone().requires_grad_() for t in (rgb, alpha, colours)]
-    image = composite(*leaves, direction_coordinates(directions))
+    image = put(*leaves, direction_coordinates(directions))
     (image * weights).sum().backward()
     shown = (plain[1] < OPAQUE)[..., None]
     sky = torch.stack([naive_lookup(plain[2], ray) for ray in directions.view(-1, 3)])
@@ -140,3 +143,37 @@ def test_mask_takes_the_bright_top_and_leaves_walls_and_returns() -> None:
     assert mask[2:15, 25:45].all() and mask[0, 30]
     assert not mask[:, 10:20][5:].any()
     assert not mask[21:].any() and not mask[:, 50:].any()
+
+
+@pytest.mark.usefixtures("compiled")
+@pytest.mark.parametrize("size", [(1, 1), (2, 5), (16, 32)])
+def test_compiled_composite_matches_reference(size: tuple[int, int]) -> None:
+    generator = torch.Generator().manual_seed(3)
+    rgb, alpha = (torch.rand(*s, generator=generator) for s in ((70, 90, 3), (70, 90)))
+    alpha[:20] = 1.0
+    alpha[30:] = 0.0
+    colours = torch.rand(*size, 3, generator=generator)
+    coordinates = 3 * torch.rand(70, 90, 2, generator=generator) - 1  # beyond the turn and the rows
+    coordinates[40, :6] = torch.tensor([0.0, 1.0, -1e-9, 0.5, 1 - 2**-24, -1.0])[:, None]
+    weights = torch.rand(70, 90, 3, generator=generator)
+    leaves = [one.clone().requires_grad_() for one in (rgb, alpha, colours)]
+    plain = [one.double().requires_grad_() for one in (rgb, alpha, colours)]
+    image = fused_composite(*leaves, coordinates)
+    (image * weights).sum().backward()
+    expected = composite(*plain, coordinates.double())
+    (expected * weights).sum().backward()
+    # A place on the map is off by 4 roundings of its share times the width: weights by as much,
+    # colours by twice that; of a cell, as many pixels as see it add up.
+    place = 4 * 2.0**-24 * 2 * max(size)
+    assert ((image - expected).abs() <= 2 * place + 4 * 2.0**-24).all()
+    for own, other in zip(leaves, plain, strict=True):
+        assert own.grad is not None and other.grad is not None
+        pixels = 3 if other is not plain[2] else weights.sum()
+        assert ((own.grad - other.grad).abs() <= pixels * (2 * place + 4 * 2.0**-24)).all()
+
+
+def test_composite_checks_shapes() -> None:
+    with pytest.raises(ValueError, match="composite"):
+        fused_composite(
+            torch.zeros(4, 5, 3), torch.zeros(4, 5), torch.zeros(2, 2, 3), torch.zeros(4, 4, 2)
+        )

@@ -7,6 +7,7 @@ neighbours in time, so that held-out frames and simulated ones get the same trea
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -115,20 +116,26 @@ class TrackPoses:
             times, poses = track.trajectory.timestamps_us, track.trajectory.poses
             self._logged[track_id] = Trajectory(times[trained], poses[trained])
         self.table = AdamTable(torch.zeros(rows, 4))
+        self._present: dict[int, _Present] = {}
 
-    def world_from_actor(self, track_id: str, timestamp_us: int) -> Tensor | None:
-        """(4, 4) float32, differentiable in the offsets, or None where the track is absent."""
-        logged = pose_at(self._logged[track_id], timestamp_us)
-        if logged is None:
-            return None
-        return _offset(torch.from_numpy(logged).float(), self._at(track_id, timestamp_us))
+    def world_from_actors(self, timestamp_us: int) -> dict[str, Tensor]:
+        """(4, 4) float32, differentiable in the offsets, of the tracks that are there at a time.
+
+        All at once; what does not change is kept for the next time that the view is trained on.
+        """
+        if timestamp_us not in self._present:
+            self._present[timestamp_us] = self._presence(timestamp_us)
+        present = self._present[timestamp_us]
+        offsets = (present.weights[..., None] * self.table.value[present.rows]).sum(dim=1)
+        poses = _offset(present.logged, offsets) if present.names else present.logged
+        return dict(zip(present.names, poses.unbind(), strict=True))
 
     def refined(self, track_id: str) -> Trajectory:
         """The track's trajectory with the offsets applied, at the times of the labels kept."""
         logged = self._logged[track_id]
         with torch.no_grad():
             poses = [
-                _offset(torch.from_numpy(pose), self._at(track_id, int(time)).double()).numpy()
+                _offset(torch.from_numpy(pose), self._at(track_id, int(time))).numpy()
                 for time, pose in zip(logged.timestamps_us, logged.poses, strict=True)
             ]
         return Trajectory(logged.timestamps_us, np.stack(poses))
@@ -142,15 +149,49 @@ class TrackPoses:
         ]
 
     def _at(self, track_id: str, timestamp_us: int) -> Tensor:
+        """The offset (4,) float64 at a time."""
+        rows, weights = self._knots_at(track_id, timestamp_us)
+        return torch.tensor(weights, dtype=torch.float64) @ self.table.value[rows].double()
+
+    def _knots_at(self, track_id: str, timestamp_us: int) -> tuple[list[int], list[float]]:
+        """The two rows of the table about a time, and the weights of both; none: no weight."""
         knots, row = self._knots[track_id], self._first_row[track_id]
         if len(knots) == 0:
-            return torch.zeros(4)
+            return [], []
         position = float(np.interp(timestamp_us, knots, np.arange(len(knots))))
         left = min(int(position), max(len(knots) - 2, 0))
         right = min(left + 1, len(knots) - 1)
-        weight = position - left
-        table = self.table.value
-        return (1 - weight) * table[row + left] + weight * table[row + right]
+        return [row + left, row + right], [1 - (position - left), position - left]
+
+    def _presence(self, timestamp_us: int) -> _Present:
+        found = {name: pose_at(logged, timestamp_us) for name, logged in self._logged.items()}
+        logged = {name: pose for name, pose in found.items() if pose is not None}
+        knots = [self._knots_at(name, timestamp_us) for name in logged]
+        # What has no knots weighs nothing of some row; without any row in the table nothing has.
+        free = ([0, 0], [0.0, 0.0]) if len(self.table.value) else ([], [])
+        knots = [own if own[0] else free for own in knots]
+        return _Present(
+            tuple(logged),
+            torch.from_numpy(np.array(list(logged.values())).reshape(-1, 4, 4)).float(),
+            torch.tensor([rows for rows, _ in knots], dtype=torch.int64),
+            torch.tensor([weights for _, weights in knots], dtype=torch.float32),
+        )
+
+
+@dataclass(frozen=True)
+class _Present:
+    """The A tracks that are there at a time.
+
+    Attributes:
+        names: their ids.
+        logged: (A, 4, 4) float32 as logged.
+        rows, weights: (A, 2) of the table of offsets; (A, 0) where the table is empty.
+    """
+
+    names: tuple[str, ...]
+    logged: Tensor
+    rows: Tensor
+    weights: Tensor
 
 
 def _trained_labels(trajectory: Trajectory, views: Sequence[View]) -> NDArray[np.bool_]:
@@ -162,13 +203,14 @@ def _trained_labels(trajectory: Trajectory, views: Sequence[View]) -> NDArray[np
 
 
 def _offset(pose: Tensor, offset: Tensor) -> Tensor:
-    """Move a pose (4, 4) by (dx, dy, dz, dyaw) in the world frame, turning about its own origin."""
-    cos, sin = offset[3].cos(), offset[3].sin()
+    """Move poses (..., 4, 4) by (dx, dy, dz, dyaw) (..., 4) in the world, each about its origin."""
+    cos, sin = offset[..., 3].cos(), offset[..., 3].sin()
     zero, one = torch.zeros_like(cos), torch.ones_like(cos)
-    turn = torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one]).view(3, 3)
-    rotation = turn @ pose[:3, :3]
-    translation = pose[:3, 3] + offset[:3]
-    return torch.cat([torch.cat([rotation, translation[:, None]], dim=1), pose[3:]])
+    turn = torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], dim=-1)
+    rotation = turn.unflatten(-1, (3, 3)) @ pose[..., :3, :3]
+    translation = pose[..., :3, 3] + offset[..., :3]
+    top = torch.cat([rotation, translation[..., None]], dim=-1)
+    return torch.cat([top, pose[..., 3:, :]], dim=-2)
 
 
 def _key(view: View) -> tuple[str, int]:

@@ -24,12 +24,12 @@ from recast.scene.poses import AdamTable
 from recast.scene.sky import (
     OPAQUE,
     SkyMap,
-    composite,
     pixel_coordinates,
     sample_cubemap,
     sky_from_cubemap,
     texel_directions,
 )
+from recast.scene.sky_composite import fused_composite
 from recast.splats import Gaussians, RasterMeta, RowAdam, concatenate
 from recast.splats.sh import C0
 
@@ -145,9 +145,14 @@ class TrainableScene:
         """
         first = len(self.background)
         spans = []
+        # One split a field: slices of their own would each bring a gradient of all rows.
+        counts = torch.bincount(self.owner, minlength=len(self.track_ids)).tolist()
+        ends = dict(zip(self.track_ids, np.cumsum(counts).tolist(), strict=True))
+        fields = zip(*(value.split(counts) for value in rows(self.local).values()), strict=True)
+        parts = {name: Gaussians(*own) for name, own in zip(self.track_ids, fields, strict=True)}
         for track_id, pose in poses.items():
-            start, stop = self.span(track_id)
-            own = Gaussians(**{k: v[start:stop] for k, v in rows(self.local).items()})
+            own = parts[track_id]
+            start, stop = ends[track_id] - len(own), ends[track_id]
             if shares is not None and self.fourier.shape[1]:
                 own = coloured(own, self.fourier[start:stop], shares[track_id])
             if flipped is not None:
@@ -172,14 +177,12 @@ class TrainableScene:
             getattr(self.background, name).grad = None if gradient is None else gradient[:n]
             getattr(self.local, name).grad = None
         self.fourier.grad = None
-        for span in drawn.spans:
-            outputs, given = [], []
-            for name in FIELDS:
-                gradient = gradients[name]
-                if gradient is not None:
-                    outputs.append(getattr(span.posed, name))
-                    given.append(gradient[span.first : span.last])
-            torch.autograd.backward(outputs, given)
+        outputs, given = [], []
+        for name, gradient in gradients.items():
+            if gradient is not None:
+                outputs += [getattr(span.posed, name) for span in drawn.spans]
+                given += [gradient[span.first : span.last] for span in drawn.spans]
+        torch.autograd.backward(outputs, given)
 
     def visible(self, drawn: Drawn, meta: RasterMeta) -> tuple[Tensor, Tensor]:
         """Which rows of the background and of the actors the view saw: two bool masks."""
@@ -272,7 +275,7 @@ class PanoramaSky:
     ) -> Tensor:
         """rgb + (1 - alpha) sky, (H, W, 3); pixels above `sky.OPAQUE` are left alone."""
         coordinates = pixel_coordinates(camera, camera_from_world)
-        return composite(rgb, alpha, self.table.value.view(self._shape), coordinates)
+        return fused_composite(rgb, alpha, self.table.value.view(self._shape), coordinates)
 
     def sky_map(self) -> SkyMap:
         """The sky as it stands, copied to the CPU."""

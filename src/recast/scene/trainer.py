@@ -155,11 +155,8 @@ class Trainer:
 
     def poses(self, timestamp_us: int) -> dict[str, Tensor]:
         """`world_from_actor` (4, 4) of the actors present, differentiable in their offsets."""
-        found = {
-            track_id: self.track_poses.world_from_actor(track_id, timestamp_us)
-            for track_id in self.model.track_ids
-        }
-        return {track_id: pose for track_id, pose in found.items() if pose is not None}
+        found = self.track_poses.world_from_actors(timestamp_us)
+        return {name: found[name] for name in self.model.track_ids if name in found}
 
     def _draw(self, poses: Mapping[str, Tensor], view: View, u: float) -> Drawn:
         time = view.timestamp_us

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -143,12 +144,12 @@ class Gaussians:
                 raise ValueError("Gaussians.transformed: world_from_local is not a rigid transform")
         if not scale > 0:
             raise ValueError(f"Gaussians.transformed: scale {scale}, expected a positive number")
-        turn = matrix_to_quat(rotation).to(self.quats.device).expand_as(self.quats)
+        turn = left_matrix(matrix_to_quat(rotation)).to(self.quats.device)
         device = self.means.device
         return Gaussians(
-            means=(self.means * scale) @ rotation.T.to(device) + translation.to(device),
-            quats=quat_multiply(turn, self.quats),
-            log_scales=self.log_scales + float(torch.tensor(scale, dtype=torch.float64).log()),
+            means=torch.addmm(translation.to(device), self.means, scale * rotation.T.to(device)),
+            quats=self.quats @ turn.T,
+            log_scales=self.log_scales if scale == 1 else self.log_scales + math.log(scale),
             logit_opacities=self.logit_opacities,
             sh=harmonics.rotate(self.sh, rotation),
         )
@@ -200,28 +201,38 @@ def quat_multiply(left: Tensor, right: Tensor) -> Tensor:
     return torch.stack(product, dim=-1)
 
 
+def left_matrix(quat: Tensor) -> Tensor:
+    """(4, 4) matrix of the product with a quaternion (4,) wxyz from the left."""
+    a, b, c, d = quat.unbind()
+    return torch.stack([a, -b, -c, -d, b, a, -d, c, c, d, a, -b, d, -c, b, a]).view(4, 4)
+
+
+def _quat_table() -> Tensor:
+    """(16, 9): by the nine entries of a rotation, 4 q q^T - I of its quaternion, row by row."""
+    rows = (
+        *("+0+4+8", "+7-5", "+2-6", "+3-1"),
+        *("+7-5", "+0-4-8", "+1+3", "+2+6"),
+        *("+2-6", "+1+3", "-0+4-8", "+5+7"),
+        *("+3-1", "+2+6", "+5+7", "-0-4+8"),
+    )
+    table = torch.zeros(16, 9)
+    for row, terms in zip(table, rows, strict=True):
+        for sign, entry in zip(terms[::2], terms[1::2], strict=True):
+            row[int(entry)] = float(sign + "1")
+    return table
+
+
+_QUAT_TABLE = _quat_table()
+
+
 def matrix_to_quat(rotation: Tensor) -> Tensor:
     """Unit quaternion (4,) wxyz of one rotation matrix (3, 3), differentiable.
 
     Of the four equivalent formulas the one with the largest square root is taken (Shepperd 1978).
     """
-    r = rotation
-    squares = [
-        1 + r[0, 0] + r[1, 1] + r[2, 2],
-        1 + r[0, 0] - r[1, 1] - r[2, 2],
-        1 - r[0, 0] + r[1, 1] - r[2, 2],
-        1 - r[0, 0] - r[1, 1] + r[2, 2],
-    ]
-    wx, wy, wz = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
-    xy, xz, yz = r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1]
-    best = int(torch.stack(squares).argmax())
-    rows = [
-        [squares[0], wx, wy, wz],
-        [wx, squares[1], xy, xz],
-        [wy, xy, squares[2], yz],
-        [wz, xz, yz, squares[3]],
-    ]
-    quat = torch.stack(rows[best])
+    # All four times each component, a row: linear in the entries but for the diagonal's 1.
+    table = torch.eye(4).to(rotation) + (_QUAT_TABLE.to(rotation) @ rotation.reshape(9)).view(4, 4)
+    quat = table[int(table.detach().diagonal().argmax())]
     return quat / quat.norm()
 
 

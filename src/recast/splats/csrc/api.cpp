@@ -5,6 +5,7 @@
 
 #include "context.hpp"
 #include "pool.hpp"
+#include "sky.hpp"
 
 #if defined(_WIN32)
 #define RECAST_EXPORT extern "C" __declspec(dllexport)
@@ -219,3 +220,6 @@ RECAST_EXPORT void recast_photometric(const recast::Photometric* p) {
 RECAST_EXPORT void recast_photometric_backward(const recast::Photometric* p) {
   for_rows(*p, recast::kernels().photometric_backward);
 }
+
+RECAST_EXPORT void recast_sky(const recast::Sky* s) { recast::sky_forward(*s); }
+RECAST_EXPORT void recast_sky_backward(const recast::Sky* s) { recast::sky_backward(*s); }
