@@ -51,10 +51,11 @@ class GradientStatistics:
         """
         gradient = meta.means2d_grad if measure == "signed" else meta.means2d_absgrad
         assert gradient is not None
-        scale = torch.tensor([width / 2, height / 2]).to(gradient)
-        size = (gradient[rows] * scale).norm(p=1 if measure == "absolute_l1" else 2, dim=1)
+        x, y = gradient[rows].unbind(dim=1)
+        x, y = x * (width / 2), y * (height / 2)
+        size = x.abs() + y.abs() if measure == "absolute_l1" else torch.hypot(x, y)
         visible = meta.visible[rows]
-        self.total[into] += torch.where(visible, size, 0.0)
+        self.total[into] += size * visible  # without visible pixels the gradient is zero, not NaN
         self.views[into] += visible
 
     def mean(self) -> Tensor:

@@ -39,7 +39,14 @@ _BODY_TYPES = {
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
     """Write tensors and header atomically; InputError if the disk refuses."""
-    plain = {name: t.detach().to("cpu", copy=True).contiguous() for name, t in tensors.items()}
+    plain: dict[str, Tensor] = {}
+    held: set[int] = set()
+    for name, tensor in tensors.items():
+        # The format takes no two tensors of one memory: such are copied, the large ones are none.
+        one = tensor.detach().cpu().contiguous()
+        start = one.untyped_storage().data_ptr()
+        plain[name] = one.clone() if start in held else one
+        held.add(start)
     write_bytes(path, save(plain, metadata={HEADER: json.dumps(header)}))
 
 
