@@ -153,3 +153,30 @@ def test_camera_refinement_undoes_a_planted_error() -> None:
     before = draw(world, logged) - target
     assert left.abs().mean() < 0.15 * before.abs().mean()
     assert (poses.table.value - planted)[0, 3:].abs().max() < 0.008
+
+
+def test_all_present_tracks_are_posed_as_each_alone() -> None:
+    moving, late = track(), track(4)
+    late.trajectory.poses[:, 1, 3] += 3.0
+    still = Trajectory(moving.trajectory.timestamps_us, moving.trajectory.poses[[0] * 6].copy())
+    tracks = {
+        "moving": moving,
+        "still": Track("still", "car", moving.size, still),  # has no knots
+        "late": late,
+    }
+    poses = TrackPoses(tracks, [view(i) for i in range(6)])
+    with torch.no_grad():
+        poses.table.value[:] = 0.1 * torch.arange(40.0).view(10, 4)
+    for time in (0, 130_000, 250_000, 500_000):
+        found = poses.world_from_actors(time)
+        assert list(found) == (["moving", "still"] if time == 500_000 else list(tracks))
+        for name, pose in found.items():
+            if name != "still" and time % 100_000:
+                continue  # between labels offsets are interpolated, not what they make of a pose
+            expected = poses.refined(name).at(time)
+            assert np.allclose(pose.detach().numpy(), expected, atol=1e-5), (name, time)
+    poses.world_from_actors(250_000)["moving"][0, 3].backward()
+    gradient = poses.table.value.grad
+    assert gradient is not None and gradient[:, 0].nonzero()[:, 0].tolist() == [2, 3]
+    alone = TrackPoses({"still": tracks["still"]}, [view(i) for i in range(6)])
+    assert np.allclose(alone.world_from_actors(0)["still"].detach().numpy(), still.poses[0])

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, ego_path, even_ground
@@ -216,3 +217,12 @@ def test_no_image_to_train_on(tiny_log: DrivingLog, tmp_path: Path) -> None:
     config = TINY.model_copy(update={"holdout_every": 1, "holdout_offset": 0})
     with pytest.raises(InputError, match="no image to train on"):
         train_scene(tiny_log, tmp_path / "scene", config)
+
+
+def test_tensors_of_one_memory_are_written_each(tmp_path: Path) -> None:
+    whole = torch.arange(12.0).view(6, 2)
+    given = {"whole": whole, "top": whole[:2], "again": whole, "turned": whole.T}
+    write_tensors(tmp_path / "file", given, {})
+    found, _ = read_tensors(tmp_path / "file")
+    assert found.keys() == given.keys()
+    assert all(torch.equal(found[name], given[name]) for name in given)
