@@ -10,7 +10,7 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
-_ABI = 3
+_ABI = 4
 _SUFFIXES = (".so", ".dylib", ".dll")
 
 
