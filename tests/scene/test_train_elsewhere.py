@@ -63,8 +63,8 @@ def rasterize_elsewhere(
 @pytest.fixture
 def there(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """`ELSEWHERE` is the device that is picked."""
-    for name in ("trainer", "losses", "render"):
-        monkeypatch.setattr(sys.modules[f"recast.scene.{name}"], "rasterize", rasterize_elsewhere)
+    for name in ("scene.trainer", "scene.losses", "splats.rasterize"):
+        monkeypatch.setattr(sys.modules[f"recast.{name}"], "rasterize", rasterize_elsewhere)
     for name in ("train", "render"):
         monkeypatch.setattr(
             sys.modules[f"recast.scene.{name}"],
@@ -154,8 +154,11 @@ def test_a_scene_drawn_elsewhere_looks_the_same(trained: TrainResult, tiny_log: 
     assert rasterizer.draw(camera, pose, poses).rgb.device == ELSEWHERE
     got = rasterizer.render(camera, pose, poses)
     expected = SceneRasterizer(scene, "cpu").render(camera, pose, poses)
-    for part in ("rgb", "depth", "alpha"):
-        assert np.array_equal(getattr(got, part), getattr(expected, part)), part
+    # Frozen scenes on the CPU keep their colours in half precision: within a grey level.
+    for part, size in (("rgb", 1.0), ("depth", float(expected.depth.max())), ("alpha", 1.0)):
+        difference = np.abs(getattr(got, part) - getattr(expected, part))
+        assert difference.max() < size / 255, part
+        assert difference.mean() < size * 1e-4, part
 
     mounts = {name: CameraMount(camera, stream.rig_from_camera)}
     track_id = next(iter(poses))
@@ -164,4 +167,4 @@ def test_a_scene_drawn_elsewhere_looks_the_same(trained: TrainResult, tiny_log: 
     )
     image = SceneRenderer(scene, mounts).render(state, [name])[name]
     assert image.dtype == np.uint8
-    assert np.array_equal(image, np.rint(expected.rgb * 255).astype(np.uint8))
+    assert np.array_equal(image, np.rint(got.rgb * 255).astype(np.uint8))
