@@ -201,8 +201,12 @@ static inline void store_ten_sums(float* out, const vf* x) {
 
 // Relative error below 2^-9: the exponent halved in the bits, and one step of Newton's.
 static inline vf fast_rsqrt(vf x) {
+#if defined(__SSE2__)
+  return {(f4)_mm_rsqrt_ps((__m128)x.a), (f4)_mm_rsqrt_ps((__m128)x.b)};
+#else
   const vf y = as_float(vi(0x5F3759DF) - shift_right<1>(as_int(x)));
   return y * fnma(vf(0.5f) * x * y, y, vf(1.5f));
+#endif
 }
 
 // Bits shift .. shift + 3 without as many of the lowest as `skip` says and of the highest as `miss` says,
