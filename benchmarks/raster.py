@@ -2,6 +2,7 @@
 
     python benchmarks/raster.py                      # the whole table, some minutes
     python benchmarks/raster.py --counts 100000 --isas avx2 --no-reference
+    python benchmarks/raster.py --against ../other-tree --counts 300000   # ratios to another build
 
 All times are CPU milliseconds of the process, minimum of the repeats, so that other work on the
 machine disturbs little; the kernels take turns, so that ratios compare like with like. The torch
@@ -15,8 +16,10 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
+from against import compare
 from torch import Tensor
 
 from recast.splats import Gaussians, RasterMeta, morton_order, native, rasterize, reference
@@ -198,7 +201,14 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--repeats", type=int, default=6)
     parser.add_argument("--reference", action=argparse.BooleanOptionalAction, default=True)
+    parser.add_argument("--against", type=Path, help="a built tree of recast to compare with")
     options = parser.parse_args()
+    if options.against is not None:
+        for count in options.counts:
+            print(f"{count} Gaussians, {options.threads} thread(s), CPU ms")
+            fields, sizes = vars(street(count)), (*SIZES, (480, 320))
+            compare(options.against, fields, sizes, options.isas, options.repeats, options.threads)
+        return
     torch.set_num_threads(options.threads)
     native.set_threads(options.threads)
 
