@@ -4,6 +4,7 @@
 
 namespace recast {
 namespace RECAST_ISA {
+inline namespace RECAST_LANES {
 
 struct Footprints {
   Footprint print[W];
@@ -78,5 +79,6 @@ static inline void find_footprints(const Frame& f, const Projection& o, vf exten
   }
 }
 
+}  // namespace RECAST_LANES
 }  // namespace RECAST_ISA
 }  // namespace recast

@@ -5,6 +5,7 @@
 
 namespace recast {
 namespace RECAST_ISA {
+inline namespace RECAST_LANES {
 
 // Raw parameters of W Gaussians; lanes past the end repeat the last row.
 struct Parameters {
@@ -146,5 +147,6 @@ static inline void project(const Frame& f, const Parameters& p, Projection& o) {
     o.opacity = o.opacity * vsqrt(vmax(o.exact_det / o.det, vf(kMinCompensation)));
 }
 
+}  // namespace RECAST_LANES
 }  // namespace RECAST_ISA
 }  // namespace recast

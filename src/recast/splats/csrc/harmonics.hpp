@@ -5,6 +5,7 @@
 
 namespace recast {
 namespace RECAST_ISA {
+inline namespace RECAST_LANES {
 
 // The K harmonics at unit direction d.
 template <int K>
@@ -131,5 +132,6 @@ static inline vf view_direction(const vf* mean, const float* offset, vf* d) {
   return inverse;
 }
 
+}  // namespace RECAST_LANES
 }  // namespace RECAST_ISA
 }  // namespace recast

@@ -1,4 +1,5 @@
 // Forward, per Gaussian: project, find the tiles, colour.
+#define RECAST_EIGHT_LANES  // rows lie scattered: wider vectors gain nothing and spill
 #include "geometry.hpp"
 #include "harmonics.hpp"
 #include "kernels.hpp"

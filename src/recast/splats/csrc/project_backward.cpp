@@ -1,5 +1,6 @@
 // Backward, per Gaussian: from the ten sums of its tiles to the gradients of its parameters and of
 // the camera pose.
+#define RECAST_EIGHT_LANES  // rows lie scattered: wider vectors gain nothing and spill
 #include "geometry.hpp"
 #include "harmonics.hpp"
 #include "kernels.hpp"

@@ -5,20 +5,27 @@
 // keeps one copy of such a function for all builds, and it could be one that the machine cannot run.
 #pragma once
 
-#if defined(RECAST_AVX512)
+// An AVX-512 build has both widths, apart by the name of their namespace: of inline functions of one
+// name, too, the linker keeps one.
+#if defined(RECAST_AVX512) && !defined(RECAST_EIGHT_LANES)
+#define RECAST_LANES lanes16
 #include "simd_avx512.hpp"
-#elif defined(RECAST_AVX2)
+#else
+#define RECAST_LANES lanes8
+#if defined(RECAST_AVX512) || defined(RECAST_AVX2)
 #include "simd_avx2.hpp"
 #else
 #include "simd_portable.hpp"
 #endif
+#endif
 
 namespace recast {
 namespace RECAST_ISA {
+inline namespace RECAST_LANES {
 
 // 2^x, relative error 1e-7, for -126 < x < 126; anything elsewhere, but no trap.
 static inline vf exp2_bounded(vf x) {
-#if defined(RECAST_AVX512)
+#if defined(RECAST_AVX512) && !defined(RECAST_EIGHT_LANES)
   vf f = exp2_fraction(x);
   vf p = vf(0.001877576645f);
   p = fma(p, f, vf(0.008989340163f));
@@ -79,7 +86,7 @@ static inline vf vlog2(vf x) {
 // Indices of the bits set in `bytes` bytes (a multiple of eight); writes up to W past the end.
 static inline int list_bits(const uint8_t* from, int bytes, uint8_t* out) {
   int n = 0;
-#if defined(RECAST_AVX512)
+#if defined(RECAST_AVX512) && !defined(RECAST_EIGHT_LANES)
   const __m512i lane = _mm512_set_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0);
   for (int k = 0; k < bytes; k += 2) {
     const __mmask16 mask = __mmask16(from[k] | from[k + 1] << 8);
@@ -98,5 +105,6 @@ static inline int list_bits(const uint8_t* from, int bytes, uint8_t* out) {
   return n;
 }
 
+}  // namespace RECAST_LANES
 }  // namespace RECAST_ISA
 }  // namespace recast

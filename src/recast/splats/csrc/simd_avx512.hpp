@@ -6,6 +6,7 @@
 
 namespace recast {
 namespace RECAST_ISA {
+inline namespace RECAST_LANES {
 
 constexpr int W = 16;
 
@@ -208,5 +209,6 @@ static inline void store_pixels(float* out, const float* r, const float* g, cons
   _mm_storeu_ps(out + 8, _mm_shuffle_ps(b2_r3, g3_b3, 0x88));
 }
 
+}  // namespace RECAST_LANES
 }  // namespace RECAST_ISA
 }  // namespace recast

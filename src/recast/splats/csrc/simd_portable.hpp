@@ -8,6 +8,7 @@
 
 namespace recast {
 namespace RECAST_ISA {
+inline namespace RECAST_LANES {
 
 constexpr int W = 8;
 
@@ -245,5 +246,6 @@ static inline void store_pixels(float* out, const float* r, const float* g, cons
   }
 }
 
+}  // namespace RECAST_LANES
 }  // namespace RECAST_ISA
 }  // namespace recast

@@ -5,6 +5,7 @@
 
 namespace recast {
 namespace RECAST_ISA {
+inline namespace RECAST_LANES {
 
 constexpr int kBlockWidth = 4;
 constexpr int kBlockHeight = W / kBlockWidth;
@@ -133,5 +134,6 @@ static inline void find_blocks(const Batch& batch, int32_t (&masks)[kBatch]) {
   __builtin_memset(masks + batch.count, 0, size_t(kBatch - batch.count) * sizeof(int32_t));
 }
 
+}  // namespace RECAST_LANES
 }  // namespace RECAST_ISA
 }  // namespace recast

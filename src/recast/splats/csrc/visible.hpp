@@ -4,6 +4,7 @@
 
 namespace recast {
 namespace RECAST_ISA {
+inline namespace RECAST_LANES {
 
 struct Seen {
   vf log2_opacity;
@@ -68,5 +69,6 @@ static inline void list_visible(const Frame& f, const Projection& o, const Seen&
   }
 }
 
+}  // namespace RECAST_LANES
 }  // namespace RECAST_ISA
 }  // namespace recast
