@@ -30,15 +30,15 @@ from recast.synthetic.rendering import require_embree
 from recast.trellis import RECAST_MINI, recast_mini
 
 RECIPES = {
-    "log": 1,
+    "log": 2,
     "actor": 4,
-    "refine": 2,
+    "refine": 3,
     "turntable": 1,
-    "scene": 2,
-    "evaluation": 1,
-    "truth": 2,
-    "rollout": 2,
-    "scene-level": 1,
+    "scene": 3,
+    "evaluation": 2,
+    "truth": 3,
+    "rollout": 3,
+    "scene-level": 2,
     "metrics": 2,
     "report": 3,
 }
