@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from recast.logs import even_ground
+from recast.logs.ground import CELL, LOW, MIN_POINTS, REACH, ground_grid, ground_points
 
 PATH = np.stack([np.linspace(0, 30, 31), np.zeros(31), 0.02 * np.linspace(0, 30, 31)], axis=-1)
 
@@ -35,6 +36,30 @@ def test_a_kerb_and_what_stands_on_the_road_are_no_even_ground() -> None:
     assert np.isnan(ground.at(kerb)).all()
     car = np.stack(np.meshgrid([19.0, 20.0, 21.0], [-4.3, -4.0, -3.7]), axis=-1)
     assert np.isnan(ground.at(car)).all()
+
+
+def test_ground_is_gathered_and_counted_as_one_would_by_hand() -> None:
+    rng = np.random.default_rng(4)
+    clouds = [rng.uniform([-12, 7, -2], [3, 17, 2], (6_000, 3)) for _ in range(2)]
+    kept = [
+        point
+        for point in np.concatenate(clouds)
+        for gaps in [np.hypot(*(point[:2] - PATH[:, :2]).T)]
+        if gaps.min() < REACH and abs(point[2] - PATH[gaps.argmin(), 2]) < 0.4 + 0.04 * gaps.min()
+    ]
+    found = ground_points(clouds, PATH)
+    np.testing.assert_array_equal(found, kept)
+    grid = ground_grid(found, PATH)
+    cells: dict[tuple[int, int], list[float]] = {}
+    for point in found:
+        column, row = np.rint((point[:2] - grid.origin) / CELL).astype(int)
+        cells.setdefault((row, column), []).append(point[2])
+    level = np.full_like(grid.level, np.nan)
+    for cell, heights in cells.items():
+        if len(heights) >= MIN_POINTS:
+            level[cell] = sorted(heights)[int(LOW * (len(heights) - 1))]
+    assert np.isfinite(level).any()
+    np.testing.assert_array_equal(grid.level, level)
 
 
 def test_no_points_no_ground() -> None:

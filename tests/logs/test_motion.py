@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from recast.geometry import se3
 from recast.logs import Trajectory
-from recast.logs.motion import compensate, distort, extended
+from recast.logs.motion import LONGEST_TABLE_US, compensate, distinct_times, distort, extended
 
 TIMES = 100_000 * np.arange(5, dtype=np.int64)
 
@@ -22,6 +22,18 @@ def test_distort_undoes_compensate(seed: int, reference: int) -> None:
     points, times = rng.normal(0, 30, (40, 3)), rng.integers(0, 400_001, 40)
     moved = compensate(points, times, ego, reference)
     np.testing.assert_allclose(distort(moved, times, ego, reference), points, atol=1e-9)
+
+
+@pytest.mark.parametrize("span", [1, 2_000, LONGEST_TABLE_US, LONGEST_TABLE_US + 1, 10**15])
+@pytest.mark.parametrize("count", [0, 1, 3_000])
+def test_distinct_times_are_those_of_a_sort(span: int, count: int) -> None:
+    times = 1_317_000_000_000_000 + np.random.default_rng(3).integers(0, span, count)
+    times[:2] = [1_317_000_000_000_000, 1_317_000_000_000_000 + span - 1][:count]
+    for found, sorted_out in zip(
+        distinct_times(times), np.unique(times, return_inverse=True), strict=True
+    ):
+        assert found.dtype == sorted_out.dtype
+        np.testing.assert_array_equal(found, sorted_out)
 
 
 def test_a_fixed_point_measured_on_the_way_is_one_point() -> None:

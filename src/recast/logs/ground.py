@@ -16,6 +16,7 @@ from recast.logs.types import Array, DrivingLog
 
 CELL = 0.3  # metres
 REACH = 15.0  # metres from the ego path
+STRAY, STRAY_SLOPE = 0.4, 0.04  # metres off the path's height, and more by metre from it
 MIN_POINTS = 4
 LOW, HIGH = 0.2, 0.8  # quantiles of the heights in a cell: ground level, and how rough it is
 ROUGHNESS = 0.10  # metres between them on smooth ground
@@ -61,8 +62,11 @@ def ground_grid(points: Array, path: Array, quantile: float = LOW) -> GroundGrid
     shape = np.ceil((path[:, :2].max(axis=0) + REACH - origin) / CELL).astype(int)[::-1] + 1
     column, row = np.rint((points[:, :2] - origin) / CELL).astype(int).T
     cell = row * shape[1] + column
-    order = np.lexsort((points[:, 2], cell))
-    height, cell = points[order, 2], cell[order]
+    # Complex numbers sort by their real parts, then the imaginary: in a third of lexsort's time.
+    pairs = np.empty(len(points), np.complex128)
+    pairs.real, pairs.imag = cell, points[:, 2]
+    pairs.sort()
+    height, cell = pairs.imag, pairs.real.astype(int)
     names, first, count = np.unique(cell, return_index=True, return_counts=True)
     low, middle, high = (
         height[first + (share * (count - 1)).astype(int)] for share in (LOW, quantile, HIGH)
@@ -79,11 +83,16 @@ def ground_points(clouds: Iterable[Array], path: Array) -> Array:
     """The points (N, 3) near the path and near its height, of clouds (M, 3), all in the world."""
     tree = cKDTree(path[:, :2])
     kept = [np.zeros((0, 3))]
-    for points in clouds:
+    # Most points are told apart by their height or by the path's bounds, without a search.
+    most = STRAY + STRAY_SLOPE * REACH
+    low = np.append(path[:, :2].min(axis=0) - REACH, path[:, 2].min() - most)
+    high = np.append(path[:, :2].max(axis=0) + REACH, path[:, 2].max() + most)
+    for cloud in clouds:
+        points = cloud[np.all((cloud >= low) & (cloud <= high), axis=1)]
         distance, nearest = tree.query(points[:, :2], distance_upper_bound=REACH)
         near = np.flatnonzero(np.isfinite(distance))
         above = points[near, 2] - path[nearest[near], 2]
-        kept.append(points[near[np.abs(above) < 0.4 + 0.04 * distance[near]]])
+        kept.append(points[near[np.abs(above) < STRAY + STRAY_SLOPE * distance[near]]])
     return np.concatenate(kept)
 
 

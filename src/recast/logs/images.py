@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -116,12 +117,14 @@ class ImageFiles:
         paths: F files in the order of time.
         width, height: pixels that every image must have.
         calibration: name of the file that says so, for messages.
+        checked: digests of the bytes of files that were decoded by `check`.
     """
 
     paths: tuple[Path, ...]
     width: int
     height: int
     calibration: str
+    checked: dict[Path, bytes] = field(default_factory=dict, repr=False, compare=False)
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -133,14 +136,15 @@ class ImageFiles:
         return self._decode(path, read_bytes(path, _LARGEST))
 
     def encoded(self, index: int) -> tuple[bytes, str]:
-        """The file's own bytes, decoded once to be sure of them.
+        """The file's own bytes, decoded once to be sure of them, unless `check` saw the same.
 
         Raises:
             InputError: it is cut off, is no image, or has another size.
         """
         path = self.paths[index]
         data = read_bytes(path, _LARGEST)
-        self._decode(path, data)
+        if self.checked.get(path) != _digest(data):
+            self._decode(path, data)
         return data, kind_of(data)
 
     def check(self) -> None:
@@ -149,8 +153,14 @@ class ImageFiles:
         Raises:
             InputError: one is cut off, is no image, or has another size.
         """
-        for index in range(len(self)):
-            self[index]
+        for path in self.paths:
+            data = read_bytes(path, _LARGEST)
+            self._decode(path, data)
+            self.checked[path] = _digest(data)
 
     def _decode(self, path: Path, data: bytes) -> Image:
         return decode(data, kind_of(data), (self.width, self.height), path, self.calibration)
+
+
+def _digest(data: bytes) -> bytes:
+    return hashlib.blake2b(data, digest_size=16).digest()

@@ -94,8 +94,12 @@ def _read(
     times = turn_times(files.folder / "velodyne_points")
     images = {name: _image_files(files.folder / name, times[0]) for name in taken}
     # What can be found wrong in the files is found before the long work.
-    for name, listed in images.items():
-        _image_source(calibration.cameras[name], listed.paths).check()
+    sources = {
+        name: _image_source(calibration.cameras[name], listed.paths)
+        for name, listed in images.items()
+    }
+    for source in sources.values():
+        source.check()
     own = files.folder / "tracklet_labels.xml"
     chosen = Path(labels) if labels is not None else own if own.is_file() else None
     labelled = [] if chosen is None else read_labels(chosen, len(times[0]))
@@ -113,7 +117,8 @@ def _read(
     log = DrivingLog(
         name=files.name,
         cameras={
-            name: _camera(name, calibration, listed, trajectory) for name, listed in images.items()
+            name: _camera(name, calibration, listed, sources[name], trajectory)
+            for name, listed in images.items()
         },
         lidars={VELODYNE: _lidar(calibration, turns, trajectory)},
         world_from_rig=trajectory,
@@ -174,17 +179,20 @@ def _ego(
 
 
 def _camera(
-    name: str, calibration: KittiCalibration, listed: SensorFiles, trajectory: Trajectory
+    name: str,
+    calibration: KittiCalibration,
+    listed: SensorFiles,
+    source: ImageFiles,
+    trajectory: Trajectory,
 ) -> CameraStream:
-    camera = calibration.cameras[name]
     kept = [i for i, time in enumerate(listed.timestamps_us) if trajectory.covers(int(time))]
     _require(kept, listed.paths)
     return CameraStream(
         name=name,
-        camera=camera,
+        camera=calibration.cameras[name],
         rig_from_camera=calibration.rig_from_camera[name],
         timestamps_us=listed.timestamps_us[kept],
-        images=_image_source(camera, tuple(listed.paths[i] for i in kept)),
+        images=replace(source, paths=tuple(listed.paths[i] for i in kept)),
     )
 
 
