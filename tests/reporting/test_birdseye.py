@@ -47,6 +47,21 @@ def test_polygon_covers_its_pixels_and_no_others() -> None:
     assert np.all(red[~grown] == 0)
 
 
+def test_shapes_drawn_together_are_those_drawn_one_by_one() -> None:
+    rng = np.random.default_rng(2)
+    view = View(np.array([3.0, -2.0]), 0.4, 5.0, 200, 120)
+    chains = [rng.uniform(-15, 15, (count, 2)) for count in (3, 7, 4, 5)]  # overlapping
+    together, alone = Canvas(view), Canvas(view)
+    together.polygons(chains, palette.EGO)
+    together.lines(chains, palette.PLAN, 2)
+    together.polygons([], palette.GRID)
+    for chain in chains:
+        alone.polygon(chain, palette.EGO)
+    for chain in chains:
+        alone.line(chain, palette.PLAN, 2)
+    np.testing.assert_array_equal(together.image, alone.image)
+
+
 def test_far_points_do_not_spill() -> None:
     canvas = Canvas(View(np.zeros(2), 0.0, 10.0, 100, 60), (0, 0, 0))
     canvas.line([[1e7, 5e6], [1e8, 9e7]], (255, 255, 255))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from itertools import accumulate
 
 import cv2
 import numpy as np
@@ -40,11 +41,11 @@ class View:
         """Pixel coordinates (..., 2) of world points (..., >=2); pixel centres at +0.5."""
         offset = np.asarray(points, np.float64)[..., :2] - self.centre
         cos, sin = np.cos(self.heading), np.sin(self.heading)
-        right = cos * offset[..., 0] + sin * offset[..., 1]
-        up = -sin * offset[..., 0] + cos * offset[..., 1]
-        return np.stack(
-            [self.width / 2 + self.scale * right, self.height / 2 - self.scale * up], axis=-1
-        )
+        x, y = offset[..., 0], offset[..., 1]
+        result = np.empty_like(offset)  # numpy is slow to stack, and films have many lines
+        result[..., 0] = self.width / 2 + self.scale * (cos * x + sin * y)
+        result[..., 1] = self.height / 2 - self.scale * (-sin * x + cos * y)
+        return result
 
     def world(self, pixels: ArrayLike) -> Array:
         """World points (..., 2) of pixel coordinates (..., 2)."""
@@ -75,7 +76,12 @@ class Canvas:
 
     def polygon(self, points: ArrayLike, fill: Colour) -> None:
         """Fill the outline (N, 2)."""
-        cv2.fillPoly(self.image, [self._fixed(points)], fill, cv2.LINE_AA, _SHIFT)
+        self.polygons([np.asarray(points)], fill)
+
+    def polygons(self, outlines: Sequence[Array], fill: Colour) -> None:
+        """Fill outlines (N_i, 2), each by itself."""
+        for piece in self._pieces(outlines):
+            cv2.fillPoly(self.image, [piece], fill, cv2.LINE_AA, _SHIFT)
 
     def line(
         self, points: ArrayLike, colour: Colour, width: int = 1, *, closed: bool = False
@@ -86,9 +92,9 @@ class Canvas:
     def lines(self, chains: Sequence[Array], colour: Colour, width: int = 1) -> None:
         """Draw chains (N_i, 2), each `width` pixels wide."""
         if chains:
-            ends = np.cumsum([len(chain) for chain in chains])[:-1]
-            pieces = np.split(self._fixed(np.concatenate(chains)), ends)
-            cv2.polylines(self.image, pieces, False, colour, width, cv2.LINE_AA, _SHIFT)
+            cv2.polylines(
+                self.image, self._pieces(chains), False, colour, width, cv2.LINE_AA, _SHIFT
+            )
 
     def dots(self, points: ArrayLike, colour: Colour, radius: float = 2.0) -> None:
         """Draw discs of `radius` pixels at points (N, 2)."""
@@ -118,6 +124,14 @@ class Canvas:
             ink = np.array(colour, np.uint16)
             self.image[inside] = (patch * (255 - share) + ink * share + 127) // 255
         return advance
+
+    def _pieces(self, chains: Sequence[Array]) -> list[NDArray[np.int32]]:
+        """Chains (N_i, 2) in pixels, all reckoned at once."""
+        if not chains:
+            return []
+        fixed = self._fixed(np.concatenate(chains))
+        ends = list(accumulate(len(chain) for chain in chains))
+        return [fixed[start:end] for start, end in zip([0, *ends], ends, strict=False)]
 
     def _fixed(self, points: ArrayLike) -> NDArray[np.int32]:
         # cv2 counts from pixel centres, the view from pixel corners.

@@ -54,8 +54,7 @@ class MapLayer:
         grid = [np.array([[x, low[1]], [x, high[1]]]) for x in columns]
         grid += [np.array([[low[0], y], [high[0], y]]) for y in rows]
         canvas.lines(grid, palette.GRID)
-        for outline in self._areas.within(low, high):
-            canvas.polygon(outline, palette.DRIVABLE)
+        canvas.polygons(self._areas.within(low, high), palette.DRIVABLE)
         canvas.lines(self._centrelines.within(low, high), palette.CENTRELINE)
         canvas.lines(self._boundaries.within(low, high), palette.BOUNDARY)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -114,23 +115,35 @@ class Assets:
         shutil.copyfile(page, target)
         return self._url(target)
 
-    def draw_film(self, name: str, frames: Iterable[NDArray[np.uint8]], fps: float) -> Media:
-        """Encode frames (H, W, 3) uint8 RGB of even size."""
-        target = self._target("films", name, ".mp4")
-        write_video(target, frames, fps)
-        return self._film(target)
+    def draw_film(
+        self, name: str, frames: Iterable[NDArray[np.uint8]], fps: float, pool: Executor
+    ) -> Future[Media]:
+        """Draw and encode frames (H, W, 3) uint8 RGB of even size, in a thread of `pool`."""
+        target = self._target("films", name, ".mp4")  # here, so that names depend on no thread
 
-    def joined_film(self, name: str, films: Sequence[tuple[str, Media]]) -> Media | NotMade:
-        """Join labelled films of this report, for use outside of the page."""
+        def encode() -> Media:
+            write_video(target, frames, fps)
+            return self._film(target)
+
+        return pool.submit(encode)
+
+    def joined_film(
+        self, name: str, films: Sequence[tuple[str, Media]], pool: Executor
+    ) -> Future[Media | NotMade]:
+        """Join labelled films of this report, to show elsewhere, in a thread of `pool`."""
         target = self._target("films", name, ".mp4")
-        try:
-            places = [self.folder / film.url for _, film in films]
-            side_by_side(places, target, [label for label, _ in films])
-        except InputError as error:
-            if isinstance(error.__cause__, OSError):  # the disk refuses, which ends the report
-                raise
-            return NotMade(f"{error.field} {error.problem}")
-        return self._film(target)
+
+        def join() -> Media | NotMade:
+            try:
+                places = [self.folder / film.url for _, film in films]
+                side_by_side(places, target, [label for label, _ in films])
+            except InputError as error:
+                if isinstance(error.__cause__, OSError):  # the disk refuses, which ends the report
+                    raise
+                return NotMade(f"{error.field} {error.problem}")
+            return self._film(target)
+
+        return pool.submit(join)
 
     def _film(self, path: Path) -> Media:
         height, width, _ = next(iterate_video(path)).shape

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -82,25 +82,25 @@ class ScenarioView:
 
 
 def scenario_view(
-    run: ReportInputs, layer: MapLayer, part: ScenarioPart, anchor: str, assets: Assets
+    run: ReportInputs,
+    layer: MapLayer,
+    pool: Executor,
+    part: ScenarioPart,
+    anchor: str,
+    assets: Assets,
 ) -> ScenarioView:
-    """Write a scenario's films and pictures and gather what the page says about it."""
+    """Write a scenario's films and pictures and gather what the page says about it.
+
+    Args:
+        pool: of threads that encode its films meanwhile.
+    """
     order = {arm: i for i, arm in enumerate(run.arms)}
     parts = sorted(part.rollouts, key=lambda rollout: order[rollout.arm])
     log_path = run.actor.log_path if isinstance(run.actor, ActorPart) else None
     driven = {
         p.arm: Birdseye(p.rollout, layer, log_path) for p in parts if isinstance(p.rollout, Rollout)
     }
-    columns = tuple(
-        MethodColumn(
-            run.arms[p.arm],
-            order[p.arm],
-            _draw(p, driven[p.arm], assets)
-            if p.arm in driven
-            else NotMade(summary.why_missing(p.rollout)),
-        )
-        for p in parts
-    )
+    drawing = {p.arm: _draw(p, driven[p.arm], assets, pool) for p in parts if p.arm in driven}
     curves = [
         plots.Curves(
             run.arms[p.arm],
@@ -112,16 +112,25 @@ def scenario_view(
         if p.arm in driven
     ]
     cameras = filmed_cameras(parts)
+    joined = _joined(run, {arm: one.films for arm, one in drawing.items()}, cameras, assets, pool)
     covered = [p for p in parts if p.coverage is not None and p.arm in driven]
     end = max((float(one.curves.time[-1]) for one in driven.values()), default=0.0)
     strip = moment_strip(run, part.title, parts, driven, assets)
     times = [column.moment.time for column in strip.columns]
+    columns = tuple(
+        MethodColumn(
+            run.arms[p.arm],
+            order[p.arm],
+            drawing[p.arm].drawn() if p.arm in drawing else NotMade(summary.why_missing(p.rollout)),
+        )
+        for p in parts
+    )
     return ScenarioView(
         part=part,
         anchor=anchor,
         columns=columns,
         cameras=cameras,
-        joined=_joined(run, part, columns, cameras, assets),
+        joined=None if joined is None else (joined[0], joined[1].result()),
         strip=strip,
         lines=tuple(_line(run, p, order[p.arm]) for p in parts),
         plots=(
@@ -153,14 +162,27 @@ def _coverage_plot(run: ReportInputs, part: RolloutPart, end: float) -> plots.Pl
     return plots.coverage_plot(run.arms[part.arm], looked_at(part.coverage), part.rollout.dt, end)
 
 
-def _draw(part: RolloutPart, drawn: Birdseye, assets: Assets) -> Drawn:
+@dataclass(frozen=True)
+class _Drawing:
+    """A `Drawn` whose film is being encoded."""
+
+    films: Mapping[str, Media | NotMade] | NotMade
+    birdseye: Future[Media]
+    still: Media | NotMade
+    events: tuple[summary.Event, ...]
+
+    def drawn(self) -> Drawn:
+        return Drawn(self.films, self.birdseye.result(), self.still, self.events)
+
+
+def _draw(part: RolloutPart, drawn: Birdseye, assets: Assets, pool: Executor) -> _Drawing:
     films, style, rollout = part.films, BirdseyeStyle(), drawn.rollout
     frames = (drawn.frame(step, style) for step in range(rollout.steps_run + 1))
-    return Drawn(
+    return _Drawing(
         films=films
         if isinstance(films, NotMade)
         else {camera: assets.film(f"{part.arm}-{camera}", film) for camera, film in films.items()},
-        birdseye=assets.draw_film(f"{part.arm}-birdseye", frames, 1.0 / rollout.dt),
+        birdseye=assets.draw_film(f"{part.arm}-birdseye", frames, 1.0 / rollout.dt, pool),
         still=assets.picture(f"{part.arm}-birdseye", drawn.still(style)),
         events=summary.rollout_events(part, drawn.curves),
     )
@@ -179,23 +201,25 @@ def _line(run: ReportInputs, part: RolloutPart, arm: int) -> tables.Line:
 
 def _joined(
     run: ReportInputs,
-    part: ScenarioPart,
-    columns: tuple[MethodColumn, ...],
+    filmed: Mapping[str, Mapping[str, Media | NotMade] | NotMade],
     cameras: tuple[str, ...],
     assets: Assets,
-) -> tuple[str, Media | NotMade] | None:
-    """A film to pass on outside of the page: all arms beside each other, looking ahead."""
+    pool: Executor,
+) -> tuple[str, Future[Media | NotMade]] | None:
+    """A film to pass on outside of the page: all arms beside each other, looking ahead.
+
+    Args:
+        filmed: by arm, its films by camera.
+    """
     camera = camera_towards(cameras, run.camera_headings)
     films = [
-        (column.title, film)
-        for column in columns
-        if isinstance(column.drawn, Drawn)
-        and not isinstance(column.drawn.films, NotMade)
-        and isinstance(film := column.drawn.films.get(camera or ""), Media)
+        (run.arms[arm], film)
+        for arm, own in filmed.items()
+        if not isinstance(own, NotMade) and isinstance(film := own.get(camera or ""), Media)
     ]
     if camera is None or len(films) < 2:
         return None
-    return camera, assets.joined_film(f"{camera}-side-by-side", films)
+    return camera, assets.joined_film(f"{camera}-side-by-side", films, pool)
 
 
 def write_report(run: ReportInputs, out: str | Path) -> Path:
@@ -221,10 +245,10 @@ def _render(run: ReportInputs, assets: Assets) -> str:
         layer = MapLayer(run.hd_map if isinstance(run.hd_map, HdMap) else None)
         scopes = [assets.scoped(part.title) for part in run.scenarios]
         anchors = [f"scenario-{number}" for number in range(1, len(scopes) + 1)]
-        with ThreadPoolExecutor(usable_cores()) as pool:  # films are encoded without Python's lock
-            scenarios = tuple(
-                pool.map(partial(scenario_view, run, layer), run.scenarios, anchors, scopes)
-            )
+        cores = usable_cores()  # films are encoded without Python's lock
+        with ThreadPoolExecutor(cores) as encoders, ThreadPoolExecutor(cores) as pool:
+            view = partial(scenario_view, run, layer, encoders)
+            scenarios = tuple(pool.map(view, run.scenarios, anchors, scopes))
         aggregate = tables.aggregate_lines(run.scenarios, run.arms, run.truth_arm)
     made = checks(run)
     return render_template(

@@ -13,7 +13,7 @@ from typing import Any
 import av
 import cv2
 import numpy as np
-from av.video.reformatter import Colorspace
+from av.video.reformatter import Colorspace, VideoReformatter
 from numpy.typing import NDArray
 from PIL import Image as PilImage
 from PIL import ImageDraw, ImageFont
@@ -51,6 +51,7 @@ class VideoWriter:
         self._shape: tuple[int, ...] | None = None
         self._frames = 0
         self._stack = ExitStack()
+        self._reformatter = VideoReformatter()  # a frame by itself makes a new one each time
 
     def __enter__(self) -> VideoWriter:
         partial = self._stack.enter_context(atomic_file(self.path))
@@ -79,8 +80,10 @@ class VideoWriter:
             )
         elif frame.shape != self._shape:
             raise ValueError(f"frame: shape {frame.shape}, the first one had {self._shape}")
-        picture = av.VideoFrame.from_ndarray(_even(frame), format="rgb24").reformat(
-            format="yuv420p", dst_colorspace=Colorspace.ITU709
+        picture = self._reformatter.reformat(
+            av.VideoFrame.from_ndarray(_even(frame), format="rgb24"),
+            format="yuv420p",
+            dst_colorspace=Colorspace.ITU709,
         )
         picture.pts = self._frames
         picture.time_base = 1 / self.fps
@@ -134,9 +137,10 @@ def iterate_video(path: str | Path) -> Iterator[Image]:
     Raises:
         InputError: the file is missing or is no film.
     """
+    reformatter = VideoReformatter()
     with _decoded(path) as frames:
         for frame in frames:
-            yield _rgb(frame)
+            yield _rgb(frame, reformatter)
 
 
 @contextmanager
@@ -153,8 +157,8 @@ def _decoded(path: str | Path) -> Iterator[Iterator[av.VideoFrame]]:
         ) from error
 
 
-def _rgb(frame: av.VideoFrame) -> Image:
-    return np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+def _rgb(frame: av.VideoFrame, reformatter: VideoReformatter) -> Image:
+    return np.asarray(reformatter.reformat(frame, format="rgb24").to_ndarray(), np.uint8)
 
 
 def film_frames(path: str | Path, steps: Iterable[int]) -> dict[int, Image]:
@@ -166,17 +170,18 @@ def film_frames(path: str | Path, steps: Iterable[int]) -> dict[int, Image]:
         InputError: the file is missing or is no film.
     """
     wanted, found = sorted(set(steps)), {}
+    reformatter = VideoReformatter()
     with _decoded(path) as frames:
         last = None
         for number, frame in enumerate(frames):
             last = frame
             if number in wanted:
-                found[number] = _rgb(frame)
+                found[number] = _rgb(frame, reformatter)
             if wanted and number >= wanted[-1]:
                 break
         if last is None:
             raise InputError(path, "film", "has no frame", "write the film anew")
-        end = _rgb(last)
+        end = _rgb(last, reformatter)
     return {step: found.get(step, end) for step in wanted}
 
 
