@@ -274,7 +274,7 @@ def set_threads(count: int) -> None:
     """
     if count < 1:
         raise ValueError(f"set_threads: {count}, expected at least 1")
-    loaded = _load()[0]
+    loaded = find()
     if loaded is not None:
         loaded.recast_set_threads(count)
 

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from recast.kernel import Photometric, info, library
+from recast.kernel import Photometric, library
 from recast.scene.scores import C1, C2, WINDOW, ssim_map, window
-from recast.splats.native.rasterizer import empty
+from recast.splats.native.rasterizer import empty, takes
 
 
 def photometric_loss(image: Tensor, target: Tensor, ssim_weight: float = 0.2) -> Tensor:
@@ -27,10 +27,7 @@ def photometric_loss(image: Tensor, target: Tensor, ssim_weight: float = 0.2) ->
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
         shapes = f"{tuple(image.shape)} and {tuple(target.shape)}"
         raise ValueError(f"photometric_loss: images {shapes}, expected one shape (H, W, 3)")
-    compiled = all(
-        one.device.type == "cpu" and one.dtype == torch.float32 for one in (image, target)
-    )
-    if compiled and info().available:
+    if takes(image, target):
         return _Fused.apply(image.contiguous(), target.contiguous(), ssim_weight)
     return photometric_reference(image, target.detach(), ssim_weight)
 

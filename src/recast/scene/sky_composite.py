@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from recast.kernel import Sky, info, library
+from recast.kernel import Sky, library
 from recast.scene.sky import OPAQUE, composite
-from recast.splats.native.rasterizer import empty
+from recast.splats.native.rasterizer import empty, takes
 
 
 def fused_composite(rgb: Tensor, alpha: Tensor, colours: Tensor, coordinates: Tensor) -> Tensor:
@@ -26,9 +26,7 @@ def fused_composite(rgb: Tensor, alpha: Tensor, colours: Tensor, coordinates: Te
     fine = len(size) == 2 and (shapes[0], shapes[3]) == ((*size, 3), (*size, 2))
     if not fine or len(shapes[2]) != 3 or shapes[2][2] != 3 or colours.numel() == 0:
         raise ValueError(f"fused_composite: image, opacity, sky, coordinates of shapes {shapes}")
-    if info().available and all(
-        one.device.type == "cpu" and one.dtype == torch.float32 for one in given
-    ):
+    if takes(*given):
         return _Fused.apply(*(one.contiguous() for one in given))
     return composite(*given)
 

@@ -35,7 +35,8 @@ class BenchScene:
 
     Attributes:
         id: its name in results and its folder below OUT/scenes.
-        world, seed: of a synthetic one, else None; `log` and `track` of a recorded one, else None.
+        world, seed: name and seed of a synthetic world, None for a recorded scene.
+        log, track: folder and target track of a recorded drive, None for a synthetic scene.
     """
 
     id: str

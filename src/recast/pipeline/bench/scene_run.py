@@ -179,7 +179,7 @@ class Outcome:
         used: references of the artefacts by use, see `Artefacts.used`.
         log: reference of the log in the store, if it lies there.
         error, reason, traceback: of what the task raised; None if it is done.
-        times: of a rollout that was made now.
+        times: durations of a rollout that was made now; None for all else.
         parcels: artefacts that were made, by reference, where no folder is shared.
     """
 

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from recast.kernel import Gradients, Part, View, library
+from recast.kernel import Gradients, Part, View, find, library
 from recast.splats.gaussians import Gaussians
 from recast.splats.rasterization import (
     RasterImages,
@@ -269,6 +269,12 @@ def free_memory() -> None:
         _store.clear()
     while _idle:
         library().recast_destroy(_idle.pop())
+
+
+def takes(*tensors: Tensor) -> bool:
+    """Whether the compiled kernel is there and reads such tensors: float32 on the CPU."""
+    read = all(one.device.type == "cpu" and one.dtype == torch.float32 for one in tensors)
+    return read and find() is not None
 
 
 def empty(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
