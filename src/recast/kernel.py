@@ -10,7 +10,7 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
-_ABI = 4
+_ABI = 5
 _SUFFIXES = (".so", ".dylib", ".dll")
 
 
@@ -37,10 +37,11 @@ class Part(ctypes.Structure):
     """`Part` of frame.hpp."""
 
     _fields_ = [
-        *((name, ctypes.c_int64) for name in ("blocks", "first_chunk", "sh_bases")),
+        *((name, ctypes.c_int64) for name in ("blocks", "first_chunk", "sh_bases", "antialiased")),
         *((name, ctypes.c_void_p) for name in ("geometry", "colours", "bounds")),
         ("rotation", ctypes.c_float * 9),
         ("translation", ctypes.c_float * 3),
+        ("eps2d", ctypes.c_float),
     ]
 
 

@@ -14,6 +14,7 @@ from recast.splats import (
     MIP,
     FrozenGaussians,
     Gaussians,
+    LowPass,
     RasterImages,
     concatenate,
     freeze,
@@ -134,8 +135,8 @@ def test_small_and_large_halves_are_read_alike(isa: str) -> None:
 
 @pytest.mark.parametrize(
     "options",
-    [{"background": torch.tensor([0.2, 0.5, 0.9])}, {"antialiased": True, "eps2d": 0.2},
-     {"far": 5.0, "near": 1.0}, {"max_alpha": 0.999}],
+    [{"background": torch.tensor([0.2, 0.5, 0.9])}, {"far": 5.0, "near": 1.0},
+     {"max_alpha": 0.999}],
 )  # fmt: skip
 @pytest.mark.usefixtures("compiled")
 def test_options_are_those_of_the_rasterizer(options: dict[str, object]) -> None:
@@ -153,17 +154,37 @@ def test_an_image_in_bands_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
         assert torch.equal(value, getattr(whole, name))
 
 
-@pytest.mark.usefixtures("compiled")
-def test_another_filter_is_that_of_the_gaussians() -> None:
+def test_each_part_is_drawn_through_the_filter_that_it_was_made_for(isa: str) -> None:
     gaussians = in_halves(random_gaussians("normal", 300))
-    world_from_part = pose(3)
-    view = camera() @ world_from_part
-    part = freeze(gaussians).refiltered(MIP, CLASSIC, view.float(), K)
-    posed = gaussians.transformed(world_from_part)
-    wanted = refiltered(posed, MIP, CLASSIC, camera().float(), K)
-    check_same(
-        draw([(part, world_from_part)]), rasterize(wanted, camera().float(), K, WIDTH, HEIGHT)
-    )
+    far = gaussians.select(gaussians.means[:, 2] > 3)
+    empty = gaussians.select(torch.zeros(0, dtype=torch.int64))
+    for low_pass in (CLASSIC, MIP, LowPass(1.5), LowPass(0.8, antialiased=True)):
+        wanted = rasterize(
+            far, camera(), K, WIDTH, HEIGHT,
+            eps2d=low_pass.variance, antialiased=low_pass.antialiased,
+        )  # fmt: skip
+        for other in (CLASSIC, MIP):
+            parts = [(freeze(empty, other), EYE), (freeze(far, low_pass), EYE)]
+            check_same(draw(parts), wanted)
+
+
+def test_elsewhere_parts_are_refiltered_for_the_filter_of_the_first() -> None:
+    gaussians = random_gaussians("normal", 100)
+    parts = [(freeze(gaussians), EYE), (freeze(gaussians, MIP), pose(1))]
+    view = camera().float()
+    posed = refiltered(gaussians.transformed(pose(1)), MIP, CLASSIC, view, K)
+    wanted = rasterize(concatenate([gaussians, posed]), view, K, WIDTH, HEIGHT, backend="reference")
+    assert torch.equal(draw(parts, backend="reference").rgb, wanted.rgb)
+
+
+def test_other_colours_are_those_of_freezing_anew(isa: str) -> None:
+    gaussians = random_gaussians("normal", 300, degree=1)
+    others = replace(gaussians, sh=gaussians.sh.flip(0))
+    drawn = draw([(freeze(gaussians, MIP).recoloured(others.sh), EYE)])
+    assert torch.equal(drawn.rgb, draw([(freeze(others, MIP), EYE)]).rgb)
+    for sh in (others.sh[1:], others.sh * float("nan")):
+        with pytest.raises(ValueError, match="sh"):
+            freeze(gaussians).recoloured(sh)
 
 
 def test_the_reference_draws_parts_too() -> None:

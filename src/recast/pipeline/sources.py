@@ -36,9 +36,9 @@ RECIPES = {
     "turntable": 1,
     "scene": 3,
     "evaluation": 2,
-    "truth": 3,
-    "rollout": 3,
-    "scene-level": 2,
+    "truth": 4,
+    "rollout": 4,
+    "scene-level": 3,
     "metrics": 2,
     "report": 3,
 }

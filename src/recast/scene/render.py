@@ -14,9 +14,7 @@ from recast.scene.light.relight import rounded
 from recast.scene.sky import composite, pixel_coordinates
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.splats import (
-    CLASSIC,
     FrozenGaussians,
-    LowPass,
     RasterImages,
     freeze,
     morton_order,
@@ -24,8 +22,8 @@ from recast.splats import (
     rasterize_frozen,
 )
 
-Parts = list[tuple[FrozenGaussians, LowPass]]
-"""Pieces of an actor, actor-local, each with the filter that it was made for."""
+Parts = list[FrozenGaussians]
+"""Pieces of an actor, actor-local."""
 
 
 @dataclass(frozen=True)
@@ -81,10 +79,12 @@ class SceneRasterizer:
         if actor.light is not None:
             place = rounded(pose)
             if track_id not in self._lit or not np.array_equal(self._lit[track_id][0], place):
-                self._lit[track_id] = place, _parts(actor.lit_at(place), self._device)
+                parts = _recoloured(self._parts[track_id], actor.lit_at(place), self._device)
+                self._lit[track_id] = place, parts
             return self._lit[track_id][1]
         if colours_us is not None and actor.appearance is not None:
-            return _parts(actor.coloured_at(colours_us), self._device)
+            own = actor.coloured_at(colours_us)
+            return _recoloured(self._parts[track_id], own, self._device)
         return self._parts[track_id]
 
     def render(
@@ -124,20 +124,10 @@ class SceneRasterizer:
         drawn = [(self._background, torch.eye(4, dtype=torch.float64))]
         for track_id, pose in {**self._standing, **poses}.items():
             world_from_actor = torch.from_numpy(np.asarray(pose, np.float64))
-            camera_from_actor = view @ world_from_actor
-            for local, low_pass in self._parts_at(track_id, pose, colours_us, shapes_us):
-                part = local.refiltered(low_pass, CLASSIC, camera_from_actor.float(), K)
+            for part in self._parts_at(track_id, pose, colours_us, shapes_us):
                 drawn.append((part, world_from_actor))
         with torch.no_grad():
-            result = rasterize_frozen(
-                drawn,
-                view,
-                K,
-                camera.width,
-                camera.height,
-                eps2d=CLASSIC.variance,
-                antialiased=CLASSIC.antialiased,
-            )
+            result = rasterize_frozen(drawn, view, K, camera.width, camera.height)
             rgb = composite(
                 result.rgb,
                 result.alpha,
@@ -148,11 +138,18 @@ class SceneRasterizer:
 
 
 def _parts(actor: SceneActor, place: torch.device) -> Parts:
-    """What is drawn of an actor, actor-local, each with the filter that it was made for."""
-    parts = [(freeze(actor.gaussians.to(place)), actor.low_pass)]
-    if actor.shadow is not None:
-        parts.append((freeze(actor.shadow.to(place)), CLASSIC))
-    return parts
+    """What is drawn of an actor, actor-local."""
+    return [freeze(actor.gaussians.to(place), actor.low_pass), *_shadow(actor, place)]
+
+
+def _recoloured(parts: Parts, actor: SceneActor, place: torch.device) -> Parts:
+    """What is drawn of an actor whose colours alone and whose shadow are others than those of
+    `parts`."""
+    return [parts[0].recoloured(actor.gaussians.sh.to(place)), *_shadow(actor, place)]
+
+
+def _shadow(actor: SceneActor, place: torch.device) -> Parts:
+    return [] if actor.shadow is None else [freeze(actor.shadow.to(place))]
 
 
 def render_scene(

@@ -31,7 +31,10 @@ class Lighting(Protocol):
         """Most Gaussians that the lit actor's shadow has."""
 
     def lit(self, actor: SceneActor, pose: Array) -> SceneActor:
-        """The actor in the light of `pose` (4, 4) `world_from_actor`, its `light` taken off."""
+        """The actor in the light of `pose` (4, 4) `world_from_actor`, its `light` taken off.
+
+        Colours and shadow are others; shapes and opacities stay.
+        """
 
 
 class Deforming(Protocol):

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from recast.splats import native
 from recast.splats.gaussians import Gaussians, quat_to_matrix
-from recast.splats.low_pass import LowPass, refiltered
+from recast.splats.low_pass import CLASSIC, LowPass, refiltered
 
 BLOCK = 128
 """Gaussians that are culled together (`kFrozenBlock` of frame.hpp)."""
@@ -44,30 +44,36 @@ class FrozenGaussians:
 
     Attributes:
         gaussians: N Gaussians.
+        low_pass: filter that they were made for, and through which they are drawn.
         tables: for the compiled kernel; None where it is not there or does not draw them.
     """
 
     gaussians: Gaussians
+    low_pass: LowPass
     tables: FrozenTables | None
 
-    def refiltered(
-        self, made_for: LowPass, drawn_by: LowPass, camera_from_local: Tensor, K: Tensor
-    ) -> FrozenGaussians:
-        """See `recast.splats.refiltered`; colours stay as they are."""
-        if made_for == drawn_by:
-            return self
-        changed = refiltered(self.gaussians, made_for, drawn_by, camera_from_local, K)
-        if self.tables is None:
-            return FrozenGaussians(changed, None)
-        return FrozenGaussians(changed, _tables(changed, self.tables.colours))
+    def recoloured(self, sh: Tensor) -> FrozenGaussians:
+        """The same with other harmonics (N, K, 3); what hangs on shapes is not worked out again.
+
+        Raises:
+            ValueError: a shape is wrong, or a value is not finite.
+        """
+        changed = replace(self.gaussians, sh=sh.detach())
+        if sh.shape[:1] != self.gaussians.sh.shape[:1] or not bool(torch.isfinite(sh).all()):
+            changed.validate()
+        tables = self.tables and replace(self.tables, colours=_halves(changed.sh))
+        return replace(self, gaussians=changed, tables=tables)
 
 
-def freeze(gaussians: Gaussians) -> FrozenGaussians:
+def freeze(gaussians: Gaussians, low_pass: LowPass = CLASSIC) -> FrozenGaussians:
     """Work out once what drawing needs.
 
     Blocks of 128 neighbours in the order given are culled together: the order along a Morton curve
     (`recast.splats.morton_order`) makes them small. Colours are kept in half precision on the CPU:
     images stay within a grey level.
+
+    Args:
+        low_pass: filter that the Gaussians were made for.
 
     Raises:
         ValueError: a field is at fault, see `Gaussians.fault`.
@@ -75,12 +81,16 @@ def freeze(gaussians: Gaussians) -> FrozenGaussians:
     gaussians = gaussians.detach()
     gaussians.validate()
     if gaussians.means.device.type != "cpu" or not native.info().available:
-        return FrozenGaussians(gaussians, None)
-    colours = gaussians.sh.flatten(1).clamp(-_LARGEST_HALF, _LARGEST_HALF).half()
-    return FrozenGaussians(gaussians, _tables(gaussians, _columns(colours)))
+        return FrozenGaussians(gaussians, low_pass, None)
+    return FrozenGaussians(gaussians, low_pass, _tables(gaussians))
 
 
-def _tables(gaussians: Gaussians, colours: Tensor) -> FrozenTables:
+def _halves(sh: Tensor) -> Tensor:
+    """(N, K, 3) -> (8 B, 3 K, LANES) float16."""
+    return _columns(sh.flatten(1).clamp(-_LARGEST_HALF, _LARGEST_HALF).half())
+
+
+def _tables(gaussians: Gaussians) -> FrozenTables:
     means = gaussians.means.float()
     scales = gaussians.log_scales.float().exp()
     axes = quat_to_matrix(gaussians.quats.float()) * scales[:, None, :]
@@ -92,7 +102,7 @@ def _tables(gaussians: Gaussians, colours: Tensor) -> FrozenTables:
     radius = (centres - middle[:, None]).norm(dim=2).amax(dim=1) * _ROUNDING
     largest = _filled(scales).amax(dim=1).unflatten(0, (-1, BLOCK)).amax(dim=1) * _ROUNDING
     bounds = torch.cat([middle, radius[:, None], largest[:, None]], dim=1)
-    return FrozenTables(_columns(rows), colours, bounds.contiguous())
+    return FrozenTables(_columns(rows), _halves(gaussians.sh), bounds.contiguous())
 
 
 def _filled(rows: Tensor) -> Tensor:
@@ -106,8 +116,15 @@ def _columns(rows: Tensor) -> Tensor:
     return _filled(rows).unflatten(0, (-1, LANES)).transpose(1, 2).contiguous()
 
 
-def in_world(part: FrozenGaussians, world_from_part: Tensor) -> Gaussians:
-    """The Gaussians of a part where it stands."""
-    if torch.equal(world_from_part, torch.eye(4).to(world_from_part)):
-        return part.gaussians
-    return part.gaussians.transformed(world_from_part)
+def in_world(
+    part: FrozenGaussians,
+    world_from_part: Tensor,
+    drawn_by: LowPass,
+    camera_from_world: Tensor,
+    K: Tensor,
+) -> Gaussians:
+    """The Gaussians of a part where it stands, for a pass with one filter for all parts."""
+    found = part.gaussians
+    if not torch.equal(world_from_part, torch.eye(4).to(world_from_part)):
+        found = found.transformed(world_from_part)
+    return refiltered(found, part.low_pass, drawn_by, camera_from_world, K)

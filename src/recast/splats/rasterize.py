@@ -14,6 +14,7 @@ from recast.splats import cuda, native
 from recast.splats.cuda import rasterize_gsplat
 from recast.splats.frozen import FrozenGaussians, FrozenTables, in_world
 from recast.splats.gaussians import Gaussians, concatenate
+from recast.splats.low_pass import CLASSIC, LowPass
 from recast.splats.native.rasterizer import rasterize_native, rasterize_tables
 from recast.splats.rasterization import (
     RasterImages,
@@ -119,8 +120,6 @@ def rasterize_frozen(
     background: Tensor | None = None,
     near: float = 0.2,
     far: float = 1e10,
-    eps2d: float = 0.3,
-    antialiased: bool = False,
     max_alpha: float | None = None,
     backend: Backend = "auto",
 ) -> RasterImages:
@@ -128,7 +127,9 @@ def rasterize_frozen(
 
     The image is that of `rasterize` of all parts moved to the world and concatenated, up to
     rounding and to the half precision of colours. The compiled kernel moves nothing: it looks at
-    each part from its own frame, skips blocks out of view, and reads what `freeze` worked out.
+    each part from its own frame and through its own filter, skips blocks out of view, and reads
+    what `freeze` worked out. Elsewhere a pass has one filter, that of the first part, and the other
+    parts are `refiltered`.
 
     Args:
         parts: each with `world_from_part` (4, 4), rigid. At least one.
@@ -142,7 +143,9 @@ def rasterize_frozen(
     if backend == "auto":
         backend = _choose(parts[0][0].gaussians.means.device)
     if backend != "native" or any(part.tables is None for part, _ in parts):
-        world = concatenate([in_world(part, pose) for part, pose in parts])
+        drawn_by = parts[0][0].low_pass
+        given = (drawn_by, camera_from_world, K)
+        world = concatenate([in_world(part, pose, *given) for part, pose in parts])
         with torch.no_grad():
             return rasterize(
                 world,
@@ -153,8 +156,8 @@ def rasterize_frozen(
                 background=background,
                 near=near,
                 far=far,
-                eps2d=eps2d,
-                antialiased=antialiased,
+                eps2d=drawn_by.variance,
+                antialiased=drawn_by.antialiased,
                 max_alpha=max_alpha,
                 backend=backend,
             )
@@ -166,15 +169,16 @@ def rasterize_frozen(
         height=height,
         near=near,
         far=far,
-        eps2d=eps2d,
-        antialiased=antialiased,
+        eps2d=CLASSIC.variance,  # each part has its own
+        antialiased=CLASSIC.antialiased,
         max_alpha=MAX_ALPHA if max_alpha is None else max_alpha,
     )
-    tables: list[tuple[FrozenTables, Tensor]] = []
+    tables: list[tuple[FrozenTables, LowPass, Tensor]] = []
     for part, world_from_part in parts:
         if part.tables is not None:
             check_pose(world_from_part, "world_from_part")
-            tables.append((part.tables, camera_from_world.double() @ world_from_part.double()))
+            pose = camera_from_world.double() @ world_from_part.double()
+            tables.append((part.tables, part.low_pass, pose))
     return rasterize_tables(tables, settings, background)
 
 

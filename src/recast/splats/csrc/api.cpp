@@ -23,7 +23,7 @@ extern const Kernels kernels_avx512;
 
 namespace {
 
-constexpr int kAbi = 4;
+constexpr int kAbi = 5;
 
 // Best first.
 int available(const Kernels** out) {

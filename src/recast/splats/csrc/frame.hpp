@@ -79,10 +79,12 @@ struct ChunkResult {
 struct Part {
   int64_t blocks, first_chunk;
   int64_t sh_bases;          // 1, 4, 9 or 16
+  int64_t antialiased;       // of the filter that it was made for
   const float* geometry;     // kFrozenColumns columns
   const uint16_t* colours;   // 3 sh_bases columns, half precision
   const float* bounds;       // kFrozenBounds a block
   float rotation[9], translation[3];  // camera_from_part
+  float eps2d;               // of the filter that it was made for
 };
 
 struct Frame {

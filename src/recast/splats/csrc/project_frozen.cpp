@@ -91,6 +91,8 @@ void project_frozen_chunk(const Frame& given, int64_t chunk) {
   Frame f = given;
   __builtin_memcpy(f.rotation, part->rotation, sizeof f.rotation);
   __builtin_memcpy(f.translation, part->translation, sizeof f.translation);
+  f.eps2d = part->eps2d;
+  f.antialiased = int32_t(part->antialiased);
   float offset[3];
   camera_offset(f, offset);
   ChunkResult result = {};

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from recast.kernel import Gradients, Part, View, find, library
 from recast.splats.gaussians import Gaussians
+from recast.splats.low_pass import LowPass
 from recast.splats.rasterization import (
     RasterImages,
     Rasterization,
@@ -108,18 +109,19 @@ def run_forward(
 
 
 def rasterize_tables(
-    parts: Sequence[tuple[FrozenTables, Tensor]],
+    parts: Sequence[tuple[FrozenTables, LowPass, Tensor]],
     settings: RasterSettings,
     background: Tensor | None,
 ) -> RasterImages:
-    """Render frozen parts, each with its `camera_from_part` (4, 4), with the compiled kernel."""
+    """Render frozen parts, each through its filter, with its `camera_from_part` (4, 4)."""
     images = _images(settings)
     view = _view(settings, background, images)
     given = (Part * len(parts))()
-    for part, (tables, pose) in zip(given, parts, strict=True):
+    for part, (tables, low_pass, pose) in zip(given, parts, strict=True):
         part.blocks, part.sh_bases = len(tables.bounds), tables.colours.shape[1] // 3
         part.geometry, part.colours = tables.geometry.data_ptr(), tables.colours.data_ptr()
         part.bounds = tables.bounds.data_ptr()
+        part.eps2d, part.antialiased = low_pass.variance, low_pass.antialiased
         part.rotation, part.translation = _rigid(pose)
     handle = Workspace().handle
     _check(library().recast_forward_frozen(handle, ctypes.byref(view), given, len(parts)))
