@@ -32,6 +32,7 @@ from recast.planning import (
     Planner,
     PlannerInput,
     PlanningContext,
+    looked_at,
     make_planner,
     planner_cameras,
 )
@@ -128,6 +129,7 @@ def main() -> None:
         name: CameraMount(mounted.camera, mounted.rig_from_camera)
         for name, mounted in make_rig(*chosen.size).cameras.items()
     }
+    mounts = looked_at(planner, mounts)
     setup = RolloutSetup(
         log,
         track.track_id,

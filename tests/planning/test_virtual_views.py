@@ -17,6 +17,7 @@ from recast.planning import (
     CameraMount,
     ConstantVelocity,
     View,
+    looked_at,
     make_planner,
     seen_lines,
     seen_record,
@@ -337,3 +338,36 @@ def test_waymos_own_calibration_fits(shared: Path, looker: Looker) -> None:
     assert virtual_mounts(looker, mounts) == {}
     shown = shown_views(looker, mounts)
     assert [view.camera for view in shown] == ["FRONT_LEFT", "FRONT", "FRONT_RIGHT"]
+
+
+def test_of_each_picture_only_what_the_planner_looks_at_is_rendered(looker: Looker) -> None:
+    mounts = looked_at(looker, {**SYNTHETIC, "spare": SYNTHETIC["front"]})
+    assert mounts["front"].window == (0, 32, 480, 288)
+    assert mounts["front_left"].window == mounts["front_right"].window == (104, 32, 376, 288)
+    assert mounts["spare"].window is None
+    planner = make_planner("gtrs-mini")
+    layout = planner._fit(mounts)
+    rng = np.random.default_rng(0)
+    images = {name: rng.integers(0, 256, (320, 480, 3)).astype(np.uint8) for name in THREE}
+    parts = {}
+    for name, image in images.items():
+        left, top, right, bottom = mounts[name].window
+        parts[name] = mounts[name].framed(image[top:bottom, left:right])
+        assert parts[name].shape == (320, 480, 3) and not np.array_equal(parts[name], image)
+    assert np.array_equal(layout.stitch(parts), layout.stitch(images))
+
+
+def test_windows_of_one_camera_are_joined_and_other_planners_see_all() -> None:
+    front = make_planner("gtrs-mini").wanted_views[1]
+
+    class Twice(Looker):
+        def choose_cameras(self, mounts: Mapping[str, CameraMount]) -> dict[str, str]:
+            return {"a": "front", "b": "front"}
+
+    views = tuple(
+        replace(front, name=name, crop_rows=rows, crop_columns=columns)
+        for name, rows, columns in (("a", 64, 0), ("b", 0, 300))
+    )
+    assert looked_at(Twice(views), SYNTHETIC)["front"].window == (0, 0, 480, 320)
+    assert looked_at(Twice(views[:1]), SYNTHETIC)["front"].window == (0, 0, 480, 320)
+    assert looked_at(ConstantVelocity(), SYNTHETIC) == SYNTHETIC

@@ -65,6 +65,24 @@ def test_at_the_logged_state_it_shows_what_the_log_shows(
         assert abs(frame.rgb.mean() - images[name].mean()) < 0.4, f"{name}: exposure"
 
 
+def test_a_window_shows_the_same_and_black_around(
+    world: World, mounts: dict[str, CameraMount]
+) -> None:
+    state, window = state_of(world, 3), (10, 8, 81, 60)
+    parts = {name: replace(mount, window=window) for name, mount in mounts.items()}
+    with (
+        OracleRenderer(world, mounts, workers=1) as whole,
+        OracleRenderer(world, parts, workers=1) as cropped,
+    ):
+        images, found = whole.render(state, list(mounts)), cropped.render(state, list(mounts))
+    for name in mounts:
+        inside = np.s_[8:60, 10:81]
+        error = np.mean((found[name][inside].astype(float) - images[name][inside]) ** 2)
+        assert 10 * np.log10(255**2 / max(error, 1e-9)) > 35, f"{name}: only noise differs"
+        found[name][inside] = 0
+        assert not found[name].any()
+
+
 def test_images_do_not_depend_on_workers_or_order(
     world: World, mounts: dict[str, CameraMount]
 ) -> None:

@@ -114,6 +114,17 @@ def test_the_controlled_actor_is_drawn_where_the_state_has_it(scene: StreetScene
     assert moved[24, 32, 0] < 30
 
 
+def test_of_a_window_everything_else_is_black(scene: StreetScene) -> None:
+    mounts = camera_mounts(log_with_camera())
+    parts = {"front": replace(mounts["front"], window=(20, 10, 50, 41))}
+    whole = SceneRenderer(scene, mounts).render(state(), ["front"])["front"].astype(int)
+    part = SceneRenderer(scene, parts).render(state(), ["front"])["front"].astype(int)
+    assert part.shape == whole.shape and whole[10:41, 20:50].max() > 200
+    assert np.abs(part - whole)[10:41, 20:50].max() <= 1  # coordinates are rounded elsewhere
+    part[10:41, 20:50] = 0
+    assert not part.any()
+
+
 def test_others_are_drawn_only_where_they_stay(scene: StreetScene) -> None:
     renderer = SceneRenderer(scene, camera_mounts(log_with_camera()))
     beside = at(21.5, -4.0, 1.0)

@@ -29,7 +29,7 @@ from recast.pipeline.making import (
 )
 from recast.pipeline.rollouts import make_rollout, rollout_setup, run_mounts
 from recast.pipeline.sources import RECIPES, SourceLog, Sources
-from recast.planning import CameraMount, Planner, make_planner
+from recast.planning import CameraMount, Planner, looked_at, make_planner
 from recast.scene import SceneConfig, StreetScene, load_scene
 from recast.scene.dynamic import modelled_tracks
 from recast.simulation import (
@@ -83,8 +83,11 @@ class Artefacts:
         return self._planners[name]
 
     def mounts(self, planner: str) -> dict[str, CameraMount]:
-        """The cameras that are rendered for a planner and for films."""
-        return run_mounts(self.source.log, self.planner(planner), self.config)
+        """The cameras that are rendered for a planner and for films; without films, of each only
+        what the planner looks at."""
+        looking = self.planner(planner)
+        mounts = run_mounts(self.source.log, looking, self.config)
+        return mounts if self.config.films else looked_at(looking, mounts)
 
     def makers(self, arm: Arm) -> ActorMakers:
         """What makes an arm's vehicles, its networks in memory from now on.

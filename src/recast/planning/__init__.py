@@ -3,6 +3,7 @@
 from recast.planning.cameras import (
     ShownView,
     camera_choice,
+    looked_at,
     named_cameras,
     planner_cameras,
     seen_lines,
@@ -62,6 +63,7 @@ __all__ = [
     "camera_choice",
     "ego_status",
     "gtrs_mini",
+    "looked_at",
     "make_planner",
     "named_cameras",
     "nuplan_rig",

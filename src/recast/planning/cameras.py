@@ -126,6 +126,25 @@ def virtual_mounts(
     return made
 
 
+def looked_at(planner: Planner, mounts: Mapping[str, CameraMount]) -> dict[str, CameraMount]:
+    """The mounts, with the windows that the planner looks at in cameras that show its
+    `wanted_views`; where it looks at a camera otherwise, that is left whole.
+    """
+    windows: dict[str, list[tuple[int, int, int, int]]] = {}
+    views = {view.name: view for view in wanted_views(planner)}
+    for wanted, name in camera_choice(planner, mounts).items():
+        camera = mounts[name].camera
+        whole = 0, 0, camera.width, camera.height
+        view = views.get(wanted)
+        windows.setdefault(name, []).append(whole if view is None else view.window(mounts[name]))
+    found = dict(mounts)
+    for name, edges in windows.items():
+        left, top, right, bottom = zip(*edges, strict=True)
+        window = min(left), min(top), max(right), max(bottom)
+        found[name] = replace(mounts[name], window=window)
+    return found
+
+
 def seen_by(mount: CameraMount, cameras: Iterable[CameraMount]) -> Mask:
     """Pixels (H, W) of a camera whose direction at least one other camera looks in.
 

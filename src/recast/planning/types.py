@@ -38,12 +38,32 @@ class CameraMount:
         seen: mask (height, width) of a virtual camera's pixels that look where a camera of the log
             does; the others are black. None for a camera of the log.
         source: the log's camera at whose place a virtual camera is, if any.
+        window: left, top, right and bottom edge, pixels, of the part that is rendered; the rest is
+            black. None for the whole image.
     """
 
     camera: PinholeCamera
     rig_from_camera: Array
     seen: NDArray[np.bool_] | None = None
     source: str | None = None
+    window: tuple[int, int, int, int] | None = None
+
+    @property
+    def rendered_camera(self) -> PinholeCamera:
+        """The camera of the part that is rendered."""
+        if self.window is None:
+            return self.camera
+        left, top, right, bottom = self.window
+        return self.camera.cropped(left, top, right - left, bottom - top)
+
+    def framed(self, rendered: Image) -> Image:
+        """The image (height, width, 3), black around the part that was rendered."""
+        if self.window is None:
+            return rendered
+        left, top, right, bottom = self.window
+        image = np.zeros((self.camera.height, self.camera.width, 3), np.uint8)
+        image[top:bottom, left:right] = rendered
+        return image
 
 
 @dataclass(frozen=True)

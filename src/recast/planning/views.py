@@ -181,10 +181,19 @@ class View:
         """
         if mount.seen is None:
             return 1.0
-        height, width = mount.seen.shape
+        left, top, right, bottom = self.window(mount)
+        return float(mount.seen[top:bottom, left:right].mean())
+
+    def window(self, mount: CameraMount) -> tuple[int, int, int, int]:
+        """Left, top, right and bottom edge, pixels, of what the planner looks at.
+
+        Args:
+            mount: a camera that shows this view.
+        """
+        width, height = mount.camera.width, mount.camera.height
         rows = round(self.crop_rows * height / self.camera.height)
         columns = round(self.crop_columns * width / self.camera.width)
-        return float(mount.seen[rows : height - rows, columns : width - columns].mean())
+        return columns, rows, width - columns, height - rows
 
     @property
     def _own(self) -> CameraMount:

@@ -9,7 +9,6 @@ import numpy as np
 
 from recast.arrays import Array, Image
 from recast.core.workers import Closing
-from recast.geometry import PinholeCamera
 from recast.planning import CameraMount
 from recast.simulation.renderer import Mounted
 from recast.simulation.state import SimState
@@ -23,7 +22,7 @@ _STREAM = 701
 class _View(NamedTuple):
     name: str
     exposed_as: str
-    camera: PinholeCamera
+    mount: CameraMount
     world_from_camera: Array
     poses: dict[str, Array]
     step: int
@@ -60,9 +59,7 @@ class OracleRenderer(Mounted, Closing):
             mount = self._mounts[name]
             world_from_camera = state.world_from_rig @ mount.rig_from_camera
             exposed_as = name if mount.source is None else mount.source
-            views.append(
-                _View(name, exposed_as, mount.camera, world_from_camera, state.poses, state.step)
-            )
+            views.append(_View(name, exposed_as, mount, world_from_camera, state.poses, state.step))
         return dict(zip(camera_names, self._pool.map(_render, views), strict=True))
 
     def close(self) -> None:
@@ -73,10 +70,10 @@ class OracleRenderer(Mounted, Closing):
 def _render(oracle: Oracle, view: _View) -> Image:
     seed = oracle.world.seed
     frame = oracle.render(
-        view.camera,
+        view.mount.rendered_camera,
         view.world_from_camera,
         view.poses,
         exposure=exposure(seed, view.exposed_as),
         rng=np.random.default_rng([seed, _STREAM, sensor_number(view.name), view.step]),
     )
-    return frame.rgb
+    return view.mount.framed(frame.rgb)

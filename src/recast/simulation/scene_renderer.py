@@ -59,10 +59,11 @@ class SceneRenderer(Mounted):
             mount = self._mounts[name]
             camera_from_world = se3.inverse(state.world_from_rig @ mount.rig_from_camera)
             drawn = self._rasterizer.draw(
-                mount.camera, camera_from_world, poses, shapes_us=state.timestamp_us
+                mount.rendered_camera, camera_from_world, poses, shapes_us=state.timestamp_us
             )
             # Quantised where it was drawn: a quarter of the bytes to bring over.
-            images[name] = (drawn.rgb * 255).round().to(torch.uint8).cpu().numpy()
+            rgb = (drawn.rgb * 255).round().to(torch.uint8).cpu().numpy()
+            images[name] = mount.framed(rgb)
         return images
 
 
@@ -108,11 +109,9 @@ def through_lenses(
     if all(mount.camera.is_rectified and mount.seen is None for mount in mounts.values()):
         return make(mounts)
     sources = {
-        name: replace(
-            mount,
-            camera=mount.camera if mount.camera.is_rectified else _lens(mount.camera).source,
-            seen=None,
-        )
+        name: replace(mount, seen=None)
+        if mount.camera.is_rectified
+        else replace(mount, camera=_lens(mount.camera).source, seen=None, window=None)
         for name, mount in mounts.items()
     }
     return LensRenderer(make(sources), mounts)
