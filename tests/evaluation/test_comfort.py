@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import savgol_filter
 
 from recast.dynamics import make_state, track
-from recast.dynamics.comfort import savgol_signals
+from recast.dynamics.comfort import comfortable_plans, savgol_signals
 from recast.evaluation import comfort
 
 T = 0.1 * np.arange(41)
@@ -35,6 +35,16 @@ def test_cruising_and_standing_pass_everything():
 )
 def test_longitudinal_acceleration(acceleration, wanted):
     assert failed(from_speed(20.0 + acceleration * T)) == wanted
+
+
+def test_comfortable_plans_are_those_that_com_counts():
+    rng = np.random.default_rng(0)
+    plans = np.concatenate([from_speed(22.0 + rate * T) for rate in rng.uniform(-5, 3, 60)])
+    wanted = comfort.com_hugsim(plans)
+    found = comfortable_plans(plans)
+    np.testing.assert_array_equal(found, wanted.passed.all(axis=1))
+    assert found.mean() == wanted.com.value
+    assert 0 < found.sum() < len(found)
 
 
 def jerky(jerk):

@@ -1,4 +1,4 @@
-"""nuPlan's comfort checks: smoothed signals of a motion, and their limits."""
+"""Comfort checks: signals of a plan, nuPlan's smoothed ones of a motion, and their limits."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recast.arrays import Array, BoolArray
+from recast.geometry import se2
 
 NUPLAN_LIMITS: Mapping[str, tuple[float, float]] = {
     "lon_accel": (-4.05, 2.40),
@@ -20,6 +21,13 @@ NUPLAN_LIMITS: Mapping[str, tuple[float, float]] = {
 }
 """m/s^2, m/s^3, rad/s, rad/s^2, m/s^2, m/s^3; "jerk" is the rate of the acceleration's
 magnitude."""
+PLAN_LIMITS: Mapping[str, tuple[float, float]] = {
+    **{name: limits for name, limits in NUPLAN_LIMITS.items() if name != "jerk"},
+    "lon_jerk": (-8.37, 8.37),
+}
+"""HUGSIM's five checks of a plan, those of the metric COM: m/s^2, m/s^3, rad/s, rad/s^2, m/s^2."""
+_STANDING = 1.0
+"""Metres: a plan that ends nearer than this to its start has no meaningful heading."""
 
 
 def savgol_signals(
@@ -86,3 +94,38 @@ def check(
         inside = (low < value) & (value < high) if strict else (low <= value) & (value <= high)
         passed.append(np.asarray(np.all(inside, axis=-1)))
     return np.stack(passed, axis=-1)
+
+
+def plan_signals(predictions: ArrayLike, dt: float = 0.1) -> dict[str, Array]:
+    """Finite differences of plans (..., 40, 3), the origin put in front (HUGSIM's reading).
+
+    Speed is the displacement over dt, acceleration and jerk its differences; yaw rate and
+    acceleration the differences of the heading; lateral acceleration speed times yaw rate. The
+    headings of a plan that ends within 1 m of its start count as 0.
+
+    Returns:
+        by name of the check: (..., 40) and shorter, SI units.
+    """
+    plan = np.asarray(predictions, np.float64)
+    plan = np.concatenate([np.zeros_like(plan[..., :1, :]), plan], axis=-2)
+    standing = np.hypot(plan[..., -1, 0], plan[..., -1, 1]) < _STANDING
+    heading = np.where(standing[..., None], 0.0, plan[..., 2])
+    speed = np.linalg.norm(np.diff(plan[..., :2], axis=-2), axis=-1) / dt
+    acceleration = np.diff(speed, axis=-1) / dt
+    yaw_rate = se2.wrap_angle(np.diff(heading, axis=-1)) / dt
+    return {
+        "lon_accel": acceleration,
+        "lon_jerk": np.diff(acceleration, axis=-1) / dt,
+        "yaw_rate": yaw_rate,
+        "yaw_accel": np.diff(yaw_rate, axis=-1) / dt,
+        "lat_accel": speed * yaw_rate,
+    }
+
+
+def comfortable_plans(predictions: ArrayLike, dt: float = 0.1) -> BoolArray:
+    """Which plans (..., 40, 3) pass all five checks of `PLAN_LIMITS`: (...) bool.
+
+    COM is the share of such plans. It depends on a plan alone, not on the ego's speed.
+    """
+    passed = check(plan_signals(predictions, dt), PLAN_LIMITS, strict=False)
+    return np.asarray(passed.all(axis=-1))

@@ -11,16 +11,19 @@ from numpy.typing import ArrayLike
 
 from recast.arrays import Array, BoolArray
 from recast.dynamics import state as ego
-from recast.dynamics.comfort import NUPLAN_LIMITS, check, savgol_signals
+from recast.dynamics.comfort import (
+    NUPLAN_LIMITS,
+    PLAN_LIMITS,
+    check,
+    plan_signals,
+    savgol_signals,
+)
 from recast.evaluation.table import Metric, invalid
-from recast.geometry import se2
 
 LIMITS_4_13: Mapping[str, tuple[float, float]] = {
     name: limits for name, limits in NUPLAN_LIMITS.items() if name != "jerk"
 }
 """HUGSIM's five checks with nuPlan's limit on the longitudinal jerk."""
-LIMITS: Mapping[str, tuple[float, float]] = {**LIMITS_4_13, "lon_jerk": (-8.37, 8.37)}
-"""HUGSIM's five checks: m/s^2, m/s^3, rad/s, rad/s^2, m/s^2. The headline."""
 _NUPLAN_DT = 0.1
 _WINDOW = 15
 """nuPlan's smoothing counts in samples 0.1 s apart, and its longest window has 15 of them."""
@@ -32,8 +35,6 @@ _UNITS = {
     "lat_accel": "m/s^2",
     "jerk": "m/s^3",
 }
-_STANDING = 1.0
-"""Metres: a plan that ends nearer than this to its start has no meaningful heading."""
 
 
 @dataclass(frozen=True)
@@ -58,32 +59,6 @@ class Comfort:
         ]
 
 
-def plan_signals(predictions: ArrayLike, dt: float = 0.1) -> dict[str, Array]:
-    """Finite differences of plans (..., 40, 3), the origin put in front (HUGSIM's reading).
-
-    Speed is the displacement over dt, acceleration and jerk its differences; yaw rate and
-    acceleration the differences of the heading; lateral acceleration speed times yaw rate. The
-    headings of a plan that ends within 1 m of its start count as 0.
-
-    Returns:
-        by name of the check: (..., 40) and shorter, SI units.
-    """
-    plan = np.asarray(predictions, np.float64)
-    plan = np.concatenate([np.zeros_like(plan[..., :1, :]), plan], axis=-2)
-    standing = np.hypot(plan[..., -1, 0], plan[..., -1, 1]) < _STANDING
-    heading = np.where(standing[..., None], 0.0, plan[..., 2])
-    speed = np.linalg.norm(np.diff(plan[..., :2], axis=-2), axis=-1) / dt
-    acceleration = np.diff(speed, axis=-1) / dt
-    yaw_rate = se2.wrap_angle(np.diff(heading, axis=-1)) / dt
-    return {
-        "lon_accel": acceleration,
-        "lon_jerk": np.diff(acceleration, axis=-1) / dt,
-        "yaw_rate": yaw_rate,
-        "yaw_accel": np.diff(yaw_rate, axis=-1) / dt,
-        "lat_accel": speed * yaw_rate,
-    }
-
-
 def plan_savgol_signals(predictions: ArrayLike, dt: float = 0.1) -> dict[str, Array]:
     """nuPlan's smoothing applied to the finite differences of plans (..., 40, 3).
 
@@ -99,7 +74,7 @@ def plan_savgol_signals(predictions: ArrayLike, dt: float = 0.1) -> dict[str, Ar
 
 def com_hugsim(predictions: ArrayLike, dt: float = 0.1) -> Comfort:
     """COM, the headline: five checks on raw finite differences, jerk limit 8.37 m/s^3."""
-    return _comfort(predictions, plan_signals, LIMITS, dt, strict=False)
+    return _comfort(predictions, plan_signals, PLAN_LIMITS, dt, strict=False)
 
 
 def com_4_13(predictions: ArrayLike, dt: float = 0.1) -> Comfort:

@@ -10,8 +10,8 @@ import shapely
 from numpy.typing import NDArray
 
 from recast.arrays import Array
+from recast.dynamics.comfort import PLAN_LIMITS
 from recast.evaluation.collision import CAP, TOUCHING
-from recast.evaluation.comfort import LIMITS
 from recast.geometry import boxes, se2
 from recast.reporting import palette
 from recast.reporting.figure import INK, Figure, Plot
@@ -186,7 +186,7 @@ def _gap(arms: Sequence[Curves], longest: Series) -> _Drawn:
 
 
 def _acceleration(arms: Sequence[Curves], longest: Series) -> _Drawn:
-    low, high = LIMITS["lon_accel"]
+    low, high = PLAN_LIMITS["lon_accel"]
     every = np.concatenate([m.series.acceleration for m in arms])
     figure = Figure(
         float(longest.time[-1]),

@@ -12,6 +12,7 @@ from torch import Tensor
 from recast.planning.gtrs import (
     COMBINED,
     HEADS,
+    VOCABULARY_ONLY,
     GtrsModel,
     combined_trajectories,
     final_score,
@@ -114,6 +115,25 @@ def test_order_of_the_vocabulary_does_not_matter(tiny_model: GtrsModel, tiny_io:
     scores = final_score(tiny_model.score(*inputs, vocabulary))
     other = final_score(tiny_model.score(*inputs, vocabulary[shuffled]))
     close(other, scores[:, shuffled])
+
+
+def test_comfort_joins_the_weighted_sum() -> None:
+    generator = torch.Generator().manual_seed(0)
+    logits = {head: torch.randn(2, 4, generator=generator) for head in HEADS}
+    weights = VOCABULARY_ONLY.model_copy(update={"comfort": 3.0})
+    comfortable = torch.tensor([True, False, True, False])
+    gain = final_score(logits, weights, comfortable) - final_score(logits)
+    p = {head: value.double().sigmoid() for head, value in logits.items()}
+    base = (
+        weights.time_to_collision * p["time_to_collision_within_bound"]
+        + weights.progress * p["ego_progress"]
+        + weights.lane_keeping * p["lane_keeping"]
+    )
+    wanted = weights.average * torch.log((base + 3.0 * comfortable) / base)
+    # Scores of about 10 in float32, a dozen operations each.
+    torch.testing.assert_close(gain.double(), wanted, rtol=0, atol=12 * 2 * 16 * 2.0**-24)
+    with pytest.raises(ValueError, match="comfort"):
+        final_score(logits, weights)
 
 
 def test_scores_stay_finite_where_sigmoids_are_zero() -> None:

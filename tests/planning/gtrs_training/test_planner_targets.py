@@ -11,7 +11,7 @@ from recast.geometry import boxes
 from recast.geometry.boxes import bev_touching
 from recast.planning.gtrs_training.evaluate import true_scores
 from recast.planning.gtrs_training.targets import FORESEEN, Obstacle, collisions, score_vocabulary
-from recast.planning.gtrs_training.vocabulary import mirror_index
+from recast.planning.gtrs_training.vocabulary import braking, mirror_index, smooth_braking
 from recast.planning.pdm import Forecast, Kind
 from recast.planning.pdm.forecast import EgoAreas, box_corners
 from recast.planning.pdm.scorer import at_fault_collisions, time_to_collision
@@ -99,6 +99,17 @@ def test_behind_a_standing_car_the_best_stops_before_it(vocabulary: np.ndarray) 
     assert true_scores(found.scores[None])[0, found.best] > 0.7
     standing = score_vocabulary(vocabulary, make_state(np.zeros(3)), road, [moving(9.0)])
     assert standing.best == 0
+
+
+def test_of_two_stops_that_are_as_safe_the_comfortable_one_is_better() -> None:
+    hard, smooth = braking([8.0], 6.0), smooth_braking([8.0], 2.5)
+    both = np.concatenate([hard, smooth]).astype(np.float32)
+    state = make_state(np.zeros(3), 8.0)
+    far, near = (score_vocabulary(both, state, straight_road(), [moving(x)]) for x in (40.0, 17.0))
+    assert (far.scores[0] == 255).all()
+    assert far.best == 1
+    np.testing.assert_array_equal(near.scores[0], [255, 0])
+    assert near.best == 0
 
 
 def test_an_oncoming_car_counts_as_it_truly_moves(vocabulary: np.ndarray) -> None:

@@ -2,11 +2,13 @@ import numpy as np
 import pytest
 
 from recast.core.errors import InputError
+from recast.dynamics.comfort import comfortable_plans
 from recast.planning.gtrs_training.vocabulary import (
     make_vocabulary,
     mirror_index,
     mirrored,
     sample_driving,
+    smooth_braking,
 )
 
 
@@ -36,6 +38,38 @@ def test_it_stands_still_and_can_stop_from_thirteen_metres_a_second() -> None:
     speed = speeds(vocabulary)
     stops = (speed[:, 0] > 13.0) & (speed[:, -1] < 0.05)
     assert vocabulary[stops, -1, 0].min() < 13.0**2 / (2 * 6.0) + 4.0
+
+
+def test_most_of_it_is_comfortable_stops_too() -> None:
+    vocabulary = make_vocabulary(512, 0)
+    speed = speeds(vocabulary)
+    comfortable = comfortable_plans(vocabulary)
+    stops = (speed[:, 0] > 1.0) & (speed[:, -1] < 0.05)
+    assert comfortable.mean() > 0.8
+    assert comfortable[stops].mean() > 0.6
+    np.testing.assert_array_equal(comfortable, comfortable[mirror_index(vocabulary)])
+
+
+@pytest.mark.parametrize("rate", [1.0, 2.5, 3.8])
+@pytest.mark.parametrize("delay", [None, 0.0, 0.35, 1.0])
+def test_smooth_braking_is_comfortable_and_stops_where_physics_says(
+    rate: float, delay: float | None
+) -> None:
+    start = np.array([0.3, 2.0, 5.0, 9.0, 14.0])
+    for to in (0.0, 0.5 * start):
+        drives = smooth_braking(start, rate, delay, to).astype(np.float32)
+        assert comfortable_plans(drives).all()
+        change = np.diff(speeds(drives), axis=1)
+        # Differences of positions that float32 rounds at 64 m, over 0.1 s.
+        assert change.max() <= 4 * 32 * np.finfo(np.float32).eps / 0.1
+        assert (speeds(drives)[:, -1] >= np.broadcast_to(to, 5) - 1e-3).all()
+    stop = smooth_braking([4.0], 2.5, delay)[0, -1, 0]
+    if rate == 2.5 and delay is not None:
+        # A symmetric ramp of 4 m/s^3 lengthens the stop by half its duration.
+        wanted = 4.0**2 / (2 * 2.5) + 4.0 * (delay + 2.5 / 4.0 / 2)
+        # The trapezoidal rule over 0.1 s: h^2 / 12 times the change of acceleration's ends, 0,
+        # but for knots between samples: at most h^2 / 8 times the jerk over four steps.
+        assert stop == pytest.approx(wanted, abs=4 * 0.1 * 0.1**2 / 8 * 4.0)
 
 
 def test_it_can_be_driven() -> None:

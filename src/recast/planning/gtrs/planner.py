@@ -12,6 +12,7 @@ from torch import Tensor
 
 from recast.arrays import Float32Array
 from recast.core.errors import InputError
+from recast.dynamics.comfort import comfortable_plans
 from recast.planning.cameras import require_cameras
 from recast.planning.gtrs.config import ViewLayout, network_input
 from recast.planning.gtrs.head import IMITATION
@@ -242,7 +243,10 @@ class GtrsPlanner:
             torch.from_numpy(status)[None].to(device),
             torch.from_numpy(trajectories).to(device),
         )
-        scores = final_score(logits, weights)
+        comfortable = None
+        if weights.comfort > 0:
+            comfortable = torch.from_numpy(comfortable_plans(trajectories)).to(device)
+        scores = final_score(logits, weights, comfortable)
         sub_scores = {
             name: _numpy(value.softmax(-1) if name == IMITATION else value.sigmoid())
             for name, value in logits.items()

@@ -110,6 +110,8 @@ class ScoreWeights(Record):
         no_collision, drivable_area, direction, traffic_light: of the log of each sub-score.
         average: of the log of the weighted sum of the three that follow.
         time_to_collision, progress, lane_keeping: within that sum.
+        comfort: within that sum too, of trajectories that are comfortable as COM counts it; 0 in
+            the released modes.
     """
 
     imitation: NonNegativeFloat
@@ -121,6 +123,7 @@ class ScoreWeights(Record):
     time_to_collision: PositiveFloat
     progress: PositiveFloat
     lane_keeping: PositiveFloat
+    comfort: NonNegativeFloat = 0.0
 
 
 VOCABULARY_ONLY = ScoreWeights(
@@ -150,15 +153,25 @@ COMBINED = ScoreWeights(
 """Where external proposals are scored together with the vocabulary."""
 
 
-def final_score(logits: Mapping[str, Tensor], weights: ScoreWeights = VOCABULARY_ONLY) -> Tensor:
+def final_score(
+    logits: Mapping[str, Tensor],
+    weights: ScoreWeights = VOCABULARY_ONLY,
+    comfortable: Tensor | None = None,
+) -> Tensor:
     """Log score (B, L) of every trajectory; the highest is driven.
 
     S = w_i log softmax_L(imi) + w_tl log TL + w_nc log NC + w_dac log DAC + w_ddc log DDC
-    + w_avg log(w_ttc TTC + w_ep EP + w_lk LK), each sub-score being the sigmoid of its logit.
+    + w_avg log(w_ttc TTC + w_ep EP + w_lk LK + w_c C), each sub-score being the sigmoid of its
+    logit. C is known: it depends on the trajectory alone.
 
     Args:
         logits: head name to (B, L).
         weights: `VOCABULARY_ONLY`, or `COMBINED` where L includes external proposals.
+        comfortable: (L,) bool, C, see `recast.dynamics.comfort.comfortable_plans`; used if
+            `weights.comfort` is above 0.
+
+    Raises:
+        ValueError: `weights.comfort` is above 0 and `comfortable` is not given.
     """
     multipliers = {
         "traffic_light_compliance": weights.traffic_light,
@@ -178,6 +191,11 @@ def final_score(logits: Mapping[str, Tensor], weights: ScoreWeights = VOCABULARY
     terms = [
         functional.logsigmoid(logits[name]) + math.log(weight) for name, weight in averaged.items()
     ]
+    if weights.comfort > 0:
+        if comfortable is None:
+            raise ValueError("final_score: weights with comfort need `comfortable`")
+        comfort = comfortable.to(terms[0]).log() + math.log(weights.comfort)
+        terms.append(comfort.expand_as(terms[0]))
     return score + weights.average * torch.logsumexp(torch.stack(terms), dim=0)
 
 

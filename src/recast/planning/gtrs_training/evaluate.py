@@ -36,6 +36,7 @@ class SampleScores:
         gap: how much the loss grows with another sample's picture: 0 means that it is ignored.
         score: true score NC DAC DDC (5 TTC + 5 EP + 2 LK) / 12 of the chosen trajectory.
         regret: the best trajectory's score less that.
+        comfortable: share of chosen trajectories that are comfortable as COM counts it.
         safe: share of chosen trajectories without collision, where a vehicle is in sight.
         safe_blind: the same with the picture in which the vehicle is erased, over twins alone.
         safe_twins: over the same twins, with the true picture.
@@ -48,6 +49,7 @@ class SampleScores:
     gap: float
     score: float
     regret: float
+    comfortable: float
     safe: float
     safe_blind: float
     safe_twins: float
@@ -111,6 +113,7 @@ def evaluate(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWeights) 
         gap=shuffled - loss,
         score=float(got.mean()),
         regret=float((true.max(axis=1) - got).mean()),
+        comfortable=float(task.comfortable.numpy()[chosen].mean()),
         safe=_mean(safe[rows, chosen][in_sight]),
         safe_blind=_mean(safe[rows[with_twin], erased]),
         safe_twins=_mean(safe[rows, chosen][with_twin]),
@@ -129,7 +132,8 @@ def _choose(
         batch = task.gather(part, FIRST_SPEED, np.zeros(len(part), np.bool_), images)
         logits = task.model(batch.images, batch.status, batch.trajectories)
         terms = training_loss(logits, batch.targets, batch.trajectories, batch.demonstration)
-        chosen.append(final_score(logits, weights).argmax(dim=1).numpy())
+        scored = final_score(logits, weights, task.comfortable)
+        chosen.append(scored.argmax(dim=1).numpy())
         losses.append(float(sum_of(terms)) * len(part))
     return np.concatenate(chosen), float(np.sum(losses) / len(indices))
 
@@ -152,7 +156,7 @@ def decision_sheet(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWei
     batch = task.gather(indices, FIRST_SPEED, np.zeros(len(indices), np.bool_))
     logits = task.model(batch.images, batch.status, batch.trajectories)
     task.model.train(was_training)
-    chosen = final_score(logits, weights).argmax(dim=1).tolist()
+    chosen = final_score(logits, weights, task.comfortable).argmax(dim=1).tolist()
     rows = [_row(task.store, i, choice) for i, choice in zip(indices, chosen, strict=True)]
     return np.vstack(rows)
 

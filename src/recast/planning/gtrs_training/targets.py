@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from recast.arrays import Array
 from recast.dynamics import PACIFICA, VehicleParameters, plan_to_poses, track
 from recast.dynamics import state as ego
+from recast.dynamics.comfort import comfortable_plans
 from recast.geometry import se2
 from recast.geometry.boxes import bev_touching
 from recast.planning.gtrs.head import METRICS
@@ -24,7 +25,7 @@ from recast.planning.gtrs.scores import Trajectories
 from recast.planning.map import PlannerMap
 from recast.planning.pdm import LanePath
 from recast.planning.pdm.forecast import box_centres, box_corners, ego_areas
-from recast.planning.pdm.scorer import direction_compliance, is_comfortable
+from recast.planning.pdm.scorer import direction_compliance
 from recast.planning.types import WAYPOINTS
 
 FORESEEN = WAYPOINTS + 9
@@ -98,7 +99,9 @@ def score_vocabulary(
     sideways is always the ego's fault, since the closed loop counts every collision. Progress is
     compared with what the wanted speeds allow, or with the best that gets through in its lane if
     that is less; more is as bad as less, so that braking beats swerving. Lane keeping is NAVSIM's,
-    not more than 0.5 m off for 2 s running, and never more than 1 m off where it was not.
+    not more than 0.5 m off for 2 s running, and never more than 1 m off where it was not. Comfort
+    is that of the trajectory itself, as the metric COM counts it: of two that are as safe, the
+    comfortable one is better.
 
     Areas and lanes are looked up every 0.2 s.
 
@@ -116,10 +119,10 @@ def score_vocabulary(
     drivable = np.where(areas.non_drivable.any(axis=-1), 0.0, 1.0)
     direction = direction_compliance(centres, areas)
     safe, ttc = collisions(states, [_grown(obstacle) for obstacle in obstacles], vehicle)
-    comfort = is_comfortable(states)
-    keeping = _lane_keeping(centres, areas.in_intersection, road.middle)
-    ends = road.middle.project(centres[:, [0, -1]])
-    metres = np.maximum(ends[:, 1] - ends[:, 0], 0.0)
+    comfort = comfortable_plans(vocabulary)
+    begin, ends = road.middle.project(centres[0, 0]), road.middle.project(centres[:, -1])
+    keeping = _lane_keeping(centres, areas.in_intersection, road.middle, begin, ends)
+    metres = np.maximum(ends - begin, 0.0)
     allowed = safe * drivable * direction
     through = float((metres * allowed * keeping).max())
     wanted = min(_wanted_metres(road, state), through if through > _BLOCKED else 0.0)
@@ -156,10 +159,12 @@ def _wanted_metres(road: Road, state: Array) -> float:
     return driven
 
 
-def _lane_keeping(centres: Array, in_intersection: NDArray[np.bool_], middle: LanePath) -> Array:
-    places = middle.project(centres[:, [0, -1]])
+def _lane_keeping(
+    centres: Array, in_intersection: NDArray[np.bool_], middle: LanePath, begin: Array, ends: Array
+) -> Array:
     # The part beside which it all happens: the lookup's cost grows with the path.
-    part = middle.stretch(places.min() - 10.0, places.max() + 10.0, vertices_only=False)
+    first, last = min(begin, ends.min()), max(begin, ends.max())
+    part = middle.stretch(first - 10.0, last + 10.0, vertices_only=False)
     shapely.prepare(part)
     off = shapely.distance(part, shapely.points(centres[..., :2]))
     off = np.where(in_intersection, 0.0, off)

@@ -16,6 +16,7 @@ from torch.nn import functional
 from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.records import Record, validation_error
+from recast.dynamics.comfort import comfortable_plans
 from recast.planning.gtrs import (
     METRICS,
     BackboneConfig,
@@ -111,6 +112,7 @@ class GtrsTask:
         self.modules: Mapping[str, nn.Module] = {"gtrs": model, "reader": reader}
         self._mirror = mirror_index(store.vocabulary)
         self.vocabulary = torch.from_numpy(store.vocabulary)
+        self.comfortable = torch.from_numpy(comfortable_plans(store.vocabulary))
 
     def loss(self, step: int, random: StepRandom) -> StepLoss:
         """Loss of the batch of a step, and its terms."""
@@ -265,9 +267,11 @@ MINI_SCORING = ScoreWeights(
     time_to_collision=10.0,
     progress=7.0,
     lane_keeping=6.0,
+    comfort=2.0,
 )
 """Weights of the final score, chosen on held-out samples of training worlds, as the published
-ones were on a validation set: a small network is less sure, and collisions weigh more."""
+ones were on a validation set: a small network is less sure, and collisions weigh more. Comfort
+decides between trajectories that are about as safe."""
 
 _USUAL = {
     "no_at_fault_collisions": 1.0,

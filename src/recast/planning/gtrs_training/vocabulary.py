@@ -1,6 +1,7 @@
 """A vocabulary of our own: plausible driving, sampled, clustered, and the same in the mirror.
 
-Driving is four seconds of smooth speeds, bends and lane shifts within limits.
+Driving is four seconds of smooth speeds, bends and lane shifts within limits. Most of it is
+comfortable as the metric COM counts it; the rest is for emergencies.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from recast.arrays import Array, Int64Array
 from recast.core.errors import InputError
+from recast.dynamics.comfort import comfortable_plans
 from recast.planning.gtrs.scores import DEMONSTRATED, Trajectories
 from recast.planning.types import WAYPOINTS
 
@@ -22,14 +24,24 @@ _SHARPEST = 0.16
 _BRAKES, _PULLS = -6.0, 2.4
 _BITE = 0.3
 """Seconds in which a full braking builds up."""
+_END_JERK = 7.0
+"""m/s^3 with which sampled drives come to a halt or reach the top speed. COM allows 8.37."""
 _TIMES = _DT * np.arange(WAYPOINTS + 1)
 
 MIN_SIZE = 64
 _SAMPLED = 12_000
-_SIDE_SHARE = 0.41
+_SIDE_SHARE = 0.36
 """Of the vocabulary, entries that lead to the left; as many lead to the right."""
-_BRAKING_FROM = np.arange(1.5, 15.1, 1.5)
-_BRAKING_WITH = (2.5, 4.0, 6.0)
+_FIXED_SHARE = 0.75
+"""Maximum share of the straight entries that are not chosen by k-means."""
+_EMERGENCY_SHARE = 0.15
+"""Of the sampled entries, those that are not comfortable: hard braking and swerving."""
+_STOPS_FROM = np.arange(1.5, 15.1, 1.5)
+_HARD_STOPS = (4.0, 6.0)
+_SMOOTH_STOPS = ((1.5, 0.0), (2.5, 0.0), (2.5, 0.8), (2.5, None), (3.8, 0.0), (3.8, None))
+"""Deceleration, m/s^2, and delay, s; None: the vehicle brakes already."""
+_SLOWED_FROM, _SLOWED_TO = np.arange(3.0, 15.1, 3.0), 0.5
+_SLOW_DOWNS = ((2.0, 0.0), (2.0, None))
 _CRUISING = np.arange(1.0, 15.1, 1.0)
 _ROUNDS = 20
 _MIRROR = np.array([1.0, -1.0, -1.0])
@@ -38,10 +50,10 @@ _MIRROR = np.array([1.0, -1.0, -1.0])
 def make_vocabulary(size: int = 512, seed: int = 0) -> Trajectories:
     """(size, 40, 3) float32 trajectories, see `read_vocabulary`.
 
-    The first one stands still. Then come straight ones, full stops with up to 6 m/s^2 from any
-    speed and constant speeds among them, then those to the left, then their mirror images. All are
-    samples of `sample_driving` (medoids), so each can be driven; k-means over eight poses chooses
-    them.
+    The first one stands still. Then come straight ones: full stops with 4 and 6 m/s^2 for
+    emergencies, smooth stops and slow-downs, constant speeds, and sampled ones. Then come those to
+    the left, then their mirror images. k-means over eight poses chooses from `sample_driving`
+    (medoids, so each can be driven); 85 % of these are comfortable, see `comfortable_plans`.
 
     Raises:
         InputError: a size below 64.
@@ -51,18 +63,26 @@ def make_vocabulary(size: int = 512, seed: int = 0) -> Trajectories:
     rng = np.random.default_rng(seed)
     side = round(_SIDE_SHARE * size)
     fixed = np.concatenate(
-        [*(braking(_BRAKING_FROM, rate) for rate in _BRAKING_WITH), cruising(_CRUISING)]
+        [
+            *(braking(_STOPS_FROM, rate) for rate in _HARD_STOPS),
+            *(smooth_braking(_STOPS_FROM, rate, delay) for rate, delay in _SMOOTH_STOPS),
+            *(
+                smooth_braking(_SLOWED_FROM, rate, delay, _SLOWED_TO * _SLOWED_FROM)
+                for rate, delay in _SLOW_DOWNS
+            ),
+            cruising(_CRUISING),
+        ]
     )
     straight = size - 1 - 2 * side
-    fixed = fixed[:: -(-2 * len(fixed) // straight)]  # at most half of the straight ones
+    fixed = fixed[:: int(np.ceil(len(fixed) / (_FIXED_SHARE * straight)))]
     sampled = sample_driving(_SAMPLED, rng)
     plain = sampled * [1.0, 0.0, 0.0]  # the same speeds, straight on
     # One side is enough: what leads to the right is there as its mirror image.
     leads = sampled[..., 1].sum(axis=1)
     left = np.where(leads[:, None, None] < 0, sampled * _MIRROR, sampled)[leads != 0]
-    ahead = np.concatenate([fixed, _medoids(plain, straight - len(fixed), rng)])
+    ahead = np.concatenate([fixed, _mostly_comfortable(plain, straight - len(fixed), rng)])
     ahead = ahead[np.argsort(ahead[:, -1, 0], kind="stable")]
-    turning = _medoids(left, side, rng)
+    turning = _mostly_comfortable(left, side, rng)
     standing = np.zeros((1, *sampled.shape[1:]))
     # Minus zero is not zero to the last bit.
     vocabulary = np.concatenate([standing, ahead, turning, turning * _MIRROR]) + 0.0
@@ -98,6 +118,19 @@ def _features(trajectories: Array) -> Array:
     x, y, heading = np.moveaxis(trajectories[:, DEMONSTRATED], -1, 0)
     parts = (4.0 * np.arcsinh(x / 8.0), 3.0 * np.arcsinh(y), 4.0 * np.arcsinh(4.0 * heading))
     return np.concatenate(parts, axis=1)
+
+
+def _mostly_comfortable(trajectories: Array, count: int, rng: np.random.Generator) -> Array:
+    """`count` medoids, of which `_EMERGENCY_SHARE` are not comfortable."""
+    # As stored: rounding changes the differences by which comfort is judged.
+    comfortable = comfortable_plans(trajectories.astype(np.float32))
+    emergencies = round(_EMERGENCY_SHARE * count)
+    return np.concatenate(
+        [
+            _medoids(trajectories[comfortable], count - emergencies, rng),
+            _medoids(trajectories[~comfortable], emergencies, rng),
+        ]
+    )
 
 
 def _medoids(trajectories: Array, count: int, rng: np.random.Generator) -> Array:
@@ -166,7 +199,44 @@ def sample_driving(count: int, rng: np.random.Generator) -> Array:
 def braking(speeds: ArrayLike, rate: float) -> Array:
     """(N, 40, 3) straight full stops from speeds (N,) in m/s with a deceleration in m/s^2."""
     wanted = -rate * np.minimum(_TIMES / _BITE, 1.0)
-    return _straight(_integrated(speeds, np.tile(wanted, (np.size(speeds), 1))))
+    return _straight(np.maximum(_integrated(speeds, np.tile(wanted, (np.size(speeds), 1))), 0.0))
+
+
+def smooth_braking(
+    speeds: ArrayLike, rate: float, delay: float | None = 0.0, to: ArrayLike = 0.0
+) -> Array:
+    """(N, 40, 3) straight and comfortable braking from speeds (N,) in m/s.
+
+    The deceleration grows and ends linearly: with 4 m/s^3, or 8 if it is above 2.5 m/s^2.
+
+    Args:
+        rate: maximum deceleration, m/s^2; less where the change of speed is too small for it.
+        delay: seconds at constant speed before; None: it brakes with the maximum already.
+        to: (N,) speed at the end, m/s, if 4 s suffice.
+    """
+    start: Array = np.reshape(np.asarray(speeds, np.float64), (-1, 1))
+    jerk = 4.0 if rate <= 2.5 else 8.0
+    begin: Array
+    change: Array = start - np.reshape(to, (-1, 1))
+    if delay is None:
+        peak = np.minimum(rate, np.sqrt(2 * jerk * change))
+        ramp = peak / jerk
+        change, begin = change + peak * ramp / 2, -ramp  # the first ramp lies in the past
+    else:
+        peak = np.minimum(rate, np.sqrt(jerk * change))
+        ramp, begin = peak / jerk, np.full_like(start, delay)
+    held = change / peak - ramp
+
+    def lost(times: ArrayLike) -> Array:
+        knots = (begin, begin + ramp, begin + ramp + held, begin + 2 * ramp + held)
+        signs = (1.0, -1.0, -1.0, 1.0)
+        t = np.asarray(times, np.float64)
+        parts = [s * np.maximum(t - k, 0.0) ** 2 for s, k in zip(signs, knots, strict=True)]
+        return np.asarray(jerk / 2 * np.sum(parts, axis=0), np.float64)
+
+    # Where the braking has ended, rounding leaves next to nothing of either sign.
+    speed: Array = start + lost(0.0) - lost(_TIMES)
+    return _straight(np.maximum(speed, 0.0))
 
 
 def cruising(speeds: ArrayLike) -> Array:
@@ -193,17 +263,29 @@ def _speeds(count: int, rng: np.random.Generator) -> Array:
     begin, takes = rng.uniform(0.0, 2.0, count), rng.uniform(0.5, 1.5, count)
     u = np.clip((_TIMES - begin[:, None]) / takes[:, None], 0.0, 1.0)
     ramp = u**2 * (3 - 2 * u)
-    return _integrated(start, rates[0][:, None] + (rates[1] - rates[0])[:, None] * ramp)
+    acceleration = rates[0][:, None] + (rates[1] - rates[0])[:, None] * ramp
+    return _within(_integrated(start, acceleration), acceleration)
 
 
 def _integrated(start: ArrayLike, acceleration: Array) -> Array:
-    """Speeds (N, 41) that stay between standing and the top speed."""
-    speed = np.empty(acceleration.shape)
-    speed[:, 0] = start
-    for k in range(WAYPOINTS):
-        mean = (acceleration[:, k] + acceleration[:, k + 1]) / 2
-        speed[:, k + 1] = np.clip(speed[:, k] + _DT * mean, 0.0, _TOP_SPEED)
-    return speed
+    """Speeds (N, 41) from speeds (N,) and accelerations (N, 41)."""
+    means = (acceleration[:, 1:] + acceleration[:, :-1]) / 2
+    gained = np.concatenate([np.zeros((len(means), 1)), np.cumsum(_DT * means, axis=1)], axis=1)
+    return np.reshape(start, (-1, 1)) + gained
+
+
+def _within(speed: Array, acceleration: Array) -> Array:
+    """Speeds (N, 41) bent smoothly so that they stay between standing and the top speed."""
+    pull, brake = acceleration.max(axis=1), -acceleration.min(axis=1)
+    bent = _TOP_SPEED - _above_zero(_TOP_SPEED - speed, np.maximum(pull, 0.0))
+    return _above_zero(bent, np.maximum(brake, 0.0))
+
+
+def _above_zero(speed: Array, rate: Array) -> Array:
+    """A parabola joins speeds (N, 41) that fall at a rate (N,) and zero, with `_END_JERK`."""
+    width = np.maximum(rate**2 / (2 * _END_JERK), 1e-9)[:, None]
+    joined = np.clip(speed + width, 0.0, None) ** 2 / (4 * width)
+    return np.where(speed < width, joined, speed)
 
 
 def _path_lengths(speed: Array) -> Array:
