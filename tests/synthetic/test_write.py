@@ -202,6 +202,19 @@ def test_same_seed_same_bytes_whatever_the_number_of_workers(
     assert seen == [(i, 4 * FRAMES) for i in range(1, 4 * FRAMES + 1)]
 
 
+def test_a_log_of_every_third_moment_keeps_all_labels(small: World, tmp_path: Path) -> None:
+    out = tmp_path / "log"
+    synthesize_log(small, out, width=32, height=16, cameras=("front",), workers=1, every=3)
+    log = read_log(out)
+    times = small.ego.timestamps_us[:-1]
+    np.testing.assert_array_equal(log.cameras["front"].timestamps_us, times[::3])
+    assert len(log.lidars[LIDAR].sweeps) == len(times[::3])
+    labels = log.tracks[small.target].trajectory.timestamps_us
+    assert len(labels) > len(times[::3])
+    with pytest.raises(InputError, match="every"):
+        synthesize_log(small, tmp_path / "none", every=0)
+
+
 def test_noise_moves_labels_and_nothing_else(small: World, tmp_path: Path) -> None:
     synthesize_log(
         small, tmp_path / "log", width=32, height=16, cameras=("front",), workers=1, label_noise=0.1

@@ -43,21 +43,47 @@ class Dataset:
     seed: Annotated[int, shared.SEED] = 0
     per_world: int = 32
     """Number of samples of each world."""
+    reconstructed: float = 0.0
+    """Share of the worlds that are shown by a reconstructed street instead of the oracle, with the
+    target as reconstructed, replaced, and replaced and refined (0 to 1)."""
+    street_steps: int = 1000
+    """Number of training steps of each reconstructed street."""
+    store: Annotated[
+        str | None, shared.option(shared.STORE_HELP, "store/ beside the folder of the samples")
+    ] = None
     workers: Annotated[int, shared.WORKERS] = 1
 
     def __call__(self) -> None:
+        from pydantic import ValidationError
+
         from recast.core.progress import ProgressBar
+        from recast.core.records import validation_error
         from recast.pipeline.gtrs_data.dataset import make_dataset
         from recast.planning.gtrs import read_vocabulary
         from recast.planning.gtrs_training.samples import DatasetRecord
         from recast.synthetic import SCENES
 
         console = console_for(False)
-        record = DatasetRecord(seed=self.seed, per_world=self.per_world, scenes=SCENES)
+        try:
+            record = DatasetRecord(
+                seed=self.seed,
+                per_world=self.per_world,
+                scenes=SCENES,
+                reconstructed=self.reconstructed,
+                street_steps=self.street_steps,
+            )
+        except ValidationError as error:
+            raise validation_error("options", error, "give a value in range") from None
         vocabulary = read_vocabulary(self.vocabulary)
         with ProgressBar("samples", console) as progress:
             made = make_dataset(
-                self.out, self.samples, record, vocabulary, workers=self.workers, progress=progress
+                self.out,
+                self.samples,
+                record,
+                vocabulary,
+                store=self.store,
+                workers=self.workers,
+                progress=progress,
             )
         console.print(f"wrote {self.out}: {made} samples", markup=False)
 
@@ -111,6 +137,8 @@ class Train:
     steps: Annotated[
         int | None, shared.option("Number of optimiser steps.", "the shipped planner's")
     ] = None
+    oracle_only: bool = False
+    """Leave out the samples that show a reconstruction."""
     threads: int = 1
     """Number of CPU threads; the result depends on it in the last digits."""
 
@@ -122,7 +150,7 @@ class Train:
 
         torch.set_num_threads(self.threads)
         console = console_for(False)
-        config = chosen_training(self.config, self.seed, self.steps)
+        config = chosen_training(self.config, self.seed, self.steps, self.oracle_only)
         reached = train_planner(self.dataset, self.out, config, console, self.start)
         for name, value in reached.means().items():
             console.print(f"{name}: {value:.4g}", highlight=False)

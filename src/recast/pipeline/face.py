@@ -26,7 +26,7 @@ from recast.pipeline.actor import ActorMakers
 from recast.pipeline.arms import OWN_STREET
 from recast.pipeline.bench import resolve_bench, run_closed_loop
 from recast.pipeline.bench.results import GridResults
-from recast.pipeline.layout import ACTOR_FOLDER
+from recast.pipeline.layout import ACTOR_FOLDER, STORE_FOLDER
 from recast.pipeline.making import (
     Maker,
     VehicleParts,
@@ -36,7 +36,6 @@ from recast.pipeline.making import (
     train_street,
 )
 from recast.pipeline.report import report_rollout, report_run
-from recast.pipeline.run import STORE_FOLDER
 from recast.pipeline.sources import SourceLog, generator_source, segmenter_source
 from recast.scene import (
     Preset,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+STORE_FOLDER = "store"
+"""Name of the store beside the run folders, where no other is named."""
+LOG_FOLDER = "log"
 OBSERVATION_FOLDER = "observation"
 EVIDENCE_FILE = "observation/evidence.safetensors"
 ACTOR_FOLDER = "actor"

@@ -26,11 +26,12 @@ from recast.pipeline.actor import (
     refine_actor,
 )
 from recast.pipeline.display import SamplingProgress, print_actor
-from recast.pipeline.layout import ACTOR_FOLDER, TURNTABLE_FILE
+from recast.pipeline.layout import ACTOR_FOLDER, LOG_FOLDER, TURNTABLE_FILE
 from recast.pipeline.scene import evaluation_table, train_with_display
-from recast.pipeline.sources import RECIPES, SourceLog
+from recast.pipeline.sources import RECIPES, SourceLog, drive_log
 from recast.scene import SceneConfig, evaluate_scene, load_scene
 from recast.scene.run import FREE_FIELDS
+from recast.synthetic import World, world_metadata
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,38 @@ class Maker:
 
     def _say(self, text: str) -> None:
         self.console.print(printable(text), highlight=False)
+
+
+def drive_world(
+    maker: Maker,
+    world: World,
+    image_size: tuple[int, int],
+    cameras: tuple[str, ...],
+    name: str,
+    every: int = 1,
+) -> Artefact:
+    """The log of a synthetic world.
+
+    Args:
+        image_size: width and height of its images, pixels.
+        cameras: that are recorded; none named: all of the rig.
+        every: see `synthesize_log`.
+    """
+    inputs = {
+        "world": world_metadata(world),
+        "image_size": list(image_size),
+        "cameras": list(cameras),
+        "recipe": RECIPES["log"],
+        **({} if every == 1 else {"every": every}),
+    }
+    quiet = Console(quiet=True)
+    return maker.make(
+        f"log {name}",
+        "logs",
+        inputs,
+        lambda out: drive_log(world, out / LOG_FOLDER, image_size, cameras, 1, quiet, every),
+        name,
+    )
 
 
 def train_street(maker: Maker, source: SourceLog, config: SceneConfig, name: str) -> Artefact:

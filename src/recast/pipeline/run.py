@@ -20,7 +20,13 @@ from recast.pipeline.arms import Arm, default_arms, truth_of
 from recast.pipeline.artefacts import Artefacts
 from recast.pipeline.config import RunConfig
 from recast.pipeline.display import failure_lines, results_tables
-from recast.pipeline.layout import METRICS_FILE, REPLAY_FILE, REPORT_FOLDER
+from recast.pipeline.layout import (
+    LOG_FOLDER,
+    METRICS_FILE,
+    REPLAY_FILE,
+    REPORT_FOLDER,
+    STORE_FOLDER,
+)
 from recast.pipeline.report import report_run
 from recast.pipeline.rollouts import announce_planner, require_distinct_planners
 from recast.pipeline.run_folder import RunFolder
@@ -37,8 +43,6 @@ from recast.viewer import require_viser, write_replay
 
 REPLAY_MB = 10.0
 """Size of a run's replay at most, in 1e6 bytes; the report takes a copy, and is passed on whole."""
-STORE_FOLDER = "store"
-"""Name of the store beside the run folders, where no other is named."""
 
 
 def run(
@@ -175,7 +179,6 @@ def _hash_of(recipe: str, used: Iterable[Artefact]) -> str:
     return value_hash({"artefacts": references, "recipe": RECIPES[recipe]})
 
 
-LOG_FOLDER = "log"
 RUN_FOLDER = "run"
 
 

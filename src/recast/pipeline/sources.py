@@ -107,11 +107,13 @@ def drive_log(
     cameras: tuple[str, ...],
     workers: int,
     console: Console,
+    every: int = 1,
 ) -> Path:
     """The log of `world` at `path`, its images of width and height pixels.
 
     Args:
         cameras: that are recorded; none named: all of the rig.
+        every: see `synthesize_log`.
 
     Raises:
         InputError: another log lies there, or see `synthesize_log`.
@@ -123,7 +125,7 @@ def drive_log(
         console.print("  finished before")
         return path
     width, height = image_size
-    with ProgressBar("images", console, round(world.seconds * 10) * len(names)) as progress:
+    with ProgressBar("images", console, round(world.seconds * 10 / every) * len(names)) as progress:
         synthesize_log(
             world,
             path,
@@ -131,6 +133,7 @@ def drive_log(
             height=height,
             cameras=names,
             workers=workers,
+            every=every,
             progress=progress,
         )
     return path

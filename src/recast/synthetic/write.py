@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from recast.core import files
-from recast.core.errors import InputError
+from recast.core.errors import InputError, require_range
 from recast.core.progress import Progress
 from recast.geometry import se3
 from recast.logs import (
@@ -182,6 +182,7 @@ def synthesize_log(
     workers: int = 0,
     truth: bool = False,
     label_noise: float = 0.0,
+    every: int = 1,
     progress: Progress | None = None,
 ) -> None:
     """Write what the rig sees of `world` to the new log folder `out`.
@@ -197,32 +198,35 @@ def synthesize_log(
         workers: processes; 0 for one for each core.
         truth: also write exact depth and instance masks, see `recast.synthetic.rig`.
         label_noise: metres, standard deviation of the boxes, see `with_label_noise`.
+        every: measure at every n-th of these moments only; labels stay at ten a second.
 
     Raises:
-        InputError: an impossible size, an unknown camera, negative noise or workers; `out` exists;
-            embreex is missing; the disk is full.
+        InputError: an impossible size or n, an unknown camera, negative noise or workers; `out`
+            exists; embreex is missing; the disk is full.
     """
     check_request(out, width, height, label_noise, cameras, world.light)
+    require_range(1, every=every)
     rig = make_rig(width, height, cameras)
     with OraclePool(world, workers) as pool, files.atomic_folder(out) as folder:
         spool, truth_folder = folder / "spool", folder / TRUTH_FOLDER if truth else None
         for sensor in (*rig.cameras, LIDAR):
             (spool / sensor).mkdir(parents=True)
-        jobs = list(_measurements(world, rig, spool, truth_folder))
+        times = moments(world)[::every]
+        jobs = list(_measurements(times, rig, spool, truth_folder))
         seen: set[int] = set()
         for done, met in enumerate(pool.map(measure, jobs), 1):
             seen.update(met)
             if progress is not None:
                 progress(done, len(jobs))
         pool.close()
-        log = _log(world, rig, spool, _tracks(world, seen, label_noise))
+        log = _log(world, rig, spool, times, _tracks(world, seen, label_noise))
         write_log(log, folder / "log")
         shutil.rmtree(spool)
         for entry in sorted((folder / "log").iterdir()):
             entry.replace(folder / entry.name)
         (folder / "log").rmdir()
         if truth_folder is not None:
-            frames = dict.fromkeys(rig.cameras, len(moments(world)))
+            frames = dict.fromkeys(rig.cameras, len(times))
             names = {number: track_id for track_id, number in instances(world).items()}
             write_truth_record(truth_folder, TruthRecord(frames=frames, instances=names))
 
@@ -254,8 +258,10 @@ def moments(world: World) -> NDArray[np.int64]:
     return world.ego.timestamps_us[:-1]
 
 
-def _measurements(world: World, rig: Rig, spool: Path, truth: Path | None) -> Iterator[Measurement]:
-    for frame, timestamp in enumerate(moments(world).tolist()):
+def _measurements(
+    times: NDArray[np.int64], rig: Rig, spool: Path, truth: Path | None
+) -> Iterator[Measurement]:
+    for frame, timestamp in enumerate(times.tolist()):
         for sensor in (*rig.cameras, LIDAR):
             yield Measurement(sensor, frame, timestamp, rig, spool, truth)
 
@@ -270,8 +276,9 @@ def _tracks(world: World, seen: set[int], label_noise: float) -> dict[str, Track
     return with_label_noise(tracks, label_noise, world.seed)
 
 
-def _log(world: World, rig: Rig, spool: Path, tracks: dict[str, Track]) -> DrivingLog:
-    times = moments(world)
+def _log(
+    world: World, rig: Rig, spool: Path, times: NDArray[np.int64], tracks: dict[str, Track]
+) -> DrivingLog:
     cameras = {
         name: CameraStream(
             name=name,

@@ -13,10 +13,17 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.dynamics import PACIFICA
+from recast.pipeline.gtrs_data import reconstruction
 from recast.pipeline.gtrs_data.dataset import FIRST_SEED, make_dataset
+from recast.pipeline.gtrs_data.reconstruction import RECONSTRUCTED
 from recast.pipeline.gtrs_data.situation import draw_situation
 from recast.pipeline.gtrs_data.stage import Stage, make_stage, place_actor
-from recast.planning.gtrs_training.samples import DatasetRecord, SampleStore, world_folder
+from recast.planning.gtrs_training.samples import (
+    RENDERERS,
+    DatasetRecord,
+    SampleStore,
+    world_folder,
+)
 from recast.planning.gtrs_training.targets import touched
 from recast.planning.gtrs_training.vocabulary import make_vocabulary
 
@@ -73,6 +80,8 @@ def test_a_dataset_of_one_world(tmp_path: Path) -> None:
     assert store.image(0).std() > 10
     assert store.scores.shape == (2, 1, 6, 64)
     assert store.status.shape == (2, 1, 8)
+    assert not store.renderer.any()  # the oracle's
+    assert not (tmp_path / "store").exists()
     written = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
     assert make_dataset(out, 2, RECORD, vocabulary) == 2
     assert all(path.stat().st_mtime_ns == then for path, then in written.items())
@@ -80,6 +89,43 @@ def test_a_dataset_of_one_world(tmp_path: Path) -> None:
         make_dataset(out, 1, RECORD.model_copy(update={"seed": 1}), vocabulary)
     with pytest.raises(InputError, match="another one"):
         make_dataset(out, 1, RECORD, make_vocabulary(64, seed=1))
+
+
+@pytest.mark.slow
+def test_a_reconstructed_world_shows_its_target_in_three_ways(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And what the store holds gives the same bytes again."""
+    monkeypatch.setattr(reconstruction, "_EVERY", 10)
+    monkeypatch.setattr(reconstruction, "DEFAULT_GENERATOR", "template")
+    record = DatasetRecord(
+        per_world=6,
+        speeds=1,
+        seconds=14.0,
+        scenes=("roundabout-approach",),
+        reconstructed=1.0,
+        street_steps=30,
+    )
+    out, again, vocabulary = tmp_path / "data", tmp_path / "again", make_vocabulary(64)
+    make_dataset(out, 1, record, vocabulary)
+    made = sorted(path.name for path in (tmp_path / "store").iterdir())
+    assert {"actors", "logs", "scenes"} <= set(made)
+    store = SampleStore(out)
+    names = [RENDERERS[index] for index in store.renderer]
+    assert names == [RECONSTRUCTED[index // 2] for index in range(6)]
+    assert (store.clues[:, 0] > 0).any()
+    assert all(store.image(index).std() > 10 for index in range(6))
+    twins = np.flatnonzero(store.twin >= 0)
+    np.testing.assert_array_equal(store.renderer[twins], store.renderer[store.twin[twins]])
+
+    def making(*_: object, **__: object) -> None:
+        raise AssertionError("is in the store already")
+
+    for name in ("drive_log", "train_with_display", "make_actor", "refine_actor"):
+        monkeypatch.setattr(f"recast.pipeline.making.{name}", making)
+    make_dataset(again, 1, record, vocabulary)
+    for path in sorted(path for path in out.rglob("*.*") if path.is_file()):
+        assert (again / path.relative_to(out)).read_bytes() == path.read_bytes()
 
 
 @pytest.mark.slow

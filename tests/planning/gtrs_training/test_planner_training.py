@@ -1,3 +1,4 @@
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,13 @@ from recast.core.files import write_json
 from recast.planning import make_planner
 from recast.planning.gtrs import BackboneConfig, GtrsConfig, StageConfig
 from recast.planning.gtrs_training.evaluate import truth_sheet
-from recast.planning.gtrs_training.samples import SampleStore
+from recast.planning.gtrs_training.samples import (
+    HELD_OUT_EVERY,
+    RENDERERS,
+    DatasetRecord,
+    SampleStore,
+    world_folder,
+)
 from recast.planning.gtrs_training.task import (
     HALF_VIEWS,
     MINI,
@@ -76,6 +83,32 @@ def test_a_killed_training_ends_in_the_same_bytes(small_dataset: Path, tmp_path:
     }
     for name, value in half.items():
         torch.testing.assert_close(loaded.model.state_dict()[name], value, rtol=0, atol=0)
+
+
+def test_reconstructed_samples_can_be_left_out(small_dataset: Path, tmp_path: Path) -> None:
+    """Then all is as if their worlds were not there."""
+    mixed, traced = tmp_path / "mixed", tmp_path / "traced"
+    for folder in (mixed, traced):
+        shutil.copytree(small_dataset, folder)
+    for number in (2, 5):
+        samples = np.load(world_folder(mixed, number) / "samples.npz")
+        shown = np.full(2, RENDERERS.index("replaced"), np.uint8)
+        path = world_folder(mixed, number) / "samples.npz"
+        np.savez(path, allow_pickle=False, **{**samples, "renderer": shown})
+        shutil.rmtree(world_folder(traced, number))
+    states = {}
+    for name, folder, oracle_only in (
+        ("alone", traced, True),
+        ("left out", mixed, True),
+        ("all", mixed, False),
+    ):
+        out = tmp_path / name
+        train_planner(folder, out, config(3, oracle_only=oracle_only), QUIET)
+        states[name] = (out / STATE_FILE).read_bytes()
+    assert states["left out"] == states["alone"]
+    assert states["all"] != states["alone"]
+    with pytest.raises(InputError, match="samples"):  # a training is of one kind
+        train_planner(mixed, tmp_path / "all", config(3, oracle_only=True), QUIET)
 
 
 def test_another_training_in_the_same_folder_is_refused(
@@ -170,6 +203,19 @@ def test_half_size_views_are_the_loop_s_averaged_two_by_two() -> None:
     }
     large = {name: image.repeat(2, axis=0).repeat(2, axis=1) for name, image in small.items()}
     np.testing.assert_array_equal(MINI_VIEWS.stitch(large), HALF_VIEWS.stitch(small))
+
+
+@pytest.mark.parametrize("share", [0.2, 0.25, 0.5])
+def test_the_same_share_of_every_scene_and_of_the_held_out_is_reconstructed(share: float) -> None:
+    record = DatasetRecord(scenes=tuple("abcdefghi"), reconstructed=share)
+    numbers = np.arange(360)
+    chosen = np.array([record.is_reconstructed(number) for number in numbers])
+    np.testing.assert_allclose(np.bincount(numbers[chosen] % 9), 40 * share, atol=2)
+    held_out = numbers % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
+    assert abs(chosen[held_out].sum() - 36 * share) <= 2
+    for all_or_none in (False, True):
+        record = DatasetRecord(scenes=("a",), reconstructed=float(all_or_none))
+        assert [record.is_reconstructed(number) for number in range(5)] == [all_or_none] * 5
 
 
 def test_the_store_knows_twins_and_holds_out_whole_worlds(small_dataset: Path) -> None:

@@ -15,14 +15,13 @@ from recast.evaluation.pairs import script_difference
 from recast.pipeline.artefacts import Artefacts
 from recast.pipeline.bench.grid import BenchScene, BenchSettings
 from recast.pipeline.config import RunConfig
-from recast.pipeline.layout import rollout_name
-from recast.pipeline.making import copy_folder
+from recast.pipeline.layout import LOG_FOLDER, rollout_name
+from recast.pipeline.making import Maker, copy_folder, drive_world
 from recast.pipeline.rollouts import read_rollout
-from recast.pipeline.sources import RECIPES, SourceLog, Sources, drive_log
+from recast.pipeline.sources import SourceLog, Sources
 from recast.simulation import Rollout
-from recast.synthetic import World, make_world, world_metadata
+from recast.synthetic import make_world
 
-LOG_FOLDER = "log"
 OTHER_SCRIPT = "OtherScript"
 """Error of a row whose actor, route or start is not that of the other arms."""
 
@@ -43,24 +42,8 @@ def log_artefact(store: Store, scene: BenchScene, settings: BenchSettings) -> Ar
     assert scene.world is not None and scene.seed is not None
     size, cameras = settings.drive, settings.run.scene.cameras
     world = make_world(scene.world, scene.seed, size.seconds)
-    inputs = {
-        "world": world_metadata(world),
-        "image_size": [size.width, size.height],
-        "cameras": list(cameras),
-        "recipe": RECIPES["log"],
-    }
-    return store.make(
-        "logs",
-        inputs,
-        lambda out: _drive(world, out / LOG_FOLDER, settings),
-        name=scene.id,
-    )
-
-
-def _drive(world: World, path: Path, settings: BenchSettings) -> None:
-    size = settings.drive
-    image_size, cameras = (size.width, size.height), settings.run.scene.cameras
-    drive_log(world, path, image_size, cameras, 1, Console(quiet=True))
+    maker = Maker(store, Console(quiet=True))
+    return drive_world(maker, world, (size.width, size.height), cameras, scene.id)
 
 
 def open_scene(

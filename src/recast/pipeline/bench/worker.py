@@ -22,8 +22,8 @@ from recast.pipeline.bench.scene_run import (
     Task,
     log_artefact,
 )
+from recast.pipeline.layout import STORE_FOLDER
 from recast.pipeline.rollouts import is_failure
-from recast.pipeline.run import STORE_FOLDER
 from recast.pipeline.sources import Sources
 from recast.simulation import Timings, error_fields
 

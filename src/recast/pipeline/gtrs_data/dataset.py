@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.arrays import Image
+from recast.core import Store, open_store
 from recast.core.errors import InputError, require_range
 from recast.core.files import alone_in, write_json
 from recast.core.progress import Progress
@@ -18,15 +19,25 @@ from recast.core.ray_cluster import worker_pool
 from recast.core.records import read_record
 from recast.dynamics import state as ego
 from recast.geometry import se2
+from recast.pipeline.gtrs_data.reconstruction import (
+    RECONSTRUCTED,
+    Painter,
+    Reconstruction,
+    reconstruct,
+    traced,
+)
 from recast.pipeline.gtrs_data.situation import Situation, draw_situation
 from recast.pipeline.gtrs_data.stage import Stage, make_stage
+from recast.pipeline.layout import STORE_FOLDER
 from recast.planning.gtrs.scores import Trajectories, read_vocabulary, write_vocabulary
 from recast.planning.gtrs_training.samples import (
     CLUES,
     MEND,
     RECORD_FILE,
+    VERSION,
     VOCABULARY_FILE,
     DatasetRecord,
+    Renderer,
     Sample,
     world_folder,
     write_world,
@@ -35,8 +46,9 @@ from recast.planning.gtrs_training.targets import score_vocabulary
 from recast.planning.gtrs_training.task import HALF_VIEWS
 from recast.planning.gtrs_training.vocabulary import mirror_index
 from recast.planning.types import ego_status
+from recast.synthetic import make_world
 from recast.synthetic.oracle import Oracle
-from recast.synthetic.rig import exposure, make_rig
+from recast.synthetic.rig import make_rig
 
 _LOOK_AHEAD = (10.0, 20.0, 30.0)
 """Metres at which the route's offset is told as a clue."""
@@ -56,12 +68,17 @@ def make_dataset(
     record: DatasetRecord,
     vocabulary: Trajectories,
     *,
+    store: str | Path | None = None,
     workers: int = 1,
     progress: Progress | None = None,
 ) -> int:
     """Make at least `count` samples; worlds that are there already are kept.
 
     The files are the same for any number of workers and of interruptions.
+
+    Args:
+        store: folder or address of the logs, streets and vehicles of reconstructed worlds; `store/`
+            beside `out` if None.
 
     Returns:
         How many samples there are: whole worlds.
@@ -88,25 +105,32 @@ def make_dataset(
     report()
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the processes, whose numpy loads later
     pool = worker_pool(min(workers, len(left)) or 1)
+    place = str(out.absolute().parent / STORE_FOLDER if store is None else store)
     with alone_in(out):
-        for _ in pool(_start, (out, record), lambda: next(numbers, None), "finished worlds"):
+        for _ in pool(_start, (out, record, place), lambda: next(numbers, None), "finished worlds"):
             done += 1
             report()
     return worlds * record.per_world
 
 
-def _start(worker: int, out: Path, record: DatasetRecord) -> Callable[[int], None]:
+def _start(worker: int, out: Path, record: DatasetRecord, store: str) -> Callable[[int], None]:
     del worker  # makes no difference
-    return partial(make_world_samples, out, record=record)
+    return partial(make_world_samples, out, record=record, store=open_store(store))
 
 
-def make_world_samples(out: Path, number: int, record: DatasetRecord) -> None:
-    """Make the samples of one world; they depend on the record, the vocabulary and the number."""
-    scene = record.scenes[number % len(record.scenes)]
+def make_world_samples(out: Path, number: int, record: DatasetRecord, store: Store) -> None:
+    """Make the samples of one world; they depend on the record, the vocabulary and the number.
+
+    A world whose log shows too little of its target is rendered by the oracle, too.
+    """
+    scene = record.scene_of(number)
     seed = FIRST_SEED + _WORLDS_PER_SEED * record.seed + number
-    stage = make_stage(scene, seed, record.seconds)
     vocabulary = read_vocabulary(out / VOCABULARY_FILE)
-    oracle = Oracle(stage.world)
+    shown = None
+    if record.is_reconstructed(number):
+        shown = reconstruct(make_world(scene, seed, record.seconds), store, record.street_steps)
+    stage = make_stage(scene, seed, record.seconds) if shown is None else shown.stage
+    oracle = Oracle(stage.world) if shown is None else None
     samples: list[Sample] = []
     twins: list[int] = []
     before: Situation | None = None
@@ -114,13 +138,25 @@ def make_world_samples(out: Path, number: int, record: DatasetRecord) -> None:
         index = len(samples)
         rng = np.random.default_rng([seed, record.seed, index])
         situation, twin = _next(stage, before, index, record.speeds, rng)
-        image = render(oracle, stage, situation, rng)
-        samples.append(describe(stage, situation, image, vocabulary))
+        renderer, paint = _painter(shown, oracle, number + index // 2, rng)
+        image = render(paint, stage, situation)
+        samples.append(describe(stage, situation, image, renderer, vocabulary))
         twins.append(index - 1 if twin else -1)
         if twin:
             twins[index - 1] = index
         before = situation
     write_world(world_folder(out, number), samples, twins)
+
+
+def _painter(
+    shown: Reconstruction | None, oracle: Oracle | None, turn: int, rng: np.random.Generator
+) -> tuple[Renderer, Painter]:
+    """What renders a sample; the variants of a reconstruction take turns."""
+    if shown is None:
+        assert oracle is not None
+        return "oracle", traced(oracle, rng)
+    renderer = RECONSTRUCTED[turn % len(RECONSTRUCTED)]
+    return renderer, shown.painter(renderer)
 
 
 def _next(
@@ -147,7 +183,7 @@ def _next(
 def _open(out: Path, record: DatasetRecord, vocabulary: Trajectories) -> None:
     path = out / RECORD_FILE
     if path.exists():
-        if read_record(path, DatasetRecord, 1, MEND, record.format) != record:
+        if read_record(path, DatasetRecord, VERSION, MEND, record.format) != record:
             raise InputError(path, "settings", "differ from those asked for", MEND)
         if not np.array_equal(read_vocabulary(out / VOCABULARY_FILE), vocabulary):
             raise InputError(out / VOCABULARY_FILE, "vocabulary", "is another one", MEND)
@@ -159,7 +195,7 @@ def _open(out: Path, record: DatasetRecord, vocabulary: Trajectories) -> None:
     write_json(path, record.model_dump(mode="json"))  # last: where it is, the vocabulary is
 
 
-def render(oracle: Oracle, stage: Stage, situation: Situation, rng: np.random.Generator) -> Image:
+def render(paint: Painter, stage: Stage, situation: Situation) -> Image:
     """(128, 512, 3) uint8: the three views cropped and stitched; only what is kept is rendered."""
     poses = (
         {}
@@ -182,18 +218,17 @@ def render(oracle: Oracle, stage: Stage, situation: Situation, rng: np.random.Ge
             layout.width - 2 * margin,
             layout.height - 2 * layout.crop_rows,
         )
-        frame = oracle.render(
-            camera,
-            world_from_rig @ mounted.rig_from_camera,
-            poses,
-            exposure=exposure(stage.world.seed, name),
-            rng=rng,
-        )
-        parts.append(frame.rgb)
+        parts.append(paint(name, camera, world_from_rig @ mounted.rig_from_camera, poses))
     return np.concatenate(parts, axis=1)
 
 
-def describe(stage: Stage, situation: Situation, image: Image, vocabulary: Trajectories) -> Sample:
+def describe(
+    stage: Stage,
+    situation: Situation,
+    image: Image,
+    renderer: Renderer,
+    vocabulary: Trajectories,
+) -> Sample:
     """The sample of a situation and its picture."""
     targets = [
         score_vocabulary(vocabulary, state, stage.road, situation.obstacles)
@@ -205,6 +240,7 @@ def describe(stage: Stage, situation: Situation, image: Image, vocabulary: Traje
         scores=np.stack([found.scores for found in targets]),
         best=np.array([found.best for found in targets], np.int32),
         clues=_clues(stage, situation),
+        renderer=renderer,
     )
 
 

@@ -46,7 +46,7 @@ class Stage:
     """A world to draw situations from.
 
     Attributes:
-        world: with further vehicles, which stand nowhere until they are placed.
+        world: with vehicles that stand nowhere until they are placed.
         actors: ids of the vehicles to be placed.
     """
 
@@ -78,7 +78,7 @@ class Stage:
 
 
 def make_stage(scene: str, seed: int, seconds: float = SECONDS) -> Stage:
-    """The stage of a scene's name and a seed; always the same.
+    """The stage of a scene's name and a seed, with vehicles of its own; always the same.
 
     Raises:
         InputError: no such scene.
@@ -88,7 +88,11 @@ def make_stage(scene: str, seed: int, seconds: float = SECONDS) -> Stage:
     actors = {f"actor-{i}": sample_vehicle(rng) for i in range(_ACTORS)}
     anywhere = world.vehicles[world.target].trajectory
     added = {key: Vehicle(key, model, anywhere, False) for key, model in actors.items()}
-    world = replace(world, vehicles={**world.vehicles, **added})
+    return stage_of(replace(world, vehicles={**world.vehicles, **added}), tuple(actors))
+
+
+def stage_of(world: World, actors: tuple[str, ...]) -> Stage:
+    """The stage of a world, of whose vehicles some are placed."""
     log = DrivingLog(world.name, {}, {}, world.ego, {}, map=world.street.map)
     route = ReferenceRoute.from_trajectory(world.ego)
     lanes = planner_map(world.street.map)
@@ -100,7 +104,7 @@ def make_stage(scene: str, seed: int, seconds: float = SECONDS) -> Stage:
         speeds=np.maximum(route.logged_speed(places), _SLOWEST),
     )
     surface = RoadSurface.from_log(world.ego, route, world.street.map.ground)
-    return Stage(world, log, route, surface, road, tuple(actors))
+    return Stage(world, log, route, surface, road, actors)
 
 
 @dataclass(frozen=True)

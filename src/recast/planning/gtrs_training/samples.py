@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import cv2
 import numpy as np
@@ -23,6 +23,8 @@ from recast.core.records import Record, read_record
 from recast.planning.gtrs.scores import Trajectories, read_vocabulary
 
 RECORD_FILE, VOCABULARY_FILE = "dataset.json", "vocabulary.npy"
+VERSION: Literal[2] = 2
+"""Of the format; version 1 did not say what rendered an image."""
 MEND = "name another folder, or make the samples again"
 CLUES = (
     "present",
@@ -42,8 +44,15 @@ against it; how far to the left the route is 10, 20 and 30 m on. Metres and radi
 HELD_OUT_EVERY = 10
 """Worlds; nine scenes take turns, so each is held out in turn."""
 
+Renderer = Literal["oracle", "native", "replaced", "refined"]
+RENDERERS: tuple[Renderer, ...] = get_args(Renderer)
+"""What an image shows: the truth; or a reconstructed street with the target as reconstructed, with
+a generated vehicle in its place, or with that vehicle refined."""
+
+_GOLDEN = (5**0.5 - 1) / 2
 _IMAGES, _REST = "images.npy", "samples.npz"
-_MEMBERS = ("status", "scores", "best", "clues", "twin")
+_OF_SAMPLE = ("status", "scores", "best", "clues")
+_MEMBERS = (*_OF_SAMPLE, "renderer", "twin")
 
 _CLEAN = 0.15
 _MIRRORED_CLUES = np.array([-1.0 if name not in ("present", "x", "cos") else 1.0 for name in CLUES])
@@ -58,15 +67,31 @@ class DatasetRecord(Record):
         speeds: ego states of each sample.
         seconds: of each world's drive.
         scenes: by which worlds take turns.
+        reconstructed: share of the worlds whose images are those of a reconstructed street.
+        street_steps: training steps of each of these streets.
     """
 
     format: Literal["recast-planner-dataset"] = "recast-planner-dataset"
-    version: Literal[1] = 1
+    version: Literal[2] = VERSION
     seed: int = Field(default=0, ge=0)
     per_world: int = Field(default=32, ge=2)
     speeds: int = Field(default=3, ge=1)
     seconds: float = Field(default=16.0, ge=14.0, le=20.0)
     scenes: tuple[str, ...] = Field(min_length=1)
+    reconstructed: float = Field(default=0.0, ge=0.0, le=1.0)
+    street_steps: int = Field(default=1000, ge=1)
+
+    def scene_of(self, number: int) -> str:
+        """The scene of a world."""
+        return self.scenes[number % len(self.scenes)]
+
+    def is_reconstructed(self, number: int) -> bool:
+        """Whether the images of a world show a reconstruction.
+
+        Multiples of the golden ratio are spread evenly, as are those of every n-th world: each
+        scene, and the held-out worlds, get about the same share.
+        """
+        return (number * _GOLDEN) % 1.0 < self.reconstructed
 
 
 @dataclass(frozen=True)
@@ -79,6 +104,7 @@ class Sample:
         scores: (K, 6, L) uint8, see `Targets`.
         best: (K,) int32, the best trajectory.
         clues: (10,) float32, see `CLUES`.
+        renderer: of the image, see `RENDERERS`.
     """
 
     image: NDArray[np.uint8]
@@ -86,6 +112,7 @@ class Sample:
     scores: NDArray[np.uint8]
     best: NDArray[np.int32]
     clues: NDArray[np.float32]
+    renderer: Renderer = "oracle"
 
 
 def world_folder(folder: Path, number: int) -> Path:
@@ -101,7 +128,8 @@ def write_world(folder: Path, samples: Sequence[Sample], twins: Sequence[int]) -
     """
     with atomic_folder(folder) as partial:
         np.save(partial / _IMAGES, np.stack([one.image for one in samples]))
-        arrays = {name: np.stack([getattr(one, name) for one in samples]) for name in _MEMBERS[:-1]}
+        arrays = {name: np.stack([getattr(one, name) for one in samples]) for name in _OF_SAMPLE}
+        arrays["renderer"] = np.array([RENDERERS.index(one.renderer) for one in samples], np.uint8)
         arrays["twin"] = np.array(twins, np.int32)
         np.savez_compressed(partial / _REST, allow_pickle=False, **arrays)
 
@@ -119,13 +147,14 @@ class SampleStore:
         record, vocabulary: of the folder.
         worlds: (N,) number of each sample's world.
         status, scores, best, clues: of all samples, see `Sample`.
+        renderer: (N,) index in `RENDERERS` of what rendered each image.
         twin: (N,) index of the sample that differs in the vehicle alone, or -1.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.record = read_record(
-            folder / RECORD_FILE, DatasetRecord, 1, MEND, "recast-planner-dataset"
+            folder / RECORD_FILE, DatasetRecord, VERSION, MEND, "recast-planner-dataset"
         )
         self.vocabulary: Trajectories = read_vocabulary(folder / VOCABULARY_FILE)
         paths = sorted(folder.glob("world-*"))
@@ -144,7 +173,7 @@ class SampleStore:
             worlds.append(np.full(len(images), int(path.name.removeprefix("world-"))))
             first += len(images)
         self.worlds = np.concatenate(worlds)
-        self.status, self.scores, self.best, self.clues, self.twin = (
+        self.status, self.scores, self.best, self.clues, self.renderer, self.twin = (
             np.concatenate(parts[name]) for name in _MEMBERS
         )
         self._first = np.cumsum([0, *(len(images) for images in self._images)])

@@ -304,6 +304,7 @@ class PlannerTrainingConfig(Record):
         scoring: of the exported planner, by which it is judged too.
         batch: samples a step, even.
         kept: trajectories of the vocabulary that are scored in a step.
+        oracle_only: leave out samples that show a reconstruction, those held out too.
         judged: held-out samples that each line of the log is judged on; at the end all are.
         sheet_every: steps between sheets of held-out decisions; 0 draws none.
     """
@@ -322,12 +323,13 @@ class PlannerTrainingConfig(Record):
     scoring: ScoreWeights = MINI_SCORING
     batch: int = Field(default=8, ge=2, multiple_of=2)
     kept: int = Field(default=192, ge=1)
+    oracle_only: bool = False
     judged: int = Field(default=96, ge=2)
     sheet_every: int = Field(default=2_000, ge=0)
 
 
 def chosen_training(
-    path: Path | None, seed: int = 0, steps: int | None = None
+    path: Path | None, seed: int = 0, steps: int | None = None, oracle_only: bool = False
 ) -> PlannerTrainingConfig:
     """The shipped planner's settings, with what a JSON file and the arguments say instead.
 
@@ -343,6 +345,8 @@ def chosen_training(
     chosen["trainer"]["seed"] = seed
     if steps is not None:
         chosen["trainer"]["steps"] = steps
+    if oracle_only:
+        chosen["oracle_only"] = True
     try:
         return PlannerTrainingConfig.model_validate(chosen)
     except ValidationError as error:

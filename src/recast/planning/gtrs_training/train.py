@@ -23,7 +23,12 @@ from recast.planning.gtrs_training.evaluate import (
     decision_sheet,
     evaluate,
 )
-from recast.planning.gtrs_training.samples import RECORD_FILE, VOCABULARY_FILE, SampleStore
+from recast.planning.gtrs_training.samples import (
+    RECORD_FILE,
+    RENDERERS,
+    VOCABULARY_FILE,
+    SampleStore,
+)
 from recast.planning.gtrs_training.task import (
     MINI_VIEWS,
     NAME,
@@ -168,7 +173,11 @@ def export_planner(training: Path, dataset: Path, out: Path) -> GtrsPlanner:
 
 def _open(dataset: Path, config: PlannerTrainingConfig, start: Path | None = None) -> _Setting:
     store = SampleStore(dataset)
-    train_on, held_out = np.flatnonzero(~store.held_out), np.flatnonzero(store.held_out)
+    used = np.ones(len(store), np.bool_)
+    if config.oracle_only:
+        used = store.renderer == RENDERERS.index("oracle")
+    train_on = np.flatnonzero(used & ~store.held_out)
+    held_out = np.flatnonzero(used & store.held_out)
     if len(train_on) < config.batch or len(held_out) < 2:
         raise InputError(
             dataset,
