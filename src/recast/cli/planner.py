@@ -60,7 +60,7 @@ class Dataset:
         from recast.core.records import validation_error
         from recast.pipeline.gtrs_data.dataset import make_dataset
         from recast.planning.gtrs import read_vocabulary
-        from recast.planning.gtrs_training.samples import DatasetRecord
+        from recast.planning.gtrs_training.samples import DatasetRecord, SampleStore
         from recast.synthetic import SCENES
 
         console = console_for(False)
@@ -86,6 +86,10 @@ class Dataset:
                 progress=progress,
             )
         console.print(f"wrote {self.out}: {made} samples", markup=False)
+        if self.reconstructed:
+            counts = SampleStore(self.out).by_renderer()
+            said = ", ".join(f"{count} {name}" for name, count in counts.items())
+            console.print(f"images: {said}", markup=False, highlight=False)
 
 
 @dataclass(frozen=True)

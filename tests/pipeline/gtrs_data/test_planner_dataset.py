@@ -7,10 +7,12 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from recast.core import open_store
 from recast.core.errors import InputError
 from recast.dynamics import PACIFICA
 from recast.pipeline.gtrs_data import reconstruction
@@ -26,6 +28,7 @@ from recast.planning.gtrs_training.samples import (
 )
 from recast.planning.gtrs_training.targets import touched
 from recast.planning.gtrs_training.vocabulary import make_vocabulary
+from recast.synthetic import make_world
 
 pytest.importorskip("embreex")
 
@@ -80,7 +83,7 @@ def test_a_dataset_of_one_world(tmp_path: Path) -> None:
     assert store.image(0).std() > 10
     assert store.scores.shape == (2, 1, 6, 64)
     assert store.status.shape == (2, 1, 8)
-    assert not store.renderer.any()  # the oracle's
+    assert store.by_renderer() == {"oracle": 2, "native": 0, "replaced": 0, "refined": 0}
     assert not (tmp_path / "store").exists()
     written = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
     assert make_dataset(out, 2, RECORD, vocabulary) == 2
@@ -126,6 +129,26 @@ def test_a_reconstructed_world_shows_its_target_in_three_ways(
     make_dataset(again, 1, record, vocabulary)
     for path in sorted(path for path in out.rglob("*.*") if path.is_file()):
         assert (again / path.relative_to(out)).read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize(("where", "is_the_log"), [("street-3", True), ("/a/disk", False)])
+def test_a_target_that_is_hardly_seen_is_no_error_and_a_full_disk_is_one(
+    where: str, is_the_log: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuses(*_: object) -> None:
+        raise InputError(where, "track target", "is too far away", "come nearer")
+
+    source = SimpleNamespace(log=SimpleNamespace(name="street-3"))
+    monkeypatch.setattr(reconstruction, "drive_world", lambda *_: SimpleNamespace(path=tmp_path))
+    monkeypatch.setattr(reconstruction.SourceLog, "open", lambda _: source)
+    monkeypatch.setattr(reconstruction, "train_street", lambda *_: None)
+    monkeypatch.setattr(reconstruction, "register_vehicle", refuses)
+    world = make_world("urban-straight", 3, 1.0)
+    if is_the_log:
+        assert reconstruction.reconstruct(world, open_store(tmp_path), 1) is None
+    else:
+        with pytest.raises(InputError, match="too far"):
+            reconstruction.reconstruct(world, open_store(tmp_path), 1)
 
 
 @pytest.mark.slow

@@ -193,6 +193,11 @@ class SampleStore:
         part = int(np.searchsorted(self._first, index, side="right")) - 1
         return np.array(self._images[part][index - self._first[part]])
 
+    def by_renderer(self) -> dict[str, int]:
+        """Number of samples of each renderer."""
+        counts = np.bincount(self.renderer, minlength=len(RENDERERS)).tolist()
+        return dict(zip(RENDERERS, counts, strict=True))
+
     @property
     def held_out(self) -> NDArray[np.bool_]:
         """(N,) samples of the worlds that are not trained on."""
