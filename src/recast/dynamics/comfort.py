@@ -38,6 +38,7 @@ def savgol_signals(
     dt: float,
     *,
     whole_window: bool = False,
+    yaw_accel_order: int = 3,
 ) -> dict[str, Array]:
     """nuPlan's smoothed comfort signals of trajectories, all (..., N).
 
@@ -51,6 +52,7 @@ def savgol_signals(
         dt: seconds per sample.
         whole_window: tuplan_garage's slip: the accelerations and then the derivatives (of
             accelerations smoothed over 8) over all N samples, so that little but trends remains.
+        yaw_accel_order: order of the yaw acceleration's polynomial; 2 where NAVSIM compares plans.
     """
     heading = np.unwrap(np.asarray(heading, np.float64), axis=-1)
     samples = heading.shape[-1]
@@ -64,7 +66,7 @@ def savgol_signals(
         "lon_accel": smooth(lon_accel, acceleration_window),
         "lon_jerk": smooth(smooth(lon_accel, 8), jerk_window, derivative=1),
         "yaw_rate": smooth(heading, 5, derivative=1),
-        "yaw_accel": smooth(heading, 5, order=3, derivative=2),
+        "yaw_accel": smooth(heading, 5, order=yaw_accel_order, derivative=2),
         "lat_accel": smooth(lat_accel, acceleration_window),
         "jerk": smooth(smooth(magnitude, 8), jerk_window, derivative=1),
     }

@@ -13,7 +13,8 @@ from recast.planning.gtrs_training.evaluate import true_scores
 from recast.planning.gtrs_training.targets import FORESEEN, Obstacle, collisions, score_vocabulary
 from recast.planning.gtrs_training.vocabulary import braking, mirror_index, smooth_braking
 from recast.planning.pdm import Forecast, Kind
-from recast.planning.pdm.forecast import EgoAreas, box_corners
+from recast.planning.pdm.areas import EgoAreas
+from recast.planning.pdm.forecast import box_corners
 from recast.planning.pdm.scorer import at_fault_collisions, time_to_collision
 
 

@@ -2,11 +2,13 @@
 
 from recast.planning.pdm.centreline import LanePath
 from recast.planning.pdm.closed import PdmClosed, PdmClosedPlanner, PdmPlan
-from recast.planning.pdm.forecast import Forecast, Kind, Obstacle, forecast
+from recast.planning.pdm.extended import ExtendedScores, extended_comfort, score_extended
+from recast.planning.pdm.forecast import Forecast, Kind, Obstacle, forecast, observed
 from recast.planning.pdm.proposals import PdmConfig
 from recast.planning.pdm.scorer import Scores, score_proposals
 
 __all__ = [
+    "ExtendedScores",
     "Forecast",
     "Kind",
     "LanePath",
@@ -16,6 +18,9 @@ __all__ = [
     "PdmConfig",
     "PdmPlan",
     "Scores",
+    "extended_comfort",
     "forecast",
+    "observed",
+    "score_extended",
     "score_proposals",
 ]

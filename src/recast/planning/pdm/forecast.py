@@ -1,4 +1,4 @@
-"""Where others will be, at constant velocity, every 0.2 s, and where simulated egos are."""
+"""Where others will be: at constant velocity every 0.2 s, or as observed; and the ego's boxes."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from recast.arrays import Array, BoolArray, Int64Array
 from recast.dynamics import VehicleParameters
 from recast.geometry import boxes, se2
-from recast.planning.map import PlannerMap
 from recast.planning.types import ActorState
 
 STRIDE = 2
-"""Steps of 0.1 s between occupancy maps; step i reads map i // 2."""
+"""Steps of 0.1 s between PDM-Closed's occupancy maps; step i reads map i // 2."""
 RED_LIGHT = "red_light_"
 
 
@@ -76,6 +75,7 @@ class Forecast:
         speeds: (n,) m/s, 0 for what stands.
         polygons: (maps, n) shapely polygons.
         ignored: (n,) obstacles the ego has touched: nothing can be done about them any more.
+        stride: steps between two maps.
     """
 
     tokens: tuple[str, ...]
@@ -84,6 +84,7 @@ class Forecast:
     speeds: Array
     polygons: NDArray[np.object_]
     ignored: NDArray[np.bool_]
+    stride: int = STRIDE
 
     @cached_property
     def red(self) -> BoolArray:
@@ -92,7 +93,7 @@ class Forecast:
 
     def at(self, step: int) -> NDArray[np.object_]:
         """The polygons (n,) at a step."""
-        return self.polygons[step // STRIDE]
+        return self.polygons[step // self.stride]
 
     def first_contacts(self, corners: Array, steps: Int64Array, counted: BoolArray) -> Int64Array:
         """Index (P, n) of the first look at which a box meets an obstacle; L where none does.
@@ -104,7 +105,7 @@ class Forecast:
             steps: (L,) of the forecast, for each look.
             counted: (P, L) looks that count.
         """
-        looks, maps = corners.shape[1], steps // STRIDE
+        looks, maps = corners.shape[1], steps // self.stride
         shapes = np.flatnonzero(~(self.ignored | self.red))
         found = np.full((len(corners), len(self.tokens)), looks)
         # In the order of box, obstacle, look.
@@ -178,6 +179,39 @@ def forecast(
     return Forecast(tokens, kinds, headings, speeds, polygons, ignored)
 
 
+def observed(
+    obstacles: Sequence[Obstacle],
+    poses: ArrayLike,
+    red_lights: Sequence[tuple[str, shapely.Polygon, BoolArray]] = (),
+) -> Forecast:
+    """The forecast of obstacles whose poses are known at every step; none is ignored.
+
+    Args:
+        obstacles: n at the first step.
+        poses: (n, T, 3) x, y, heading of their box centres.
+        red_lights: lane id, polygon, and (T,) whether the light is red, of connectors on the route.
+    """
+    poses = np.asarray(poses, np.float64)
+    count, steps = len(obstacles), poses.shape[1]
+    polygons = np.full((steps, count + len(red_lights)), shapely.Polygon(), np.object_)
+    if count:
+        length, width = np.array([o.size[:2] for o in obstacles]).T
+        corners = boxes.bev_corners(poses, length[:, None], width[:, None])
+        polygons[:, :count] = shapely.polygons(corners).T
+    for i, (_, polygon, red) in enumerate(red_lights):
+        polygons[red, count + i] = polygon
+    zeros = [0.0] * len(red_lights)
+    return Forecast(
+        (*(o.token for o in obstacles), *(RED_LIGHT + lane for lane, _, _ in red_lights)),
+        (*(o.kind for o in obstacles), *(Kind.RED_LIGHT for _ in red_lights)),
+        np.array([*(float(o.pose[2]) for o in obstacles), *zeros]),
+        np.array([*(o.speed for o in obstacles), *zeros]),
+        polygons,
+        np.zeros(count + len(red_lights), np.bool_),
+        stride=1,
+    )
+
+
 def _drift(headings: Array, velocities: Array, speeds: Array) -> Array:
     """Velocities (n, 2) of the forecast: the speed along the box's heading.
 
@@ -223,61 +257,3 @@ def box_corners(poses: ArrayLike, vehicle: VehicleParameters) -> Array:
 def outline(pose: ArrayLike, vehicle: VehicleParameters) -> shapely.Polygon:
     """The box of one rear-axle pose (3,) as a polygon."""
     return shapely.Polygon(box_corners(pose, vehicle))
-
-
-@dataclass(frozen=True)
-class EgoAreas:
-    """Flags (...) of ego boxes.
-
-    Attributes:
-        multiple_lanes: more than one lane holds a corner, and none holds all four.
-        non_drivable: some corner lies in no drivable polygon.
-        oncoming: the centre lies in no lane of the route.
-        in_intersection: the rear axle lies inside an intersection.
-    """
-
-    multiple_lanes: BoolArray
-    non_drivable: BoolArray
-    oncoming: BoolArray
-    in_intersection: BoolArray
-
-    @property
-    def irregular(self) -> BoolArray:
-        """Where the ego is to blame for a collision from the side."""
-        return self.multiple_lanes | self.non_drivable
-
-
-def ego_areas(
-    planner_map: PlannerMap,
-    route_lanes: Iterable[str],
-    corners: ArrayLike,
-    centres: ArrayLike,
-    rear_axles: ArrayLike,
-) -> EgoAreas:
-    """Flags of ego boxes; a point on a polygon's edge is outside it.
-
-    Args:
-        corners: (..., 4, 2) of the boxes.
-        centres: (..., >=2) of the boxes.
-        rear_axles: (..., >=2).
-    """
-    corners = np.asarray(corners, np.float64)
-    centres = np.asarray(centres, np.float64)[..., None, :2]
-    shape = corners.shape[:-2]
-    on_route = set(route_lanes)
-    drivable = planner_map.drivable_hits(corners)
-    touched = np.zeros(shape, np.int64)
-    whole, with_route = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
-    for lane, hits in planner_map.lane_hits(np.concatenate([corners, centres], axis=-2)).items():
-        of_corners = hits[..., :4]
-        drivable |= of_corners
-        touched += of_corners.any(axis=-1)
-        whole |= of_corners.all(axis=-1)
-        if lane in on_route:
-            with_route |= hits[..., 4]
-    return EgoAreas(
-        multiple_lanes=np.asarray((touched > 1) & ~whole),
-        non_drivable=np.asarray(~drivable.all(axis=-1)),
-        oncoming=~with_route,
-        in_intersection=planner_map.in_intersection(np.asarray(rear_axles, np.float64)[..., :2]),
-    )

@@ -15,15 +15,9 @@ from recast.dynamics import state as ego
 from recast.dynamics.comfort import NUPLAN_LIMITS, check, savgol_signals
 from recast.geometry import se2
 from recast.planning.map import PlannerMap
+from recast.planning.pdm.areas import EgoAreas, ego_areas
 from recast.planning.pdm.centreline import LanePath
-from recast.planning.pdm.forecast import (
-    STRIDE,
-    EgoAreas,
-    Forecast,
-    box_centres,
-    box_corners,
-    ego_areas,
-)
+from recast.planning.pdm.forecast import Forecast, box_centres, box_corners
 
 _STOPPED = 0.05
 """m/s up to which an ego or another vehicle stands, when blame is given."""
@@ -131,9 +125,12 @@ def direction_compliance(centres: Array, areas: EgoAreas) -> Array:
     for step in range(centres.shape[1]):
         stretch = np.where(areas.oncoming[:, step], stretch + moved[:, step], 0.0)
         longest = np.maximum(longest, stretch)
-    return np.where(
-        longest < _ONCOMING_TOLERATED, 1.0, np.where(longest < _ONCOMING_HALF, 0.5, 0.0)
-    )
+    return graded_direction(longest)
+
+
+def graded_direction(metres: Array) -> Array:
+    """Scores (...) of metres (...) on the wrong side: below 2 m 1, below 6 m 0.5, else 0."""
+    return np.where(metres < _ONCOMING_TOLERATED, 1.0, np.where(metres < _ONCOMING_HALF, 0.5, 0.0))
 
 
 @dataclass(frozen=True)
@@ -167,7 +164,7 @@ def at_fault_collisions(
     first = forecast.first_contacts(corners, np.arange(steps), np.ones((count, steps), np.bool_))
     p, k = np.nonzero(first < steps)
     step = first[p, k]
-    state, shapes = states[p, step], forecast.polygons[step // STRIDE, k]
+    state, shapes = states[p, step], forecast.polygons[step // forecast.stride, k]
     bumpers = shapely.linestrings(corners[p, step][:, [0, 3]])
     in_front = shapely.intersects(bumpers, shapes) | areas.irregular[p, step]
     fault = (forecast.speeds[k] <= _STOPPED) | ((_bearing(state, shapes) <= _BEHIND) & in_front)
@@ -198,7 +195,7 @@ def time_to_collision(
     first = forecast.first_contacts(moved.reshape(count, -1, 4, 2), looks, moving)
     p, k = np.nonzero(first < len(looks))
     step = first[p, k] // len(_LOOK_AHEAD)
-    bearing = _bearing(states[p, step], forecast.polygons[looks[first[p, k]] // STRIDE, k])
+    bearing = _bearing(states[p, step], forecast.polygons[looks[first[p, k]] // forecast.stride, k])
     exposed = (areas.irregular | areas.in_intersection)[p, step]
     fault = (bearing < _AHEAD) | (exposed & (bearing <= _BEHIND))
     return _verdict(count, p[fault], np.zeros(np.count_nonzero(fault)), step[fault])
