@@ -90,7 +90,9 @@ class TimeToCollision:
     per_cycle: Array
 
 
-def realised_future(actor: ArrayLike, steps: ArrayLike, dt: float = 0.1) -> Array:
+def realised_future(
+    actor: ArrayLike, steps: ArrayLike, dt: float = 0.1, instants: int | None = None
+) -> Array:
     """Actor poses (C, N, 3) at 0, dt, ... below 4 s after each step, as the rollout went on.
 
     A scripted actor ignores the ego, so its states are its future whatever the ego plans. Of an
@@ -100,9 +102,10 @@ def realised_future(actor: ArrayLike, steps: ArrayLike, dt: float = 0.1) -> Arra
     Args:
         actor: (S+1, 4) x, y, heading, speed of the box centre.
         steps: (C,) at which the plans were made.
+        instants: N, if not those below 4 s.
     """
     actor = np.asarray(actor, np.float64)
-    index = np.asarray(steps, np.int64)[:, None] + np.arange(_instants(dt))
+    index = np.asarray(steps, np.int64)[:, None] + np.arange(instants or _instants(dt))
     last = len(actor) - 1
     known = np.minimum(index, last)
     return _advance(actor[known], _velocity(actor)[known], (index - known) * dt)
@@ -111,7 +114,8 @@ def realised_future(actor: ArrayLike, steps: ArrayLike, dt: float = 0.1) -> Arra
 def constant_velocity_future(actor: ArrayLike, steps: ArrayLike, dt: float = 0.1) -> Array:
     """Actor poses (C, N, 3) at 0, dt, ... below 4 s after each step, at that step's velocity.
 
-    Args: as for `realised_future`.
+    Args:
+        actor, steps: as for `realised_future`.
     """
     actor = np.asarray(actor, np.float64)
     now = np.asarray(steps, np.int64)[:, None]

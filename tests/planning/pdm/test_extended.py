@@ -3,12 +3,21 @@
 import numpy as np
 import pytest
 import shapely
-from hand_made import CENTRELINE, CROSSING, ROUTE_LANES, STATES, road, seen, straight, user
 
 from recast.dynamics import PACIFICA
 from recast.dynamics import state as ego
 from recast.planning.pdm import Kind, extended_comfort, score_extended
 from recast.planning.pdm.extended import ExtendedScores
+from support.straight_road import (
+    CENTRELINE,
+    CROSSING,
+    ROUTE_LANES,
+    STATES,
+    road,
+    seen,
+    straight,
+    user,
+)
 
 FRONT = PACIFICA.front_length
 

@@ -7,7 +7,7 @@ those of NAVSIM's code; `docs/metrics.md` has worked numbers.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import shapely
@@ -39,13 +39,13 @@ WEIGHTS = {"progress": 5.0, "ttc": 5.0, "lane_keeping": 2.0, "history_comfort": 
 EXTENDED_COMFORT_WEIGHT = 2.0
 EXTENDED_COMFORT_LIMITS = {"acceleration": 0.7, "jerk": 0.5, "yaw_rate": 0.1, "yaw_accel": 0.1}
 """m/s^2, m/s^3, rad/s, rad/s^2: largest root mean square differences of two plans."""
-_LONGEST_INTERVAL = 0.55
+LONGEST_INTERVAL = 0.55
 """Seconds: plans further apart are not compared."""
 
 
 @dataclass(frozen=True)
 class ExtendedScores:
-    """Sub-metrics of P proposals, (P,) each, 0 to 1.
+    """Sub-metrics of P proposals, (P,) each, or () of one; 0 to 1.
 
     Attributes:
         no_collision, drivable, direction, traffic_light: NC, DAC, DDC and TLC, which multiply.
@@ -60,6 +60,10 @@ class ExtendedScores:
     ttc: Array
     lane_keeping: Array
     history_comfort: Array
+
+    def at(self, proposal: int) -> ExtendedScores:
+        """The sub-metrics () of one proposal."""
+        return ExtendedScores(*(getattr(self, one.name)[proposal] for one in fields(self)))
 
     def total(self, extended_comfort: ArrayLike | None = None) -> Array:
         """EPDMS (P,) with EC (P,), or without it as NAVSIM's score of one scene."""
@@ -208,7 +212,7 @@ def extended_comfort(now: ArrayLike, previous: ArrayLike, interval: float) -> fl
         ValueError: the interval is not within 0 to 0.55 s, or the overlap is shorter than 15
             states.
     """
-    if not 0 < interval < _LONGEST_INTERVAL:
+    if not 0 < interval < LONGEST_INTERVAL:
         raise ValueError(f"extended_comfort: interval {interval:g} s, not within 0 to 0.55 s")
     later, first = round(interval / _DT), np.asarray(now, np.float64)
     both = np.stack([first[: len(first) - later], np.asarray(previous, np.float64)[later:]])

@@ -6,6 +6,7 @@ import numpy as np
 import shapely
 
 from recast.dynamics import state as ego
+from recast.logs.hdmap import HdMap, Lane
 from recast.planning.map import PlannerLane, PlannerMap
 from recast.planning.pdm import Kind, LanePath, Obstacle, observed
 
@@ -63,3 +64,28 @@ def seen(*users: Obstacle, red=()):
         path[:] = one.pose
         path[:, 0] += one.velocity[0] * TIMES
     return observed(users, poses, red)
+
+
+def hd_road() -> HdMap:
+    """The same road as a log's map."""
+
+    def lane(key, start, end, y, successors=(), crossing=False):
+        x = np.array([start, end], np.float64)
+        way = np.sign(end - start)
+
+        def line(aside):
+            return np.stack([x, np.full(2, y + way * aside), np.zeros(2)], axis=-1)
+
+        left, right = line(1.75), line(-1.75)
+        outline = np.concatenate([right, left[::-1]])[:, :2]
+        middle = line(0.0)
+        return Lane(key, middle, left, right, outline, 15.0, successors, is_intersection=crossing)
+
+    first, last = CROSSING
+    lanes = [
+        lane("ahead", -50.0, first, 0.0, ("across",)),
+        lane("across", first, last, 0.0, ("beyond",), True),
+        lane("beyond", last, 200.0, 0.0),
+        lane("oncoming", 200.0, -50.0, 3.5),
+    ]
+    return HdMap({one.lane_id: one for one in lanes}, ())
