@@ -177,7 +177,7 @@ def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
     """
     ego_boxes, dt = rollout.ego_boxes, rollout.dt
     steps = np.asarray(rollout.plan_steps, np.int64)
-    actors = _actors(rollout)
+    actors = rollout_actors(rollout)
     collisions = rollout_collisions(rollout)
     collision = any_collision(list(collisions.values()))
 
@@ -224,24 +224,34 @@ def rollout_collisions(rollout: Rollout) -> dict[str, Collision]:
         actor.track_id: no_collision(
             rollout.ego_boxes, rollout.ego_size, actor.states, actor.size, rollout.dt, actor.name
         )
-        for actor in _actors(rollout)
+        for actor in rollout_actors(rollout)
     }
 
 
-class _Actor(NamedTuple):
-    """A controlled actor as the metrics see it; `name` is for reasons."""
+class RolloutActor(NamedTuple):
+    """A controlled actor as the metrics see it.
+
+    Attributes:
+        name: for reasons.
+        category: as in `Track.category`; a rollout does not keep the target's: "vehicle".
+        states: (S+1, 4) x, y, heading of the box centre, speed.
+        size: (3,) length, width, height, metres.
+    """
 
     track_id: str
     name: str
+    category: str
     states: Array
     size: Array
 
 
-def _actors(rollout: Rollout) -> list[_Actor]:
+def rollout_actors(rollout: Rollout) -> list[RolloutActor]:
     """All controlled ones, the target first."""
-    target = _Actor(rollout.track_id, "the actor", rollout.actor, rollout.actor_size)
+    target = RolloutActor(
+        rollout.track_id, "the actor", "vehicle", rollout.actor, rollout.actor_size
+    )
     further = (
-        _Actor(one.track_id, f"actor {one.track_id}", one.states, one.size)
+        RolloutActor(one.track_id, f"actor {one.track_id}", one.category, one.states, one.size)
         for one in rollout.controlled
     )
     return [target, *further]

@@ -13,6 +13,7 @@ from recast.core.errors import InputError
 from recast.dynamics import PACIFICA, VehicleParameters
 from recast.evaluation.collision import realised_future
 from recast.evaluation.foreign.epdms import PlanScore, Situation, score_plan
+from recast.evaluation.rollout_metrics import rollout_actors
 from recast.evaluation.table import Metric, invalid
 from recast.geometry import Polyline
 from recast.logs.hdmap import HdMap
@@ -118,12 +119,12 @@ def _situation(
     route: tuple[str, ...],
     vehicle: VehicleParameters,
 ) -> Situation:
-    actors = [(rollout.track_id, "vehicle", rollout.actor, rollout.actor_size)]
-    actors += [(one.track_id, one.category, one.states, one.size) for one in rollout.controlled]
-    paths = np.stack([realised_future(a[2], [step], _DT, STEPS + 1)[0] for a in actors])
+    actors = rollout_actors(rollout)
+    paths = np.stack([realised_future(one.states, [step], _DT, STEPS + 1)[0] for one in actors])
+    moved = (paths[:, 1] - paths[:, 0])[:, :2] / _DT
     obstacles = tuple(
-        Obstacle.from_actor(ActorState(key, category, path[0], (path[1] - path[0])[:2] / _DT, size))
-        for (key, category, _, size), path in zip(actors, paths, strict=True)
+        Obstacle.from_actor(ActorState(one.track_id, one.category, path[0], velocity, one.size))
+        for one, path, velocity in zip(actors, paths, moved, strict=True)
     )
     return Situation(
         rollout.ego[step],
