@@ -12,6 +12,7 @@ from recast.evaluation.pairs import Bootstrap
 from recast.evaluation.scene_level.summary import LevelRow
 from recast.evaluation.verdicts import VerdictCounts
 from recast.pipeline.bench.results import GridResults
+from recast.pipeline.foreign_scores import SCORES, ForeignScores, ScoreRow
 from recast.pipeline.layout import METRICS_FILE
 from recast.pipeline.scores import read_metrics
 
@@ -68,6 +69,36 @@ def grid_rows(results: GridResults) -> Rows:
         "against_the_truth": [_verdicts(one) for one in results.truth],
         "failures": failures,
     }
+
+
+def foreign_rows(rows: Sequence[ScoreRow], scores: Sequence[ForeignScores]) -> Rows:
+    """Means of each planner and arm, and the scores of each rollout with their reasons."""
+    keys = {key: with_unit(key, column.unit) for key, column in SCORES.items()}
+    arms = [
+        {
+            "planner": row.planner,
+            "arm": row.arm,
+            "rollouts": row.rollouts,
+            **{keys[key]: mean for key, mean in row.means.items()},
+            **{f"{key}_rollouts": count for key, count in row.counts.items()},
+        }
+        for row in rows
+    ]
+    rollouts = [
+        {
+            "rollout": one.name,
+            "planner": one.planner,
+            "arm": one.arm,
+            "motion": f"{one.motion}-{one.setting}",
+            **{
+                keys[key]: None if metric.value is None else SCORES[key].scale * metric.value
+                for key, metric in one.values.items()
+            },
+            **{f"{key}_reason": metric.reason for key, metric in one.values.items()},
+        }
+        for one in scores
+    ]
+    return {"arms": arms, "rollouts": rollouts}
 
 
 def level_rows(lines: Sequence[LevelRow]) -> Rows:

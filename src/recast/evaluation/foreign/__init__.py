@@ -1,1 +1,34 @@
 """Scores of other benchmarks beside the headline metrics: NAVSIM v2, AlpaSim, NeuroNCAP."""
+
+from recast.evaluation.foreign.alpasim import SceneScore, alpasim_scene_score, off_road
+from recast.evaluation.foreign.driven import DrivenEpdms, driven_epdms
+from recast.evaluation.foreign.epdms import PlanScore, Situation, score_plan
+from recast.evaluation.foreign.neuroncap import NcapScore, neuroncap_mean, neuroncap_score
+from recast.evaluation.foreign.submission import Scene, TokenScore, score_scene
+from recast.evaluation.foreign.two_stage import (
+    TwoStage,
+    TwoStageMapping,
+    two_stage,
+    write_two_stage,
+)
+
+__all__ = [
+    "DrivenEpdms",
+    "NcapScore",
+    "PlanScore",
+    "Scene",
+    "SceneScore",
+    "Situation",
+    "TokenScore",
+    "TwoStage",
+    "TwoStageMapping",
+    "alpasim_scene_score",
+    "driven_epdms",
+    "neuroncap_mean",
+    "neuroncap_score",
+    "off_road",
+    "score_plan",
+    "score_scene",
+    "two_stage",
+    "write_two_stage",
+]
