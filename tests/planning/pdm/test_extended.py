@@ -6,7 +6,7 @@ import shapely
 
 from recast.dynamics import PACIFICA
 from recast.dynamics import state as ego
-from recast.planning.pdm import Kind, extended_comfort, score_extended
+from recast.planning.pdm import Kind, extended_comfort, observed, score_extended
 from recast.planning.pdm.extended import ExtendedScores
 from support.straight_road import (
     CENTRELINE,
@@ -40,6 +40,15 @@ def scores(*states, forecast=None, history=None):
 )
 def test_no_collision(who, value):
     assert scores(straight(10.0), forecast=seen(who)).no_collision[0] == value
+
+
+def test_an_obstacle_is_met_only_while_it_is_there():
+    car = user(20.0)
+    poses = np.tile(car.pose, (1, STATES, 1))
+    poses[0, 10:] = np.nan  # the ego reaches it after 1.4 s
+    assert scores(straight(10.0), forecast=observed([car], poses)).no_collision[0] == 1.0
+    poses[0, 20:] = car.pose
+    assert scores(straight(10.0), forecast=observed([car], poses)).no_collision[0] == 0.0
 
 
 def test_being_hit_from_the_side_is_at_fault_across_lanes_only():

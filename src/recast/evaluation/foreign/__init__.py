@@ -3,6 +3,7 @@
 from recast.evaluation.foreign.alpasim import SceneScore, alpasim_scene_score, off_road
 from recast.evaluation.foreign.driven import DrivenEpdms, driven_epdms
 from recast.evaluation.foreign.epdms import PlanScore, Situation, score_plan
+from recast.evaluation.foreign.idm_traffic import IdmTraffic
 from recast.evaluation.foreign.neuroncap import NcapScore, neuroncap_mean, neuroncap_score
 from recast.evaluation.foreign.submission import Scene, TokenScore, score_scene
 from recast.evaluation.foreign.two_stage import (
@@ -14,6 +15,7 @@ from recast.evaluation.foreign.two_stage import (
 
 __all__ = [
     "DrivenEpdms",
+    "IdmTraffic",
     "NcapScore",
     "PlanScore",
     "Scene",

@@ -98,7 +98,7 @@ def alpasim_scene_score(
     path = shapely.LineString(recorded)
     centres = shapely.points(rollout.ego_boxes[:, :2])
     distance = np.asarray(shapely.distance(path, centres), np.float64)
-    distance[:2] = 0.0
+    distance[:2] = 0.0  # AlpaSim makes up the first two steps, the progress below too
     along = np.asarray(shapely.line_locate_point(path, centres), np.float64)
     along /= max(path.length, _EDGE)
     along[:2] = 0.0, along[2] / 2

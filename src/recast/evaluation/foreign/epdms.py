@@ -24,7 +24,8 @@ from recast.planning.pdm import (
 from recast.planning.pdm.extended import STEPS
 
 Traffic = Callable[[Array], ArrayLike]
-"""Poses (n, 41, 3) of the obstacles' box centres, 0.1 s apart, for the ego's states (41, 11)."""
+"""Poses (n, 41, 3) of the obstacles' box centres, 0.1 s apart, for the ego's states (41, 11); NaN
+while an obstacle is not there."""
 
 _HORIZON = 4.0
 

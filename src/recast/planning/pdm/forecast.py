@@ -188,7 +188,7 @@ def observed(
 
     Args:
         obstacles: n at the first step.
-        poses: (n, T, 3) x, y, heading of their box centres.
+        poses: (n, T, 3) x, y, heading of their box centres; NaN while they are not there.
         red_lights: lane id, polygon, and (T,) whether the light is red, of connectors on the route.
     """
     poses = np.asarray(poses, np.float64)
@@ -196,8 +196,9 @@ def observed(
     polygons = np.full((steps, count + len(red_lights)), shapely.Polygon(), np.object_)
     if count:
         length, width = np.array([o.size[:2] for o in obstacles]).T
+        there = ~np.isnan(poses).any(axis=-1)
         corners = boxes.bev_corners(poses, length[:, None], width[:, None])
-        polygons[:, :count] = shapely.polygons(corners).T
+        polygons[:, :count][there.T] = shapely.polygons(corners.swapaxes(0, 1)[there.T])
     for i, (_, polygon, red) in enumerate(red_lights):
         polygons[red, count + i] = polygon
     zeros = [0.0] * len(red_lights)
