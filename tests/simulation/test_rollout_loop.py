@@ -414,3 +414,22 @@ def test_prepare_and_run_agree() -> None:
     prepared, rollout = prepare(setup), run_rollout(setup, LogReplay())
     np.testing.assert_array_equal(prepared.actor, rollout.actor)
     np.testing.assert_array_equal(prepared.ego, rollout.ego[0])
+
+
+def test_a_start_beside_the_logged_one_moves_the_ego_and_its_past_alone() -> None:
+    setup = RolloutSetup(drive(), "7", MOTIONS["cut-in-a"], steps=10, start_timestamp_us=8_000_000)
+    recorder, beside = Recorder(), Recorder()
+    logged = run_rollout(setup, recorder)
+    moved = run_rollout(replace(setup, start_left=0.05), beside)
+    for one, other in zip(recorder.seen[0].ego_history, beside.seen[0].ego_history, strict=True):
+        step = se2.relative(one[:3], other[:3])
+        np.testing.assert_allclose(step, [0, 0.05, 0], atol=1e-12)
+        np.testing.assert_array_equal(one[3:], other[3:])
+    np.testing.assert_array_equal(moved.ego[0], beside.seen[0].ego_history[-1])
+    for name in ("actor", "world_from_actor", "log_ego", "route"):
+        np.testing.assert_array_equal(getattr(logged, name), getattr(moved, name))
+
+
+def test_a_start_that_is_nowhere_is_refused() -> None:
+    with pytest.raises(InputError, match="start_left"):
+        RolloutSetup(drive(), "7", MOTIONS["cut-in-a"], start_left=float("nan"))

@@ -109,6 +109,14 @@ def make_state(
     return state
 
 
+def moved_left(states: Array, metres: float) -> Array:
+    """States (..., 11) at places `metres` further to the left of their headings."""
+    moved = states.copy()
+    moved[..., X] -= metres * np.sin(states[..., HEADING])
+    moved[..., Y] += metres * np.cos(states[..., HEADING])
+    return moved
+
+
 def initial_state(
     timestamps_us: ArrayLike,
     world_from_rig: ArrayLike,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -22,6 +23,8 @@ from recast.splats import (
     rasterize_frozen,
 )
 
+_FAR = 1e10
+"""Metres; all that is farther is sky."""
 Parts = list[FrozenGaussians]
 """Pieces of an actor, actor-local."""
 
@@ -119,15 +122,8 @@ class SceneRasterizer:
             shapes_us: time of the recording whose shapes deformable actors have, see
                 `SceneActor.shaped_at`.
         """
-        view = torch.from_numpy(np.asarray(camera_from_world, np.float64))
-        K = torch.from_numpy(camera.matrix).float()
-        drawn = [(self._background, torch.eye(4, dtype=torch.float64))]
-        for track_id, pose in {**self._standing, **poses}.items():
-            world_from_actor = torch.from_numpy(np.asarray(pose, np.float64))
-            for part in self._parts_at(track_id, pose, colours_us, shapes_us):
-                drawn.append((part, world_from_actor))
+        result = self.layer(camera, camera_from_world, poses, colours_us, shapes_us)
         with torch.no_grad():
-            result = rasterize_frozen(drawn, view, K, camera.width, camera.height)
             rgb = composite(
                 result.rgb,
                 result.alpha,
@@ -135,6 +131,37 @@ class SceneRasterizer:
                 pixel_coordinates(camera, camera_from_world),
             )
         return replace(result, rgb=rgb.clamp(0, 1))
+
+    def layer(
+        self,
+        camera: PinholeCamera,
+        camera_from_world: Array,
+        poses: Mapping[str, Array],
+        colours_us: int | None = None,
+        shapes_us: int | None = None,
+        *,
+        nearer_than: float = math.inf,
+        street: bool = True,
+    ) -> RasterImages:
+        """Draw Gaussians alone: rgb is premultiplied, on black, without a sky; others as `draw`.
+
+        Args:
+            nearer_than: only Gaussians whose centres lie nearer, metres along the camera's z axis.
+            street: False leaves out all but the actors of `poses`.
+
+        Raises:
+            ValueError: neither street nor actors are to be drawn.
+        """
+        view = torch.from_numpy(np.asarray(camera_from_world, np.float64))
+        K = torch.from_numpy(camera.matrix).float()
+        drawn = [(self._background, torch.eye(4, dtype=torch.float64))] if street else []
+        for track_id, pose in {**(self._standing if street else {}), **poses}.items():
+            world_from_actor = torch.from_numpy(np.asarray(pose, np.float64))
+            for part in self._parts_at(track_id, pose, colours_us, shapes_us):
+                drawn.append((part, world_from_actor))
+        far = min(nearer_than, _FAR)
+        with torch.no_grad():
+            return rasterize_frozen(drawn, view, K, camera.width, camera.height, far=far)
 
 
 def _parts(actor: SceneActor, place: torch.device) -> Parts:

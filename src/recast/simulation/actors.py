@@ -238,7 +238,7 @@ def prepare(setup: RolloutSetup) -> PreparedRollout:
         route=start.route,
         surface=start.surface,
         start_timestamp_us=start.start_timestamp_us,
-        ego=start.ego[0],
+        ego=start.first,
         log_ego=start.ego[: steps + 1, [ego.X, ego.Y, ego.HEADING, ego.VX]],
         actor=target.states,
         world_from_actor=target.world_from_actor,

@@ -65,12 +65,17 @@ def history_steps(setup: RolloutSetup) -> int:
 
 
 def logged_past(setup: RolloutSetup, start: RolloutStart) -> list[Array]:
-    """Logged ego states (11,) before the start, as many as recorded, oldest first."""
+    """Ego states (11,) before the start, as many as recorded, oldest first.
+
+    They are the logged ones, moved as the start is (`RolloutSetup.start_left`).
+    """
     log, step = setup.log.world_from_rig, round(setup.dt * 1e6)
     first = start.start_timestamp_us
     count = min(history_steps(setup), int((first - log.timestamps_us[0]) // step))
     times = [first - step * i for i in range(count, 0, -1)]
-    return [initial_state(log.timestamps_us, log.poses, time, setup.vehicle) for time in times]
+    past = [initial_state(log.timestamps_us, log.poses, time, setup.vehicle) for time in times]
+    left = setup.start_left
+    return [ego.moved_left(state, left) for state in past] if left else past
 
 
 def make_rollout(

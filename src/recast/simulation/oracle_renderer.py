@@ -2,35 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from recast.arrays import Array, Image
 from recast.core.workers import Closing
+from recast.geometry import PinholeCamera
 from recast.planning import CameraMount
 from recast.simulation.renderer import Mounted
 from recast.simulation.state import SimState
 from recast.synthetic.oracle import Oracle, OraclePool
+from recast.synthetic.rendering import CameraFrame
 from recast.synthetic.rig import exposure, sensor_number
 from recast.synthetic.world import World
 
 _STREAM = 701
 
 
-class _View(NamedTuple):
+class TrueView(NamedTuple):
+    """One camera at one step, for an oracle in another process.
+
+    Attributes:
+        exposed_as: camera of the log whose exposure it has.
+        poses: `world_from_actor` (4, 4) of the actors, by track id.
+        tracks: those that a renderer leaves out or draws apart.
+        noise: number of the camera noise; 0 is the truth's own.
+    """
+
     name: str
     exposed_as: str
-    mount: CameraMount
+    camera: PinholeCamera
     world_from_camera: Array
-    poses: dict[str, Array]
+    poses: Mapping[str, Array]
     step: int
+    tracks: tuple[str, ...] = ()
+    noise: int = 0
+
+    def seen_by(self, oracle: Oracle, **shown: Any) -> CameraFrame:
+        """What the camera truly sees; `shown` is as for `Oracle.render`."""
+        seed = oracle.world.seed
+        number = [seed, _STREAM, sensor_number(self.name), self.step]
+        return oracle.render(
+            self.camera,
+            self.world_from_camera,
+            self.poses,
+            exposure=exposure(seed, self.exposed_as),
+            rng=np.random.default_rng([*number, self.noise] if self.noise else number),
+            **shown,
+        )
 
 
-class OracleRenderer(Mounted, Closing):
-    """Renders a synthetic world, each camera with the exposure it has in the log, virtual ones with
-    that of the camera at whose place they are.
+class WorldRenderer(Mounted, Closing):
+    """Base of renderers that look at a synthetic world, each camera with the exposure it has in the
+    log, virtual ones with that of the camera at whose place they are.
 
     Close it, or use it as a context manager: it may hold processes.
 
@@ -39,14 +65,45 @@ class OracleRenderer(Mounted, Closing):
         mounts: cameras to render, see `camera_mounts`.
         workers: processes that render the cameras of a step side by side; 0 for one for each core,
             but not more than cameras; 1 for none.
+        tracks: see `TrueView`.
+        noise: see `TrueView`.
 
     Raises:
         InputError: workers is negative, or embreex is not installed.
     """
 
-    def __init__(self, world: World, mounts: Mapping[str, CameraMount], workers: int = 0) -> None:
+    def __init__(
+        self,
+        world: World,
+        mounts: Mapping[str, CameraMount],
+        workers: int = 0,
+        *,
+        tracks: Collection[str] = (),
+        noise: int = 0,
+    ) -> None:
         super().__init__(mounts)
+        self._tracks, self._noise = tuple(tracks), noise
         self._pool = OraclePool(world, workers, most=len(self._mounts))
+
+    def views(self, state: SimState, camera_names: Sequence[str]) -> list[TrueView]:
+        """What is to be looked at for the named cameras."""
+        found = []
+        for name in camera_names:
+            mount = self._mounts[name]
+            place = state.world_from_rig @ mount.rig_from_camera
+            exposed_as = name if mount.source is None else mount.source
+            camera = mount.rendered_camera
+            view = TrueView(name, exposed_as, camera, place, state.poses, state.step)
+            found.append(view._replace(tracks=self._tracks, noise=self._noise))
+        return found
+
+    def close(self) -> None:
+        """End the processes."""
+        self._pool.close()
+
+
+class OracleRenderer(WorldRenderer):
+    """Renders a synthetic world, without the vehicles of `tracks`; see `WorldRenderer`."""
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
         """Render the world with its vehicles at the poses of `state`.
@@ -54,26 +111,10 @@ class OracleRenderer(Mounted, Closing):
         Raises:
             InputError: the world has no such vehicle.
         """
-        views = []
-        for name in camera_names:
-            mount = self._mounts[name]
-            world_from_camera = state.world_from_rig @ mount.rig_from_camera
-            exposed_as = name if mount.source is None else mount.source
-            views.append(_View(name, exposed_as, mount, world_from_camera, state.poses, state.step))
-        return dict(zip(camera_names, self._pool.map(_render, views), strict=True))
-
-    def close(self) -> None:
-        """End the processes."""
-        self._pool.close()
+        views = self.views(state, camera_names)
+        images = zip(camera_names, self._pool.map(_render, views), strict=True)
+        return {name: self._mounts[name].framed(image) for name, image in images}
 
 
-def _render(oracle: Oracle, view: _View) -> Image:
-    seed = oracle.world.seed
-    frame = oracle.render(
-        view.mount.rendered_camera,
-        view.world_from_camera,
-        view.poses,
-        exposure=exposure(seed, view.exposed_as),
-        rng=np.random.default_rng([seed, _STREAM, sensor_number(view.name), view.step]),
-    )
-    return view.mount.framed(frame.rgb)
+def _render(oracle: Oracle, view: TrueView) -> Image:
+    return view.seen_by(oracle, absent=view.tracks).rgb

@@ -68,12 +68,14 @@ class StartingActor:
 
 @dataclass(frozen=True)
 class RolloutStart:
-    """The start of a rollout; the same for every planner and arm.
+    """The start of a rollout; the same for every planner, and for every arm but for `first`.
 
     Attributes:
         route, surface: the road.
         start_timestamp_us: log time of state 0.
-        ego: (S+1, 11) logged ego states; the first one is the simulated one's, too.
+        ego: (S+1, 11) logged ego states.
+        first: (11,) the simulated ego's first state: the logged one, or beside it, see
+            `RolloutSetup.start_left`.
         actors: the controlled ones, the target first.
         steps: S, which log and scripts allow; the ego and actors that react may leave the road
             earlier.
@@ -84,6 +86,7 @@ class RolloutStart:
     surface: RoadSurface
     start_timestamp_us: int
     ego: Array
+    first: Array
     actors: tuple[StartingActor, ...]
     steps: int
     ending: Ending
@@ -130,7 +133,8 @@ def start_rollout(setup: RolloutSetup, seed: int = 0) -> RolloutStart:
             name = who(setup, actor.track.track_id)
             reason = actor.road.reason(name, actor.states[steps + 1, :2])
             refuse_if_too_short(setup, steps, reason)
-    refuse_starts(setup, road, state, [(a.track, a.motion, a.states[0, :3]) for a in actors])
+    first = ego.moved_left(state, setup.start_left) if setup.start_left else state
+    refuse_starts(setup, road, first, [(a.track, a.motion, a.states[0, :3]) for a in actors])
 
     times = start_us + round(setup.dt * 1e6) * np.arange(steps + 1)
     logged = [initial_state(log.timestamps_us, log.poses, int(t), setup.vehicle) for t in times]
@@ -139,6 +143,7 @@ def start_rollout(setup: RolloutSetup, seed: int = 0) -> RolloutStart:
         surface=surface,
         start_timestamp_us=start_us,
         ego=np.stack(logged),
+        first=first,
         actors=tuple(_lifted(actor, surface, steps) for actor in actors),
         steps=steps,
         ending=ending,

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
 import torch
 
-from recast.arrays import Image
+from recast.arrays import Array, Image
 from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.planning import CameraMount, Lens
@@ -25,6 +25,7 @@ class SceneRenderer(Mounted):
         scene: in the log's world frame; must hold the controlled actors.
         mounts: cameras to render, see `camera_mounts`.
         device: where to render, see `SceneRasterizer`.
+        absent: tracks that are not drawn, wherever they are.
     """
 
     def __init__(
@@ -32,9 +33,12 @@ class SceneRenderer(Mounted):
         scene: StreetScene,
         mounts: Mapping[str, CameraMount],
         device: str = "auto",
+        absent: Collection[str] = (),
     ) -> None:
-        self.scene = scene
-        self._rasterizer = SceneRasterizer(scene, device)
+        kept = {key: actor for key, actor in scene.actors.items() if key not in absent}
+        scene = scene if len(kept) == len(scene.actors) else replace(scene, actors=kept)
+        self.scene, self._absent = scene, frozenset(absent)
+        self.rasterizer = SceneRasterizer(scene, device)
         super().__init__(mounts)
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
@@ -43,8 +47,27 @@ class SceneRenderer(Mounted):
         Raises:
             InputError: the scene has no model of a controlled actor.
         """
+        poses = self.poses(state)
+        images = {}
+        for name in camera_names:
+            mount = self._mounts[name]
+            camera_from_world = se3.inverse(state.world_from_rig @ mount.rig_from_camera)
+            drawn = self.rasterizer.draw(
+                mount.rendered_camera, camera_from_world, poses, shapes_us=state.timestamp_us
+            )
+            # Quantised where it was drawn: a quarter of the bytes to bring over.
+            rgb = (drawn.rgb * 255).round().to(torch.uint8).cpu().numpy()
+            images[name] = mount.framed(rgb)
+        return images
+
+    def poses(self, state: SimState) -> dict[str, Array]:
+        """`world_from_actor` (4, 4) of the actors that are drawn, by track id.
+
+        Raises:
+            InputError: the scene has no model of a controlled actor.
+        """
         for track_id in state.actors:
-            if track_id not in self.scene.actors:
+            if track_id not in self.scene.actors and track_id not in self._absent:
                 there = ", ".join(self.scene.actors) or "none"
                 raise InputError(
                     "scene",
@@ -53,18 +76,7 @@ class SceneRenderer(Mounted):
                     f"it has {there}; reconstruct or insert it first",
                 )
         # Other tracks that the scene modelled as background cannot be moved or drawn apart.
-        poses = {key: pose for key, pose in state.poses.items() if key in self.scene.actors}
-        images = {}
-        for name in camera_names:
-            mount = self._mounts[name]
-            camera_from_world = se3.inverse(state.world_from_rig @ mount.rig_from_camera)
-            drawn = self._rasterizer.draw(
-                mount.rendered_camera, camera_from_world, poses, shapes_us=state.timestamp_us
-            )
-            # Quantised where it was drawn: a quarter of the bytes to bring over.
-            rgb = (drawn.rgb * 255).round().to(torch.uint8).cpu().numpy()
-            images[name] = mount.framed(rgb)
-        return images
+        return {key: pose for key, pose in state.poses.items() if key in self.scene.actors}
 
 
 class LensRenderer(Mounted):

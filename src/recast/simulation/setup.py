@@ -57,6 +57,8 @@ class RolloutSetup:
         plan_limit_s: seconds of wall-clock time that one plan may take; a planner that takes longer
             fails the rollout. None for no limit, on which no result may depend.
         actors: further controlled actors beside the target, by track id, with their motions.
+        start_left: metres to the left of where the log has it at which the ego starts, with its
+            past. Scripts do not depend on it.
     """
 
     log: DrivingLog
@@ -75,6 +77,7 @@ class RolloutSetup:
     camera_names: tuple[str, ...] | None = None
     plan_limit_s: float | None = None
     actors: Mapping[str, AnyMotion] = field(default_factory=dict)
+    start_left: float = 0.0
 
     def __post_init__(self) -> None:
         self._check_actors()
@@ -89,6 +92,8 @@ class RolloutSetup:
             raise _refused("dt", f"is {self.dt} s", mend)
         if self.plan_limit_s is not None and not self.plan_limit_s > 0.0:
             raise _refused("plan_limit_s", f"is {self.plan_limit_s} s", "give more than 0, or None")
+        if not math.isfinite(self.start_left):
+            raise _refused("start_left", f"is {self.start_left} m", "give a number of metres")
         if not 0.0 <= self.road_margin < math.inf:
             raise _refused("road_margin", f"is {self.road_margin} m", "give 0 or more")
 

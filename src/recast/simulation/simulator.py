@@ -137,7 +137,7 @@ class Simulator:
         self._actors = ControlledActors(self._setup, self._start)
         self._road = RecordedRoad(self._start.route, self._setup.road_margin)
         self._past = logged_past(self._setup, self._start)
-        self._ego: list[Array] = [self._start.ego[0]]
+        self._ego: list[Array] = [self._start.first]
         self._predictions: list[Array] = []
         self._plan_steps: list[int] = []
         self._ending: Ending | None = None

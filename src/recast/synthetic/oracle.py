@@ -5,10 +5,9 @@ from __future__ import annotations
 import multiprocessing
 import pickle
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from functools import partial
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -57,6 +56,10 @@ class Oracle:
         timestamp_us: int | None = None,
         exposure: float = 1.0,
         rng: np.random.Generator | None = None,
+        *,
+        absent: Collection[str] = (),
+        hidden: Collection[str] = (),
+        alone: Collection[str] | None = None,
     ) -> CameraFrame:
         """What a camera sees.
 
@@ -66,6 +69,10 @@ class Oracle:
             timestamp_us: of the log, needed where `poses` is None.
             exposure: factor on all light.
             rng: of the rays; None for one that only the world's seed decides.
+            absent: tracks that are taken out of the world, parked ones too.
+            hidden: tracks that the camera looks through; their shadows and reflections stay.
+            alone: tracks beside which nothing is seen, in the light that they have in the street;
+                None to see everything.
 
         Raises:
             InputError: `poses` names a vehicle that the world lacks.
@@ -77,10 +84,21 @@ class Oracle:
             if timestamp_us is None:
                 raise ValueError("Oracle.render: give poses or a timestamp_us")
             poses = self.logged_poses(timestamp_us)
-        drawn = self.drawn(poses)
-        render = partial(render_camera, self.scene_at(drawn), self.world.street.sky, camera)
-        light = self.world.light
-        return render(world_from_camera, drawn, rng=rng, exposure=exposure, quality=light)
+        drawn = {key: pose for key, pose in self.drawn(poses).items() if key not in absent}
+        if alone is not None:
+            hidden = {*hidden, *(key for key in drawn if key not in alone)}
+        return render_camera(
+            self.scene_at(drawn),
+            self.world.street.sky,
+            camera,
+            world_from_camera,
+            drawn,
+            rng=rng,
+            exposure=exposure,
+            quality=self.world.light,
+            hidden=hidden,
+            street=alone is None,
+        )
 
     def drawn(self, poses: Mapping[str, Array]) -> dict[str, Array]:
         """Poses of all that is drawn: `poses`, and the parked vehicles it does not name.

@@ -25,6 +25,8 @@ def render(scene: RayScene, poses: dict | None = None, seed: int = 0, **changes:
         poses or {},
         rng=np.random.default_rng(seed),
         exposure=arguments["exposure"],
+        hidden=changes.get("hidden", ()),
+        street=changes.get("street", True),
     )
 
 
@@ -180,3 +182,30 @@ def test_what_cannot_be_is_refused(street: RayScene, changes: dict) -> None:
 def test_one_pixel_image(street: RayScene) -> None:
     tiny = replace(CAMERA, width=1, height=1)
     assert render(street, camera=tiny).rgb.shape == (1, 1, 3)
+
+
+def test_what_the_camera_looks_through_still_shades(street: RayScene) -> None:
+    poses = {"car": pose(12, 1, yaw=0.4)}
+    whole, bare = render(street, poses), render(street)
+    hidden = render(street, poses, hidden=["car"])
+    np.testing.assert_array_equal(hidden.depth, bare.depth)
+    np.testing.assert_array_equal(hidden.instance, bare.instance)
+    ground = np.isfinite(bare.depth)
+    darker = bare.rgb.astype(int)[ground] - hidden.rgb[ground]
+    assert (darker.max(axis=1) > 30).sum() > 20, "the shadow"
+    seen = whole.instance == 0
+    lit = np.abs(whole.rgb.astype(int) - hidden.rgb).max(axis=2)[seen]
+    assert np.median(lit) <= 2 and (lit > 12).mean() < 0.1, "beside the car it is the same picture"
+
+
+def test_a_vehicle_alone_has_the_light_of_its_street(street: RayScene) -> None:
+    poses = {"car": pose(12, 1), "wall": pose(12, 4, 2.5, yaw=np.pi / 2)}
+    whole = render(street, poses)
+    alone = render(street, poses, hidden=["wall"], street=False)
+    car = whole.instance == 1
+    np.testing.assert_allclose(alone.depth[car], whole.depth[car], rtol=1e-5)
+    assert np.all(np.isinf(alone.depth[alone.alpha == 0]))
+    assert not np.any(alone.rgb[alone.alpha == 0])
+    inside = car & (alone.alpha == 1) & (whole.alpha == 1)
+    lit = np.abs(whole.rgb.astype(int) - alone.rgb).max(axis=2)[inside]
+    assert np.median(lit) <= 6, "only the samples differ"

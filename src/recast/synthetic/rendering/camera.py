@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import get_args
 
@@ -38,8 +39,8 @@ class CameraFrame:
     """One image and what is exactly known about it.
 
     Attributes:
-        rgb: (H, W, 3) uint8 sRGB. In front of an empty street: the colour of the vehicles alone,
-            not mixed with anything behind them.
+        rgb: (H, W, 3) uint8 sRGB. In front of an empty or an unseen street: the colour of the
+            vehicles alone, not mixed with anything behind them.
         depth: (H, W) float32 metres along the camera's z axis through the pixel centre, inf where
             the sky is.
         instance: (H, W) uint16 at the pixel centre: 0 the street, i + 1 the i-th of the scene's
@@ -111,8 +112,26 @@ class Film:
         return self._covered / self._rays
 
 
+@dataclass(frozen=True)
+class Seen:
+    """What the camera's own rays meet; light and reflections meet all of the scene.
+
+    Attributes:
+        posed: the scene with the models that are seen.
+        street: whether what never moves is seen.
+    """
+
+    posed: PosedScene
+    street: bool
+
+    def cast(self, origins: Float32Array, directions: Float32Array) -> Hits:
+        """First hits of the camera's rays."""
+        return self.posed.cast(origins, directions, coherent=True, street=self.street)
+
+
 def trace_image(
     posed: PosedScene,
+    seen: Seen,
     light: SkyLight,
     camera: PinholeCamera,
     world_from_camera: Array,
@@ -120,15 +139,14 @@ def trace_image(
     exposure: float,
     quality: Quality,
 ) -> CameraFrame:
-    """The image of a scene; arguments as of `render_camera`, checked."""
+    """The image of what is seen of a scene; arguments as of `render_camera`, checked."""
     height, width = camera.height, camera.width
     pixel_angle = 1 / np.sqrt(camera.fx * camera.fy)
-    transparent = not len(posed.scene.static)
-    film = Film(light, exposure, height * width, transparent=transparent)
+    film = Film(light, exposure, height * width, transparent=not seen.street)
 
     grid = camera.pixel_grid().reshape(-1, 2)
     origins, directions, stretch = camera_rays(camera, world_from_camera, grid)
-    hits = posed.cast(origins, directions, coherent=True)
+    hits = seen.cast(origins, directions)
     pixels, points = surface_points(posed, origins, directions, hits)
     samples = [pixel_samples(height, width, rng).reshape(-1, 2)[pixels] for _ in range(2)]
     noisy = sample_light(light, points, *samples)
@@ -143,7 +161,7 @@ def trace_image(
     edges = edge_pixels(points, pixels, shaded, light.white, height, width)
     for offset in OFFSETS:
         origins, directions, _ = camera_rays(camera, world_from_camera, grid[edges] + offset)
-        further = posed.cast(origins, directions, coherent=True)
+        further = seen.cast(origins, directions)
         at, others = surface_points(posed, origins, directions, further)
         borrowed, alone = borrow_light(
             points, pixels, arriving, others, edges[at], offset, height, width
@@ -193,6 +211,8 @@ def render_camera(
     rng: np.random.Generator,
     exposure: float = 1.0,
     quality: Quality = "standard",
+    hidden: Collection[str] = (),
+    street: bool = True,
 ) -> CameraFrame:
     """Take one image.
 
@@ -206,6 +226,10 @@ def render_camera(
         exposure: factor on the light, 1 is right for the day.
         quality: "mitsuba" path traces the light of the sky, with four bounces instead of two, at
             several times the cost; needs the extra `mitsuba` and LLVM.
+        hidden: names of models that the camera looks through. They still cast shadows and are
+            mirrored.
+        street: False lets the camera look through what never moves: the other models alone, in the
+            light that they have in the street.
 
     Raises:
         InputError: mitsuba is asked for and does not run here.
@@ -221,14 +245,16 @@ def render_camera(
     if quality not in get_args(Quality):
         raise ValueError(f"quality: {quality!r} is none of {get_args(Quality)}")
     posed, light = scene.posed(poses), sky_light(sky)
-    width, height = camera.width, camera.height
-    if len(scene.static):
-        return trace_image(posed, light, camera, pose, rng, exposure, quality)
+    shown = {name: place for name, place in poses.items() if name not in hidden}
+    seen = Seen(scene.posed(shown) if len(shown) < len(poses) else posed, street)
+    if street and len(scene.static):
+        return trace_image(posed, seen, light, camera, pose, rng, exposure, quality)
     # Nothing but vehicles: trace only the part of the image that they can cover.
-    left, top, right, bottom = _covered(scene, camera, pose, poses)
+    left, top, right, bottom = _covered(scene, camera, pose, shown)
     part = camera.cropped(left, top, right - left, bottom - top)
-    return trace_image(posed, light, part, pose, rng, exposure, quality).within(
-        width, height, left, top
+    alone = Seen(seen.posed, street=False)
+    return trace_image(posed, alone, light, part, pose, rng, exposure, quality).within(
+        camera.width, camera.height, left, top
     )
 
 

@@ -18,7 +18,7 @@ from recast.arrays import Array
 from recast.geometry import se3
 from recast.synthetic.rendering import compiled
 from recast.synthetic.rendering.rays import BoolArray, Float32Array, Mesh, dot, rows, shift
-from recast.synthetic.surface import Surface, corner_normals
+from recast.synthetic.surface import Surface, concatenate, corner_normals
 
 Poses = Mapping[str, Array]
 
@@ -172,15 +172,21 @@ class PosedScene:
         self._spheres = _Spheres(spheres)
 
     def cast(
-        self, origins: Float32Array, directions: Float32Array, *, coherent: bool = False
+        self,
+        origins: Float32Array,
+        directions: Float32Array,
+        *,
+        coherent: bool = False,
+        street: bool = True,
     ) -> Hits:
         """First hits of rays from `origins` (N, 3) along unit `directions` (N, 3), contiguous.
 
         Args:
             coherent: neighbouring rays lie close together: sooner then, later where they do not.
+            street: False lets the rays pass through what never moves.
         """
-        street = self.scene.mesh(STREET)
-        distance, face, u, v = street.first_hits(origins, directions, coherent=coherent)
+        mesh = self.scene.mesh(STREET) if street else Mesh(concatenate([]))
+        distance, face, u, v = mesh.first_hits(origins, directions, coherent=coherent)
         instance = np.where(face >= 0, np.uint16(STREET), np.uint16(SKY))
         enter = self._spheres.entered(origins, directions)
         for (index, local), entry in zip(self._actors, enter, strict=True):

@@ -1,0 +1,164 @@
+"""The true vehicle in a street of Gaussians, and Gaussians in the true street."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from recast.geometry import se3
+from recast.logs import Trajectory
+from recast.planning import CameraMount
+from recast.scene.sky import SkyMap
+from recast.scene.street_scene import SceneActor, StreetScene
+from recast.simulation import SimState
+from recast.simulation.composite_renderer import GeneratedVehicleRenderer, TrueVehicleRenderer
+from recast.simulation.oracle_renderer import OracleRenderer
+from recast.simulation.scene_renderer import SceneRenderer
+from recast.splats import Gaussians
+from recast.synthetic.oracle import Oracle
+from recast.synthetic.rig import exposure, make_rig
+from recast.synthetic.world import World
+from simulation.test_oracle_renderer import state_of
+from synthetic.conftest import small_world
+
+GREY = (0.6, 0.6, 0.6)
+AHEAD_M = 14.0
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return small_world()
+
+
+@pytest.fixture(scope="module")
+def mounts() -> dict[str, CameraMount]:
+    rig = make_rig(96, 64, ("front",)).cameras
+    return {k: CameraMount(c.camera, c.rig_from_camera) for k, c in rig.items()}
+
+
+@pytest.fixture(scope="module")
+def state(world: World) -> SimState:
+    """The target straight ahead, turned, and nobody else."""
+    found = state_of(world, 3)
+    pose = found.world_from_rig.copy()
+    pose[:3, 3] += AHEAD_M * pose[:3, 0]
+    pose[2, 3] = found.world_from_actor[2, 3]
+    pose[:3, :3] = pose[:3, :3] @ se3.rotation_z(0.5)
+    return replace(found, world_from_actor=pose, others={})
+
+
+def ball(colour: tuple[float, float, float], at: np.ndarray, size: float) -> Gaussians:
+    return Gaussians(
+        means=torch.from_numpy(np.asarray(at)[None]).float(),
+        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
+        log_scales=torch.full((1, 3), float(np.log(size))),
+        logit_opacities=torch.tensor([12.0]),
+        sh=((torch.tensor(colour) - 0.5) / 0.28209479).reshape(1, 1, 3),
+    )
+
+
+def street(world: World, background: Gaussians, vehicle: Gaussians | None = None) -> StreetScene:
+    """A grey sky around a background, with a model of the target."""
+    own = ball((0.0, 1.0, 0.0), np.zeros(3), 0.5) if vehicle is None else vehicle
+    target = world.vehicles[world.target]
+    times, poses = world.ego.timestamps_us[[0, -1]], target.trajectory.poses[[0, -1]]
+    actor = SceneActor(world.target, own, np.array([4.0, 1.8, 1.5]), Trajectory(times, poses))
+    return StreetScene(background, {world.target: actor}, SkyMap.constant(torch.tensor(GREY)))
+
+
+def at_camera(state: SimState, mount: CameraMount, metres: float) -> np.ndarray:
+    """The place that far ahead of the camera, towards the target."""
+    camera = (state.world_from_rig @ mount.rig_from_camera)[:3, 3]
+    towards = state.world_from_actor[:3, 3] - camera
+    return camera + metres * towards / np.linalg.norm(towards)
+
+
+def test_the_true_vehicle_stands_in_the_street_with_its_shadow(
+    world: World, mounts: dict[str, CameraMount], state: SimState
+) -> None:
+    mount = mounts["front"]
+    far = street(world, ball((0.0, 0.0, 1.0), at_camera(state, mount, -50.0), 0.5))
+    with TrueVehicleRenderer(world, far, mounts, 1, tracks=[world.target]) as renderer:
+        image = renderer.render(state, ["front"])["front"]
+        again = renderer.render(state, ["front"])["front"]
+    np.testing.assert_array_equal(image, again)
+    bare = SceneRenderer(far, mounts, absent=[world.target]).render(state, ["front"])["front"]
+    assert np.ptp(bare) <= 1, "its own model is left out"
+    pose = state.world_from_rig @ mount.rig_from_camera
+    oracle, light = Oracle(world), exposure(world.seed, "front")
+    known = {"exposure": light, "rng": np.random.default_rng([world.seed, 701])}
+    alone = oracle.render(mount.camera, pose, state.poses, alone=[world.target], **known)
+    inside = alone.alpha == 1
+    assert inside.sum() > 100
+    # Only the rays' samples differ.
+    assert np.abs(image[inside].astype(int) - alone.rgb[inside]).mean() < 3
+    outside = alone.alpha == 0
+    # The red paint throws some light back: brighter than the grey of 153, but no rim.
+    assert (image[outside] <= 160).all(), "no halo"
+    below = outside.copy()
+    below[: int(np.nonzero(inside)[0].max())] = False
+    assert (image[below] < 110).any(), "a shadow on the road"
+    above = outside.copy()
+    above[int(np.nonzero(inside)[0].min()) - 3 :] = False
+    # Light that the vehicle throws back reaches the houses too.
+    assert np.abs(image[above].astype(int) - bare[above]).max() <= 2, "and nowhere else"
+
+
+def test_a_street_that_is_nearer_hides_the_true_vehicle(
+    world: World, mounts: dict[str, CameraMount], state: SimState
+) -> None:
+    mount = mounts["front"]
+    images = []
+    for metres in (3.0, 60.0):
+        scene = street(world, ball((0.0, 0.0, 1.0), at_camera(state, mount, metres), metres / 4))
+        with TrueVehicleRenderer(world, scene, mounts, 1, tracks=[world.target]) as renderer:
+            images.append(renderer.render(state, ["front"])["front"].astype(int))
+    pixel, _ = mount.camera.project(
+        se3.apply(
+            se3.inverse(state.world_from_rig @ mount.rig_from_camera),
+            state.world_from_actor[None, :3, 3],
+        )
+    )
+    column, row = pixel[0].astype(int)
+    near, behind = (image[row, column] for image in images)
+    assert near[2] > 240 and near[:2].max() < 15, "the blue ball"
+    assert behind[2] < behind[:2].max() + 60, "the vehicle"
+
+
+def test_gaussians_in_the_true_street(
+    world: World, mounts: dict[str, CameraMount], state: SimState
+) -> None:
+    nothing = ball((0.0, 0.0, 1.0), at_camera(state, mounts["front"], 3.0), 1.0)
+    red = street(world, nothing, ball((1.0, 0.0, 0.0), np.zeros(3), 0.5))
+    with (
+        GeneratedVehicleRenderer(world, red, mounts, 1, tracks=[world.target]) as renderer,
+        OracleRenderer(world, mounts, 1, tracks=[world.target]) as empty,
+    ):
+        image = renderer.render(state, ["front"])["front"]
+        without = empty.render(state, ["front"])["front"]
+        sunk = state.world_from_actor.copy()
+        sunk[2, 3] -= 8.0
+        hidden = renderer.render(replace(state, world_from_actor=sunk), ["front"])["front"]
+    changed = (image != without).any(axis=2)
+    assert 20 < changed.sum() < changed.size / 4
+    assert (image[..., 0].astype(int) - image[..., 2]).max() > 200, "red, and no blue street"
+    np.testing.assert_array_equal(hidden, without), "under the road"
+
+
+def test_the_true_street_without_and_with_another_noise(
+    world: World, mounts: dict[str, CameraMount], state: SimState
+) -> None:
+    images = {}
+    for name, arguments in {
+        "truth": {},
+        "noise": {"noise": 1},
+        "none": {"tracks": [world.target]},
+    }.items():
+        with OracleRenderer(world, mounts, 1, **arguments) as renderer:
+            images[name] = renderer.render(state, ["front"])["front"].astype(int)
+    noise = np.abs(images["noise"] - images["truth"])
+    assert noise.any() and noise.mean() < 3, "the same picture with other rays"
+    assert (np.abs(images["none"] - images["truth"]).max(axis=2) > 30).mean() > 0.01
