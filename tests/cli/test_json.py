@@ -207,13 +207,14 @@ def test_bench(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch)
                 scores=scores,
             )
             for scene in ("one", "two")
-            for arm in ("native", "oracle")
+            for arm in ("native", "oracle", "recast+oracle")
         ]
         rows[0] = rows[0].failed("ValueError", "no road")
         return summarise(rows, replace(settings, samples=10))
 
     monkeypatch.setattr("recast.pipeline.bench.run_closed_loop", ran)
-    common = ("--scenes", "urban-straight", "--out", tmp_path, "--arm", "native", "--arm", "oracle")
+    arms = [word for arm in ("native", "oracle", "recast+oracle") for word in ("--arm", arm)]
+    common = ("--scenes", "urban-straight", "--out", tmp_path, *arms)
     # Motions may be given in one list, or one by one.
     tables = rows_of(
         capsys,
@@ -230,7 +231,11 @@ def test_bench(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch)
     assert (native["asked"], native["rollouts"], native["nc_percent"]) == (2, 1, 100.0)
     assert native["ttc_low_s"] == 1.0
     assert {row["unit"] for row in tables["differences"]} == {"s", "%"}
-    assert tables["against_the_truth"][0]["same_verdict_percent"] == 100.0
+    against = tables["against_the_truth"][0]
+    assert (against["same_verdict_percent"], against["noise_floor_percent"]) == (100.0, None)
+    street, vehicle = tables["decomposition"]
+    assert (street["part"], street["other"], street["pairs"]) == ("street", "recast+oracle", 2)
+    assert (vehicle["part"], vehicle["pairs"], vehicle["loss_percent"]) == ("vehicle", 1, 0.0)
     assert tables["failures"][0]["reason"] == "no road"
 
     lines = [LevelRow("native", 3, {"lpips": Value(0.25, 0.1, float("nan"))})]

@@ -9,10 +9,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from recast.dynamics.state import moved_left
 from recast.evaluation import COLUMNS
 from recast.evaluation.grid import GridRow, arm_summaries, paired_summaries
 from recast.evaluation.pairs import script_difference
-from recast.evaluation.verdicts import SCHEMA, agreements, verdicts, write_rows
+from recast.evaluation.verdict_parts import Part, part_losses
+from recast.evaluation.verdicts import SCHEMA, agreements, noise_floors, verdicts, write_rows
 
 from .rollouts import make_rollout
 
@@ -116,6 +118,45 @@ def test_what_was_cut_is_compared_up_to_there() -> None:
 def test_nothing_is_compared_where_the_oracle_failed() -> None:
     rows = [row("one", "native", "a", 0.0, 0.0), failed("one", "oracle", "a")]
     assert agreements(rows, "oracle", 50, 0) == []
+
+
+def test_the_noise_floor_pools_the_disturbed_truths() -> None:
+    noisy = [
+        row("one", "oracle:seed", "a", 1.0, 4.0),
+        row("one", "oracle:grey", "a", 0.0, 4.0),
+        row("two", "oracle:seed", "a", 1.0, 4.0),
+        failed("two", "oracle:grey", "a"),
+    ]
+    rows = [*ROWS, *noisy]
+    [floor] = noise_floors(rows, "oracle", ["oracle:seed", "oracle:grey"], 500, 0)
+    assert (floor.arm, floor.agreeing, floor.pairs, floor.asked) == ("noise floor", 2, 3, 4)
+    assert floor.share.point == pytest.approx(2 / 3)
+    native = agreements(rows, "oracle", 500, 0)[0]
+    assert native.over(floor) == pytest.approx((2 / 3) / (2 / 3))
+    assert native.over(None) is None
+    assert native.over(replace(floor, agreeing=0)) is None
+    assert noise_floors(ROWS, "oracle", [], 500, 0) == []
+
+
+def test_parts_lose_agreement_on_the_scenarios_of_both() -> None:
+    parts = [Part("vehicle", "native", "replaced"), Part("street", "oracle", "native")]
+    vehicle, street = part_losses(ROWS, "oracle", [*parts, Part("light", "native", "no")], 500, 0)
+    # one-b has no replaced: native disagrees and agrees, replaced agrees and disagrees
+    assert (vehicle.pairs, vehicle.scenes) == (2, 2)
+    assert (vehicle.agreeing, vehicle.other_agreeing, vehicle.loss.point) == (1, 1, 0.0)
+    assert (vehicle.loss.low, vehicle.loss.high) == (-1.0, 1.0)
+    assert (street.pairs, street.agreeing, street.other_agreeing) == (3, 3, 2)
+    assert street.loss.point == pytest.approx(1 / 3)
+
+
+def test_a_start_beside_the_log_s_is_the_same_script_only_where_it_is_asked_for() -> None:
+    rollout = make_rollout()
+    ego = rollout.ego.copy()
+    ego[0] = moved_left(rollout.ego[0], 0.05)
+    beside = make_rollout(ego=ego)
+    assert script_difference(rollout, beside) == "the ego's first state differs"
+    assert script_difference(rollout, beside, 0.05) is None
+    assert script_difference(rollout, rollout, 0.05) == "the ego's first state differs"
 
 
 def test_the_file_holds_every_column_and_is_the_same_twice(tmp_path: Path) -> None:

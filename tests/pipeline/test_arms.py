@@ -8,8 +8,11 @@ from pathlib import Path
 import pytest
 
 from recast.core.errors import InputError
-from recast.pipeline.arms import Arm, parse_arms, truth_of
+from recast.evaluation.verdict_parts import Part
+from recast.pipeline.arm_words import parse_arms
+from recast.pipeline.arms import Arm, truth_of
 from recast.pipeline.config import resolve_config
+from recast.pipeline.decomposition import parts_of
 from recast.scene.store import SCENE_FILE
 
 
@@ -71,7 +74,11 @@ BAD = [
     ("[]", "are no list"),
     ('[{"name": "x", "vehicle": "magic"}]', "vehicle"),
     ('[{"name": "", "vehicle": "own"}]', "name"),
-    ('[{"name": "x", "vehicle": "truth"}]', "both the truth"),
+    ('[{"name": "x", "street": "truth", "vehicle": "own"}]', "no reconstruction"),
+    ('[{"name": "x", "vehicle": "truth", "noise": "grey"}]', "disturbed by noise"),
+    ('[{"name": "x", "street": "truth", "vehicle": "none", "noise": "seed"}]', "disturbed by"),
+    ('[{"name": "x", "street": "truth", "vehicle": "truth", "noise": "loud"}]', "noise"),
+    ('[{"name": "x", "vehicle": "none", "relit": false}]', "only a generated"),
     ('[{"name": "x", "vehicle": "own", "generator": "template"}]', "only a generated"),
     ('[{"name": "x", "vehicle": "own", "colour": "red"}]', "colour"),
     ("!!python/object/apply:os.system ['true']", "cannot be read"),
@@ -85,11 +92,69 @@ def test_faulty_files_are_one_line(tmp_path: Path, text: str, said: str) -> None
         parse_arms([str(tmp_path / "arms.yaml")])
 
 
-def test_two_arms_of_one_name_and_a_truth_within_a_reconstruction() -> None:
+def test_two_arms_of_one_name() -> None:
     with pytest.raises(InputError, match="twice"):
         parse_arms(["native", "native"])
-    with pytest.raises(InputError, match="truth"):
-        parse_arms(["omnire+oracle"])
+
+
+def test_words_of_noise_and_of_parts() -> None:
+    words = ["oracle", "noise-floor", "omnire+oracle", "recast+oracle", "oracle+template"]
+    arms = parse_arms([*words, "oracle+replaced", "recast+none", "oracle+none"])
+    told = [(arm.name, arm.street, arm.vehicle, arm.generator, arm.noise) for arm in arms]
+    assert told == [
+        ("oracle", "truth", "truth", None, None),
+        ("oracle:seed", "truth", "truth", None, "seed"),
+        ("oracle:grey", "truth", "truth", None, "grey"),
+        ("oracle:jitter", "truth", "truth", None, "jitter"),
+        ("oracle:start", "truth", "truth", None, "start"),
+        ("omnire+oracle", "omnire", "truth", None, None),
+        ("recast+oracle", "recast", "truth", None, None),
+        ("oracle+template", "truth", "generated", "template", None),
+        ("oracle+replaced", "truth", "generated", None, None),
+        ("recast+none", "recast", "none", None, None),
+        ("oracle+none", "truth", "none", None, None),
+    ]
+    assert truth_of(arms[::-1]) == "oracle" and truth_of(arms[1:]) is None
+    assert parse_arms(["oracle:grey"]) == arms[2:3]
+    assert {arm.name for arm in arms if arm.start_left} == {"oracle:start"}
+    assert len({str(arm.inputs()) for arm in arms[:6]}) == 6, "keys tell them apart"
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("oracle:loud", "disturbs the truth by 'loud'; choose of oracle:seed, oracle:grey"),
+        ("recast+oracle:seed", "disturbs what is not the truth; disturb the truth alone"),
+        ("oracle+native", "puts a reconstruction into the truth, which has none; name a"),
+    ],
+)
+def test_bad_words_are_one_line(word: str, said: str) -> None:
+    with pytest.raises(InputError, match=said) as caught:
+        parse_arms([word])
+    assert word in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_noise_without_the_truth_is_refused() -> None:
+    with pytest.raises(InputError, match=r"'oracle:seed' is compared with the truth: add the arm"):
+        resolve_config("0", ["cut-in-a"], None, None, {"arms": ["native", "noise-floor"]}, {})
+
+
+def test_parts_of_a_disagreement() -> None:
+    config = resolve_config(
+        "0", ["cut-in-a"], None, None, {"arms": ["decomposition", "noise-floor"]}, {}
+    )
+    assert parts_of([config.arm(arm.name) for arm in config.arms]) == (
+        Part("street", "oracle", "recast+oracle"),
+        Part("street", "oracle+replaced", "replaced"),
+        Part("street", "oracle+none", "recast+none"),
+        Part("vehicle", "oracle", "oracle+replaced"),
+        Part("vehicle", "recast+oracle", "native"),
+        Part("vehicle", "recast+oracle", "replaced"),
+        Part("light", "replaced", "replaced, unlit"),
+        Part("refinement", "replaced", "replaced, unrefined"),
+        Part("no vehicle", "oracle", "oracle+none"),
+        Part("no vehicle", "recast+oracle", "recast+none"),
+    )
 
 
 def test_assets_by_scene(tmp_path: Path) -> None:

@@ -250,3 +250,26 @@ def test_scenes_by_word(tiny_log_folder: Path) -> None:
         parse_scenes([str(tiny_log_folder)], 0)
     with pytest.raises(InputError, match="track 9"):
         parse_scenes([f"{tiny_log_folder}:9"], 0)
+
+
+def test_the_noise_floor_of_a_planner_that_reads_states(
+    logs: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only the start can change what it does, and its start is no other script."""
+    monkeypatch.setattr("recast.pipeline.bench.closed_loop.world_of", lambda _: None)
+    out = tmp_path / "grid"
+    assert main(command(logs[:1], out, "--arm", "oracle:start", "--arm", "oracle")) == 0
+    assert main(command(logs[:1], tmp_path / "all", "--arm", "oracle", "--arm", "noise-floor")) == 0
+    for found in (out, tmp_path / "all"):
+        driven = [row for row in rows(found) if row["motion"] == "advancing"]
+        assert all(row["failure"] is None for row in driven)
+        start, truth = (
+            next(row for row in driven if row["arm"] == arm) for arm in ("oracle:start", "oracle")
+        )
+        assert start["r_c_projection"] != truth["r_c_projection"]
+        assert (start["oracle_verdict"], start["verdict_agrees"]) == ("no collision", True)
+    results = json.loads((tmp_path / "all" / "results.json").read_text())
+    [floor] = results["noise_floors"]
+    assert (floor["arm"], floor["pairs"], floor["agreeing"]) == ("noise floor", 4, 4)
+    assert {(one["noise_floor"], one["share_of_floor"]) for one in results["truth"]} == {(1.0, 1.0)}
+    assert results["decomposition"] == []

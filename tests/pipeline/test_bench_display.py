@@ -11,8 +11,10 @@ from rich.table import Table
 
 from recast.evaluation import COLUMNS
 from recast.evaluation.grid import GridRow, arm_summaries, paired_summaries
-from recast.evaluation.verdicts import agreements
-from recast.pipeline.bench.results import differences_table, grid_table, truth_table
+from recast.evaluation.verdict_parts import Part, part_losses
+from recast.evaluation.verdicts import agreements, noise_floors
+from recast.pipeline.bench.results import differences_table, grid_table
+from recast.pipeline.bench.verdict_tables import parts_table, truth_table
 from recast.pipeline.display import results_tables
 
 STEPS = tuple(range(0, 160, 5))
@@ -95,6 +97,28 @@ def test_long_names_of_arms_take_nothing_from_the_figures() -> None:
     ]
     for table in tables:
         assert line_of(shown(table), "omnire+")
+
+
+def test_agreement_stands_beside_the_noise_floor() -> None:
+    noisy = [row(n, "oracle:seed", float(n > 0)) for n in range(12)]
+    rows = [replace(one, arm=one.arm.replace("replaced", "omnire+a-name")) for one in grid()]
+    rows += noisy
+    [floor] = noise_floors(rows, "oracle", ["oracle:seed"], 100, 0)
+    lines = shown(truth_table(agreements(rows, "oracle", 100, 0), floor))
+    at = line_of(lines, "omnire+")
+    assert lines[at].split()[1:4] == ["8/11", "11/12", "0.79"]
+    assert lines[at + 1].split()[1:5] == ["72.7", "%", "91.7", "%"]
+    assert lines[at].split()[-2:] == ["11/12", "332"]
+
+
+def test_the_parts_of_a_disagreement() -> None:
+    rows = [replace(one, arm=one.arm.replace("replaced", "omnire+a-long-name")) for one in grid()]
+    parts = [Part("no vehicle", "oracle", "omnire+a-long-name"), Part("light", "oracle", "native")]
+    lines = shown(parts_table(part_losses(rows, "oracle", parts, 100, 0)))
+    first = lines[line_of(lines, "oracle", "vehicle")].split()
+    assert first[:6] == ["oracle", "no", "vehicle", "omnire+", "11,", "8"]
+    assert first[6:8] == ["11", "+27.3"]
+    assert "12" in lines[line_of(lines, "light")].split()
 
 
 def test_a_run_s_table_does_too() -> None:

@@ -10,7 +10,7 @@ from recast.core.errors import InputError
 from recast.evaluation.scene_level.files import PUBLISHED
 from recast.evaluation.scene_level.scores import COLUMNS
 from recast.logs import DrivingLog
-from recast.pipeline.arms import parse_arms
+from recast.pipeline.arm_words import parse_arms
 from recast.pipeline.bench import parse_scenes
 from recast.pipeline.config import resolve_config
 from recast.pipeline.paper import SEGMENTS, choose_target

@@ -46,6 +46,7 @@ PAGES = {
     "recast.core.store": "docs/runs.md#the-store",
     "recast.logs": "docs/data.md#the-log-folder",
     "recast.logs.importers": "docs/data.md#what-can-be-read",
+    "recast.pipeline.arm_words": "docs/runs.md#arms",
     "recast.pipeline.arms": "docs/runs.md#arms",
     "recast.pipeline.config": "docs/runs.md#a-configuration-file",
     "recast.pipeline.run_folder": "docs/runs.md#the-run-folder",

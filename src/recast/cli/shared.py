@@ -61,8 +61,9 @@ MOTIONS_HELP = MOTION_HELP.replace("May be repeated", "Takes several, and may be
 ARM_HELP = (
     "Arm of the comparison; the first is the baseline: native (the vehicle as reconstructed), "
     "replaced (a generated vehicle), oracle (the truth of a synthetic log), a generator such as "
-    "recast-mini, a street such as omnire or a scene folder, both such as omnire+template, or a "
-    "file of arms (docs/runs.md). May be repeated."
+    "recast-mini, a street such as omnire or a scene folder, both such as omnire+template, "
+    "noise-floor (the truth disturbed in four ways), decomposition (truth and reconstruction in "
+    "all pairings), or a file of arms (docs/runs.md). May be repeated."
 )
 ARM_DEFAULT = "native and replaced"
 ARM = option(ARM_HELP, ARM_DEFAULT)

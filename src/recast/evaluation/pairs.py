@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recast.arrays import Array
+from recast.dynamics.state import moved_left
 from recast.evaluation.table import Attempt, Metric, Scored
 from recast.simulation.rollout import Rollout
 
@@ -149,11 +150,14 @@ def _key(attempt: Attempt) -> _Key:
     return attempt.planner, attempt.track_id, attempt.motion, attempt.setting
 
 
-def script_difference(one: Rollout, other: Rollout) -> str | None:
+def script_difference(one: Rollout, other: Rollout, left: float = 0.0) -> str | None:
     """What differs that no arm may change, in words; None where nothing does.
 
     The states of scripted actors are compared up to the end of the shorter: where its ego leaves
     the road decides how long a rollout is. Of actors that react only the first state is compared.
+
+    Args:
+        left: metres to the left of the start of `one` at which `other` is to start.
     """
     for field in ("track_id", "start_timestamp_us", "dt", "steps_requested", "ego_centre_offset"):
         if getattr(one, field) != getattr(other, field):
@@ -161,7 +165,8 @@ def script_difference(one: Rollout, other: Rollout) -> str | None:
     for field in ("actor_size", "ego_size", "route"):
         if not np.array_equal(getattr(one, field), getattr(other, field)):
             return f"{field} differs"
-    if not np.array_equal(one.ego[0], other.ego[0]):
+    start = moved_left(one.ego[0], left) if left else one.ego[0]
+    if not np.array_equal(start, other.ego[0]):
         return "the ego's first state differs"
     ids = [[r.track_id, *(actor.track_id for actor in r.controlled)] for r in (one, other)]
     if ids[0] != ids[1] or one.reactive != other.reactive:

@@ -6,8 +6,8 @@ The columns of that file are described in docs/bench.md.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +45,8 @@ SCHEMA = pa.schema(
     ]
 )
 """Columns and their types; any but scene, arm, motion, setting and planner may be null."""
+NOISE_FLOOR = "noise floor"
+"""Arm of a `VerdictCounts` over all disturbances of the truth."""
 _OF_ROW = tuple(name for name in SCHEMA.names if name in GridRow.__dataclass_fields__)
 
 
@@ -97,6 +99,10 @@ class VerdictCounts:
     share: Bootstrap
     ttc_error: Bootstrap | None
 
+    def over(self, floor: VerdictCounts | None) -> float | None:
+        """Its share over that of the noise floor; None without a floor, or with one of zero."""
+        return None if floor is None or not floor.agreeing else self.share.point / floor.share.point
+
 
 def verdicts(rows: Sequence[GridRow], truth: str | None) -> list[Verdict | None]:
     """For each row, how it compares with the same planner's in the truth.
@@ -130,6 +136,24 @@ def agreements(rows: Sequence[GridRow], truth: str, samples: int, seed: int) -> 
         )
         for key in dict.fromkeys((row.planner, row.arm) for row, _ in compared)
     ]
+
+
+def noise_floors(
+    rows: Sequence[GridRow], truth: str, noisy: Collection[str], samples: int, seed: int
+) -> list[VerdictCounts]:
+    """A line for each planner: how often it ends as in the truth if the truth is disturbed.
+
+    No reconstruction can be expected to agree more often.
+
+    Args:
+        rows: of the whole grid.
+        truth: the arm that renders the truth.
+        noisy: arms that disturb it; they count as one arm, `NOISE_FLOOR`.
+        samples, seed: of the bootstrap over scenes.
+    """
+    pooled = [replace(row, arm=NOISE_FLOOR) for row in rows if row.arm in noisy]
+    true = [row for row in rows if row.arm == truth]
+    return agreements([*true, *pooled], truth, samples, seed)
 
 
 def _verdict(row: GridRow, truth: GridRow | None) -> Verdict | None:

@@ -13,7 +13,7 @@ from recast.actors import Actor, insert, load_actor
 from recast.core import Artefact, Store
 from recast.core.progress import ProgressBar
 from recast.pipeline.actor import ActorMakers
-from recast.pipeline.arms import OWN_STREET, PRESETS, Arm, Renderers, truth_of
+from recast.pipeline.arms import OWN_STREET, PRESETS, Arm, truth_of
 from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import ACTOR_FOLDER, rollout_name, use_name
 from recast.pipeline.making import (
@@ -27,6 +27,7 @@ from recast.pipeline.making import (
     take_street,
     train_street,
 )
+from recast.pipeline.renderers import Renderers
 from recast.pipeline.rollouts import make_rollout, rollout_setup, run_mounts
 from recast.pipeline.sources import RECIPES, SourceLog, Sources
 from recast.planning import CameraMount, Planner, looked_at, make_planner
@@ -115,7 +116,8 @@ class Artefacts:
             further: also what only a report shows: turntable, and comparison with the truth.
         """
         config = self.config
-        if arm.is_truth or not any(self.looks(planner) for planner in config.planners):
+        made = arm.reconstructs or arm.generates
+        if not made or not any(self.looks(planner) for planner in config.planners):
             return
         self.scene(arm)
         self.evaluation(arm)
@@ -130,38 +132,38 @@ class Artefacts:
                 self.truth(arm)
 
     def scene(self, arm: Arm) -> Artefact:
-        """The street of an arm that is no truth."""
+        """The reconstruction of an arm's street, or the one that its vehicle is made in."""
         folder = self._folder_of(arm)
         if folder is not None:
             return self._used(
-                use_name("scene", arm.street), lambda: take_street(self.maker, folder)
+                use_name("scene", arm.made_in), lambda: take_street(self.maker, folder)
             )
         config = self.street_config(arm)
         return self._used(
-            use_name("scene", arm.street),
-            lambda: train_street(self.maker, self.source, config, arm.street),
+            use_name("scene", arm.made_in),
+            lambda: train_street(self.maker, self.source, config, arm.made_in),
         )
 
     def street_config(self, arm: Arm) -> SceneConfig:
-        """The scene settings of an arm's street; they force controlled tracks that would be
+        """The scene settings of an arm's reconstruction; they force controlled tracks that would be
         background."""
-        if arm.street not in self._configs:
-            config = self.config.street(arm.street)
+        if arm.made_in not in self._configs:
+            config = self.config.street(arm.made_in)
             if self._folder_of(arm) is None:
                 modelled = modelled_tracks(self.source.log, config)
                 missing = (track for track in self._controlled() if track not in modelled)
                 forced = (*config.force_dynamic, *missing)
                 config = config.model_copy(update={"force_dynamic": forced})
-            self._configs[arm.street] = config
-        return self._configs[arm.street]
+            self._configs[arm.made_in] = config
+        return self._configs[arm.made_in]
 
     def evaluation(self, arm: Arm) -> Artefact | None:
-        """Held-out scores of an arm's street; None where no image was held out."""
+        """Held-out scores of an arm's reconstruction; None where no image was held out."""
         config = self.street_config(arm)
         if config.holdout_every == 0:
             return None
         return self._used(
-            use_name("evaluation", arm.street),
+            use_name("evaluation", arm.made_in),
             lambda: score_street(self.maker, self.source, self.scene(arm), config),
         )
 
@@ -209,6 +211,13 @@ class Artefacts:
             ),
         )
 
+    def images_of(self, arm: Arm) -> dict[str, Any]:
+        """What keys of an arm's images need beside its vehicles."""
+        if arm.reconstructs:
+            return {"street": self.scene(arm).reference, **arm.inputs()}
+        light = {"lit_by": self.scene(arm).reference} if arm.generates else {}
+        return {"street": "truth", **light, **arm.inputs()}
+
     def replaced_tracks(self, motion: str) -> tuple[str, ...]:
         """The target, and further actors of a scenario whose vehicles are to be replaced too."""
         further = replaced_tracks(self.config.motion(motion))
@@ -242,8 +251,10 @@ class Artefacts:
             "actors": {},
             "recipe": RECIPES["rollout"],
         }
+        if arm.start_left:
+            inputs["start_left"] = arm.start_left
         if looks:
-            inputs["street"] = "truth" if arm.is_truth else self.scene(arm).reference
+            inputs |= self.images_of(arm)
             if arm.generates:
                 inputs["actors"] = {track: self.actor(arm, track).reference for track in tracks}
         setup = replace(self.setup(motion, arm), plan_limit_s=config.plan_limit_s)
@@ -278,17 +289,18 @@ class Artefacts:
     def setup(self, motion: str, arm: Arm) -> RolloutSetup:
         """What a rollout of an arm is run with."""
         scripted = self.config.motion(motion)
-        return rollout_setup(self.source.log, self.source.map, self.config, scripted, arm.name)
+        log, hdmap, left = self.source.log, self.source.map, arm.start_left
+        return rollout_setup(log, hdmap, self.config, scripted, arm.name, left)
 
     def close(self) -> None:
         """Let go of the renderers."""
         self.renderers.close()
 
     def _folder_of(self, arm: Arm) -> Path | None:
-        """The folder of an arm's street, where that is not trained by this run."""
-        if arm.street == OWN_STREET:
+        """The folder of an arm's reconstruction, where that is not trained by this run."""
+        if arm.made_in == OWN_STREET:
             return None if self.config.scene_folder is None else Path(self.config.scene_folder)
-        return None if arm.street in PRESETS else Path(arm.street)
+        return None if arm.made_in in PRESETS else Path(arm.made_in)
 
     def _controlled(self) -> tuple[str, ...]:
         """All tracks that some scenario controls, the target first."""
@@ -309,7 +321,7 @@ class Artefacts:
     def _street(self, arm: Arm, tracks: tuple[str, ...]) -> StreetScene:
         street = load_scene(self.scene(arm).path)
         for track in tracks if arm.generates else ():
-            street = insert(street, self._actor(arm, track))
+            street = insert(street, self._actor(arm, track), relit=arm.relit is not False)
         return street
 
     def _actor(self, arm: Arm, track: str) -> Actor:

@@ -12,7 +12,8 @@ from recast.actors import AUTO, DEFAULT_GENERATOR, DEFAULT_SEGMENTER
 from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.records import Record, parse_record, validation_error
-from recast.pipeline.arms import MOST_VIEWS, PRESETS, Arm, default_arms, is_street, parse_arms
+from recast.pipeline.arm_words import is_street, parse_arms
+from recast.pipeline.arms import MOST_VIEWS, PRESETS, Arm, default_arms, require_truth
 from recast.pipeline.paper import PAPER, paper_config
 from recast.planning import DEVICE_PATTERN
 from recast.scene import Preset, SceneConfig, read_config, read_training_config
@@ -133,6 +134,11 @@ class RunConfig(Record):
             if names.count(name) > 1:
                 raise ValueError(f"names {name!r} twice")
         return value
+
+    @model_validator(mode="after")
+    def _noise_has_its_truth(self) -> Self:
+        require_truth(self.arms)
+        return self
 
     @model_validator(mode="after")
     def _motions_are_known(self) -> Self:

@@ -244,7 +244,7 @@ def run_grid(
     Args:
         scenes: synthetic scenes such as "urban-straight:3", or log folders, LOG:TRACK.
         out: folder of the grid; one of the same settings is finished.
-        arms: see `recast.pipeline.arms`; none for native and replaced.
+        arms: see docs/runs.md#arms; none for native and replaced.
         planners: names, folders, or "module:attribute"; none for "idm-follower".
         motions: names or scenario files; none for the paper's.
         track: of log folders that are named without one.

@@ -216,9 +216,14 @@ def is_failure(folder: Path) -> bool:
 
 
 def rollout_setup(
-    log: DrivingLog, hdmap: HdMap, config: RunConfig, motion: ScriptedMotion, arm: str
+    log: DrivingLog,
+    hdmap: HdMap,
+    config: RunConfig,
+    motion: ScriptedMotion,
+    arm: str,
+    start_left: float = 0.0,
 ) -> RolloutSetup:
-    """What a run is asked for, as the setup of one rollout."""
+    """What a run is asked for, as the setup of one rollout under the arm of a name."""
     return RolloutSetup(
         log=log,
         track_id=config.track,
@@ -229,6 +234,7 @@ def rollout_setup(
         plan_every=config.plan_every,
         keep_other_actors=config.keep_other_actors,
         camera_names=config.scene.cameras or tuple(log.cameras),
+        start_left=start_left,
     )
 
 

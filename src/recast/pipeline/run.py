@@ -16,7 +16,7 @@ from recast.core import Artefact, files, open_store, value_hash
 from recast.core.errors import InputError, printable
 from recast.core.records import validation_error
 from recast.core.workers import usable_cores
-from recast.pipeline.arms import Arm, default_arms, truth_of
+from recast.pipeline.arms import Arm, default_arms
 from recast.pipeline.artefacts import Artefacts
 from recast.pipeline.config import RunConfig
 from recast.pipeline.display import failure_lines, results_tables
@@ -68,7 +68,7 @@ def run(
     source = SourceLog.open(log_path)
     # What cannot work is refused before anything is written and before minutes of training.
     source.require(config.track)
-    if truth_of(config.arms) is not None:
+    if any(arm.needs_world for arm in config.arms):
         _ = source.world
     sources = Sources.of(config, source.log.name)
     artefacts = Artefacts(open_store(place), source, config, sources, console, source.log.name)

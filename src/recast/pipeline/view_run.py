@@ -165,7 +165,7 @@ class _Scenes(Mapping[str, StreetScene | None]):
                 scene = self._street(arm.street)
                 if scene is not None:
                     for actor in self._actors.get(name, {}).values():
-                        scene = insert(scene, actor)
+                        scene = insert(scene, actor, relit=arm.relit is not False)
                 self._made[name] = scene
             return self._made[name]
 

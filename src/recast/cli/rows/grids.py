@@ -10,6 +10,7 @@ from recast.cli.output import Rows, with_unit
 from recast.evaluation import COLUMNS
 from recast.evaluation.pairs import Bootstrap
 from recast.evaluation.scene_level.summary import LevelRow
+from recast.evaluation.verdict_parts import PartLoss
 from recast.evaluation.verdicts import VerdictCounts
 from recast.pipeline.bench.results import GridResults
 from recast.pipeline.foreign_scores import SCORES, ForeignScores, ScoreRow
@@ -66,7 +67,11 @@ def grid_rows(results: GridResults) -> Rows:
     return {
         "arms": arms,
         "differences": differences,
-        "against_the_truth": [_verdicts(one) for one in results.truth],
+        "against_the_truth": [
+            {**_verdicts(one), **_floor(one, results.floors.get(one.planner))}
+            for one in results.truth
+        ],
+        "decomposition": [_loss(one) for one in results.losses],
         "failures": failures,
     }
 
@@ -155,4 +160,21 @@ def _verdicts(one: VerdictCounts) -> dict[str, Any]:
         "ttc_error_high_s": None if error is None else error.high,
         "plans": one.plans,
         "cut": one.cut,
+    }
+
+
+def _floor(one: VerdictCounts, floor: VerdictCounts | None) -> dict[str, float | None]:
+    ratio = one.over(floor)
+    return {
+        "noise_floor_percent": None if floor is None else 100 * floor.share.point,
+        "of_noise_floor_percent": None if ratio is None else 100 * ratio,
+    }
+
+
+def _loss(one: PartLoss) -> dict[str, Any]:
+    return {
+        **{key: value for key, value in vars(one).items() if key != "loss"},
+        "loss_percent": 100 * one.loss.point,
+        "loss_low_percent": 100 * one.loss.low,
+        "loss_high_percent": 100 * one.loss.high,
     }

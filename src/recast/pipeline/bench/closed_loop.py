@@ -25,10 +25,10 @@ from recast.pipeline.bench.results import (
     results_json,
     summarise,
     times_line,
-    truth_table,
 )
 from recast.pipeline.bench.scene_run import Outcome, RolloutTask, Task
 from recast.pipeline.bench.schedule import SceneDesk, Schedule, Times
+from recast.pipeline.bench.verdict_tables import parts_table, truth_table
 from recast.pipeline.bench.worker import BenchWorker, Workers
 from recast.pipeline.display import failure_lines
 from recast.pipeline.rollouts import (
@@ -138,7 +138,7 @@ def check_grid(settings: BenchSettings) -> dict[str, Planner]:
                 make_generator(str(arm.generator), str(arm.axes))
                 segmenter_of(str(arm.segmenter))
     synthetic = [scene for scene in settings.scenes if scene.log is None]
-    compares = truth_of(config.arms) is not None
+    compares = any(arm.needs_world for arm in config.arms)
     if synthetic or compares:
         require_embree()
     for scene in settings.scenes:
@@ -186,7 +186,10 @@ def _print(results: GridResults, settings: BenchSettings, console: Console) -> N
             console.print(differences_table(differences))
         truth = [one for one in results.truth if one.planner == planner]
         if truth:
-            console.print(truth_table(truth))
+            console.print(truth_table(truth, results.floors.get(planner)))
+        losses = [one for one in results.losses if one.planner == planner]
+        if losses:
+            console.print(parts_table(losses))
     failed = [
         {
             "name": f"{row.scene} {row.motion}-{row.setting} {row.planner} {row.arm}",

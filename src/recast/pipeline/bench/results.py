@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from rich.table import Table
@@ -17,9 +17,11 @@ from recast.evaluation.grid import (
 )
 from recast.evaluation.pairs import Bootstrap
 from recast.evaluation.table import COLUMNS, rounded
-from recast.evaluation.verdicts import VerdictCounts, agreements
+from recast.evaluation.verdict_parts import PartLoss, part_losses
+from recast.evaluation.verdicts import VerdictCounts, agreements, noise_floors
 from recast.pipeline.arms import truth_of
 from recast.pipeline.bench.grid import BENCH_FORMAT, BENCH_VERSION, BenchSettings
+from recast.pipeline.decomposition import parts_of
 from recast.pipeline.display import narrow_table
 
 _HEADLINE = {name: column for name, column in COLUMNS.items() if column.headline}
@@ -33,23 +35,35 @@ class GridResults:
     Attributes:
         differences: of every arm from the first, by planner.
         table, truth: a line for each planner and arm; for each that was compared with the truth.
+        floors: by planner, the agreement of the truth with the disturbed truth; empty without arms
+            of noise.
+        losses: what each part costs, for each planner; empty without the truth.
     """
 
     rows: tuple[GridRow, ...]
     table: tuple[ArmSummary, ...]
     differences: tuple[PairedDifference, ...]
     truth: tuple[VerdictCounts, ...]
+    floors: Mapping[str, VerdictCounts]
+    losses: tuple[PartLoss, ...]
 
 
 def summarise(rows: Sequence[GridRow], settings: BenchSettings) -> GridResults:
     """The results of all rows; the bootstrap draws by the grid's seed."""
     samples, seed, arms = settings.samples, settings.run.seed, settings.run.arms
-    truth = truth_of(arms)
+    arms = tuple(settings.run.arm(arm.name) for arm in arms)
+    truth, noisy = truth_of(arms), [arm.name for arm in arms if arm.noise is not None]
+    drawn = (samples, seed)
+    compared = [] if truth is None else agreements(rows, truth, *drawn)
+    floors = [] if truth is None else noise_floors(rows, truth, noisy, *drawn)
+    losses = [] if truth is None else part_losses(rows, truth, parts_of(arms), *drawn)
     return GridResults(
-        tuple(rows),
-        tuple(arm_summaries(rows, samples, seed)),
-        tuple(paired_summaries(rows, arms[0].name, samples, seed)),
-        () if truth is None else tuple(agreements(rows, truth, samples, seed)),
+        rows=tuple(rows),
+        table=tuple(arm_summaries(rows, *drawn)),
+        differences=tuple(paired_summaries(rows, arms[0].name, *drawn)),
+        truth=tuple(compared),
+        floors={one.planner: one for one in floors},
+        losses=tuple(losses),
     )
 
 
@@ -74,7 +88,11 @@ def results_json(results: GridResults, settings: BenchSettings) -> dict[str, Any
             "units": {name: column.unit for name, column in COLUMNS.items()},
             "table": [_line(line) for line in results.table],
             "differences": [asdict(one) for one in results.differences],
-            "truth": [_agreement(one) for one in results.truth],
+            "truth": [_agreement(one, results.floors) for one in results.truth],
+            "noise_floors": [_agreement(one, {}) for one in results.floors.values()],
+            "decomposition": [
+                {**asdict(one), "loss": _interval(one.loss)} for one in results.losses
+            ],
             "failures": [_failure(row) for row in failed],
         }
     )
@@ -87,10 +105,13 @@ def _line(line: ArmSummary) -> dict[str, Any]:
     }
 
 
-def _agreement(one: VerdictCounts) -> dict[str, Any]:
+def _agreement(one: VerdictCounts, floors: Mapping[str, VerdictCounts]) -> dict[str, Any]:
+    floor = floors.get(one.planner)
     return {
         **{k: v for k, v in vars(one).items() if not isinstance(v, Bootstrap)},
         "share": _interval(one.share),
+        "noise_floor": None if floor is None else floor.share.point,
+        "share_of_floor": one.over(floor),
         "ttc_error": None if one.ttc_error is None else _interval(one.ttc_error),
     }
 
@@ -145,36 +166,7 @@ def differences_table(differences: Sequence[PairedDifference]) -> Table:
             f"{one.sampled.point:+.{digits}f}",
             _signed(one.sampled, digits),
             "n/a" if one.exact is None else _signed(one.exact, digits),
-            _pairs(one),
-            str(one.plans),
-        )
-    return table
-
-
-def truth_table(lines: Sequence[VerdictCounts]) -> Table:
-    """A line for each arm: whether its rollouts end as the truth's do.
-
-    False are collisions that the truth's rollouts do not have, missed are those that they have.
-    """
-    figures = ["same verdict", "%", "false", "missed", "TTC error s", "pairs", "plans"]
-    table = narrow_table("against the truth", ["arm"], figures)
-    for one in lines:
-        share = replace(
-            one.share,
-            point=100 * one.share.point,
-            low=100 * one.share.low,
-            high=100 * one.share.high,
-        )
-        table.add_row(
-            broken_name(one.arm),
-            f"{one.agreeing}/{one.pairs}",
-            f"{share.point:.1f}\n{_range(share, 1)}",
-            str(one.false_collisions),
-            str(one.missed_collisions),
-            "n/a"
-            if one.ttc_error is None
-            else f"{one.ttc_error.point:.3f}\n{_range(one.ttc_error, 3)}",
-            _pairs(one),
+            pairs_told(one),
             str(one.plans),
         )
     return table
@@ -197,14 +189,14 @@ def times_line(times: Mapping[str, Any]) -> str:
 
 def broken_name(arm: str) -> str:
     """The name of an arm as narrow columns break it."""
-    return arm.replace("+", "+\n")
+    return arm.replace("+", "+\n").replace(":", ":\n")
 
 
 def _mean(line: ArmSummary, name: str) -> str:
     mean, digits = line.row.means[name], _DIGITS[COLUMNS[name].unit]
     if mean is None:
         return "n/a"
-    shown = [f"{mean:.{digits}f}", _range(line.intervals[name], digits)]
+    shown = [f"{mean:.{digits}f}", span(line.intervals[name], digits)]
     count = line.row.counts[name]
     if COLUMNS[name].passes:
         shown.insert(1, f"{round(mean * count / 100)}/{count}")
@@ -213,13 +205,14 @@ def _mean(line: ArmSummary, name: str) -> str:
     return "\n".join(shown)
 
 
-def _pairs(one: PairedDifference | VerdictCounts) -> str:
+def pairs_told(one: PairedDifference | VerdictCounts) -> str:
     """How many of how many, and how many of them end where one of the two was cut."""
     pairs = f"{one.pairs}/{one.asked}"
     return f"{pairs}\n{one.cut} cut" if one.cut else pairs
 
 
-def _range(one: Bootstrap, digits: int) -> str:
+def span(one: Bootstrap, digits: int) -> str:
+    """An interval without its mean."""
     return f"{one.low:.{digits}f}-{one.high:.{digits}f}".replace("100.0", "100")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from rich.console import Console
 from recast.core import Artefact, Store, folder_hash
 from recast.evaluation.grid import GridRow
 from recast.evaluation.pairs import script_difference
+from recast.pipeline.arms import Arm
 from recast.pipeline.artefacts import Artefacts
 from recast.pipeline.bench.grid import BenchScene, BenchSettings
 from recast.pipeline.config import RunConfig
@@ -204,8 +206,8 @@ def scene_rows(
 ) -> list[GridRow]:
     """The rows of a scene, by motion, then by planner, then by arm.
 
-    Every arm must have been given the same route and start, and the same states of actors that do
-    not react to the ego: a row that was not is a failure.
+    Every arm must have been given the same route and start (beside it, if its noise says so), and
+    the same states of actors that do not react to the ego: a row that was not is a failure.
 
     Args:
         names: planners' names in results, by the word that asks for them.
@@ -215,7 +217,7 @@ def scene_rows(
     failures = {_key(one): one for one in metrics["failures"]}
     rows = []
     for motion in config.motions:
-        first: Rollout | None = None
+        first = _first(motion, config, used)
         for planner in config.planners:
             for arm in config.arms:
                 row = blank_row(scene, config, motion, names[planner], arm.name)
@@ -230,14 +232,31 @@ def scene_rows(
                     rows.append(row.failed(failures[key]["error"], failures[key]["reason"]))
                     continue
                 rollout = read_rollout(used[use].path)
-                assert isinstance(rollout, Rollout)  # or else it is among the failures
-                first = first or rollout
-                differs = script_difference(first, rollout)
+                assert isinstance(rollout, Rollout) and first is not None  # else a failure
+                left = arm.start_left - first[0].start_left
+                differs = script_difference(first[1], rollout, left)
                 if differs is None:
                     rows.append(row.scored(scored[key]))
                 else:
-                    rows.append(row.failed(OTHER_SCRIPT, f"{differs}, compared with {first.name}"))
+                    told = f"{differs}, compared with {first[1].name}"
+                    rows.append(row.failed(OTHER_SCRIPT, told))
     return rows
+
+
+def _first(
+    motion: str, config: RunConfig, used: Mapping[str, Artefact]
+) -> tuple[Arm, Rollout] | None:
+    """The rollout with which all others of a motion are compared, and its arm.
+
+    Arms that start where the log does go first. None where no rollout was made.
+    """
+    arms = sorted(config.arms, key=lambda arm: arm.start_left != 0)
+    for arm, planner in product(arms, config.planners):
+        made = used.get(rollout_name(motion, planner, arm.name))
+        rollout = None if made is None else read_rollout(made.path)
+        if isinstance(rollout, Rollout):
+            return arm, rollout
+    return None
 
 
 def _key(entry: Mapping[str, Any]) -> tuple[str, str, str, str]:

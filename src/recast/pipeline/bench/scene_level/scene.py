@@ -81,7 +81,7 @@ class LevelScene:
     def prepare(self) -> None:
         """Make streets, vehicles and drives, and find the images that count."""
         for arm in self._artefacts.arms.values():
-            if not arm.is_truth:
+            if arm.reconstructs:
                 self._artefacts.scene(arm)
             if arm.generates:
                 self._artefacts.actor(arm, self._config.track)
@@ -137,11 +137,11 @@ class LevelScene:
         if arm is not None:
             inputs["frames"] = frames.reference
         if name == REPLAY:
-            arm = next(one for one in self._artefacts.arms.values() if not one.is_truth)
+            arm = next(one for one in self._artefacts.arms.values() if one.reconstructs)
             arm = Arm.native(arm.street)
             inputs["replayed"] = True
         if arm is not None:
-            inputs["street"] = "truth" if arm.is_truth else self._artefacts.scene(arm).reference
+            inputs |= self._artefacts.images_of(arm)
             if arm.generates:
                 inputs["actor"] = self._artefacts.actor(arm, self._config.track).reference
 
@@ -183,7 +183,7 @@ class LevelScene:
     def _streets(self) -> dict[str, str]:
         """Every street that an arm uses, by name: its artefact, or "truth"."""
         return {
-            arm.street: "truth" if arm.is_truth else self._artefacts.scene(arm).reference
+            arm.street: self._artefacts.images_of(arm)["street"]
             for arm in self._artefacts.arms.values()
         }
 
@@ -201,9 +201,9 @@ class LevelScene:
         track = self._config.track
         arms = {arm.street: arm for arm in self._artefacts.arms.values()}.values()
         return [
-            true_depth(self._source.world, track)
-            if arm.is_truth
-            else street_depth(load_scene(self._artefacts.scene(arm).path), track)
+            street_depth(load_scene(self._artefacts.scene(arm).path), track)
+            if arm.reconstructs
+            else true_depth(self._source.world, track)
             for arm in arms
         ]
 

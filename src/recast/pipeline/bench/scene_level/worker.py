@@ -69,7 +69,7 @@ class LevelTasks:
 def measured(settings: LevelSettings) -> tuple[str, ...]:
     """What the networks look at in each scene: the arms, the logged images, and the control."""
     arms = settings.grid.run.arms
-    control = (REPLAY,) if any(not arm.is_truth for arm in arms) else ()
+    control = (REPLAY,) if any(arm.reconstructs for arm in arms) else ()
     return (*(arm.name for arm in arms), REFERENCES, *control)
 
 

@@ -1,0 +1,93 @@
+"""How much agreement with the truth each part of a simulation costs: street, vehicle, light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from recast.evaluation.grid import GridRow
+from recast.evaluation.pairs import Bootstrap, cluster_bootstrap
+from recast.evaluation.verdicts import verdicts
+
+
+class Part(NamedTuple):
+    """Two arms that differ in one part alone.
+
+    Attributes:
+        name: of the part.
+        arm: in which the part is as it should be.
+        other: in which it is wrong, or missing.
+    """
+
+    name: str
+    arm: str
+    other: str
+
+
+@dataclass(frozen=True)
+class PartLoss:
+    """What a part costs a planner, over the scenarios that both arms have.
+
+    Attributes:
+        part, arm, other: see `Part`.
+        pairs, scenes: how many scenarios, and in how many scenes.
+        agreeing, other_agreeing: how many verdicts of each arm are those of the truth.
+        loss: share of agreeing verdicts of `arm` minus that of `other`, with its interval over
+            scenes.
+    """
+
+    planner: str
+    part: str
+    arm: str
+    other: str
+    pairs: int
+    scenes: int
+    agreeing: int
+    other_agreeing: int
+    loss: Bootstrap
+
+
+def part_losses(
+    rows: Sequence[GridRow], truth: str, parts: Sequence[Part], samples: int, seed: int
+) -> list[PartLoss]:
+    """A line for each planner and part with a scenario to compare.
+
+    Args:
+        rows: of the whole grid.
+        truth: the arm that renders the truth; its verdicts all agree.
+        samples, seed: of the bootstrap over scenes.
+    """
+    agrees: dict[str, dict[tuple[str, ...], bool]] = {}
+    for row, verdict in zip(rows, verdicts(rows, truth), strict=True):
+        if verdict is not None:
+            agrees.setdefault(row.arm, {})[row.scenario] = verdict.agrees
+        elif row.arm == truth and row.collided is not None:
+            agrees.setdefault(truth, {})[row.scenario] = True
+    found = []
+    for planner in dict.fromkeys(row.planner for row in rows):
+        for part in parts:
+            mine, others = agrees.get(part.arm, {}), agrees.get(part.other, {})
+            both = [key for key in mine if key in others and key[-1] == planner]
+            if not both:
+                continue
+            scenes: dict[str, list[float]] = {}
+            for key in both:
+                scenes.setdefault(key[0], []).append(float(mine[key]) - float(others[key]))
+            loss = cluster_bootstrap(list(scenes.values()), np.random.default_rng(seed), samples)
+            found.append(
+                PartLoss(
+                    planner=planner,
+                    part=part.name,
+                    arm=part.arm,
+                    other=part.other,
+                    pairs=len(both),
+                    scenes=len(scenes),
+                    agreeing=sum(mine[key] for key in both),
+                    other_agreeing=sum(others[key] for key in both),
+                    loss=loss,
+                )
+            )
+    return found

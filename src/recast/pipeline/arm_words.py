@@ -1,0 +1,104 @@
+"""Words and files on the command line that stand for arms; docs/runs.md#arms lists them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from recast.core import files
+from recast.core.errors import InputError
+from recast.core.records import validation_error
+from recast.pipeline.arms import NOISES, OWN_STREET, PRESETS, TRUTH, Arm, default_arms
+from recast.pipeline.decomposition import DECOMPOSITION, decomposition_arms
+from recast.pipeline.paper import PAPER, paper_arms
+from recast.scene.store import SCENE_FILE
+
+NOISE_FLOOR = "noise-floor"
+"""The word for the truth under each kind of noise."""
+_LARGEST_FILE = 1_000_000  # bytes
+_MEND = "see docs/runs.md for what an arm is"
+_NOISY = f"{Arm.oracle().name}:"
+
+
+def parse_arms(words: Sequence[str]) -> tuple[Arm, ...]:
+    """The arms that words on the command line stand for, in their order.
+
+    Args:
+        words: see docs/runs.md#arms; or files (.json, .yaml) with a list of `Arm` records.
+
+    Raises:
+        InputError: a word or file is wrong, or two arms have one name.
+    """
+    arms = [arm for word in words for arm in _arms_of(word)]
+    names = [arm.name for arm in arms]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError("`arm`", name, "is named twice", "name each arm once")
+    return tuple(arms)
+
+
+def is_street(word: str) -> bool:
+    """Whether a word names a street: a preset, the run's own, or the folder of a scene."""
+    return word in (OWN_STREET, *PRESETS) or (Path(word) / SCENE_FILE).is_file()
+
+
+def _arms_of(word: str) -> Sequence[Arm]:
+    if word.lower().endswith((".json", ".yaml", ".yml")):
+        return _read_arms(Path(word))
+    if word == PAPER:
+        return _read_arms(paper_arms())
+    if word == DECOMPOSITION:
+        return decomposition_arms()
+    by_name = {arm.name: arm for arm in (*default_arms(), Arm.oracle())}
+    noisy = {arm.name: arm for arm in (Arm.oracle(noise=noise) for noise in NOISES)}
+    if word == NOISE_FLOOR:
+        return list(noisy.values())
+    by_name |= noisy
+    if word in by_name:
+        return [by_name[word]]
+    if word.startswith(_NOISY):
+        problem = f"disturbs the truth by {word.removeprefix(_NOISY)!r}"
+        raise InputError("`arm`", word, problem, f"choose of {', '.join(noisy)}")
+    if is_street(word):
+        return [Arm.native(word)]
+    street, plus, vehicle = word.partition("+")
+    street = TRUTH if street == Arm.oracle().name else street
+    if plus and (street == TRUTH or is_street(street)):
+        return [_combined(word, street, vehicle)]
+    return [Arm.replaced(word)]
+
+
+def _combined(word: str, street: str, vehicle: str) -> Arm:
+    """The arm of a street and a vehicle."""
+    if vehicle.startswith(_NOISY):
+        mend = f"disturb the truth alone: {vehicle}"
+        raise InputError("`arm`", word, "disturbs what is not the truth", mend)
+    if vehicle == "oracle":
+        return Arm.oracle(street)
+    if vehicle == "none":
+        return Arm.empty(street)
+    if vehicle != "native":
+        return Arm.replaced(None if vehicle == "replaced" else vehicle, street)
+    if street == TRUTH:
+        problem = "puts a reconstruction into the truth, which has none"
+        raise InputError("`arm`", word, problem, "name a generator, replaced or none")
+    return Arm.native(street)
+
+
+def _read_arms(path: Path) -> Sequence[Arm]:
+    text = files.read_text(path, _LARGEST_FILE)
+    try:
+        values: Any = yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(path, "arms", f"cannot be read ({reason})", _MEND) from None
+    if not isinstance(values, list) or not values:
+        raise InputError(path, "arms", "are no list", _MEND)
+    try:
+        return [Arm.model_validate(value) for value in values]
+    except ValidationError as error:
+        raise validation_error(path, error, _MEND) from None
