@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import shapely
@@ -9,6 +12,9 @@ import shapely
 from recast.evaluation import rollout_metrics
 from recast.geometry import se3
 from recast.logs import DrivingLog, HdMap
+from recast.pipeline import view_run
+from recast.pipeline.arms import Arm
+from recast.scene import StreetScene
 from recast.simulation import Rollout
 from recast.viewer import Drive, recording
 from recast.viewer.bake import drivable_mesh, segments
@@ -88,3 +94,19 @@ def test_wide_pictures_are_kept_small() -> None:
     film.add(np.full((100, 960, 3), (200, 100, 50), np.uint8))
     assert film[0].shape == (50, 480, 3)
     assert np.abs(film[5].astype(int) - [200, 100, 50]).max() < 6
+
+
+def test_an_arm_without_gaussians_of_its_target_shows_the_street_alone(
+    scenes: dict[str, StreetScene | None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    native = scenes["native"]
+    assert native is not None
+    monkeypatch.setattr(view_run, "load_scene", lambda _: native)
+    found = SimpleNamespace(path=Path())
+    arms = {arm.name: arm for arm in (Arm.native(), Arm.oracle("recast"), Arm.empty())}
+    shown = view_run._Scenes(arms, {}, lambda _: found, "0")
+    assert {name: list(scene.actors) for name, scene in shown.items() if scene is not None} == {
+        "native": ["0"],
+        "recast+oracle": [],
+        "recast+none": [],
+    }

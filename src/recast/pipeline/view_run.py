@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -99,7 +99,9 @@ class _Opened:
                 "finish the run first: repeat its recast run",
             )
         actors = {name: self._actors(arm) for name, arm in arms.items() if arm.generates}
-        scenes = _Scenes(arms, actors, lambda street: self._find(use_name("scene", street)))
+        scenes = _Scenes(
+            arms, actors, lambda street: self._find(use_name("scene", street)), config.track
+        )
         return ViewInputs(
             title=f"{self.path.absolute().name}: track {config.track} of {self.log.name}",
             scenes=scenes,
@@ -139,15 +141,19 @@ class _Opened:
 
 
 class _Scenes(Mapping[str, StreetScene | None]):
-    """The street of each arm with its vehicles, which are lit and put in when it is asked for."""
+    """The street of each arm with its vehicles, which are lit and put in when it is asked for.
+
+    The target is left out where the arm does not show its Gaussians.
+    """
 
     def __init__(
         self,
         arms: Mapping[str, Arm],
         actors: Mapping[str, Mapping[str, Actor]],
         find: Callable[[str], Artefact | None],
+        target: str,
     ) -> None:
-        self._arms, self._actors, self._find = arms, actors, find
+        self._arms, self._actors, self._find, self._target = arms, actors, find, target
         self._streets: dict[str, StreetScene | None] = {}
         self._made: dict[str, StreetScene | None] = {}
         self._lock = Lock()
@@ -166,6 +172,9 @@ class _Scenes(Mapping[str, StreetScene | None]):
                 if scene is not None:
                     for actor in self._actors.get(name, {}).values():
                         scene = insert(scene, actor, relit=arm.relit is not False)
+                    if arm.vehicle in ("truth", "none"):
+                        kept = {k: v for k, v in scene.actors.items() if k != self._target}
+                        scene = replace(scene, actors=kept)
                 self._made[name] = scene
             return self._made[name]
 
