@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from recast.evaluation.verdict_parts import Part
-from recast.pipeline.arms import TRUTH, Arm
+from recast.pipeline.arms import OWN_STREET, TRUTH, Arm
 
 DECOMPOSITION = "decomposition"
 """The word for `decomposition_arms`."""
-_EXPOSED = {"light": "relit", "refinement": "refine"}
+_LEFT_OUT = {"light": "relit", "refinement": "refine"}
 """Parts that an arm of its own leaves out, and the member that says so."""
 
 
@@ -25,7 +25,7 @@ def decomposition_arms() -> tuple[Arm, ...]:
         Arm.native(),
         replaced,
         Arm.oracle(),
-        Arm.oracle("recast"),
+        Arm.oracle(OWN_STREET),
         Arm.replaced(street=TRUTH),
         replaced.model_copy(update={"name": "replaced, unlit", "relit": False}),
         replaced.model_copy(update={"name": "replaced, unrefined", "refine": False}),
@@ -43,7 +43,7 @@ def parts_of(arms: Sequence[Arm]) -> tuple[Part, ...]:
     arms = [arm for arm in arms if arm.noise is None]
     without = {
         part: [(one, other) for one in arms for other in arms if _lacks(other, one, member)]
-        for part, member in _EXPOSED.items()
+        for part, member in _LEFT_OUT.items()
     }
     lacking = [other.name for pairs in without.values() for _, other in pairs]
     whole = [arm for arm in arms if arm.name not in lacking]
