@@ -189,11 +189,12 @@ def require_truth(arms: Sequence[Arm]) -> None:
     """Refuse noise without the truth that it disturbs.
 
     Raises:
-        ValueError: no arm shows the truth undisturbed.
+        InputError: no arm shows the truth undisturbed.
     """
     noisy = next((arm.name for arm in arms if arm.noise is not None), None)
     if noisy is not None and truth_of(arms) is None:
-        raise ValueError(f"{noisy!r} is compared with the truth: add the arm 'oracle'")
+        problem = "is compared with the truth, which is not among the arms"
+        raise InputError("`arm`", noisy, problem, "add `arm` oracle")
 
 
 def _short(word: str) -> str:

@@ -136,11 +136,6 @@ class RunConfig(Record):
         return value
 
     @model_validator(mode="after")
-    def _noise_has_its_truth(self) -> Self:
-        require_truth(self.arms)
-        return self
-
-    @model_validator(mode="after")
     def _motions_are_known(self) -> Self:
         for name in self.motions:
             if name not in MOTIONS and name not in self.own_motions:
@@ -211,6 +206,7 @@ def resolve_config(
     values = {**(base.model_dump() if base else {}), **given(run_options), "track": track}
     values |= _motions(names, base.own_motions if base else {})
     arms = parse_arms(run_options.get("arms") or ()) or (base.arms if base else default_arms())
+    require_truth(arms)
     values["arms"] = arms
     try:
         return RunConfig.model_validate(
