@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import shapely
+import shapely.affinity
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -131,3 +132,27 @@ def test_a_box_beside_the_camera_keeps_a_correct_outline():
 
 def test_a_box_behind_is_not_seen():
     assert boxes.project([4.0, 2.0, 1.5], box_ahead(-10.0), CAMERA) is None
+
+
+@given(planar_poses, planar_poses)
+def test_the_depth_is_the_shortest_way_out(a: np.ndarray, b: np.ndarray) -> None:
+    b = np.array([a[0] + b[0] % 6 - 3, a[1] + b[1] % 6 - 3, b[2]])  # near enough to overlap
+    size_a, size_b = np.array([5.0, 2.0]), np.array([4.0, 1.8])
+    one, other = (
+        shapely.Polygon(boxes.bev_corners(pose, *size)) for pose, size in ((a, size_a), (b, size_b))
+    )
+    depth = float(boxes.bev_depth(a, size_a, b, size_b))
+    rounding = 1e-9
+    if not one.intersects(other):
+        assert -one.distance(other) - rounding <= depth <= rounding
+        return
+    # Boxes part along the normal of some side, and a shorter move in any direction is not enough.
+    normals = np.array([h + i * np.pi / 2 for h in (a[2], b[2]) for i in range(4)])
+    moved = [
+        shapely.affinity.translate(other, out * np.cos(turn), out * np.sin(turn))
+        for out, turns in ((depth + rounding, normals), (depth - rounding, np.linspace(0, 6.2, 40)))
+        for turn in turns
+    ]
+    assert min(one.intersection(other).area for other in moved[: len(normals)]) <= rounding
+    if depth > rounding:
+        assert all(one.intersects(other) for other in moved[len(normals) :])

@@ -19,6 +19,7 @@ from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import METRICS_FILE
 from recast.pipeline.rollouts import make_rollout, read_coverage, read_rollout
 from recast.pipeline.scores import read_metrics, write_metrics
+from recast.pipeline.trust import RunTrust
 from recast.planning import Plan, PlannerInput, PlanningContext
 from recast.planning.simple import ProbePlanner
 from recast.simulation import MOTIONS, Rollout, RolloutSetup
@@ -83,7 +84,7 @@ def test_metrics_have_the_means(tmp_path: Path) -> None:
         use = rollout_name("stationary-a", "p", arm.name)
         make = partial(drive, planner=Watcher(), filmed=False, arm=arm.name)
         used[use] = store.make("rollouts", {"use": use}, make, name=use)
-    write_metrics(tmp_path / METRICS_FILE, config, used, street())
+    write_metrics(tmp_path / METRICS_FILE, config, used, street(), RunTrust(LOG, "7"))
     native, replaced = read_metrics(tmp_path / METRICS_FILE)["rollouts"]
     assert native["coverage"] is None
     measured = read_coverage(used[rollout_name("stationary-a", "p", "replaced")].path)
@@ -91,6 +92,10 @@ def test_metrics_have_the_means(tmp_path: Path) -> None:
     assert replaced["coverage"]["planner"] == replaced["coverage"]["all"]
     assert replaced["coverage"]["all"]["invented"] == measured.mean.invented
     assert replaced["coverage"]["all"]["images"] == len(measured.images)
+    assert 0 < native["trust"]["value"] < 1
+    assert native["trust"]["missing"]["seen"] == "the vehicle's shares were not measured"
+    assert replaced["trust"]["features"]["seen"] == pytest.approx(measured.mean.seen)
+    assert "invented" in replaced["trust"]["words"] and "seen" not in replaced["trust"]["missing"]
     record = json.loads((tmp_path / METRICS_FILE).read_text())
     record["rollouts"][1]["coverage"]["all"]["seen"] = "most"
     (tmp_path / METRICS_FILE).write_text(json.dumps(record))

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from evaluation.box_world import box_log
 from evaluation.rollouts import make_rollout, street
-from recast.core import Store
+from recast.core import Store, files
 from recast.evaluation import COLUMNS, rollout_metrics
 from recast.evaluation.grid import GridRow
 from recast.evaluation.pairs import over_common_steps
@@ -19,6 +20,7 @@ from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import METRICS_FILE
 from recast.pipeline.rollouts import write_failure
 from recast.pipeline.scores import read_metrics, write_metrics
+from recast.pipeline.trust import RunTrust
 from recast.simulation import Rollout, RolloutFailure, save_rollout
 
 
@@ -50,12 +52,13 @@ def run(tmp_path: Path) -> Path:
         keep(one.setting, one.arm, partial(_save, one))
     failure = RolloutFailure("x", "native", "7", "cut-in", "b", "constant_velocity", "E", "why")
     keep("b", "native", partial(write_failure, failure))
-    write_metrics(tmp_path / METRICS_FILE, config, used, street())
+    write_metrics(tmp_path / METRICS_FILE, config, used, street(), RunTrust(box_log(), "7"))
     return tmp_path
 
 
 def _save(one: Rollout, folder: Path) -> None:
     save_rollout(one, folder / "states")
+    files.write_json(folder / "planner.json", {"planner": one.planner, "device": None, "views": []})
 
 
 def test_the_table_counts_what_failed_and_was_cut(run: Path) -> None:

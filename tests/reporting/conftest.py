@@ -9,6 +9,7 @@ import pytest
 
 from recast.actors.coverage import NOTHING, Coverage
 from recast.evaluation import rollout_metrics
+from recast.evaluation.trust import RolloutTrust
 from recast.reporting import (
     ActorPart,
     Comparison,
@@ -62,6 +63,9 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> ReportInputs:
             rollout_metrics(rollout, hd_map),
             {f"front{HOSTILE}": films[arm]},
             COVERAGE if arm == "recast" else None,
+            RolloutTrust(0.72, f"As 7 of 10 like it {HOSTILE}", {5: "contact"}, None, True)
+            if arm == "recast"
+            else None,
         )
         for arm, rollout in driven.items()
     )

@@ -216,7 +216,46 @@ class SceneLevel(_Grid):
             print_json(level_rows(lines))
 
 
+@dataclass(frozen=True, kw_only=True)
+class Trust:
+    """Calibrate how far to trust the verdict of a rollout, on finished grids with an oracle arm.
+
+    Prints, with each scene judged by the others, how often verdicts of each trust agree with the
+    truth, the area under the ROC curve and the Brier score.
+    """
+
+    grids: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """Grids of `recast bench closed-loop` with an oracle arm, two scenes or more in all."""
+    out: Annotated[
+        Path | None,
+        shared.option("File of the calibration (JSON); its diagrams (SVG) are written beside it."),
+    ] = None
+    validate: Annotated[
+        tuple[Path, ...],
+        shared.option(
+            "Other grids with an oracle arm that the calibration is applied to.",
+            metavar="GRID [GRID ...]",
+        ),
+    ] = ()
+    calibration: Annotated[
+        Path | None,
+        shared.option("Calibration to validate, if no grid is given.", "the package's"),
+    ] = None
+    json: Annotated[bool, JSON] = False
+
+    def __call__(self) -> None:
+        from recast.pipeline.bench.trust import run_trust
+
+        found = run_trust(
+            self.grids, self.validate, self.out, console_for(self.json), self.calibration
+        )
+        if self.json:
+            from recast.cli.rows.grids import trust_rows
+
+            print_json(trust_rows(found))
+
+
 Bench = shared.group(
-    "Run a whole experiment of the paper over scenes, motions and arms.",
-    {"closed-loop": ClosedLoop, "scene-level": SceneLevel},
+    "Run a whole experiment of the paper over scenes, motions and arms, or calibrate on one.",
+    {"closed-loop": ClosedLoop, "scene-level": SceneLevel, "trust": Trust},
 )

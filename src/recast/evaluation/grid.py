@@ -44,6 +44,8 @@ class GridRow:
             where a metric is not valid. Empty where the rollout failed.
         shorter: the same scores of the first steps alone, by how many steps: for each length at
             which the rollout of another arm in the scenario was cut.
+        trust: how far to trust the verdict, see `RolloutTrust.to_json`; None for the truth, and
+            where the rollout failed.
         failure: class of the error; None where the rollout was scored.
         failure_reason: its message.
     """
@@ -66,6 +68,7 @@ class GridRow:
     map_derived: bool | None = None
     scores: Mapping[str, float | None] = field(default_factory=dict)
     shorter: Mapping[int, Mapping[str, float | None]] = field(default_factory=dict)
+    trust: Mapping[str, Any] | None = None
     failure: str | None = None
     failure_reason: str | None = None
 
@@ -90,6 +93,7 @@ class GridRow:
                 int(steps): {name: scores[name] for name in COLUMNS}
                 for steps, scores in metrics["shorter"].items()
             },
+            trust=metrics["trust"],
         )
 
     def over(self, steps: int) -> GridRow:

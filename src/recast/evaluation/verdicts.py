@@ -40,6 +40,7 @@ SCHEMA = pa.schema(
         ("verdict_agrees", pa.bool_()),
         ("ttc_error", pa.float64()),
         ("plans_compared", pa.int64()),
+        ("verdict_trust", pa.float64()),
         ("failure", pa.string()),
         ("failure_reason", pa.string()),
     ]
@@ -218,6 +219,7 @@ def _record(row: GridRow, verdict: Verdict | None) -> dict[str, object]:
         "verdict_agrees": None if verdict is None else verdict.agrees,
         "ttc_error": None if verdict is None else verdict.ttc_error,
         "plans_compared": None if verdict is None else verdict.plans,
+        "verdict_trust": None if row.trust is None else row.trust["value"],
     }
 
 

@@ -104,6 +104,20 @@ def bev_touching(
 ) -> BoolArray:
     """Which boxes (...) touch or overlap, seen from above: none of their four sides parts them.
 
+    Args: as for `bev_depth`.
+    """
+    found: BoolArray = bev_depth(poses_a, size_a, poses_b, size_b) >= 0
+    return found
+
+
+def bev_depth(
+    poses_a: ArrayLike, size_a: ArrayLike, poses_b: ArrayLike, size_b: ArrayLike
+) -> Array:
+    """Least distance (...) in metres to move one box so that it only touches the other from above.
+
+    Negative for boxes that are apart: the widest gap along the normal of one of their sides, which
+    is at most their distance.
+
     Args:
         poses_a, poses_b: (..., 3) x, y, heading of the box centres.
         size_a, size_b: (>=2,) length and width in metres.
@@ -112,11 +126,12 @@ def bev_touching(
     half_a, half_b = np.asarray(size_a)[:2] / 2, np.asarray(size_b)[:2] / 2
     dx, dy, turn = b[..., 0] - a[..., 0], b[..., 1] - a[..., 1], b[..., 2] - a[..., 2]
     cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
-    found = np.ones(turn.shape, np.bool_)
+    found = np.full(turn.shape, np.inf)
     for heading, own, other in ((a[..., 2], half_a, half_b), (b[..., 2], half_b, half_a)):
         c, s = np.cos(heading), np.sin(heading)
-        found &= np.abs(dx * c + dy * s) <= own[0] + other[0] * cos + other[1] * sin
-        found &= np.abs(dy * c - dx * s) <= own[1] + other[0] * sin + other[1] * cos
+        ahead = own[0] + other[0] * cos + other[1] * sin - np.abs(dx * c + dy * s)
+        aside = own[1] + other[0] * sin + other[1] * cos - np.abs(dy * c - dx * s)
+        found = np.minimum(found, np.minimum(ahead, aside))
     return found
 
 

@@ -29,6 +29,7 @@ from recast.pipeline.layout import (
 from recast.pipeline.report_parts import actor_part, facts, headings, scene_part, warnings
 from recast.pipeline.rollouts import draw_films, films, read_coverage, read_rollout
 from recast.pipeline.run_folder import RUN_FILE, RunFolder
+from recast.pipeline.trust import RunTrust, trust_of_process
 from recast.reporting import (
     NOT_MADE,
     ActorPart,
@@ -96,7 +97,8 @@ def report_rollout(rollout: Rollout, metrics: RolloutMetrics, out: Path) -> Path
     """
     with TemporaryDirectory(prefix="recast-") as folder:
         found = NOT_MADE if rollout.origin is None else draw_films(rollout, Path(folder))
-        part = RolloutPart(rollout.arm, rollout, metrics, found)
+        trust = trust_of_process(rollout, metrics)
+        part = RolloutPart(rollout.arm, rollout, metrics, found, trust=trust)
         title = f"{rollout.motion}, setting {rollout.setting}".capitalize()
         facts = (
             Fact("Planner", rollout.planner),
@@ -140,6 +142,11 @@ class GatheredRun:
     def map(self) -> HdMap:
         """Lanes and drivable area that the rollouts are judged by."""
         return map_of(self.log)
+
+    @cached_property
+    def trust(self) -> RunTrust:
+        """Judges its rollouts."""
+        return RunTrust(self.log, self.config.track)
 
     @property
     def arms(self) -> dict[str, str]:
@@ -234,13 +241,10 @@ class GatheredRun:
         rollout = read_rollout(found.path)
         if isinstance(rollout, RolloutFailure):
             return RolloutPart(arm.name, rollout, NotMade(rollout.reason), NotMade(rollout.reason))
-        return RolloutPart(
-            arm.name,
-            rollout,
-            rollout_metrics(rollout, self.map),
-            films(found.path),
-            read_coverage(found.path),
-        )
+        metrics, coverage = rollout_metrics(rollout, self.map), read_coverage(found.path)
+        evaluation = self._find(use_name("evaluation", arm.street))
+        trust = None if arm.is_truth else self.trust.of(metrics, found.path, coverage, evaluation)
+        return RolloutPart(arm.name, rollout, metrics, films(found.path), coverage, trust)
 
     def _scene(self, arm: Arm) -> ScenePart | NotMade:
         scene, scores = (self._find(use_name(what, arm.street)) for what in ("scene", "evaluation"))

@@ -10,17 +10,19 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
 from rich.console import Console
 
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.names import folder_name, member
-from recast.core.records import Record, read_record
+from recast.core.records import Record, read_record, validation_error
 from recast.logs import DrivingLog, HdMap
 from recast.pipeline.config import RunConfig
 from recast.planning import (
     CameraMount,
     Planner,
+    ShownView,
     planner_cameras,
     seen_lines,
     seen_record,
@@ -69,6 +71,14 @@ class FailureRecord(Record):
 
     version: Literal[1] = _VERSION
     failure: RolloutFailure
+
+
+class _Seen(BaseModel):
+    """planner.json, see `seen_record`; members that nobody here reads may be anything."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    views: tuple[ShownView, ...]
 
 
 def make_rollout(
@@ -189,6 +199,19 @@ def read_coverage(folder: Path) -> RolloutCoverage | None:
     """
     path = folder / _COVERAGE
     return load_coverage(path) if path.exists() else None
+
+
+def given_views(folder: Path) -> tuple[ShownView, ...]:
+    """What the planner of a rollout was given to see; () for one that looks at no images.
+
+    Raises:
+        InputError: the record is missing or damaged.
+    """
+    path = folder / _PLANNER
+    try:
+        return _Seen.model_validate(files.read_json(path)).views
+    except ValidationError as error:
+        raise validation_error(path, error, _MEND) from None
 
 
 def films(folder: Path) -> dict[str, Path]:

@@ -32,6 +32,7 @@ from recast.pipeline.rollouts import announce_planner, require_distinct_planners
 from recast.pipeline.run_folder import RunFolder
 from recast.pipeline.scores import read_metrics, write_metrics
 from recast.pipeline.sources import RECIPES, SourceLog, Sources, drive_log
+from recast.pipeline.trust import RunTrust
 from recast.pipeline.view import view_inputs
 from recast.planning import GTRS_MINI, make_planner
 from recast.scene import SceneConfig
@@ -111,14 +112,13 @@ class _Run:
         return self._report()
 
     def _report(self) -> Path:
-        path, used = self._folder.path, self._artefacts.used
+        path, used, source = self._folder.path, self._artefacts.used, self._artefacts.source
+        trust = RunTrust(source.log, self._config.track)
         made_from = _hash_of("metrics", used.values())
         self._folder.finish(
             METRICS_FILE,
             made_from,
-            lambda: write_metrics(
-                path / METRICS_FILE, self._config, used, self._artefacts.source.map
-            ),
+            lambda: write_metrics(path / METRICS_FILE, self._config, used, source.map, trust),
         )
         made_from = _hash_of("report", used.values())
         made_from += "" if self._replay(made_from) else ", no replay"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, field_validator
 
@@ -15,32 +15,43 @@ from recast.core.records import parse_record
 from recast.evaluation import COLUMNS, RolloutMetrics, matched_pairs, rollout_metrics, table
 from recast.logs import HdMap
 from recast.pipeline.config import RunConfig
-from recast.pipeline.layout import ACTOR_FOLDER, VIEWS_FOLDER, rollout_name, use_parts
+from recast.pipeline.layout import ACTOR_FOLDER, VIEWS_FOLDER, rollout_name, use_name, use_parts
 from recast.pipeline.rollouts import read_coverage, read_rollout
 from recast.scene import RegionScore
 from recast.scene.evaluate_record import EVALUATION_VERSION, DepthScore
 from recast.simulation import RolloutFailure
 from recast.simulation.coverage import RolloutCoverage
 
+if TYPE_CHECKING:
+    from recast.evaluation.trust import RolloutTrust
+    from recast.pipeline.trust import RunTrust
+
 METRICS_VERSION: Literal[3] = 3
 
 
 def write_metrics(
-    path: Path, config: RunConfig, used: Mapping[str, Artefact], hd_map: HdMap
+    path: Path,
+    config: RunConfig,
+    used: Mapping[str, Artefact],
+    hd_map: HdMap,
+    trust: RunTrust,
 ) -> None:
     """Score all rollouts of a run and write them with what its other artefacts measured.
 
     Each rollout's entry has, besides `RolloutMetrics.to_json`, a member `shorter`: by number of
     steps, its scores over the first steps alone, for each length at which the rollout of another
-    arm was cut in the same scenario. And `coverage`: what its cameras showed of an actor with
-    shares, see `RolloutCoverage.to_json`, or None.
+    arm was cut in the same scenario. `coverage`: what its cameras showed of an actor with shares,
+    see `RolloutCoverage.to_json`, or None. And `trust`: how far to trust its verdict, see
+    `RolloutTrust.to_json`; None for the truth.
 
     Args:
         used: the artefacts of the run by use, as far as they were made.
         hd_map: lanes and drivable area that the rollouts are judged by.
+        trust: of the rollouts' log.
     """
     metrics: list[RolloutMetrics] = []
     coverages: list[RolloutCoverage | None] = []
+    trusts: list[RolloutTrust | None] = []
     failures: list[RolloutFailure] = []
     for motion, planner, arm in product(config.motions, config.planners, config.arms):
         found = used.get(rollout_name(motion, planner, arm.name))
@@ -50,8 +61,11 @@ def write_metrics(
         if isinstance(result, RolloutFailure):
             failures.append(result)
             continue
-        metrics.append(rollout_metrics(result, hd_map))
-        coverages.append(read_coverage(found.path))
+        scored, coverage = rollout_metrics(result, hd_map), read_coverage(found.path)
+        evaluation = used.get(use_name("evaluation", arm.street))
+        metrics.append(scored)
+        coverages.append(coverage)
+        trusts.append(None if arm.is_truth else trust.of(scored, found.path, coverage, evaluation))
     files.write_json(
         path,
         {
@@ -66,9 +80,10 @@ def write_metrics(
                 {
                     **one.to_json(),
                     "shorter": _shorter(one, metrics),
-                    "coverage": None if coverage is None else coverage.to_json(),
+                    "coverage": None if shown is None else shown.to_json(),
+                    "trust": None if trusted is None else trusted.to_json(),
                 }
-                for one, coverage in zip(metrics, coverages, strict=True)
+                for one, shown, trusted in zip(metrics, coverages, trusts, strict=True)
             ],
             "failures": [vars(f) for f in failures],
             "scenes": {
@@ -170,12 +185,18 @@ class _Coverage(_Open):
     planner: _Means | None
 
 
+class _Trust(_Open):
+    value: float
+    words: str
+
+
 class _Scored(_Open):
     motion: str
     setting: str
     arm: str
     planner: str
     coverage: _Coverage | None = None
+    trust: _Trust | None = None
 
 
 class _Metrics(_Open):
@@ -187,8 +208,10 @@ class _Metrics(_Open):
 class _Frame(_Open):
     camera: str
     frame: int
+    timestamp_us: int
     picture: str
     psnr: float
+    ssim: float
     boxes: dict[str, float]
     moving: RegionScore | None
     depth: DepthScore | None

@@ -11,6 +11,7 @@ from recast.reporting.inputs import (
     NotMade,
     RegistrationPart,
     ReportInputs,
+    RolloutPart,
     ScenarioPart,
     ScenePart,
     TruthPart,
@@ -77,6 +78,14 @@ def coverage_note(line: CoverageLine) -> str:
     )
 
 
+def trust_note(part: RolloutPart, arms: Mapping[str, str]) -> str:
+    """How far to trust the verdict of a rollout that was judged."""
+    assert part.trust is not None
+    return f"Trust in the verdict with the {arms[part.arm]}: {part.trust.value:.2f}. " + (
+        part.trust.words
+    )
+
+
 @dataclass(frozen=True)
 class Check:
     """One reason to trust the results, or not: what, the value found, the value wanted."""
@@ -116,6 +125,7 @@ def checks(run: ReportInputs) -> tuple[Check, ...]:
         found.extend(_beyond_the_log(run.truth))
     if not isinstance(run.scenarios, NotMade):
         found.extend(_invented(coverage_lines(run.scenarios, run.arms)))
+        found.extend(_trust(run.scenarios))
     if not isinstance(run.hd_map, NotMade):
         derived = run.hd_map.derived
         found.append(
@@ -159,6 +169,21 @@ def _invented(lines: Sequence[CoverageLine]) -> tuple[Check, ...]:
     if len(shares) > 1:
         text += f" to {max(shares):.0%} by rollout"
     return (Check("Invented, of what was shown of the actor", text, "little; see Actor", "plain"),)
+
+
+def _trust(scenarios: Sequence[ScenarioPart]) -> tuple[Check, ...]:
+    """Between which values the trust in the verdicts lies."""
+    trusts = [p.trust for one in scenarios for p in one.rollouts if p.trust is not None]
+    if not trusts:
+        return ()
+    values = [one.value for one in trusts]
+    text = f"{min(values):.2f}"
+    if len(values) > 1:
+        text += f" to {max(values):.2f} by rollout"
+    wanted = "near 1; see Rollouts"
+    if any(one.provisional for one in trusts):
+        wanted += ". The calibration is provisional"
+    return (Check("Trust in the verdicts", text, wanted, "plain"),)
 
 
 def _completeness(scenarios: Sequence[ScenarioPart]) -> Check:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from recast.actors.actor import CandidateRecord
 from recast.arrays import Array
 from recast.evaluation import OracleViews, RolloutMetrics
+from recast.evaluation.trust import RolloutTrust
 from recast.logs.hdmap import HdMap
 from recast.simulation.coverage import RolloutCoverage
 from recast.simulation.rollout import Rollout, RolloutFailure
@@ -160,6 +161,7 @@ class RolloutPart:
         rollout: its states, the failure that ended it, or why there is none.
         films: camera name to film of what the planner saw, one frame a step.
         coverage: what of the actor its cameras showed; None for an actor without shares.
+        trust: how far to trust its verdict; None for the truth, or if it is not known.
     """
 
     arm: str
@@ -167,6 +169,7 @@ class RolloutPart:
     metrics: RolloutMetrics | NotMade = NOT_MADE
     films: Mapping[str, Path] | NotMade = NOT_MADE
     coverage: RolloutCoverage | None = None
+    trust: RolloutTrust | None = None
 
 
 @dataclass(frozen=True)

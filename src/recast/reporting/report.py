@@ -14,7 +14,14 @@ from recast.core.workers import usable_cores
 from recast.logs.hdmap import HdMap
 from recast.reporting import palette, plots, summary, tables
 from recast.reporting.birdseye import Birdseye, BirdseyeStyle
-from recast.reporting.checks import checks, coverage_lines, coverage_note, glance, looked_at
+from recast.reporting.checks import (
+    checks,
+    coverage_lines,
+    coverage_note,
+    glance,
+    looked_at,
+    trust_note,
+)
 from recast.reporting.inputs import (
     NOT_MADE,
     ActorPart,
@@ -64,7 +71,7 @@ class ScenarioView:
         legend: colour and meaning of the curves in `plots`, and of their areas.
         seconds: the length of the longest rollout; `dt` between states.
         notes: sentences on how the arms compare: who drove alike, and how far from the truth;
-            and on what was shown of the actor.
+            on what was shown of the actor; and how far to trust each verdict.
     """
 
     part: ScenarioPart
@@ -153,7 +160,8 @@ def scenario_view(
             )
             if note is not None
         )
-        + tuple(coverage_note(line) for line in coverage_lines([part], run.arms)),
+        + tuple(coverage_note(line) for line in coverage_lines([part], run.arms))
+        + tuple(trust_note(p, run.arms) for p in parts if p.trust is not None),
     )
 
 

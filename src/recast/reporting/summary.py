@@ -26,10 +26,11 @@ class Event:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one rollout ended, in a few words."""
+    """How one rollout ended, in a few words; `trust` in its verdict is None if it is not known."""
 
     text: str
     tone: Tone
+    trust: float | None = None
 
 
 def rollout_events(part: RolloutPart, curves: Series) -> tuple[Event, ...]:
@@ -140,7 +141,7 @@ def outcome(part: RolloutPart) -> Outcome:
         words.insert(0, f"no contact, smallest gap {curves.gap.min():.1f} m")
     if part.rollout.cut_reason is not None:
         words.append(f"cut at {curves.time[-1]:.1f} s")
-    return Outcome("; ".join(words), tone)
+    return Outcome("; ".join(words), tone, None if part.trust is None else part.trust.value)
 
 
 def _contacts(scenarios: Sequence[ScenarioPart], arm: str) -> str:

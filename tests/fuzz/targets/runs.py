@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 from evaluation.rollouts import make_rollout
 from fuzz.target import Target
 from recast.actors.coverage import NOTHING, Coverage
 from recast.core.files import write_json
+from recast.evaluation.trust import packaged_calibration, read_calibration, write_calibration
 from recast.pipeline.config import RunConfig, read_run_config
 from recast.pipeline.layout import use_name
+from recast.pipeline.rollouts import given_views
 from recast.pipeline.run_folder import RunFolder
+from recast.planning import ShownView
 from recast.simulation import MOTIONS, load_rollout, save_rollout, scenario_record
 from recast.simulation.coverage import ImageCoverage, RolloutCoverage
 from recast.simulation.rollout_files import load_coverage, save_coverage
@@ -22,6 +26,7 @@ _COVERAGE = RolloutCoverage(
         ImageCoverage("side", 5, False, NOTHING),
     )
 )
+_VIEW = ShownView("front", "camera", "camera", False, 1.0, 96, 64)
 _SCENARIOS = Path(__file__).parents[3] / "src" / "recast" / "simulation" / "scenarios"
 
 
@@ -71,6 +76,18 @@ TARGETS = (
         lambda f: save_coverage(_COVERAGE, f / "coverage.parquet"),
         lambda f, out: load_coverage(f / "coverage.parquet"),
         weight=6.0,
+    ),
+    Target(
+        "trust-calibration",
+        lambda f: write_calibration(packaged_calibration(), f / "trust.json"),
+        lambda f, out: read_calibration(f / "trust.json"),
+        weight=4.0,
+    ),
+    Target(
+        "planner-views",
+        lambda f: write_json(f / "planner.json", {"planner": "p", "views": [asdict(_VIEW)]}),
+        lambda f, out: given_views(f),
+        weight=2.0,
     ),
     Target(
         "rollout",

@@ -10,6 +10,7 @@ from recast.cli.output import Rows, with_unit
 from recast.evaluation import COLUMNS
 from recast.evaluation.pairs import Bootstrap
 from recast.evaluation.scene_level.summary import LevelRow
+from recast.evaluation.trust import Reliability
 from recast.evaluation.verdict_parts import PartLoss
 from recast.evaluation.verdicts import VerdictCounts
 from recast.pipeline.bench.results import GridResults
@@ -19,14 +20,25 @@ from recast.pipeline.scores import read_metrics
 
 
 def run_rows(folder: Path) -> Rows:
-    """The arms of a finished run, and its failed rollouts.
+    """The arms of a finished run, the trust in its verdicts, and its failed rollouts.
 
     Raises:
         InputError: the folder holds no metrics that this version reads.
     """
     metrics = read_metrics(folder / METRICS_FILE)
     failures = [{"rollout": one["name"], "reason": one["reason"]} for one in metrics["failures"]]
-    return {"arms": [_arm(row) for row in metrics["table"]], "failures": failures}
+    trust = [
+        {
+            "rollout": one["name"],
+            "planner": one["planner"],
+            "trust": one["trust"]["value"],
+            "reason": one["trust"]["words"],
+        }
+        for one in metrics["rollouts"]
+        if one["trust"] is not None
+    ]
+    arms = [_arm(row) for row in metrics["table"]]
+    return {"arms": arms, "trust": trust, "failures": failures}
 
 
 def grid_rows(results: GridResults) -> Rows:
@@ -104,6 +116,17 @@ def foreign_rows(rows: Sequence[ScoreRow], scores: Sequence[ForeignScores]) -> R
         for one in scores
     ]
     return {"arms": arms, "rollouts": rollouts}
+
+
+def trust_rows(found: Mapping[str, Reliability]) -> Rows:
+    """Scores of a trust figure, and its bins; `data` is "left out" or "validation"."""
+    names = ("scenes", "rollouts", "agreeing", "auc", "verdict_auc", "brier", "base_brier")
+    scores = [
+        {"data": data, **{name: getattr(one, name) for name in names}}
+        for data, one in found.items()
+    ]
+    bins = [{"data": data, **vars(b)} for data, one in found.items() for b in one.bins]
+    return {"scores": scores, "bins": bins}
 
 
 def level_rows(lines: Sequence[LevelRow]) -> Rows:

@@ -93,6 +93,7 @@ def results_json(results: GridResults, settings: BenchSettings) -> dict[str, Any
             "decomposition": [
                 {**asdict(one), "loss": _interval(one.loss)} for one in results.losses
             ],
+            "trust": [_trusted(row) for row in results.rows if row.trust is not None],
             "failures": [_failure(row) for row in failed],
         }
     )
@@ -120,16 +121,16 @@ def _interval(one: Bootstrap) -> dict[str, float]:
     return {"mean": one.point, "low": one.low, "high": one.high, "level": one.level}
 
 
+def _trusted(row: GridRow) -> dict[str, Any]:
+    return {**_named(row), **(row.trust or {})}
+
+
 def _failure(row: GridRow) -> dict[str, Any]:
-    return {
-        "scene": row.scene,
-        "motion": row.motion,
-        "setting": row.setting,
-        "planner": row.planner,
-        "arm": row.arm,
-        "error": row.failure,
-        "reason": row.failure_reason,
-    }
+    return {**_named(row), "error": row.failure, "reason": row.failure_reason}
+
+
+def _named(row: GridRow) -> dict[str, str]:
+    return {name: getattr(row, name) for name in ("scene", "motion", "setting", "planner", "arm")}
 
 
 def grid_table(lines: Sequence[ArmSummary], title: str) -> Table:

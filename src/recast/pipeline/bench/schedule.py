@@ -32,6 +32,7 @@ from recast.pipeline.bench.scene_run import (
 from recast.pipeline.layout import METRICS_FILE, use_parts
 from recast.pipeline.run_folder import RunFolder
 from recast.pipeline.scores import read_metrics, write_metrics
+from recast.pipeline.trust import RunTrust
 
 Cell = tuple[str, str, str]
 """Motion, planner and arm of a rollout."""
@@ -80,7 +81,8 @@ class SceneDesk:
             out, config.resolved(), source.path, source.hash, str(self._store.root)
         )
         folder.refer(self._store, {**kept, **artefacts}, whole=True)
-        write_metrics(out / METRICS_FILE, config, artefacts, source.map)
+        trust = RunTrust(source.log, config.track)
+        write_metrics(out / METRICS_FILE, config, artefacts, source.map, trust)
         self.seconds[scene.id] = {
             use: one.record.seconds
             for use, one in sorted(artefacts.items())
