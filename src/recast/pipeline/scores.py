@@ -196,7 +196,7 @@ class _Scored(_Open):
     arm: str
     planner: str
     coverage: _Coverage | None = None
-    trust: _Trust | None = None
+    trust: _Trust | None
 
 
 class _Metrics(_Open):

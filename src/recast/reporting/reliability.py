@@ -13,8 +13,8 @@ from recast.reporting.figure import FAINT, INK, Figure
 
 _PAPER, _DARK, _LINES = "#ffffff", "#1f2430", "#d5d8de"
 """Colours of a picture that no page gives its own."""
-_LARGEST = 14.0
-"""Radius in pixels of the bin with the most rollouts; areas go with counts."""
+_LARGEST, _SMALLEST = 14.0, 3.0
+"""Radius in pixels of the bin with the most rollouts, and of any; areas go with counts."""
 
 
 def reliability_svg(found: Reliability) -> str:
@@ -26,7 +26,8 @@ def reliability_svg(found: Reliability) -> str:
     shown = [(t, a, n) for t, a, n in bins if t is not None and a is not None]
     figure.line([t for t, _, _ in shown], [a for _, a, _ in shown], colour)
     for trust, agreeing, count in shown:
-        radius = _LARGEST * float(np.sqrt(count / max(n for _, _, n in shown)))
+        share = count / max(n for _, _, n in shown)
+        radius = max(_SMALLEST, _LARGEST * float(np.sqrt(share)))
         figure.dots([trust], [agreeing], colour, radius, 0.8)
     title = f"{found.rollouts} rollouts in {found.scenes} scenes"
     plot = figure.plot("Reliability of the trust figure", title)
