@@ -1,4 +1,4 @@
-"""What can be known of a rollout without the truth that says how far to trust its verdict."""
+"""Features of a rollout that need no truth and tell how far to trust its verdict."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What of a rollout's images the log is near to: its camera poses, held-out frames, vehicle."""
+"""How far a rollout's images are from those of the log: camera poses, held-out frames, vehicle."""
 
 from __future__ import annotations
 
