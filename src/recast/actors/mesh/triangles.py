@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import base64
 import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
-from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from recast.arrays import Array
-from recast.core import files
 from recast.core.errors import InputError
 from recast.core.names import member
 
@@ -24,8 +21,6 @@ Alpha = Literal["OPAQUE", "MASK", "BLEND"]
 
 MOST_TRIANGLES = 3_000_000
 _FARTHEST = 1e7  # of a vertex from the origin, in the file's unit
-MOST_BYTES = 1 << 29
-"""Of a mesh file, and of any file that it names."""
 MOST_PIXELS = 1 << 26
 """Of a texture, as its header says."""
 MOST_TEXTURES = 32
@@ -113,29 +108,6 @@ def named_file(path: Path, name: str, what: str) -> Path:
         InputError: the name leads out of the folder.
     """
     return member(path.parent, name.replace("\\", "/"), path, what)
-
-
-def named_uri(path: Path, uri: str, what: str) -> Path | None:
-    """The file that a glTF URI names, see `named_file`; None if the data stands in the URI."""
-    return None if uri.startswith("data:") else named_file(path, unquote(uri), what)
-
-
-def data_of(path: Path, uri: str, what: str) -> bytes:
-    """The bytes of a glTF URI: base64 in place, or a file.
-
-    Raises:
-        InputError: the base64 is broken, or see `named_file` and `files.read_bytes`.
-    """
-    file = named_uri(path, uri, what)
-    if file is not None:
-        return files.read_bytes(file, MOST_BYTES)
-    head, _, text = uri.partition(",")
-    try:
-        if head.endswith(";base64"):
-            return base64.b64decode(text, validate=True)
-    except ValueError:
-        pass
-    raise InputError(path, what, "is no base64", "export it again")
 
 
 def decoded(path: Path, data: bytes, what: str) -> NDArray[np.uint8]:

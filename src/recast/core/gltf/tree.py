@@ -9,20 +9,19 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.alias_generators import to_camel
 
-from recast.actors.mesh.triangles import require_few
 from recast.arrays import Array
 from recast.geometry import se3
 
 if TYPE_CHECKING:
-    from recast.actors.mesh.gltf import GlbFile
+    from recast.core.gltf.file import GlbFile
 
 Four = tuple[float, float, float, float]
 Share = Field(1.0, ge=0, le=1)
 
 MOST_NODES = 100_000
 _MOST_PRIMITIVES = 20_000
-TRIANGLES, STRIP, FAN = 4, 5, 6
-"""Modes of a primitive that is drawn as triangles."""
+POINTS, TRIANGLES, STRIP, FAN = 0, 4, 5, 6
+"""Modes of a primitive."""
 
 
 class Part(BaseModel):
@@ -180,10 +179,10 @@ class Tree(Part):
 
 
 def placed_primitives(file: GlbFile) -> list[tuple[Primitive, Array, str]]:
-    """Primitives of the scene that are triangles, `scene_from_mesh` (4, 4), and their names.
+    """Primitives of the scene, `scene_from_mesh` (4, 4), and their names.
 
     Raises:
-        InputError: the nodes are no tree, one is rigged, or there are too many triangles.
+        InputError: the nodes are no tree, one is rigged, or there are too many primitives.
     """
     tree = file.tree
     children = {child for node in tree.nodes for child in node.children}
@@ -193,7 +192,6 @@ def placed_primitives(file: GlbFile) -> list[tuple[Primitive, Array, str]]:
     waiting = [(root, np.eye(4), "scenes.nodes") for root in roots]
     seen: set[int] = set()
     found: list[tuple[Primitive, Array, str]] = []
-    total = 0
     while waiting:
         index, pose, named = waiting.pop()
         node, field = file.at(tree.nodes, index, named), f"nodes.{index}"
@@ -210,27 +208,8 @@ def placed_primitives(file: GlbFile) -> list[tuple[Primitive, Array, str]]:
         if node.mesh is None:
             continue
         primitives = file.at(tree.meshes, node.mesh, f"{field}.mesh").primitives
-        for number, one in enumerate(primitives):
-            name = f"meshes.{node.mesh}.primitives.{number}"
-            if one.mode in (TRIANGLES, STRIP, FAN):
-                count = corner_count(file, one, name)
-                total += count // 3 if one.mode == TRIANGLES else count
-                require_few(file.path, total)
-                found.append((one, pose, name))
+        names = (f"meshes.{node.mesh}.primitives.{i}" for i in range(len(primitives)))
+        found += [(one, pose, name) for one, name in zip(primitives, names, strict=False)]
         if len(found) > _MOST_PRIMITIVES:
             raise file.fault("nodes", f"draw more than {_MOST_PRIMITIVES} primitives")
     return found
-
-
-def corner_count(file: GlbFile, primitive: Primitive, field: str) -> int:
-    """How many corners a primitive has.
-
-    Raises:
-        InputError: it has no positions.
-    """
-    if "POSITION" not in primitive.attributes:
-        raise file.fault(f"{field}.attributes", "lack POSITION")
-    index = primitive.indices
-    if index is None:
-        index = primitive.attributes["POSITION"]
-    return file.at(file.tree.accessors, index, field).count
