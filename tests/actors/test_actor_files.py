@@ -9,10 +9,18 @@ import numpy as np
 import pytest
 from safetensors.torch import load_file, save_file
 
-from recast.actors import Actor, PlyGenerator, load_actor, make_generator, save_actor
+from recast.actors import (
+    Actor,
+    SplatGenerator,
+    export_actor,
+    load_actor,
+    make_generator,
+    save_actor,
+)
 from recast.actors.observation import Observation
 from recast.core.errors import InputError
 from recast.splats import CLASSIC, MIP, LowPass, write_ply
+from recast.splats.formats import FORMATS, FormatName, read_gaussians
 
 
 @pytest.mark.parametrize("low_pass", [CLASSIC, MIP])
@@ -132,10 +140,27 @@ def test_ply_generator_takes_what_is_there(
     actor: Actor, observation: Observation, tmp_path: Path
 ) -> None:
     write_ply(tmp_path / "car.ply", actor.gaussians)
-    asset = PlyGenerator(tmp_path / "car.ply", axes="vehicle").generate(observation, 5)
+    asset = SplatGenerator(tmp_path / "car.ply", axes="vehicle").generate(observation, 5)
     assert asset.gaussians.means.equal(actor.gaussians.means)
     assert asset.seed == 5
     assert asset.axes.declares_front
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_exported_vehicles_are_generators(
+    actor: Actor, observation: Observation, tmp_path: Path, name: FormatName
+) -> None:
+    export_actor(actor, tmp_path / "out", name)
+    record = json.loads((tmp_path / "out" / "actor.json").read_text())
+    path = tmp_path / "out" / record["vehicle"]
+    axes = {"ply": "x,z", "gltf": "z,y", "spz": "-z,y", "usd": "x,z"}[name]
+    asset = make_generator(str(path), axes).generate(observation, 5)
+    assert asset.generator == name and record["size"] == actor.size.tolist()
+    assert np.allclose(asset.low_pass.variance, actor.low_pass.variance) or name == "spz"
+    half_step = 2**-13 if name == "spz" else 0
+    assert (read_gaussians(path).means - actor.gaussians.means).abs().max() <= half_step
+    shadow = read_gaussians(tmp_path / "out" / record["shadow"])
+    assert (shadow.means - actor.shadow.means).abs().max() <= half_step
 
 
 def test_ply_errors_pass_through(actor: Actor, observation: Observation, tmp_path: Path) -> None:
@@ -144,17 +169,17 @@ def test_ply_errors_pass_through(actor: Actor, observation: Observation, tmp_pat
     data = path.read_bytes()
     path.write_bytes(data.replace(b"property float opacity", b"property float opaqueX"))
     with pytest.raises(InputError, match="opacity"):
-        PlyGenerator(path).generate(observation, 0)
+        SplatGenerator(path).generate(observation, 0)
     path.write_bytes(data[:-4] + np.float32(np.nan).tobytes())
     with pytest.raises(InputError, match=r"car\.ply"):
-        PlyGenerator(path).generate(observation, 0)
+        SplatGenerator(path).generate(observation, 0)
     with pytest.raises(InputError):
-        PlyGenerator(tmp_path / "nowhere.ply").generate(observation, 0)
+        SplatGenerator(tmp_path / "nowhere.ply").generate(observation, 0)
 
 
 def test_unknown_axes(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="unit_cube_y_up"):
-        PlyGenerator(tmp_path / "car.ply", axes="upside_down")
+        SplatGenerator(tmp_path / "car.ply", axes="upside_down")
 
 
 def test_unknown_generator() -> None:

@@ -12,7 +12,7 @@ from actors import made_up
 from actors.mesh.made import car as box_car
 from actors.mesh.made import picture, textured_square
 from evaluation.test_perceptual import write_clip
-from recast.actors import Actor, Observation, PlyGenerator, make_generator, save_actor
+from recast.actors import Actor, Observation, SplatGenerator, make_generator, save_actor
 from recast.actors import library as retrieval
 from recast.actors import library as summaries
 from recast.actors.axes import VEHICLE
@@ -103,8 +103,8 @@ def test_a_file_is_read_once_until_it_changes(
     path = tmp_path / "car.ply"
     path.write_bytes((folder / "red-estate.ply").read_bytes())
     read: list[Path] = []
-    original = summaries.read_ply
-    monkeypatch.setattr(summaries, "read_ply", lambda p: read.append(p) or original(p))  # type: ignore[func-returns-value]
+    original = summaries.read_gaussians
+    monkeypatch.setattr(summaries, "read_gaussians", lambda p: read.append(p) or original(p))  # type: ignore[func-returns-value]
     assert summary_of(path) is summary_of(path)
     assert read == [path]
     os.utime(path, ns=(0, 0))
@@ -164,7 +164,7 @@ def test_what_stands_behind_names(folder: Path, tmp_path: Path) -> None:
     library = make_generator(f"library:{folder}", "z-up")
     assert isinstance(library, LibraryGenerator) and library.axes == "z-up"
     assert isinstance(make_generator(str(folder / "boxes.glb")), MeshGenerator)
-    assert isinstance(make_generator(str(folder / "red-bus.ply")), PlyGenerator)
+    assert isinstance(make_generator(str(folder / "red-bus.ply")), SplatGenerator)
     for missing in ("none.glb", "none.OBJ", "none.ply"):
         with pytest.raises(InputError, match="is missing"):
             make_generator(str(tmp_path / missing))

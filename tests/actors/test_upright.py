@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from actors import made_up
-from recast.actors import Observation, PlyGenerator, axes_of, make_generator, register
+from recast.actors import Observation, SplatGenerator, axes_of, make_generator, register
 from recast.actors.axes import LEAST_EVIDENCE, postures
 from recast.actors.icp import outer_surface
 from recast.actors.place import place_asset
@@ -138,7 +138,7 @@ def test_a_ply_that_lies_on_its_side_is_registered_upright(
     rotation = next(one for one in ORIENTATIONS if up_in_file(one) == up)
     pose = se3.from_rotation_translation(rotation @ se3.rotation_z(0.4), [0.1, 0.2, -0.3])
     write_ply(tmp_path / "car.ply", red_car.transformed(torch.from_numpy(pose), 0.22))
-    asset = PlyGenerator(tmp_path / "car.ply").generate(observation, 0)
+    asset = SplatGenerator(tmp_path / "car.ply").generate(observation, 0)
     assert "told from the shape" in str(asset.details["axes"])
     placed = register(asset, observation, street, street.tracks["7"])
     assert float((placed.gaussians.means - red_car.means).norm(dim=1).mean()) < 0.06
@@ -149,8 +149,8 @@ def test_our_viewer_frame_is_minus_y_up(
     red_car: Gaussians, observation: Observation, tmp_path: Path
 ) -> None:
     write_ply(tmp_path / "viewer.ply", viewer_frame(red_car))
-    told = PlyGenerator(tmp_path / "viewer.ply").generate(observation, 0)
-    named = PlyGenerator(tmp_path / "viewer.ply", "minus-y-up").generate(observation, 0)
+    told = SplatGenerator(tmp_path / "viewer.ply").generate(observation, 0)
+    named = SplatGenerator(tmp_path / "viewer.ply", "minus-y-up").generate(observation, 0)
     assert told.axes == named.axes and told.axes.up == "-y" and not told.axes.declares_front
 
 
@@ -178,17 +178,17 @@ def test_shapes_that_are_refused(
     ):
         write_ply(path, points_gaussians(points))
         with pytest.raises(InputError, match=message) as caught:
-            PlyGenerator(path).generate(observation, 0)
+            SplatGenerator(path).generate(observation, 0)
         assert str(path) in str(caught.value) and "\n" not in str(caught.value)
     haze = replace(red_car, logit_opacities=torch.full_like(red_car.logit_opacities, -9.0))
     write_ply(path, haze)
     with pytest.raises(InputError, match="opaque"):
-        PlyGenerator(path).generate(observation, 0)
+        SplatGenerator(path).generate(observation, 0)
 
 
 def test_named_axes_ask_nothing_of_the_shape(observation: Observation, tmp_path: Path) -> None:
     write_ply(tmp_path / "box.ply", points_gaussians(box_points(observation.size)))
-    asset = PlyGenerator(tmp_path / "box.ply", "z-up").generate(observation, 0)
+    asset = SplatGenerator(tmp_path / "box.ply", "z-up").generate(observation, 0)
     assert asset.axes.up == "+z" and "axes" not in asset.details
 
 
@@ -206,7 +206,7 @@ def test_what_cannot_stand_in_a_box_is_refused(
 ) -> None:
     """With the axes named, where nothing is told from the shape."""
     write_ply(tmp_path / "thing.ply", points_gaussians(points))
-    asset = PlyGenerator(tmp_path / "thing.ply", "z-up").generate(observation, 0)
+    asset = SplatGenerator(tmp_path / "thing.ply", "z-up").generate(observation, 0)
     for use in (
         lambda: register(asset, observation, street, street.tracks["7"]),
         lambda: place_asset(asset, observation.size, [observation]),
@@ -252,7 +252,7 @@ def test_axes_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[
         told = " ".join(capsys.readouterr().err.split())
         assert f"--axes: {axes}: {message}" in told
     generator = make_generator(str(tmp_path / "car.ply"), "-y,z")
-    assert isinstance(generator, PlyGenerator)
+    assert isinstance(generator, SplatGenerator)
     assert generator.axes == axes_of("-y,z") and generator.axes.declares_front
     record = {"track": "7", "motions": ("cut-in-a",), "axes": "y-up"}
     assert RunConfig.model_validate(record).arm("replaced").axes == "y-up"
@@ -264,8 +264,8 @@ def test_the_filter_of_a_ply_is_the_declared_one(
 ) -> None:
     path = tmp_path / "car.ply"
     write_ply(path, red_car, low_pass)
-    assert PlyGenerator(path, "x,z").generate(observation, 0).low_pass == low_pass
-    assert PlyGenerator(path, "x,z", MIP).generate(observation, 0).low_pass == MIP
+    assert SplatGenerator(path, "x,z").generate(observation, 0).low_pass == low_pass
+    assert SplatGenerator(path, "x,z", MIP).generate(observation, 0).low_pass == MIP
 
 
 def test_the_filter_of_a_ply_that_declares_none(
@@ -286,5 +286,5 @@ def test_the_filter_of_a_ply_that_declares_none(
         (red_car.transformed(torch.eye(4), 0.2), CLASSIC),
     ):
         write_ply(tmp_path / "car.ply", gaussians)
-        found = PlyGenerator(tmp_path / "car.ply", "x,z").generate(observation, 0)
+        found = SplatGenerator(tmp_path / "car.ply", "x,z").generate(observation, 0)
         assert found.low_pass == expected

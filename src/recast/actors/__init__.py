@@ -3,6 +3,7 @@
 from recast.actors.actor import Actor, Provenance, RegistrationReport
 from recast.actors.axes import AUTO, CONVENTIONS, AxisConvention, axes_of
 from recast.actors.drawing import orbit, turntable
+from recast.actors.export import export_actor
 from recast.actors.generate import (
     DEFAULT_GENERATOR,
     GENERATORS,
@@ -23,8 +24,9 @@ from recast.actors.observation import MaskQuality, Observation, ViewScore
 from recast.actors.observe import observe
 from recast.actors.register import register
 from recast.actors.segment import BoxLidarSegmenter, Segmentation, SegmentationTarget, Segmenter
+from recast.actors.splat_files import SplatGenerator
 from recast.actors.template import TemplateGenerator
-from recast.actors.vehicle_files import PlyGenerator, load_actor, save_actor
+from recast.actors.vehicle_files import load_actor, save_actor
 
 __all__ = [
     "AUTO",
@@ -42,15 +44,16 @@ __all__ = [
     "MaskQuality",
     "MeshGenerator",
     "Observation",
-    "PlyGenerator",
     "Provenance",
     "RegistrationReport",
     "Segmentation",
     "SegmentationTarget",
     "Segmenter",
+    "SplatGenerator",
     "TemplateGenerator",
     "ViewScore",
     "axes_of",
+    "export_actor",
     "insert",
     "is_segmenter_folder",
     "load_actor",

@@ -78,8 +78,9 @@ def make_generator(generator: str | Path | ActorGenerator, axes: str = AUTO) -> 
     """Make a generator, or return the one given.
 
     Args:
-        generator: one of `GENERATORS.names()`; a PLY, GLB or OBJ file; "library:FOLDER"; the folder
-            of an image-to-3D model; "package.module:attribute"; or an `ActorGenerator`.
+        generator: one of `GENERATORS.names()`; a PLY, GLB, OBJ, SPZ or USDA file;
+            "library:FOLDER"; the folder of an image-to-3D model; "package.module:attribute"; or
+            an `ActorGenerator`.
         axes: orientation of files or a model, see `recast.actors.axes_of`. With "auto", that of a
             file is told from its shape, and models are z up with any heading.
 

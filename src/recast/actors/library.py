@@ -28,8 +28,10 @@ from recast.actors.observation import Observation
 from recast.actors.observe import MIN_LIDAR_POINTS
 from recast.actors.place import box_misfit, stand_on_box, stood_up
 from recast.actors.register import aligned
+from recast.actors.splat_files import holds_gaussians
 from recast.actors.vehicle_files import (
     VEHICLE_FILE,
+    VEHICLE_SUFFIXES,
     is_actor_folder,
     is_vehicle_file,
     vehicle_generator,
@@ -37,7 +39,7 @@ from recast.actors.vehicle_files import (
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.pretrained import ClipImages, whole_picture
-from recast.splats import read_ply
+from recast.splats.formats import read_gaussians
 from recast.splats.sh import C0
 
 _LENGTH, _SPACING = 4.5, 0.1  # metres: enough of a mesh for a mean colour
@@ -89,7 +91,7 @@ def summary_of(path: Path) -> Summary | str:
 @cache
 def _read(path: Path, changed_ns: int, size: int) -> Summary | str:
     try:
-        points, colours = _of_ply(path) if path.suffix.lower() == ".ply" else _of_mesh(path)
+        points, colours = _of_gaussians(path) if holds_gaussians(path) else _of_mesh(path)
     except InputError as error:
         return str(error)
     if len(points) == 0:
@@ -100,9 +102,9 @@ def _read(path: Path, changed_ns: int, size: int) -> Summary | str:
     return Summary(sides[1::-1] / sides[2], colours.mean(axis=0))
 
 
-def _of_ply(path: Path) -> tuple[Array, Array]:
+def _of_gaussians(path: Path) -> tuple[Array, Array]:
     """Points (N, 3) and linear colours (N, 3) of the opaque Gaussians."""
-    gaussians = read_ply(path)
+    gaussians = read_gaussians(path)
     opaque = gaussians.logit_opacities.sigmoid() > _OPAQUE
     colours = 0.5 + C0 * gaussians.sh[opaque, 0].double().numpy()
     return gaussians.means[opaque].double().numpy(), np.clip(colours, 0, 1) ** 2.2
@@ -291,7 +293,7 @@ class LibraryGenerator:
         return ClipImages.read(folder) if folder.is_dir() else None
 
     def _none(self, problem: str) -> InputError:
-        mend = "put *.ply, *.glb, *.obj or folders of actors into it"
+        mend = f"put *{', *'.join(VEHICLE_SUFFIXES)} or folders of actors into it"
         return InputError(self.folder, "vehicles", problem, mend)
 
 

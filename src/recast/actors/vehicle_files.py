@@ -1,4 +1,4 @@
-"""Vehicles in files: actors' folders, and PLY, GLB and OBJ files in the place of a generator.
+"""Vehicles in files: actors' folders, and files of Gaussians or meshes in place of a generator.
 
 The folder of an actor holds actor.json, a PLY file, tensors and the source image.
 """
@@ -17,19 +17,19 @@ from PIL import Image
 from safetensors.torch import save
 
 from recast.actors.actor import Actor, Provenance, triple
-from recast.actors.axes import AUTO, VEHICLE, AxisConvention, axes_of, upright
+from recast.actors.axes import AUTO, VEHICLE
 from recast.actors.coverage import Shares
 from recast.actors.generate import ActorGenerator, Asset
-from recast.actors.icp import outer_surface
 from recast.actors.mesh import MESH_SUFFIXES, MeshGenerator, files_of_mesh
 from recast.actors.observation import Observation
+from recast.actors.splat_files import SplatGenerator, holds_gaussians
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.records import Record, read_record
 from recast.core.torch_file import read_safetensors
 from recast.logs import Trajectory
-from recast.splats import CLASSIC, MIP, Gaussians, LowPass, read_ply, write_ply
-from recast.splats.ply import read_low_pass
+from recast.splats import Gaussians, LowPass, read_ply, write_ply
+from recast.splats.formats import SPLAT_SUFFIXES
 
 ACTOR_VERSION = 2
 ACTOR_FILE = "actor.json"
@@ -43,10 +43,7 @@ SOURCE_PIXELS = 1 << 26
 
 _MEND = "generate the actor again with this recast"
 _FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
-# Of the published decoder of TRELLIS, in unit cubes (rounded up by what float32 and text lose).
-_PER_VOXEL, _LARGEST_SPREAD, _LEAST_DEVIATION = 32, 1.5 / 64 + 1e-5, 9e-4
-_PLY = ".ply"
-VEHICLE_SUFFIXES = (_PLY, *MESH_SUFFIXES)
+VEHICLE_SUFFIXES = tuple(dict.fromkeys((".ply", *MESH_SUFFIXES, *SPLAT_SUFFIXES)))
 """Ends of the names of files that hold a vehicle, in lower case."""
 
 
@@ -178,72 +175,8 @@ def _read_source(path: Path) -> np.ndarray:
     raise InputError(path, "image", problem, _MEND)
 
 
-class PlyGenerator:
-    """Takes the Gaussians of a PLY file (INRIA layout) whatever the observation shows.
-
-    Args:
-        path: the file.
-        axes: its axis convention, as such or as text, see `axes.axes_of`; "auto" tells which axis
-            points up from the shape and the observed box, see `recast.actors.axes.upright`.
-        low_pass: the filter that it was made for. None takes what the file declares
-            (`recast.splats.write_ply`); if it declares none, that of TRELLIS for what its published
-            decoder made (`made_by_trellis`), else that of 3DGS.
-
-    Raises:
-        InputError: no such convention.
-    """
-
-    name = "ply"
-
-    def __init__(
-        self, path: str | Path, axes: str | AxisConvention = AUTO, low_pass: LowPass | None = None
-    ) -> None:
-        self.path, self.low_pass = Path(path), low_pass
-        self.axes = axes_of(axes) if isinstance(axes, str) and axes != AUTO else axes
-
-    def generate(self, observation: Observation, seed: int) -> Asset:
-        """Read the file.
-
-        Raises:
-            InputError: the file is missing, lacks a field, or holds a value that is not finite;
-                with "auto", no orientation fits the box, or the shape does not tell it.
-        """
-        gaussians = read_ply(self.path)
-        if len(gaussians) == 0:
-            raise InputError(self.path, "vertex", "holds no Gaussians", "export the asset again")
-        details: dict[str, str | float | int] = {"file": self.path.name}
-        if isinstance(self.axes, AxisConvention):
-            axes = self.axes
-        else:
-            try:
-                points = outer_surface(gaussians).points
-            except ValueError as error:
-                mend = "export the asset again"
-                raise InputError(self.path, "shape", str(error), mend) from None
-            found = upright(points, observation.size, self.path)
-            axes, details["axes"] = found.axes, f"told from the shape: {found.explain()}"
-        low_pass = self.low_pass or read_low_pass(self.path)
-        if low_pass is None:
-            low_pass = MIP if made_by_trellis(gaussians) else CLASSIC
-        return Asset(gaussians, axes, self.name, seed, details, low_pass)
-
-
-def made_by_trellis(gaussians: Gaussians) -> bool:
-    """Whether these are, row by row, what the published decoder of TRELLIS gives.
-
-    32 Gaussians for each voxel of 1/64, within three quarters of a voxel of its centre; no
-    harmonics; no deviation below 9e-4.
-    """
-    if gaussians.sh_degree > 0 or len(gaussians) == 0 or len(gaussians) % _PER_VOXEL:
-        return False
-    voxels = gaussians.means.reshape(-1, _PER_VOXEL, 3)
-    spread = float((voxels.amax(dim=1) - voxels.amin(dim=1)).max())
-    least = float(gaussians.log_scales.min())
-    return spread <= _LARGEST_SPREAD and least >= np.log(_LEAST_DEVIATION) - 1e-4
-
-
 def is_vehicle_file(name: str | Path) -> bool:
-    """Whether the name is that of a PLY, GLB or OBJ; the file need not exist."""
+    """Whether the name is that of a vehicle file; the file need not exist."""
     return str(name).lower().endswith(VEHICLE_SUFFIXES)
 
 
@@ -262,15 +195,15 @@ def vehicle_generator(
         spacing: metres between the points of a mesh; its own if None.
 
     Raises:
-        InputError: no such file, or no such axes.
+        InputError: no such file, no such axes, or a GLB that cannot be opened.
     """
     path = Path(path)
     if is_actor_folder(path):
         return ActorFolderGenerator(path)
     if not path.is_file():
         raise InputError(path, "file", "is missing", "check the path given as `generator`")
-    if path.suffix.lower() == _PLY:
-        return PlyGenerator(path, axes)
+    if holds_gaussians(path):
+        return SplatGenerator(path, axes)
     return MeshGenerator(path, axes) if spacing is None else MeshGenerator(path, axes, spacing)
 
 
@@ -280,7 +213,7 @@ def files_of_vehicle(path: Path) -> list[Path]:
     Raises:
         InputError: see `files_of_mesh`.
     """
-    return [path] if path.suffix.lower() == _PLY else files_of_mesh(path)
+    return files_of_mesh(path) if path.suffix.lower() in MESH_SUFFIXES else [path]
 
 
 class ActorFolderGenerator:

@@ -180,7 +180,25 @@ class Show:
         console_for(False).print(f"wrote {show_actor(self.actor, self.out)}", markup=False)
 
 
+@dataclass(frozen=True)
+class Export:
+    """Write an actor for other programs: Gaussians of the vehicle and of its shadow, size and
+    conventions."""
+
+    actor: tyro.conf.Positional[Path]
+    """Actor folder, such as RUN/actors/replaced/actor."""
+    out: Path
+    """Folder to write; must not exist."""
+    format: Annotated[shared.FormatName, shared.SPLAT_FORMAT] = "ply"
+
+    def __call__(self) -> None:
+        from recast.actors import export_actor, load_actor
+
+        export_actor(load_actor(self.actor), self.out, self.format)
+        console_for(False).print(f"wrote {self.out}", markup=False)
+
+
 Actor = shared.group(
-    "Make, film or draw a view-complete vehicle.",
-    {"make": Make, "generate": Generate, "turntable": Turntable, "show": Show},
+    "Make, film, draw or export a view-complete vehicle.",
+    {"make": Make, "generate": Generate, "turntable": Turntable, "show": Show, "export": Export},
 )

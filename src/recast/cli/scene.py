@@ -113,20 +113,20 @@ class DriveStudio:
 
 
 @dataclass(frozen=True)
-class Ply:
-    """Import a PLY of 3D Gaussian splatting as a static background."""
+class GaussiansFile:
+    """Import a file of Gaussians as a static background: 3DGS PLY, glTF, SPZ or OpenUSD text."""
 
     background: tyro.conf.Positional[Path]
-    """PLY file."""
+    """File (.ply, .glb, .spz or .usda)."""
     log: Path
     """Log folder of the drive."""
     out: Path
     """Scene folder to write; must not exist."""
-    world_from_ply: Annotated[
+    world_from_file: Annotated[
         Path | None,
         shared.option(
-            "Text file with a 4x4 matrix (it may scale) or an offset from the PLY's coordinates to "
-            "the log's world.",
+            "Text file with a 4x4 matrix (it may scale) or an offset from the file's coordinates "
+            "to the log's world. GLB and SPZ are first turned to x forward, y left, z up.",
             "the same coordinates",
         ),
     ] = None
@@ -138,14 +138,14 @@ class Ply:
     ] = None
 
     def __call__(self) -> None:
-        from recast.scene.importers import import_ply
+        from recast.scene.importers import import_gaussians
 
-        _import(import_ply, **vars(self))
+        _import(import_gaussians, **vars(self))
 
 
 Import = shared.group(
     "Import a scene that another program trained (docs/scenes.md).",
-    {"street-gaussians": StreetGaussians, "drivestudio": DriveStudio, "ply": Ply},
+    {"street-gaussians": StreetGaussians, "drivestudio": DriveStudio, "gaussians": GaussiansFile},
 )
 
 
@@ -241,7 +241,7 @@ class Eval:
 
 @dataclass(frozen=True)
 class Export:
-    """Write a scene for other programs: PLY files, sky image and poses."""
+    """Write a scene for other programs: Gaussians, sky image and poses."""
 
     scene: tyro.conf.Positional[Path]
     """Scene folder."""
@@ -250,21 +250,23 @@ class Export:
     time: Annotated[
         float | None,
         shared.option(
-            "Time in seconds after the scene's start: write one PLY of the street and all actors "
+            "Time in seconds after the scene's start: write one file of the street and all actors "
             "at that time.",
-            "one PLY for each part, actors in their own frames",
+            "one file for each part, actors in their own frames",
         ),
     ] = None
+    format: Annotated[shared.FormatName, shared.SPLAT_FORMAT] = "ply"
 
     def __call__(self) -> None:
         from recast.scene import export_scene, export_scene_at, load_scene
 
         scene = load_scene(self.scene)
         if self.time is None:
-            export_scene(scene, self.out)
+            export_scene(scene, self.out, self.format)
             told = f"wrote {self.out}"
         else:
-            told = f"wrote {self.out}, at {export_scene_at(scene, self.out, self.time)} us"
+            at_us = export_scene_at(scene, self.out, self.time, self.format)
+            told = f"wrote {self.out}, at {at_us} us"
         console_for(False).print(told, markup=False)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import make_dataclass
 from functools import reduce
 from operator import or_
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -83,8 +83,8 @@ STEPS = option("Steps of 0.1 s for each rollout; fewer if the log or the road en
 GENERATOR = option(
     "Generator of the actor: auto (the better of template and recast-mini), recast-mini (the "
     "image-to-3D model in the package), template, the name of an installed generator, trellis "
-    "(recast weights), a model folder, a PLY, GLB or OBJ file, or library:FOLDER (the best vehicle "
-    "in that folder).",
+    "(recast weights), a model folder, a file of Gaussians (PLY, GLB, SPZ, USDA) or of a mesh "
+    "(GLB, OBJ), or library:FOLDER (the best vehicle in that folder).",
     "auto",
     metavar="NAME",
 )
@@ -108,6 +108,14 @@ SEGMENTER = option(
 )
 VIEWS = option(
     "Maximum number of images that the actor is made from: the best view, then other sides.", "1"
+)
+
+# What is written for other programs.
+FormatName = Literal["ply", "gltf", "spz", "usd"]
+SPLAT_FORMAT = option(
+    "Format of the Gaussians: ply (3D Gaussian splatting), gltf (GLB with KHR_gaussian_splatting), "
+    "spz (Niantic, quantised) or usd (OpenUSD text).",
+    "ply",
 )
 
 # Where the street comes from.

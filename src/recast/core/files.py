@@ -222,7 +222,11 @@ def read_bytes(path: str | Path, limit: int) -> bytes:
         size = path.stat().st_size
         if size <= limit:
             with path.open("rb") as stream:
-                data = stream.read(limit + 1)  # a device says 0 and never ends
+                # As much memory is taken as is asked for: the size, not the limit, unless a file
+                # has more than it says, as a device does, which says 0 and never ends.
+                data = stream.read(size + 1)
+                if len(data) > size:
+                    data += stream.read(limit + 1 - len(data))
             size = max(size, len(data))
         if size > limit:
             problem = f"has {size} bytes, {limit} are read at most"

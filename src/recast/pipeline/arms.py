@@ -11,7 +11,7 @@ from typing import Any, Literal, Self, get_args
 
 from pydantic import Field, model_validator
 
-from recast.actors.mesh import MESH_SUFFIXES
+from recast.actors.vehicle_files import VEHICLE_SUFFIXES
 from recast.core.errors import InputError
 from recast.core.records import Record
 from recast.scene import Preset
@@ -168,7 +168,7 @@ class Arm(Record):
         if self.generator is None or not self.generator.startswith(ASSETS):
             return self
         folder = Path(self.generator.removeprefix(ASSETS))
-        names = [f"{scene}{suffix}" for suffix in (".ply", *MESH_SUFFIXES)]
+        names = [f"{scene}{suffix}" for suffix in VEHICLE_SUFFIXES]
         found = next((folder / name for name in names if (folder / name).is_file()), None)
         if found is None:
             raise InputError(folder, f"scene {scene}", "has no file", f"add {' or '.join(names)}")

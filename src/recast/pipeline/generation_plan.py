@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from PIL import Image as PilImage
 
+from recast.actors.vehicle_files import VEHICLE_SUFFIXES
 from recast.core.artefact import file_hash, folder_hash, value_hash
 from recast.core.files import atomic_folder, write_json
 from recast.core.names import folder_name
@@ -212,7 +213,7 @@ def _vehicle(case: ActorCase) -> dict[str, Any]:
     name = folder_name(case.id)
     return {
         "id": case.id,
-        "files": [f"{name}.ply", f"{name}.glb", f"{name}.obj"],
+        "files": [f"{name}{suffix}" for suffix in VEHICLE_SUFFIXES],
         "input": f"{INPUTS}/{name}.png",
         "input_azimuth_deg": case.inputs[0].azimuth_deg,
         "input_elevation_deg": elevation_deg(case.inputs[0]),

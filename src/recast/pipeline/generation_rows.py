@@ -103,7 +103,8 @@ def vehicle_file(folder: Path, id: str) -> Path:
     if len(found) != 1:
         many = f"{len(found)} files: " + ", ".join(path.name for path in found)
         problem = many if found else "no file of this vehicle"
-        raise InputError(folder, id, f"has {problem}", "one PLY, GLB or OBJ is wanted")
+        mend = f"one of {', '.join(VEHICLE_SUFFIXES)} is wanted"
+        raise InputError(folder, id, f"has {problem}", mend)
     return found[0]
 
 
@@ -280,7 +281,8 @@ def _results_hash(model: StudyModel, cases: Sequence[ActorCase]) -> dict[str, st
         )
     found = {case.id: vehicle_hash(model, case) for case in cases}
     if not any(found.values()):
-        wanted = "ID.ply, .glb or .obj" if model.source.startswith(FILES) else "ID/VIEW.png"
+        files = f"ID{', '.join(VEHICLE_SUFFIXES)}"
+        wanted = files if model.source.startswith(FILES) else "ID/VIEW.png"
         raise InputError(
             model.folder,
             "results",

@@ -1,4 +1,4 @@
-"""Scenes for other programs: one PLY a part, or all that is there at a time in one PLY."""
+"""Scenes for other programs: one file a part, or all that is there at a time in one file."""
 
 from __future__ import annotations
 
@@ -14,21 +14,18 @@ from recast.core.files import atomic_folder, write_json
 from recast.core.names import folder_name
 from recast.scene.sky import write_sky
 from recast.scene.street_scene import SceneActor, StreetScene
-from recast.splats import write_ply
+from recast.splats.formats import FORMATS, FormatName, write_gaussians
 
 EXPORT_VERSION = 1
 EXPORT_FORMAT = "recast-scene-export"
 RECORD_FILE, SKY_FILE = "scene.json", "sky.png"
-BACKGROUND_FILE, MERGED_FILE = "background.ply", "merged.ply"
+BACKGROUND, MERGED = "background", "merged"
 
 CONVENTIONS = {
     "units": "metres; timestamps in microseconds",
     "world": "z up; coordinates of the dataset = coordinates here + world_offset",
     "actor": "origin in the centre of the box, x forward, y left, z up",
     "poses": "world_from_actor, 4x4, row by row: x_world = R x_actor + t",
-    "gaussians": "PLY of 3D Gaussian splatting: x y z, f_dc and f_rest (real harmonics, channel by "
-    "channel; colour = max(0.5 + sum, 0)), opacity (logit), scale (natural log of standard "
-    "deviations), rot (quaternion w x y z, not normalised)",
     "low_pass": "filter that an actor's Gaussians were made for: px^2 added to projected "
     "covariances, and whether opacity is lowered by as much; everything else: 0.3, not lowered",
     "sky": "equirectangular, infinitely far, behind the Gaussians (rgb + (1 - alpha) sky): top row "
@@ -36,36 +33,54 @@ CONVENTIONS = {
     "above; 16 bits a channel, 65535 = 1",
 }
 
+GAUSSIANS: dict[FormatName, str] = {
+    "ply": "PLY of 3D Gaussian splatting: x y z, f_dc and f_rest (real harmonics, channel by "
+    "channel; colour = max(0.5 + sum, 0)), opacity (logit), scale (natural log of standard "
+    "deviations), rot (quaternion w x y z, not normalised)",
+    "gltf": "glTF 2.0, KHR_gaussian_splatting; turned: world and actor (x, y, z) = file (z, x, y)",
+    "spz": "SPZ; turned: world and actor (x, y, z) = file (-z, -x, y); quantised",
+    "usd": "OpenUSD, ParticleField3DGaussianSplat, z up; not turned",
+}
+"""What the files hold, by format."""
 
-def export_scene(scene: StreetScene, folder: str | Path) -> None:
+
+def export_scene(scene: StreetScene, folder: str | Path, splat_format: FormatName = "ply") -> None:
     """Write background.ply, actors/ID.ply (actor frame), sky.png and scene.json with the poses.
 
     An actor's shadow is shadows/ID.ply, in the actor's frame too, and goes where the actor goes. A
     deformable actor has the shape of the middle of its time.
 
+    Args:
+        splat_format: of the Gaussians' files, whose names end accordingly; each is turned into the
+            axes of the format.
+
     Raises:
-        InputError: `folder` exists, or the disk is full.
+        InputError: `folder` exists, a part does not fit into the format, or the disk is full.
     """
-    names = _file_names(scene.actors)
+    names, suffix = _file_names(scene.actors), FORMATS[splat_format].suffix
     with atomic_folder(folder) as partial:
-        write_ply(partial / BACKGROUND_FILE, scene.background)
+        write_gaussians(partial / f"{BACKGROUND}{suffix}", scene.background)
         actors = []
         for track_id, actor in scene.actors.items():
-            files = {"gaussians": f"actors/{names[track_id]}.ply"}
+            files = {"gaussians": f"actors/{names[track_id]}{suffix}"}
             shaped = actor.shaped_at(None).gaussians
-            write_ply(partial / files["gaussians"], shaped, actor.low_pass)
+            write_gaussians(partial / files["gaussians"], shaped, actor.low_pass)
             if actor.shadow is not None:
-                files["shadow"] = f"shadows/{names[track_id]}.ply"
-                write_ply(partial / files["shadow"], actor.shadow)
+                files["shadow"] = f"shadows/{names[track_id]}{suffix}"
+                write_gaussians(partial / files["shadow"], actor.shadow)
             actors.append(_actor_record(actor) | files)
-        _finish(scene, partial, {"background": BACKGROUND_FILE, "actors": actors})
+        parts = {"background": f"{BACKGROUND}{suffix}", "actors": actors}
+        _finish(scene, partial, splat_format, parts)
 
 
-def export_scene_at(scene: StreetScene, folder: str | Path, seconds: float) -> int:
+def export_scene_at(
+    scene: StreetScene, folder: str | Path, seconds: float, splat_format: FormatName = "ply"
+) -> int:
     """Write merged.ply, everything there at a time in the world frame, sky.png and scene.json.
 
     Args:
         seconds: after the first time that the scene knows, see `scene_interval`.
+        splat_format: see `export_scene`.
 
     Returns:
         The timestamp in microseconds.
@@ -84,16 +99,14 @@ def export_scene_at(scene: StreetScene, folder: str | Path, seconds: float) -> i
     timestamp_us = first + round(seconds * 1e6)
     poses = scene.actor_poses(timestamp_us)
     with atomic_folder(folder) as partial:
-        write_ply(partial / MERGED_FILE, scene.at(poses, timestamp_us))
+        merged = f"{MERGED}{FORMATS[splat_format].suffix}"
+        write_gaussians(partial / merged, scene.at(poses, timestamp_us))
         actors = [
             {"track_id": track_id, "world_from_actor": pose.tolist()}
             for track_id, pose in poses.items()
         ]
-        _finish(
-            scene,
-            partial,
-            {"merged": MERGED_FILE, "timestamp_us": timestamp_us, "actors": actors},
-        )
+        parts = {"merged": merged, "timestamp_us": timestamp_us, "actors": actors}
+        _finish(scene, partial, splat_format, parts)
     return timestamp_us
 
 
@@ -126,7 +139,9 @@ def _actor_record(actor: SceneActor) -> dict[str, Any]:
     }
 
 
-def _finish(scene: StreetScene, folder: Path, parts: dict[str, Any]) -> None:
+def _finish(
+    scene: StreetScene, folder: Path, splat_format: FormatName, parts: dict[str, Any]
+) -> None:
     write_sky(folder / SKY_FILE, scene.sky)
     record = {
         "format": EXPORT_FORMAT,
@@ -134,8 +149,9 @@ def _finish(scene: StreetScene, folder: Path, parts: dict[str, Any]) -> None:
         "log_name": scene.log_name,
         "world_offset": np.asarray(scene.world_offset).tolist(),
         "sky": SKY_FILE,
+        "splat_format": splat_format,
         **parts,
-        "conventions": CONVENTIONS,
+        "conventions": CONVENTIONS | {"gaussians": GAUSSIANS[splat_format]},
     }
     write_json(folder / RECORD_FILE, record)
 

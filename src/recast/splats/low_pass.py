@@ -8,12 +8,15 @@ that it was made for, and a scene is drawn in one pass.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import isfinite
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from recast.core.errors import InputError
 from recast.splats.gaussians import LOG_SCALES, Gaussians, quat_to_matrix
 
 _LEAST_SHARE = 1e-4
@@ -42,6 +45,31 @@ class LowPass:
     def __post_init__(self) -> None:
         if not (isfinite(self.variance) and self.variance >= 0):
             raise ValueError(f"LowPass.variance: {self.variance}, expected 0 or more")
+
+    def text(self) -> str:
+        """How files declare it, such as "0.1 antialiased"; see `parse_low_pass`."""
+        return f"{self.variance:g}{' antialiased' if self.antialiased else ''}"
+
+
+def parse_low_pass(where: str | Path, text: str) -> LowPass:
+    """The filter that a file declares.
+
+    Args:
+        where: the file, for messages.
+
+    Raises:
+        InputError: it cannot be understood.
+    """
+    match text.split():
+        case [variance, *kind] if kind in ([], ["antialiased"]):
+            with suppress(ValueError):
+                return LowPass(float(variance), antialiased=bool(kind))
+    raise InputError(
+        where,
+        "low-pass filter",
+        f"{text!r} cannot be understood",
+        "write a variance in px^2, such as '0.1 antialiased'",
+    )
 
 
 CLASSIC = LowPass()

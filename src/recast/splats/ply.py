@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from recast.core.errors import InputError
 from recast.core.files import disk_errors, write_bytes
 from recast.splats.gaussians import Gaussians
-from recast.splats.low_pass import LowPass
+from recast.splats.low_pass import LowPass, parse_low_pass
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -80,17 +80,12 @@ def write_ply(path: str | Path, gaussians: Gaussians, low_pass: LowPass | None =
     ]
     table = torch.cat([column.float().cpu() for column in columns], dim=1)
     properties = "".join(f"property float {name}\n" for name in _names(rest.shape[1]))
-    filter_line = "" if low_pass is None else _declaration(low_pass)
+    filter_line = "" if low_pass is None else f"{_LOW_PASS} {low_pass.text()}\n"
     header = (
         f"ply\nformat binary_little_endian 1.0\n{filter_line}"
         f"element vertex {n}\n{properties}end_header\n"
     )
     write_bytes(path, header.encode() + table.numpy().astype("<f4").tobytes())
-
-
-def _declaration(low_pass: LowPass) -> str:
-    kind = " antialiased" if low_pass.antialiased else ""
-    return f"{_LOW_PASS} {low_pass.variance:g}{kind}\n"
 
 
 def read_low_pass(path: str | Path) -> LowPass | None:
@@ -103,18 +98,7 @@ def read_low_pass(path: str | Path) -> LowPass | None:
         head, end, _ = file.read(_LONGEST_HEADER).partition(b"end_header")
     for line in head.decode("ascii", "replace").splitlines() if end else []:
         if line.startswith(_LOW_PASS):
-            match line.removeprefix(_LOW_PASS).split():
-                case [variance, *kind] if kind in ([], ["antialiased"]):
-                    try:
-                        return LowPass(float(variance), antialiased=bool(kind))
-                    except ValueError:
-                        pass
-            raise InputError(
-                path,
-                "header",
-                f"{line!r} cannot be understood",
-                f"write a variance in px^2, such as '{_LOW_PASS} 0.1 antialiased'",
-            )
+            return parse_low_pass(path, line.removeprefix(_LOW_PASS))
     return None
 
 

@@ -34,8 +34,9 @@ from recast.scene import (
     read_config,
     save_scene,
 )
-from recast.scene.importers import import_drivestudio, import_ply, import_street_gaussians
+from recast.scene.importers import import_drivestudio, import_gaussians, import_street_gaussians
 from recast.splats import read_ply, write_ply
+from recast.splats.formats import FORMATS, FormatName
 from recast.synthetic.vehicles.shapes import read_mesh
 from scene.importers import test_drivestudio, test_street_gaussians
 from support import trained_scenes
@@ -124,6 +125,17 @@ def _import_street_gaussians(folder: Path, out: Path) -> object:
     )
 
 
+def _splats(name: FormatName) -> Target:
+    one, car = FORMATS[name], trained_scenes.make_car(1)
+    file = f"car{one.suffix}"
+    return Target(
+        f"splats-{name}",
+        lambda f: one.write(f / file, car, None),
+        lambda f, out: one.read(f / file),
+        weight=4.0,
+    )
+
+
 TARGETS = (
     Target(
         "ply",
@@ -131,6 +143,7 @@ TARGETS = (
         lambda f, out: read_ply(f / "car.ply"),
         weight=12.0,
     ),
+    *(_splats(name) for name in FORMATS if name != "ply"),
     Target(
         "scene",
         lambda f: save_scene(_scene(), f / "scene"),
@@ -172,7 +185,7 @@ TARGETS = (
     Target(
         "ply-scene",
         lambda f: write_ply(f / "scene.ply", trained_scenes.make_background(1)),
-        lambda f, out: import_ply(f / "scene.ply", _log(), out),
+        lambda f, out: import_gaussians(f / "scene.ply", _log(), out),
         weight=2.0,
     ),
     Target(

@@ -26,9 +26,10 @@ from recast.scene import (
     render_scene,
     save_scene,
 )
-from recast.scene.importers import import_ply
+from recast.scene.importers import import_gaussians
 from recast.scene.sky import read_sky, sample_cubemap, sky_from_cubemap, write_sky
 from recast.splats import read_ply, write_ply
+from recast.splats.formats import FormatName, read_gaussians
 from support import trained_scenes as made
 
 
@@ -62,7 +63,7 @@ def test_a_merged_export_comes_back_with_the_same_pictures(
 ) -> None:
     time = export_scene_at(scene, tmp_path / "out", 0.25)
     assert time == made.TIMES[0] + 250_000
-    import_ply(
+    import_gaussians(
         tmp_path / "out" / "merged.ply", log, tmp_path / "scene", sky=tmp_path / "out" / "sky.png"
     )
     back = load_scene(tmp_path / "scene")
@@ -73,6 +74,30 @@ def test_a_merged_export_comes_back_with_the_same_pictures(
     assert record["timestamp_us"] == time
     assert [actor["track_id"] for actor in record["actors"]] == ["car/1", "car_1"]
     assert np.array_equal(back.world_offset, made.OFFSET) and back.log_name == "drive"
+
+
+@pytest.mark.parametrize(
+    # Of SPZ: 8.5/128 of a harmonic of degree 3, and 1/32 of a log scale, show in a pixel.
+    ("name", "suffix", "bound"),
+    [("gltf", ".glb", 1e-4), ("usd", ".usda", 1e-4), ("spz", ".spz", 0.1)],
+)
+def test_other_formats_come_back_with_the_same_pictures(
+    scene: StreetScene, log: DrivingLog, tmp_path: Path, name: FormatName, suffix: str, bound: float
+) -> None:
+    time = export_scene_at(scene, tmp_path / "out", 0.25, name)
+    record = import_gaussians(
+        tmp_path / "out" / f"merged{suffix}", log, tmp_path / "scene", sky=tmp_path / "out/sky.png"
+    )
+    assert record.layout == name
+    before = images(scene, scene.actor_poses(time))
+    assert np.abs(images(load_scene(tmp_path / "scene"), {}) - before).max() < bound
+    export_scene(scene, tmp_path / "parts", name)
+    parts = json.loads((tmp_path / "parts" / "scene.json").read_text())
+    assert parts["splat_format"] == name and name in parts["conventions"]["gaussians"].lower()
+    car = read_gaussians(tmp_path / "parts" / parts["actors"][0]["gaussians"])
+    own = scene.actors["car/1"].gaussians.means
+    # Half a step of SPZ; turning by whole quarters changes no number.
+    assert (car.means - own).abs().max() <= (2**-13 if name == "spz" else 0)
 
 
 def test_parts_are_exported_in_their_own_frames(scene: StreetScene, tmp_path: Path) -> None:
@@ -120,7 +145,7 @@ def test_a_ply_in_another_frame_and_unit_is_placed(
     matrix = pose.copy()
     matrix[:3, :3] *= scale
     (tmp_path / "matrix.json").write_text(json.dumps(matrix.tolist()))
-    record = import_ply(tmp_path / "a.ply", log, tmp_path / "scene", tmp_path / "matrix.json")
+    record = import_gaussians(tmp_path / "a.ply", log, tmp_path / "scene", tmp_path / "matrix.json")
     assert record.scale == pytest.approx(scale) and not record.warnings
     assert record.left_out and record.left_out[0].startswith("sky")
     back = replace(load_scene(tmp_path / "scene"), sky=scene.sky)
@@ -143,7 +168,7 @@ def test_bad_transforms(log: DrivingLog, tmp_path: Path, text: str, line: str) -
     write_ply(tmp_path / "a.ply", made.make_car(0))
     (tmp_path / "t.txt").write_text(text)
     with pytest.raises(InputError, match=line):
-        import_ply(tmp_path / "a.ply", log, tmp_path / "scene", tmp_path / "t.txt")
+        import_gaussians(tmp_path / "a.ply", log, tmp_path / "scene", tmp_path / "t.txt")
     assert not (tmp_path / "scene").exists()
 
 
@@ -193,7 +218,9 @@ def test_the_commands(
     save_scene(scene, tmp_path / "scene")
     out, again = str(tmp_path / "out"), str(tmp_path / "again")
     assert main(["scene", "export", str(tmp_path / "scene"), "--out", out, "--time", "0.2"]) == 0
-    command = ["scene", "import", "ply", f"{out}/merged.ply", "--log", "log", "--out", again]
+    gltf = ["scene", "export", str(tmp_path / "scene"), "--out", f"{out}-glb", "--format", "gltf"]
+    assert main(gltf) == 0 and (tmp_path / "out-glb" / "background.glb").is_file()
+    command = ["scene", "import", "gaussians", f"{out}/merged.ply", "--log", "log", "--out", again]
     assert main([*command, "--sky", f"{out}/sky.png"]) == 0
     assert "left out" not in capsys.readouterr().out
     assert load_scene(again).log_name == "drive"
@@ -201,6 +228,6 @@ def test_the_commands(
 
 def test_an_imported_scene_can_be_judged(tiny_log: DrivingLog, tmp_path: Path) -> None:
     write_ply(tmp_path / "a.ply", made.make_background(1))
-    import_ply(tmp_path / "a.ply", tiny_log, tmp_path / "scene")
+    import_gaussians(tmp_path / "a.ply", tiny_log, tmp_path / "scene")
     judged = evaluate_and_print(tmp_path / "scene", tiny_log, tmp_path / "eval")
     assert len(judged.frames) == 3 and (tmp_path / "eval" / "eval.json").is_file()

@@ -162,9 +162,16 @@ class Scene(Part):
     nodes: tuple[int, ...] = ()
 
 
+class Asset(Part):
+    """What the file says about itself."""
+
+    extras: Any = None
+
+
 class Tree(Part):
     """The whole chunk."""
 
+    asset: Asset = Asset()
     scene: int = 0
     scenes: tuple[Scene, ...] = ()
     nodes: tuple[Node, ...] = Field((), max_length=MOST_NODES)

@@ -1,4 +1,4 @@
-"""Trained scenes of others: checked reading of checkpoint tables, and PLY files part by part."""
+"""Trained scenes of others: checked reading of checkpoint tables."""
 
 from __future__ import annotations
 
@@ -7,23 +7,12 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from recast.core.errors import InputError
-from recast.core.files import require_new
 from recast.core.torch_file import read_torch_file
-from recast.logs import DrivingLog
-from recast.scene.importers.placement import (
-    ImportRecord,
-    Placement,
-    given_placement,
-    write_imported,
-)
-from recast.scene.sky import SkyMap, read_sky
-from recast.scene.street_scene import StreetScene
-from recast.splats import Gaussians, read_ply
+from recast.splats import Gaussians
 
 MEND = "give a checkpoint of the published layout (docs/scenes.md)"
 REST_COUNTS = (0, 3, 8, 15)
@@ -184,44 +173,3 @@ def read_faces(table: Table, name: str) -> Tensor:
     if faces.shape[1] != faces.shape[2] or faces.shape[1] == 0:
         raise table.fault(name, f"has faces of {list(faces.shape[1:3])}, which are no squares")
     return faces
-
-
-def import_ply(
-    path: str | Path,
-    log: DrivingLog,
-    out: str | Path,
-    world_from_ply: Path | None = None,
-    sky: Path | None = None,
-) -> ImportRecord:
-    """Make a scene without actors of a PLY in the INRIA layout.
-
-    Args:
-        world_from_ply: text file with a 4x4 matrix or an offset from the PLY's coordinates to the
-            log's world; the matrix may scale. Without it they are taken to be the same.
-        sky: equirectangular image as `recast scene export` writes it; black without it.
-
-    Raises:
-        InputError: a file is missing or broken, the PLY is empty, `out` exists.
-    """
-    path = Path(path)
-    require_new(out)
-    background = read_ply(path)
-    if len(background) == 0:
-        raise InputError(path, "element vertex", "has no rows", "export it again")
-    placement = Placement(np.eye(4), "taken for the log's world")
-    if world_from_ply is not None:
-        placement = given_placement(world_from_ply, scalable=True)
-        pose = torch.from_numpy(placement.world_from_scene)
-        background = background.transformed(pose, placement.scale)
-    seen = SkyMap.constant(torch.zeros(3)) if sky is None else read_sky(sky)
-    no_sky = "sky: a PLY has none, and no image of one was given; it is black"
-    return write_imported(
-        path,
-        log,
-        out,
-        placement,
-        StreetScene(background, {}, seen),
-        layout="ply",
-        tracks={},
-        left_out=() if sky else (no_sky,),
-    )

@@ -1,0 +1,107 @@
+"""Files of Gaussians by their format: 3DGS PLY, glTF, SPZ and OpenUSD.
+
+Programs take a file's axes for those of its format. What is written is turned into them, and back
+when it is read, harmonics included; here x is forward, y left and z up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from recast.core.errors import InputError
+from recast.geometry import se3
+from recast.splats import ply
+from recast.splats.formats import gltf, spz, usd
+from recast.splats.gaussians import Gaussians
+from recast.splats.low_pass import LowPass
+
+FormatName = Literal["ply", "gltf", "spz", "usd"]
+Write = Callable[[str | Path, Gaussians, LowPass | None], None]
+
+
+@dataclass(frozen=True)
+class SplatFormat:
+    """A format of files of Gaussians.
+
+    Attributes:
+        suffix: end of a file's name, in lower case.
+        write, read, low_pass: its functions, in the axes of the format.
+        axes: where x (forward), y (left) and z (up) point in the format's axes, (3, 3) row by row;
+            None if they are the same.
+    """
+
+    suffix: str
+    write: Write
+    read: Callable[[str | Path], Gaussians]
+    low_pass: Callable[[str | Path], LowPass | None]
+    axes: NDArray[np.float64] | None = None
+
+
+_Z_FORWARD_Y_UP = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+_RIGHT_UP_BACK = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+FORMATS: dict[FormatName, SplatFormat] = {
+    "ply": SplatFormat(".ply", ply.write_ply, ply.read_ply, ply.read_low_pass),
+    "gltf": SplatFormat(
+        ".glb", gltf.write_gltf, gltf.read_gltf, gltf.read_low_pass, _Z_FORWARD_Y_UP
+    ),
+    "spz": SplatFormat(".spz", spz.write_spz, spz.read_spz, spz.read_low_pass, _RIGHT_UP_BACK),
+    "usd": SplatFormat(".usda", usd.write_usd, usd.read_usd, usd.read_low_pass),
+}
+SPLAT_SUFFIXES = tuple(one.suffix for one in FORMATS.values())
+"""Ends of the names of files of Gaussians, in lower case."""
+
+
+def format_of(path: str | Path) -> SplatFormat:
+    """The format of a file by its name.
+
+    Raises:
+        InputError: the name ends otherwise.
+    """
+    suffix = Path(path).suffix.lower()
+    for one in FORMATS.values():
+        if suffix == one.suffix:
+            return one
+    known = ", ".join(SPLAT_SUFFIXES)
+    raise InputError(path, "format", f"{suffix!r} is unknown", f"use {known}")
+
+
+def write_gaussians(
+    path: str | Path, gaussians: Gaussians, low_pass: LowPass | None = None
+) -> None:
+    """Write Gaussians in the format that the name tells, turned into its axes.
+
+    Args:
+        gaussians: x forward, y left, z up, metres.
+        low_pass: the filter that they were made for, declared as far as the format can.
+
+    Raises:
+        ValueError: a field is not valid.
+        InputError: the name tells no format, they do not fit into it, or the disk refuses.
+    """
+    one = format_of(path)
+    one.write(path, _turned(gaussians, one.axes), low_pass)
+
+
+def read_gaussians(path: str | Path) -> Gaussians:
+    """Read Gaussians of any format, turned from its axes: x forward, y left, z up.
+
+    Raises:
+        InputError: the name tells no format, or the file is missing or broken.
+    """
+    one = format_of(path)
+    return _turned(one.read(path), None if one.axes is None else one.axes.T)
+
+
+def _turned(gaussians: Gaussians, axes: NDArray[np.float64] | None) -> Gaussians:
+    """Gaussians whose x, y and z become the rows of `axes`; None leaves them."""
+    if axes is None:
+        return gaussians
+    pose = se3.from_rotation_translation(axes.T, np.zeros(3))
+    return gaussians.transformed(torch.from_numpy(pose))
