@@ -50,7 +50,7 @@ class SplatGenerator:
     ) -> None:
         self.path, self.low_pass = Path(path), low_pass
         self.format = format_of(path)
-        self.name = next(name for name, one in FORMATS.items() if one is self.format)
+        self.name: str = next(name for name, one in FORMATS.items() if one is self.format)
         self.axes = axes_of(axes) if isinstance(axes, str) and axes != AUTO else axes
 
     def generate(self, observation: Observation, seed: int) -> Asset:

@@ -56,7 +56,41 @@ class Show:
             print_json(placed_rows(placed))
 
 
+@dataclass(frozen=True)
+class Export:
+    """Write scenarios on a log, or driven rollouts, as OpenSCENARIO XML with the map as OpenDRIVE;
+    every file is read back and compared."""
+
+    log: tyro.conf.Positional[Path]
+    """Log folder."""
+    out: Path
+    """Folder to write; must not exist."""
+    motion: Annotated[shared.Names, shared.option(shared.MOTION_HELP)] = ()
+    rollout: Annotated[
+        tuple[Path, ...],
+        shared.option("Rollout folders of this log: RUN/rollouts/SCENARIO/PLANNER/ARM/states."),
+    ] = ()
+    track: Annotated[
+        str | None,
+        shared.option(shared.TRACK_HELP, "target of a synthetic log, else the first track"),
+    ] = None
+    steps: Annotated[int, shared.STEPS] = 160
+    json: Annotated[bool, JSON] = False
+
+    def __call__(self) -> None:
+        from recast.cli.rows.openx import export_lines, export_rows, export_scenarios
+
+        written = export_scenarios(
+            self.log, self.out, self.motion, self.rollout, self.track, self.steps
+        )
+        console = console_for(self.json)
+        for line in (*export_lines(*written), f"wrote {self.out}"):
+            console.print(line, markup=False, highlight=False)
+        if self.json:
+            print_json(export_rows(*written))
+
+
 Scenario = shared.group(
-    "List scenarios, or draw them on a log before a run.",
-    {"list": List, "show": Show},
+    "List scenarios, draw them on a log before a run, or export them.",
+    {"list": List, "show": Show, "export": Export},
 )

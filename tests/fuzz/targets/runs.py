@@ -5,11 +5,15 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
+
 from evaluation.rollouts import make_rollout
 from fuzz.target import Target
 from recast.actors.coverage import NOTHING, Coverage
 from recast.core.files import write_json
 from recast.evaluation.trust import packaged_calibration, read_calibration, write_calibration
+from recast.geometry import se3
+from recast.logs.hdmap import HdMap, Lane
 from recast.pipeline.config import RunConfig, read_run_config
 from recast.pipeline.layout import use_name
 from recast.pipeline.rollouts import given_views
@@ -17,6 +21,14 @@ from recast.pipeline.run_folder import RunFolder
 from recast.planning import ShownView
 from recast.simulation import MOTIONS, load_rollout, save_rollout, scenario_record
 from recast.simulation.coverage import ImageCoverage, RolloutCoverage
+from recast.simulation.openx import (
+    Entity,
+    Played,
+    read_opendrive,
+    read_openscenario,
+    write_opendrive,
+    write_openscenario,
+)
 from recast.simulation.rollout_files import load_coverage, save_coverage
 from recast.simulation.scenario_file import read_scenario
 
@@ -27,6 +39,14 @@ _COVERAGE = RolloutCoverage(
     )
 )
 _VIEW = ShownView("front", "camera", "camera", False, 1.0, 96, 64)
+_LINE = np.array([[0.0, 0, 0], [5, 1, 0], [10, 0, 1]])
+_SIDE = np.array([0.0, 2, 0])
+_LANE = Lane("1", _LINE, _LINE + _SIDE, _LINE - _SIDE, _LINE[:, :2], 9.0)
+_CAR = Entity(
+    *("1", "car", np.array([4.0, 2, 1.5]), np.array([1.0, 0, 0.7])),
+    *(np.arange(4) * 0.1, se3.exp(np.zeros((4, 6))), 1.0),
+)
+_PLAYED = Played("cut-in", "", 0.3, (_CAR,))
 _SCENARIOS = Path(__file__).parents[3] / "src" / "recast" / "simulation" / "scenarios"
 
 
@@ -94,5 +114,17 @@ TARGETS = (
         lambda f: save_rollout(make_rollout(steps=20), f / "states"),
         lambda f, out: load_rollout(f / "states"),
         weight=8.0,
+    ),
+    Target(
+        "openscenario",
+        lambda f: write_openscenario(f / "a.xosc", _PLAYED, "map.xodr"),
+        lambda f, out: read_openscenario(f / "a.xosc"),
+        weight=6.0,
+    ),
+    Target(
+        "opendrive",
+        lambda f: write_opendrive(f / "a.xodr", HdMap({"1": _LANE}, ()), "map"),
+        lambda f, out: read_opendrive(f / "a.xodr"),
+        weight=6.0,
     ),
 )

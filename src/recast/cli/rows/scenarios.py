@@ -87,7 +87,7 @@ def place_scenarios(
     """
     motions = {scenario_name(m): m for name in names for m in parse_motions(name)}
     log = read_log(log_path)
-    track = _target(log) if track is None else track
+    track = target_of(log) if track is None else track
     hdmap, found = map_of(log), []
     for name, motion in motions.items():
         setup = RolloutSetup(log, track, motion, map=hdmap, steps=steps)
@@ -181,7 +181,12 @@ def show_scenarios(placed: Sequence[Placed], out: Path, console: Console) -> Non
     console.print(f"wrote {out}", markup=False)
 
 
-def _target(log: DrivingLog) -> str:
+def target_of(log: DrivingLog) -> str:
+    """The track that is controlled if none is named.
+
+    Raises:
+        InputError: the log has no tracks.
+    """
     if not log.tracks:
         raise InputError(log.name, "tracks", "there are none", "use a log with labelled vehicles")
     target = log.metadata.get("target", "")

@@ -1,0 +1,84 @@
+"""Lines and rows of `recast scenario export`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from recast.cli.output import Rows
+from recast.cli.rows.scenarios import target_of
+from recast.core.errors import InputError
+from recast.logs import map_of, read_log
+from recast.simulation import RolloutSetup, load_rollout, parse_motions, scenario_name
+from recast.simulation.openx import (
+    Exported,
+    ExportedRoads,
+    export_openx,
+    played_rollout,
+    played_scenario,
+)
+
+
+def export_scenarios(
+    log_path: Path,
+    out: Path,
+    motions: Sequence[str],
+    rollouts: Sequence[Path],
+    track: str | None,
+    steps: int,
+) -> tuple[list[Exported], ExportedRoads | None]:
+    """Write scenarios and rollouts of a log to a folder.
+
+    Raises:
+        InputError: neither is named; a scenario cannot run on the log; a rollout is not of it.
+    """
+    if not motions and not rollouts:
+        mend = "name a motion (`--motion cut-in-a`) or a rollout folder (`--rollout`)"
+        raise InputError("command line", "`motion`", "is missing, and so is a rollout", mend)
+    log = read_log(log_path)
+    hdmap = map_of(log)
+    played = []
+    for motion in (one for name in motions for one in parse_motions(name)):
+        target = target_of(log) if track is None else track
+        setup = RolloutSetup(log, target, motion, map=hdmap, steps=steps)
+        played.append(replace(played_scenario(setup), name=scenario_name(motion)))
+    played += [played_rollout(load_rollout(folder), log) for folder in rollouts]
+    return export_openx(played, hdmap, out, log.name)
+
+
+def export_lines(exported: Sequence[Exported], roads: ExportedRoads | None) -> list[str]:
+    """What was written, and how far what is read back is from it."""
+    lines = [
+        f"{one.file}: {one.entities} road users; read back: {one.metres:.1g} m, "
+        f"{one.seconds:.1g} s apart at most"
+        for one in exported
+    ]
+    if roads is None:
+        return [*lines, "no road file: the log has no lanes"]
+    told = f"map.xodr: {roads.lanes} lanes; read back: {roads.metres:.1g} m apart at most"
+    if roads.links_left_out:
+        told += f"; {roads.links_left_out} links left out where lanes part or join"
+    return [*lines, told]
+
+
+def export_rows(exported: Sequence[Exported], roads: ExportedRoads | None) -> Rows:
+    """One row for each file."""
+    scenarios = [
+        {
+            "file": one.file,
+            "entities": one.entities,
+            "difference_m": one.metres,
+            "difference_s": one.seconds,
+        }
+        for one in exported
+    ]
+    if roads is None:
+        return {"scenarios": scenarios, "roads": []}
+    row = {
+        "file": "map.xodr",
+        "lanes": roads.lanes,
+        "difference_m": roads.metres,
+        "links_left_out": roads.links_left_out,
+    }
+    return {"scenarios": scenarios, "roads": [row]}
