@@ -82,7 +82,7 @@ def played_scenario(setup: RolloutSetup) -> Played:
             problem = f"{motion.name} of track {track_id} reacts: it has no path before it is run"
             raise InputError(setup.log.name, "motion", problem, "export a rollout of it")
     steps = len(prepared.actor) - 1
-    times = np.arange(steps + 1) * setup.dt
+    times: Array = np.arange(steps + 1) * np.float64(setup.dt)
     vehicle = setup.vehicle
     size = np.array([vehicle.length, vehicle.width, EGO_HEIGHT])
     ego_pose = prepared.surface.ego_poses(prepared.ego[None, :3])
@@ -100,7 +100,8 @@ def played_scenario(setup: RolloutSetup) -> Played:
         if key not in scripts
     ]
     name = f"{scenario_name(setup.motion)} of track {setup.track_id} in {setup.log.name}"
-    return Played(name, setup.motion.description, float(times[-1]), _present(ego, *actors, *logged))
+    text = getattr(setup.motion, "description", "")  # a motion of the user's own may have none
+    return Played(name, text, float(times[-1]), _present(ego, *actors, *logged))
 
 
 def played_rollout(rollout: Rollout, log: DrivingLog) -> Played:
@@ -117,7 +118,7 @@ def played_rollout(rollout: Rollout, log: DrivingLog) -> Played:
         if track_id not in log.tracks:
             mend = "give the log that the rollout was run on"
             raise InputError(log.name, f"track {track_id}", "is not in the log", mend)
-    times = np.arange(rollout.steps_run + 1) * rollout.dt
+    times: Array = np.arange(rollout.steps_run + 1) * np.float64(rollout.dt)
     size = np.array([*rollout.ego_size, EGO_HEIGHT])
     ego = _ego(
         size, rollout.ego_centre_offset, times, rollout.world_from_rig, float(rollout.ego[0, 3])

@@ -58,7 +58,8 @@ def export_openx(
     Raises:
         InputError: `folder` exists, or the disk refuses.
     """
-    exported, roads = [], None
+    exported: list[Exported] = []
+    roads = None
     with atomic_folder(folder) as partial:
         if hdmap is not None and hdmap.lanes:
             roads = _roads(hdmap, partial / ROAD_FILE, map_name)

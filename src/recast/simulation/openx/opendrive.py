@@ -70,11 +70,9 @@ def write_opendrive(path: str | Path, hdmap: HdMap, name: str) -> int:
         for key, lane in hdmap.lanes.items()
         if len(lane.successors) == 1 and before[lane.successors[0]] == 1
     }
-    links = {key: (None, single.get(key)) for key in hdmap.lanes}
-    for key, other in single.items():
-        links[other] = (key, links[other][1])
+    behind = {other: key for key, other in single.items()}
     for key, lane in hdmap.lanes.items():
-        _road(root, lane, numbers, *links[key])
+        _road(root, lane, numbers, behind.get(key), single.get(key))
     ET.indent(root)
     data = ET.tostring(root, encoding="utf-8", xml_declaration=True)
     write_bytes(path, data + b"\n")
@@ -216,22 +214,22 @@ def _read_road(file: XmlFile, road: ET.Element, names: dict[str, str]) -> RoadLa
         row = np.clip(np.searchsorted(table[:, 0], s, "right") - 1, 0, len(table) - 1)
         return table[row, 1] + table[row, 2] * (s - table[row, 0])
 
-    points, at = [], []
+    points: list[list[float]] = []
+    at: list[float] = []
     for geometry in road.findall("planView/geometry"):
         reach = (-WORLD_REACH, WORLD_REACH)
         names_of = ("s", "x", "y", "hdg", "length")
-        s, x, y, hdg, length = (file.number(geometry, name, *reach) for name in names_of)
+        start, x, y, hdg, length = (file.number(geometry, name, *reach) for name in names_of)
         poly = file.one(geometry, "paramPoly3")
         u, v = (sum(file.number(poly, f"{p}{axis}", *reach) for p in "abcd") for axis in "UV")
         if not points:
-            points, at = [[x, y]], [s]
-        points.append(
-            [x + u * np.cos(hdg) - v * np.sin(hdg), y + u * np.sin(hdg) + v * np.cos(hdg)]
-        )
-        at.append(s + length)
+            points, at = [[x, y]], [start]
+        sine, cosine = float(np.sin(hdg)), float(np.cos(hdg))
+        points.append([x + u * cosine - v * sine, y + u * sine + v * cosine])
+        at.append(start + length)
     if not points:
         raise file.fault("road", "has no geometry")
-    s = np.array(at)
+    s: Array = np.array(at)
     left = rows("lanes/laneOffset", "s", s)
     total = rows("lanes/laneSection/right/lane/width", "sOffset", s)
     heights = rows("elevationProfile/elevation", "s", s)
