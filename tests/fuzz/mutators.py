@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import json
+import pickle
 import re
 import struct
 import zlib
@@ -408,6 +409,36 @@ def mutate_checkpoint(data: bytes, rng: Rng) -> bytes:
     return out.getvalue()
 
 
+def mutate_pickle(data: bytes, rng: Rng) -> bytes:
+    """Values and names of a pickle that a sample's writer made, in any protocol."""
+    tree = pickle.loads(data)
+    places: list[tuple[Any, Any]] = []
+
+    def walk(node: Any) -> None:
+        for key, inner in list(node.items() if isinstance(node, dict) else enumerate(node)):
+            places.append((node, key))
+            if isinstance(inner, dict | list):
+                walk(inner)
+
+    walk(tree)
+    node, key = choose(rng, places)
+    match int(rng.integers(5)):
+        case 0:
+            del node[key]
+        case 1 if isinstance(node, dict):
+            node[f"{key}x"] = node.pop(key)
+        case 2 if isinstance(node[key], np.ndarray) and node[key].dtype.kind == "f":
+            array = node[key].copy()
+            array.flat[int(rng.integers(array.size))] = choose(rng, FLOATS)
+            node[key] = array
+        case 3 if isinstance(node[key], np.ndarray):
+            array = node[key]
+            node[key] = choose(rng, (array.astype(str), array[:0], array[None], list(array)))
+        case _:
+            node[key] = choose(rng, VALUES)
+    return pickle.dumps(tree, int(rng.integers(6)))
+
+
 BY_SUFFIX: dict[str, Mutator] = {
     ".json": mutate_json,
     ".yaml": mutate_yaml,
@@ -421,6 +452,8 @@ BY_SUFFIX: dict[str, Mutator] = {
     ".parquet": mutate_table,
     ".png": mutate_png,
     ".pth": mutate_checkpoint,
+    ".ckpt": mutate_checkpoint,
+    ".pkl": mutate_pickle,
     ".tfrecord": mutate_tfrecord,
     ".jsonl": mutate_text,
     ".obj": mutate_text,

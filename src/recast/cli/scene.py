@@ -113,6 +113,35 @@ class DriveStudio:
 
 
 @dataclass(frozen=True)
+class Mtgs:
+    """Import a portable checkpoint of MTGS, such as a published nuPlan scene."""
+
+    checkpoint: tyro.conf.Positional[Path]
+    """Folder of the scene, or its checkpoint; code in either is not executed."""
+    log: Path
+    """Log folder of the drive that the scene was trained on."""
+    out: Path
+    """Scene folder to write; must not exist."""
+    tracks: Annotated[
+        Path | None,
+        shared.option(
+            'JSON file with the log\'s track id of each actor: {"TOKEN": "..."}.',
+            "the track of the same name, or at the same place",
+        ),
+    ] = None
+    leave_out: tuple[str, ...] = ()
+    """Tokens of the actors to leave out."""
+    share: float = 0.5
+    """Time at which the time-dependent colours of an actor are frozen, as a fraction (0 to 1) of
+    its track."""
+
+    def __call__(self) -> None:
+        from recast.scene.importers import import_mtgs
+
+        _import(import_mtgs, **vars(self))
+
+
+@dataclass(frozen=True)
 class GaussiansFile:
     """Import a file of Gaussians as a static background: 3DGS PLY, glTF, SPZ or OpenUSD text."""
 
@@ -145,7 +174,12 @@ class GaussiansFile:
 
 Import = shared.group(
     "Import a scene that another program trained (docs/scenes.md).",
-    {"street-gaussians": StreetGaussians, "drivestudio": DriveStudio, "gaussians": GaussiansFile},
+    {
+        "street-gaussians": StreetGaussians,
+        "drivestudio": DriveStudio,
+        "mtgs": Mtgs,
+        "gaussians": GaussiansFile,
+    },
 )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Iterator, Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -15,6 +16,7 @@ from torch import Tensor
 
 from recast.core.errors import InputError
 from recast.core.files import disk_errors
+from recast.core.pickled import arrays_in_checkpoints
 
 DTYPES: Mapping[str, torch.dtype] = {
     "BOOL": torch.bool,
@@ -32,12 +34,13 @@ DTYPES: Mapping[str, torch.dtype] = {
 _PICKLES = (b"PK\x03\x04", b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
 
 
-def read_torch_file(path: Path, mend: str, field: str = "file") -> Any:
+def read_torch_file(path: Path, mend: str, field: str = "file", arrays: bool = False) -> Any:
     """What a file of `torch.save` holds, its tensors on the CPU.
 
     Args:
         mend: what the user can do about a damaged file.
         field: what the file is, for messages.
+        arrays: whether it may hold NumPy's numbers and arrays, see `recast.core.pickled`.
 
     Raises:
         InputError: the file is missing or damaged, or holds other objects than tensors, plain
@@ -46,7 +49,8 @@ def read_torch_file(path: Path, mend: str, field: str = "file") -> Any:
     """
     try:
         _require_stored(path, field)
-        found = torch.load(path, map_location="cpu", weights_only=True)
+        with arrays_in_checkpoints() if arrays else nullcontext():
+            found = torch.load(path, map_location="cpu", weights_only=True)
         for tensor in _tensors(found):
             _require_whole(tensor, path, field)
         return found

@@ -34,11 +34,16 @@ from recast.scene import (
     read_config,
     save_scene,
 )
-from recast.scene.importers import import_drivestudio, import_gaussians, import_street_gaussians
+from recast.scene.importers import (
+    import_drivestudio,
+    import_gaussians,
+    import_mtgs,
+    import_street_gaussians,
+)
 from recast.splats import read_ply, write_ply
 from recast.splats.formats import FORMATS, FormatName
 from recast.synthetic.vehicles.shapes import read_mesh
-from scene.importers import test_drivestudio, test_street_gaussians
+from scene.importers import test_drivestudio, test_mtgs, test_street_gaussians
 from support import trained_scenes
 
 
@@ -136,6 +141,14 @@ def _splats(name: FormatName) -> Target:
     )
 
 
+def _write_mtgs(folder: Path) -> None:
+    content = test_mtgs.checkpoint()
+    config = content["background"]["config"]  # a mutator of checkpoints reads tensors alone
+    shift = torch.from_numpy(config["recon2world_translation"])
+    config["recon2world_translation"] = shift
+    test_mtgs.save(folder, content, test_mtgs.frames())
+
+
 TARGETS = (
     Target(
         "ply",
@@ -195,6 +208,20 @@ TARGETS = (
         "drivestudio-checkpoint",
         lambda f: torch.save(test_drivestudio.checkpoint(), f / "checkpoint_final.pth"),
         lambda f, out: import_drivestudio(f / "checkpoint_final.pth", _log(), out, first_frame=2),
+        weight=2.0,
+    ),
+    Target(
+        "mtgs-checkpoint",
+        _write_mtgs,
+        lambda f, out: import_mtgs(f / test_mtgs.NAME, _log(), out),
+        files=("*.ckpt",),
+        weight=2.0,
+    ),
+    Target(
+        "mtgs-frames",
+        _write_mtgs,
+        lambda f, out: import_mtgs(f / test_mtgs.NAME, _log(), out),
+        files=("*.pkl",),
         weight=2.0,
     ),
 )

@@ -10,7 +10,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from recast.arrays import Array
 from recast.core.errors import InputError
+from recast.core.pickled import PickledArray
 from recast.core.torch_file import read_torch_file
 from recast.splats import Gaussians
 
@@ -54,6 +56,16 @@ class Table:
             raise self.fault(name, f"is {type(value).__name__}, not a table of tensors")
         return Table(self.path, value, self.key(name))
 
+    def below(self, prefix: str) -> Table:
+        """The members whose names begin with `prefix` and a dot, without these."""
+        start = f"{prefix}."
+        own = {k.removeprefix(start): v for k, v in self._content.items() if k.startswith(start)}
+        return Table(self.path, own, self.key(prefix))
+
+    def changed(self, members: Mapping[str, Tensor]) -> Table:
+        """The table with other members in the place of some."""
+        return Table(self.path, {**self._content, **members}, self.prefix)
+
     def iteration(self, name: str) -> int | None:
         """A number of steps, from 0 to 2^53; None where there is none.
 
@@ -96,20 +108,66 @@ class Table:
             raise self.fault(name, f"is not finite at {index}", "take an earlier checkpoint")
         return plain
 
+    def text(self, name: str) -> str:
+        """A text.
+
+        Raises:
+            InputError: it is missing, or something else.
+        """
+        value = self._member(name)
+        if not isinstance(value, str):
+            raise self.fault(name, f"is {type(value).__name__}, not a text")
+        return value
+
+    def number(self, name: str, default: float | None = None) -> float:
+        """A finite number; `default` if it is missing or None, and if there is a default.
+
+        Raises:
+            InputError: it is missing without a default, or something else.
+        """
+        value = self._content.get(name)
+        if value is None and default is not None:
+            return default
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.fault(name, f"is {type(value).__name__}, not a number")
+        if not abs(value) < 1e300:  # also NaN
+            raise self.fault(name, "is not finite, or out of range")
+        return float(value)
+
+    def array(self, name: str) -> Array:
+        """Numbers of any shape as float64: a tensor, a NumPy array or a list. They may be NaN.
+
+        Raises:
+            InputError: it is missing, or something else.
+        """
+        value = self._member(name)
+        if isinstance(value, Tensor) and value.layout == torch.strided and not value.is_complex():
+            return value.detach().to("cpu", torch.float64).numpy()
+        plain = value.value if isinstance(value, PickledArray) else value
+        if isinstance(plain, np.ndarray | list | tuple):
+            try:
+                return np.array(plain, np.float64)
+            except (TypeError, ValueError, OverflowError, RecursionError):
+                pass
+        raise self.fault(name, f"is {type(value).__name__}, not an array of numbers")
+
     def _member(self, name: str) -> Any:
         if name not in self._content:
             raise self.fault(name, "is missing")
         return self._content[name]
 
 
-def read_checkpoint(path: str | Path) -> Table:
+def read_checkpoint(path: str | Path, arrays: bool = False) -> Table:
     """Read a checkpoint; nothing but tensors and plain values is unpickled.
+
+    Args:
+        arrays: whether it may hold NumPy's numbers and arrays.
 
     Raises:
         InputError: see `recast.core.torch_file.read_torch_file`; or it holds no table.
     """
     path = Path(path)
-    content = read_torch_file(path, "copy it again")
+    content = read_torch_file(path, "copy it again", arrays=arrays)
     if not isinstance(content, Mapping) or not all(isinstance(key, str) for key in content):
         raise InputError(path, "file", f"holds {type(content).__name__}, not a table", MEND)
     return Table(path, content)

@@ -1,0 +1,252 @@
+"""Portable checkpoints of MTGS (`NAME/background/NAME.ckpt`), which has published nuPlan scenes.
+
+Source: Li et al., "MTGS: Multi-Traversal Gaussian Splatting" (2025), and the portable layout that
+its trainer exports for renderers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from recast.core.errors import InputError
+from recast.core.files import require_new
+from recast.geometry import se3
+from recast.logs import DrivingLog, Trajectory
+from recast.logs.checks import BOX_SIDE, WORLD_REACH
+from recast.scene.dynamic import stands
+from recast.scene.importers.actors import (
+    SUSPICIOUS_M,
+    TURNING,
+    check_names,
+    check_share,
+    colours_in_own_frame,
+    match_tracks,
+    read_track_names,
+)
+from recast.scene.importers.checkpoint import NO_SKY, Table, read_checkpoint
+from recast.scene.importers.mtgs_frames import FRAMES_FILE, distance_to_log, read_frames
+from recast.scene.importers.mtgs_nodes import (
+    MIRRORED,
+    RIGID,
+    SCENERY,
+    Node,
+    read_gaussian_node,
+    read_motion,
+)
+from recast.scene.importers.placement import ImportRecord, Placement, write_imported
+from recast.scene.sky import SkyMap
+from recast.scene.street_scene import SceneActor, StreetScene
+from recast.splats import Gaussians, concatenate
+
+SAME_M = 1.0
+"""A track is at the place of an actor if it is nearer than this (median over the actor's time)."""
+_SAME_LOG = "give the log of the same drive (docs/scenes.md)"
+
+
+def import_mtgs(
+    path: str | Path,
+    log: DrivingLog,
+    out: str | Path,
+    *,
+    tracks: Path | None = None,
+    leave_out: Sequence[str] = (),
+    share: float = 0.5,
+) -> ImportRecord:
+    """Make a scene of a portable MTGS checkpoint: scenery, sky, rigid and mirrored actors.
+
+    Args:
+        path: the scene's folder, or its checkpoint. Only of a folder the recorded frames
+            (video_scene_dict.pkl) are compared with the log's.
+        log: of the drive it was trained on.
+        tracks: JSON file with the log's track ids by the actors' tokens.
+        leave_out: tokens of actors not wanted.
+        share: in [0, 1], of an actor's time in the scene, at which its changing colour is frozen.
+
+    Raises:
+        InputError: a file is missing, broken or of another layout, no actor is there in the log's
+            time, `out` exists. Nothing is written then.
+    """
+    check_share(share)
+    require_new(out)
+    folder, file = find_checkpoint(Path(path))
+    root = read_checkpoint(file, arrays=True)
+    nodes, left_out = _nodes(root, leave_out)
+    names = [name for name, node in nodes.items() if node.kind not in SCENERY]
+    given = read_track_names(tracks)
+    check_names(root, [*names, *leave_out], given, ())
+    placement, warnings = _placement(root, log, folder)
+    scenery = [read_gaussian_node(node, share) for node in nodes.values() if node.kind in SCENERY]
+    if "background" not in nodes or len(scenery[0]) == 0:
+        raise root.fault("background", "is missing, or has no Gaussians")
+    found: dict[str, SceneActor] = {}
+    waves, gaps, elsewhere, moving = [], [], 0, 0
+    for name in names:
+        node = nodes[name]
+        gaussians = read_gaussian_node(node, share)
+        motion = read_motion(node, log, placement.world_from_scene)
+        if motion is None or len(gaussians) == 0:
+            left_out.append(f"actor {name}: is never there, or has no Gaussians")
+            continue
+        if not motion.meets(log):
+            elsewhere += 1
+            continue
+        moving += not motion.static
+        if node.changing:
+            waves.append(name)
+        if motion.gaps:
+            gaps.append(name)
+        own = colours_in_own_frame(gaussians, motion.trajectory, placement.world_from_scene, share)
+        found[name] = SceneActor(name, own, extent(own), motion.trajectory)
+    if elsewhere and not moving:
+        raise root.fault(
+            "log_timestamps", f"lie outside of log {log.name} for all actors", _SAME_LOG
+        )
+    chosen, distance = _choose_tracks(root, log, found, given)
+    actors = {}
+    for name, actor in found.items():
+        track = log.tracks.get(chosen.get(name, ""))
+        key = name if track is None else track.track_id
+        size = actor.size if track is None else track.size
+        actors[key] = SceneActor(key, actor.gaussians, size, actor.trajectory)
+    if elsewhere:
+        left_out.append(f"{elsewhere} actors of other drives: their times are not the log's")
+    unknown = sorted(set(found) - set(chosen))
+    changed = [TURNING] if found else []
+    if waves:
+        changed.append(
+            f"colours of {len(waves)} actors change; those over time are frozen at {share:g} of "
+            "it, those with the angle of view are averaged"
+        )
+    if gaps:
+        changed.append(f"{', '.join(gaps)}: absent for a while there, interpolated here")
+    if unknown:
+        changed.append(
+            f"{', '.join(unknown)}: no tracks of the log, so they keep their tokens, and their "
+            "sizes are those of their Gaussians"
+        )
+    if distance > SUSPICIOUS_M:
+        warnings.append(f"actors lie as far as {distance:.2f} m from their tracks")
+    if "skybox" not in nodes:
+        left_out.append(NO_SKY)
+    foreground = sorted(folder.glob("foreground/*.ckpt")) if folder else []
+    if foreground:
+        left_out.append(f"foreground: {len(foreground)} vehicles to be inserted")
+    pose = torch.from_numpy(placement.world_from_scene)
+    return write_imported(
+        file,
+        log,
+        out,
+        placement,
+        StreetScene(
+            concatenate(scenery).transformed(pose), actors, SkyMap.constant(torch.zeros(3))
+        ),
+        layout="mtgs",
+        tracks=chosen,
+        changed=changed,
+        left_out=left_out,
+        warnings=warnings,
+    )
+
+
+def find_checkpoint(path: Path) -> tuple[Path | None, Path]:
+    """The scene's folder, if one is given, and its checkpoint.
+
+    Raises:
+        InputError: the folder has no checkpoint, or several.
+    """
+    if not path.is_dir():
+        return None, path
+    found = sorted(path.glob("background/*.ckpt"))
+    if len(found) != 1:
+        problem = f"has {len(found)} files background/*.ckpt, one is needed"
+        raise InputError(path, "scene folder", problem, "name the checkpoint itself")
+    return path, found[0]
+
+
+def extent(gaussians: Gaussians) -> np.ndarray:
+    """Length, width, height (3,) in metres of a box around the origin that holds 99 % of them."""
+    sides = 2 * np.quantile(gaussians.means.abs().numpy(), 0.99, axis=0).astype(np.float64)
+    return np.clip(sides, max(0.1, BOX_SIDE[0]), BOX_SIDE[1])
+
+
+def _nodes(root: Table, leave_out: Sequence[str]) -> tuple[dict[str, Node], list[str]]:
+    """The nodes that are read, by token with the background first; what is left out."""
+    nodes: dict[str, Node] = {}
+    left_out = []
+    tokens = [name.rpartition("_")[2] for name in root]
+    for name in leave_out:
+        if name not in tokens:
+            raise root.fault(name, "is to be left out, but is not in the checkpoint", "check it")
+    for name, token in sorted(zip(root, tokens, strict=True), key=lambda p: p[1] != "background"):
+        node = Node.of(root, name, token)
+        if token in leave_out:
+            left_out.append(f"{token}: asked to be left out")
+        elif node.kind not in (*SCENERY, RIGID, MIRRORED):
+            left_out.append(f"{name}: a {node.kind[:60]}, which is not rigid or not known")
+        elif token in nodes:
+            raise root.fault(name, f"is a second node with token {token}")
+        else:
+            nodes[token] = node
+    return nodes, left_out
+
+
+def _placement(root: Table, log: DrivingLog, folder: Path | None) -> tuple[Placement, list[str]]:
+    """Where the scene lies in the log, and what looks wrong with it."""
+    config = root.table("background").table("config")
+    shift = config.array("recon2world_translation").reshape(-1)
+    if shift.shape != (3,) or not np.all(np.abs(shift) <= WORLD_REACH):  # also NaN
+        raise config.fault("recon2world_translation", "is not three metres")
+    pose = se3.from_rotation_translation(np.eye(3), shift - log.world_offset)
+    how, warnings = "recon2world_translation of the checkpoint", []
+    if folder is not None and (folder / FRAMES_FILE).exists():
+        times, places = read_frames(folder / FRAMES_FILE)
+        distance, count = distance_to_log(times, places, pose, log)
+        if count == 0:
+            raise InputError(
+                folder / FRAMES_FILE, "timestamp", f"none is in log {log.name}", _SAME_LOG
+            )
+        how += f"; its ego is {distance:.2f} m from the log's (median of {count} frames)"
+        if distance > SUSPICIOUS_M:
+            warnings.append(f"the ego of the scene is {distance:.2f} m from the log's")
+    return Placement(pose, how), warnings
+
+
+def _choose_tracks(
+    root: Table, log: DrivingLog, actors: Mapping[str, SceneActor], given: Mapping[str, str]
+) -> tuple[dict[str, str], float]:
+    """Track ids by token: as named, the token itself, or by place; the largest distance in metres.
+
+    Actors without a track are not among them.
+    """
+    chosen = {name: given[name] for name in actors if name in given}
+    for name, named in chosen.items():
+        if named not in log.tracks or list(chosen.values()).count(named) > 1:
+            problem = f"track {named} is not in log {log.name}, or named twice"
+            raise root.fault(name, problem, "mend the file of tracks")
+    for name in actors:
+        if name in log.tracks and name not in chosen and name not in chosen.values():
+            chosen[name] = name
+    rest = {name: one.trajectory for name, one in actors.items() if name not in chosen}
+    moving = {name: one for name, one in rest.items() if not stands(one)}
+    near = list(match_tracks(log, moving, list(chosen.values())).items())
+    near += [(name, _nearest(log, one)) for name, one in rest.items() if stands(one)]
+    distances = [0.0]
+    for name, (distance, track_id) in sorted(near, key=lambda one: one[1][0]):
+        if track_id is not None and distance <= SAME_M and track_id not in chosen.values():
+            chosen[name] = track_id
+            distances.append(distance)
+    return chosen, max(distances)
+
+
+def _nearest(log: DrivingLog, standing: Trajectory) -> tuple[float, str | None]:
+    """Median distance, over a track's time, of the track that is nearest to a place."""
+    place = standing.poses[0, :3, 3]
+    distances = [
+        (float(np.median(np.linalg.norm(one.trajectory.poses[:, :3, 3] - place, axis=1))), key)
+        for key, one in log.tracks.items()
+    ]
+    return min(distances, default=(float("inf"), None))

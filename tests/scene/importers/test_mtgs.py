@@ -1,0 +1,428 @@
+from __future__ import annotations
+
+import json
+import math
+import os
+import pickle
+from collections import OrderedDict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from recast.core.errors import InputError
+from recast.geometry import se3
+from recast.logs import DrivingLog
+from recast.scene import load_scene, render_scene
+from recast.scene.importers import import_mtgs
+from recast.splats import Gaussians, concatenate, rasterize
+from recast.splats.sh import C0, evaluate
+from support import trained_scenes as made
+
+NAME = "block-7f"
+RECON_FROM_OFFSET = np.array([21.0, -9.0, 1.5])
+SCENE_FROM_WORLD = se3.from_rotation_translation(np.eye(3), -RECON_FROM_OFFSET)
+THERE = range(2, 9)  # frames in which the moving car is not marked as absent
+TERMS = 5
+
+
+@pytest.fixture(scope="module")
+def log() -> DrivingLog:
+    return made.make_log()
+
+
+def scene_from_car(frame: float) -> np.ndarray:
+    return SCENE_FROM_WORLD @ made.world_from_car(frame)
+
+
+def scene_from_parked() -> np.ndarray:
+    return SCENE_FROM_WORLD @ made.world_from_parked(0)
+
+
+def in_scene(gaussians: Gaussians) -> Gaussians:
+    return made.moved(gaussians, SCENE_FROM_WORLD, False)
+
+
+def sky_dome() -> Gaussians:
+    """Far balls of one size, in the scene's axes; their colours are before the sigmoid."""
+    generator = torch.Generator().manual_seed(9)
+    away = torch.randn(400, 3, generator=generator)
+    return Gaussians(
+        means=200 * away / away.norm(dim=1, keepdim=True),
+        quats=torch.zeros(400, 4),  # means nothing there: the balls are round
+        log_scales=torch.full((400, 3), math.log(12.0)),
+        logit_opacities=torch.full((400,), 2.0),
+        sh=1.5 * torch.randn(400, 1, 3, generator=generator),
+    )
+
+
+def fourier() -> torch.Tensor:
+    return 0.3 * torch.randn(80, TERMS, 3, generator=torch.Generator().manual_seed(4))
+
+
+def part(kind: str, gaussians: Gaussians, **config: Any) -> dict[str, Any]:
+    members = {
+        "means": gaussians.means,
+        "scales": gaussians.log_scales,
+        "quats": 3 * gaussians.quats,
+        "features_dc": gaussians.sh[:, 0].clone(),
+        "features_rest": gaussians.sh[:, 1:].clone(),
+        "opacities": gaussians.logit_opacities[:, None],
+    }
+    state = OrderedDict((f"gauss_params.{name}", value) for name, value in members.items())
+    config = {"type": kind, "sh_degree": gaussians.sh_degree, "scale_dim": 3, **config}
+    return OrderedDict(config=config, state_dict=state)
+
+
+def moving(poses: np.ndarray, times: Any, gaussians: Gaussians, **config: Any) -> dict[str, Any]:
+    own = part("RigidSubModel", gaussians, log_timestamps=times, **config)
+    own["state_dict"]["instance_trans"] = torch.from_numpy(poses[:, :3, 3]).float()
+    quats = se3.matrix_to_quat(poses[:, :3, :3])
+    own["state_dict"]["instance_quats"] = torch.from_numpy(2 * quats).float()
+    return own
+
+
+def checkpoint(**changes: Any) -> dict[str, Any]:
+    poses = np.stack([scene_from_car(frame) for frame in range(made.FRAMES)])
+    absent = [frame for frame in range(made.FRAMES) if frame not in THERE]
+    poses[absent, 2, 3] += 1010.0
+    car = moving(
+        poses,
+        torch.from_numpy(made.TIMES),
+        made.make_car(3, 3),
+        fourier_features_dim=TERMS,
+        fourier_features_scale=1.0,
+        fourier_in_space="temporal",
+    )
+    car["state_dict"]["gauss_params.features_dc"] = fourier()
+    parked = part("MirroredRigidSubModel", made.make_car(3, 2))
+    place = scene_from_parked()
+    parked["state_dict"]["instance_trans"] = torch.from_numpy(place[None, :3, 3]).float()
+    quats = se3.matrix_to_quat(place[None, :3, :3])
+    parked["state_dict"]["instance_quats"] = torch.from_numpy(quats).float()
+    sky = part("SkyboxGaussianSplattingModel", sky_dome(), scale_dim=1)
+    sky["state_dict"]["gauss_params.scales"] = sky_dome().log_scales[:, :1]
+    background = part("VanillaGaussianSplattingModel", in_scene(made.make_background(3)))
+    background["config"]["recon2world_translation"] = made.OFFSET + RECON_FROM_OFFSET
+    content = {
+        "skybox": sky,
+        f"na_rigid_{made.CAR}": car,
+        f"na_mirrored_{made.PARKED}": parked,
+        "background": background,
+        "na_deform_walker": part("DeformableSubModel", made.make_car(0, 5)),
+        "na_rigid_other": moving(poses, torch.from_numpy(made.TIMES - 10**9), made.make_car(0, 6)),
+    }
+    return OrderedDict((k, v) for k, v in (content | changes).items() if v is not None)
+
+
+def frames(shift: float = 0.0, later_us: int = 0) -> dict[str, Any]:
+    infos = []
+    for frame in range(made.FRAMES):
+        pose = SCENE_FROM_WORLD @ made.world_from_rig(frame)
+        pose[0, 3] += shift
+        camera = {"sensor2ego_translation": np.zeros(3), "height": np.int64(1080), "valid": True}
+        infos.append(
+            {
+                "timestamp": int(made.TIMES[frame]) + later_us,
+                "token": f"{frame:016x}",
+                "ego2global": pose,
+                "cams": {"CAM_F0": camera},
+                "gt_names": np.array(["vehicle", "pedestrian"]),
+                "track_tokens": [made.CAR, made.PARKED],
+            }
+        )
+    return {"2021-0": {"frame_infos": infos, "log_name": "drive"}}
+
+
+def save(folder: Path, content: Any, pickled: Any = None) -> Path:
+    (folder / NAME / "background").mkdir(parents=True)
+    torch.save(content, folder / NAME / "background" / f"{NAME}.ckpt")
+    if pickled is not None:
+        (folder / NAME / "video_scene_dict.pkl").write_bytes(pickle.dumps(pickled))
+    return folder / NAME
+
+
+def shown(gaussians: Gaussians, constant: torch.Tensor, eye: torch.Tensor) -> Gaussians:
+    """Colours as the published renderer gives them to the rasterizer, in the scene's axes."""
+    if gaussians.sh_degree == 0:
+        rgb = torch.sigmoid(constant)
+    else:
+        away = gaussians.means - eye
+        sh = torch.cat([constant[:, None], gaussians.sh[:, 1:]], dim=1)
+        rgb = (evaluate(sh, away / away.norm(dim=1, keepdim=True)) + 0.5).clamp(0, 1)
+    return Gaussians(
+        gaussians.means,
+        gaussians.quats,
+        gaussians.log_scales,
+        gaussians.logit_opacities,
+        ((rgb - 0.5) / C0)[:, None],
+    )
+
+
+def published(frame: float, share: float, car_there: bool) -> np.ndarray:
+    """The image (H, W, 3) that the published renderer draws: a readable reference.
+
+    Harmonics are looked up in the scene's axes, whichever way an actor is turned.
+    """
+    camera_from_scene = made.camera_from_world(frame) @ se3.inverse(SCENE_FROM_WORLD)
+    eye = torch.from_numpy(se3.inverse(camera_from_scene)[:3, 3]).float()
+    background, dome = in_scene(made.make_background(3)), sky_dome()
+    dome.quats[:, 0] = 1.0
+    half = made.make_car(3, 2)
+    flip = torch.ones(16)
+    flip[[1, 4, 5, 9, 10, 11]] = -1
+    other = Gaussians(
+        half.means * torch.tensor([1.0, -1, 1]),
+        half.quats * torch.tensor([1.0, -1, 1, -1]),
+        half.log_scales,
+        half.logit_opacities,
+        half.sh * flip[:, None],
+    )
+    parked = made.moved(concatenate([half, other]), scene_from_parked(), True)
+    parts = [shown(one, one.sh[:, 0], eye) for one in (background, dome, parked)]
+    if car_there:
+        car = made.moved(made.make_car(3, 3), scene_from_car(frame), True)
+        terms = [
+            math.cos(share * i * 2 * math.pi / TERMS)
+            if i % 2 == 0
+            else math.sin(share * (i + 1) * 2 * math.pi / TERMS)
+            for i in range(TERMS)
+        ]
+        constant = sum(fourier()[:, i] * term for i, term in enumerate(terms))
+        parts.append(shown(car, constant, eye))
+    drawn = rasterize(
+        concatenate(parts),
+        torch.from_numpy(camera_from_scene).float(),
+        torch.from_numpy(made.CAMERA.matrix).float(),
+        made.CAMERA.width,
+        made.CAMERA.height,
+    )
+    return drawn.rgb.numpy().clip(0, 1)
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_the_import_draws_what_the_published_renderer_draws(
+    log: DrivingLog, tmp_path: Path, share: float
+) -> None:
+    path = save(tmp_path, checkpoint(), frames())
+    record = import_mtgs(path, log, tmp_path / "scene", share=share)
+    scene = load_scene(tmp_path / "scene")
+    assert record.tracks == {made.CAR: made.CAR, made.PARKED: made.PARKED}
+    assert set(scene.actors) == {made.CAR, made.PARKED}
+    assert list(scene.actors[made.CAR].trajectory.timestamps_us) == [made.TIMES[i] for i in THERE]
+    frame = THERE[0] + share * (THERE[-1] - THERE[0])
+    time = int(made.TIMES[int(frame)])
+    camera = made.camera_from_world(frame)
+    with_car = render_scene(scene, made.CAMERA, camera, scene.actor_poses(time)).rgb
+    without = render_scene(scene, made.CAMERA, camera, {}).rgb
+    # float32: pixels of 200 m far balls move by 1e-4, harmonics are turned; 1e-4 in all.
+    assert np.abs(with_car - published(frame, share, True)).max() < 5e-4
+    assert np.abs(without - published(frame, share, False)).max() < 5e-4
+    assert np.abs(with_car - without).max() > 0.1
+    assert np.abs(with_car - published(frame, 1.0 - share / 2, True)).max() > 0.02
+    dark = [n for n, one in enumerate(record.left_out) if one.startswith("sky")]
+    assert not dark and scene.sky.colours.max() == 0
+
+
+def test_absent_frames_and_what_is_not_carried_over_are_told(
+    log: DrivingLog, tmp_path: Path
+) -> None:
+    content = checkpoint()
+    car = content[f"na_rigid_{made.CAR}"]["state_dict"]
+    car["instance_valid"] = torch.ones(made.FRAMES)
+    car["instance_valid"][5] = 0  # one more absent frame, in the middle
+    record = import_mtgs(save(tmp_path, content), log, tmp_path / "scene", leave_out=("walker",))
+    scene = load_scene(tmp_path / "scene")
+    times = [made.TIMES[i] for i in THERE if i != 5]
+    assert list(scene.actors[made.CAR].trajectory.timestamps_us) == times
+    assert made.CAR not in scene.actor_poses(int(made.TIMES[0]))
+    assert made.CAR in scene.actor_poses(int(made.TIMES[5]))
+    assert f"{made.CAR}: absent for a while there, interpolated here" in record.changed
+    assert "walker: asked to be left out" in record.left_out
+    assert any(line.startswith("1 actors of other drives") for line in record.left_out)
+    again = import_mtgs(tmp_path / NAME / "background" / f"{NAME}.ckpt", log, tmp_path / "b")
+    assert any(line.startswith("na_deform_walker: a Deformable") for line in again.left_out)
+
+
+def test_the_gaussians_may_be_a_table_of_their_own(log: DrivingLog, tmp_path: Path) -> None:
+    content = checkpoint()
+    for node in content.values():
+        state = node["state_dict"]
+        names = [name for name in state if name.startswith("gauss_params.")]
+        state["gauss_params"] = {name.split(".")[1]: state.pop(name) for name in names}
+    import_mtgs(save(tmp_path / "a", content), log, tmp_path / "nested")
+    import_mtgs(save(tmp_path / "b", checkpoint()), log, tmp_path / "flat")
+    nested, flat = load_scene(tmp_path / "nested"), load_scene(tmp_path / "flat")
+    assert torch.equal(nested.background.sh, flat.background.sh)
+    assert torch.equal(nested.actors[made.CAR].gaussians.sh, flat.actors[made.CAR].gaussians.sh)
+
+
+def test_colours_that_change_with_the_angle_are_averaged(log: DrivingLog, tmp_path: Path) -> None:
+    content = checkpoint()
+    content[f"na_rigid_{made.CAR}"]["config"]["fourier_in_space"] = "spatial"
+    import_mtgs(save(tmp_path, content), log, tmp_path / "scene")
+    own = load_scene(tmp_path / "scene").actors[made.CAR].gaussians
+    # cos and sin of whole multiples of the angle average to nothing, the first term is 1.
+    assert torch.allclose(own.sh[:, 0], fourier()[:, 0], rtol=0, atol=1e-6)
+
+
+def test_actors_are_told_by_token_by_name_and_by_place(log: DrivingLog, tmp_path: Path) -> None:
+    content = checkpoint()
+    content["na_rigid_moved"] = content.pop(f"na_rigid_{made.CAR}")
+    content["na_mirrored_still"] = content.pop(f"na_mirrored_{made.PARKED}")
+    path, names = save(tmp_path, content), tmp_path / "tracks.json"
+    record = import_mtgs(path, log, tmp_path / "by-place")
+    assert record.tracks == {"moved": made.CAR, "still": made.PARKED}
+    names.write_text(json.dumps({"moved": made.PARKED}))
+    record = import_mtgs(path, log, tmp_path / "by-name", tracks=names)
+    assert record.tracks == {"moved": made.PARKED}
+    scene = load_scene(tmp_path / "by-name")
+    assert set(scene.actors) == {made.PARKED, "still"} and "still" in scene.standing
+    far = scene.actors["still"].gaussians.means.abs()
+    assert np.all(far.numpy().max(axis=0) * 2 >= scene.actors["still"].size)
+    assert np.allclose(scene.actors["still"].size, [3.9, 1.6, 1.4], atol=0.2)
+    assert any(line.startswith("still: no tracks of the log") for line in record.changed)
+    for bad in ({"ghost": made.CAR}, {"moved": "ghost"}):
+        names.write_text(json.dumps(bad))
+        with pytest.raises(InputError, match="ghost"):
+            import_mtgs(path, log, tmp_path / "bad", tracks=names)
+
+
+def test_the_recorded_frames_are_compared_with_the_log(log: DrivingLog, tmp_path: Path) -> None:
+    fine = import_mtgs(save(tmp_path / "a", checkpoint(), frames()), log, tmp_path / "fine")
+    assert "0.00 m from the log's (median of 11 frames)" in fine.placed_by and not fine.warnings
+    far = import_mtgs(save(tmp_path / "b", checkpoint(), frames(2.5)), log, tmp_path / "far")
+    assert far.warnings == ["the ego of the scene is 2.50 m from the log's"]
+    other = save(tmp_path / "c", checkpoint(), frames(later_us=10**9))
+    with pytest.raises(InputError, match="none is in log drive"):
+        import_mtgs(other, log, tmp_path / "other")
+    assert np.allclose(np.array(fine.world_from_scene)[:3, 3], RECON_FROM_OFFSET, rtol=0, atol=1e-9)
+
+
+class Hostile:
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> Any:
+        return os.mkdir, (str(self.path),)
+
+
+def test_code_in_the_checkpoint_or_beside_it_is_not_run(log: DrivingLog, tmp_path: Path) -> None:
+    ran = tmp_path / "ran"
+    content = checkpoint()
+    content["background"]["config"]["extra"] = Hostile(ran)
+    path = save(tmp_path / "a", content)
+    with pytest.raises(InputError, match=r"mkdir, which is no tensor and is never unpickled"):
+        import_mtgs(path, log, tmp_path / "scene")
+    pickled = frames()
+    pickled["2021-0"]["frame_infos"][3]["extra"] = Hostile(ran)
+    path = save(tmp_path / "b", checkpoint(), pickled)
+    with pytest.raises(InputError, match=r"mkdir, which is never unpickled; name the checkpoint"):
+        import_mtgs(path, log, tmp_path / "scene")
+    assert not ran.exists() and not (tmp_path / "scene").exists()
+
+
+def broken(node: str, place: str, key: str, value: Any) -> dict[str, Any]:
+    content = checkpoint()
+    own = content[node][place]
+    own.pop(key, None)
+    if value is not None:
+        own[key] = value
+    return content
+
+
+CAR_NODE = f"na_rigid_{made.CAR}"
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (checkpoint(background=None), "background: is missing"),
+        (broken("background", "config", "type", None), r"background\.config\.type: is missing"),
+        (broken("background", "config", "type", "X"), "background: is missing"),
+        (broken("background", "config", "sh_degree", None), r"sh_degree: is NoneType"),
+        (broken("background", "config", "sh_degree", 4), r"sh_degree: is 4, expected 0 to 3"),
+        (broken("background", "config", "scale_dim", 2), r"scale_dim: is 2, expected 1 or 3"),
+        (
+            broken("background", "config", "recon2world_translation", np.array([1.0, np.nan, 0])),
+            "recon2world_translation: is not three metres",
+        ),
+        (
+            broken("background", "state_dict", "gauss_params.means", None),
+            r"background\.state_dict\.gauss_params\.means: is missing",
+        ),
+        (
+            broken("background", "state_dict", "gauss_params.features_rest", torch.ones(300, 3, 3)),
+            "has 3 harmonics, sh_degree 3 needs 15",
+        ),
+        (
+            broken(CAR_NODE, "state_dict", "gauss_params.features_dc", torch.ones(80, 4, 3)),
+            r"features_dc: has shape \[80, 4, 3\], expected \[80, 5, 3\]",
+        ),
+        (broken(CAR_NODE, "config", "fourier_features_dim", 2.5), "fourier_features_dim: is 2.5"),
+        (broken(CAR_NODE, "config", "log_timestamps", None), "log_timestamps: is missing"),
+        (
+            broken(CAR_NODE, "config", "log_timestamps", torch.arange(3)),
+            "log_timestamps: has 3 times for 11 poses",
+        ),
+        (
+            broken(
+                CAR_NODE,
+                "config",
+                "log_timestamps",
+                torch.from_numpy(made.TIMES + 1_600 * 10**12).float(),
+            ),
+            "log_timestamps: are no microseconds that increase",
+        ),
+        (
+            broken(CAR_NODE, "config", "log_timestamps", torch.from_numpy(made.TIMES + 10**9)),
+            "log_timestamps: lie outside of log drive for all actors",
+        ),
+        (
+            broken(CAR_NODE, "state_dict", "instance_quats", torch.zeros(11, 4)),
+            "instance_quats: holds a quaternion of norm zero",
+        ),
+        (
+            broken(CAR_NODE, "state_dict", "instance_trans", torch.full((11, 3), -torch.inf)),
+            "instance_trans: is not finite",
+        ),
+        (
+            broken(CAR_NODE, "state_dict", "instance_trans", torch.ones(11, 2)),
+            "instance_trans: has",
+        ),
+    ],
+)
+def test_broken_checkpoints_are_refused_by_key(
+    log: DrivingLog, tmp_path: Path, content: Any, line: str
+) -> None:
+    with pytest.raises(InputError, match=line):
+        import_mtgs(save(tmp_path, content), log, tmp_path / "scene")
+    assert not (tmp_path / "scene").exists()
+
+
+def test_a_folder_without_one_checkpoint_is_refused(log: DrivingLog, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"has 0 files background/\*\.ckpt"):
+        import_mtgs(tmp_path, log, tmp_path / "scene")
+
+
+@pytest.mark.parametrize(
+    ("pickled", "line"),
+    [
+        ([1, 2], "holds list, not a table"),
+        ({"a": {"frame_infos": 3}}, "drive a: has no list frame_infos"),
+        ({"a": {"frame_infos": [3]}}, r"a\.frame_infos\[0\]: is not a table"),
+        ({"a": {"frame_infos": [{}]}}, r"a\.frame_infos\[0\]\.timestamp: is NoneType"),
+        ({"a": {"frame_infos": [{"timestamp": -1}]}}, "timestamp: is -1, not microseconds"),
+        (
+            {"a": {"frame_infos": [{"timestamp": 1, "ego2global": np.full((4, 4), np.nan)}]}},
+            "ego2global: is no pose in metres",
+        ),
+    ],
+)
+def test_broken_frames_are_refused(
+    log: DrivingLog, tmp_path: Path, pickled: Any, line: str
+) -> None:
+    with pytest.raises(InputError, match=line):
+        import_mtgs(save(tmp_path, checkpoint(), pickled), log, tmp_path / "scene")
