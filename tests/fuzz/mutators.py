@@ -371,9 +371,16 @@ def mutate_tfrecord(data: bytes, rng: Rng) -> bytes:
     return out
 
 
+def _lists(node: Any) -> Any:
+    """The tree with lists for tuples, whose members can be changed."""
+    if isinstance(node, dict):
+        return {key: _lists(inner) for key, inner in node.items()}
+    return [_lists(inner) for inner in node] if isinstance(node, list | tuple) else node
+
+
 def mutate_checkpoint(data: bytes, rng: Rng) -> bytes:
     """Tensors and names of a file of torch.save."""
-    tree = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+    tree = _lists(torch.load(io.BytesIO(data), map_location="cpu", weights_only=True))
     places: list[tuple[Any, Any]] = []
 
     def walk(node: Any) -> None:
@@ -411,7 +418,7 @@ def mutate_checkpoint(data: bytes, rng: Rng) -> bytes:
 
 def mutate_pickle(data: bytes, rng: Rng) -> bytes:
     """Values and names of a pickle that a sample's writer made, in any protocol."""
-    tree = pickle.loads(data)
+    tree = _lists(pickle.loads(data))
     places: list[tuple[Any, Any]] = []
 
     def walk(node: Any) -> None:

@@ -142,6 +142,48 @@ class Mtgs:
 
 
 @dataclass(frozen=True)
+class Hugsim:
+    """Import a scene folder of HUGSIM (scene.pth and the files beside it)."""
+
+    folder: tyro.conf.Positional[Path]
+    """Folder of the scene; code in its files is not executed."""
+    log: Path
+    """Log folder of the drive that the scene was trained on."""
+    out: Path
+    """Scene folder to write; must not exist."""
+    camera: Annotated[
+        str | None,
+        shared.option(
+            "Camera of the log that is the scene's front camera.",
+            "the one that looks forward most",
+            metavar="NAME",
+        ),
+    ] = None
+    first_frame: int = 0
+    """Frame of this camera at which the scene begins."""
+    time_unit: float = 1.0
+    """Seconds of one unit of the scene's times: 0.1 if they are numbers of frames at 10 Hz."""
+    world_from_scene: Annotated[Path | None, WORLD_FROM_SCENE] = None
+    tracks: Annotated[
+        Path | None,
+        shared.option(
+            'JSON file with the log\'s track id of each actor: {"12": "..."}.',
+            "the track at the same place",
+        ),
+    ] = None
+    leave_out: tuple[str, ...] = ()
+    """Names of the actors to leave out: 12 for dynamic_12.pth."""
+    share: float = 0.5
+    """Time at which the view-dependent colours of an actor are frozen, as a fraction (0 to 1) of
+    its track."""
+
+    def __call__(self) -> None:
+        from recast.scene.importers import import_hugsim
+
+        _import(import_hugsim, **vars(self))
+
+
+@dataclass(frozen=True)
 class GaussiansFile:
     """Import a file of Gaussians as a static background: 3DGS PLY, glTF, SPZ or OpenUSD text."""
 
@@ -178,6 +220,7 @@ Import = shared.group(
         "street-gaussians": StreetGaussians,
         "drivestudio": DriveStudio,
         "mtgs": Mtgs,
+        "hugsim": Hugsim,
         "gaussians": GaussiansFile,
     },
 )
@@ -188,7 +231,7 @@ def _import(make: Callable[..., ImportRecord], log: Path, out: Path, **options: 
     from recast.cli.rows.logs import import_lines
     from recast.logs import read_log
 
-    path = options.pop("checkpoint" if "checkpoint" in options else "background")
+    path = options.pop(next(iter(options)))
     record = make(path, read_log(log), out, **options)
     console = console_for(False)
     for line, style in import_lines(record):

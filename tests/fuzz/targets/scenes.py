@@ -37,13 +37,14 @@ from recast.scene import (
 from recast.scene.importers import (
     import_drivestudio,
     import_gaussians,
+    import_hugsim,
     import_mtgs,
     import_street_gaussians,
 )
 from recast.splats import read_ply, write_ply
 from recast.splats.formats import FORMATS, FormatName
 from recast.synthetic.vehicles.shapes import read_mesh
-from scene.importers import test_drivestudio, test_mtgs, test_street_gaussians
+from scene.importers import test_drivestudio, test_hugsim, test_mtgs, test_street_gaussians
 from support import trained_scenes
 
 
@@ -223,5 +224,11 @@ TARGETS = (
         lambda f, out: import_mtgs(f / test_mtgs.NAME, _log(), out),
         files=("*.pkl",),
         weight=2.0,
+    ),
+    Target(
+        "hugsim",
+        lambda f: test_hugsim.write(f / "street"),
+        lambda f, out: import_hugsim(f / "street", test_hugsim.make_log(), out, first_frame=1),
+        weight=4.0,
     ),
 )

@@ -355,7 +355,7 @@ CAR_NODE = f"na_rigid_{made.CAR}"
         ),
         (
             broken("background", "state_dict", "gauss_params.features_rest", torch.ones(300, 3, 3)),
-            "has 3 harmonics, sh_degree 3 needs 15",
+            "has 3 harmonics, degree 3 needs 15",
         ),
         (
             broken(CAR_NODE, "state_dict", "gauss_params.features_dc", torch.ones(80, 4, 3)),

@@ -14,8 +14,10 @@ from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.geometry import se3
 from recast.logs import DrivingLog, Track, Trajectory
-from recast.scene.dynamic import pose_at
+from recast.logs.checks import BOX_SIDE
+from recast.scene.dynamic import CLOCK_TOLERANCE_US, stands
 from recast.scene.importers.checkpoint import Table
+from recast.scene.street_scene import SceneActor
 from recast.splats import Gaussians
 from recast.splats.sh import rotate
 
@@ -24,6 +26,8 @@ FAR_M = 2.0
 """A median distance above this is no match: training moves boxes by decimetres."""
 SUSPICIOUS_M = 0.5
 """A match this far away is one that training alone hardly explains."""
+SAME_M = 1.0
+"""A track this near (median over an actor's time) is the actor, if actors may also be no track."""
 OVERLAP = 0.5
 """Share of an actor's poses at whose times the track must be there."""
 
@@ -145,6 +149,103 @@ def choose_tracks(
     return chosen, max(distances)
 
 
+def find_tracks(
+    table: Table,
+    log: DrivingLog,
+    trajectories: Mapping[str, Trajectory],
+    given: Mapping[str, str],
+    by_name: bool,
+) -> tuple[dict[str, str], list[str]]:
+    """The log's tracks of actors by name: as the user said, of the same name, or at their place.
+
+    Args:
+        trajectories: `world_from_actor` by name.
+        given: track ids that the user named.
+        by_name: whether an actor and a track of the same name are the same.
+
+    Returns:
+        Track ids, of actors that have one; warnings.
+
+    Raises:
+        InputError: a track that the user named is not there, or is named twice.
+    """
+    tracks = {name: given[name] for name in trajectories if name in given}
+    for name, named in tracks.items():
+        if named not in log.tracks or list(tracks.values()).count(named) > 1:
+            problem = f"track {named} is not in log {log.name}, or named twice"
+            raise table.fault(name, problem, "mend the file of tracks")
+    for name in trajectories:
+        if by_name and name in log.tracks and name not in (*tracks, *tracks.values()):
+            tracks[name] = name
+    rest = {name: one for name, one in trajectories.items() if name not in tracks}
+    places = tracks_at_places(log, rest, list(tracks.values()))
+    distance = max((distance for distance, _ in places.values()), default=0.0)
+    far = f"actors lie as far as {distance:.2f} m from their tracks"
+    tracks |= {name: track_id for name, (_, track_id) in places.items()}
+    return tracks, [far] if distance > SUSPICIOUS_M else []
+
+
+def as_tracks(
+    table: Table, log: DrivingLog, found: Mapping[str, SceneActor], tracks: Mapping[str, str]
+) -> tuple[dict[str, SceneActor], list[str]]:
+    """The actors of a scene by track id with the sizes of the tracks, and what to tell of it.
+
+    Args:
+        found: by name; one that is no track of the log keeps its name and size.
+        tracks: the log's track ids by name.
+
+    Raises:
+        InputError: an actor that is no track has the name of a track that another actor is.
+    """
+    actors: dict[str, SceneActor] = {}
+    for name, actor in found.items():
+        key = tracks.get(name, name)
+        if name not in tracks and name in tracks.values():
+            raise table.fault(name, "has the name of a track that another actor is", "leave it out")
+        size = log.tracks[key].size if name in tracks else actor.size
+        actors[key] = replace(actor, track_id=key, size=size)
+    unknown = ", ".join(name for name in found if name not in tracks)
+    told = f"{unknown}: no tracks of the log, so they keep their names and the size of their shape"
+    return actors, [told] if unknown else []
+
+
+def extent(gaussians: Gaussians) -> Array:
+    """Length, width, height (3,) in metres of a box around the origin that holds 99 % of them."""
+    sides = 2 * np.quantile(gaussians.means.abs().numpy(), 0.99, axis=0).astype(np.float64)
+    return np.clip(sides, max(0.1, BOX_SIDE[0]), BOX_SIDE[1])
+
+
+def tracks_at_places(
+    log: DrivingLog, trajectories: Mapping[str, Trajectory], taken: Sequence[str]
+) -> dict[str, tuple[float, str]]:
+    """The track within `SAME_M` of each trajectory that has one, and its distance in metres.
+
+    Args:
+        trajectories: `world_from_actor` by the actor's name.
+        taken: tracks that are not to be given.
+    """
+    moving = {name: one for name, one in trajectories.items() if not stands(one)}
+    near = list(match_tracks(log, moving, taken).items())
+    near += [(name, _nearest(log, one)) for name, one in trajectories.items() if stands(one)]
+    found: dict[str, tuple[float, str]] = {}
+    given = set(taken)
+    for name, (distance, track_id) in sorted(near, key=lambda one: one[1][0]):
+        if track_id is not None and distance <= SAME_M and track_id not in given:
+            found[name] = distance, track_id
+            given.add(track_id)
+    return found
+
+
+def _nearest(log: DrivingLog, standing: Trajectory) -> tuple[float, str | None]:
+    """Median distance, over a track's time, of the track that is nearest to a place."""
+    place = standing.poses[0, :3, 3]
+    distances = [
+        (float(np.median(np.linalg.norm(one.trajectory.poses[:, :3, 3] - place, axis=1))), key)
+        for key, one in log.tracks.items()
+    ]
+    return min(distances, default=(float("inf"), None))
+
+
 def match_tracks(
     log: DrivingLog, trajectories: Mapping[str, Trajectory], taken: Sequence[str] = ()
 ) -> dict[str, tuple[float, str | None]]:
@@ -177,17 +278,15 @@ def match_tracks(
 
 
 def _distances(log: DrivingLog, trajectory: Trajectory) -> dict[str, float]:
+    """Median distance in metres of each track that is there at enough of the times."""
     found = {}
+    times, places = trajectory.timestamps_us, trajectory.poses[:, :3, 3]
     for track_id, track in log.tracks.items():
-        first, last = track.trajectory.timestamps_us[[0, -1]]
-        times = trajectory.timestamps_us
-        if last < times[0] or times[-1] < first:
+        known = track.trajectory.timestamps_us
+        # As `pose_at` has it: the ends hold for as long as sensors may differ.
+        there = (times >= known[0] - CLOCK_TOLERANCE_US) & (times <= known[-1] + CLOCK_TOLERANCE_US)
+        if there.sum() < max(OVERLAP * len(times), 1):
             continue
-        gaps = [
-            float(np.linalg.norm(there[:3, 3] - pose[:3, 3]))
-            for time, pose in zip(times, trajectory.poses, strict=True)
-            if (there := pose_at(track.trajectory, int(time))) is not None
-        ]
-        if len(gaps) >= OVERLAP * len(times):
-            found[track_id] = float(np.median(gaps))
+        own = [np.interp(times[there], known, one) for one in track.trajectory.poses[:, :3, 3].T]
+        found[track_id] = float(np.median(np.linalg.norm(np.stack(own, 1) - places[there], axis=1)))
     return found

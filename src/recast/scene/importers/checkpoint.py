@@ -56,6 +56,10 @@ class Table:
             raise self.fault(name, f"is {type(value).__name__}, not a table of tensors")
         return Table(self.path, value, self.key(name))
 
+    def raw(self, name: str) -> Any:
+        """A member as it is; None if it is missing."""
+        return self._content.get(name)
+
     def below(self, prefix: str) -> Table:
         """The members whose names begin with `prefix` and a dot, without these."""
         start = f"{prefix}."
@@ -212,6 +216,20 @@ def read_gaussians(table: Table, names: Names, constant: Tensor) -> Gaussians:
         field = names.rest if fault[0] == "sh" else getattr(names, fault[0])
         raise table.fault(field, fault[1])
     return found
+
+
+def read_harmonics(table: Table, name: str, count: int, degree: float) -> Tensor:
+    """View-dependent harmonics (N, (degree + 1)^2 - 1, 3); those of higher degrees are cut off.
+
+    Raises:
+        InputError: see `Table.tensor`; or the table has fewer.
+    """
+    rest = table.tensor(name, count, None, 3)
+    wanted = (int(degree) + 1) ** 2 - 1
+    if rest.shape[1] < wanted:
+        problem = f"has {rest.shape[1]} harmonics, degree {degree:g} needs {wanted}"
+        raise table.fault(name, problem)
+    return rest[:, :wanted]
 
 
 def unused_members(tables: Iterable[Table], names: Names, others: Sequence[str]) -> list[str]:

@@ -6,7 +6,7 @@ its trainer exports for renderers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +15,17 @@ import torch
 from recast.core.errors import InputError
 from recast.core.files import require_new
 from recast.geometry import se3
-from recast.logs import DrivingLog, Trajectory
-from recast.logs.checks import BOX_SIDE, WORLD_REACH
-from recast.scene.dynamic import stands
+from recast.logs import DrivingLog
+from recast.logs.checks import WORLD_REACH
 from recast.scene.importers.actors import (
     SUSPICIOUS_M,
     TURNING,
+    as_tracks,
     check_names,
     check_share,
     colours_in_own_frame,
-    match_tracks,
+    extent,
+    find_tracks,
     read_track_names,
 )
 from recast.scene.importers.checkpoint import NO_SKY, Table, read_checkpoint
@@ -40,10 +41,8 @@ from recast.scene.importers.mtgs_nodes import (
 from recast.scene.importers.placement import ImportRecord, Placement, write_imported
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene
-from recast.splats import Gaussians, concatenate
+from recast.splats import concatenate
 
-SAME_M = 1.0
-"""A track is at the place of an actor if it is nearer than this (median over the actor's time)."""
 _SAME_LOG = "give the log of the same drive (docs/scenes.md)"
 
 
@@ -105,16 +104,11 @@ def import_mtgs(
         raise root.fault(
             "log_timestamps", f"lie outside of log {log.name} for all actors", _SAME_LOG
         )
-    chosen, distance = _choose_tracks(root, log, found, given)
-    actors = {}
-    for name, actor in found.items():
-        track = log.tracks.get(chosen.get(name, ""))
-        key = name if track is None else track.track_id
-        size = actor.size if track is None else track.size
-        actors[key] = SceneActor(key, actor.gaussians, size, actor.trajectory)
+    motions = {name: actor.trajectory for name, actor in found.items()}
+    chosen, told = find_tracks(root, log, motions, given, by_name=True)
+    actors, keeping = as_tracks(root, log, found, chosen)
     if elsewhere:
         left_out.append(f"{elsewhere} actors of other drives: their times are not the log's")
-    unknown = sorted(set(found) - set(chosen))
     changed = [TURNING] if found else []
     if waves:
         changed.append(
@@ -123,13 +117,8 @@ def import_mtgs(
         )
     if gaps:
         changed.append(f"{', '.join(gaps)}: absent for a while there, interpolated here")
-    if unknown:
-        changed.append(
-            f"{', '.join(unknown)}: no tracks of the log, so they keep their tokens, and their "
-            "sizes are those of their Gaussians"
-        )
-    if distance > SUSPICIOUS_M:
-        warnings.append(f"actors lie as far as {distance:.2f} m from their tracks")
+    changed += keeping
+    warnings += told
     if "skybox" not in nodes:
         left_out.append(NO_SKY)
     foreground = sorted(folder.glob("foreground/*.ckpt")) if folder else []
@@ -165,12 +154,6 @@ def find_checkpoint(path: Path) -> tuple[Path | None, Path]:
         problem = f"has {len(found)} files background/*.ckpt, one is needed"
         raise InputError(path, "scene folder", problem, "name the checkpoint itself")
     return path, found[0]
-
-
-def extent(gaussians: Gaussians) -> np.ndarray:
-    """Length, width, height (3,) in metres of a box around the origin that holds 99 % of them."""
-    sides = 2 * np.quantile(gaussians.means.abs().numpy(), 0.99, axis=0).astype(np.float64)
-    return np.clip(sides, max(0.1, BOX_SIDE[0]), BOX_SIDE[1])
 
 
 def _nodes(root: Table, leave_out: Sequence[str]) -> tuple[dict[str, Node], list[str]]:
@@ -213,40 +196,3 @@ def _placement(root: Table, log: DrivingLog, folder: Path | None) -> tuple[Place
         if distance > SUSPICIOUS_M:
             warnings.append(f"the ego of the scene is {distance:.2f} m from the log's")
     return Placement(pose, how), warnings
-
-
-def _choose_tracks(
-    root: Table, log: DrivingLog, actors: Mapping[str, SceneActor], given: Mapping[str, str]
-) -> tuple[dict[str, str], float]:
-    """Track ids by token: as named, the token itself, or by place; the largest distance in metres.
-
-    Actors without a track are not among them.
-    """
-    chosen = {name: given[name] for name in actors if name in given}
-    for name, named in chosen.items():
-        if named not in log.tracks or list(chosen.values()).count(named) > 1:
-            problem = f"track {named} is not in log {log.name}, or named twice"
-            raise root.fault(name, problem, "mend the file of tracks")
-    for name in actors:
-        if name in log.tracks and name not in chosen and name not in chosen.values():
-            chosen[name] = name
-    rest = {name: one.trajectory for name, one in actors.items() if name not in chosen}
-    moving = {name: one for name, one in rest.items() if not stands(one)}
-    near = list(match_tracks(log, moving, list(chosen.values())).items())
-    near += [(name, _nearest(log, one)) for name, one in rest.items() if stands(one)]
-    distances = [0.0]
-    for name, (distance, track_id) in sorted(near, key=lambda one: one[1][0]):
-        if track_id is not None and distance <= SAME_M and track_id not in chosen.values():
-            chosen[name] = track_id
-            distances.append(distance)
-    return chosen, max(distances)
-
-
-def _nearest(log: DrivingLog, standing: Trajectory) -> tuple[float, str | None]:
-    """Median distance, over a track's time, of the track that is nearest to a place."""
-    place = standing.poses[0, :3, 3]
-    distances = [
-        (float(np.median(np.linalg.norm(one.trajectory.poses[:, :3, 3] - place, axis=1))), key)
-        for key, one in log.tracks.items()
-    ]
-    return min(distances, default=(float("inf"), None))

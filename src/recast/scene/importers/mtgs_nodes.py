@@ -14,7 +14,7 @@ from recast.geometry import se3
 from recast.logs import DrivingLog, Trajectory
 from recast.logs.checks import WORLD_REACH
 from recast.scene.appearance import mirrored
-from recast.scene.importers.checkpoint import Names, Table, read_gaussians
+from recast.scene.importers.checkpoint import Names, Table, read_gaussians, read_harmonics
 from recast.splats import Gaussians, concatenate
 from recast.splats.sh import C0, MAX_DEGREE
 
@@ -89,13 +89,9 @@ def read_gaussian_node(node: Node, share: float) -> Gaussians:
         raise config.fault("sh_degree", f"is {degree:g}, expected 0 to {MAX_DEGREE}")
     count = len(table.tensor(NAMES.means, None, 3))
     constant = _constant(node, count, share)
-    rest = table.tensor(NAMES.rest, count, None, 3)
-    wanted = (int(degree) + 1) ** 2 - 1
-    if rest.shape[1] < wanted:
-        problem = f"has {rest.shape[1]} harmonics, sh_degree {degree:g} needs {wanted}"
-        raise table.fault(NAMES.rest, problem)
-    changes = {NAMES.rest: rest[:, :wanted]}
-    if wanted == 0:  # these colours are a sigmoid, not harmonics around a half
+    rest = read_harmonics(table, NAMES.rest, count, degree)
+    changes = {NAMES.rest: rest}
+    if degree == 0:  # these colours are a sigmoid, not harmonics around a half
         constant = (torch.sigmoid(constant) - 0.5) / C0
     sides = config.number("scale_dim", 3)
     if sides == 1:

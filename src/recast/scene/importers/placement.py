@@ -137,7 +137,7 @@ class ImportRecord(Record):
     """Contents of import.json.
 
     Attributes:
-        layout: of the file: street-gaussians, drivestudio, ply, gltf, spz or usd.
+        layout: of the file: street-gaussians, drivestudio, mtgs, hugsim, ply, gltf, spz or usd.
         file, sha256: what was imported.
         iteration: training step of a checkpoint.
         log_name, log_fingerprint: the log it was placed in.
