@@ -19,6 +19,12 @@ WORLD_FROM_SCENE = shared.option(
     "Text file with a 4x4 matrix or an offset from the scene's coordinates to the log's world."
 )
 
+LOG_OR_OWN = shared.option("Log folder of the drive that the scene was trained on, or --own-log.")
+OWN_LOG = shared.option(
+    "Log folder to write from the scene's own files, instead of --log; must not exist. It has the "
+    "ego, cameras without images, and the actors."
+)
+
 
 @dataclass(frozen=True)
 class StreetGaussians:
@@ -118,10 +124,10 @@ class Mtgs:
 
     checkpoint: tyro.conf.Positional[Path]
     """Folder of the scene, or its checkpoint; code in either is not executed."""
-    log: Path
-    """Log folder of the drive that the scene was trained on."""
     out: Path
     """Scene folder to write; must not exist."""
+    log: Annotated[Path | None, LOG_OR_OWN] = None
+    own_log: Annotated[Path | None, OWN_LOG] = None
     tracks: Annotated[
         Path | None,
         shared.option(
@@ -136,9 +142,9 @@ class Mtgs:
     its track."""
 
     def __call__(self) -> None:
-        from recast.scene.importers import import_mtgs
+        from recast.scene.importers import import_mtgs, import_mtgs_with_log
 
-        _import(import_mtgs, **vars(self))
+        _import_either(import_mtgs, import_mtgs_with_log, **vars(self))
 
 
 @dataclass(frozen=True)
@@ -147,10 +153,10 @@ class Hugsim:
 
     folder: tyro.conf.Positional[Path]
     """Folder of the scene; code in its files is not executed."""
-    log: Path
-    """Log folder of the drive that the scene was trained on."""
     out: Path
     """Scene folder to write; must not exist."""
+    log: Annotated[Path | None, LOG_OR_OWN] = None
+    own_log: Annotated[Path | None, OWN_LOG] = None
     camera: Annotated[
         str | None,
         shared.option(
@@ -178,9 +184,9 @@ class Hugsim:
     its track."""
 
     def __call__(self) -> None:
-        from recast.scene.importers import import_hugsim
+        from recast.scene.importers import import_hugsim, import_hugsim_with_log
 
-        _import(import_hugsim, **vars(self))
+        _import_either(import_hugsim, import_hugsim_with_log, **vars(self))
 
 
 @dataclass(frozen=True)
@@ -228,11 +234,35 @@ Import = shared.group(
 
 def _import(make: Callable[..., ImportRecord], log: Path, out: Path, **options: Any) -> None:
     """Call an importer with a command's options; the first is its file."""
-    from recast.cli.rows.logs import import_lines
     from recast.logs import read_log
 
     path = options.pop(next(iter(options)))
-    record = make(path, read_log(log), out, **options)
+    _tell(make(path, read_log(log), out, **options), out)
+
+
+def _import_either(
+    make: Callable[..., ImportRecord],
+    make_with_log: Callable[..., ImportRecord],
+    log: Path | None,
+    own_log: Path | None,
+    out: Path,
+    **options: Any,
+) -> None:
+    """Call an importer with the log that is given, or one that writes the log too."""
+    from recast.core.errors import InputError
+
+    if log is not None and own_log is None:
+        _import(make, log=log, out=out, **options)
+    elif own_log is not None and log is None:
+        _tell(make_with_log(options.pop(next(iter(options))), own_log, out, **options), out)
+    else:
+        mend = "give one of the two"
+        raise InputError("command line", "`log`", "or `own_log` is needed, and not both", mend)
+
+
+def _tell(record: ImportRecord, out: Path) -> None:
+    from recast.cli.rows.logs import import_lines
+
     console = console_for(False)
     for line, style in import_lines(record):
         console.print(line, style=style, markup=False, highlight=False)

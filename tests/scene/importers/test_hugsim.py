@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from recast.core.errors import InputError
 from recast.geometry import se3
-from recast.logs import CameraStream, DrivingLog
+from recast.logs import CameraStream, DrivingLog, read_log
 from recast.scene import load_scene, render_scene
-from recast.scene.importers import import_hugsim
+from recast.scene.importers import hugsim_log, import_hugsim, import_hugsim_with_log
 from recast.splats import Gaussians, concatenate, rasterize
 from support import trained_scenes as made
 
@@ -26,15 +26,16 @@ SCENE_FROM_WORLD = se3.inverse(made.world_from_rig(FIRST) @ made.RIG_FROM_CAMERA
 RIGHT_FORWARD_UP = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # own axes of forward, left, up
 FORWARD_DOWN_LEFT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
+BACK = made.RIG_FROM_CAMERA.copy()
+BACK[:3, :3] = se3.rotation_z(np.pi) @ BACK[:3, :3]
+
 
 def make_log(tracks: bool = True) -> DrivingLog:
     """The drive with a front camera and one that looks back; neither has images."""
-    back = made.RIG_FROM_CAMERA.copy()
-    back[:3, :3] = se3.rotation_z(np.pi) @ back[:3, :3]
     log = made.make_log()
     cameras = {
         name: CameraStream(name, made.CAMERA, pose, made.TIMES, [None] * made.FRAMES)  # type: ignore[arg-type]
-        for name, pose in (("back", back), ("front", made.RIG_FROM_CAMERA))
+        for name, pose in (("back", BACK), ("front", made.RIG_FROM_CAMERA))
     }
     return replace(log, cameras=cameras, tracks=log.tracks if tracks else {})
 
@@ -92,6 +93,7 @@ def write(
     car: Any = None,
     motion: Any = None,
     poses: Any = None,
+    meta: Any = None,
 ) -> Path:
     folder.mkdir(parents=True)
     if scene is None:
@@ -106,9 +108,20 @@ def write(
         )
     ground_param = (poses, 1.5, commands if commands is not None else [2] * len(poses))
     (folder / "ground_param.pkl").write_bytes(pickle.dumps(ground_param))
-    (folder / "meta_data.json").write_text(
-        json.dumps({"frames": [{"timestamp": float(t)} for t in seconds[::-1]]})
-    )
+    images = [
+        {
+            "rgb_path": f"./images/{name}/{frame:03d}.jpg",
+            "camtoworld": (SCENE_FROM_WORLD @ made.world_from_rig(frame) @ mount).tolist(),
+            "intrinsics": made.CAMERA.matrix.tolist(),
+            "width": made.CAMERA.width,
+            "height": made.CAMERA.height,
+            "timestamp": float(second),
+        }
+        for frame, second in zip(frames, seconds, strict=True)
+        for name, mount in (("CAM_BACK", BACK), ("CAM_FRONT", made.RIG_FROM_CAMERA))
+    ]
+    meta = {"frames": images[::-1]} if meta is None else meta
+    (folder / "meta_data.json").write_text(json.dumps(meta))
     for name, true, axes, seed in (
         ("12", made.world_from_car, RIGHT_FORWARD_UP, 3),
         ("7", made.world_from_parked, FORWARD_DOWN_LEFT, 2),
@@ -211,6 +224,73 @@ def test_a_scene_in_another_frame_is_warned_of(tmp_path: Path) -> None:
         folder, make_log(), tmp_path / "b", world_from_scene=place, first_frame=FIRST
     )
     assert any("m beside the path of front" in line for line in record.warnings)
+
+
+def test_a_log_is_made_of_the_files_of_the_street(tmp_path: Path) -> None:
+    folder = write(tmp_path / "street")
+    record = import_hugsim_with_log(folder, tmp_path / "log", tmp_path / "own")
+    assert record.tracks == {"12": "12", "7": "7"} and not record.warnings
+    log, scene = read_log(tmp_path / "log"), load_scene(tmp_path / "own")
+    assert list(log.world_from_rig.timestamps_us) == [100_000 * k for k in range(10)]
+    assert set(log.cameras) == {"CAM_FRONT", "CAM_BACK"} and log.name == "street"
+    mounts = {name: one.rig_from_camera for name, one in log.cameras.items()}
+    # The rig is below the front camera, 1.5 m above the ground in the files.
+    shift = se3.from_rotation_translation(np.eye(3), made.RIG_FROM_CAMERA[:3, 3] - [0, 0, 1.5])
+    for name, mount in (("CAM_FRONT", made.RIG_FROM_CAMERA), ("CAM_BACK", BACK)):
+        assert np.allclose(mounts[name], se3.inverse(shift) @ mount, rtol=0, atol=1e-6)
+        assert np.allclose(log.cameras[name].camera.matrix, made.CAMERA.matrix)
+    world_from_true = se3.inverse(made.world_from_rig(FIRST) @ shift)
+    for frame in (FIRST, 6, made.FRAMES - 1):
+        time = 100_000 * (frame - FIRST)
+        ego = world_from_true @ made.world_from_rig(frame) @ shift
+        assert np.allclose(log.world_from_rig.at(time), ego, rtol=0, atol=1e-6)
+        car = world_from_true @ made.world_from_car(frame)
+        assert np.allclose(log.tracks["12"].trajectory.at(time), car, rtol=0, atol=1e-6)
+        assert np.allclose(scene.actor_poses(time)["12"], car, rtol=0, atol=1e-6)
+    last = made.FRAMES - 1
+    camera = made.camera_from_world(last) @ se3.inverse(world_from_true)
+    drawn = render_scene(replace(scene, actors={}), made.CAMERA, camera, {}).rgb
+    assert np.abs(drawn - published(last, False)).max() < 5e-4
+
+
+def test_the_unit_of_times_stretches_the_drive(tmp_path: Path) -> None:
+    log = hugsim_log(write(tmp_path / "street"), time_unit=0.5)
+    assert list(log.world_from_rig.timestamps_us[[0, -1]]) == [0, 450_000]
+    assert list(log.tracks["12"].trajectory.timestamps_us[[0, -1]]) == [0, 450_000]
+
+
+IMAGE = {
+    "rgb_path": "a/b.jpg",
+    "camtoworld": np.eye(4).tolist(),
+    "intrinsics": made.CAMERA.matrix.tolist(),
+    "width": 64,
+    "height": 40,
+    "timestamp": 0,
+}
+
+
+@pytest.mark.parametrize(
+    ("meta", "line"),
+    [
+        ({"frames": []}, "frames: is no list, or empty"),
+        ({"frames": [3]}, r"frames\[0\]: is no table"),
+        ({"frames": [IMAGE | {"timestamp": "x"}]}, r"frames\[0\]\.timestamp: is str"),
+        ({"frames": [IMAGE | {"camtoworld": [[1, 2]]}]}, r"camtoworld: has shape \[1, 1, 2\]"),
+        ({"frames": [IMAGE | {"intrinsics": [1, 2]}]}, "intrinsics: or width or height"),
+        ({"frames": [IMAGE | {"rgb_path": 3}]}, "rgb_path: is int, not a text"),
+        ({"frames": [IMAGE, IMAGE]}, "camera a: has two images at one time"),
+        ({"frames": [IMAGE]}, "camera a: has fewer than two images"),
+    ],
+)
+def test_a_log_of_broken_files_is_not_written(tmp_path: Path, meta: Any, line: str) -> None:
+    folder = write(tmp_path / "street", meta=meta)
+    with pytest.raises(InputError, match=line):
+        import_hugsim_with_log(folder, tmp_path / "log", tmp_path / "scene")
+    with pytest.raises(InputError, match="ghost"):  # after the log was written
+        import_hugsim_with_log(
+            write(tmp_path / "b"), tmp_path / "log", tmp_path / "scene", leave_out=("ghost",)
+        )
+    assert not (tmp_path / "log").exists() and not (tmp_path / "scene").exists()
 
 
 def test_scenes_as_they_were_saved_at_first_are_read(tmp_path: Path) -> None:

@@ -14,9 +14,9 @@ import torch
 
 from recast.core.errors import InputError
 from recast.geometry import se3
-from recast.logs import DrivingLog
+from recast.logs import DrivingLog, read_log
 from recast.scene import load_scene, render_scene
-from recast.scene.importers import import_mtgs
+from recast.scene.importers import import_mtgs, import_mtgs_with_log
 from recast.splats import Gaussians, concatenate, rasterize
 from recast.splats.sh import C0, evaluate
 from support import trained_scenes as made
@@ -299,6 +299,96 @@ def test_the_recorded_frames_are_compared_with_the_log(log: DrivingLog, tmp_path
     with pytest.raises(InputError, match="none is in log drive"):
         import_mtgs(other, log, tmp_path / "other")
     assert np.allclose(np.array(fine.world_from_scene)[:3, 3], RECON_FROM_OFFSET, rtol=0, atol=1e-9)
+
+
+class Quaternion:
+    """Stands for pyquaternion's class: only its name in the pickle tells them apart."""
+
+    def __init__(self, wxyz: np.ndarray) -> None:
+        self.q = wxyz
+
+
+def save_whole(folder: Path, **camera: Any) -> Path:
+    """A scene whose frames tell all that a log needs."""
+    pickled = frames()
+    mount = made.RIG_FROM_CAMERA
+    lens = {"cam_intrinsic": made.CAMERA.matrix, "distortion": np.array([0.1, 0, 0, 0, 0])}
+    own = {
+        "cam_intrinsic": 2 * made.CAMERA.matrix,
+        "distortion": np.zeros(5),
+        "colmap_param": lens,
+        "sensor2ego_rotation": Quaternion(se3.matrix_to_quat(mount[:3, :3])),
+        "sensor2ego_translation": mount[:3, 3],
+        "width": made.CAMERA.width,
+        "height": made.CAMERA.height,
+        **camera,
+    }
+    for info in pickled["2021-0"]["frame_infos"]:
+        info["cams"] = {"CAM_F0": own}
+        info["track_tokens"], info["gt_names"] = [made.PARKED, "x"], np.array(["bicycle", "sign"])
+    pickled["2021-1"] = {"frame_infos": pickled["2021-0"]["frame_infos"][:3]}
+    path = save(folder, checkpoint(), pickled)
+    file = path / "video_scene_dict.pkl"
+    # Protocol 2 writes the names of classes as lines.
+    data = pickle.dumps(pickled, 2)
+    named = f"{__name__}\nQuaternion\n".encode()
+    file.write_bytes(data.replace(named, b"pyquaternion.quaternion\nQuaternion\n"))
+    return path
+
+
+def test_a_log_is_made_of_the_files_of_the_street(log: DrivingLog, tmp_path: Path) -> None:
+    path = save_whole(tmp_path / "a")
+    record = import_mtgs_with_log(path, tmp_path / "log", tmp_path / "own")
+    assert "0.00 m from the log's" in record.placed_by and not record.warnings
+    own = read_log(tmp_path / "log")
+    assert set(own.tracks) == {made.CAR, made.PARKED}
+    assert [own.tracks[name].category for name in (made.CAR, made.PARKED)] == ["car", "cyclist"]
+    assert np.allclose(own.tracks[made.CAR].size, [3.9, 1.6, 1.4], rtol=0, atol=0.2)
+    camera = own.cameras["CAM_F0"]
+    assert np.allclose(camera.camera.matrix, made.CAMERA.matrix)
+    assert camera.camera.distortion == (0.1, 0, 0, 0, 0)
+    assert np.allclose(camera.rig_from_camera, made.RIG_FROM_CAMERA, rtol=0, atol=1e-9)
+    # The same street in both worlds: their offsets tell how they lie to each other.
+    import_mtgs(path, log, tmp_path / "scene")
+    scene, other = load_scene(tmp_path / "own"), load_scene(tmp_path / "scene")
+    shift = scene.world_offset - other.world_offset
+    moved = scene.background.means + torch.from_numpy(shift).float()
+    assert torch.allclose(moved, other.background.means, rtol=0, atol=1e-3)  # 200 m in float32
+    time = int(made.TIMES[5])
+    true = made.world_from_car(5)[:3, 3]
+    for poses in (
+        scene.actor_poses(time),
+        {k: t.trajectory.at(time) for k, t in own.tracks.items()},
+    ):
+        assert np.allclose(poses[made.CAR][:3, 3] + shift, true, rtol=0, atol=1e-4)
+    assert np.allclose(own.world_from_rig.poses[:, :3, 3] + shift, _ego_places(), atol=1e-6)
+
+
+def _ego_places() -> np.ndarray:
+    return np.stack([made.world_from_rig(frame)[:3, 3] for frame in range(made.FRAMES)])
+
+
+@pytest.mark.parametrize(
+    ("camera", "line"),
+    [
+        ({"sensor2ego_rotation": np.zeros(4)}, "sensor2ego_rotation: is no quaternion"),
+        ({"sensor2ego_translation": np.zeros(2)}, "sensor2ego_translation: is not three metres"),
+        ({"colmap_param": {}}, r"cams\.CAM_F0\.colmap_param\.cam_intrinsic: is missing"),
+        ({"width": 0}, "width: or height: 0 x 40 pixels"),
+        ({"width": "wide"}, "width: is str, not a number"),
+    ],
+)
+def test_a_log_of_broken_files_is_not_written(
+    tmp_path: Path, camera: dict[str, Any], line: str
+) -> None:
+    path = save_whole(tmp_path / "a", **camera)
+    with pytest.raises(InputError, match=line):
+        import_mtgs_with_log(path, tmp_path / "log", tmp_path / "scene")
+    with pytest.raises(InputError, match="ghost"):  # after the log was written
+        import_mtgs_with_log(
+            save_whole(tmp_path / "b"), tmp_path / "log", tmp_path / "scene", leave_out=("ghost",)
+        )
+    assert not (tmp_path / "log").exists() and not (tmp_path / "scene").exists()
 
 
 class Hostile:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from recast.arrays import Array
 from recast.core.errors import InputError
@@ -209,9 +210,9 @@ def as_tracks(
     return actors, [told] if unknown else []
 
 
-def extent(gaussians: Gaussians) -> Array:
-    """Length, width, height (3,) in metres of a box around the origin that holds 99 % of them."""
-    sides = 2 * np.quantile(gaussians.means.abs().numpy(), 0.99, axis=0).astype(np.float64)
+def extent(means: Tensor) -> Array:
+    """Length, width, height (3,) in metres of a box around the origin with 99 % of (N, 3)."""
+    sides = 2 * np.quantile(means.abs().numpy(), 0.99, axis=0).astype(np.float64)
     return np.clip(sides, max(0.1, BOX_SIDE[0]), BOX_SIDE[1])
 
 

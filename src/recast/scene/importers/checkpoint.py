@@ -12,7 +12,7 @@ from torch import Tensor
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.core.pickled import PickledArray
+from recast.core.pickled import PickledArray, PickledQuaternion
 from recast.core.torch_file import read_torch_file
 from recast.splats import Gaussians
 
@@ -147,13 +147,20 @@ class Table:
         value = self._member(name)
         if isinstance(value, Tensor) and value.layout == torch.strided and not value.is_complex():
             return value.detach().to("cpu", torch.float64).numpy()
-        plain = value.value if isinstance(value, PickledArray) else value
+        pickled = isinstance(value, PickledArray | PickledQuaternion)
+        plain = value.value if pickled else value
         if isinstance(plain, np.ndarray | list | tuple):
             try:
                 return np.array(plain, np.float64)
             except (TypeError, ValueError, OverflowError, RecursionError):
                 pass
         raise self.fault(name, f"is {type(value).__name__}, not an array of numbers")
+
+    def texts(self, name: str) -> list[str]:
+        """The texts of a list or an array; none if it is missing or holds something else."""
+        value = self._content.get(name)
+        plain = value.value.tolist() if isinstance(value, PickledArray) else value
+        return [one for one in plain if isinstance(one, str)] if isinstance(plain, list) else []
 
     def _member(self, name: str) -> Any:
         if name not in self._content:

@@ -7,10 +7,8 @@ down, z forward.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
@@ -32,13 +30,19 @@ from recast.scene.importers.actors import (
     find_tracks,
     read_track_names,
 )
+from recast.scene.importers.hugsim_actors import (
+    Clock,
+    actor_names,
+    origin_of,
+    own_axes,
+    read_motion,
+    turned,
+)
 from recast.scene.importers.hugsim_files import (
-    first_time,
     read_camera_poses,
     read_ground,
     read_hugsim_gaussians,
     read_members,
-    read_unicycle,
 )
 from recast.scene.importers.placement import (
     ImportRecord,
@@ -48,13 +52,7 @@ from recast.scene.importers.placement import (
 )
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene
-from recast.splats import Gaussians, concatenate
-
-ACTOR = re.compile(r"dynamic_([A-Za-z0-9-]{1,64})\.pth")
-MOVED_M = 1.0
-"""An actor that goes farther than this shows which of its axes points forward."""
-_UPRIGHT = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-"""Own axes of an actor whose motion does not show them: x right, y forward, z up."""
+from recast.splats import concatenate
 
 
 def import_hugsim(
@@ -89,8 +87,6 @@ def import_hugsim(
             frame, `out` exists. Nothing is written then.
     """
     check_share(share)
-    if not 1e-6 <= time_unit <= 1e3:
-        raise InputError("command line", "`time_unit`", f"is {time_unit:g}", "give seconds")
     require_new(out)
     folder = Path(path)
     table, step = read_members(folder / "scene.pth")
@@ -101,26 +97,21 @@ def import_hugsim(
     if len(background) == 0:
         raise table.fault("xyz", "has no Gaussians")
     poses, _ = read_camera_poses(folder / "ground_param.pkl")
-    stream = forward_camera(log, camera, first_frame)
-    start_us = int(stream.timestamps_us[first_frame])
+    stream = forward_camera(log, camera)
+    start_us = start_time(log, stream, first_frame)
     placement, warnings = _placement(log, stream, start_us, poses, world_from_scene)
-    files = sorted(one for one in folder.glob("dynamic_*.pth") if ACTOR.fullmatch(one.name))
-    names = [one.stem.removeprefix("dynamic_") for one in files]
+    names = actor_names(folder)
     given = read_track_names(tracks)
     check_names(table, names, given, leave_out)
-    origin = first_time(folder / "meta_data.json")
     left_out = [f"actor {name}: asked to be left out" for name in leave_out]
+    clock = Clock(start_us, origin_of(folder, poses[0]), time_unit)
     motions: dict[str, Trajectory] = {}
     for name in (name for name in names if name not in leave_out):
-        file = folder / f"unicycle_{name}.pth"
-        if not file.exists():
-            left_out.append(f"actor {name}: has no {file.name}, which says where it is")
-            continue
-        times, own = read_unicycle(file)
-        times_us = start_us + np.round((times - origin) * time_unit * 1e6)
-        if not np.all((times_us >= 0) & (times_us < 2.0**53)) or np.any(np.diff(times_us) <= 0):
-            raise InputError(file, "train_timestamp", "are no times of the log", "`time_unit`")
-        motions[name] = Trajectory(times_us.astype(np.int64), placement.world_from_scene @ own)
+        motion = read_motion(folder, name, clock, placement.world_from_scene)
+        if motion is None:
+            left_out.append(f"actor {name}: has no unicycle_{name}.pth, which says where it is")
+        else:
+            motions[name] = motion
     chosen, told = find_tracks(table, log, motions, given, by_name=False)
     found, guessed = {}, []
     for name, motion in motions.items():
@@ -132,10 +123,9 @@ def import_hugsim(
         axes = own_axes(motion, None if track is None else track.trajectory)
         if axes is None:
             guessed.append(name)
-            axes = _UPRIGHT
-        trajectory, gaussians = _turned(motion, gaussians, axes)
+        trajectory, gaussians = turned(motion, gaussians, axes)
         own_colours = colours_in_own_frame(gaussians, trajectory, placement.world_from_scene, share)
-        found[name] = SceneActor(name, own_colours, extent(own_colours), trajectory)
+        found[name] = SceneActor(name, own_colours, extent(own_colours.means), trajectory)
     actors, keeping = as_tracks(table, log, found, chosen)
     changed = [TURNING] if found else []
     if guessed:
@@ -162,11 +152,11 @@ def import_hugsim(
     )
 
 
-def forward_camera(log: DrivingLog, name: str | None, first_frame: int) -> CameraStream:
+def forward_camera(log: DrivingLog, name: str | None) -> CameraStream:
     """The named camera of the log, or the one that looks forward most.
 
     Raises:
-        InputError: the log has no such camera, or the camera no such frame.
+        InputError: the log has no such camera.
     """
     cameras = log.cameras
     if name is None:
@@ -176,11 +166,22 @@ def forward_camera(log: DrivingLog, name: str | None, first_frame: int) -> Camer
         listed = ", ".join(sorted(cameras)) or "none, the log has no cameras"
         problem = "is no camera of the log"
         raise InputError(log.name, f"camera {name!r}", problem, f"name one of {listed}")
-    count = len(cameras[name].timestamps_us)
-    if not 0 <= first_frame < count:
-        problem = f"{name} has frames 0 to {count - 1}"
-        raise InputError(log.name, f"frame {first_frame}", problem, "name another")
     return cameras[name]
+
+
+def start_time(log: DrivingLog, stream: CameraStream, first_frame: int) -> int:
+    """Time in microseconds of a camera's frame; of the log's first pose if it has no images.
+
+    Raises:
+        InputError: the camera has no such frame.
+    """
+    count = len(stream.timestamps_us)
+    if count == 0 and first_frame == 0:
+        return int(log.world_from_rig.timestamps_us[0])
+    if not 0 <= first_frame < count:
+        problem = f"{stream.name} has frames 0 to {count - 1}"
+        raise InputError(log.name, f"frame {first_frame}", problem, "name another")
+    return int(stream.timestamps_us[first_frame])
 
 
 def _placement(
@@ -216,52 +217,3 @@ def distances_to_path(places: Array, path: Array) -> Array:
         share = np.clip(((place - start) * step).sum(axis=1) / length, 0, 1)
         nearest.append(np.linalg.norm(start + share[:, None] * step - place, axis=1).min())
     return np.array(nearest)
-
-
-def own_axes(motion: Trajectory, track: Trajectory | None) -> Array | None:
-    """The rotation (3, 3) from an actor's own axes to forward, left and up.
-
-    The layout does not say how an actor's own axes lie. They are along its box, so one of 24
-    rotations is nearest to what its track shows, or its way if it moves.
-
-    Returns:
-        None if there is no track and the actor hardly moves.
-    """
-    turns = motion.poses[:, :3, :3]
-    if track is not None:
-        inside = (motion.timestamps_us >= track.timestamps_us[0]) & (
-            motion.timestamps_us <= track.timestamps_us[-1]
-        )
-        if not inside.any():
-            return None
-        true = track.at(motion.timestamps_us[inside])[:, :3, :3]
-        turns = turns[inside]
-    else:
-        way = np.diff(motion.poses[:, :2, 3], axis=0)
-        lengths = np.linalg.norm(way, axis=1)
-        if lengths.sum() < MOVED_M:
-            return None
-        # The longer a step, the surer is its direction.
-        true = se3.rotation_z(np.arctan2(way[:, 1], way[:, 0])) * lengths[:, None, None]
-        turns = turns[:-1]
-    mean = (true.swapaxes(1, 2) @ turns).sum(axis=0)
-    return max(_axis_rotations(), key=lambda rotation: float((rotation * mean).sum()))
-
-
-def _axis_rotations() -> list[Array]:
-    """The 24 rotations that carry axes to axes."""
-    found = []
-    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        rotation = np.zeros((3, 3))
-        rotation[range(3), order] = signs
-        if np.linalg.det(rotation) > 0:
-            found.append(rotation)
-    return found
-
-
-def _turned(motion: Trajectory, gaussians: Gaussians, axes: Array) -> tuple[Trajectory, Gaussians]:
-    """Poses and Gaussians of an actor with other own axes; harmonics stay in scene axes."""
-    turn = se3.from_rotation_translation(axes, np.zeros(3))
-    poses = motion.poses @ se3.inverse(turn)
-    moved = gaussians.transformed(torch.from_numpy(turn))
-    return Trajectory(motion.timestamps_us, poses), replace(moved, sh=gaussians.sh)

@@ -6,7 +6,9 @@ Tuples are saved with `torch.save`, the camera's places with pickle; neither is 
 from __future__ import annotations
 
 import math
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -18,8 +20,8 @@ from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.pickled import read_pickle
 from recast.core.torch_file import read_torch_file
-from recast.geometry import se3
-from recast.logs.checks import WORLD_REACH
+from recast.geometry import PinholeCamera, se3
+from recast.logs.checks import WORLD_REACH, refused
 from recast.scene.importers.checkpoint import Names, Table, read_gaussians, read_harmonics
 from recast.splats import Gaussians
 from recast.splats.sh import MAX_DEGREE
@@ -104,40 +106,95 @@ def read_camera_poses(path: Path) -> tuple[Array, float]:
     if not isinstance(content, tuple | list) or len(content) != 3:
         raise InputError(path, "pickle", "is no triple of poses, height and commands", _MEND)
     table = Table(path, {"cam_poses": content[0], "cam_height": content[1]})
-    poses = table.array("cam_poses")
-    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or len(poses) == 0:
-        raise table.fault("cam_poses", f"has shape {list(poses.shape)}, expected [any, 4, 4]")
-    turns = poses[:, :3, :3]
-    fine = np.all(np.abs(poses) <= WORLD_REACH)  # not NaN
-    if not fine or not np.allclose(turns @ turns.swapaxes(1, 2), np.eye(3), 0, 1e-3):
-        raise table.fault("cam_poses", "holds a matrix that is no pose in metres")
-    if not np.all(np.linalg.det(turns) > 0):
-        raise table.fault("cam_poses", "holds a mirrored pose")
+    poses = rigid_poses(table, "cam_poses", table.array("cam_poses"))
     height = table.number("cam_height")
     if not 0 <= height <= 10:
         raise table.fault("cam_height", f"is {height:g}, expected metres from 0 to 10")
-    poses[:, 3] = (0, 0, 0, 1)
     return poses, height
 
 
-def first_time(path: Path) -> float:
-    """The earliest time in meta_data.json, in the scene's unit; 0 without the file.
+def rigid_poses(table: Table, name: str, poses: Array) -> Array:
+    """Poses (F, 4, 4) of a member, checked.
 
     Raises:
-        InputError: it holds something else.
+        InputError: another shape, not rigid, or too far.
     """
-    if not path.exists():
-        return 0.0
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or len(poses) == 0:
+        raise table.fault(name, f"has shape {list(poses.shape)}, expected [any, 4, 4]", _MEND)
+    turns = poses[:, :3, :3]
+    fine = np.all(np.abs(poses) <= WORLD_REACH)  # not NaN
+    if not fine or not np.allclose(turns @ turns.swapaxes(1, 2), np.eye(3), 0, 1e-3):
+        raise table.fault(name, "holds a matrix that is no pose in metres", _MEND)
+    if not np.all(np.linalg.det(turns) > 0):
+        raise table.fault(name, "holds a mirrored pose", _MEND)
+    left, _, right = np.linalg.svd(turns)
+    return se3.from_rotation_translation(left @ right, poses[:, :3, 3])
+
+
+@dataclass(frozen=True)
+class Recording:
+    """The images that a scene was trained on, of one camera, in the order of their times.
+
+    Attributes:
+        times: (F,) in the scene's unit.
+        poses: (F, 4, 4) of the camera in the scene.
+        camera: intrinsics.
+    """
+
+    times: Array
+    poses: Array
+    camera: PinholeCamera
+
+
+def read_recordings(path: Path) -> dict[str, Recording]:
+    """The cameras of meta_data.json by name, which is that of the folder of their images.
+
+    Raises:
+        InputError: the file is missing, or a frame is not as it must be.
+    """
     value = read_json(path)
     frames = value.get("frames") if isinstance(value, dict) else None
     if not isinstance(frames, list) or not frames:
         raise InputError(path, "frames", "is no list, or empty", _MEND)
-    times = []
-    for index, frame in enumerate(frames):
-        if not isinstance(frame, dict):
+    rows: dict[str, list[tuple[float, Array, Table]]] = {}
+    for index, row in enumerate(frames):
+        if not isinstance(row, dict):
             raise InputError(path, f"frames[{index}]", "is no table", _MEND)
-        times.append(Table(path, frame, f"frames[{index}]").number("timestamp"))
-    return min(times)
+        frame = Table(path, row, f"frames[{index}]")
+        pose = rigid_poses(frame, "camtoworld", frame.array("camtoworld")[None])[0]
+        name = PurePosixPath(frame.text("rgb_path")).parent.name or "camera"
+        rows.setdefault(name, []).append((frame.number("timestamp"), pose, frame))
+    found = {}
+    for name, own in rows.items():
+        own.sort(key=lambda one: one[0])
+        times = np.array([time for time, _, _ in own])
+        if np.any(np.diff(times) <= 0):
+            raise InputError(path, f"camera {name}", "has two images at one time", _MEND)
+        poses = np.stack([pose for _, pose, _ in own])
+        found[name] = Recording(times, poses, _intrinsics(own[0][2]))
+    return found
+
+
+def _intrinsics(frame: Table) -> PinholeCamera:
+    matrix, width, height = frame.array("intrinsics"), frame.number("width"), frame.number("height")
+    if matrix.shape not in ((3, 3), (4, 4)) or not (1 <= width <= 1e5 and 1 <= height <= 1e5):
+        raise frame.fault("intrinsics", "or width or height: are not those of a camera", _MEND)
+    fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    camera = PinholeCamera(round(width), round(height), fx, fy, cx, cy)
+    with refused(f"{frame.path}: {frame.prefix}", _MEND):
+        camera.validate()
+    return camera
+
+
+def front_camera(recordings: Mapping[str, Recording], pose: Array) -> tuple[str, int]:
+    """The camera, and its image, that was nearest to a pose (4, 4) of the scene; the first of
+    equals."""
+    nearest = {
+        name: np.linalg.norm((one.poses - pose).reshape(len(one.poses), -1), axis=1)
+        for name, one in recordings.items()
+    }
+    name = min(nearest, key=lambda key: float(nearest[key].min()))
+    return name, int(nearest[name].argmin())
 
 
 def read_unicycle(path: Path) -> tuple[Array, Array]:

@@ -29,7 +29,12 @@ from recast.scene.importers.actors import (
     read_track_names,
 )
 from recast.scene.importers.checkpoint import NO_SKY, Table, read_checkpoint
-from recast.scene.importers.mtgs_frames import FRAMES_FILE, distance_to_log, read_frames
+from recast.scene.importers.mtgs_frames import (
+    FRAMES_FILE,
+    distance_to_log,
+    read_drives,
+    read_places,
+)
 from recast.scene.importers.mtgs_nodes import (
     MIRRORED,
     RIGID,
@@ -73,7 +78,7 @@ def import_mtgs(
     require_new(out)
     folder, file = find_checkpoint(Path(path))
     root = read_checkpoint(file, arrays=True)
-    nodes, left_out = _nodes(root, leave_out)
+    nodes, left_out = read_nodes(root, leave_out)
     names = [name for name, node in nodes.items() if node.kind not in SCENERY]
     given = read_track_names(tracks)
     check_names(root, [*names, *leave_out], given, ())
@@ -99,7 +104,7 @@ def import_mtgs(
         if motion.gaps:
             gaps.append(name)
         own = colours_in_own_frame(gaussians, motion.trajectory, placement.world_from_scene, share)
-        found[name] = SceneActor(name, own, extent(own), motion.trajectory)
+        found[name] = SceneActor(name, own, extent(own.means), motion.trajectory)
     if elsewhere and not moving:
         raise root.fault(
             "log_timestamps", f"lie outside of log {log.name} for all actors", _SAME_LOG
@@ -156,7 +161,7 @@ def find_checkpoint(path: Path) -> tuple[Path | None, Path]:
     return path, found[0]
 
 
-def _nodes(root: Table, leave_out: Sequence[str]) -> tuple[dict[str, Node], list[str]]:
+def read_nodes(root: Table, leave_out: Sequence[str]) -> tuple[dict[str, Node], list[str]]:
     """The nodes that are read, by token with the background first; what is left out."""
     nodes: dict[str, Node] = {}
     left_out = []
@@ -186,7 +191,8 @@ def _placement(root: Table, log: DrivingLog, folder: Path | None) -> tuple[Place
     pose = se3.from_rotation_translation(np.eye(3), shift - log.world_offset)
     how, warnings = "recon2world_translation of the checkpoint", []
     if folder is not None and (folder / FRAMES_FILE).exists():
-        times, places = read_frames(folder / FRAMES_FILE)
+        drives = read_drives(folder / FRAMES_FILE).values()
+        times, places = read_places([frame for frames in drives for frame in frames])
         distance, count = distance_to_log(times, places, pose, log)
         if count == 0:
             raise InputError(

@@ -1,12 +1,12 @@
 """Frames that an MTGS scene was trained on (`video_scene_dict.pkl`), a pickle read without running.
 
 It is a table of drives, each with `frame_infos`: a list of tables with the time, the ego's pose in
-the coordinates of the scene, cameras and boxes. Only times and places are looked at.
+the coordinates of the scene, cameras and boxes. Only what is used is looked at.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,15 +23,39 @@ FRAMES_FILE = "video_scene_dict.pkl"
 _MEND = "name the checkpoint itself to import it without the recorded frames"
 
 
-def read_frames(path: Path) -> tuple[Int64Array, Array]:
-    """Times (F,) in microseconds and places (F, 3) of the ego in the scene, of all drives.
+def read_drives(path: Path) -> dict[str, list[Table]]:
+    """The frames of each recorded drive, by the drive's token.
 
     Raises:
         InputError: the file is missing, is damaged or holds other things than plain values and
-            arrays; no code in it is run. Or a frame lacks its time or its place.
+            arrays; no code in it is run. Or a drive has no list of frames.
+    """
+    content = read_pickle(path, _MEND)
+    if not isinstance(content, Mapping):
+        raise InputError(path, "pickle", f"holds {type(content).__name__}, not a table", _MEND)
+    drives = content if "frame_infos" not in content else {"": content}
+    found = {}
+    for name, drive in drives.items():
+        rows = drive.get("frame_infos") if isinstance(drive, Mapping) else None
+        if not isinstance(rows, list):
+            raise InputError(path, f"drive {name}", "has no list frame_infos", _MEND)
+        for index, row in enumerate(rows):
+            if not isinstance(row, Mapping):
+                raise InputError(path, f"{name}.frame_infos[{index}]", "is not a table", _MEND)
+        found[str(name)] = [
+            Table(path, row, f"{name}.frame_infos[{index}]") for index, row in enumerate(rows)
+        ]
+    return found
+
+
+def read_places(frames: Sequence[Table]) -> tuple[Int64Array, Array]:
+    """Times (F,) in microseconds and places (F, 3) of the ego in the scene.
+
+    Raises:
+        InputError: a frame lacks its time or its place.
     """
     times, places = [], []
-    for frame in _frames(path):
+    for frame in frames:
         time = frame.number("timestamp")
         if not 0 <= time < LATEST_US:
             raise frame.fault("timestamp", f"is {time:g}, not microseconds", _MEND)
@@ -43,22 +67,6 @@ def read_frames(path: Path) -> tuple[Int64Array, Array]:
         times.append(round(time))
         places.append(place)
     return np.array(times, np.int64), np.array(places, np.float64).reshape(-1, 3)
-
-
-def _frames(path: Path) -> Iterator[Table]:
-    content = read_pickle(path, _MEND)
-    if not isinstance(content, Mapping):
-        raise InputError(path, "pickle", f"holds {type(content).__name__}, not a table", _MEND)
-    drives = content if "frame_infos" not in content else {"": content}
-    for name, drive in drives.items():
-        rows = drive.get("frame_infos") if isinstance(drive, Mapping) else None
-        if not isinstance(rows, list):
-            raise InputError(path, f"drive {name}", "has no list frame_infos", _MEND)
-        for index, row in enumerate(rows):
-            where = f"{name}.frame_infos[{index}]"
-            if not isinstance(row, Mapping):
-                raise InputError(path, where, "is not a table", _MEND)
-            yield Table(path, row, where)
 
 
 def distance_to_log(

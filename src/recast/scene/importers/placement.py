@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+import shutil
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from recast.core.errors import InputError
 from recast.core.files import atomic_folder, read_text, write_json
 from recast.core.records import Record
 from recast.geometry import se3
-from recast.logs import DrivingLog
+from recast.logs import DrivingLog, read_log, write_log
 from recast.logs.checks import WORLD_REACH
 from recast.scene.run import log_fingerprint
 from recast.scene.store import save_scene
@@ -165,6 +166,26 @@ class ImportRecord(Record):
     changed: list[str]
     left_out: list[str]
     warnings: list[str]
+
+
+def import_with_log(
+    log: DrivingLog, own_log: str | Path, make: Callable[[DrivingLog], ImportRecord]
+) -> ImportRecord:
+    """Write a log that was made of a scene's files and import the scene with it; both or neither.
+
+    Args:
+        own_log: folder to write the log to.
+        make: imports the scene with the log as it was written.
+
+    Raises:
+        InputError: `own_log` exists, the disk refuses, or the scene is refused.
+    """
+    write_log(log, own_log)
+    try:
+        return make(read_log(own_log))
+    except BaseException:
+        shutil.rmtree(own_log)
+        raise
 
 
 def write_imported(
