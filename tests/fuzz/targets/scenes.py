@@ -24,6 +24,7 @@ from recast.actors import (
 from recast.actors.mesh import files_of_mesh, read_triangles
 from recast.actors.mesh.generator import sampled
 from recast.core.files import write_json
+from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.scene import (
     SceneActor,
@@ -35,11 +36,13 @@ from recast.scene import (
     save_scene,
 )
 from recast.scene.importers import (
+    hugsim_log,
     import_drivestudio,
     import_gaussians,
     import_hugsim,
     import_mtgs,
     import_street_gaussians,
+    mtgs_log,
 )
 from recast.splats import read_ply, write_ply
 from recast.splats.formats import FORMATS, FormatName
@@ -150,6 +153,11 @@ def _write_mtgs(folder: Path) -> None:
     test_mtgs.save(folder, content, test_mtgs.frames())
 
 
+def _write_mtgs_log(folder: Path) -> None:
+    turn = se3.matrix_to_quat(trained_scenes.RIG_FROM_CAMERA[:3, :3])
+    test_mtgs.save_whole(folder, sensor2ego_rotation=turn)
+
+
 TARGETS = (
     Target(
         "ply",
@@ -230,5 +238,19 @@ TARGETS = (
         lambda f: test_hugsim.write(f / "street"),
         lambda f, out: import_hugsim(f / "street", test_hugsim.make_log(), out, first_frame=1),
         weight=4.0,
+    ),
+    Target(
+        "mtgs-log",
+        _write_mtgs_log,
+        lambda f, out: mtgs_log(f / test_mtgs.NAME),
+        files=("*.pkl",),
+        weight=2.0,
+    ),
+    Target(
+        "hugsim-log",
+        lambda f: test_hugsim.write(f / "street"),
+        lambda f, out: hugsim_log(f / "street"),
+        files=("*.json", "*ground_param.pkl", "*unicycle*.pth"),
+        weight=2.0,
     ),
 )
