@@ -11,7 +11,7 @@ from recast.geometry import PinholeCamera
 from recast.planning import CameraMount
 from recast.planning.gtrs import NUPLAN_VIRTUAL, nuplan_rig
 from recast.simulation import NullRenderer
-from recast.simulation.scene_renderer import LensRenderer, through_lenses
+from recast.simulation.scene_renderer import LensRenderer, pinhole_mounts, through_lenses
 
 STRAIGHT = {"front": CameraMount(PinholeCamera(8, 4, 5.0, 5.0, 4.0, 2.0), np.eye(4))}
 
@@ -53,6 +53,20 @@ def test_without_distortion_there_is_no_wrapper() -> None:
     assert isinstance(through_lenses(nuplan_rig(0.125), make), LensRenderer)
     assert made[0] == STRAIGHT
     assert all(mount.camera.is_rectified for mount in made[1].values())
+
+
+def test_a_camera_wider_than_a_pinhole_is_put_together() -> None:
+    # Barrel distortion: at the corners, 400 px from the centre, the ray is 70 degrees off.
+    wide = PinholeCamera(320, 240, 100.0, 100.0, 160.0, 120.0, (-0.25, 0.045, 0.0, 0.0, -0.003))
+    turned = nuplan_rig()["nuplan_l0"].rig_from_camera
+    mount = CameraMount(wide, turned, source="front")
+    parts = pinhole_mounts("wide", mount)
+    assert list(parts)[:2] == ["wide", "wide, face 1"]
+    assert {part.source for part in parts.values()} == {"front"}
+    renderer = through_lenses({"wide": mount, **STRAIGHT}, Painter)
+    images = renderer.render(None, ("wide", "front"))  # type: ignore[arg-type]
+    assert set(images) == {"wide", "front"}
+    assert np.abs(images["wide"].astype(int) - paint(mount)).max() <= 2
 
 
 def test_the_rig_scales() -> None:

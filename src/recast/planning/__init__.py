@@ -12,6 +12,7 @@ from recast.planning.cameras import (
     virtual_mounts,
 )
 from recast.planning.idm_follower import IdmFollowerConfig, IdmLaneFollower
+from recast.planning.lens import Lens
 from recast.planning.registry import (
     DEVICE_PATTERN,
     GTRS_MINI,
@@ -36,7 +37,7 @@ from recast.planning.types import (
     PlanningContext,
     ego_status,
 )
-from recast.planning.views import Lens, View, nuplan_rig
+from recast.planning.views import View, nuplan_rig
 
 __all__ = [
     "DEVICE_PATTERN",

@@ -7,11 +7,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from recast.arrays import Array, Image
+from recast.arrays import Array
 from recast.geometry import PinholeCamera, se3
 from recast.planning.types import CameraMount, Planner
 
@@ -268,40 +267,3 @@ def nuplan_rig(scale: float = 1.0) -> dict[str, CameraMount]:
         name: CameraMount(camera, camera_pose(position, yaw, pitch))
         for name, (position, yaw, pitch) in zip(NUPLAN_CAMERAS, _NUPLAN_MOUNTS, strict=True)
     }
-
-
-class Lens:
-    """Bends pinhole images to those of a camera with distortion.
-
-    Render with `source`, then call `bend`. The map is computed once.
-
-    Args:
-        camera: of the images to be made.
-
-    Attributes:
-        source: rectified camera at the same place, with the same focal lengths, just large enough
-            to see all that `camera` sees.
-    """
-
-    def __init__(self, camera: PinholeCamera) -> None:
-        self.camera = camera
-        rays = camera.rays(camera.pixel_grid())[..., :2] * [camera.fx, camera.fy]
-        # Half a pixel beyond the outermost centres is what the outermost pixels cover.
-        low = np.floor(rays.min((0, 1)) - 0.5 + 1e-6)
-        width, height = np.ceil(rays.max((0, 1)) + 0.5 - 1e-6 - low).astype(int).tolist()
-        self.source = PinholeCamera(width, height, camera.fx, camera.fy, *(-low).tolist())
-        # OpenCV counts from the centre of the first pixel.
-        x, y = np.moveaxis(rays - low - 0.5, -1, 0).astype(np.float32)
-        self._x, self._y = np.ascontiguousarray(x), np.ascontiguousarray(y)
-
-    def bend(self, image: Image) -> Image:
-        """A `source` image (h, w, 3) uint8 as `camera` sees it (height, width, 3).
-
-        Raises:
-            ValueError: the image does not have the size of `source`.
-        """
-        if image.shape[:2] != (self.source.height, self.source.width):
-            expected = (self.source.height, self.source.width)
-            raise ValueError(f"Lens.bend: expected {expected} pixels, got {image.shape[:2]}")
-        bent = cv2.remap(image, self._x, self._y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(bent, np.uint8)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
+import numpy as np
 import torch
 
 from recast.arrays import Array, Image
@@ -52,12 +53,14 @@ class SceneRenderer(Mounted):
         for name in camera_names:
             mount = self._mounts[name]
             camera_from_world = se3.inverse(state.world_from_rig @ mount.rig_from_camera)
-            drawn = self.rasterizer.draw(
-                mount.rendered_camera, camera_from_world, poses, shapes_us=state.timestamp_us
+            image = draw_image(
+                self.rasterizer,
+                mount.rendered_camera,
+                camera_from_world,
+                poses,
+                state.timestamp_us,
             )
-            # Quantised where it was drawn: a quarter of the bytes to bring over.
-            rgb = (drawn.rgb * 255).round().to(torch.uint8).cpu().numpy()
-            images[name] = mount.framed(rgb)
+            images[name] = mount.framed(image)
         return images
 
     def poses(self, state: SimState) -> dict[str, Array]:
@@ -79,32 +82,65 @@ class SceneRenderer(Mounted):
         return {key: pose for key, pose in state.poses.items() if key in self.scene.actors}
 
 
+def draw_image(
+    rasterizer: SceneRasterizer,
+    camera: PinholeCamera,
+    camera_from_world: Array,
+    poses: Mapping[str, Array],
+    timestamp_us: int,
+) -> Image:
+    """An image (height, width, 3) uint8 RGB of a rectified camera; see `SceneRasterizer.draw`.
+
+    Args:
+        timestamp_us: time of the recording whose shapes deformable actors have.
+    """
+    drawn = rasterizer.draw(camera, camera_from_world, poses, shapes_us=timestamp_us)
+    # Quantised where it was drawn: a quarter of the bytes to bring over.
+    return (drawn.rgb * 255).round().to(torch.uint8).cpu().numpy()
+
+
 class LensRenderer(Mounted):
     """Renders what another renderer cannot.
 
-    Each distorted camera is rendered a little wider and without distortion, then the image is bent.
-    Where no camera of the log looks (see `CameraMount.seen`), virtual ones are black.
+    Each distorted camera is rendered a little wider and without distortion, then the image is bent;
+    one with a wide field of view is put together from several images, see `Lens.faces`. Where no
+    camera of the log looks (see `CameraMount.seen`), virtual ones are black.
 
     Args:
-        renderer: of pinhole cameras; has a mount for each of `mounts`, with `Lens.source` in place
-            of each distorted camera.
+        renderer: of pinhole cameras; has the mounts that `pinhole_mounts` gives for each of
+            `mounts`.
         mounts: the cameras as they shall be.
     """
 
     def __init__(self, renderer: SensorRenderer, mounts: Mapping[str, CameraMount]) -> None:
         super().__init__(mounts)
         self._renderer = renderer
+        self._parts = {name: tuple(pinhole_mounts(name, mount)) for name, mount in mounts.items()}
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
         """Images of the named cameras; raises what the inner renderer raises."""
-        images = self._renderer.render(state, camera_names)
+        parts = [part for name in camera_names for part in self._parts[name]]
+        drawn = self._renderer.render(state, parts)
+        images = {}
         for name in camera_names:
-            mount = self._mounts[name]
-            if not mount.camera.is_rectified:
-                images[name] = _lens(mount.camera).bend(images[name])
-            if mount.seen is not None:
-                images[name] = images[name] * mount.seen[..., None]
+            mount, own = self._mounts[name], [drawn[part] for part in self._parts[name]]
+            image = own[0] if mount.camera.is_rectified else _lens(mount.camera).bend(*own)
+            images[name] = image if mount.seen is None else image * mount.seen[..., None]
         return images
+
+
+def pinhole_mounts(name: str, mount: CameraMount) -> dict[str, CameraMount]:
+    """The rectified cameras that a camera's image is put together from, by name; the first has the
+    camera's own name."""
+    if mount.camera.is_rectified:
+        return {name: replace(mount, seen=None)}
+    mounts = {}
+    for index, face in enumerate(_lens(mount.camera).faces):
+        turn = se3.from_rotation_translation(face.face_from_lens.T, np.zeros(3))
+        source = name if index and mount.source is None else mount.source
+        own = f"{name}, face {index}" if index else name
+        mounts[own] = CameraMount(face.camera, mount.rig_from_camera @ turn, None, source)
+    return mounts
 
 
 def through_lenses(
@@ -121,10 +157,7 @@ def through_lenses(
     if all(mount.camera.is_rectified and mount.seen is None for mount in mounts.values()):
         return make(mounts)
     sources = {
-        name: replace(mount, seen=None)
-        if mount.camera.is_rectified
-        else replace(mount, camera=_lens(mount.camera).source, seen=None, window=None)
-        for name, mount in mounts.items()
+        k: v for name, mount in mounts.items() for k, v in pinhole_mounts(name, mount).items()
     }
     return LensRenderer(make(sources), mounts)
 

@@ -32,8 +32,9 @@ from recast.planning.gtrs.scores import (
     vocabulary_dropout,
     write_vocabulary,
 )
+from recast.planning.lens import Lens
 from recast.planning.types import ego_status
-from recast.planning.views import Lens, nuplan_rig
+from recast.planning.views import nuplan_rig
 
 __all__ = [
     "COMBINED",
