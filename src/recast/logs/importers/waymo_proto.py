@@ -6,14 +6,15 @@ in a pool of their own; fields that are not named here are skipped.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory
+from google.protobuf import message
+
+from recast.core.protos import message_classes, message_fields
 
 LICENCE = "Waymo Dataset License Agreement for Non-Commercial Use"
 
@@ -184,43 +185,14 @@ message Scenario {
   repeated bytes map_features = 8;
 }
 """
-_MESSAGE = re.compile(r"message (\w+) {(.*?)}", re.DOTALL)
-_FIELD = re.compile(r"(optional|repeated) ([\w.]+) (\w+) = (\d+);")
 _TYPES = {"float": np.float32, "double": np.float64, "int32": np.int64, "int64": np.int64}
-_PROTO_FIELD = descriptor_pb2.FieldDescriptorProto
-
-
-class _Field(NamedTuple):
-    repeated: bool
-    kind: str
-    number: int
-
-
-_FIELDS = {
-    name: {f[2]: _Field(f[0] == "repeated", f[1], int(f[3])) for f in _FIELD.findall(body)}
-    for name, body in _MESSAGE.findall(_PROTO)
-}
-"""By message and name."""
+_FIELDS = message_fields(_PROTO)
 
 
 @cache
 def _classes() -> dict[str, type[message.Message]]:
-    file = descriptor_pb2.FileDescriptorProto(name="waymo.proto", package="waymo", syntax="proto2")
-    for name, fields in _FIELDS.items():
-        proto = file.message_type.add(name=name)
-        for key, (repeated, kind, number) in fields.items():
-            label = _PROTO_FIELD.LABEL_REPEATED if repeated else _PROTO_FIELD.LABEL_OPTIONAL
-            field = proto.field.add(name=key, number=number, label=label)
-            if kind in _FIELDS:
-                field.type, field.type_name = _PROTO_FIELD.TYPE_MESSAGE, f".waymo.{kind}"
-            elif kind in _CHOICES:  # its own type would hide numbers without a name
-                field.type = _PROTO_FIELD.TYPE_INT32
-            else:  # protobuf itself gives text that is none as bytes
-                field.type = _PROTO_FIELD.Type.Value(f"TYPE_{kind.upper()}")
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)
-    found = {name: pool.FindMessageTypeByName(f"waymo.{name}") for name in _FIELDS}
-    return {name: message_factory.GetMessageClass(kind) for name, kind in found.items()}
+    # An enumeration's own type would hide numbers without a name.
+    return message_classes({"waymo": _PROTO}, "proto2", dict.fromkeys(_CHOICES, "int32"))
 
 
 class Message:
@@ -277,6 +249,6 @@ def decode(kind: str, data: bytes, where: str = "") -> Message:
         FieldError: they are none.
     """
     try:
-        return Message(_classes()[kind].FromString(data), kind, where)
+        return Message(_classes()[f"waymo.{kind}"].FromString(data), kind, where)
     except message.DecodeError:
         raise FieldError(where or kind, "is no protocol buffer, or cut off") from None

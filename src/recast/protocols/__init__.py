@@ -1,0 +1,1 @@
+"""Other simulators' wire formats: recast as their renderer, and their renderers for recast."""
