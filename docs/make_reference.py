@@ -37,6 +37,7 @@ PACKAGES = {
     "recast.reporting": "Reports, films and pictures",
     "recast.viewer": "Viewer and replays",
     "recast.envs": "Gymnasium environments",
+    "recast.protocols.alpasim": "AlpaSim and NuRec",
     "recast.synthetic": "Synthetic world",
     "recast.recar": "Vehicle sets",
     "recast.trellis": "Image-to-3D model",

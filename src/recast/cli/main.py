@@ -28,6 +28,7 @@ from recast.cli.recar import Recar
 from recast.cli.run import Demo, Report, Run, View
 from recast.cli.scenario import Scenario
 from recast.cli.scene import Scene
+from recast.cli.serve import Serve
 from recast.cli.store import Store
 from recast.cli.trellis import Trellis
 from recast.core import diagnostics, files
@@ -62,6 +63,7 @@ Command: Any = Annotated[
             "run": Run,
             "report": Report,
             "view": View,
+            "serve": Serve,
             "store": Store,
             "weights": Weights,
             "doctor": Doctor,

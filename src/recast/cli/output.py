@@ -54,6 +54,8 @@ PAGES = {
     "recast.pipeline.run_folder": "docs/runs.md#the-run-folder",
     "recast.planning": "docs/planners.md#your-own-planner",
     "recast.planning.registry": "docs/planners.md#built-in",
+    "recast.protocols.alpasim": "docs/howto/alpasim.md",
+    "recast.pipeline.serve": "docs/howto/alpasim.md",
     "recast.recar": "docs/recar.md",
     "recast.scene.config": "docs/scenes.md#configuration",
     "recast.scene.importers": "docs/scenes.md#scenes-that-others-trained",

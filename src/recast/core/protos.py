@@ -54,9 +54,11 @@ def message_classes(
         TypeError: a field has an unknown type, or a number is given twice.
     """
     aliases = aliases or {}
-    enums = {
-        f"{p}.{n}" for p, text in tables.items() for w, n, _ in _BLOCK.findall(text) if w[0] == "e"
-    }
+    blocks = [
+        (package, *block) for package, text in tables.items() for block in _BLOCK.findall(text)
+    ]
+    enums = {f"{package}.{name}" for package, what, name, _ in blocks if what == "enum"}
+    messages = [f"{package}.{name}" for package, what, name, _ in blocks if what == "message"]
     fields = {package: message_fields(text) for package, text in tables.items()}
     pool = descriptor_pool.DescriptorPool()
     before: list[str] = []
@@ -84,7 +86,5 @@ def message_classes(
                 field.type_name = f".{full}"
         pool.Add(file)
         before.append(file.name)
-    found = {f"{package}.{name}": None for package, names in fields.items() for name in names}
-    return {
-        name: message_factory.GetMessageClass(pool.FindMessageTypeByName(name)) for name in found
-    }
+    found = {name: pool.FindMessageTypeByName(name) for name in messages}
+    return {name: message_factory.GetMessageClass(kind) for name, kind in found.items()}

@@ -321,7 +321,8 @@ def ftheta_lens(
 def _first_root(coefficients: ArrayLike) -> float:
     """The first positive root of a polynomial in rising powers that is not 0 at 0, or infinity."""
     # Of the polynomial in 1/x, the largest: tiny last coefficients do no harm there.
-    roots = np.roots(np.asarray(coefficients, np.float64))
+    with np.errstate(over="ignore"):
+        roots = np.roots(np.asarray(coefficients, np.float64))
     real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
     return float(1.0 / real.max()) if len(real) else np.inf
 

@@ -113,12 +113,11 @@ class Lens:
             if image.shape[:2] != expected:
                 raise ValueError(f"Lens.bend: expected {expected} pixels, got {image.shape[:2]}")
         if not images:
-            return np.zeros((*self._x.shape, 3), np.uint8)
+            return np.zeros((self.camera.height, self.camera.width, 3), np.uint8)
         source = images[0] if len(images) == 1 else _stacked(images)
-        bent = cv2.remap(
-            source, self._x, self._y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-        bent = np.asarray(bent, np.uint8)
+        maps = self._x, self._y
+        remapped = cv2.remap(source, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        bent = np.asarray(remapped, np.uint8)
         if self._dark is not None:
             bent[self._dark] = 0
         return bent

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from recast.geometry import PinholeCamera, se3
 from recast.geometry.lens import fisheye_lens
@@ -39,12 +42,13 @@ STREET = make_scene(LOG)
 RASTERIZER = SceneRasterizer(STREET, "cpu")
 POSE = as_sent(ahead(np.array([3.0]), 0.5)[0] @ RIG_FROM_CAMERA)
 TIME = 7_000_000
+SERVICE = SensorsimService(ScenePainter(served(), "cpu"))
 CAR = as_sent(ahead(np.array([14.0]), -1.0)[0])
 
 
 @pytest.fixture(scope="module")
 def service() -> SensorsimService:
-    return SensorsimService(ScenePainter(served(), "cpu"))
+    return SERVICE
 
 
 def request(**changes: Any) -> Any:
@@ -279,6 +283,9 @@ BAD = {
     "focal": (
         {"camera_intrinsics": spec(focal_length_x=float("nan"))}, "INVALID_ARGUMENT", "fx, fy"
     ),
+    "short": (
+        {"camera_intrinsics": spec(focal_length_y=1e-300)}, "INVALID_ARGUMENT", "lengths of 30"
+    ),
     "radial": ({"camera_intrinsics": long_spec()}, "INVALID_ARGUMENT", "radial_coeffs: has 7"),
     "steep": ({"camera_intrinsics": STEEP}, "INVALID_ARGUMENT", "needs pinhole images of over"),
     "no pose": ({"sensor_pose": None}, "INVALID_ARGUMENT", "sensor_pose: is missing"),
@@ -327,6 +334,19 @@ def test_bad_calls_have_a_clear_status(service: SensorsimService) -> None:
         with pytest.raises(RefusedError, match=details) as refused:
             service.answer(method, data)
         assert refused.value.code == code
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 1 << 16), st.integers(0, 255)), min_size=1, max_size=4))
+def test_damaged_requests_are_drawn_or_refused(changes: list[tuple[int, int]]) -> None:
+    moved = message("DynamicObject", track_id=MOVING, pose_pair=pose_pair(CAR))
+    bent = camera_message(BENT, "bent")
+    data = bytearray(request(dynamic_objects=[moved], camera_intrinsics=bent).SerializeToString())
+    for place, value in changes:
+        data[place % len(data)] = value
+    with pytest.MonkeyPatch.context() as patch, suppress(RefusedError):
+        patch.setattr("recast.protocols.alpasim.requests.MOST_PIXELS", 4096)  # else it takes long
+        SERVICE.answer("render_rgb", bytes(data))
 
 
 def test_nothing_is_drawn_for_a_caller_who_has_gone(service: SensorsimService) -> None:

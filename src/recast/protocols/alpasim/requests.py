@@ -23,6 +23,8 @@ MOST_PIXELS = 3840 * 2160
 """Of one image."""
 MOST_IN_ALL = 4 * MOST_PIXELS
 """Of the images of one call."""
+_SHORTEST = 1e-3
+"""Pixels of a focal length in the image asked for: less is a slip, and no number of float32."""
 
 
 class RefusedError(Exception):
@@ -108,11 +110,14 @@ def _read(request: Any, ftheta_centre: float) -> RenderRequest:
             raise ValueError(f"{where}.track_id: {thing.track_id!r} is named twice")
         poses[thing.track_id] = read_middle(thing.pose_pair, f"{where}.pose_pair")
     rig = next((n for n in ("ego_pose", "challenge_ego_pose") if request.HasField(n)), None)
+    camera = read_camera(request.camera_intrinsics, "camera_intrinsics", ftheta_centre)
+    camera = camera.resized(width, height)
+    camera.validate()
+    if min(camera.fx, camera.fy) < _SHORTEST:
+        raise ValueError(f"camera_intrinsics: focal lengths of {camera.fx:g}, {camera.fy:g} pixels")
     return RenderRequest(
         scene_id=request.scene_id,
-        camera=read_camera(request.camera_intrinsics, "camera_intrinsics", ftheta_centre).resized(
-            width, height
-        ),
+        camera=camera,
         local_from_camera=read_middle(request.sensor_pose, "sensor_pose"),
         timestamp_us=(start + end) // 2,
         poses=poses,

@@ -1,0 +1,42 @@
+"""AlpaSim and NuRec: recast as their renderer, and their renderers for recast's loop (extra
+alpasim)."""
+
+from __future__ import annotations
+
+TYPE_CHECKING = False  # typing's own costs 5 ms; type checkers know the name
+if TYPE_CHECKING:
+    from recast.protocols.alpasim.client import SensorsimClient, SensorsimRenderer
+    from recast.protocols.alpasim.messages import message, parse
+    from recast.protocols.alpasim.rendering import ScenePainter, ServedScene
+    from recast.protocols.alpasim.server import SensorsimServer, SensorsimService
+
+_FILES = {
+    "ScenePainter": "rendering",
+    "SensorsimClient": "client",
+    "SensorsimRenderer": "client",
+    "SensorsimServer": "server",
+    "SensorsimService": "server",
+    "ServedScene": "rendering",
+    "message": "messages",
+    "parse": "messages",
+}
+
+__all__ = [
+    "ScenePainter",
+    "SensorsimClient",
+    "SensorsimRenderer",
+    "SensorsimServer",
+    "SensorsimService",
+    "ServedScene",
+    "message",
+    "parse",
+]
+
+
+def __getattr__(name: str) -> object:
+    """A name of `__all__`, imported when it is first used: gRPC is an extra."""
+    if name not in _FILES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f"{__name__}.{_FILES[name]}"), name)
