@@ -185,26 +185,58 @@ def lane(name: str, angle: float, start: tuple[float, float, float], **links: ob
 
 @pytest.fixture(scope="module")
 def hdmap() -> HdMap:
-    """One lane into another, which parts into two."""
+    """One lane into another, which parts into two, of which one joins a third."""
     lanes = [
         lane("a/1", 0.0, (0, 0, 0.3), successors=("b&2",)),
         lane("b&2", 0.6, (28.66, 8.87, 0.3), successors=("c", "d")),
-        lane("c", 0.5, (50, 30, 0.9)),
+        lane("c", 0.5, (50, 30, 0.9), successors=("f",)),
         lane("d", -0.5, (50, 30, 0.9)),
+        lane("e", 0.5, (90, 30, 0.9), successors=("f",)),
+        lane("f", 0.0, (70, 55, 0.9)),
+        lane("g", 0.0, (120, 30, 0.9), successors=("e",)),
     ]
     return HdMap({one.lane_id: one for one in lanes}, ())
 
 
 def test_lanes_come_back(hdmap: HdMap, tmp_path: Path) -> None:
-    assert write_opendrive(tmp_path / "a.xodr", hdmap, HOSTILE) == 2  # where b parts
+    assert write_opendrive(tmp_path / "a.xodr", hdmap, HOSTILE) == 0
     back = read_opendrive(tmp_path / "a.xodr")
     assert list(back) == list(hdmap.lanes)
-    assert back["a/1"].successors == ("b&2",) and back["b&2"].successors == ()
+    assert {key: one.successors for key, one in back.items()} == {
+        key: own.successors for key, own in hdmap.lanes.items()
+    }
     for key, own in hdmap.lanes.items():
         assert np.allclose(back[key].centreline, own.centreline, 0, ROUNDING)
         assert back[key].speed_limit == own.speed_limit
         # At right angles to the curve, while these boundaries lie so to their circle's chords.
         assert np.allclose(back[key].widths, [2.0, 1.5], 0, 0.02)
+
+
+def test_lanes_that_part_and_join_lie_in_a_junction(hdmap: HdMap, tmp_path: Path) -> None:
+    write_opendrive(tmp_path / "a.xodr", hdmap, "map")
+    root = ET.parse(tmp_path / "a.xodr").getroot()
+    (junction,) = root.findall("junction")
+    number = junction.get("id")
+    roads = {road.get("id"): road for road in root.findall("road")}
+    inside = {road.get("name") for road in roads.values() if road.get("junction") == number}
+    assert inside == {"c", "d", "e"} and number not in roads
+    pairs = {(one.get("incomingRoad"), one.get("connectingRoad")) for one in junction}
+    assert pairs == {("1", "2"), ("1", "3"), ("6", "4")}
+    for name, tag in (("b%262", "successor"), ("g", "successor"), ("f", "predecessor")):
+        link = root.find(f"road[@name='{name}']/link/{tag}")
+        assert link is not None and link.get("elementId") == number
+
+
+def test_what_parts_and_joins_at_once_is_left_out(hdmap: HdMap, tmp_path: Path) -> None:
+    """A lane of a junction that parts again itself is an ordinary road."""
+    lanes = dict(hdmap.lanes)
+    lanes["c"] = replace(lanes["c"], successors=("f", "h"))
+    lanes["h"] = lane("h", 0.0, (70, 80, 0.9))
+    left_out = write_opendrive(tmp_path / "a.xodr", HdMap(lanes, ()), "map")
+    back = read_opendrive(tmp_path / "a.xodr")
+    kept = sum(len(one.successors) for one in back.values())
+    assert left_out > 0 and kept + left_out == sum(len(o.successors) for o in lanes.values())
+    assert all(set(one.successors) <= set(lanes[key].successors) for key, one in back.items())
 
 
 def test_reference_lines_are_smooth(hdmap: HdMap, tmp_path: Path) -> None:
@@ -236,7 +268,7 @@ def test_a_folder_is_written_and_compared(
     exported, roads = export_openx([played, played], hdmap, tmp_path / "out", "map")
     assert [one.file for one in exported] == [f"{rollout.name}.xosc", f"{rollout.name}-1.xosc"]
     assert all(one.metres < ROUNDING and one.entities == 4 for one in exported)
-    assert roads is not None and (roads.lanes, roads.links_left_out) == (4, 2)
+    assert roads is not None and (roads.lanes, roads.links_left_out) == (7, 0)
     assert roads.metres < ROUNDING
     root = ET.parse(tmp_path / "out" / exported[0].file).getroot()
     assert root.find("RoadNetwork/LogicFile[@filepath='map.xodr']") is not None

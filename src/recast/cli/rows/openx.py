@@ -58,7 +58,7 @@ def export_lines(exported: Sequence[Exported], roads: ExportedRoads | None) -> l
         return [*lines, "no road file: the log has no lanes"]
     told = f"map.xodr: {roads.lanes} lanes; read back: {roads.metres:.1g} m apart at most"
     if roads.links_left_out:
-        told += f"; {roads.links_left_out} links left out where lanes part or join"
+        told += f"; {roads.links_left_out} links left out where lanes part and join at once"
     return [*lines, told]
 
 

@@ -42,7 +42,7 @@ class ExportedRoads:
     Attributes:
         lanes: number of roads of one lane each.
         metres: largest difference of a centreline's points.
-        links_left_out: links where lanes part or join.
+        links_left_out: links that no junction can tell, see `junctions`.
     """
 
     lanes: int
