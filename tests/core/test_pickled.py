@@ -109,6 +109,13 @@ def test_what_is_not_there_takes_no_memory(tmp_path: Path, data: bytes, line: st
         read(tmp_path, data)
 
 
+def test_large_pickles_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("recast.core.pickled.LARGEST", 100)
+    assert read(tmp_path, pickle.dumps(b"1" * 50)) == b"1" * 50
+    with pytest.raises(InputError, match="100 are read at most"):
+        read(tmp_path, pickle.dumps(b"1" * 101))
+
+
 def test_tuples_in_tuples_without_end_are_refused_as_keys(tmp_path: Path) -> None:
     deep = b"}" + b"(" * 10 + b"I1\n" + b"t" * 10 + b"I1\ns."
     with pytest.raises(InputError, match="keys that are neither"):

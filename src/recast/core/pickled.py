@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from recast.core.errors import InputError
 from recast.core.files import read_bytes
 
-LARGEST = 1 << 29
-"""Bytes of a pickle, at most."""
+LARGEST = 1 << 27
+"""Bytes of a pickle, at most: a byte can stand for a value, which takes some 64."""
 _NUMBER = re.compile(r"[biuf][1248]|b1")
 _TEXT = re.compile(r"[SU][0-9]{1,6}")
 

@@ -432,7 +432,11 @@ CAR_NODE = f"na_rigid_{made.CAR}"
         (checkpoint(background=None), "background: is missing"),
         (broken("background", "config", "type", None), r"background\.config\.type: is missing"),
         (broken("background", "config", "type", "X"), "background: is missing"),
-        (broken("background", "config", "sh_degree", None), r"sh_degree: is NoneType"),
+        (
+            broken("background", "config", "type", "RigidSubModel"),
+            "background: is missing, no scenery",
+        ),
+        (broken("background", "config", "sh_degree", None), "sh_degree: is missing"),
         (broken("background", "config", "sh_degree", 4), r"sh_degree: is 4, expected 0 to 3"),
         (broken("background", "config", "scale_dim", 2), r"scale_dim: is 2, expected 1 or 3"),
         (
@@ -503,7 +507,7 @@ def test_a_folder_without_one_checkpoint_is_refused(log: DrivingLog, tmp_path: P
         ([1, 2], "holds list, not a table"),
         ({"a": {"frame_infos": 3}}, "drive a: has no list frame_infos"),
         ({"a": {"frame_infos": [3]}}, r"a\.frame_infos\[0\]: is not a table"),
-        ({"a": {"frame_infos": [{}]}}, r"a\.frame_infos\[0\]\.timestamp: is NoneType"),
+        ({"a": {"frame_infos": [{}]}}, r"a\.frame_infos\[0\]\.timestamp: is missing"),
         ({"a": {"frame_infos": [{"timestamp": -1}]}}, "timestamp: is -1, not microseconds"),
         (
             {"a": {"frame_infos": [{"timestamp": 1, "ego2global": np.full((4, 4), np.nan)}]}},

@@ -130,9 +130,9 @@ class Table:
         Raises:
             InputError: it is missing without a default, or something else.
         """
-        value = self._content.get(name)
-        if value is None and default is not None:
+        if default is not None and self._content.get(name) is None:
             return default
+        value = self._member(name)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.fault(name, f"is {type(value).__name__}, not a number")
         if not abs(value) < 1e300:  # also NaN

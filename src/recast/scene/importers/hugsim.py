@@ -134,7 +134,8 @@ def import_hugsim(
             "z up"
         )
     left_out.append("feats3D: semantics")
-    if "appearance" in table:
+    appearance = table.raw("appearance")
+    if isinstance(appearance, dict) and len(appearance) > 0:
         left_out.append("appearance: affine colours of single images, so colours may be shifted")
     pose = torch.from_numpy(placement.world_from_scene)
     return write_imported(

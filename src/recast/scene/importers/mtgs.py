@@ -84,8 +84,8 @@ def import_mtgs(
     check_names(root, [*names, *leave_out], given, ())
     placement, warnings = _placement(root, log, folder)
     scenery = [read_gaussian_node(node, share) for node in nodes.values() if node.kind in SCENERY]
-    if "background" not in nodes or len(scenery[0]) == 0:
-        raise root.fault("background", "is missing, or has no Gaussians")
+    if "background" not in nodes or "background" in names or len(scenery[0]) == 0:
+        raise root.fault("background", "is missing, no scenery, or has no Gaussians")
     found: dict[str, SceneActor] = {}
     waves, gaps, elsewhere, moving = [], [], 0, 0
     for name in names:
