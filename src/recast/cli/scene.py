@@ -256,8 +256,8 @@ def _import_either(
     elif own_log is not None and log is None:
         _tell(make_with_log(options.pop(next(iter(options))), own_log, out, **options), out)
     else:
-        mend = "give one of the two"
-        raise InputError("command line", "`log`", "or `own_log` is needed, and not both", mend)
+        problem = "exactly one of the two is needed"
+        raise InputError("command line", "`log` or `own_log`", problem, "give one of them")
 
 
 def _tell(record: ImportRecord, out: Path) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from recast.cli.main import main
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog, read_log
@@ -412,6 +413,27 @@ def test_code_in_the_checkpoint_or_beside_it_is_not_run(log: DrivingLog, tmp_pat
     with pytest.raises(InputError, match=r"mkdir, which is never unpickled; name the checkpoint"):
         import_mtgs(path, log, tmp_path / "scene")
     assert not ran.exists() and not (tmp_path / "scene").exists()
+
+
+def test_the_command_takes_a_log_or_writes_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["scene", "import", "mtgs", str(save_whole(tmp_path)), "--out", str(tmp_path / "scene")]
+    assert main(words) == 2
+    assert capsys.readouterr().err.splitlines() == [
+        "recast: command line: --log or --own-log: exactly one of the two is needed; "
+        "give one of them"
+    ]
+    assert main([*words, "--own-log", str(tmp_path / "log")]) == 0
+    assert f"wrote {tmp_path / 'scene'}" in capsys.readouterr().out.replace("\n", "")
+    assert main([*words[:-1], str(tmp_path / "b"), "--log", str(tmp_path / "log")]) == 0
+    again, first = load_scene(tmp_path / "b"), load_scene(tmp_path / "scene")
+    assert torch.equal(again.background.means, first.background.means)
+    (tmp_path / NAME / "video_scene_dict.pkl").write_bytes(pickle.dumps(Hostile(tmp_path / "ran")))
+    capsys.readouterr()
+    assert main([*words[:-1], str(tmp_path / "c"), "--log", str(tmp_path / "log")]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert not (tmp_path / "c").exists() and not (tmp_path / "ran").exists()
 
 
 def broken(node: str, place: str, key: str, value: Any) -> dict[str, Any]:
