@@ -32,7 +32,7 @@ _IN_LANE = 2.2
 _LATEST = 100
 """Steps of a script after which nothing new happens."""
 _SHARES = {"stationary": 0.22, "oncoming": 0.25, "through": 0.05, "cut-in": 0.32, "advancing": 0.16}
-"""Of the motions. A planner that rarely sees vehicles stay in the next lane brakes for all of them."""
+"""Of the motions. A planner that rarely sees vehicles stay in the next lane brakes for all."""
 _PLAYED = 0.5
 _EARLY = 45
 """Steps from the start of those that are played."""
