@@ -323,8 +323,8 @@ def _first_root(coefficients: ArrayLike) -> float:
     # Of the polynomial in 1/x, the largest: tiny last coefficients do no harm there.
     with np.errstate(over="ignore"):
         roots = np.roots(np.asarray(coefficients, np.float64))
-    real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
-    return float(1.0 / real.max()) if len(real) else np.inf
+        real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
+        return float(1.0 / real.max()) if len(real) else np.inf
 
 
 def _check_image(where: str, width: int, height: int, centre: tuple[float, float]) -> None:
