@@ -266,8 +266,9 @@ def test_more_calls_than_the_queue_holds_are_refused() -> None:
 
 def test_a_deadline_ends_the_call_with_one_line() -> None:
     with waiting() as (server, painter):
-        with SensorsimClient(f"127.0.0.1:{server.port}", deadline=0.5) as client:
+        with SensorsimClient(f"127.0.0.1:{server.port}") as client:
             renderer = SensorsimRenderer(client, SCENE, MOUNTS)
+            client._deadline = 0.5  # for the call that is never answered
             with pytest.raises(InputError, match="batch_render_rgb: DEADLINE_EXCEEDED"):
                 drive(renderer)
         painter.go_on.set()
@@ -354,7 +355,8 @@ def test_a_server_that_is_killed_and_comes_back_is_found_again() -> None:
         thread = Thread(target=come_back)
         thread.start()
         try:
-            found = drive(renderer)[1]
+            with pausing(client, 60 * [0.5]):  # the server may take its time to start
+                found = drive(renderer)[1]
         finally:
             back.set()
             thread.join(60)
