@@ -158,6 +158,13 @@ def test_history_comfort_is_that_of_the_box_centre():
         assert found.history_comfort[0] == value
 
 
+@pytest.mark.parametrize(("twist", "value"), [(0.27, 1.0), (0.28, 0.0)])
+def test_history_comfort_counts_the_angular_acceleration(twist, value):
+    states = straight(5.0, acceleration=2.0)
+    states[:, ego.ANGULAR_ACCELERATION] = twist  # 1.461 m of it: 0.394 or 0.409 m/s^2
+    assert scores(states, history=states[:0]).history_comfort[0] == value
+
+
 @pytest.mark.parametrize(
     ("change", "value"),
     [
@@ -170,6 +177,21 @@ def test_history_comfort_is_that_of_the_box_centre():
 )
 def test_extended_comfort(change, value):
     assert extended_comfort(straight(8.0, **change), straight(8.0), 0.5) == value
+
+
+def test_extended_comfort_smooths_the_yaw_acceleration_by_parabolas():
+    """Of c t^3 they give the second derivative, 6 c t, but at the ends that of the third sample."""
+    times = 0.1 * np.arange(36) - 1.75
+    ends = times.copy()
+    ends[:2], ends[-2:] = times[2], times[-3]
+    cubic, parabolas = (6.0 * np.sqrt(np.mean(part**2)) for part in (times, ends))
+    assert parabolas < 0.99 * cubic
+    between = 0.1 / ((cubic + parabolas) / 2)
+    turned = straight(8.0)
+    turned[:36, ego.HEADING] = between * times**3
+    assert extended_comfort(turned, straight(8.0), 0.5) == 1.0
+    turned[:36, ego.HEADING] *= cubic / parabolas
+    assert extended_comfort(turned, straight(8.0), 0.5) == 0.0
 
 
 def test_extended_comfort_compares_the_same_times():
