@@ -114,6 +114,19 @@ def test_the_step_of_an_event_still_counts():
     assert score(drive(actor=path_of(62.0, 4.0), y=aside)).score.value == 0.0
 
 
+def test_the_first_two_steps_are_made_up():
+    aside = np.zeros(81)
+    aside[:2] = 5.0
+    assert score(drive(y=aside)).last_step == 80
+    # The rear bumper is 1.127 m behind the rear axle: at step 1 it touches what ends at -0.127 m.
+    rollout = drive(actor=path_of(-2.127))
+    ego = rollout.ego.copy()
+    ego[:3, 0] = 2.0, 1.0, 4.0
+    found = score(replace(rollout, ego=ego))
+    assert found.last_step == 1
+    assert found.progress == pytest.approx(4.0 / 80 / 2)  # half of what it is at step 2
+
+
 def test_leaving_the_corridor_fails_only_by_the_later_rules():
     aside = np.zeros(81)
     aside[72:] = 4.0
