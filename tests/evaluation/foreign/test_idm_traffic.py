@@ -20,7 +20,7 @@ def paths(*users, ego=FAR, others=None, **changes):
 
 
 def test_a_vehicle_is_put_onto_its_centreline_and_drives_along():
-    [path] = paths(user(20.0, y=0.8, speed=8.0))
+    [path] = paths(user(20.0, y=1.6, speed=8.0))
     np.testing.assert_allclose(path[:, 1:], 0.0, atol=1e-12)
     assert path[0, 0] == pytest.approx(20.0)
     speed = np.diff(path[:, 0]) / 0.1
