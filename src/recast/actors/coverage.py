@@ -13,14 +13,22 @@ from torch import Tensor
 from recast.arrays import Array
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.scene import StreetScene
-from recast.splats import CLASSIC, Gaussians, concatenate, pick_device, rasterize, refiltered
+from recast.scene.street_scene import SceneActor
+from recast.splats import (
+    FrozenGaussians,
+    Gaussians,
+    freeze,
+    morton_order,
+    pick_device,
+    rasterize_frozen,
+)
 from recast.splats.sh import C0
 
 LEAST_PIXELS = 1.0
 """A vehicle of which an image shows less than this is not visible there."""
 _REACH = 3.5  # deviations: at 3.33 even an opaque Gaussian falls below the 1/255 that is drawn
 _MARGIN = 3  # pixels by which the low-pass filter may widen a Gaussian
-_NEAR = 0.2  # metres, the near plane of `rasterize`
+_LEAST_FAR = 1.0  # metres: beyond the near plane, also for what is behind the camera
 
 
 @dataclass(frozen=True)
@@ -105,8 +113,7 @@ class CoverageMeter:
     """Measures the coverage of a vehicle in images of a scene, without drawing the images.
 
     The vehicle is drawn with its shares as colours, behind black: what lies nearer to the camera in
-    the scene. Only the part of the image that shows the vehicle is drawn, and only Gaussians that
-    may reach it.
+    the scene. Only the part of the image that shows the vehicle is drawn, and nothing beyond it.
 
     Args:
         scene: with the vehicle, see `recast.actors.insert`.
@@ -125,21 +132,19 @@ class CoverageMeter:
             raise ValueError(f"CoverageMeter: {len(shares)} shares of track {track_id}")
         place = pick_device(device)
         vehicle = scene.actors[track_id]
-        self._track_id, self._low_pass = track_id, vehicle.low_pass
-        self._standing = scene.standing
+        self._track_id, self._standing = track_id, scene.standing
         coloured = ((shares.columns - 0.5) / C0)[:, None]
-        self._vehicle = replace(vehicle.gaussians.detach(), sh=coloured).to(place)
-        self._centre, self._size = _bounds(self._vehicle)
-        self._street = _black(scene.background).to(place)
-        # One axis after the other: the test of a plane reads them so several times faster.
-        self._places = self._street.means.T.contiguous()
-        self._reach = _reach(self._street)
-        self._shadow = None if vehicle.shadow is None else _black(vehicle.shadow).to(place)
-        self._others = {
-            key: (_black(other.drawn).to(place), other.low_pass)
+        painted = replace(vehicle.gaussians.detach(), sh=coloured).to(place)
+        self._means = painted.means
+        self._centre, self._size = _bounds(painted)
+        background = _black(scene.background)
+        self._street = freeze(background.select(morton_order(background.means)).to(place))
+        self._parts = {
+            key: _black_parts(other, place)
             for key, other in scene.actors.items()
             if key != track_id
         }
+        self._parts[track_id] = [freeze(painted, vehicle.low_pass), *_shadow(vehicle, place)]
 
     def measure(
         self,
@@ -181,62 +186,31 @@ class CoverageMeter:
         self, camera: PinholeCamera, camera_from_world: Array, poses: Mapping[str, Array]
     ) -> Tensor:
         """(H, W, 3) share of each pixel that shows what was seen, mirrored, invented."""
-        # In the vehicle's frame: it has the most Gaussians, and they need not be moved.
-        vehicle_from_world = se3.inverse(poses[self._track_id])
-        view = torch.from_numpy(camera_from_world @ poses[self._track_id]).float()
+        view = torch.from_numpy(np.asarray(camera_from_world, np.float64))
+        row = view[2] @ torch.from_numpy(np.asarray(poses[self._track_id], np.float64))
+        depths = self._means @ row[:3].to(self._means) + float(row[3])
+        # Of this depth's rounding in float32.
+        farthest = max(float(depths.max()) * (1 + 1e-5), _LEAST_FAR)
+        parts = [(self._street, torch.eye(4, dtype=torch.float64))]
+        for key, pose in poses.items():
+            place = torch.from_numpy(np.asarray(pose, np.float64))
+            parts += [(part, place) for part in self._parts.get(key, ())]
         K = torch.from_numpy(camera.matrix).float()
-        depths = self._vehicle.means @ view[2, :3].to(self._vehicle.means) + float(view[2, 3])
-        before = self._before(camera, camera_from_world, float(depths.max()))
-        parts = [
-            refiltered(self._vehicle, self._low_pass, CLASSIC, view, K),
-            self._street.select(before).transformed(torch.from_numpy(vehicle_from_world)),
-        ]
-        if self._shadow is not None:
-            parts.append(self._shadow)
-        for key, (other, low_pass) in self._others.items():
-            if key in poses:
-                posed = other.transformed(torch.from_numpy(vehicle_from_world @ poses[key]))
-                parts.append(refiltered(posed, low_pass, CLASSIC, view, K))
-        with torch.no_grad():
-            drawn = rasterize(
-                concatenate(parts),
-                view,
-                K,
-                camera.width,
-                camera.height,
-                eps2d=CLASSIC.variance,
-                antialiased=CLASSIC.antialiased,
-            )
-        return drawn.rgb
-
-    def _before(self, camera: PinholeCamera, camera_from_world: Array, farthest: float) -> Tensor:
-        """Indices of the street's Gaussians that are nearer than `farthest` and may be in view."""
-        left, top = -camera.cx - _MARGIN, -camera.cy - _MARGIN
-        right, bottom = camera.width - camera.cx + _MARGIN, camera.height - camera.cy + _MARGIN
-        sides = np.array(
-            [
-                [camera.fx, 0, -left, 0],
-                [-camera.fx, 0, right, 0],
-                [0, camera.fy, -top, 0],
-                [0, -camera.fy, bottom, 0],
-            ]
-        )
-        sides /= np.linalg.norm(sides, axis=1, keepdims=True)
-        depth, *planes = torch.from_numpy(
-            np.concatenate([camera_from_world[2:3], sides @ camera_from_world])
-        ).to(self._places)
-        z = depth[:3] @ self._places + depth[3]
-        index = ((z > _NEAR) & (z <= farthest)).nonzero()[:, 0]
-        places, reach = self._places[:, index], self._reach[index]
-        inside = torch.ones_like(index, dtype=torch.bool)
-        for plane in planes:
-            inside &= plane[:3] @ places + plane[3] > -reach
-        return index[inside]
+        return rasterize_frozen(parts, view, K, camera.width, camera.height, far=farthest).rgb
 
 
 def _black(gaussians: Gaussians) -> Gaussians:
     # Far below black, since colours are clamped at zero.
     return replace(gaussians.detach(), sh=gaussians.sh.new_full((len(gaussians), 1, 3), -1 / C0))
+
+
+def _black_parts(actor: SceneActor, place: torch.device) -> list[FrozenGaussians]:
+    gaussians = actor.shaped_at(None).gaussians
+    return [freeze(_black(gaussians).to(place), actor.low_pass), *_shadow(actor, place)]
+
+
+def _shadow(actor: SceneActor, place: torch.device) -> list[FrozenGaussians]:
+    return [] if actor.shadow is None else [freeze(_black(actor.shadow).to(place))]
 
 
 def _reach(gaussians: Gaussians) -> Tensor:
