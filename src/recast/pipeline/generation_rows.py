@@ -281,7 +281,7 @@ def _results_hash(model: StudyModel, cases: Sequence[ActorCase]) -> dict[str, st
         )
     found = {case.id: vehicle_hash(model, case) for case in cases}
     if not any(found.values()):
-        files = f"ID{', '.join(VEHICLE_SUFFIXES)}"
+        files = f"ID{', '.join(VEHICLE_SUFFIXES[:-1])} or {VEHICLE_SUFFIXES[-1]}"
         wanted = files if model.source.startswith(FILES) else "ID/VIEW.png"
         raise InputError(
             model.folder,
