@@ -115,16 +115,23 @@ def test_the_command_serves_until_it_is_interrupted(
 
     words = ["serve", "sensorsim", str(folder), "--log", str(tiny_log_folder)]
     words += ["--port", "0", "--threads", "1", "--device", "cpu"]
-    code = "import sys; from recast.cli.main import main; sys.exit(main())"
+    # A child of a job in the background ignores interrupts, as the job does.
+    code = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from recast.cli.main import main; sys.exit(main())"
+    )
     command = [sys.executable, "-uc", code, *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
-        assert server.stdout is not None
-        assert (
-            server.stdout.readline()
-            == f"scene {tiny_log.name}: cameras {', '.join(tiny_log.cameras)}\n"
-        )
-        place = server.stdout.readline().split(";")[0].removeprefix("serving sensorsim at ")
-        with SensorsimClient(place) as client:
-            assert client.scenes() == (tiny_log.name,)
-        server.send_signal(signal.SIGINT)
-        assert server.wait(60) == 0
+        try:
+            assert server.stdout is not None
+            assert (
+                server.stdout.readline()
+                == f"scene {tiny_log.name}: cameras {', '.join(tiny_log.cameras)}\n"
+            )
+            place = server.stdout.readline().split(";")[0].removeprefix("serving sensorsim at ")
+            with SensorsimClient(place) as client:
+                assert client.scenes() == (tiny_log.name,)
+            server.send_signal(signal.SIGINT)
+            assert server.wait(120) == 0
+        finally:
+            server.kill()
