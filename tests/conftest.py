@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from uuid import uuid4
 
+import cv2
 import pytest
 import torch
 from upath import UPath
@@ -19,6 +20,7 @@ from support.tiny_drive import DRIVE, TinyDrive, write_tiny_drive
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 torch.set_num_threads(1)  # two OpenMP threads on a busy machine are ten times slower than one
+cv2.setNumThreads(1)  # its pool does not survive a fork: a forked test would wait for it for ever
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
