@@ -104,7 +104,7 @@ def test_disks_that_refuse_what_others_write(
         "export": ["scene", "export", scene],
         "export at a time": ["scene", "export", scene, "--time", "0.1"],
         "eval": ["scene", "eval", scene, "--log", log],
-        "import": ["scene", "import", "ply", f"{scene}/background.ply", "--log", log],
+        "import": ["scene", "import", "gaussians", f"{scene}/background.ply", "--log", log],
     }[verb]
 
     def run(name: str, kind: int = errno.EROFS, at: int | None = None) -> Ended:
