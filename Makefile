@@ -28,7 +28,7 @@ TESTS ?= tests/geometry tests/dynamics tests/evaluation tests/splats tests/trell
 
 help:
 	@echo "make setup   install into $(VENV)"
-	@echo "make demo    a made-up drive, from log to report (about six minutes)"
+	@echo "make demo    a made-up drive, from log to report (about seven minutes)"
 	@echo "make test    lint, types, layer contracts and the tests (what CI runs)"
 	@echo "make test-portable   tests whose numbers may differ, as on lesser processors"
 	@echo "make fuzz    100,000 damaged files for every reader; goes on where it was stopped"
