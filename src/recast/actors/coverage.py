@@ -13,9 +13,9 @@ from torch import Tensor
 from recast.arrays import Array
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.scene import StreetScene
+from recast.scene.render import frozen_parts
 from recast.scene.street_scene import SceneActor
 from recast.splats import (
-    FrozenGaussians,
     Gaussians,
     freeze,
     morton_order,
@@ -134,17 +134,16 @@ class CoverageMeter:
         vehicle = scene.actors[track_id]
         self._track_id, self._standing = track_id, scene.standing
         coloured = ((shares.columns - 0.5) / C0)[:, None]
-        painted = replace(vehicle.gaussians.detach(), sh=coloured).to(place)
-        self._means = painted.means
-        self._centre, self._size = _bounds(painted)
+        gaussians = replace(vehicle.gaussians.detach(), sh=coloured)
+        painted = replace(_black_actor(vehicle), gaussians=gaussians)
+        self._means = gaussians.means.to(place)
+        self._centre, self._size = _bounds(gaussians)
         background = _black(scene.background)
         self._street = freeze(background.select(morton_order(background.means)).to(place))
         self._parts = {
-            key: _black_parts(other, place)
-            for key, other in scene.actors.items()
-            if key != track_id
+            key: frozen_parts(painted if key == track_id else _black_actor(actor), place)
+            for key, actor in scene.actors.items()
         }
-        self._parts[track_id] = [freeze(painted, vehicle.low_pass), *_shadow(vehicle, place)]
 
     def measure(
         self,
@@ -204,13 +203,10 @@ def _black(gaussians: Gaussians) -> Gaussians:
     return replace(gaussians.detach(), sh=gaussians.sh.new_full((len(gaussians), 1, 3), -1 / C0))
 
 
-def _black_parts(actor: SceneActor, place: torch.device) -> list[FrozenGaussians]:
-    gaussians = actor.shaped_at(None).gaussians
-    return [freeze(_black(gaussians).to(place), actor.low_pass), *_shadow(actor, place)]
-
-
-def _shadow(actor: SceneActor, place: torch.device) -> list[FrozenGaussians]:
-    return [] if actor.shadow is None else [freeze(_black(actor.shadow).to(place))]
+def _black_actor(actor: SceneActor) -> SceneActor:
+    shadow = None if actor.shadow is None else _black(actor.shadow)
+    actor = actor.shaped_at(None)
+    return replace(actor, gaussians=_black(actor.gaussians), shadow=shadow)
 
 
 def _reach(gaussians: Gaussians) -> Tensor:

@@ -61,7 +61,9 @@ class SceneRasterizer:
         self._sky = scene.sky.colours.to(place)
         background = scene.background.detach()
         self._background = freeze(background.select(morton_order(background.means)).to(place))
-        self._parts = {track_id: _parts(actor, place) for track_id, actor in scene.actors.items()}
+        self._parts = {
+            track_id: frozen_parts(actor, place) for track_id, actor in scene.actors.items()
+        }
         self._lit: dict[str, tuple[Array, Parts]] = {}
         self._shaped: dict[str, tuple[int | None, int | None, Parts]] = {}
 
@@ -76,7 +78,7 @@ class SceneRasterizer:
             if kept is None or kept[:2] != (colours_us, shapes_us):
                 if colours_us is not None:
                     actor = actor.coloured_at(colours_us)
-                parts = _parts(actor.shaped_at(shapes_us), self._device)
+                parts = frozen_parts(actor.shaped_at(shapes_us), self._device)
                 kept = self._shaped[track_id] = colours_us, shapes_us, parts
             return kept[2]
         if actor.light is not None:
@@ -164,8 +166,8 @@ class SceneRasterizer:
             return rasterize_frozen(drawn, view, K, camera.width, camera.height, far=far)
 
 
-def _parts(actor: SceneActor, place: torch.device) -> Parts:
-    """What is drawn of an actor, actor-local."""
+def frozen_parts(actor: SceneActor, place: torch.device) -> Parts:
+    """What is drawn of an actor on a device: vehicle and shadow, actor-local."""
     return [freeze(actor.gaussians.to(place), actor.low_pass), *_shadow(actor, place)]
 
 

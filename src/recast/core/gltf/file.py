@@ -28,7 +28,7 @@ One = TypeVar("One")
 Kind = TypeVar("Kind", bound=Part)
 
 MOST_BYTES = 1 << 29
-"""Of a file of triangles, and of any file that it names."""
+"""Maximum size in bytes of a file of triangles, and of any file that it names."""
 LONGEST_GLB = (1 << 32) - 1
 """Bytes that the container's header can tell."""
 _MEND = "export it again as plain glTF 2.0 binary (.glb), uncompressed and without a rig"

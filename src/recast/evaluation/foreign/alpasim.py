@@ -76,7 +76,7 @@ def alpasim_scene_score(
     shorter than 5 m, progress counts as 1. All positions are those of the box centre.
 
     Args:
-        hd_map: of the log.
+        hd_map: map of the log.
         road_edges: see `off_road`.
         last_contact_only: AlpaSim's slip: of several actors touched in one step the last decides
             whether the ego is at fault. Off: any of them.

@@ -72,7 +72,7 @@ def driven_epdms(
     in the rollout, up to 1.5 s. There are no traffic lights in logs: TLC is 1.
 
     Args:
-        hd_map: of the log, with lanes.
+        hd_map: map of the log, with lanes.
         vehicle: gives the wheelbase; the outline is the rollout's.
     """
     if hd_map is None or not hd_map.lanes:
