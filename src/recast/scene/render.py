@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -142,7 +141,7 @@ class SceneRasterizer:
         colours_us: int | None = None,
         shapes_us: int | None = None,
         *,
-        nearer_than: float = math.inf,
+        nearer_than: float = _FAR,
         street: bool = True,
     ) -> RasterImages:
         """Draw Gaussians alone: rgb is premultiplied, on black, without a sky; others as `draw`.
@@ -161,9 +160,8 @@ class SceneRasterizer:
             world_from_actor = torch.from_numpy(np.asarray(pose, np.float64))
             for part in self._parts_at(track_id, pose, colours_us, shapes_us):
                 drawn.append((part, world_from_actor))
-        far = min(nearer_than, _FAR)
         with torch.no_grad():
-            return rasterize_frozen(drawn, view, K, camera.width, camera.height, far=far)
+            return rasterize_frozen(drawn, view, K, camera.width, camera.height, far=nearer_than)
 
 
 def frozen_parts(actor: SceneActor, place: torch.device) -> Parts:
