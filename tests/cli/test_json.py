@@ -177,7 +177,7 @@ def test_run_and_demo(
         _metrics(out / "run", means)
 
     monkeypatch.setattr("recast.pipeline.run.run", ran)
-    monkeypatch.setattr("recast.pipeline.run.demo", demo)
+    monkeypatch.setattr("recast.pipeline.demo.demo", demo)
     words = ("demo",) if command == "demo" else ("run", "log", "--track", "0")
     (tmp_path / "run").mkdir()
     tables = rows_of(capsys, *words, "--out", tmp_path)

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from rich.console import Console
 
 from recast.core.errors import InputError
-from recast.pipeline.run import DemoSize, demo
+from recast.pipeline import demo as demo_module
+from recast.pipeline.arms import NOISES
+from recast.pipeline.config import RunConfig
+from recast.pipeline.demo import DemoSize, decided, demo
 from recast.pipeline.sources import drive_log
 from recast.reporting.video import read_video
 from recast.synthetic import make_world
 
 SCENE = "urban-straight"
-TINY = DemoSize(2.0, 192, 128, ("front",), 40, ("cut-in-a",), 10, "idm-follower")
+TINY = DemoSize(2.0, 192, 128, ("front",), 40, ("cut-in",), 10, "idm-follower")
 
 
 def run(out: Path, scene: str = SCENE, seed: int = 1, size: DemoSize = TINY) -> Path:
@@ -101,3 +109,76 @@ def test_a_negative_number_of_threads_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="threads"):
         demo(tmp_path / "out", SCENE, 1, TINY, threads=-1, console=Console(quiet=True))
     assert not (tmp_path / "out").exists()
+
+
+@dataclass
+class Ending:
+    """As much of `RolloutMetrics` as tells how a rollout ended: whether it collides, and where."""
+
+    first_collision: int | None
+    steps_run: int = 10
+
+    def over(self, steps: int) -> Ending:
+        hit = self.first_collision
+        return Ending(hit if hit is not None and hit <= steps else None, steps)
+
+    @property
+    def collision(self) -> Any:
+        return SimpleNamespace(nc=SimpleNamespace(value=float(self.first_collision is None)))
+
+
+@pytest.fixture
+def choose(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., tuple[tuple[str, ...], str]]:
+    """Chooses settings for endings by setting and arm; others end in no collision."""
+    record = json.loads((finished / "run" / "run.json").read_text())
+
+    def chosen(*motions: str, **endings: Ending | InputError) -> tuple[tuple[str, ...], str]:
+        def scored(_: object, motion: str, planner: str, arm: Any) -> Ending:
+            ending = endings.get(f"{motion} {arm.name}", Ending(None))
+            if isinstance(ending, InputError):
+                raise ending
+            return ending
+
+        monkeypatch.setattr(demo_module, "_scored", scored)
+        monkeypatch.setattr(demo_module, "prepare", lambda setup: None)  # the drive is short
+        config = RunConfig.model_validate({**record["config"], "motions": motions})
+        told = io.StringIO()
+        names = decided(finished / "log", tmp_path, config, Console(file=told, width=200))
+        return names, told.getvalue()
+
+    return chosen
+
+
+NOISY = tuple(f"oracle:{noise}" for noise in NOISES)
+BOTH = ("cut-in-a", "cut-in-b", "cut-in-stop-a", "cut-in-stop-b")
+
+
+def test_the_first_setting_of_each_motion_whose_truth_holds_under_noise_is_driven(
+    choose: Callable[..., tuple[tuple[str, ...], str]],
+) -> None:
+    assert choose(*BOTH) == (("cut-in-a", "cut-in-stop-a"), "")
+    names, told = choose(*BOTH, **{"cut-in-a oracle:grey": Ending(4)})
+    assert names == ("cut-in-b", "cut-in-stop-a")
+    assert "cut-in-a: the truth ends otherwise under the noise 'grey'" in told
+    always = {f"cut-in-stop-a {arm}": Ending(4) for arm in ("oracle", *NOISY)}
+    assert choose(*BOTH, **always)[0] == ("cut-in-a", "cut-in-stop-a")
+
+
+def test_a_contact_after_the_end_of_a_shorter_rollout_is_no_other_ending(
+    choose: Callable[..., tuple[tuple[str, ...], str]],
+) -> None:
+    assert choose(*BOTH, **{"cut-in-a oracle:start": Ending(12, 14)})[0][0] == "cut-in-a"
+
+
+def test_without_a_setting_that_holds_the_first_one_that_can_be_driven_is(
+    choose: Callable[..., tuple[tuple[str, ...], str]],
+) -> None:
+    flips = {f"{name} oracle:seed": Ending(4) for name in BOTH[:2]}
+    names, told = choose(*BOTH, **flips)
+    assert names[0] == "cut-in-a" and "cut-in-a is driven all the same" in told
+    refused = InputError("log", "length", "is too short", "record more")
+    assert choose(*BOTH, **{**flips, "cut-in-a oracle": refused})[0][0] == "cut-in-b"
+    with pytest.raises(InputError, match="too short"):
+        choose(*BOTH, **{"cut-in-a oracle": refused, "cut-in-b oracle": refused})

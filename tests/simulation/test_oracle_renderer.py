@@ -10,7 +10,7 @@ from recast.geometry import se2
 from recast.planning import CameraMount
 from recast.simulation import SimState
 from recast.simulation.oracle_renderer import OracleRenderer
-from recast.synthetic.oracle import Oracle
+from recast.synthetic.oracle import Oracle, OraclePool
 from recast.synthetic.rig import exposure, make_rig
 from recast.synthetic.world import World
 from synthetic.conftest import small_world
@@ -97,6 +97,18 @@ def test_images_do_not_depend_on_workers_or_order(
         assert expected[name].dtype == np.uint8
         np.testing.assert_array_equal(expected[name], found[name])
         np.testing.assert_array_equal(expected[name], backwards[name])
+
+
+def test_renderers_may_share_processes_that_none_of_them_closes(
+    world: World, mounts: dict[str, CameraMount]
+) -> None:
+    state = state_of(world, 1)
+    with OracleRenderer(world, mounts, workers=1) as own, OraclePool(world, 2) as pool:
+        expected = own.render(state, ["front"])["front"]
+        for noise, same in ((0, True), (1, False), (0, True)):
+            with OracleRenderer(world, mounts, noise=noise, pool=pool) as shared:
+                image = shared.render(state, ["front"])["front"]
+            assert np.array_equal(image, expected) == same
 
 
 def test_the_actor_goes_where_the_state_has_it(

@@ -99,7 +99,7 @@ class Demo:
 
     def __call__(self) -> None:
         from recast.actors import DEFAULT_GENERATOR
-        from recast.pipeline.run import FULL, QUICK, RUN_FOLDER, demo
+        from recast.pipeline.demo import FULL, QUICK, RUN_FOLDER, demo
 
         out = self.out or Path("runs/demo-quick" if self.quick else "runs/demo")
         demo(

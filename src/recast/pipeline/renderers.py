@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from recast.actors import Actor
@@ -16,6 +17,7 @@ from recast.simulation.scene_renderer import SceneRenderer, through_lenses
 
 if TYPE_CHECKING:
     from recast.synthetic import World
+    from recast.synthetic.oracle import OraclePool
 
 StreetOf = Callable[[Arm, tuple[str, ...]], StreetScene]
 """Gives the street of an arm with the vehicles of these tracks replaced, if the arm does that."""
@@ -90,7 +92,7 @@ class Renderers:
     def _make(
         self, arm: Arm, tracks: tuple[str, ...], mounts: Mapping[str, CameraMount]
     ) -> SensorRenderer:
-        """The renderer of cameras without distortion; those of the true world are closed."""
+        """The renderer of cameras without distortion."""
         absent = tracks if arm.vehicle == "none" else ()
         if not arm.needs_world:
             return SceneRenderer(self.street(arm, tracks), mounts, absent=absent)
@@ -101,15 +103,22 @@ class Renderers:
         )
         from recast.simulation.oracle_renderer import OracleRenderer
 
-        world, workers, keep = self._world_of(), self._oracle_workers, self._open.enter_context
+        world, pool = self._world_of(), self._oracles
         if arm.reconstructs:
             street = self.street(arm, tracks)
-            return keep(TrueVehicleRenderer(world, street, mounts, workers, tracks=tracks))
+            return TrueVehicleRenderer(world, street, mounts, tracks=tracks, pool=pool)
         if arm.generates:
             street = self.street(arm, tracks)
-            return keep(GeneratedVehicleRenderer(world, street, mounts, workers, tracks=tracks))
+            return GeneratedVehicleRenderer(world, street, mounts, tracks=tracks, pool=pool)
         seed = 1 if arm.noise == "seed" else 0
-        return keep(OracleRenderer(world, mounts, workers, tracks=absent, noise=seed))
+        return OracleRenderer(world, mounts, tracks=absent, noise=seed, pool=pool)
+
+    @cached_property
+    def _oracles(self) -> OraclePool:
+        """Of all arms: processes that trace rays hold the whole world each."""
+        from recast.synthetic.oracle import OraclePool
+
+        return self._open.enter_context(OraclePool(self._world_of(), self._oracle_workers))
 
     def _disturbed(self, arm: Arm, renderer: SensorRenderer) -> SensorRenderer:
         if arm.noise not in ("grey", "jitter"):

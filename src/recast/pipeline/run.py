@@ -1,27 +1,21 @@
-"""`recast run`, from a log to a report, and `recast demo`, the same on a synthetic drive."""
+"""`recast run`: the whole job, from a log to a report."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
 import torch
-from pydantic import ValidationError
 from rich.console import Console
 
-from recast.actors import DEFAULT_GENERATOR, make_generator
 from recast.core import Artefact, files, open_store, value_hash
 from recast.core.errors import InputError, printable
-from recast.core.records import validation_error
 from recast.core.workers import usable_cores
-from recast.pipeline.arms import Arm, default_arms
 from recast.pipeline.artefacts import Artefacts
 from recast.pipeline.config import RunConfig
 from recast.pipeline.display import failure_lines, results_tables
 from recast.pipeline.layout import (
-    LOG_FOLDER,
     METRICS_FILE,
     REPLAY_FILE,
     REPORT_FOLDER,
@@ -31,15 +25,11 @@ from recast.pipeline.report import report_run
 from recast.pipeline.rollouts import announce_planner, require_distinct_planners
 from recast.pipeline.run_folder import RunFolder
 from recast.pipeline.scores import read_metrics, write_metrics
-from recast.pipeline.sources import RECIPES, SourceLog, Sources, drive_log
+from recast.pipeline.sources import RECIPES, SourceLog, Sources
 from recast.pipeline.trust import RunTrust
 from recast.pipeline.view import view_inputs
-from recast.planning import GTRS_MINI, make_planner
-from recast.scene import SceneConfig
 from recast.simulation import prepare
 from recast.splats import set_threads
-from recast.synthetic import make_world
-from recast.synthetic.rendering import require_embree
 from recast.viewer import require_viser, write_replay
 
 REPLAY_MB = 10.0
@@ -72,7 +62,9 @@ def run(
     if any(arm.needs_world for arm in config.arms):
         _ = source.world
     sources = Sources.of(config, source.log.name)
-    artefacts = Artefacts(open_store(place), source, config, sources, console, source.log.name)
+    artefacts = Artefacts(
+        open_store(place), source, config, sources, console, source.log.name, config.threads
+    )
     require_distinct_planners({word: artefacts.planner(word) for word in config.planners})
     for planner in config.planners:
         announce_planner(artefacts.planner(planner), artefacts.mounts(planner), console)
@@ -177,88 +169,3 @@ class _Run:
 def _hash_of(recipe: str, used: Iterable[Artefact]) -> str:
     references = sorted({artefact.reference for artefact in used})
     return value_hash({"artefacts": references, "recipe": RECIPES[recipe]})
-
-
-RUN_FOLDER = "run"
-
-
-@dataclass(frozen=True)
-class DemoSize:
-    """Size of a demo: seconds of the drive, pixels of its images, steps of 0.1 s of its rollouts.
-
-    Attributes:
-        cameras: names of the recorded cameras; empty for all cameras of the rig.
-    """
-
-    seconds: float
-    width: int
-    height: int
-    cameras: tuple[str, ...]
-    iterations: int
-    motions: tuple[str, ...]
-    steps: int
-    planner: str
-
-
-FULL = DemoSize(8.0, 384, 256, (), 2000, ("cut-in-a", "oncoming-a", "stationary-a"), 50, GTRS_MINI)
-# One camera is not enough for a planner that looks.
-QUICK = DemoSize(3.0, 192, 128, ("front",), 500, ("cut-in-a",), 20, "idm-follower")
-
-
-def demo(
-    out: str | Path,
-    scene: str,
-    seed: int,
-    size: DemoSize,
-    threads: int,
-    console: Console,
-    generator: str = DEFAULT_GENERATOR,
-    planner: str | None = None,
-) -> Path:
-    """Make a drive, reconstruct it, replace the target, and compare rollouts with the truth.
-
-    Args:
-        out: folder for `log/`, `run/` and `store/`; results of the same demo there are reused.
-        scene, size: name of a synthetic scene; `FULL` or `QUICK`.
-        seed, threads: of the drive and all later random choices; CPU threads, 0 for all cores.
-        generator, planner: see `recast.actors.make_generator`, `recast.planning.make_planner`;
-            None for the planner of `size`.
-
-    Returns:
-        Path of the report's `index.html`.
-
-    Raises:
-        InputError: embreex is missing, or scene, generator or planner is unknown; nothing is
-            written then. Or `out` holds other files, or another process works in it.
-    """
-    require_embree()  # the truth is ray-traced, and so is the log
-    world = make_world(scene, seed, size.seconds)
-    try:
-        config = RunConfig(
-            track=world.target,
-            motions=size.motions,
-            arms=(*default_arms(), Arm.oracle()),
-            planners=(planner or size.planner,),
-            generator=generator,
-            steps=size.steps,
-            seed=seed,
-            threads=threads,
-            scene=SceneConfig(
-                scale=1.0,
-                iterations=size.iterations,
-                seed=seed,
-                threads=threads,
-            ),
-        )
-    except ValidationError as error:
-        raise validation_error("options", error, "give a value in range") from None
-    make_planner(config.planners[0])
-    make_generator(config.generator, config.axes)
-    out = Path(out)
-    with files.disk_errors(out):
-        out.mkdir(parents=True, exist_ok=True)
-    with files.alone_in(out):
-        log = drive_log(
-            world, out / LOG_FOLDER, (size.width, size.height), size.cameras, threads, console
-        )
-        return run(log, out / RUN_FOLDER, config, console)

@@ -27,7 +27,7 @@ from recast.simulation.scene_renderer import SceneRenderer
 from recast.simulation.state import SimState
 from recast.splats import RasterImages
 from recast.synthetic import World
-from recast.synthetic.oracle import Oracle
+from recast.synthetic.oracle import Oracle, OraclePool
 from recast.synthetic.rendering import CameraFrame
 
 _CLEARANCE_M = 0.5
@@ -53,7 +53,7 @@ class TrueVehicleRenderer(WorldRenderer):
     The street's Gaussians hide a vehicle where their centres are nearer than its nearest point.
 
     Args:
-        world: see `WorldRenderer`, as for `mounts` and `workers`.
+        world: see `WorldRenderer`, as for `mounts`, `workers` and `pool`.
         scene: the street; its own models of the tracks are left out.
         tracks: whose vehicles are the true ones.
     """
@@ -66,8 +66,9 @@ class TrueVehicleRenderer(WorldRenderer):
         workers: int = 0,
         *,
         tracks: Collection[str],
+        pool: OraclePool | None = None,
     ) -> None:
-        super().__init__(world, mounts, workers, tracks=tracks)
+        super().__init__(world, mounts, workers, tracks=tracks, pool=pool)
         self._street = SceneRenderer(scene, mounts, absent=tracks)
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
@@ -114,7 +115,7 @@ class GeneratedVehicleRenderer(WorldRenderer):
     """The Gaussians of some tracks' vehicles, with their shadows, in the true street.
 
     Args:
-        world: see `WorldRenderer`, as for `mounts` and `workers`.
+        world: see `WorldRenderer`, as for `mounts`, `workers` and `pool`.
         scene: has the vehicles as actors, which bring their light; its street is not drawn.
         tracks: whose vehicles are those of the scene.
     """
@@ -127,8 +128,9 @@ class GeneratedVehicleRenderer(WorldRenderer):
         workers: int = 0,
         *,
         tracks: Collection[str],
+        pool: OraclePool | None = None,
     ) -> None:
-        super().__init__(world, mounts, workers, tracks=tracks)
+        super().__init__(world, mounts, workers, tracks=tracks, pool=pool)
         self._rasterizer = SceneRasterizer(scene)
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:

@@ -67,6 +67,7 @@ class WorldRenderer(Mounted, Closing):
             but not more than cameras; 1 for none.
         tracks: see `TrueView`.
         noise: see `TrueView`.
+        pool: of the same world, whose processes render instead of own ones; closing leaves it open.
 
     Raises:
         InputError: workers is negative, or embreex is not installed.
@@ -80,10 +81,12 @@ class WorldRenderer(Mounted, Closing):
         *,
         tracks: Collection[str] = (),
         noise: int = 0,
+        pool: OraclePool | None = None,
     ) -> None:
         super().__init__(mounts)
         self._tracks, self._noise = tuple(tracks), noise
-        self._pool = OraclePool(world, workers, most=len(self._mounts))
+        self._own_pool = pool is None
+        self._pool = OraclePool(world, workers, most=len(self._mounts)) if pool is None else pool
 
     def views(self, state: SimState, camera_names: Sequence[str]) -> list[TrueView]:
         """What is to be looked at for the named cameras."""
@@ -98,8 +101,9 @@ class WorldRenderer(Mounted, Closing):
         return found
 
     def close(self) -> None:
-        """End the processes."""
-        self._pool.close()
+        """End its own processes."""
+        if self._own_pool:
+            self._pool.close()
 
 
 class OracleRenderer(WorldRenderer):
