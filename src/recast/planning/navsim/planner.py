@@ -8,14 +8,13 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.geometry import se2
 from recast.planning.cameras import require_cameras
 from recast.planning.navsim.agent_input import InputBuilder, navsim_classes
 from recast.planning.navsim.types import HISTORY_FRAMES, NAVSIM_CAMERAS, rig_cameras
+from recast.planning.splines import spline_through
 from recast.planning.types import WAYPOINTS, CameraMount, Plan, PlannerInput, PlanningContext
 
 _SAME_TIME = 1e-6
@@ -194,11 +193,8 @@ def _wanted_frames(config: Any, where: str) -> dict[str, tuple[int, ...]]:
 def resample(poses: ArrayLike, interval: float, times: ArrayLike) -> Array:
     """Waypoints (M, 3) at `times` from poses (N, 3) that are `interval` seconds apart.
 
-    x, y and the unwrapped heading are each a cubic spline over time (not-a-knot, so continuous in
-    acceleration) through the present pose at 0 and all the given ones. So every given pose, its
-    heading included, is met exactly, and constant acceleration stays constant; linear
-    interpolation would jerk at each pose. Headings are never derived from the path, so that they
-    survive standing still. Poses that have the asked times are returned as they are.
+    The splines (see `spline_through`) go through the present pose at 0 and all the given ones.
+    Poses that have the asked times are returned as they are.
 
     Args:
         poses: x, y, heading in the present ego frame at interval, 2 interval, ...
@@ -229,8 +225,4 @@ def resample(poses: ArrayLike, interval: float, times: ArrayLike) -> Array:
         knots[1 : len(times) + 1], times, rtol=0, atol=_SAME_TIME
     ):
         return poses[: len(times)].copy()
-    through = np.concatenate([np.zeros((1, 3)), poses])
-    through[:, 2] = np.unwrap(through[:, 2])
-    waypoints: Array = CubicSpline(knots, through)(times)
-    waypoints[:, 2] = se2.wrap_angle(waypoints[:, 2])
-    return waypoints
+    return spline_through(knots, np.concatenate([np.zeros((1, 3)), poses]), times)

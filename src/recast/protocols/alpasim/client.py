@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-import grpc
 import numpy as np
-from google.protobuf.message import DecodeError
 
 from recast.arrays import Array, Image
 from recast.core.errors import InputError
@@ -16,34 +13,25 @@ from recast.core.workers import Closing
 from recast.geometry import PinholeCamera, se3
 from recast.logs.images import decode
 from recast.planning import CameraMount
+from recast.protocols.alpasim.calls import ServiceClient
 from recast.protocols.alpasim.cameras import camera_message
 from recast.protocols.alpasim.messages import (
-    CHANNEL_OPTIONS,
+    DEADLINE,
+    PAUSES,
     SENSORSIM_METHODS,
     SENSORSIM_SERVICES,
     message,
-    parse,
 )
 from recast.protocols.alpasim.poses import pose_pair
 from recast.protocols.alpasim.requests import JPEG, JPEG_QUALITY, PLANAR, PNG
 from recast.simulation.renderer import Mounted
 from recast.simulation.state import SimState
 
-DEADLINE = 300.0
-"""Seconds that a call may take, as in AlpaSim."""
-PAUSES = (0.5, 2.0)
-"""Seconds before each further try of a call whose server is not there, as in AlpaSim."""
-_RECONNECT = (
-    # Milliseconds: a server that comes back is found within the pauses.
-    ("grpc.initial_reconnect_backoff_ms", 200),
-    ("grpc.min_reconnect_backoff_ms", 200),
-    ("grpc.max_reconnect_backoff_ms", 1000),
-)
 _FORMATS = {"png": PNG, "jpeg": JPEG, "planar": PLANAR}
 _ANY_SCENE = "*"
 
 
-class SensorsimClient(Closing):
+class SensorsimClient(ServiceClient):
     """Calls of a SensorsimService; a context manager.
 
     Args:
@@ -51,9 +39,6 @@ class SensorsimClient(Closing):
         deadline: seconds that a call may take.
         pauses: seconds before each further try where the server is not there (UNAVAILABLE).
         paths: names of the service, tried in turn; the first one that the server knows is kept.
-
-    Attributes:
-        version: what the server calls itself.
 
     Raises:
         InputError: no such server, or it knows none of the names.
@@ -67,38 +52,7 @@ class SensorsimClient(Closing):
         pauses: Sequence[float] = PAUSES,
         paths: Sequence[str] = SENSORSIM_SERVICES,
     ) -> None:
-        self.address, self._deadline, self._pauses = address, deadline, tuple(pauses)
-        self._channel = grpc.insecure_channel(address, options=CHANNEL_OPTIONS + _RECONNECT)
-        try:
-            self._path, self.version = self._connect(paths)
-        except BaseException:
-            self.close()
-            raise
-
-    def _connect(self, paths: Sequence[str]) -> tuple[str, str]:
-        refused: grpc.RpcError | None = None
-        for path in paths:
-            try:
-                reply = self._tried(path, "get_version", message("Empty"))
-            except grpc.RpcError as error:
-                if error.code() is not grpc.StatusCode.UNIMPLEMENTED:
-                    raise self._failure("get_version", error) from None
-                refused = error
-            else:
-                return path, reply.version_id
-        assert refused is not None, "no paths"
-        raise self._failure("get_version", refused)
-
-    def call(self, method: str, request: Any) -> Any:
-        """The reply of a method of `SENSORSIM_METHODS`.
-
-        Raises:
-            InputError: the call failed: with the status and the text of the server.
-        """
-        try:
-            return self._tried(self._path, method, request)
-        except grpc.RpcError as error:
-            raise self._failure(method, error) from None
+        super().__init__(address, SENSORSIM_METHODS, paths, deadline=deadline, pauses=pauses)
 
     def scenes(self) -> tuple[str, ...]:
         """Ids of the server's scenes; "*" stands for any."""
@@ -119,29 +73,6 @@ class SensorsimClient(Closing):
         """The messages AvailableCamera of a scene; see `recast.protocols.alpasim.cameras`."""
         request = message("AvailableCamerasRequest", scene_id=scene_id)
         return tuple(self.call("get_available_cameras", request).available_cameras)
-
-    def close(self) -> None:
-        """Close the channel."""
-        self._channel.close()
-
-    def _tried(self, path: str, method: str, request: Any) -> Any:
-        data, reply = request.SerializeToString(), SENSORSIM_METHODS[method][1]
-        ask = self._channel.unary_unary(f"/{path}/{method}")
-        for pause in (*self._pauses, None):
-            try:
-                return parse(reply, ask(data, timeout=self._deadline))
-            except DecodeError:
-                problem = f"answered with what is no {reply}"
-                raise InputError(self.address, method, problem, "see the server's log") from None
-            except grpc.RpcError as error:
-                if error.code() is not grpc.StatusCode.UNAVAILABLE or pause is None:
-                    raise
-            time.sleep(pause)
-        raise AssertionError  # the last try raises
-
-    def _failure(self, method: str, error: grpc.RpcError) -> InputError:
-        problem = f"{error.code().name}: {error.details()}"
-        return InputError(self.address, method, problem, "see the server's log")
 
 
 class SensorsimRenderer(Mounted, Closing):

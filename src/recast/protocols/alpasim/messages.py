@@ -179,6 +179,10 @@ CHANNEL_OPTIONS = (
     ("grpc.max_send_message_length", MOST_BYTES),
     ("grpc.max_receive_message_length", MOST_BYTES),
 )
+DEADLINE = 300.0
+"""Seconds that a call may take, as in AlpaSim."""
+PAUSES = (0.5, 2.0)
+"""Seconds before each further try of a call whose server is not there, as in AlpaSim."""
 
 
 @cache
