@@ -250,7 +250,10 @@ PLANNERS = Registry(
     members=("name", "needs_images", "reset", "plan"),
     protocol="recast.planning.Planner",
     folder="recast.planning.gtrs:load_gtrs",
-    prefixes={"navsim:": "recast.planning.registry:navsim_planner"},
+    prefixes={
+        "alpasim:": "recast.protocols.alpasim.driver:driver_planner",
+        "navsim:": "recast.planning.registry:navsim_planner",
+    },
 )
 """Each is a class or function that makes a `recast.planning.Planner`."""
 

@@ -23,7 +23,7 @@ from recast.core.remote import remote_path
 from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.logs.load import local_folder
 from recast.pipeline.config import RunConfig
-from recast.planning import PLANNERS, planner_folder, planner_source_files
+from recast.planning import ALPASIM_PREFIX, PLANNERS, planner_folder, planner_source_files
 from recast.pretrained import VQA_SCORERS
 from recast.synthetic import CAMERAS, World, synthesize_log, world_metadata, world_of
 from recast.synthetic.rendering import require_embree
@@ -193,10 +193,18 @@ def _each(
 
 
 def planner_source(name: str) -> str:
-    """What stands for a planner; see `Sources`."""
+    """What stands for a planner; see `Sources`. A driver of AlpaSim must be there.
+
+    Raises:
+        InputError: the name is unknown, or the driver does not answer.
+    """
     folder = planner_folder(name)
     if folder is not None:
         return folder_hash(folder)
+    if name.startswith(ALPASIM_PREFIX):
+        from recast.protocols.alpasim.driver import driver_planner
+
+        return f"{name} {driver_planner(name.removeprefix(ALPASIM_PREFIX)).version}"
     return _code(PLANNERS, name, planner_source_files(name))
 
 

@@ -14,6 +14,7 @@ from recast.planning.cameras import (
 from recast.planning.idm_follower import IdmFollowerConfig, IdmLaneFollower
 from recast.planning.lens import Lens
 from recast.planning.registry import (
+    ALPASIM_PREFIX,
     DEVICE_PATTERN,
     GTRS_MINI,
     NAVSIM_PREFIX,
@@ -40,6 +41,7 @@ from recast.planning.types import (
 from recast.planning.views import View, nuplan_rig
 
 __all__ = [
+    "ALPASIM_PREFIX",
     "DEVICE_PATTERN",
     "GTRS_MINI",
     "NAVSIM_PREFIX",

@@ -234,25 +234,29 @@ def shown_views(planner: Planner, mounts: Mapping[str, CameraMount]) -> tuple[Sh
 
 
 def seen_record(planner: Planner, mounts: Mapping[str, CameraMount]) -> dict[str, Any]:
-    """JSON-able: the planner's name, where it computes if it says, and what it gets to see."""
+    """JSON-able: the planner's name, where it computes if it says, what it gets to see, and its
+    own `record_fields`."""
     return {
         "planner": planner.name,
         "device": getattr(planner, "device", None),
         "views": [asdict(view) for view in shown_views(planner, mounts)],
+        **getattr(planner, "record_fields", {}),
     }
 
 
 def seen_lines(planner: Planner, mounts: Mapping[str, CameraMount]) -> tuple[str, str | None]:
     """The same for people: what it gets to see, and a warning where that is too little.
 
-    ("", None) for a planner that needs no images and does not say where it computes.
+    ("", None) for a planner that needs no images and says nothing of itself.
     """
     device = getattr(planner, "device", None)
     shown = shown_views(planner, mounts)
     sees = f" sees {'; '.join(map(str, shown))}" if shown else ""
-    said = f"planner {planner.name}{f' on {device}' if device else ''}{sees}"
+    record = getattr(planner, "record_fields", {})
+    facts = "".join(f", {key} {fact}" for key, fact in record.items() if isinstance(fact, str))
+    said = f"planner {planner.name}{f' on {device}' if device else ''}{facts}{sees}"
     low = [view for view in shown if view.seen < ENOUGH]
     if not low:
-        return (said if device or shown else ""), None
+        return (said if device or facts or shown else ""), None
     shares = ", ".join(f"{1 - view.seen:.0%} of {view.view}" for view in low)
     return said, f"planner {planner.name} sees black where no camera of the log looks: {shares}"

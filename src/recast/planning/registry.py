@@ -1,4 +1,4 @@
-"""Planners by name: built in, shipped, installed, `module:attribute`, NAVSIM agents, folders."""
+"""Planners by name: built in, shipped, installed, code, folders, and programs of others."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ DEVICE_PATTERN = r"auto|cpu|cuda(:\d{1,3})?"
 """What users may say, as a regular expression."""
 GTRS_MINI = "gtrs-mini"
 """Its name, as a planner and of its folder."""
+ALPASIM_PREFIX = "alpasim:"
+"""Before the address of a driver of AlpaSim."""
 NAVSIM_PREFIX = "navsim:"
 """Before the "module:attribute" of a NAVSIM agent."""
 
@@ -23,8 +25,9 @@ def make_planner(planner: str | Path | Planner, device: str = "auto") -> Planner
     Args:
         planner: one of `PLANNERS.names()`; or "package.module:attribute" of a class or function
             that returns a `Planner` when called without arguments; or
-            "navsim:package.module:attribute" of one that returns a NAVSIM agent; or a folder that
-            `save_gtrs` wrote; or a `Planner`. See `recast.core.plugins.Registry.resolve`.
+            "navsim:package.module:attribute" of one that returns a NAVSIM agent; or
+            "alpasim:HOST:PORT" of a driver of AlpaSim; or a folder that `save_gtrs` wrote; or a
+            `Planner`. See `recast.core.plugins.Registry.resolve`.
         device: where it computes, see `planner_device`. A class or function of the user's is given
             it if it has a parameter `device`; what has none decides itself.
 
@@ -66,12 +69,12 @@ def planner_folder(name: str) -> Path | None:
 def planner_source_files(name: str) -> tuple[Path, ...]:
     """The files of a user's own code behind a planner's name, see `core.plugins.source_files`.
 
-    () for built-in planners and for folders.
+    () for built-in planners, for folders and for drivers of AlpaSim.
 
     Raises:
         InputError: the name is unknown.
     """
-    if planner_folder(name) is not None:
+    if planner_folder(name) is not None or name.startswith(ALPASIM_PREFIX):
         return ()
     return PLANNERS.source_files(name.removeprefix(NAVSIM_PREFIX))
 

@@ -184,7 +184,9 @@ class Planner(Protocol):
     `choose_cameras(mounts)`, which returns their names once it is known which there are, or a
     mapping from its own names to them; see `recast.planning.camera_choice`. With `wanted_views`, a
     tuple of `recast.planning.View`, it gets virtual cameras where no camera of the log will do; see
-    `recast.planning.virtual_mounts`. `device` says where it computes, for records.
+    `recast.planning.virtual_mounts`. For records, `device` says where it computes, and the mapping
+    `record_fields` what else there is to say. `finish_rollout()` is called by `run_rollout` after
+    each rollout, also after one that failed.
 
     Attributes:
         needs_images: whether `PlannerInput.images` must be filled; rendering costs far more than

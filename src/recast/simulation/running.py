@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,23 +65,40 @@ def run_rollout(
     simulator = Simulator.from_setup(
         setup, renderer, cameras=seen, planner=planner.name, timings=timings
     )
-    planner.reset(simulator.context)
-    while not simulator.done:
-        first = simulator.step_number
-        # One call for both, since a renderer may draw its cameras side by side.
-        images = simulator.render(tuple(dict.fromkeys(seen + filmed)) if seen else ())
-        observation = simulator.observe({name: images[name] for name in seen})
-        plan, took = ask(planner, observation, setup.plan_limit_s)
-        timings.plan += took
-        kept = simulator.advance(plan)
-        if on_frame is None:
-            continue
-        for step in range(first, first + kept):
-            if step > first or not images:
-                images = simulator.render(filmed, step)
-            on_frame(simulator.state_at(step), {name: images[name] for name in filmed})
+    with _finishing(planner):
+        planner.reset(simulator.context)
+        while not simulator.done:
+            first = simulator.step_number
+            # One call for both, since a renderer may draw its cameras side by side.
+            images = simulator.render(tuple(dict.fromkeys(seen + filmed)) if seen else ())
+            observation = simulator.observe({name: images[name] for name in seen})
+            plan, took = ask(planner, observation, setup.plan_limit_s)
+            timings.plan += took
+            kept = simulator.advance(plan)
+            if on_frame is None:
+                continue
+            for step in range(first, first + kept):
+                if step > first or not images:
+                    images = simulator.render(filmed, step)
+                on_frame(simulator.state_at(step), {name: images[name] for name in filmed})
     refuse_if_too_short(setup, simulator.step_number, simulator.cut_reason)
     return simulator.rollout
+
+
+@contextmanager
+def _finishing(planner: Planner) -> Iterator[None]:
+    """Call the planner's `finish_rollout` at the end, if it has that.
+
+    A fault of the rollout goes before one of its own.
+    """
+    finish = getattr(planner, "finish_rollout", lambda: None)
+    try:
+        yield
+    except BaseException:
+        with suppress(Exception):
+            finish()
+        raise
+    finish()
 
 
 OnDone = Callable[["RolloutJob", Rollout | RolloutFailure, Timings], None]

@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -63,8 +64,15 @@ class BenchWorker:
         self._store, self._settings, self._retry = store, settings, retry_failures
         self._fetch = fetch
         self._open: tuple[str, SceneRun] | None = None
-        # Before anything of them is loaded: what is edited later is used by the next grid.
-        self._sources = Sources.of(settings.run, settings.scenes[0].id)
+
+    @cached_property
+    def _sources(self) -> Sources:
+        """Those of the grid; a planner that is another program may be away for a while.
+
+        Taken for the first task before anything of them is loaded: what is edited later is used by
+        the next grid.
+        """
+        return Sources.of(self._settings.run, self._settings.scenes[0].id)
 
     def __call__(self, task: Task) -> Outcome:
         """The task's outcome."""
