@@ -13,7 +13,16 @@ try:
 except SystemExit:
     print(*sys.modules)
 """
-_HEAVY = {"torch", "numpy", "scipy", "ncore", "pydantic", "rich", "upath", "matplotlib", "cv2"}
+_PLANNERS = """
+import sys, recast.simulation
+from recast.planning import make_planner
+make_planner("alpasim:localhost:6789/front")
+print(*sys.modules)
+"""
+_HEAVY = {"torch", "numpy", "scipy", "ncore", "pydantic", "rich", "upath", "matplotlib", "cv2"} | {
+    "grpc",
+    "google.protobuf",
+}
 
 
 def test_help_imports_nothing_heavy() -> None:
@@ -21,3 +30,12 @@ def test_help_imports_nothing_heavy() -> None:
     imported = set(done.stdout.splitlines()[-1].split())
     assert "recast.cli.main" in imported
     assert not imported & _HEAVY
+
+
+def test_the_simulation_and_a_driver_need_neither_torch_nor_grpc_before_a_session() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _PLANNERS], capture_output=True, text=True, check=True
+    )
+    imported = set(done.stdout.split())
+    assert {"recast.simulation", "recast.protocols.alpasim.driver"} <= imported
+    assert not imported & {"torch", "grpc"}

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from recast.cli.main import main
-from recast.protocols.alpasim import driver as module
+from recast.protocols.alpasim import driver_session as module
 from support.fake_driver import FakeDriver, driving
 
 OPTIONS = ("--motions", "advancing-a", "--steps", "10", "--samples", "200")

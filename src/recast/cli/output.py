@@ -55,6 +55,8 @@ PAGES = {
     "recast.planning": "docs/planners.md#your-own-planner",
     "recast.planning.registry": "docs/planners.md#built-in",
     "recast.protocols.alpasim": "docs/howto/alpasim.md",
+    "recast.protocols.alpasim.driver": "docs/howto/alpasim.md#drivers-as-planners",
+    "recast.protocols.alpasim.driver_session": "docs/howto/alpasim.md#drivers-as-planners",
     "recast.pipeline.serve": "docs/howto/alpasim.md",
     "recast.recar": "docs/recar.md",
     "recast.scene.config": "docs/scenes.md#configuration",

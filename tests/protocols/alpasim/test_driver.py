@@ -31,7 +31,7 @@ from recast.planning import (
     seen_lines,
     seen_record,
 )
-from recast.protocols.alpasim import driver as module
+from recast.protocols.alpasim import driver_session as module
 from recast.protocols.alpasim.driver import AlpaSimDriver, driver_planner
 from recast.protocols.alpasim.messages import message
 from recast.protocols.alpasim.poses import as_sent

@@ -37,7 +37,10 @@ _OPTIONAL = {
     "mitsuba": ("better light in synthetic worlds", "pip install 'recast-sim[mitsuba]'"),
     "gsplat": ("rasterize on CUDA", "pip install 'recast-sim[cuda]'"),
     "ray": ("batches on several machines", "pip install 'recast-sim[distributed]'"),
-    "grpcio": ("rendering for and by AlpaSim", "pip install 'recast-sim[alpasim]'"),
+    "grpcio": (
+        "rendering for and by AlpaSim, its drivers as planners",
+        "pip install 'recast-sim[alpasim]'",
+    ),
     "accelerate": ("training on several GPUs", "pip install 'recast-sim[distributed]'"),
 }
 _SEAMS = (IMPORTERS, PLANNERS, GENERATORS, SEGMENTERS)

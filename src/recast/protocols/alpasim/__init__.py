@@ -1,16 +1,18 @@
-"""AlpaSim and NuRec: recast as their renderer, and their renderers for recast's loop (extra
-alpasim)."""
+"""AlpaSim and NuRec: recast as their renderer, and their renderers and drivers for recast's loop
+(extra alpasim)."""
 
 from __future__ import annotations
 
 TYPE_CHECKING = False  # typing's own costs 5 ms; type checkers know the name
 if TYPE_CHECKING:
     from recast.protocols.alpasim.client import SensorsimClient, SensorsimRenderer
+    from recast.protocols.alpasim.driver import AlpaSimDriver
     from recast.protocols.alpasim.messages import message, parse
     from recast.protocols.alpasim.rendering import ScenePainter, ServedScene
     from recast.protocols.alpasim.server import SensorsimServer, SensorsimService
 
 _FILES = {
+    "AlpaSimDriver": "driver",
     "ScenePainter": "rendering",
     "SensorsimClient": "client",
     "SensorsimRenderer": "client",
@@ -22,6 +24,7 @@ _FILES = {
 }
 
 __all__ = [
+    "AlpaSimDriver",
     "ScenePainter",
     "SensorsimClient",
     "SensorsimRenderer",

@@ -1,16 +1,10 @@
-"""A driver of AlpaSim, the program behind an EgodriverService, as a planner of recast's loop.
-
-gRPC is imported and a channel opened when a session begins: a planner object may be made in one
-process and used in another.
-"""
+"""A driver of AlpaSim, the program behind an EgodriverService, as a planner of recast's loop."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
-from uuid import uuid4
+from typing import Literal
 
 import numpy as np
 
@@ -27,66 +21,16 @@ from recast.planning import (
 )
 from recast.planning.cameras import require_cameras
 from recast.protocols.alpasim.driven_plan import DrivenPlan
-from recast.protocols.alpasim.messages import (
-    DEADLINE,
-    EGODRIVER_METHODS,
-    EGODRIVER_SERVICE,
-    PAUSES,
-    message,
-)
-from recast.protocols.alpasim.observations import (
-    egomotion,
-    image_observation,
-    route_request,
-    session_request,
-)
-from recast.protocols.alpasim.requests import JPEG, PNG, RefusedError
-from recast.simulation import RoadSurface
-
-if TYPE_CHECKING:
-    from recast.protocols.alpasim.calls import ServiceClient
+from recast.protocols.alpasim.driver_session import DriverSession, driver_version
+from recast.protocols.alpasim.messages import DEADLINE, PAUSES
+from recast.protocols.alpasim.requests import JPEG, PNG
 
 _LOG = logging.getLogger(__name__)
 
 WARM_UP = 4.0
 """Seconds from the start within which a driver must have given its first plan."""
-_CLOSING = 5.0
-"""Seconds that closing a session may take."""
 _FORMATS = {"jpeg": JPEG, "png": PNG}
 _SEE_LOG = "see the driver's log"
-_MENDS = {
-    "UNAVAILABLE": "start the driver, or name its host and port",
-    "UNIMPLEMENTED": "name the port of a driver (EgodriverService)",
-    "DEADLINE_EXCEEDED": "give the driver more time, or see its log",
-    "UNKNOWN": "see the driver's log, and name the cameras that it wants",
-}
-_VERSIONS: dict[str, str] = {}
-"""Full version of each driver that this process has met, by address."""
-
-
-@dataclass
-class _Session:
-    """One rollout of a driver.
-
-    Attributes:
-        cameras: name in `PlannerInput.images` by the driver's name.
-        told_us: time of the last pose that the driver was told; -1 before the first.
-        plan: the last one that was not empty.
-        log: drives until there is a plan.
-        log_plans: how many plans were the log's.
-        began_us: time of the first plan; None before it.
-    """
-
-    client: ServiceClient
-    uuid: str
-    context: PlanningContext
-    surface: RoadSurface
-    cameras: Mapping[str, str]
-    log: LogReplay
-    told_us: int = -1
-    plan: DrivenPlan | None = None
-    log_plans: int = 0
-    began_us: int | None = None
 
 
 class AlpaSimDriver(Closing):
@@ -129,9 +73,12 @@ class AlpaSimDriver(Closing):
         self._cameras = cameras
         self.needs_images = cameras is None or bool(cameras)
         self._format, self._seed, self._warm_up = _FORMATS[image_format], seed, warm_up
-        self._deadline, self._pauses = deadline, tuple(pauses)
-        self._session: _Session | None = None
-        self._log_drove = 0.0
+        self._patience = deadline, tuple(pauses)
+        self._session: DriverSession | None = None
+        self._log = LogReplay()  # drives until there is a plan
+        self._log_plans, self._log_drove = 0, 0.0
+        self._plan: DrivenPlan | None = None  # the last one that was not empty
+        self._began_us: int | None = None  # time of the first question
 
     @property
     def camera_names(self) -> tuple[str, ...] | None:
@@ -161,27 +108,18 @@ class AlpaSimDriver(Closing):
         """Begin a session.
 
         Raises:
-            InputError: a camera is not there; no driver answers, it refuses the session, or it has
-                another version than before in this process.
+            InputError: a camera is not there; see also `DriverSession`.
         """
         self.close()
         cameras = self._cameras or {}
         if self._cameras is None:
             cameras = {name: name for name in context.cameras}
         require_cameras(cameras.values(), context.cameras, f"planner {self.name}")
-        log, ground = LogReplay(), None if context.map is None else context.map.ground
-        log.reset(context)
-        surface = RoadSurface.from_log(context.log, context.route, ground)
-        client = _connected(self.address, self._deadline, self._pauses)
-        self._session = _Session(client, str(uuid4()), context, surface, cameras, log)
-        self._log_drove = 0.0
-        mounts = {name: context.cameras[camera] for name, camera in cameras.items()}
-        request = session_request(self._session.uuid, self._seed, mounts)
-        try:
-            client.call("start_session", request)
-        except InputError:  # a driver that answered too late has begun it
-            self.close()
-            raise
+        self._log.reset(context)
+        self._plan, self._began_us, self._log_plans, self._log_drove = None, None, 0, 0.0
+        self._session = DriverSession(
+            self.address, context, cameras, self._seed, self._format, *self._patience
+        )
 
     def plan(self, observation: PlannerInput) -> Plan:
         """The driver's plan, after it was told images, egomotion and route.
@@ -193,28 +131,29 @@ class AlpaSimDriver(Closing):
         session = self._session
         if session is None:
             raise RuntimeError("AlpaSimDriver.plan: call reset first")
-        self._tell(session, observation)
-        now, step = observation.timestamp_us, round(session.context.dt * 1e6)
-        times = now + step * np.arange(1, WAYPOINTS + 1, dtype=np.int64)
-        request = message(
-            "DriveRequest", session_uuid=session.uuid, time_now_us=now, time_query_us=times[-1]
-        )
-        reply = session.client.call("drive", request)
+        session.tell(observation)
+        now, pose = observation.timestamp_us, observation.ego.pose
+        times = now + session.step_us * np.arange(1, WAYPOINTS + 1, dtype=np.int64)
+        reply = session.drive(now, int(times[-1]))
         if reply.terminate_session:
             raise self._fault("ended the session (terminate_session)")
-        if session.began_us is None:
-            session.began_us = now
+        if self._began_us is None:
+            self._began_us = now
         if reply.trajectory.poses:
             try:
-                session.plan = DrivenPlan.read(reply.trajectory, now, observation.ego.pose)
+                self._plan = DrivenPlan.read(reply.trajectory, now, pose)
             except ValueError as error:
                 mend = "answer with poses in the local frame, the first for now, then later ones"
                 raise self._fault(str(error), mend) from None
-        elif session.plan is None:
-            return self._warming_up(session, observation)
-        elif session.plan.ends_us <= now:
+        elif self._plan is None:
+            if now - self._began_us >= self._warm_up * 1e6:
+                raise self._fault(f"gave no plan within the first {self._warm_up:g} s")
+            self._log_plans += 1
+            self._log_drove = self._log_plans * session.context.plan_every * session.context.dt
+            return Plan(self._log.plan(observation).waypoints, {"driver": "empty: the log drives"})
+        elif self._plan.ends_us <= now:
             raise self._fault("the trajectory is empty, and the plan before it has ended")
-        return Plan(session.plan.waypoints(now, observation.ego.pose, times))
+        return Plan(self._plan.waypoints(now, pose, times))
 
     def finish_rollout(self) -> None:
         """Close the session.
@@ -225,16 +164,10 @@ class AlpaSimDriver(Closing):
         session, self._session = self._session, None
         if session is None:
             return
-        request = message("DriveSessionCloseRequest", session_uuid=session.uuid)
-        try:
-            session.client.call("close_session", request, _CLOSING)
-        except InputError as error:  # the rollout is driven, or has failed already
-            _LOG.warning("%s", error)
-        finally:
-            session.client.close()
-        if session.log_plans and session.plan is None:
+        session.close()
+        if self._log_plans and self._plan is None:
             raise self._fault("gave no plan in the whole rollout")
-        if session.log_plans:
+        if self._log_plans:
             _LOG.warning("%s: the log drove the first %g s", self.name, self._log_drove)
 
     def close(self) -> None:
@@ -243,33 +176,6 @@ class AlpaSimDriver(Closing):
             self.finish_rollout()
         except InputError as error:
             _LOG.warning("%s", error)
-
-    def _tell(self, session: _Session, observation: PlannerInput) -> None:
-        client, uuid, now = session.client, session.uuid, observation.timestamp_us
-        for name, camera in session.cameras.items():
-            try:
-                image = image_observation(uuid, name, observation.images[camera], now, self._format)
-            except RefusedError as error:
-                mend = "render smaller images"
-                raise InputError(self.name, f"camera {name}", error.details, mend) from None
-            client.call("submit_image_observation", image)
-        step, past = round(session.context.dt * 1e6), observation.ego_history
-        times = [now - step * back for back in range(len(past) - 1, -1, -1)]
-        new = [index for index, time in enumerate(times) if time > session.told_us]
-        poses = session.surface.ego_poses(past[new, :3])
-        told = egomotion(uuid, [times[index] for index in new], poses, past[new])
-        client.call("submit_egomotion_observation", told)
-        session.told_us = now
-        route = route_request(uuid, session.context.route, observation.ego.pose, now)
-        client.call("submit_route", route)
-
-    def _warming_up(self, session: _Session, observation: PlannerInput) -> Plan:
-        assert session.began_us is not None
-        if observation.timestamp_us - session.began_us >= self._warm_up * 1e6:
-            raise self._fault(f"gave no plan within the first {self._warm_up:g} s")
-        session.log_plans += 1
-        self._log_drove = session.log_plans * session.context.plan_every * session.context.dt
-        return Plan(session.log.plan(observation).waypoints, {"driver": "empty: the log drives"})
 
     def _fault(self, problem: str, mend: str = _SEE_LOG) -> InputError:
         return InputError(self.address, "drive", problem, mend)
@@ -301,39 +207,3 @@ def driver_planner(words: str) -> AlpaSimDriver:
             raise InputError("planner", word, f"camera {part!r} is empty or there twice", mend)
         cameras[name] = camera
     return AlpaSimDriver(address, cameras, name=word)
-
-
-def driver_version(address: str) -> str:
-    """What the driver calls itself, with commit and version of the messages if it says them.
-
-    It is asked once in each process.
-
-    Raises:
-        InputError: no driver answers.
-    """
-    if address not in _VERSIONS:
-        _connected(address, DEADLINE, PAUSES).close()
-    return _VERSIONS[address]
-
-
-def _connected(address: str, deadline: float, pauses: Sequence[float]) -> ServiceClient:
-    """A client of the driver; all results of one process are of one version."""
-    try:
-        from recast.protocols.alpasim.calls import ServiceClient
-    except ModuleNotFoundError:
-        mend = "pip install 'recast-sim[alpasim]'"
-        raise InputError("grpcio", "module", "is not installed", mend) from None
-    client = ServiceClient(
-        address,
-        EGODRIVER_METHODS,
-        (EGODRIVER_SERVICE,),
-        deadline=deadline,
-        pauses=pauses,
-        mends=_MENDS,
-    )
-    known = _VERSIONS.setdefault(address, client.full_version)
-    if known != client.full_version:
-        client.close()
-        problem = f"the driver is now {client.full_version}, it was {known}"
-        raise InputError(address, "get_version", problem, "begin again with one driver")
-    return client
