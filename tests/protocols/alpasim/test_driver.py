@@ -508,6 +508,24 @@ def test_records_name_the_driver_and_its_version() -> None:
     assert said == f"planner mine, driver {VERSION}, git abc, API 0.54.0 sees front"
 
 
+@pytest.mark.parametrize(
+    ("fields", "wanted"),
+    [
+        ({}, "unnamed"),
+        ({"version_id": "vam"}, "vam"),
+        ({"grpc_api_version": message("ApiVersion")}, "unnamed, API 0.0.0"),
+        ({"version_id": "vam", "git_hash": "12ab"}, "vam, git 12ab"),
+    ],
+)
+def test_a_driver_may_say_little_of_its_version(fields: Any, wanted: str) -> None:
+    class Quiet(FakeDriver):
+        def get_version(self, request: Any) -> Any:
+            return message("VersionId", **fields)
+
+    with driving(Quiet()) as port:
+        assert planner_of(port).version == wanted
+
+
 IN_A_CHILD = """
 import os, sys
 from recast.planning import make_planner
