@@ -16,6 +16,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from google.protobuf.message import DecodeError
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from recast.arrays import Image
 from recast.core.errors import InputError
@@ -32,9 +35,10 @@ from recast.planning import (
     seen_record,
 )
 from recast.protocols.alpasim import driver_session as module
+from recast.protocols.alpasim.driven_plan import DrivenPlan
 from recast.protocols.alpasim.driver import AlpaSimDriver, driver_planner
-from recast.protocols.alpasim.messages import message
-from recast.protocols.alpasim.poses import as_sent
+from recast.protocols.alpasim.messages import message, parse
+from recast.protocols.alpasim.poses import as_sent, pose_message
 from recast.simulation import (
     MOTIONS,
     NullRenderer,
@@ -342,6 +346,35 @@ def test_plans_at_other_times_are_interpolated_and_continued() -> None:
     # Positions within 200 m have a spacing of 2^-16 m in float32; the spline's weights are below 2.
     wanted = np.concatenate([10.0 * t - t**2, beyond])
     np.testing.assert_allclose(rollout.predictions[0][:, 0], wanted, rtol=0, atol=5e-4)
+
+
+REPLY = message(
+    "DriveResponse",
+    trajectory=message(
+        "Trajectory",
+        poses=[
+            message("PoseAtTime", pose=pose_message(se2.to_se3([x, 0.0, 0.0])), timestamp_us=time)
+            for x, time in ((0.0, 5_000_000), (4.0, 5_500_000), (8.0, 6_000_000))
+        ],
+    ),
+).SerializeToString()
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, len(REPLY) - 1), st.integers(0, 255)), max_size=4))
+def test_damaged_answers_are_plans_or_refused(changes: list[tuple[int, int]]) -> None:
+    data = bytearray(REPLY)
+    for place, value in changes:
+        data[place] = value
+    times = 5_000_000 + 100_000 * np.arange(1, 41)
+    try:
+        trajectory = parse("DriveResponse", bytes(data)).trajectory
+        plan = DrivenPlan.read(trajectory, 5_000_000, np.zeros(3))
+    except (DecodeError, ValueError):
+        assert changes
+        return
+    waypoints = plan.waypoints(5_000_000, np.zeros(3), times)
+    assert waypoints.shape == (40, 3) and np.isfinite(waypoints).all()
 
 
 # A driver that is not there, goes away, is slow, or is another one

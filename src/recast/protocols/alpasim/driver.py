@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -31,6 +32,22 @@ WARM_UP = 4.0
 """Seconds from the start within which a driver must have given its first plan."""
 _FORMATS = {"jpeg": JPEG, "png": PNG}
 _SEE_LOG = "see the driver's log"
+
+
+@dataclass
+class _Drive:
+    """One rollout; a late answer of the one before it cannot come into it.
+
+    Attributes:
+        plan: the last one that was not empty.
+        began_us: time of the first plan.
+        log_drove: seconds for which the log drove in place of the driver.
+    """
+
+    session: DriverSession
+    plan: DrivenPlan | None = None
+    began_us: int | None = None
+    log_drove: float = 0.0
 
 
 class AlpaSimDriver(Closing):
@@ -74,11 +91,9 @@ class AlpaSimDriver(Closing):
         self.needs_images = cameras is None or bool(cameras)
         self._format, self._seed, self._warm_up = _FORMATS[image_format], seed, warm_up
         self._patience = deadline, tuple(pauses)
-        self._session: DriverSession | None = None
         self._log = LogReplay()  # drives until there is a plan
-        self._log_plans, self._log_drove = 0, 0.0
-        self._plan: DrivenPlan | None = None  # the last one that was not empty
-        self._began_us: int | None = None  # time of the first question
+        self._drive: _Drive | None = None
+        self._log_drove = 0.0  # in the last rollout
 
     @property
     def camera_names(self) -> tuple[str, ...] | None:
@@ -116,10 +131,10 @@ class AlpaSimDriver(Closing):
             cameras = {name: name for name in context.cameras}
         require_cameras(cameras.values(), context.cameras, f"planner {self.name}")
         self._log.reset(context)
-        self._plan, self._began_us, self._log_plans, self._log_drove = None, None, 0, 0.0
-        self._session = DriverSession(
+        session = DriverSession(
             self.address, context, cameras, self._seed, self._format, *self._patience
         )
+        self._drive = _Drive(session)
 
     def plan(self, observation: PlannerInput) -> Plan:
         """The driver's plan, after it was told images, egomotion and route.
@@ -128,32 +143,32 @@ class AlpaSimDriver(Closing):
             RuntimeError: `reset` was not called.
             InputError: a call failed, the driver ended the session, or its answer is no plan.
         """
-        session = self._session
-        if session is None:
+        drive = self._drive
+        if drive is None:
             raise RuntimeError("AlpaSimDriver.plan: call reset first")
+        session, now, pose = drive.session, observation.timestamp_us, observation.ego.pose
         session.tell(observation)
-        now, pose = observation.timestamp_us, observation.ego.pose
         times = now + session.step_us * np.arange(1, WAYPOINTS + 1, dtype=np.int64)
         reply = session.drive(now, int(times[-1]))
         if reply.terminate_session:
             raise self._fault("ended the session (terminate_session)")
-        if self._began_us is None:
-            self._began_us = now
+        if drive.began_us is None:
+            drive.began_us = now
         if reply.trajectory.poses:
             try:
-                self._plan = DrivenPlan.read(reply.trajectory, now, pose)
+                drive.plan = DrivenPlan.read(reply.trajectory, now, pose)
             except ValueError as error:
                 mend = "answer with poses in the local frame, the first for now, then later ones"
                 raise self._fault(str(error), mend) from None
-        elif self._plan is None:
-            if now - self._began_us >= self._warm_up * 1e6:
+        elif drive.plan is None:
+            if now - drive.began_us >= self._warm_up * 1e6:
                 raise self._fault(f"gave no plan within the first {self._warm_up:g} s")
-            self._log_plans += 1
-            self._log_drove = self._log_plans * session.context.plan_every * session.context.dt
+            cycle_us = session.step_us * session.context.plan_every
+            drive.log_drove = (now - drive.began_us + cycle_us) * 1e-6
             return Plan(self._log.plan(observation).waypoints, {"driver": "empty: the log drives"})
-        elif self._plan.ends_us <= now:
+        elif drive.plan.ends_us <= now:
             raise self._fault("the trajectory is empty, and the plan before it has ended")
-        return Plan(self._plan.waypoints(now, pose, times))
+        return Plan(drive.plan.waypoints(now, pose, times))
 
     def finish_rollout(self) -> None:
         """Close the session.
@@ -161,14 +176,15 @@ class AlpaSimDriver(Closing):
         Raises:
             InputError: the driver gave no plan in the whole rollout.
         """
-        session, self._session = self._session, None
-        if session is None:
+        drive, self._drive = self._drive, None
+        if drive is None:
             return
-        session.close()
-        if self._log_plans and self._plan is None:
+        drive.session.close()
+        self._log_drove = drive.log_drove
+        if drive.log_drove and drive.plan is None:
             raise self._fault("gave no plan in the whole rollout")
-        if self._log_plans:
-            _LOG.warning("%s: the log drove the first %g s", self.name, self._log_drove)
+        if drive.log_drove:
+            _LOG.warning("%s: the log drove the first %g s", self.name, drive.log_drove)
 
     def close(self) -> None:
         """Close the session, whatever came of it."""
