@@ -22,12 +22,12 @@ def _no_versions(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_VERSIONS", {})
 
 
-def grid(log: Path, out: Path, port: int, workers: int = 1) -> list[dict[str, Any]]:
+def grid(log: Path, out: Path, port: int, *more: str, workers: int = 1) -> list[dict[str, Any]]:
     """The rows of a grid of both vehicles of the tiny drive, without images."""
     scenes = [f"{log}:0", f"{log}:1"]
     planner = f"alpasim:127.0.0.1:{port}/"
     command = ["bench", "closed-loop", "--scenes", *scenes, "--out", str(out), *OPTIONS]
-    assert main([*command, "--planner", planner, "--workers", str(workers)]) == 0
+    assert main([*command, "--planner", planner, "--workers", str(workers), *more]) == 0
     rows: list[dict[str, Any]] = pq.read_table(out / "rollouts.parquet").to_pylist()
     assert [row["planner"] for row in rows] == [planner] * 4
     return rows
@@ -74,6 +74,9 @@ def test_a_faulty_plan_is_a_failed_row(tiny_log_folder: Path, tmp_path: Path) ->
     assert driver.refused == [] and driver.sessions == {}
     for row in rows:
         assert f"127.0.0.1:{port}: drive: poses[1].pose.vec: not finite" in row["failure_reason"]
+    with driving(FakeDriver(), port):
+        again = grid(tiny_log_folder, tmp_path / "grid", port, "--retry-failures")
+    assert [row["failure"] for row in again] == [None] * 4
 
 
 def test_a_run_without_its_driver_is_refused_before_anything_is_written(
