@@ -29,10 +29,12 @@ from recast.planning import (
     Plan,
     PlannerInput,
     PlanningContext,
+    camera_choice,
     make_planner,
     planner_source_files,
     seen_lines,
     seen_record,
+    virtual_mounts,
 )
 from recast.protocols.alpasim import driver_session as module
 from recast.protocols.alpasim.driven_plan import DrivenPlan
@@ -377,6 +379,21 @@ def test_damaged_answers_are_plans_or_refused(changes: list[tuple[int, int]]) ->
     assert waypoints.shape == (40, 3) and np.isfinite(waypoints).all()
 
 
+@pytest.mark.parametrize(("dt", "plan_every"), [(0.05, 10), (0.2, 2)])
+def test_other_steps_than_the_driver_s(dt: float, plan_every: int) -> None:
+    """Plans of 0.1 s at steps of another length; 10 m/s, straight on."""
+    driver = FakeDriver()
+    with driving(driver) as port:
+        setup = setup_of(steps=20, dt=dt, plan_every=plan_every)
+        rollout = run_rollout(setup, planner_of(port))
+    assert driver.refused == []
+    query = [one for one in driver.told if hasattr(one, "time_query_us")]
+    assert {one.time_query_us - one.time_now_us for one in query} == {round(40e6 * dt)}
+    wanted = 10.0 * dt * np.arange(1, 41)
+    for plan in rollout.predictions:  # to the spacing of float32 at 200 m, see above
+        np.testing.assert_allclose(plan[:, 0], wanted, rtol=0, atol=1e-3)
+
+
 # A driver that is not there, goes away, is slow, or is another one
 
 
@@ -420,25 +437,30 @@ def test_a_driver_that_is_killed_costs_its_rollout_and_may_come_back() -> None:
     assert isinstance(back, Rollout) and back.steps_run == 30
 
 
-def test_a_slow_driver_is_given_up() -> None:
+def test_a_slow_driver_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """By the deadline of the call, and by the limit for a plan."""
-    go_on = Event()
+    go_on, asked = Event(), module.DriverSession.drive
 
     def wait(reply: Any, number: int) -> Any:
         if number == 2:
-            go_on.wait(60)
+            assert go_on.wait(60)
         return reply
+
+    def impatient(session: module.DriverSession, now_us: int, query_us: int) -> Any:
+        if now_us == 5_500_000:  # the call that is never answered, and no other
+            session._client._deadline = 0.5
+        return asked(session, now_us, query_us)
 
     driver = FakeDriver(change=wait)
     with driving(driver) as port:
         try:
-            slow = RolloutJob(setup_of(), planner_of(port, deadline=0.5))
-            limited = RolloutJob(setup_of(plan_limit_s=0.5), planner_of(port))
-            late, cut = run_batch([slow, limited])
+            (cut,) = run_batch([RolloutJob(setup_of(plan_limit_s=1.0), planner_of(port))])
+            monkeypatch.setattr(module.DriverSession, "drive", impatient)
+            (late,) = run_batch([RolloutJob(setup_of(), planner_of(port))])
         finally:
             go_on.set()
     assert re.search("drive: DEADLINE_EXCEEDED: .*; give the driver more time, or", late.reason)
-    assert "gave no plan at step 5 within the limit of 0.5 s" in cut.reason
+    assert re.search(r"gave no plan at step \d within the limit of 1 s", cut.reason)
     assert driver.sessions == {} and driver.calls.count("close_session") == 2
 
 
@@ -516,6 +538,13 @@ def test_words(words: str, cameras: tuple[str, ...] | None, looks: bool) -> None
     assert planner.address == words.partition("/")[0]
     assert (planner.camera_names, planner.needs_images) == (cameras, looks)
     assert planner_source_files(planner.name) == ()
+
+
+def test_nuplan_s_cameras_are_rendered_for_a_driver_that_wants_them() -> None:
+    planner = make_planner("alpasim:host:1/CAM_F0=nuplan_f0")
+    mounts = MOUNTS | virtual_mounts(planner, MOUNTS)
+    assert camera_choice(planner, mounts) == {"CAM_F0": "nuplan_f0"}
+    assert not mounts["nuplan_f0"].camera.is_rectified
 
 
 @pytest.mark.parametrize("words", ["", "host", ":1", "host:x", "host:0", "host:70000", "host:1²"])

@@ -8,6 +8,7 @@ from google.protobuf.message import DecodeError
 
 from recast.protocols.alpasim.messages import (
     EGODRIVER_METHODS,
+    EGODRIVER_SERVICE,
     SENSORSIM_METHODS,
     SENSORSIM_SERVICES,
     TABLES,
@@ -96,6 +97,27 @@ def test_every_message_is_compared() -> None:
         "nre.grpc.protos.sensorsim",
         "sensorsim",
     ]
+
+
+def test_the_driver_s_methods_take_and_give_what_the_protocol_says() -> None:
+    wanted = """
+    get_version common.Empty common.VersionId
+    start_session egodriver.DriveSessionRequest common.SessionRequestStatus
+    submit_image_observation egodriver.RolloutCameraImage common.Empty
+    submit_egomotion_observation egodriver.RolloutEgoTrajectory common.Empty
+    submit_route egodriver.RouteRequest common.Empty
+    submit_recording_ground_truth egodriver.GroundTruthRequest common.Empty
+    drive egodriver.DriveRequest egodriver.DriveResponse
+    close_session egodriver.DriveSessionCloseRequest common.Empty
+    shut_down common.Empty common.Empty
+    """
+    found = {
+        method: tuple(message(name).DESCRIPTOR.full_name for name in pair)
+        for method, pair in EGODRIVER_METHODS.items()
+    }
+    lines = (line.split() for line in wanted.split("\n") if line.strip())
+    assert found == {method: (request, reply) for method, request, reply in lines}
+    assert EGODRIVER_SERVICE == "egodriver.EgodriverService"
 
 
 def test_packages_are_the_protocols_in_a_pool_of_their_own() -> None:
