@@ -1,29 +1,21 @@
-"""A driver over a channel: the same rollout as its rule in process, and faults of either side."""
+"""A driver over a channel: the same rollout as its rule in process; the planner by its word."""
 
 from __future__ import annotations
 
 import multiprocessing
 import pickle
-import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from pathlib import Path
-from threading import Event
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from google.protobuf.message import DecodeError
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.geometry import se2
-from recast.logs.types import DrivingLog
 from recast.planning import (
     LogReplay,
     Plan,
@@ -36,60 +28,21 @@ from recast.planning import (
     seen_record,
     virtual_mounts,
 )
-from recast.protocols.alpasim import driver_session as module
-from recast.protocols.alpasim.driven_plan import DrivenPlan
 from recast.protocols.alpasim.driver import AlpaSimDriver, driver_planner
-from recast.protocols.alpasim.messages import message, parse
-from recast.protocols.alpasim.poses import as_sent, pose_message
+from recast.protocols.alpasim.messages import message
+from recast.protocols.alpasim.poses import as_sent
 from recast.simulation import (
     MOTIONS,
     NullRenderer,
     RoadSurface,
-    Rollout,
-    RolloutFailure,
-    RolloutJob,
     RolloutSetup,
-    SimState,
     probe_path,
-    run_batch,
     run_rollout,
 )
-from recast.simulation.renderer import Mounted
 from simulation.synthetic_drives import drive
+from support.driven import Noise, planner_of, setup_of
 from support.fake_driver import VERSION, FakeDriver, driving, follow
-from support.tiny_served import MOUNTS, MOVING, make_log, serving
-
-QUICK = (0.05, 0.05)
-TESTS = Path(__file__).parents[2]
-
-
-@pytest.fixture(autouse=True)
-def _no_versions(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ports are used again: what an earlier test met there does not count."""
-    monkeypatch.setattr(module, "_VERSIONS", {})
-
-
-def planner_of(port: int, cameras: Any = (), **options: Any) -> AlpaSimDriver:
-    return AlpaSimDriver(f"127.0.0.1:{port}", cameras, **{"pauses": QUICK, **options})
-
-
-def setup_of(log: DrivingLog | None = None, steps: int = 30, **options: Any) -> RolloutSetup:
-    log = drive() if log is None else log
-    track = next(iter(log.tracks))
-    return RolloutSetup(log, track, MOTIONS["advancing-a"], steps=steps, **options)
-
-
-class Noise(Mounted):
-    """Other pictures at each step: as dark as the ego has come far."""
-
-    def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
-        images = {}
-        for index, name in enumerate(camera_names):
-            camera = self._mounts[name].camera
-            generator = np.random.default_rng(10 * state.step + index)
-            pixels = generator.integers(0, 255, (camera.height, camera.width, 3))
-            images[name] = (pixels * (1.0 - state.step / 60.0)).astype(np.uint8)
-        return images
+from support.tiny_served import MOUNTS, MOVING, make_log
 
 
 class InProcess:
@@ -211,300 +164,6 @@ def context_of(planner: AlpaSimDriver) -> PlanningContext:
     catching.needs_images, catching.camera_names = True, planner.camera_names
     run_rollout(setup_of(), catching, NullRenderer(MOUNTS))
     return caught[0]
-
-
-# What the driver answers
-
-
-def changed(change: Callable[[Any, int], Any], **options: Any) -> tuple[FakeDriver, Any]:
-    """A rollout with changed answers: the driver, and the rollout or its failure."""
-    driver = FakeDriver(change=change)
-    with driving(driver) as port:
-        planner = planner_of(port, **options)
-        (result,) = run_batch([RolloutJob(setup_of(steps=80), planner)])
-    assert driver.refused == []
-    assert driver.sessions == {}, "the session is not closed"
-    return driver, result
-
-
-def shifted(reply: Any, by_us: int, count: int | None = None) -> Any:
-    """The reply at other times, and only its first poses."""
-    poses = list(reply.trajectory.poses)[:count]
-    for pose in poses:
-        pose.timestamp_us += by_us
-    return message("DriveResponse", trajectory=message("Trajectory", poses=poses))
-
-
-def with_first(reply: Any, **vec: float) -> Any:
-    for axis, value in vec.items():
-        setattr(reply.trajectory.poses[3].pose.vec, axis, value)
-    return reply
-
-
-def unscaled(reply: Any) -> Any:
-    reply.trajectory.poses[2].pose.quat.w += 0.5
-    return reply
-
-
-def in_rig_frame(reply: Any) -> Any:
-    x = reply.trajectory.poses[0].pose.vec.x
-    for pose in reply.trajectory.poses:
-        pose.pose.vec.x -= x
-    return reply
-
-
-def ended(reply: Any) -> Any:
-    reply.terminate_session = True
-    return reply
-
-
-@pytest.mark.parametrize(
-    ("change", "wanted"),
-    [
-        (lambda reply: with_first(reply, y=np.nan), r"poses\[3\].pose.vec: not finite"),
-        (unscaled, r"poses\[2\].pose.quat: is not of length 1"),
-        (lambda reply: shifted(reply, -4_500_000), "the trajectory ends 0.5 s before now"),
-        (lambda reply: shifted(reply, 0, 1), "the trajectory has one pose"),
-        (lambda reply: shifted(reply, 1 << 62), r"poses\[0\].timestamp_us: is \d+; times must"),
-        (in_rig_frame, r"the trajectory begins 1\d.\d m from the ego; answer with poses in the lo"),
-        (ended, r"ended the session \(terminate_session\)"),
-        (lambda reply: b"\xff\xff", "answered with what is no DriveResponse"),
-    ],
-)
-def test_faulty_plans_are_one_line_and_a_failed_row(
-    change: Callable[[Any], Any], wanted: str
-) -> None:
-    driver, failed = changed(lambda reply, number: change(reply) if number == 3 else reply)
-    assert isinstance(failed, RolloutFailure) and failed.error == "InputError"
-    assert re.match(rf"127.0.0.1:\d+: drive: {wanted}", failed.reason), failed.reason
-    assert "; " in failed.reason and "\n" not in failed.reason
-    assert driver.calls.count("drive") == 3
-
-
-def empty(reply: Any) -> Any:
-    return message("DriveResponse")
-
-
-def test_the_log_drives_until_the_first_plan(caplog: pytest.LogCaptureFixture) -> None:
-    def slower(local_from_rig: np.ndarray, speed: float, *seen: Any) -> list[np.ndarray]:
-        return follow(local_from_rig, 0.5 * speed, *seen)
-
-    driver = FakeDriver(
-        rule=slower, change=lambda reply, number: empty(reply) if number <= 4 else reply
-    )
-    with driving(driver) as port:
-        planner = planner_of(port)
-        rollout = run_rollout(setup_of(steps=40), planner)
-        replayed = run_rollout(setup_of(steps=40), LogReplay())
-    np.testing.assert_array_equal(rollout.ego[:21], replayed.ego[:21])
-    assert replayed.ego[-1, 0] - rollout.ego[-1, 0] > 1.0
-    assert planner.record_fields["log_drove_s"] == 2.0
-    assert "the log drove the first 2 s" in caplog.text
-
-
-def test_a_driver_that_never_plans_fails() -> None:
-    driver, failed = changed(lambda reply, number: empty(reply))
-    assert "drive: gave no plan within the first 4 s; see the driver's log" in failed.reason
-    assert driver.calls.count("drive") == 9
-    with driving(FakeDriver(change=lambda reply, number: empty(reply))) as port:
-        (short,) = run_batch([RolloutJob(setup_of(steps=20), planner_of(port))])
-    assert "drive: gave no plan in the whole rollout; see the driver's log" in short.reason
-
-
-def test_the_last_plan_goes_on_while_there_is_none() -> None:
-    _, held = changed(lambda reply, number: reply if number <= 2 else empty(reply), warm_up=0.0)
-    assert "the trajectory is empty, and the plan before it has ended" in held.reason
-    driver = FakeDriver(change=lambda reply, number: reply if number <= 2 else empty(reply))
-    with driving(driver) as port:
-        rollout = run_rollout(setup_of(steps=25), planner_of(port))
-    first = rollout.predictions[1]
-    for plan, step in zip(rollout.predictions[2:], rollout.plan_steps[2:], strict=True):
-        world = se2.compose(rollout.ego[step, :3], plan)
-        before = se2.compose(rollout.ego[5, :3], first)
-        late = step - 5
-        np.testing.assert_allclose(world[: 40 - late], before[late:], rtol=0, atol=1e-9)
-        beyond = np.diff(world[40 - late - 1 :, :2], axis=0)  # goes on straight, as fast
-        np.testing.assert_allclose(
-            beyond, np.broadcast_to(before[39, :2] - before[38, :2], beyond.shape), atol=1e-9
-        )
-
-
-def test_plans_at_other_times_are_interpolated_and_continued() -> None:
-    """Every half second up to 2 s, and none for now: a parabola, then straight on."""
-
-    def sparse(reply: Any, number: int) -> Any:
-        poses = reply.trajectory.poses
-        kept = [poses[index] for index in (5, 10, 15, 20)]
-        for pose in kept:
-            along = (pose.timestamp_us - poses[0].timestamp_us) * 1e-6
-            pose.pose.vec.x = poses[0].pose.vec.x + 10.0 * along - along**2
-        return message("DriveResponse", trajectory=message("Trajectory", poses=kept))
-
-    _, rollout = changed(sparse)
-    assert isinstance(rollout, Rollout)
-    t = 0.1 * np.arange(1, 21)
-    last = (10.0 * 2.0 - 2.0**2) - (10.0 * 1.5 - 1.5**2)  # metres in the last half second
-    beyond = 10.0 * 2.0 - 2.0**2 + last / 0.5 * t
-    # Positions within 200 m have a spacing of 2^-16 m in float32; the spline's weights are below 2.
-    wanted = np.concatenate([10.0 * t - t**2, beyond])
-    np.testing.assert_allclose(rollout.predictions[0][:, 0], wanted, rtol=0, atol=5e-4)
-
-
-REPLY = message(
-    "DriveResponse",
-    trajectory=message(
-        "Trajectory",
-        poses=[
-            message("PoseAtTime", pose=pose_message(se2.to_se3([x, 0.0, 0.0])), timestamp_us=time)
-            for x, time in ((0.0, 5_000_000), (4.0, 5_500_000), (8.0, 6_000_000))
-        ],
-    ),
-).SerializeToString()
-
-
-@settings(max_examples=300, deadline=None)
-@given(st.lists(st.tuples(st.integers(0, len(REPLY) - 1), st.integers(0, 255)), max_size=4))
-def test_damaged_answers_are_plans_or_refused(changes: list[tuple[int, int]]) -> None:
-    data = bytearray(REPLY)
-    for place, value in changes:
-        data[place] = value
-    times = 5_000_000 + 100_000 * np.arange(1, 41)
-    try:
-        trajectory = parse("DriveResponse", bytes(data)).trajectory
-        plan = DrivenPlan.read(trajectory, 5_000_000, np.zeros(3))
-    except (DecodeError, ValueError):
-        assert changes
-        return
-    waypoints = plan.waypoints(5_000_000, np.zeros(3), times)
-    assert waypoints.shape == (40, 3) and np.isfinite(waypoints).all()
-
-
-@pytest.mark.parametrize(("dt", "plan_every"), [(0.05, 10), (0.2, 2)])
-def test_other_steps_than_the_driver_s(dt: float, plan_every: int) -> None:
-    """Plans of 0.1 s at steps of another length; 10 m/s, straight on."""
-    driver = FakeDriver()
-    with driving(driver) as port:
-        setup = setup_of(steps=20, dt=dt, plan_every=plan_every)
-        rollout = run_rollout(setup, planner_of(port))
-    assert driver.refused == []
-    query = [one for one in driver.told if hasattr(one, "time_query_us")]
-    assert {one.time_query_us - one.time_now_us for one in query} == {round(40e6 * dt)}
-    wanted = 10.0 * dt * np.arange(1, 41)
-    for plan in rollout.predictions:  # to the spacing of float32 at 200 m, see above
-        np.testing.assert_allclose(plan[:, 0], wanted, rtol=0, atol=1e-3)
-
-
-# A driver that is not there, goes away, is slow, or is another one
-
-
-@contextmanager
-def process(port: int = 0) -> Iterator[tuple[subprocess.Popen[str], int]]:
-    """The fake driver in a process of its own."""
-    command = [sys.executable, "-m", "support.fake_driver", str(port)]
-    with subprocess.Popen(command, cwd=TESTS, stdout=subprocess.PIPE, text=True) as child:
-        assert child.stdout is not None
-        try:
-            yield child, int(child.stdout.readline())
-        finally:
-            child.kill()
-
-
-class Killing(AlpaSimDriver):
-    """Kills the driver before its third plan."""
-
-    child: subprocess.Popen[str] | None = None
-    asked = 0
-
-    def plan(self, observation: PlannerInput) -> Plan:
-        self.asked += 1
-        if self.asked == 3 and self.child is not None:
-            self.child.kill()
-            self.child.wait()
-        return super().plan(observation)
-
-
-def test_a_driver_that_is_killed_costs_its_rollout_and_may_come_back() -> None:
-    with process() as (child, port):
-        planner = Killing(f"127.0.0.1:{port}", (), pauses=QUICK)
-        planner.child = child
-        failed, absent = run_batch([RolloutJob(setup_of(), planner)] * 2)
-    with process(port):
-        (back,) = run_batch([RolloutJob(setup_of(), planner)])
-    for row, method in ((failed, "submit_egomotion_observation"), (absent, "get_version")):
-        assert isinstance(row, RolloutFailure)
-        assert row.reason.startswith(f"127.0.0.1:{port}: {method}: UNAVAILABLE: ")
-        assert row.reason.endswith("; start the driver, or name its host and port")
-    assert isinstance(back, Rollout) and back.steps_run == 30
-
-
-def test_a_slow_driver_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the deadline of the call, and by the limit for a plan."""
-    go_on, asked = Event(), module.DriverSession.drive
-
-    def wait(reply: Any, number: int) -> Any:
-        if number == 2:
-            assert go_on.wait(60)
-        return reply
-
-    def impatient(session: module.DriverSession, now_us: int, query_us: int) -> Any:
-        if now_us == 5_500_000:  # the call that is never answered, and no other
-            session._client._deadline = 0.5
-        return asked(session, now_us, query_us)
-
-    driver = FakeDriver(change=wait)
-    with driving(driver) as port:
-        try:
-            (cut,) = run_batch([RolloutJob(setup_of(plan_limit_s=1.0), planner_of(port))])
-            monkeypatch.setattr(module.DriverSession, "drive", impatient)
-            (late,) = run_batch([RolloutJob(setup_of(), planner_of(port))])
-        finally:
-            go_on.set()
-    assert re.search("drive: DEADLINE_EXCEEDED: .*; give the driver more time, or", late.reason)
-    assert re.search(r"gave no plan at step \d within the limit of 1 s", cut.reason)
-    assert driver.sessions == {} and driver.calls.count("close_session") == 2
-
-
-def test_all_results_of_a_process_are_of_one_version() -> None:
-    with driving(FakeDriver()) as port:
-        planner = planner_of(port)
-        assert isinstance(run_batch([RolloutJob(setup_of(), planner)])[0], Rollout)
-    with driving(FakeDriver(version="fake-driver-2"), port):
-        (row,) = run_batch([RolloutJob(setup_of(), planner)])
-    assert row.reason.endswith(
-        "get_version: the driver is now fake-driver-2, git abc, API 0.54.0, it was fake-driver-1, "
-        "git abc, API 0.54.0; begin again with one driver"
-    )
-
-
-def test_a_port_of_nobody_and_one_of_another_service() -> None:
-    with driving(FakeDriver()) as port:
-        pass
-    with pytest.raises(InputError, match=rf"127.0.0.1:{port}: get_version: UNAVAILABLE: .*; start"):
-        run_rollout(setup_of(), planner_of(port))
-    with (
-        serving() as renderer,
-        pytest.raises(InputError, match=r"get_version: UNIMPLEMENTED: .*; name the port"),
-    ):
-        run_rollout(setup_of(), planner_of(renderer.port))
-
-
-def test_cameras_that_the_driver_refuses_or_the_log_lacks() -> None:
-    driver = FakeDriver(["front"])
-    with driving(driver) as port:
-        for cameras, wanted in (
-            (["front", "bent"], "submit_image_observation: UNKNOWN: Camera bent not in desired"),
-            (["bent"], r"start_session: UNKNOWN: Requested cameras \['front'\] are missing"),
-            (["rear"], r"planner alpasim:.*: camera rear: is needed and not there"),
-        ):  # fmt: skip
-            with pytest.raises(InputError, match=wanted):
-                run_rollout(setup_of(), planner_of(port, cameras), Noise(MOUNTS))
-        assert driver.sessions == {}
-        named = planner_of(port, {"front": "bent"})  # by the driver's name
-        run_rollout(setup_of(), named, Noise(MOUNTS))
-    spec = next(one for one in reversed(driver.told) if hasattr(one, "rollout_spec")).rollout_spec
-    camera = spec.vehicle.available_cameras[0]
-    assert (camera.logical_id, camera.intrinsics.resolution_w) == ("front", 40)
-    assert camera.intrinsics.opencv_pinhole_param.radial_coeffs[0] == -0.2
 
 
 def test_without_names_all_rendered_cameras_are_sent() -> None:
