@@ -120,17 +120,20 @@ def test_frames_are_right() -> None:
     assert x > 25.0 and y > 5.0 and heading > 0.4
 
 
-def test_the_driver_is_told_the_past_and_a_route_that_ends() -> None:
-    log = drive(seconds=9.0)
+@pytest.mark.parametrize("left", [0.0, 0.4])
+def test_the_driver_is_told_the_past_and_a_route_that_ends(left: float) -> None:
+    log = drive(seconds=11.0)
     driver = FakeDriver()
     with driving(driver) as port:
-        setup = setup_of(log, 20, start_timestamp_us=7_000_000)
+        setup = setup_of(log, 20, start_timestamp_us=9_000_000, start_left=left)
         run_rollout(setup, planner_of(port, seed=7))
-    assert driver.told[1].random_seed == 7
+    assert driver.refused == [] and driver.told[1].random_seed == 7
     motion = [one for one in driver.told if hasattr(one, "dynamic_states")]
     times = [pose.timestamp_us for one in motion for pose in one.trajectory.poses]
-    assert times == list(range(5_000_000, 8_500_001, 100_000))  # 2 s before the start, then on
-    assert [len(one.trajectory.poses) for one in motion] == [21, 5, 5, 5]
+    assert times == list(range(5_000_000, 10_500_001, 100_000))  # from the start of the log on
+    assert [len(one.trajectory.poses) for one in motion] == [41, 5, 5, 5]
+    aside = [pose.pose.vec.y for pose in motion[0].trajectory.poses]
+    np.testing.assert_allclose(aside, left, rtol=0, atol=1e-7)
     routes = [one.route for one in driver.told if hasattr(one, "route")]
     assert [int(np.isfinite([p.x for p in route.waypoints]).sum()) for route in routes] == [
         *(17, 16, 15, 14)  # 70 m are left, and 5 m less each time; points are 80 / 19 m apart

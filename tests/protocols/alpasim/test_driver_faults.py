@@ -128,6 +128,13 @@ def test_a_port_of_nobody_and_one_of_another_service() -> None:
         run_rollout(setup_of(), planner_of(renderer.port))
 
 
+def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "grpc", None)
+    monkeypatch.delitem(sys.modules, "recast.protocols.alpasim.calls")
+    with pytest.raises(InputError, match=r"is not installed; pip install 'recast-sim\[alpasim\]'"):
+        run_rollout(setup_of(), planner_of(1))
+
+
 def test_cameras_that_the_driver_refuses_or_the_log_lacks() -> None:
     driver = FakeDriver(["front"])
     with driving(driver) as port:

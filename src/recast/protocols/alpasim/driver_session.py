@@ -11,8 +11,14 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
+import numpy as np
+
+from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.core.workers import Closing
+from recast.dynamics import initial_state
+from recast.dynamics import state as ego
+from recast.geometry import se2
 from recast.planning import CameraMount, PlannerInput, PlanningContext
 from recast.protocols.alpasim.messages import (
     DEADLINE,
@@ -108,15 +114,29 @@ class DriverSession(Closing):
                 mend = "render smaller images"
                 raise InputError("planner", f"camera {name}", error.details, mend) from None
             self._client.call("submit_image_observation", image)
-        past = observation.ego_history
-        times = [now - self.step_us * back for back in range(len(past) - 1, -1, -1)]
-        new = [index for index, time in enumerate(times) if time > self._told_us]
-        poses = self._surface.ego_poses(past[new, :3])
-        told = egomotion(uuid, [times[index] for index in new], poses, past[new])
-        self._client.call("submit_egomotion_observation", told)
+        times, states = self._new_states(observation)
+        poses = self._surface.ego_poses(states[:, ego.POSE])
+        self._client.call("submit_egomotion_observation", egomotion(uuid, times, poses, states))
         self._told_us = now
         route = route_request(uuid, self.context.route, observation.ego.pose, now)
         self._client.call("submit_route", route)
+
+    def _new_states(self, observation: PlannerInput) -> tuple[list[int], Array]:
+        """Times and states (N, 11) since the driver was told; at first, since the log's start."""
+        past, step = observation.ego_history, self.step_us
+        times = [observation.timestamp_us - step * k for k in range(len(past) - 1, -1, -1)]
+        if self._told_us >= 0:
+            new = max(sum(time > self._told_us for time in times), 1)
+            return times[-new:], past[-new:]
+        log, vehicle = self.context.log, self.context.vehicle
+        count = (times[0] - int(log.timestamps_us[0])) // step
+        earlier = [times[0] - step * k for k in range(count, -1, -1)]  # the last is the first above
+        logged = np.stack(
+            [initial_state(log.timestamps_us, log.poses, time, vehicle) for time in earlier]
+        )
+        # A start beside the logged one has its whole past beside it.
+        left = float(se2.relative(logged[-1, ego.POSE], past[0, ego.POSE])[1])
+        return earlier[:-1] + times, np.concatenate([ego.moved_left(logged[:-1], left), past])
 
     def drive(self, now_us: int, query_us: int) -> Any:
         """The message DriveResponse.
