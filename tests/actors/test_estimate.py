@@ -96,8 +96,9 @@ def test_windows_and_rims_are_as_dark_as_seen(cloud: SurfaceCloud) -> None:
     assert estimate_rims(cloud, [photographed(cloud, 0.4, day, rims=0.3)], day) < 0.45
     assert estimate_windows(cloud, [photographed(cloud, 0.4, day)], day) > 0.9
     assert estimate_windows(cloud, [photographed(cloud, 0.4, day, windows=0.6)], day) < 0.75
+    assert estimate_windows(cloud, [photographed(cloud, 0.4, day, windows=0.2)], day) < 0.35
     blind = replace(photographed(cloud, 0.4, day), weight=np.zeros(len(cloud.points)))
-    assert estimate_rims(cloud, [blind], day) == 0.4
+    assert (estimate_rims(cloud, [blind], day), estimate_windows(cloud, [blind], day)) == (0.4, 0.3)
 
 
 def test_a_distant_slanted_side_is_left_to_the_model(

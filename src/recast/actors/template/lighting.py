@@ -227,9 +227,9 @@ def _road(observation: Observation) -> float:
 
 
 def estimate_windows(cloud: SurfaceCloud, seen: Sequence[SurfaceView], light: Daylight) -> float:
-    """Brightness of the windows seen over the model's, 0.5 to 1; 0.7 where none is seen."""
-    ratio = _ratio(cloud, seen, light, cloud.glass > 0.9, quantile=0.5, usual=0.7)
-    return float(np.clip(ratio, 0.5, 1.0))
+    """Brightness of the windows seen over the model's, 0.1 to 1; 0.3 where none is seen."""
+    ratio = _ratio(cloud, seen, light, cloud.glass > 0.9, quantile=0.5, usual=0.3)
+    return float(np.clip(ratio, 0.1, 1.0))
 
 
 def estimate_rims(cloud: SurfaceCloud, seen: Sequence[SurfaceView], light: Daylight) -> float:
