@@ -10,7 +10,7 @@ import pytest
 from recast.core.errors import InputError
 from recast.evaluation.verdict_parts import Part
 from recast.pipeline.arm_words import parse_arms
-from recast.pipeline.arms import Arm, truth_of
+from recast.pipeline.arms import Arm, disturbed_arms, truth_of
 from recast.pipeline.config import resolve_config
 from recast.pipeline.decomposition import parts_of
 from recast.scene.store import SCENE_FILE
@@ -75,8 +75,8 @@ BAD = [
     ('[{"name": "x", "vehicle": "magic"}]', "vehicle"),
     ('[{"name": "", "vehicle": "own"}]', "name"),
     ('[{"name": "x", "street": "truth", "vehicle": "own"}]', "no reconstruction"),
-    ('[{"name": "x", "vehicle": "truth", "noise": "grey"}]', "disturbed by noise"),
-    ('[{"name": "x", "street": "truth", "vehicle": "none", "noise": "seed"}]', "disturbed by"),
+    ('[{"name": "x", "vehicle": "truth", "noise": "seed"}]', "only the truth has camera noise"),
+    ('[{"name": "x", "street": "truth", "vehicle": "none", "noise": "seed"}]', "camera noise"),
     ('[{"name": "x", "street": "truth", "vehicle": "truth", "noise": "loud"}]', "noise"),
     ('[{"name": "x", "vehicle": "none", "relit": false}]', "only a generated"),
     ('[{"name": "x", "vehicle": "own", "generator": "template"}]', "only a generated"),
@@ -123,8 +123,8 @@ def test_words_of_noise_and_of_parts() -> None:
 @pytest.mark.parametrize(
     ("word", "said"),
     [
-        ("oracle:loud", "disturbs the truth by 'loud'; choose of oracle:seed, oracle:grey"),
-        ("recast+oracle:seed", "disturbs what is not the truth; disturb the truth alone"),
+        ("oracle:loud", "is disturbed by 'loud'; choose of oracle:seed, oracle:grey"),
+        ("recast+oracle:seed", "by 'seed'; choose of recast.oracle:grey, .*:start, .*:noise"),
         ("oracle+native", "puts a reconstruction into the truth, which has none; name a"),
     ],
 )
@@ -134,9 +134,24 @@ def test_bad_words_are_one_line(word: str, said: str) -> None:
     assert word in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_noise_without_the_truth_is_refused() -> None:
-    with pytest.raises(InputError, match="oracle:seed: is compared with the truth"):
-        resolve_config("0", ["cut-in-a"], None, None, {"arms": ["native", "noise-floor"]}, {})
+def test_any_arm_may_be_disturbed() -> None:
+    arms = parse_arms(["replaced", "replaced:noise", "oracle+template:jitter", "native"])
+    assert [arm.name for arm in arms] == [
+        "replaced",
+        *("replaced:grey", "replaced:jitter", "replaced:start"),
+        "oracle+template:jitter",
+        "native",
+    ]
+    assert disturbed_arms(arms[0], arms) == arms[1:4] and disturbed_arms(arms[5], arms) == ()
+    assert parse_arms(["oracle:noise"]) == parse_arms(["noise-floor"])
+    assert len({str(arm.inputs()) for arm in arms[:4]}) == 4, "keys tell them apart"
+    assert [arm.start_left for arm in arms[2:4]] == [0.0, 0.05]
+
+
+@pytest.mark.parametrize(("word", "plain"), [("noise-floor", "oracle"), ("omnire:grey", "omnire")])
+def test_noise_without_what_it_disturbs_is_refused(word: str, plain: str) -> None:
+    with pytest.raises(InputError, match=f"compared with the undisturbed arm.*add `arm` {plain}"):
+        resolve_config("0", ["cut-in-a"], None, None, {"arms": ["native", word]}, {})
 
 
 def test_parts_of_a_disagreement() -> None:

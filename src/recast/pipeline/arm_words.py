@@ -21,7 +21,7 @@ NOISE_FLOOR = "noise-floor"
 """The word for the truth under each kind of noise."""
 _LARGEST_FILE = 1_000_000  # bytes
 _MEND = "see docs/runs.md for what an arm is"
-_NOISY = f"{Arm.oracle().name}:"
+_ALL_NOISE = "noise"
 
 
 def parse_arms(words: Sequence[str]) -> tuple[Arm, ...]:
@@ -53,16 +53,14 @@ def _arms_of(word: str) -> Sequence[Arm]:
         return _read_arms(paper_arms())
     if word == DECOMPOSITION:
         return decomposition_arms()
-    by_name = {arm.name: arm for arm in (*default_arms(), Arm.oracle())}
-    noisy = {arm.name: arm for arm in (Arm.oracle(noise=noise) for noise in NOISES)}
     if word == NOISE_FLOOR:
-        return list(noisy.values())
-    by_name |= noisy
+        return _disturbed(Arm.oracle())
+    by_name = {arm.name: arm for arm in (*default_arms(), Arm.oracle())}
     if word in by_name:
         return [by_name[word]]
-    if word.startswith(_NOISY):
-        problem = f"disturbs the truth by {word.removeprefix(_NOISY)!r}"
-        raise InputError("`arm`", word, problem, f"choose of {', '.join(noisy)}")
+    plain, colon, noise = word.rpartition(":")
+    if colon and (noise in (*NOISES, _ALL_NOISE) or plain in by_name):
+        return [one for arm in _arms_of(plain) for one in _disturbed(arm, noise)]
     if is_street(word):
         return [Arm.native(word)]
     street, plus, vehicle = word.partition("+")
@@ -72,11 +70,18 @@ def _arms_of(word: str) -> Sequence[Arm]:
     return [Arm.replaced(word)]
 
 
+def _disturbed(arm: Arm, noise: str = _ALL_NOISE) -> Sequence[Arm]:
+    """An arm under one kind of noise, or under each that it can have."""
+    chosen = [one for one in arm.noises if noise in (one, _ALL_NOISE)]
+    if not chosen:
+        named = ", ".join(f"{arm.name}:{one}" for one in (*arm.noises, _ALL_NOISE))
+        problem = f"is disturbed by {noise!r}"
+        raise InputError("`arm`", f"{arm.name}:{noise}", problem, f"choose of {named}")
+    return [arm.disturbed(one) for one in chosen]
+
+
 def _combined(word: str, street: str, vehicle: str) -> Arm:
     """The arm of a street and a vehicle."""
-    if vehicle.startswith(_NOISY):
-        mend = f"disturb the truth alone: {vehicle}"
-        raise InputError("`arm`", word, "disturbs what is not the truth", mend)
     if vehicle == "oracle":
         return Arm.oracle(street)
     if vehicle == "none":

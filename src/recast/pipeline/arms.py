@@ -68,8 +68,8 @@ class Arm(Record):
     noise: Noise | None = Field(
         default=None,
         description=(
-            "disturbance of the truth: camera noise of another seed, a grey level up or down, a "
-            "pixel to the right, or a start 5 cm to the left"
+            "disturbance: a grey level up or down, a pixel to the right, a start 5 cm to the left, "
+            "or camera noise of another seed, which the truth alone has"
         ),
     )
 
@@ -88,11 +88,10 @@ class Arm(Record):
         return cls(name=name, street=street, vehicle="generated", generator=generator)
 
     @classmethod
-    def oracle(cls, street: str = TRUTH, noise: Noise | None = None) -> Self:
-        """The truth of a synthetic log, disturbed or not; or the true vehicle in another street."""
+    def oracle(cls, street: str = TRUTH) -> Self:
+        """The truth of a synthetic log; or the true vehicle in another street."""
         name = "oracle" if street == TRUTH else f"{_of_street(street)}+oracle"
-        name += "" if noise is None else f":{noise}"
-        return cls(name=name, street=street, vehicle="truth", noise=noise)
+        return cls(name=name, street=street, vehicle="truth")
 
     @classmethod
     def empty(cls, street: str = OWN_STREET) -> Self:
@@ -103,12 +102,26 @@ class Arm(Record):
     def _parts_fit(self) -> Self:
         if self.street == TRUTH and self.vehicle == "own":
             raise ValueError("the true street has no reconstruction of the vehicle")
-        if self.noise is not None and not self.is_truth:
-            raise ValueError("only the truth, street and vehicle, is disturbed by noise")
+        if self.noise == "seed" and not self.is_truth:
+            raise ValueError("only the truth has camera noise, so only it has the noise seed")
         given = (self.generator, self.axes, self.refine, self.relit, self.segmenter, self.views)
         if self.vehicle != "generated" and any(value is not None for value in given):
             raise ValueError("only a generated vehicle has generator, axes, refine and the like")
         return self
+
+    def disturbed(self, noise: Noise) -> Self:
+        """The same arm under a disturbance.
+
+        Raises:
+            ValueError: it has no such noise.
+        """
+        fields = {**self.model_dump(), "name": f"{self.name}:{noise}", "noise": noise}
+        return type(self).model_validate(fields)
+
+    @property
+    def noises(self) -> tuple[Noise, ...]:
+        """The disturbances that it can have."""
+        return tuple(noise for noise in NOISES if noise != "seed" or self.is_truth)
 
     @property
     def is_truth(self) -> bool:
@@ -185,16 +198,26 @@ def truth_of(arms: Sequence[Arm]) -> str | None:
     return next((arm.name for arm in arms if arm.is_truth and arm.noise is None), None)
 
 
-def require_truth(arms: Sequence[Arm]) -> None:
-    """Refuse noise without the truth that it disturbs.
+def disturbed_arms(arm: Arm, arms: Sequence[Arm]) -> tuple[Arm, ...]:
+    """Those of `arms` that are an arm under some disturbance."""
+    same = arm.model_dump(exclude={"name", "noise"})
+    noisy = (one for one in arms if one.noise is not None)
+    return tuple(one for one in noisy if one.model_dump(exclude={"name", "noise"}) == same)
+
+
+def require_undisturbed(arms: Sequence[Arm]) -> None:
+    """Refuse noise without the arm that it disturbs.
 
     Raises:
-        InputError: no arm shows the truth undisturbed.
+        InputError: that is not among the arms.
     """
-    noisy = next((arm.name for arm in arms if arm.noise is not None), None)
-    if noisy is not None and truth_of(arms) is None:
-        problem = "is compared with the truth, which is not among the arms"
-        raise InputError("`arm`", noisy, problem, "add `arm` oracle")
+    plain = [arm for arm in arms if arm.noise is None]
+    compared = {noisy.name for arm in plain for noisy in disturbed_arms(arm, arms)}
+    for arm in arms:
+        if arm.noise is not None and arm.name not in compared:
+            problem = "is compared with the undisturbed arm, which is not among the arms"
+            mend = f"add `arm` {arm.name.removesuffix(f':{arm.noise}')}"
+            raise InputError("`arm`", arm.name, problem, mend)
 
 
 def _short(word: str) -> str:

@@ -13,7 +13,7 @@ from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.records import Record, parse_record, validation_error
 from recast.pipeline.arm_words import is_street, parse_arms
-from recast.pipeline.arms import MOST_VIEWS, PRESETS, Arm, default_arms, require_truth
+from recast.pipeline.arms import MOST_VIEWS, PRESETS, Arm, default_arms, require_undisturbed
 from recast.pipeline.paper import PAPER, paper_config
 from recast.planning import DEVICE_PATTERN
 from recast.scene import Preset, SceneConfig, read_config, read_training_config
@@ -207,7 +207,7 @@ def resolve_config(
     values = {**(base.model_dump() if base else {}), **given(run_options), "track": track}
     values |= _motions(names, base.own_motions if base else {})
     arms = parse_arms(run_options.get("arms") or ()) or (base.arms if base else default_arms())
-    require_truth(arms)
+    require_undisturbed(arms)
     values["arms"] = arms
     try:
         return RunConfig.model_validate(

@@ -16,7 +16,7 @@ from recast.core.records import validation_error
 from recast.core.workers import usable_cores
 from recast.evaluation import RolloutMetrics, rollout_metrics
 from recast.evaluation.pairs import over_common_steps
-from recast.pipeline.arms import NOISES, Arm, default_arms
+from recast.pipeline.arms import Arm, default_arms
 from recast.pipeline.artefacts import Artefacts
 from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import LOG_FOLDER, STORE_FOLDER
@@ -121,7 +121,7 @@ def decided(log: Path, store: Path, config: RunConfig, console: Console) -> tupl
     """One scenario of each motion, one whose true verdict does not hang on noise.
 
     Of the settings of a motion, in their order, it is the first in which the truth, undisturbed and
-    under each of `NOISES`, always ends in a collision or never does. Where there is none, it is the
+    under each disturbance, always ends in a collision or never does. Where there is none, it is the
     first one that can be driven, and `console` says so.
 
     Args:
@@ -134,7 +134,8 @@ def decided(log: Path, store: Path, config: RunConfig, console: Console) -> tupl
     settings: dict[str, list[str]] = {}
     for name in config.motions:
         settings.setdefault(config.motion(name).name, []).append(name)
-    arms = (Arm.oracle(), *(Arm.oracle(noise=noise) for noise in NOISES))
+    truth = Arm.oracle()
+    arms = (truth, *map(truth.disturbed, truth.noises))
     trial = config.model_copy(update={"arms": arms, "films": False})
     source = SourceLog.open(log)
     name = source.log.name

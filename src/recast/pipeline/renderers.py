@@ -125,7 +125,8 @@ class Renderers:
             return renderer
         from recast.simulation.camera_noise import NoisyRenderer
 
-        return NoisyRenderer(renderer, arm.noise, self._world_of().seed)
+        seed = self._world_of().seed if arm.needs_world else 0
+        return NoisyRenderer(renderer, arm.noise, seed)
 
     def close(self) -> None:
         """End the oracle's processes."""

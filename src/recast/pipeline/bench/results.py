@@ -52,7 +52,7 @@ def summarise(rows: Sequence[GridRow], settings: BenchSettings) -> GridResults:
     """The results of all rows; the bootstrap draws by the grid's seed."""
     samples, seed, arms = settings.samples, settings.run.seed, settings.run.arms
     arms = tuple(settings.run.arm(arm.name) for arm in arms)
-    truth, noisy = truth_of(arms), [arm.name for arm in arms if arm.noise is not None]
+    truth, noisy = truth_of(arms), [arm.name for arm in arms if arm.is_truth and arm.noise]
     drawn = (samples, seed)
     compared = [] if truth is None else agreements(rows, truth, *drawn)
     floors = [] if truth is None else noise_floors(rows, truth, noisy, *drawn)
