@@ -31,7 +31,7 @@ from recast.trellis import RECAST_MINI, recast_mini
 
 RECIPES = {
     "log": 2,
-    "actor": 6,
+    "actor": 7,
     "refine": 3,
     "turntable": 1,
     "scene": 3,
