@@ -30,9 +30,9 @@ from recast.planning import CameraMount
 from recast.protocols.alpasim.cameras import camera_message
 from recast.protocols.alpasim.messages import CHANNEL_OPTIONS, SENSORSIM_SERVICES, message, parse
 from recast.protocols.alpasim.poses import pose_pair
-from recast.protocols.alpasim.rendering import ScenePainter, ServedScene
 from recast.protocols.alpasim.requests import JPEG, PLANAR, PNG, encode, read_requests
 from recast.protocols.alpasim.server import SensorsimServer, SensorsimService
+from recast.protocols.rendering import ScenePainter, ServedScene
 from recast.scene import StreetScene
 from recast.scene.sky import SkyMap
 from recast.splats import set_threads

@@ -12,8 +12,8 @@ import torch
 from recast.geometry import PinholeCamera, se3
 from recast.logs.types import CameraStream, DrivingLog, Track, Trajectory
 from recast.planning import CameraMount
-from recast.protocols.alpasim.rendering import ScenePainter, ServedScene, Unnamed
 from recast.protocols.alpasim.server import SensorsimServer, SensorsimService
+from recast.protocols.rendering import ScenePainter, ServedScene, Unnamed
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.splats import Gaussians

@@ -22,8 +22,8 @@ from recast.planning import CameraMount, ConstantVelocity, Lens, Plan, PlannerIn
 from recast.protocols.alpasim.client import SensorsimClient, SensorsimRenderer
 from recast.protocols.alpasim.messages import CHANNEL_OPTIONS, SENSORSIM_SERVICES, message, parse
 from recast.protocols.alpasim.poses import as_sent
-from recast.protocols.alpasim.rendering import ScenePainter
 from recast.protocols.alpasim.server import VERSION_ID
+from recast.protocols.rendering import ScenePainter
 from recast.scene.render import SceneRasterizer
 from recast.simulation import MOTIONS, Rollout, RolloutSetup, SensorRenderer, SimState, run_rollout
 from recast.simulation.renderer import Mounted

@@ -18,9 +18,10 @@ from recast.planning import Lens
 from recast.protocols.alpasim.cameras import camera_message, read_camera
 from recast.protocols.alpasim.messages import message, parse
 from recast.protocols.alpasim.poses import as_sent, pose_message, pose_pair, read_middle
-from recast.protocols.alpasim.rendering import ScenePainter, ServedScene, Unnamed
-from recast.protocols.alpasim.requests import RefusedError, read_requests
+from recast.protocols.alpasim.requests import read_requests
 from recast.protocols.alpasim.server import VERSION_ID, SensorsimService
+from recast.protocols.rendering import ScenePainter, ServedScene, Unnamed
+from recast.protocols.requests import RefusedError
 from recast.scene.render import SceneRasterizer
 from recast.simulation.scene_renderer import draw_image
 from support.tiny_served import (

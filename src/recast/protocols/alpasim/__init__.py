@@ -8,19 +8,19 @@ if TYPE_CHECKING:
     from recast.protocols.alpasim.client import SensorsimClient, SensorsimRenderer
     from recast.protocols.alpasim.driver import AlpaSimDriver
     from recast.protocols.alpasim.messages import message, parse
-    from recast.protocols.alpasim.rendering import ScenePainter, ServedScene
     from recast.protocols.alpasim.server import SensorsimServer, SensorsimService
+    from recast.protocols.rendering import ScenePainter, ServedScene
 
 _FILES = {
-    "AlpaSimDriver": "driver",
-    "ScenePainter": "rendering",
-    "SensorsimClient": "client",
-    "SensorsimRenderer": "client",
-    "SensorsimServer": "server",
-    "SensorsimService": "server",
-    "ServedScene": "rendering",
-    "message": "messages",
-    "parse": "messages",
+    "AlpaSimDriver": ".driver",
+    "ScenePainter": "..rendering",
+    "SensorsimClient": ".client",
+    "SensorsimRenderer": ".client",
+    "SensorsimServer": ".server",
+    "SensorsimService": ".server",
+    "ServedScene": "..rendering",
+    "message": ".messages",
+    "parse": ".messages",
 }
 
 __all__ = [
@@ -42,4 +42,4 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(f"{__name__}.{_FILES[name]}"), name)
+    return getattr(import_module(_FILES[name], __name__), name)

@@ -10,8 +10,7 @@ from recast.geometry.lens import fisheye_lens, ftheta_lens
 from recast.planning import CameraMount
 from recast.protocols.alpasim.messages import message
 from recast.protocols.alpasim.poses import pose_message
-
-AnyCamera = PinholeCamera | RationalLens | RadialLens
+from recast.protocols.requests import AnyCamera
 
 FTHETA_CENTRE = 0.5
 """Added to the principal point of f-theta cameras: NVIDIA counts from the centre of the first pixel

@@ -11,61 +11,35 @@ import numpy as np
 
 from recast.arrays import Array, Image
 from recast.logs.checks import LATEST_US
-from recast.protocols.alpasim.cameras import FTHETA_CENTRE, AnyCamera, read_camera
+from recast.protocols.alpasim.cameras import FTHETA_CENTRE, read_camera
 from recast.protocols.alpasim.messages import MOST_BYTES
 from recast.protocols.alpasim.poses import read_middle
+from recast.protocols.requests import MOST_IN_ALL, MOST_PIXELS, RefusedError, RenderRequest
 
 PNG, JPEG, PLANAR = 1, 2, 4
 """Numbers of the image formats that recast encodes."""
 JPEG_QUALITY = 95
 """Of requests that name none, which is what AlpaSim always asks for."""
-MOST_PIXELS = 3840 * 2160
-"""Of one image."""
-MOST_IN_ALL = 4 * MOST_PIXELS
-"""Of the images of one call."""
 _SHORTEST = 1e-3
 """Pixels of a focal length in the image asked for: less is a slip, and no number of float32."""
 
 
-class RefusedError(Exception):
-    """A call that is answered with a status.
-
-    Args:
-        code: name of a gRPC status code, such as "NOT_FOUND".
-    """
-
-    def __init__(self, code: str, details: str) -> None:
-        self.code, self.details = code, details
-        super().__init__(f"{code}: {details}")
-
-
-@dataclass(frozen=True)
-class RenderRequest:
-    """One image that is asked for.
+@dataclass(frozen=True, kw_only=True)
+class SensorsimRequest(RenderRequest):
+    """One image that is asked for, and how it is to be encoded.
 
     Attributes:
-        camera: at the size of the image.
-        local_from_camera: (4, 4) at mid-frame.
-        timestamp_us: log time at mid-frame.
-        poses: `local_from_actor` (4, 4) at mid-frame, of the named tracks.
         image_format: `PNG`, `JPEG` or `PLANAR`.
         quality: of a JPEG, 1 to 100.
-        local_from_rig: (4, 4) of the ego at mid-frame if the request says it; not needed to draw.
     """
 
-    scene_id: str
-    camera: AnyCamera
-    local_from_camera: Array
-    timestamp_us: int
-    poses: dict[str, Array]
     image_format: int
     quality: int
-    local_from_rig: Array | None = None
 
 
 def read_requests(
     requests: Sequence[Any], ftheta_centre: float = FTHETA_CENTRE
-) -> list[RenderRequest]:
+) -> list[SensorsimRequest]:
     """The images that messages RGBRenderRequest of one call ask for.
 
     Raises:
@@ -82,7 +56,7 @@ def read_requests(
         raise RefusedError("INVALID_ARGUMENT", str(error)) from None
 
 
-def _read(request: Any, ftheta_centre: float) -> RenderRequest:
+def _read(request: Any, ftheta_centre: float) -> SensorsimRequest:
     height, width = request.resolution_h, request.resolution_w
     if not (height and width):
         raise ValueError(f"resolution_h, resolution_w: {height} x {width}")
@@ -115,7 +89,7 @@ def _read(request: Any, ftheta_centre: float) -> RenderRequest:
     camera.validate()
     if min(camera.fx, camera.fy) < _SHORTEST:
         raise ValueError(f"camera_intrinsics: focal lengths of {camera.fx:g}, {camera.fy:g} pixels")
-    return RenderRequest(
+    return SensorsimRequest(
         scene_id=request.scene_id,
         camera=camera,
         local_from_camera=read_middle(request.sensor_pose, "sensor_pose"),

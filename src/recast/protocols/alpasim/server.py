@@ -26,8 +26,9 @@ from recast.protocols.alpasim.messages import (
     message,
     parse,
 )
-from recast.protocols.alpasim.rendering import ScenePainter
-from recast.protocols.alpasim.requests import RefusedError, encode, read_requests
+from recast.protocols.alpasim.requests import encode, read_requests
+from recast.protocols.rendering import ScenePainter
+from recast.protocols.requests import RefusedError
 
 _LOG = logging.getLogger(__name__)
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import errno
 import re
-import socket
 from collections.abc import Awaitable, Callable, Mapping
 from functools import cache
 from importlib.resources import files
-from typing import Any, Self
+from typing import Any
 
-import uvicorn
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
@@ -22,6 +19,7 @@ from starlette.routing import Route
 
 from recast.core.errors import InputError
 from recast.core.files import parse_json
+from recast.core.web_server import WebServer
 from recast.recar.screening.service import RefusedError, ScreeningService
 
 CONTENT_POLICY = (
@@ -126,7 +124,7 @@ def _refusal(refused: RefusedError) -> Response:
     return JSONResponse(refused.answer, refused.status)
 
 
-class ScreeningServer(uvicorn.Server):
+class ScreeningServer(WebServer):
     """Serves one cache on 127.0.0.1 until `should_exit` is set.
 
     Args:
@@ -138,31 +136,9 @@ class ScreeningServer(uvicorn.Server):
     """
 
     def __init__(self, service: ScreeningService, port: int) -> None:
-        try:
-            self.socket = socket.create_server((HOST, port))
-        except (OSError, OverflowError) as error:
-            taken = getattr(error, "errno", None) == errno.EADDRINUSE
-            problem = "is taken by another program" if taken else f"cannot be used ({error})"
-            raise InputError("`port`", str(port), problem, "name another, or 0 for any") from None
-        app = screening_app(service)
-        # Nothing is logged: the terminal is free for people.
-        super().__init__(
-            uvicorn.Config(
-                app, log_config=None, log_level=60, server_header=False, timeout_graceful_shutdown=1
-            )
-        )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.socket.close()
+        super().__init__(screening_app(service), HOST, port)
 
     @property
     def url(self) -> str:
         """Address of the page."""
-        return f"http://{HOST}:{self.socket.getsockname()[1]}/"
-
-    def serve_forever(self) -> None:
-        """Answer until `should_exit` is set, or Ctrl-C, which is raised again."""
-        self.run([self.socket])
+        return f"http://{HOST}:{self.port}/"

@@ -14,8 +14,7 @@ import numpy as np
 from recast.arrays import Array, Image
 from recast.geometry import PinholeCamera, se3
 from recast.planning import CameraMount, Lens
-from recast.protocols.alpasim.cameras import AnyCamera
-from recast.protocols.alpasim.requests import MOST_IN_ALL, RefusedError, RenderRequest
+from recast.protocols.requests import MOST_IN_ALL, AnyCamera, RefusedError, RenderRequest
 from recast.scene.render import SceneRasterizer
 from recast.scene.street_scene import StreetScene
 from recast.simulation.scene_renderer import draw_image

@@ -1,0 +1,47 @@
+"""One image that another program asks for, whatever its protocol, and the refusal of a request."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from recast.arrays import Array
+from recast.geometry import PinholeCamera, RadialLens, RationalLens
+
+AnyCamera = PinholeCamera | RationalLens | RadialLens
+
+MOST_PIXELS = 3840 * 2160
+"""Of one image."""
+MOST_IN_ALL = 4 * MOST_PIXELS
+"""Of the images of one call."""
+
+
+class RefusedError(Exception):
+    """A call that is answered with a status.
+
+    Args:
+        code: name of a gRPC status code, such as "NOT_FOUND".
+    """
+
+    def __init__(self, code: str, details: str) -> None:
+        self.code, self.details = code, details
+        super().__init__(f"{code}: {details}")
+
+
+@dataclass(frozen=True)
+class RenderRequest:
+    """One image that is asked for.
+
+    Attributes:
+        camera: at the size of the image.
+        local_from_camera: (4, 4) at mid-frame.
+        timestamp_us: log time at mid-frame.
+        poses: `local_from_actor` (4, 4) at mid-frame, of the named tracks.
+        local_from_rig: (4, 4) of the ego at mid-frame if the request says it; not needed to draw.
+    """
+
+    scene_id: str
+    camera: AnyCamera
+    local_from_camera: Array
+    timestamp_us: int
+    poses: dict[str, Array]
+    local_from_rig: Array | None = None
