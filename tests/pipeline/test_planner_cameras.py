@@ -226,3 +226,25 @@ def test_a_grid_says_it_for_every_log_and_once_for_synthetic_scenes(tiny_log_fol
     assert synthetic == "synthetic: planner gtrs-mini on cpu sees front_left; front; front_right"
     assert recorded.startswith(f"{name}: planner gtrs-mini on cpu sees front_left by a virtual")
     assert warning.startswith(f"{name}: warning: planner gtrs-mini sees black where no camera")
+
+
+def test_a_planner_that_is_one_program_has_one_worker(
+    tiny_log_folder: Path, tmp_path: Path
+) -> None:
+    settings = resolve_bench(
+        words=[f"{tiny_log_folder}:0"],
+        track=None,
+        motions=("advancing-a",),
+        quick=False,
+        config_file=None,
+        scene_config_file=None,
+        samples=100,
+        drive_options={},
+        run_options={"planners": ("idm-follower", "neuroncap:localhost:9000")},
+        scene_options={},
+    )
+    console, out = Console(file=StringIO()), tmp_path / "grid"
+    for options in ({"workers": 2}, {"workers": 1, "ray": "local"}):
+        with pytest.raises(InputError, match="neuroncap:localhost:9000: is one program") as error:
+            closed_loop.run_closed_loop(settings, out, console, **options)
+        assert not out.exists() and "use one worker" in str(error.value)

@@ -69,7 +69,8 @@ ARM_DEFAULT = "native and replaced"
 ARM = option(ARM_HELP, ARM_DEFAULT)
 PLANNER_HELP = (
     "Planner under test: a name that `recast doctor` lists, a planner folder, "
-    "package.module:attribute, or alpasim:HOST:PORT (a driver of AlpaSim). May be repeated."
+    "package.module:attribute, alpasim:HOST:PORT (a driver of AlpaSim) or neuroncap:HOST:PORT. "
+    "May be repeated."
 )
 PLANNER = option(PLANNER_HELP, "idm-follower")
 PLANNER_DEVICE = option(

@@ -59,7 +59,27 @@ class JsonService:
         seconds: float,
         most_bytes: int,
     ) -> Any:
-        """What it answers.
+        """The value of the JSON that it answers.
+
+        Raises:
+            InputError: see `send`; or the answer is no JSON.
+        """
+        data = self.send(method, path, value, seconds=seconds, most_bytes=most_bytes)
+        try:
+            return parse_json(self.name, data)
+        except InputError as error:
+            raise self.fault(path, f"its answer {error.problem}") from None
+
+    def send(
+        self,
+        method: Literal["GET", "POST"],
+        path: str,
+        value: object = None,
+        *,
+        seconds: float,
+        most_bytes: int,
+    ) -> bytes:
+        """The bytes that it answers.
 
         Args:
             path: with its slash, such as "/infer".
@@ -68,17 +88,13 @@ class JsonService:
             most_bytes: longest answer.
 
         Raises:
-            InputError: nobody listens; the answer is late, too long, no JSON, or has another status
-                than 2xx, whose text is shown.
+            InputError: nobody listens; the answer is late or too long, or has another status than
+                2xx, whose text is shown.
         """
         body = None
         if method == "POST":
             body = json.dumps(value, separators=(",", ":"), allow_nan=False).encode()
-        data = self._exchange(method, path, body, seconds, most_bytes)
-        try:
-            return parse_json(self.name, data)
-        except InputError as error:
-            raise self.fault(path, f"its answer {error.problem}") from None
+        return self._exchange(method, path, body, seconds, most_bytes)
 
     def fault(self, path: str, problem: str) -> InputError:
         """An error of this program."""

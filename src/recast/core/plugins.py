@@ -253,6 +253,7 @@ PLANNERS = Registry(
     prefixes={
         "alpasim:": "recast.protocols.alpasim.driver:driver_planner",
         "navsim:": "recast.planning.registry:navsim_planner",
+        "neuroncap:": "recast.protocols.neuroncap.planner:neuroncap_planner",
     },
 )
 """Each is a class or function that makes a `recast.planning.Planner`."""

@@ -17,6 +17,8 @@ ALPASIM_PREFIX = "alpasim:"
 """Before the address of a driver of AlpaSim."""
 NAVSIM_PREFIX = "navsim:"
 """Before the "module:attribute" of a NAVSIM agent."""
+NEURONCAP_PREFIX = "neuroncap:"
+"""Before the address of a program that plans, see `recast.protocols.neuroncap`."""
 
 
 def make_planner(planner: str | Path | Planner, device: str = "auto") -> Planner:
@@ -26,7 +28,8 @@ def make_planner(planner: str | Path | Planner, device: str = "auto") -> Planner
         planner: one of `PLANNERS.names()`; or "package.module:attribute" of a class or function
             that returns a `Planner` when called without arguments; or
             "navsim:package.module:attribute" of one that returns a NAVSIM agent; or
-            "alpasim:HOST:PORT" of a driver of AlpaSim; or a folder that `save_gtrs` wrote; or a
+            "alpasim:HOST:PORT" of a driver of AlpaSim; or "neuroncap:HOST:PORT" of a program that
+            plans; or a folder that `save_gtrs` wrote; or a
             `Planner`. See `recast.core.plugins.Registry.resolve`.
         device: where it computes, see `planner_device`. A class or function of the user's is given
             it if it has a parameter `device`; what has none decides itself.
@@ -69,12 +72,12 @@ def planner_folder(name: str) -> Path | None:
 def planner_source_files(name: str) -> tuple[Path, ...]:
     """The files of a user's own code behind a planner's name, see `core.plugins.source_files`.
 
-    () for built-in planners, for folders and for drivers of AlpaSim.
+    () for built-in planners, for folders, and for other programs, whose code nobody here knows.
 
     Raises:
         InputError: the name is unknown.
     """
-    if planner_folder(name) is not None or name.startswith(ALPASIM_PREFIX):
+    if name.startswith((ALPASIM_PREFIX, NEURONCAP_PREFIX)) or planner_folder(name) is not None:
         return ()
     return PLANNERS.source_files(name.removeprefix(NAVSIM_PREFIX))
 

@@ -187,6 +187,8 @@ class Planner(Protocol):
     `recast.planning.virtual_mounts`. For records, `device` says where it computes, and the mapping
     `record_fields` what else there is to say. `finish_rollout()` is called by `run_rollout` after
     each rollout, also after one that failed.
+    If `shared` is true, one program behind it serves all processes, so no two of them may use it at
+    once.
 
     Attributes:
         needs_images: whether `PlannerInput.images` must be filled; rendering costs far more than

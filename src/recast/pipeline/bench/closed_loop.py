@@ -75,6 +75,7 @@ def run_closed_loop(
     """
     team = Workers(out, workers, ray, store)
     planners = check_grid(settings)
+    _require_unshared(planners, workers, ray)
     begin(out, settings.record())
     for planner in planners.values():
         _announce(settings, planner, console)
@@ -149,6 +150,18 @@ def check_grid(settings: BenchSettings) -> dict[str, Planner]:
     for scene in synthetic:
         check_drive(str(scene.world), scene.seed or 0, size.seconds)
     return planners
+
+
+def _require_unshared(planners: Mapping[str, Planner], workers: int, ray: str | None) -> None:
+    """Refuse several workers of a planner that is one program: they would reset it in turn.
+
+    Raises:
+        InputError: names the planner.
+    """
+    shared = next((word for word, one in planners.items() if getattr(one, "shared", False)), None)
+    if shared is not None and (workers != 1 or ray is not None):
+        problem = "is one program, which drives one rollout at a time"
+        raise InputError("`planner`", shared, problem, "use one worker, and no `ray`")
 
 
 def _announce(settings: BenchSettings, planner: Planner, console: Console) -> None:

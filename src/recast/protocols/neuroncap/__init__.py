@@ -1,0 +1,1 @@
+"""NeuroNCAP: recast as its renderer, its planners in recast's loop, and its scenarios."""
