@@ -16,6 +16,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from recast.core import web_server
 from recast.core.errors import InputError
 from recast.core.json_service import JsonService
 from recast.core.web_server import BodyError, WebServer, json_body
@@ -161,3 +162,19 @@ def test_a_server_refuses_what_is_no_body_it_takes(service: JsonService) -> None
             status[body] = int(caller.recv(100).split()[1])
     assert status == {b"{}": 415, b"{": 400, b"1e999": 400}
     assert get(service) is True  # and goes on
+
+
+def test_a_body_that_does_not_come_is_not_waited_for(
+    service: JsonService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(web_server, "_BODY_SECONDS", 0.2)
+    with socket.create_connection((service.host, service.port), timeout=20) as caller:
+        head = "POST /echo HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
+        caller.sendall(f"{head}Content-Length: 5\r\n\r\n12".encode())
+        assert caller.recv(100).split()[1] == b"408"
+
+
+def test_a_port_that_is_taken_or_elsewhere_is_one_line(service: JsonService) -> None:
+    for host, port in (("127.0.0.1", service.port), ("127.0.0.1", 70000), ("no.such.invalid", 0)):
+        with pytest.raises(InputError, match=r"`port`: .*; name another, or 0 for any"):
+            WebServer(APP, host, port)

@@ -1,10 +1,12 @@
-"""`recast serve sensorsim`: scenes by id, refusals in one line, and the command itself."""
+"""`recast serve`: scenes by id, refusals in one line, and the commands themselves."""
 
 from __future__ import annotations
 
 import signal
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ import numpy as np
 import pytest
 
 from recast.cli.main import main
+from recast.core.json_service import JsonService
 from recast.logs import DrivingLog
 from recast.pipeline import serve
 from recast.pipeline.run_folder import RUN_FILE
@@ -108,30 +111,60 @@ def test_without_the_extra_it_says_how_to_get_it(
     assert "pip install 'recast-sim[alpasim]'" in capsys.readouterr().err
 
 
-def test_the_command_serves_until_it_is_interrupted(
-    folder: Path, tiny_log_folder: Path, tiny_log: DrivingLog
-) -> None:
-    from recast.protocols.alpasim import SensorsimClient
-
-    words = ["serve", "sensorsim", str(folder), "--log", str(tiny_log_folder)]
-    words += ["--port", "0", "--threads", "1", "--device", "cpu"]
+@contextmanager
+def command(*words: str) -> Iterator[Callable[[], str]]:
+    """The command; gives what reads its next line. It ends when it is interrupted."""
     # A child of a job in the background ignores interrupts, as the job does.
     code = (
         "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
         "from recast.cli.main import main; sys.exit(main())"
     )
-    command = [sys.executable, "-uc", code, *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+    line = [sys.executable, "-uc", code, "serve", *words]
+    line += ["--port", "0", "--threads", "1", "--device", "cpu"]
+    with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as server:
         try:
             assert server.stdout is not None
-            assert (
-                server.stdout.readline()
-                == f"scene {tiny_log.name}: cameras {', '.join(tiny_log.cameras)}\n"
-            )
-            place = server.stdout.readline().split(";")[0].removeprefix("serving sensorsim at ")
-            with SensorsimClient(place) as client:
-                assert client.scenes() == (tiny_log.name,)
+            yield server.stdout.readline
             server.send_signal(signal.SIGINT)
             assert server.wait(120) == 0
         finally:
             server.kill()
+
+
+def test_the_command_serves_until_it_is_interrupted(
+    folder: Path, tiny_log_folder: Path, tiny_log: DrivingLog
+) -> None:
+    from recast.protocols.alpasim import SensorsimClient
+
+    with command("sensorsim", str(folder), "--log", str(tiny_log_folder)) as line:
+        assert line() == f"scene {tiny_log.name}: cameras {', '.join(tiny_log.cameras)}\n"
+        place = line().split(";")[0].removeprefix("serving sensorsim at ")
+        with SensorsimClient(place) as client:
+            assert client.scenes() == (tiny_log.name,)
+
+
+def test_neuroncap_has_a_port_for_each_scene(
+    folder: Path, tiny_log_folder: Path, tiny_log: DrivingLog
+) -> None:
+    words = [f"a={folder}", f"b={folder}", "--log", str(tiny_log_folder)]
+    with command("neuroncap", *words) as line:
+        for name in ("a", "b"):
+            assert line() == f"scene {name}: cameras {', '.join(tiny_log.cameras)}\n"
+            place = line().split(";")[0].removeprefix("serving neuroncap at ")
+            service = JsonService.at(place, "renderer")
+            start = service.ask("GET", "/start_time", seconds=60, most_bytes=100)
+            assert start == int(tiny_log.world_from_rig.timestamps_us[0])
+
+
+def test_neuroncap_speaks_in_the_coordinates_of_the_dataset(
+    folder: Path, tiny_log: DrivingLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = replace(tiny_log, world_offset=np.array([100.0, 200.0, 3.0]))
+    monkeypatch.setattr(serve, "load_log", lambda _: there)
+    (served,) = served_scenes(ServeRequest((str(folder),), ("log",)), dataset_frame=True).values()
+    np.testing.assert_array_equal(served.world_from_local[:3, 3], [-100.0, -200.0, -3.0])
+    path = tmp_path / "offset.txt"
+    path.write_text("10 20 -3")
+    request = ServeRequest((str(folder),), ("log",), world_from_local=path)
+    (served,) = served_scenes(request, dataset_frame=True).values()
+    np.testing.assert_array_equal(served.world_from_local[:3, 3], [10.0, 20.0, -3.0])

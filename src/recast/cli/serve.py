@@ -1,4 +1,4 @@
-"""`recast serve sensorsim`: recast as the renderer of other simulators."""
+"""`recast serve`: recast as the renderer of other simulators."""
 
 from __future__ import annotations
 
@@ -13,15 +13,9 @@ from recast.cli.output import console_for
 
 
 @dataclass(frozen=True)
-class Serve:
-    """Serve other simulators: render scenes for AlpaSim, and for others that speak its sensorsim
-    service (gRPC).
+class _Scenes:
+    """Options of what is served, and where."""
 
-    The command runs until it is interrupted. It needs the extra alpasim.
-    """
-
-    service: tyro.conf.Positional[Literal["sensorsim"]]
-    """Service to offer."""
     scene: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="SCENE")]]
     """Scene folder or run folder; ID=FOLDER chooses the scene's id, else it is the name of its
     log. The id of a run is followed by -ARM, unless --arm chooses one."""
@@ -38,6 +32,17 @@ class Serve:
     host: str = "127.0.0.1"
     """Address to listen on. The default can be reached from this machine only; 0.0.0.0 lets
     everybody in your network ask for images. The channel is not secured."""
+    threads: Annotated[int, shared.THREADS] = 0
+    device: Annotated[str, shared.DEVICE] = "auto"
+
+
+@dataclass(frozen=True)
+class Sensorsim(_Scenes):
+    """Render scenes for AlpaSim, and for others that speak its sensorsim service (gRPC).
+
+    The command runs until it is interrupted. It needs the extra alpasim.
+    """
+
     port: int = 50051
     """TCP port; 0 takes a free one."""
     unnamed: Literal["hidden", "logged"] = "hidden"
@@ -61,8 +66,6 @@ class Serve:
     """Number of threads that read requests and encode images. One at a time draws."""
     queue: int = 256
     """Number of calls that may wait; further ones are refused."""
-    threads: Annotated[int, shared.THREADS] = 0
-    device: Annotated[str, shared.DEVICE] = "auto"
 
     def __call__(self) -> None:
         from recast.pipeline.serve import ServeRequest, serve_sensorsim
@@ -83,3 +86,43 @@ class Serve:
             self.device,
         )
         serve_sensorsim(request, console_for(False))
+
+
+@dataclass(frozen=True)
+class NeuroNcap(_Scenes):
+    """Render scenes for NeuroNCAP's engine (HTTP).
+
+    The command runs until it is interrupted. Each scene has a port of its own.
+    """
+
+    port: int = 8000
+    """TCP port of the first scene; each further scene has the next one. 0 takes free ones."""
+    world_from_local: Annotated[
+        Path | None,
+        shared.option(
+            "Text file with a 4x4 matrix or an offset from the requests' coordinates to the log's "
+            "world.",
+            "the coordinates of the log's dataset",
+        ),
+    ] = None
+
+    def __call__(self) -> None:
+        from recast.pipeline.serve import ServeRequest, serve_neuroncap
+
+        request = ServeRequest(
+            self.scene,
+            self.log,
+            self.arm,
+            self.host,
+            self.port,
+            world_from_local=self.world_from_local,
+            threads=self.threads,
+            device=self.device,
+        )
+        serve_neuroncap(request, console_for(False))
+
+
+Serve = shared.group(
+    "Serve other simulators: render trained scenes and runs with replaced vehicles for them.",
+    {"sensorsim": Sensorsim, "neuroncap": NeuroNcap},
+)

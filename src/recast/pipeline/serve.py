@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import torch
@@ -13,10 +14,13 @@ from rich.console import Console
 
 from recast.arrays import Array
 from recast.core.errors import InputError, require_range
+from recast.core.web_server import WebServer
+from recast.geometry import se3
 from recast.logs import DrivingLog, load_log
 from recast.pipeline.run_folder import RUN_FILE
 from recast.pipeline.view_run import run_inputs
 from recast.planning import CameraMount
+from recast.protocols.neuroncap.server import NcapService, ncap_app
 from recast.protocols.rendering import ScenePainter, ServedScene, Unnamed
 from recast.scene import StreetScene, load_scene
 from recast.scene.importers.placement import given_placement
@@ -26,7 +30,7 @@ from recast.splats import set_threads
 
 @dataclass(frozen=True)
 class ServeRequest:
-    """What `recast serve sensorsim` is asked for; its help says what each is."""
+    """What `recast serve` is asked for; its help says what each is."""
 
     scenes: Sequence[str]
     logs: Sequence[str] = ()
@@ -60,12 +64,8 @@ def serve_sensorsim(request: ServeRequest, console: Console) -> None:
     require_range(0, 65535, port=request.port)
     require_range(1, 1024, workers=request.workers)
     require_range(0, 1 << 20, queue=request.queue)
-    require_range(0, 1024, threads=request.threads)
     require_range(-1.0, 1.0, ftheta_centre=request.ftheta_centre)
-    if request.threads:
-        torch.set_num_threads(request.threads)
-        set_threads(request.threads)
-    painter = ScenePainter(served_scenes(request), request.device, request.unnamed)
+    painter = _painter(request)
     server = SensorsimServer(
         SensorsimService(painter, request.ftheta_centre),
         request.host,
@@ -76,16 +76,50 @@ def serve_sensorsim(request: ServeRequest, console: Console) -> None:
     )
     with server:
         for name, served in painter.scenes.items():
-            told = f"scene {name}: cameras {', '.join(served.cameras)}"
-            console.print(told, markup=False, highlight=False, soft_wrap=True)
-        where = f"serving sensorsim at {request.host}:{server.port}; Ctrl+C ends it"
-        console.print(where, markup=False, highlight=False, soft_wrap=True)
+            _say(console, f"scene {name}: cameras {', '.join(served.cameras)}")
+        _say(console, f"serving sensorsim at {request.host}:{server.port}; Ctrl+C ends it")
         with suppress(KeyboardInterrupt):
             server.wait()
 
 
-def served_scenes(request: ServeRequest) -> dict[str, ServedScene]:
+def serve_neuroncap(request: ServeRequest, console: Console) -> None:
+    """Serve until interrupted: the first scene at the port, each further one at the next.
+
+    Raises:
+        InputError: a folder or number is wrong, or a port is taken.
+    """
+    painter = _painter(request, dataset_frame=True)
+    require_range(0, 65536 - len(painter.scenes), port=request.port)
+    with ExitStack() as opened:
+        for number, (name, served) in enumerate(painter.scenes.items()):
+            port = request.port and request.port + number
+            server = WebServer(ncap_app(NcapService(painter, name)), request.host, port)
+            opened.enter_context(server.in_background())
+            _say(console, f"scene {name}: cameras {', '.join(served.cameras)}")
+            _say(console, f"serving neuroncap at {request.host}:{server.port}; Ctrl+C ends it")
+        with suppress(KeyboardInterrupt):
+            Event().wait()
+
+
+def _say(console: Console, line: str) -> None:
+    console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _painter(request: ServeRequest, dataset_frame: bool = False) -> ScenePainter:
+    require_range(0, 1024, threads=request.threads)
+    if request.threads:
+        torch.set_num_threads(request.threads)
+        set_threads(request.threads)
+    scenes = served_scenes(request, dataset_frame)
+    return ScenePainter(scenes, request.device, request.unnamed)
+
+
+def served_scenes(request: ServeRequest, dataset_frame: bool = False) -> dict[str, ServedScene]:
     """The scenes of a request by id.
+
+    Args:
+        dataset_frame: whether poses on the wire are in the coordinates of the dataset, unless the
+            request says otherwise; else in the world of the log.
 
     Raises:
         InputError: no scene, a folder is neither scene nor run, the log of a scene is not named,
@@ -94,9 +128,9 @@ def served_scenes(request: ServeRequest) -> dict[str, ServedScene]:
     if not request.scenes:
         raise InputError("SCENE", "folder", "is missing", "name a scene folder or a run folder")
     logs = {log.name: log for log in map(load_log, request.logs)}
-    world: Array = np.eye(4)
+    given: Array | None = None
     if request.world_from_local is not None:
-        world = given_placement(request.world_from_local).world_from_scene
+        given = given_placement(request.world_from_local).world_from_scene
     found: dict[str, ServedScene] = {}
     for word in request.scenes:
         for name, scene, log in _scenes_of(word, logs, request.arm):
@@ -107,7 +141,10 @@ def served_scenes(request: ServeRequest) -> dict[str, ServedScene]:
                 key: CameraMount(stream.camera, stream.rig_from_camera)
                 for key, stream in log.cameras.items()
             }
-            found[name] = ServedScene(scene, cameras, world)
+            offset = -log.world_offset if dataset_frame else np.zeros(3)
+            world = se3.from_rotation_translation(np.eye(3), offset) if given is None else given
+            start = int(log.world_from_rig.timestamps_us[0])
+            found[name] = ServedScene(scene, cameras, world, start)
     return found
 
 

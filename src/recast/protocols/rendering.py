@@ -38,11 +38,13 @@ class ServedScene:
         scene: in the log's world frame.
         cameras: of the rig, by name, as `get_available_cameras` lists them.
         world_from_local: (4, 4) rigid; the frame of all poses on the wire is local.
+        start_us: log time of the first ego pose.
     """
 
     scene: StreetScene
     cameras: Mapping[str, CameraMount]
     world_from_local: Array = field(default_factory=lambda: np.eye(4))
+    start_us: int = 0
 
 
 class ScenePainter:
