@@ -24,6 +24,7 @@ from simulation.test_oracle_renderer import state_of
 from synthetic.conftest import small_world
 
 WORDS = ["native", "oracle", "noise-floor", "recast+oracle", "recast+none", "oracle+none"]
+NEGATIVE = "support.restorers:Negative"
 ARMS = {arm.name: arm for arm in (*parse_arms(WORDS), Arm.replaced("box", "truth"))}
 
 
@@ -43,16 +44,16 @@ def state(world: World) -> SimState:
     return state_of(world, 2)
 
 
+def no_actor(arm: Arm, track: str) -> None:
+    raise AssertionError("no coverage is asked for")
+
+
 @pytest.fixture(scope="module")
 def images(
     world: World, mounts: dict[str, CameraMount], state: SimState
 ) -> Iterator[dict[str, np.ndarray]]:
     """The front camera's image under each arm."""
     scene = street(world, ball((0.0, 0.0, 1.0), at_camera(state, mounts["front"], 30.0), 2.0))
-
-    def no_actor(arm: Arm, track: str) -> None:
-        raise AssertionError("no coverage is asked for")
-
     renderers = Renderers(lambda *_: scene, no_actor, lambda: world, 1)  # type: ignore[arg-type]
     tracks = (world.target,)
     yield {
@@ -89,11 +90,43 @@ def test_streets_without_a_vehicle(
     assert (images["oracle+box"] != true).any() and (images["recast+oracle"] != bare).any()
 
 
+def made_with(restorer: str | None) -> SimpleNamespace:
+    """What `Artefacts.images_of` asks for."""
+    return SimpleNamespace(
+        scene=lambda arm: SimpleNamespace(reference=f"scene of {arm.made_in}"),
+        config=SimpleNamespace(restorer=restorer),
+        sources=SimpleNamespace(restorers={NEGATIVE: "content"}),
+    )
+
+
 def test_images_of_other_arms_have_other_keys() -> None:
-    made = SimpleNamespace(scene=lambda arm: SimpleNamespace(reference=f"scene of {arm.made_in}"))
+    made = made_with(None)
     arms = {**ARMS, "unlit": Arm(name="unlit", vehicle="generated", relit=False)}
     keys = {name: Artefacts.images_of(made, arm) for name, arm in arms.items()}  # type: ignore[arg-type]
     assert keys["native"] == {"street": "scene of recast"}
     assert keys["oracle"] == {"street": "truth"}
     assert keys["oracle+box"] == {"street": "truth", "lit_by": "scene of recast"}
     assert len({str(key) for key in keys.values()}) == len(keys)
+
+
+def test_all_images_but_those_of_the_truth_are_restored(
+    images: dict[str, np.ndarray], world: World, mounts: dict[str, CameraMount], state: SimState
+) -> None:
+    scene = street(world, ball((0.0, 0.0, 1.0), at_camera(state, mounts["front"], 30.0), 2.0))
+    renderers = Renderers(lambda *_: scene, no_actor, lambda: world, 1, NEGATIVE)  # type: ignore[arg-type]
+    tracks, restored = (world.target,), []
+    for name, arm in ARMS.items():
+        found = renderers.of(arm, tracks, "p", mounts).render(state, ["front"])["front"]
+        if arm.restorable:
+            restored.append(name)
+        np.testing.assert_array_equal(found, 255 - images[name] if arm.restorable else images[name])
+    renderers.close()
+    assert restored == ["native", "recast+oracle", "recast+none", "oracle+box"]
+
+
+def test_keys_of_restored_images_name_the_restorer() -> None:
+    plain, restored = made_with(None), made_with(NEGATIVE)
+    for arm in ARMS.values():
+        before = Artefacts.images_of(plain, arm)  # type: ignore[arg-type]
+        after = Artefacts.images_of(restored, arm)  # type: ignore[arg-type]
+        assert after == {**before, **({"restorer": "content"} if arm.restorable else {})}

@@ -112,6 +112,7 @@ class ClosedLoop(_Grid):
     planner: Annotated[shared.Names, shared.PLANNER] = ()
     planner_device: Annotated[str | None, shared.PLANNER_DEVICE] = None
     motion: Annotated[Lists, _motions("cut-in, oncoming and stationary")] = ()
+    restorer: Annotated[str | None, shared.RESTORER] = None
     films: bool = False
     """Render and film every step of all cameras, not only what the planner sees."""
     plan_timeout: Annotated[

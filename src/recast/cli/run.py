@@ -30,6 +30,7 @@ class Run:
     config: Annotated[Path | None, shared.option(shared.CONFIG_HELP)] = None
     planner: Annotated[shared.Names, shared.PLANNER] = ()
     planner_device: Annotated[str | None, shared.PLANNER_DEVICE] = None
+    restorer: Annotated[str | None, shared.RESTORER] = None
     generator: Annotated[str | None, shared.GENERATOR] = None
     axes: Annotated[str | None, shared.AXES] = None
     refine: shared.Refine = None

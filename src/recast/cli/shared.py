@@ -78,6 +78,11 @@ PLANNER_DEVICE = option(
     "auto",
     metavar="DEVICE",
 )
+RESTORER = option(
+    "Restorer of the rendered images: harmonizer:HOST:PORT (NVIDIA's Harmonizer), the name of an "
+    "installed restorer, or package.module:attribute. Images of the truth are never restored.",
+    metavar="NAME",
+)
 STEPS = option("Steps of 0.1 s for each rollout; fewer if the log or the road ends.", "160")
 
 # What the actor is made from.
@@ -181,6 +186,7 @@ _RUN_OPTIONS = {
     "planner_device": "planner_device",
     "plan_limit_s": "plan_timeout",
     "films": "films",
+    "restorer": "restorer",
     "generator": "generator",
     "axes": "axes",
     "refine": "refine",

@@ -51,7 +51,11 @@ class InputError(ValueError):
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str, str | None]]:
         # Exceptions pickle through `args`, which holds the joined line; worker processes need the
         # parts.
-        return (InputError, (self.where, self.field, self.problem, self.mend, self.page))
+        return (type(self), (self.where, self.field, self.problem, self.mend, self.page))
+
+
+class UnreachableError(InputError):
+    """Another program that is needed is not there: the same command may work later."""
 
 
 def require_range(least: float, most: float | None = None, **settings: float | None) -> None:

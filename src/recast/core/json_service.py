@@ -15,7 +15,7 @@ from threading import Timer
 from time import monotonic
 from typing import Any, Literal, Self
 
-from recast.core.errors import InputError
+from recast.core.errors import InputError, UnreachableError
 from recast.core.files import parse_json
 
 _ADDRESS = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):([0-9]{1,5})")
@@ -88,8 +88,9 @@ class JsonService:
             most_bytes: longest answer.
 
         Raises:
-            InputError: nobody listens; the answer is late or too long, or has another status than
-                2xx, whose text is shown.
+            UnreachableError: nobody listens, or the connection breaks.
+            InputError: the answer is late or too long, or has another status than 2xx, whose text
+                is shown.
         """
         body = None
         if method == "POST":
@@ -123,7 +124,8 @@ class JsonService:
                 raise late from None
             if isinstance(error, InputError):
                 raise
-            raise self.fault(path, _told(error)) from None
+            mend = "start that program, or see its log"
+            raise UnreachableError(self.name, path, _told(error), mend) from None
         finally:
             if timer is not None:
                 timer.cancel()

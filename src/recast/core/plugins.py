@@ -258,6 +258,16 @@ PLANNERS = Registry(
 )
 """Each is a class or function that makes a `recast.planning.Planner`."""
 
+RESTORERS = Registry(
+    "restorer",
+    "recast.restorers",
+    {},
+    members=("name", "restore"),
+    protocol="recast.simulation.restoring.Restorer",
+    prefixes={"harmonizer:": "recast.protocols.harmonizer:harmonizer_restorer"},
+)
+"""Each is a class or function that makes a `recast.simulation.restoring.Restorer`."""
+
 _VEHICLE_FILE = "recast.actors.vehicle_files:vehicle_generator"
 
 GENERATORS = Registry(

@@ -139,6 +139,12 @@ class Arm(Record):
         return self.vehicle == "truth" or not self.reconstructs
 
     @property
+    def restorable(self) -> bool:
+        """Whether a restorer improves its images; those that show only the truth stay as they
+        are."""
+        return self.reconstructs or self.generates
+
+    @property
     def made_in(self) -> str:
         """The reconstruction that its generated vehicle is refined in and takes its light from: its
         street; or the run's own, if that is the truth."""

@@ -75,7 +75,9 @@ class Artefacts:
         self._makers: dict[tuple[str, str, str], ActorMakers] = {}
         self._planners: dict[str, Planner] = {}
         self._configs: dict[str, SceneConfig] = {}
-        self.renderers = Renderers(self._street, self._actor, lambda: source.world, oracle_workers)
+        self.renderers = Renderers(
+            self._street, self._actor, lambda: source.world, oracle_workers, config.restorer
+        )
 
     def planner(self, name: str) -> Planner:
         """A planner, loaded once."""
@@ -213,10 +215,13 @@ class Artefacts:
 
     def images_of(self, arm: Arm) -> dict[str, Any]:
         """What keys of an arm's images need beside its vehicles."""
+        given = arm.inputs()
+        if self.config.restorer is not None and arm.restorable:
+            given["restorer"] = self.sources.restorers[self.config.restorer]
         if arm.reconstructs:
-            return {"street": self.scene(arm).reference, **arm.inputs()}
+            return {"street": self.scene(arm).reference, **given}
         light = {"lit_by": self.scene(arm).reference} if arm.generates else {}
-        return {"street": "truth", **light, **arm.inputs()}
+        return {"street": "truth", **light, **given}
 
     def replaced_tracks(self, motion: str) -> tuple[str, ...]:
         """The target, and further actors of a scenario whose vehicles are to be replaced too."""

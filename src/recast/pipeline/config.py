@@ -103,6 +103,13 @@ class RunConfig(Record):
             "whether all cameras are rendered and filmed; otherwise only the planner's are rendered"
         ),
     )
+    restorer: str | None = Field(
+        default=None,
+        description=(
+            "restorer of the rendered images: harmonizer:HOST:PORT, a name or "
+            "package.module:attribute; null: none. Images of the truth are never restored"
+        ),
+    )
     seed: int = Field(default=0, description="seed of everything random")
     threads: int = Field(default=0, ge=0, le=1024, description="number of CPU threads; 0: all")
     preset: Preset | None = Field(
@@ -164,8 +171,12 @@ class RunConfig(Record):
         return self.streets.get(name, self.scene)
 
     def resolved(self) -> dict[str, Any]:
-        """JSON-able, every default filled in."""
-        return self.model_dump(mode="json")
+        """JSON-able, every default filled in.
+
+        Without a restorer there is no such member, so that older runs can be gone on with.
+        """
+        unset = {"restorer"} if self.restorer is None else set()
+        return self.model_dump(mode="json", exclude=unset)
 
 
 _OF_THE_RUN = ("generator", "axes", "refine", "segmenter", "views")

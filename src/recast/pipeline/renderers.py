@@ -13,6 +13,7 @@ from recast.pipeline.arms import Arm
 from recast.planning import CameraMount
 from recast.scene import StreetScene
 from recast.simulation import SensorRenderer
+from recast.simulation.restoring import RestoringRenderer, make_restorer
 from recast.simulation.scene_renderer import SceneRenderer, through_lenses
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ class Renderers:
         actor_of: gives the vehicle that an arm puts in the place of a track.
         world_of: gives the world of a synthetic log.
         oracle_workers: processes of an oracle, see `OracleRenderer`.
+        restorer: of the images of arms that are `restorable`; None for none.
     """
 
     def __init__(
@@ -38,9 +40,10 @@ class Renderers:
         actor_of: Callable[[Arm, str], Actor],
         world_of: Callable[[], World],
         oracle_workers: int = 0,
+        restorer: str | None = None,
     ) -> None:
         self._street_of, self._actor_of, self._world_of = street_of, actor_of, world_of
-        self._oracle_workers = oracle_workers
+        self._oracle_workers, self._restorer = oracle_workers, restorer
         self._open = ExitStack()
         self._streets: dict[tuple[str, tuple[str, ...]], StreetScene] = {}
         self._made: dict[tuple[str, tuple[str, ...], str], SensorRenderer] = {}
@@ -72,7 +75,7 @@ class Renderers:
         key = arm.name, tracks, planner
         if key not in self._made:
             made = through_lenses(mounts, lambda pinholes: self._make(arm, tracks, pinholes))
-            self._made[key] = self._disturbed(arm, made)
+            self._made[key] = self._restored(arm, self._disturbed(arm, made))
         return self._made[key]
 
     def meter(self, arm: Arm, tracks: tuple[str, ...]) -> CoverageMeter | None:
@@ -127,6 +130,11 @@ class Renderers:
 
         seed = self._world_of().seed if arm.needs_world else 0
         return NoisyRenderer(renderer, arm.noise, seed)
+
+    def _restored(self, arm: Arm, renderer: SensorRenderer) -> SensorRenderer:
+        if self._restorer is None or not arm.restorable:
+            return renderer
+        return RestoringRenderer(renderer, make_restorer(self._restorer))
 
     def close(self) -> None:
         """End the oracle's processes."""

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from rich.console import Console
 
 from recast.core import files
-from recast.core.errors import InputError
+from recast.core.errors import InputError, UnreachableError
 from recast.core.names import folder_name, member
 from recast.core.records import Record, read_record, validation_error
 from recast.logs import DrivingLog, HdMap
@@ -46,6 +46,7 @@ from recast.simulation import (
 )
 from recast.simulation.actors import other_poses
 from recast.simulation.coverage import Meter, RolloutCoverage, rollout_coverage
+from recast.simulation.restoring import RestoringRenderer
 from recast.simulation.rollout_files import load_coverage, save_coverage
 
 _LOG = logging.getLogger(__name__)
@@ -98,14 +99,16 @@ def make_rollout(
 
     Args:
         renderer: None where nothing looks: no film, and a planner that needs no images.
-        folder: empty; gets `states/` (see `save_rollout`), `planner.json` (see `seen_record`), the
-            films and `films.json`, and with a meter `coverage.parquet`; or `failure.json`.
+        folder: empty; gets `states/` (see `save_rollout`), `planner.json` (see `seen_record`; with
+            `restored_by`, the name of the restorer, if there is one), the films and `films.json`,
+            and with a meter `coverage.parquet`; or `failure.json`.
         filmed: render every step, not only those that the planner sees.
         on_step, timings: called after each filmed step; is added to.
         meter: of the actor that the renderer draws; None for one without shares.
 
     Raises:
         InputError: the disk refuses.
+        UnreachableError: a program that plans or restores is not there.
     """
     with ExitStack() as opened:
         written: dict[str, str] = {}
@@ -130,7 +133,8 @@ def make_rollout(
             on_frame = film if filmed else None
             rollout = run_rollout(setup, planner, renderer, on_frame, timings)
         except Exception as error:
-            if disk_refuses:  # which is no fault of the planner: the run ends, and is gone on with
+            # No fault of the planner: the run ends, and is gone on with.
+            if disk_refuses or isinstance(error, UnreachableError):
                 raise
             _LOG.warning("rollout %s failed", setup.name, exc_info=True)
             opened.close()
@@ -141,7 +145,10 @@ def make_rollout(
         opened.close()
         save_rollout(rollout, folder / _STATES)
         mounts = {} if renderer is None else renderer.mounts
-        files.write_json(folder / _PLANNER, seen_record(planner, mounts))
+        record = seen_record(planner, mounts)
+        if isinstance(renderer, RestoringRenderer):
+            record["restored_by"] = renderer.restored_by
+        files.write_json(folder / _PLANNER, record)
         if meter is not None and mounts:
             names = tuple(setup.log.cameras if setup.camera_names is None else setup.camera_names)
             given = planner_cameras(planner, mounts, names)
@@ -150,8 +157,8 @@ def make_rollout(
             )
             save_coverage(coverage, folder / _COVERAGE)
         if written:
-            record = FilmsRecord(films=written)
-            files.write_json(folder / _FILMS, record.model_dump(mode="json"))
+            named = FilmsRecord(films=written)
+            files.write_json(folder / _FILMS, named.model_dump(mode="json"))
 
 
 def draw_films(rollout: Rollout, folder: Path) -> dict[str, Path]:

@@ -29,6 +29,7 @@ from recast.pipeline.sources import RECIPES, SourceLog, Sources
 from recast.pipeline.trust import RunTrust
 from recast.pipeline.view import view_inputs
 from recast.simulation import prepare
+from recast.simulation.restoring import make_restorer
 from recast.splats import set_threads
 from recast.viewer import require_viser, write_replay
 
@@ -68,6 +69,8 @@ def run(
     require_distinct_planners({word: artefacts.planner(word) for word in config.planners})
     for planner in config.planners:
         announce_planner(artefacts.planner(planner), artefacts.mounts(planner), console)
+    if config.restorer is not None:
+        make_restorer(config.restorer)
     for arm in artefacts.arms.values():
         if arm.generates:
             artefacts.makers(arm)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -17,7 +17,7 @@ from recast.actors.library import LIBRARY
 from recast.actors.vehicle_files import files_of_vehicle, is_vehicle_file
 from recast.core.artefact import file_hash, files_hash, folder_hash
 from recast.core.errors import InputError
-from recast.core.plugins import Registry
+from recast.core.plugins import RESTORERS, Registry
 from recast.core.progress import ProgressBar
 from recast.core.remote import remote_path
 from recast.logs import DrivingLog, HdMap, map_of, read_log
@@ -162,6 +162,7 @@ class Sources:
     planners: Mapping[str, str]
     generators: Mapping[str, str]
     segmenters: Mapping[str, str]
+    restorers: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, config: RunConfig, scene: str, known: Sources | None = None) -> Self:
@@ -179,10 +180,12 @@ class Sources:
         known = known or Sources({}, {}, {})
         arms = [config.arm(arm.name).of_scene(scene) for arm in config.arms]
         generated = [arm for arm in arms if arm.generates]
+        restorers = () if config.restorer is None else (config.restorer,)
         return cls(
             _each(config.planners, planner_source, known.planners),
             _each([str(arm.generator) for arm in generated], generator_source, known.generators),
             _each([str(arm.segmenter) for arm in generated], segmenter_source, known.segmenters),
+            _each(restorers, restorer_source, known.restorers),
         )
 
 
@@ -225,6 +228,11 @@ def generator_source(name: str) -> str:
 def segmenter_source(name: str) -> str:
     """What stands for a segmenter; see `Sources`."""
     return _part(SEGMENTERS, name)
+
+
+def restorer_source(name: str) -> str:
+    """What stands for a restorer; see `Sources`. Of another program only its address is known."""
+    return name if name.startswith(tuple(RESTORERS.prefixes)) else _part(RESTORERS, name)
 
 
 def vqa_source(name: str) -> str:

@@ -39,6 +39,7 @@ from recast.pipeline.rollouts import (
 )
 from recast.planning import CameraMount, Planner, make_planner
 from recast.simulation import camera_mount
+from recast.simulation.restoring import make_restorer
 from recast.synthetic import check_drive, world_of
 from recast.synthetic.rendering import require_embree
 from recast.synthetic.rig import make_rig
@@ -133,6 +134,8 @@ def check_grid(settings: BenchSettings) -> dict[str, Planner]:
     config, size = settings.run, settings.drive
     planners = {word: make_planner(word, config.planner_device) for word in config.planners}
     require_distinct_planners(planners)
+    if config.restorer is not None:
+        make_restorer(config.restorer)
     for scene in settings.scenes:
         for arm in (config.arm(arm.name).of_scene(scene.id) for arm in config.arms):
             if arm.generates:

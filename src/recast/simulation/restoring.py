@@ -1,0 +1,103 @@
+"""Rendered images improved by a restorer, such as a diffusion model, before a planner sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import Protocol
+
+import numpy as np
+
+from recast.arrays import Image
+from recast.core.errors import InputError
+from recast.core.plugins import RESTORERS
+from recast.planning import CameraMount
+from recast.simulation.renderer import SensorRenderer
+from recast.simulation.state import SimState
+
+_MEND = "return one image of the same size for each name, uint8 RGB"
+
+
+class Restorer(Protocol):
+    """Improves images.
+
+    Attributes:
+        name: for records.
+    """
+
+    name: str
+
+    def restore(self, images: Mapping[str, Image]) -> Mapping[str, Image]:
+        """Images of the same names, sizes and type.
+
+        Args:
+            images: (height, width, 3) uint8 RGB by camera name, all of one step.
+        """
+
+
+class RestoringRenderer:
+    """Images of another renderer, restored.
+
+    Only what was rendered is handed over, and what no camera of the log looks at stays black (see
+    `CameraMount`): a restorer must not invent it.
+
+    Attributes:
+        restored_by: name of the restorer, for records.
+    """
+
+    def __init__(self, renderer: SensorRenderer, restorer: Restorer) -> None:
+        self._renderer, self._restorer = renderer, restorer
+        self.restored_by = restorer.name
+
+    @property
+    def mounts(self) -> Mapping[str, CameraMount]:
+        """Cameras by name."""
+        return self._renderer.mounts
+
+    def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
+        """Restored images of the named cameras; raises what renderer and restorer raise.
+
+        Raises:
+            InputError: the restorer leaves out an image, or returns one of another size or type.
+        """
+        rendered = self._renderer.render(state, camera_names)
+        if not rendered:
+            return rendered
+        parts = {name: _windowed(self.mounts[name], image) for name, image in rendered.items()}
+        found = self._restorer.restore(parts)
+        return {name: self._framed(name, part, found) for name, part in parts.items()}
+
+    def _framed(self, name: str, part: Image, found: Mapping[str, Image]) -> Image:
+        image, mount = found.get(name), self.mounts[name]
+        problem = None
+        if not isinstance(image, np.ndarray):
+            problem = "no image came back"
+        elif image.shape != part.shape or image.dtype != np.uint8:
+            problem = f"is {image.dtype} {image.shape}, not uint8 {part.shape}"
+        if image is None or problem is not None:
+            raise InputError(f"restorer {self.restored_by}", name, problem or "", _MEND)
+        framed = mount.framed(image)
+        return framed if mount.seen is None else framed * mount.seen[..., None]
+
+
+def _windowed(mount: CameraMount, image: Image) -> Image:
+    """The part of an image that is rendered."""
+    if mount.window is None:
+        return image
+    left, top, right, bottom = mount.window
+    return image[top:bottom, left:right]
+
+
+def make_restorer(restorer: str | PathLike[str] | Restorer) -> Restorer:
+    """Make a restorer, or return the one given.
+
+    Args:
+        restorer: "harmonizer:HOST:PORT"; or the name of an installed one; or
+            "package.module:attribute" of a class or function that returns a `Restorer` when it is
+            called without arguments; or a `Restorer`. See `recast.core.plugins.Registry.resolve`.
+
+    Raises:
+        InputError: it is none of these.
+    """
+    made: Restorer = RESTORERS.resolve(restorer)
+    return made

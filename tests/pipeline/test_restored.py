@@ -1,0 +1,100 @@
+"""A run with a restorer: its record and keys name it, and its faults are no planner's."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from recast.arrays import Image
+from recast.cli.main import main
+from recast.core.errors import InputError, UnreachableError
+from recast.pipeline.config import RunConfig, resolve_config
+from recast.pipeline.rollouts import is_failure, make_rollout, read_rollout
+from recast.pipeline.sources import Sources
+from recast.planning import CameraMount, ConstantVelocity
+from recast.simulation import MOTIONS, RolloutFailure, RolloutSetup
+from recast.simulation.restoring import Restorer, RestoringRenderer
+from recast.simulation.scene_renderer import SceneRenderer
+from support.restorers import Negative
+from support.tiny_served import CAMERA, MOVING, RIG_FROM_CAMERA, make_log, make_scene
+
+LOG = make_log()
+NEGATIVE = "support.restorers:Negative"
+SETUP = RolloutSetup(LOG, MOVING, MOTIONS["cut-in-a"], steps=10, camera_names=("front",))
+
+
+class Looking(ConstantVelocity):
+    name, needs_images = "looking", True
+
+
+def drive(restorer: Restorer, folder: Path) -> None:
+    mounts = {"front": CameraMount(CAMERA, RIG_FROM_CAMERA)}
+    inner = SceneRenderer(make_scene(LOG), mounts, "cpu")
+    folder.mkdir()
+    make_rollout(SETUP, Looking(), RestoringRenderer(inner, restorer), folder, filmed=False)
+
+
+def test_the_record_of_a_rollout_names_it(tmp_path: Path) -> None:
+    drive(Negative(), tmp_path / "a")
+    assert json.loads((tmp_path / "a" / "planner.json").read_text())["restored_by"] == "negative"
+
+
+class Failing:
+    name = "failing"
+
+    def __init__(self, error: Exception) -> None:
+        self._error = error
+
+    def restore(self, images: Mapping[str, Image]) -> Mapping[str, Image]:
+        raise self._error
+
+
+def test_a_program_that_is_not_there_ends_the_run_and_leaves_no_result(tmp_path: Path) -> None:
+    away = UnreachableError("restorer x", "/v1/infer", "nobody listens there", "start it")
+    with pytest.raises(UnreachableError, match="nobody listens there"):
+        drive(Failing(away), tmp_path / "a")
+    assert not is_failure(tmp_path / "a")
+    drive(Failing(InputError("restorer x", "/v1/infer", "answered 500", "see")), tmp_path / "b")
+    failed = read_rollout(tmp_path / "b")
+    assert isinstance(failed, RolloutFailure) and "answered 500" in failed.reason
+
+
+def config(restorer: str | None) -> RunConfig:
+    return resolve_config(MOVING, ["cut-in-a"], None, None, {"restorer": restorer}, {})
+
+
+def test_the_configuration_names_it() -> None:
+    assert "restorer" not in config(None).resolved()  # as runs before there was one
+    resolved = config(NEGATIVE).resolved()
+    assert resolved["restorer"] == NEGATIVE
+    assert RunConfig.model_validate(resolved) == config(NEGATIVE)
+
+
+def test_what_stands_for_it_in_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    word = "harmonizer:localhost:8000"
+    assert Sources.of(config(word), "s").restorers == {word: word}
+    assert Sources.of(config(None), "s").restorers == {}
+    path = tmp_path / "own_restorer.py"
+    monkeypatch.syspath_prepend(str(tmp_path))
+    found = []
+    for text in ("one = 1", "one = 2"):
+        path.write_text(text)
+        found.append(Sources.of(config("own_restorer:One"), "s").restorers["own_restorer:One"])
+    assert found[0] != found[1]
+    known = Sources({}, {}, {}, {"own_restorer:One": found[0]})
+    assert Sources.of(config("own_restorer:One"), "s", known).restorers == known.restorers
+
+
+def test_an_unknown_one_is_refused_before_anything_is_made(
+    tiny_log_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--restorer", "nothing", "--out", str(tmp_path / "out")]
+    grid = ["bench", "closed-loop", "--scenes", f"{tiny_log_folder}:0"]
+    for command in (["run", str(tiny_log_folder), "--track", "0"], grid):
+        assert main([*command, *options]) == 2
+        said = capsys.readouterr().err
+        assert "restorer: nothing: is not known" in said and said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
