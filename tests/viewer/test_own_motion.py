@@ -14,6 +14,7 @@ from recast.simulation import (
     PreparedRollout,
     RolloutSetup,
     ScriptedMotion,
+    TimedPath,
     prepare,
     read_scenario,
 )
@@ -82,3 +83,10 @@ def test_a_saved_file_is_read_back_as_it_was(tmp_path: Path) -> None:
     assert read_scenario(path) == (motion,)
     with pytest.raises(InputError, match="exists already"):
         save_scenario(motion, path.parent)
+
+
+def test_the_rows_of_a_path_stay() -> None:
+    path = TimedPath("a", ((0.0, 5.0, 1.0, 0.1), (2.0, 9.0, 1.0, 0.1)), name="there")
+    found = changed(path, "mine", {"start_after": 2.0})
+    assert isinstance(found, TimedPath)
+    assert (found.path, found.start_after, found.name) == (path.path, 2.0, "mine")

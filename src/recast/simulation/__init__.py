@@ -48,6 +48,7 @@ from recast.simulation.scenario_names import MOTIONS, motion, parse_motions, sce
 from recast.simulation.setup import RolloutSettings, RolloutSetup
 from recast.simulation.simulator import Observation, Simulator, Timings
 from recast.simulation.state import ControlledActor, RolloutOrigin, SimActor, SimState
+from recast.simulation.timed_path import TimedPath
 
 __all__ = [
     "EGO_COLUMNS",
@@ -89,6 +90,7 @@ __all__ = [
     "Simulator",
     "StartSituation",
     "Stationary",
+    "TimedPath",
     "Timings",
     "camera_mount",
     "camera_mounts",

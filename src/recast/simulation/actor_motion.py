@@ -222,6 +222,18 @@ class Quantity:
         return f"{low} {self.high:.5g} {self.unit}"
 
 
+class Rows:
+    """Rows of numbers of a motion in a scenario file; annotates the member that they set.
+
+    Args:
+        columns: the quantity of each number of a row.
+        least: fewest rows.
+    """
+
+    def __init__(self, *columns: Quantity, least: int) -> None:
+        self.columns, self.least = columns, least
+
+
 class NamedMotion(Protocol):
     """What every motion has."""
 

@@ -28,6 +28,7 @@ from recast.simulation.recorded_road import (
     refuse_if_too_short,
     who,
 )
+from recast.simulation.scenario import start_after
 from recast.simulation.setup import RolloutSetup
 from recast.simulation.start_checks import (
     checked_script,
@@ -186,6 +187,14 @@ def _start(setup: RolloutSetup) -> int:
                 f"choose one within [{first}, {last}]",
             )
         return setup.start_timestamp_us
+    after = start_after(setup.motion)
+    if after is not None:
+        asked = first + round(after * 1e6)
+        if asked > last:
+            there = (last - first) * 1e-6
+            problem = f"starts {after:g} s after the first ego pose, the log has {there:g} s"
+            raise InputError(setup.log.name, f"scenario {setup.name}", problem, "use its own log")
+        return asked
     latest = last - round(setup.steps * setup.dt * 1e6)
     for timestamp in log.timestamps_us[log.timestamps_us <= latest]:
         state = initial_state(log.timestamps_us, log.poses, int(timestamp), setup.vehicle)

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, replace
 from typing import Annotated, get_origin, get_type_hints
 
-from recast.simulation.actor_motion import AnyMotion, Quantity
+from recast.simulation.actor_motion import AnyMotion, Quantity, Rows
 from recast.simulation.motions import Advancing, CutIn, Idm, LogReplay, Oncoming, Stationary
+from recast.simulation.timed_path import TimedPath
 
-BuiltInMotion = CutIn | Oncoming | Stationary | Advancing | LogReplay | Idm
+BuiltInMotion = CutIn | Oncoming | Stationary | Advancing | LogReplay | Idm | TimedPath
 """A motion of this package, which a scenario file can describe."""
 VERSION = 1
 
@@ -68,28 +69,40 @@ def replaced_tracks(motion: AnyMotion | Scenario) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class MotionSchema:
-    """One motion that files can set: what makes it, from which quantities."""
+    """One motion that files can set: what makes it, from which quantities and rows of numbers."""
 
     make: type[BuiltInMotion]
     quantities: Mapping[str, Quantity]
+    rows: Mapping[str, Rows]
 
     @property
     def needs_numbers(self) -> bool:
-        """Whether some quantity has no default."""
-        return not all(quantity.optional for quantity in self.quantities.values())
+        """Whether some quantity has no default, or there are rows."""
+        return bool(self.rows) or not all(one.optional for one in self.quantities.values())
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """Names of quantities and rows."""
+        return (*self.quantities, *self.rows)
 
 
 def _schema(make: type[BuiltInMotion]) -> MotionSchema:
     """From the annotations of a motion's members; those with a default may be left out."""
     hints = get_type_hints(make, include_extras=True)
     members = {one.name: one.default is not MISSING for one in fields(make)}
+    given = {
+        name: hints[name].__metadata__[0]
+        for name in members
+        if get_origin(hints[name]) is Annotated
+    }
     return MotionSchema(
         make,
         {
-            name: replace(hints[name].__metadata__[0], optional=optional)
-            for name, optional in members.items()
-            if get_origin(hints[name]) is Annotated
+            name: replace(one, optional=members[name])
+            for name, one in given.items()
+            if isinstance(one, Quantity)
         },
+        {name: one for name, one in given.items() if isinstance(one, Rows)},
     )
 
 
@@ -100,6 +113,7 @@ MOTION_SCHEMAS: Mapping[str, MotionSchema] = {
     "advancing": _schema(Advancing),
     "log-replay": _schema(LogReplay),
     "idm": _schema(Idm),
+    "timed-path": _schema(TimedPath),
 }
 """By the word that a file's `motion` names."""
 
@@ -117,6 +131,20 @@ def motion_numbers(motion: object) -> dict[str, float]:
     return {name: value for name, value in values.items() if value is not None}
 
 
+def motion_rows(motion: object) -> dict[str, list[list[float]]]:
+    """The rows of numbers of a built-in motion by name; JSON-able."""
+    kind = kind_of(motion)
+    names = () if kind is None else tuple(MOTION_SCHEMAS[kind].rows)
+    return {name: [list(row) for row in getattr(motion, name)] for name in names}
+
+
+def start_after(motion: AnyMotion | Scenario) -> float | None:
+    """Seconds after the log's first ego pose at which the target wants a rollout to start; None
+    where it does not say."""
+    target = target_motion(motion)
+    return target.start_after if isinstance(target, TimedPath) else None
+
+
 def scenario_numbers(motion: ScriptedMotion) -> list[str]:
     """Lines for people: the target's numbers with units, and one line a further actor."""
     lines = _lines(target_motion(motion))
@@ -130,4 +158,5 @@ def _lines(motion: object) -> list[str]:
     kind = kind_of(motion)
     quantities = {} if kind is None else MOTION_SCHEMAS[kind].quantities
     numbers = motion_numbers(motion)
-    return [f"{name} {value:g} {quantities[name].unit}" for name, value in numbers.items()]
+    lines = [f"{name} {value:g} {quantities[name].unit}" for name, value in numbers.items()]
+    return [*lines, *(f"{name} {len(rows)} rows" for name, rows in motion_rows(motion).items())]

@@ -11,7 +11,7 @@ from typing import Any
 from recast.core import files
 from recast.core.errors import InputError
 from recast.logs.checks import check_name
-from recast.simulation.actor_motion import AnyMotion
+from recast.simulation.actor_motion import AnyMotion, Quantity, Rows
 from recast.simulation.scenario import (
     MOTION_SCHEMAS,
     VERSION,
@@ -23,6 +23,7 @@ from recast.simulation.scenario import (
     further_actors,
     kind_of,
     motion_numbers,
+    motion_rows,
     target_motion,
 )
 from recast.simulation.yaml_lines import Node, nodes_of, read_yaml
@@ -55,13 +56,13 @@ def scenario_record(motion: ScriptedMotion) -> dict[str, Any]:
         "name": motion.name,
         "motion": _kind(target),
         "description": motion.description,
-        "settings": {motion.setting: motion_numbers(target)},
+        "settings": {motion.setting: _numbers(target)},
     }
     actors = {
         actor.track_id: {
             "motion": _kind(actor.motion),
             **({"replaced": True} if actor.replaced else {}),
-            "settings": {motion.setting: motion_numbers(actor.motion)},
+            "settings": {motion.setting: _numbers(actor.motion)},
         }
         for actor in further_actors(motion)
     }
@@ -75,6 +76,10 @@ def motion_of_record(record: Mapping[str, Any], where: str = "scenario") -> Scri
         InputError: it says something wrong.
     """
     return _motions(nodes_of(record, where))[0]
+
+
+def _numbers(motion: AnyMotion) -> dict[str, Any]:
+    return {**motion_numbers(motion), **motion_rows(motion)}
 
 
 def _kind(motion: AnyMotion) -> str:
@@ -179,27 +184,49 @@ def _motion(schema: MotionSchema, names: Mapping[str, str], setting: Node) -> Bu
     """A motion with its name, setting and description, and the numbers of one setting."""
     given = {} if setting.value is None and not schema.needs_numbers else setting.value
     if not isinstance(given, dict):
-        mend = f"give {', '.join(schema.quantities) or 'nothing'} below it"
+        mend = f"give {', '.join(schema.members) or 'nothing'} below it"
         raise setting.error(f"setting {names['setting']}", None, mend)
     node = Node(given, setting.place)
-    _refuse_unknown(node, tuple(schema.quantities))
+    _refuse_unknown(node, schema.members)
     values: dict[str, Any] = dict(names)
     for key, quantity in schema.quantities.items():
         if key not in given and quantity.optional:
             continue
         mend = f"give {quantity.range}"
-        number = _required(node, key, mend)
-        if not isinstance(number.value, float):
-            raise number.error(key, None, mend)
-        if (fault := quantity.fault(number.value)) is not None:
-            raise number.error(key, fault, mend)
-        values[key] = number.value
+        values[key] = _number(_required(node, key, mend), key, quantity)
+    for key, rows in schema.rows.items():
+        units = ", ".join(column.unit for column in rows.columns)
+        mend = f"give {rows.least} rows or more, each a list of {units}"
+        values[key] = _rows(_required(node, key, mend), key, rows, mend)
     try:
         return schema.make(**values)
     except ValueError as error:
         key, _, problem = str(error).partition(": ")
         problem, _, mend = problem.partition("; ")
         raise given.get(key, setting).error(key, problem, mend) from None
+
+
+def _number(node: Node, key: str, quantity: Quantity) -> float:
+    mend = f"give {quantity.range}"
+    if not isinstance(node.value, float):
+        raise node.error(key, None, mend)
+    if (fault := quantity.fault(node.value)) is not None:
+        raise node.error(key, fault, mend)
+    return node.value
+
+
+def _rows(node: Node, key: str, rows: Rows, mend: str) -> tuple[tuple[float, ...], ...]:
+    if not isinstance(node.value, list) or len(node.value) < rows.least:
+        problem = f"has {len(node.value)} rows" if isinstance(node.value, list) else None
+        raise node.error(key, problem, mend)
+    found = []
+    for row in node.value:
+        if not isinstance(row.value, list) or len(row.value) != len(rows.columns):
+            numbers = f"a list of {len(row.value)}" if isinstance(row.value, list) else row.shown
+            raise row.error(key, f"has the row {numbers}", mend)
+        pairs = zip(row.value, rows.columns, strict=True)
+        found.append(tuple(_number(one, key, column) for one, column in pairs))
+    return tuple(found)
 
 
 def _required(node: Node, key: str, mend: str) -> Node:

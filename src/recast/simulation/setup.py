@@ -43,8 +43,9 @@ class RolloutSetup:
         motion: what it does; a `Scenario` also brings further actors.
         arm: what renders it, for tables; has no influence on the motion.
         map: lanes, drivable area and ground, or None for the log's.
-        start_timestamp_us: log time of state 0; None for the first ego pose with 3 m/s or more that
-            leaves enough log for all steps, or else the first pose.
+        start_timestamp_us: log time of state 0; None for what the target's motion says (see
+            `TimedPath`), or else the first ego pose with 3 m/s or more that leaves enough log for
+            all steps, or else the first pose.
         steps: number of steps of `dt` seconds; 160 in the paper.
         plan_every: steps between plans, K; 40 at most, since a plan has 40 waypoints.
         dt: seconds per step and between waypoints, for controller, planner, actor and metrics.

@@ -32,6 +32,7 @@ from recast.simulation.scenario import (
     MOTION_SCHEMAS,
     kind_of,
     motion_numbers,
+    motion_rows,
     target_motion,
 )
 from recast.viewer.bake import raised, segments
@@ -244,7 +245,7 @@ def changed(
     record = {
         **scenario_record(cast(ScriptedMotion, target)),
         "name": name,
-        "settings": {SETTING: kept},
+        "settings": {SETTING: {**kept, **motion_rows(target)}},
     }
     return motion_of_record(record, "page")
 
