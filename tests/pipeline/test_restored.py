@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from recast.arrays import Image
@@ -15,9 +16,11 @@ from recast.pipeline.config import RunConfig, resolve_config
 from recast.pipeline.rollouts import is_failure, make_rollout, read_rollout
 from recast.pipeline.sources import Sources
 from recast.planning import CameraMount, ConstantVelocity
+from recast.protocols.neuroncap import planner as ncap_planner
 from recast.simulation import MOTIONS, RolloutFailure, RolloutSetup
 from recast.simulation.restoring import Restorer, RestoringRenderer
 from recast.simulation.scene_renderer import SceneRenderer
+from support.fake_neuroncap import image_of, planning
 from support.restorers import Negative
 from support.tiny_served import CAMERA, MOVING, RIG_FROM_CAMERA, make_log, make_scene
 
@@ -98,3 +101,44 @@ def test_an_unknown_one_is_refused_before_anything_is_made(
         said = capsys.readouterr().err
         assert "restorer: nothing: is not known" in said and said.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_a_run_with_another_program_and_a_restorer(tiny_log_folder: Path, tmp_path: Path) -> None:
+    """Named in its record; a repeated command asks nobody again, without the restorer it does."""
+    out = tmp_path / "run"
+    with planning() as (fake, address):
+        planner = f"neuroncap:{address}"
+        words = ["run", str(tiny_log_folder), "--track", "0", "--motion", "advancing-a"]
+        words += ["--arm", "native", "--planner", planner, "--steps", "10", "--scale", "0.5"]
+        words += ["--iterations", "4", "--threads", "1", "--out"]
+        assert main([*words, str(out), "--restorer", NEGATIVE]) == 0
+        assert fake.asked == ["alive", "reset", "infer", "infer"]
+        assert main([*words, str(out), "--restorer", NEGATIVE]) == 0
+        assert len(fake.asked) == 4
+        assert main([*words, str(tmp_path / "plain")]) == 0
+        assert len(fake.asked) == 8
+    config = json.loads((out / "run.json").read_text())["config"]
+    assert (config["planners"], config["restorer"]) == ([planner], NEGATIVE)
+    (record,) = out.glob("rollouts/*/*/native/planner.json")
+    told = json.loads(record.read_text())
+    assert told["planner"] == "neuroncap-" + address.replace(":", "-")
+    assert told["restored_by"] == "negative"
+    with_restorer, without = (image_of(fake.bodies[k]["images"]["CAM_FRONT"]) for k in (0, 2))
+    np.testing.assert_array_equal(with_restorer, 255 - without)
+
+
+def test_a_run_whose_planner_is_not_there_can_be_repeated(
+    tiny_log_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(ncap_planner, "ALIVE_S", 0.1)
+    with planning() as (_, address):
+        pass
+    words = ["run", str(tiny_log_folder), "--track", "0", "--motion", "advancing-a"]
+    words += ["--arm", "native", "--planner", f"neuroncap:{address}", "--steps", "10"]
+    words += ["--scale", "0.5", "--iterations", "4", "--threads", "1"]
+    for _ in range(2):
+        assert main([*words, "--out", str(tmp_path / "run")]) == 2
+        said = capsys.readouterr().err.splitlines()[-1]
+        assert f"planner neuroncap:{address}: /alive: nobody listens there" in said
+    assert not list((tmp_path / "run").glob("rollouts/**/failure.json"))

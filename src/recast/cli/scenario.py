@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -90,7 +90,40 @@ class Export:
             print_json(export_rows(*written))
 
 
+@dataclass(frozen=True)
+class Import:
+    """Read a scenario file of NeuroNCAP and write its random runs as scenario files, one for each
+    vehicle that is the target of some of them."""
+
+    layout: tyro.conf.Positional[Literal["neuroncap"]]
+    """Format of the file."""
+    path: tyro.conf.Positional[Path]
+    """Scenario file (YAML), such as scenarios/side/0103.yaml."""
+    log: Annotated[Path, shared.required("Log folder of the nuScenes scene of the scenario.")]
+    out: Path
+    """Folder to write; must not exist."""
+    runs: int = 10
+    """Number of runs, at most 100. Their seeds are 0, 1, ..., as in NeuroNCAP."""
+    name: Annotated[
+        str | None,
+        shared.option(
+            "What the names of the scenarios begin with.", "names of the file and its folder"
+        ),
+    ] = None
+    json: Annotated[bool, JSON] = False
+
+    def __call__(self) -> None:
+        from recast.cli.rows.scenarios import import_lines, import_rows, import_scenarios
+
+        written = import_scenarios(self.path, self.log, self.out, self.runs, self.name)
+        console = console_for(self.json)
+        for line in import_lines(written, self.log):
+            console.print(line, markup=False, highlight=False, soft_wrap=True)
+        if self.json:
+            print_json(import_rows(written))
+
+
 Scenario = shared.group(
-    "List scenarios, draw them on a log before a run, or export them.",
-    {"list": List, "show": Show, "export": Export},
+    "List scenarios, draw them on a log before a run, export them, or import others'.",
+    {"list": List, "show": Show, "export": Export, "import": Import},
 )

@@ -14,6 +14,7 @@ from recast.cli.output import Rows, with_unit
 from recast.core import files
 from recast.core.errors import InputError, printable
 from recast.logs import DrivingLog, map_of, read_log
+from recast.protocols.neuroncap.scenarios import ImportedFile, import_ncap_scenario
 from recast.reporting.scenario_preview import (
     ScenarioFacts,
     draw_scenarios,
@@ -179,6 +180,35 @@ def show_scenarios(placed: Sequence[Placed], out: Path, console: Console) -> Non
     with files.atomic_file(out) as partial:
         Image.fromarray(draw_scenarios(shown)).save(partial, format="PNG")
     console.print(f"wrote {out}", markup=False)
+
+
+def import_scenarios(
+    path: Path, log_path: Path, out: Path, runs: int, name: str | None
+) -> list[ImportedFile]:
+    """Write the runs of a scenario of NeuroNCAP; see `import_ncap_scenario` for what is refused."""
+    return import_ncap_scenario(path, read_log(log_path), out, runs, name)
+
+
+def import_lines(written: Sequence[ImportedFile], log_path: Path) -> list[str]:
+    """What was written, and the command that runs each file."""
+    lines = []
+    for one in written:
+        runs = ", ".join(map(str, one.seeds))
+        lines.append(f"{one.path}: runs {runs}; target {one.target}")
+        lines.append(
+            f"  recast run {log_path} --track {one.target} --motion {one.path} "
+            f"--steps {one.steps} --out RUN"
+        )
+    return lines
+
+
+def import_rows(written: Sequence[ImportedFile]) -> Rows:
+    """One row for each file."""
+    rows = [
+        {"file": one.path, "track_id": one.target, "runs": list(one.seeds), "steps": one.steps}
+        for one in written
+    ]
+    return {"scenarios": rows}
 
 
 def target_of(log: DrivingLog) -> str:

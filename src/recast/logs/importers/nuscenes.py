@@ -72,6 +72,8 @@ _FARTHEST = 500.0
 """Metres from the ego: no LiDAR sees farther, so such a box is of another place or frame."""
 _MEND = "take all tables from one metadata archive"
 LICENCE = "CC BY-NC-SA 4.0"
+KEY_FRAMES = "key_frames_us"
+"""Member of the metadata that has the times of the key frames, in order, with blanks between."""
 
 
 @returns_valid
@@ -115,6 +117,9 @@ def load_nuscenes(
             "date": recording.date_captured,
             "vehicle": recording.vehicle,
             "licence": LICENCE,
+            KEY_FRAMES: " ".join(
+                str(time) for time in sorted(sample.timestamp for sample in samples)
+            ),
         },
     )
 
