@@ -13,6 +13,7 @@ from recast.arrays import Image
 from recast.cli.main import main
 from recast.core.errors import InputError, UnreachableError
 from recast.pipeline.config import RunConfig, resolve_config
+from recast.pipeline.report_parts import facts
 from recast.pipeline.rollouts import is_failure, make_rollout, read_rollout
 from recast.pipeline.sources import Sources
 from recast.planning import CameraMount, ConstantVelocity
@@ -74,6 +75,12 @@ def test_the_configuration_names_it() -> None:
     resolved = config(NEGATIVE).resolved()
     assert resolved["restorer"] == NEGATIVE
     assert RunConfig.model_validate(resolved) == config(NEGATIVE)
+
+
+def test_the_report_says_it() -> None:
+    shown = [(one.name, one.value) for one in facts(config(NEGATIVE), LOG)]
+    plain = [(one.name, one.value) for one in facts(config(None), LOG)]
+    assert [one for one in shown if one not in plain] == [("Restorer", NEGATIVE)]
 
 
 def test_what_stands_for_it_in_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

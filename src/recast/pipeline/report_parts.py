@@ -37,12 +37,16 @@ def facts(config: RunConfig, log: DrivingLog) -> tuple[Fact, ...]:
         f"{round(camera.width * config.scene.scale)} x {round(camera.height * config.scene.scale)}"
         for camera in (log.cameras[name].camera for name in cameras)
     }
+    restored: tuple[Fact, ...] = ()
+    if config.restorer is not None:
+        restored = (Fact("Restorer", config.restorer, "of all images but those of the truth"),)
     return (
         Fact("Planner" if len(config.planners) == 1 else "Planners", ", ".join(config.planners)),
         Fact("Generator", ", ".join(_parts(config, "generator"))),
         Fact("Segmenter", ", ".join(_parts(config, "segmenter"))),
         Fact("Cameras", ", ".join(cameras)),
         Fact("Image size", ", ".join(sorted(sizes)), "pixels, as rendered"),
+        *restored,
         Fact("Length asked for", f"{config.steps * 0.1:g} s", "cut where log or road end"),
     )
 
