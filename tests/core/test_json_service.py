@@ -145,6 +145,12 @@ def test_a_service_holds_nothing_open(service: JsonService) -> None:
     assert JsonService.at("[::1]:8000", "x").host == "::1"
 
 
+def test_who_refuses_a_body_unread_is_heard(service: JsonService) -> None:
+    for path, status in (("/here", 405), ("/nowhere", 404), ("/echo", 413)):
+        with pytest.raises(InputError, match=f"{path}: answered {status}"):
+            service.ask("POST", path, "a" * 30_000_000, seconds=20.0, most_bytes=MOST)
+
+
 def test_a_server_refuses_what_is_no_body_it_takes(service: JsonService) -> None:
     with pytest.raises(InputError, match=r"413 .*has more than 1000 bytes"):
         service.ask("POST", "/echo", "a" * MOST, seconds=20.0, most_bytes=MOST)

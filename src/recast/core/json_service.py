@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 import socket
+from contextlib import suppress
 from dataclasses import dataclass
 from http.client import HTTPConnection, HTTPException, HTTPResponse
 from threading import Timer
@@ -117,7 +118,9 @@ class JsonService:
             headers = {"Connection": "close"}
             if body is not None:
                 headers["Content-Type"] = "application/json"
-            connection.request(method, path, body, headers)
+            # Who refuses a body need not read it all; the answer says why.
+            with suppress(BrokenPipeError, ConnectionResetError):
+                connection.request(method, path, body, headers)
             data = self._read(path, connection.getresponse(), most)
         except (OSError, HTTPException, InputError) as error:
             if isinstance(error, TimeoutError) or monotonic() >= ends:
