@@ -57,6 +57,8 @@ PAGES = {
     "recast.protocols.alpasim": "docs/howto/alpasim.md",
     "recast.protocols.alpasim.driver": "docs/howto/alpasim.md#drivers-as-planners",
     "recast.protocols.alpasim.driver_session": "docs/howto/alpasim.md#drivers-as-planners",
+    "recast.protocols.harmonizer": "docs/runs.md#restored-images",
+    "recast.simulation.restoring": "docs/runs.md#restored-images",
     "recast.protocols.neuroncap": "docs/howto/neuroncap.md",
     "recast.pipeline.serve": "docs/howto/alpasim.md",
     "recast.recar": "docs/recar.md",

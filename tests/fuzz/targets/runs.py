@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +14,14 @@ from recast.core.files import write_json
 from recast.evaluation.trust import packaged_calibration, read_calibration, write_calibration
 from recast.geometry import se3
 from recast.logs.hdmap import HdMap, Lane
+from recast.logs.importers.nuscenes import KEY_FRAMES
 from recast.pipeline.config import RunConfig, read_run_config
 from recast.pipeline.layout import use_name
 from recast.pipeline.rollouts import given_views
 from recast.pipeline.run_folder import RunFolder
 from recast.planning import ShownView
+from recast.protocols.neuroncap.scenario_file import read_ncap_scenario
+from recast.protocols.neuroncap.scenarios import ncap_runs
 from recast.simulation import MOTIONS, load_rollout, save_rollout, scenario_record
 from recast.simulation.coverage import ImageCoverage, RolloutCoverage
 from recast.simulation.openx import (
@@ -31,6 +34,7 @@ from recast.simulation.openx import (
 )
 from recast.simulation.rollout_files import load_coverage, save_coverage
 from recast.simulation.scenario_file import read_scenario
+from support.tiny_served import make_log
 
 _COVERAGE = RolloutCoverage(
     (
@@ -47,6 +51,22 @@ _CAR = Entity(
     *(np.arange(4) * 0.1, se3.exp(np.zeros((4, 6))), 1.0),
 )
 _PLAYED = Played("cut-in", "", 0.3, (_CAR,))
+_NCAP = """\
+general: {start-frame: 3, priming-steps: 2, duration: 7.0, start-jitter: 1, start-pose: original}
+actors:
+  - uuids: [car-a, car-a]
+    flip-uuids: [car-a]
+    mode: override
+    times: [-1.0, 4.0, 20.0]
+    is_target_actor: true
+    initial-yaw: -2.1
+    positions: [[5.0, 20.0, 0.0], [40.0, 0.0, 0.0], [40.0, 0.0, 0.0]]
+    jitter: {longitudinal: 1.0, lateral: 0.5, long-lat-angle: -2.1, yaw-jitter: 0.3}
+  - {uuid: car-b, mode: optimized, exclusive-group: "1"}
+"""
+_NCAP_LOG = replace(
+    make_log(), metadata={KEY_FRAMES: " ".join(str(5_000_000 + 500_000 * k) for k in range(40))}
+)
 _SCENARIOS = Path(__file__).parents[3] / "src" / "recast" / "simulation" / "scenarios"
 
 
@@ -84,6 +104,12 @@ def _open_run(folder: Path) -> None:
 
 TARGETS = (
     Target("scenario", _write_scenario, lambda f, out: read_scenario(f / "my.yaml"), weight=10.0),
+    Target(
+        "ncap-scenario",
+        lambda f: (f / "0103.yaml").write_text(_NCAP),
+        lambda f, out: ncap_runs(read_ncap_scenario(f / "0103.yaml"), _NCAP_LOG, 4),
+        weight=10.0,
+    ),
     Target(
         "run-config",
         lambda f: write_json(f / "config.json", _config().resolved()),

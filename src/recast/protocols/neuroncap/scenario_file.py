@@ -23,6 +23,9 @@ _LARGEST_FILE = 1_000_000
 _MOST_ACTORS = 100
 _MEND = "correct it as in NeuroNCAP's own scenarios"
 _PLAN_INTERVAL = 0.5
+_MOST_SAMPLES = 1000
+_SHORTEST = 1e-3
+"""Seconds between two times of a path."""
 _GENERAL = (
     "start_frame", "priming_steps", "time_step", "duration", "dim_jitter", "start_jitter",
     "start_pose", "start_velo", "smooth_actors", "actor_framerate",
@@ -117,8 +120,9 @@ def read_ncap_scenario(path: str | Path) -> NcapScenario:
         raise general.fault("dim_jitter", None, "give 0: vehicles keep their size")
     duration = general.number("duration", 0.5, 1000.0, 20.0)
     framerate = general.number("actor_framerate", 0.1, 100.0, 2.0)
-    if int(duration * framerate) < 2:
-        raise general.fault("actor_framerate", None, "give two samples in the duration, or more")
+    if not 2 <= int(duration * framerate) <= _MOST_SAMPLES:
+        mend = f"give 2 to {_MOST_SAMPLES} samples in the duration"
+        raise general.fault("actor_framerate", None, mend)
     listed = root.required("actors")
     if not isinstance(listed.value, list) or not 0 < len(listed.value) <= _MOST_ACTORS:
         raise listed.error("actors", None, f"give a list of 1 to {_MOST_ACTORS} actors")
@@ -230,8 +234,8 @@ def _actor(one: _Members) -> NcapFileActor:
         if len(times) != len(positions):
             problem = f"has {len(positions)} places for {len(times)} times"
             raise one.fault("positions", problem, _MEND)
-        if any(later <= earlier for earlier, later in pairwise(times)):
-            raise one.fault("times", "do not increase", _MEND)
+        if any(later - earlier < _SHORTEST for earlier, later in pairwise(times)):
+            raise one.fault("times", f"do not increase by {_SHORTEST:g} s or more", _MEND)
     return NcapFileActor(
         uuids=uuids,
         is_list="uuids" in one,
