@@ -21,7 +21,7 @@ from recast.pipeline.rollouts import given_views
 from recast.pipeline.run_folder import RunFolder
 from recast.planning import ShownView
 from recast.protocols.neuroncap.scenario_file import read_ncap_scenario
-from recast.protocols.neuroncap.scenarios import ncap_runs
+from recast.protocols.neuroncap.scenario_runs import ncap_runs
 from recast.simulation import MOTIONS, load_rollout, save_rollout, scenario_record
 from recast.simulation.coverage import ImageCoverage, RolloutCoverage
 from recast.simulation.openx import (

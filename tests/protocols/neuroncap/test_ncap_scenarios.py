@@ -16,7 +16,8 @@ from recast.logs import DrivingLog, Trajectory, read_log
 from recast.logs.importers.nuscenes import KEY_FRAMES, load_nuscenes
 from recast.planning import ConstantVelocity
 from recast.protocols.neuroncap.scenario_file import read_ncap_scenario
-from recast.protocols.neuroncap.scenarios import import_ncap_scenario, ncap_runs
+from recast.protocols.neuroncap.scenario_runs import ncap_runs
+from recast.protocols.neuroncap.scenarios import import_ncap_scenario
 from recast.simulation import (
     LogReplay,
     RolloutSetup,
