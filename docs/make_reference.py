@@ -38,6 +38,7 @@ PACKAGES = {
     "recast.viewer": "Viewer and replays",
     "recast.envs": "Gymnasium environments",
     "recast.protocols.alpasim": "AlpaSim and NuRec",
+    "recast.protocols.neuroncap": "NeuroNCAP",
     "recast.synthetic": "Synthetic world",
     "recast.recar": "Vehicle sets",
     "recast.trellis": "Image-to-3D model",
