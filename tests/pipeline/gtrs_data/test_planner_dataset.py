@@ -58,11 +58,16 @@ def test_situations_are_possible_and_follow_the_generator(stage: Stage) -> None:
 
 
 def test_what_is_placed_is_where_a_run_could_have_brought_it(stage: Stage) -> None:
-    """Played vehicles come with the ego's speed; the gap is that between the two boxes."""
-    placed = [place_actor(stage, np.random.default_rng(seed)) for seed in range(60)]
+    """Played vehicles come with the ego's speed; the gap is that between the two boxes. In front of
+    some the ego waits."""
+    placed = [place_actor(stage, np.random.default_rng(seed)) for seed in range(90)]
     there = [one for one in placed if one is not None]
-    played = [one for one in there if one.ego_speed is not None]
-    assert 0.15 * len(there) < len(played) < 0.7 * len(there)
+    waiting = [one for one in there if one.ego_speed is not None and one.ego_speed <= 1.5]
+    played = [one for one in there if one.ego_speed is not None and one.ego_speed > 1.5]
+    assert 0.15 * len(there) < len(played) < 0.6 * len(there)
+    assert 0.08 * len(there) < len(waiting) < 0.4 * len(there)
+    assert any(one.ego_speed == 0.0 for one in waiting)
+    assert all(one.gap <= 12.0 for one in waiting)
     for one in there:
         s, lateral = stage.route.project(one.obstacle.poses)
         assert one.s == pytest.approx(float(s[0]), abs=0.05)

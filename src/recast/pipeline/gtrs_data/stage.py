@@ -33,11 +33,14 @@ _LATEST = 100
 """Steps of a script after which nothing new happens."""
 _SHARES = {"stationary": 0.22, "oncoming": 0.25, "through": 0.05, "cut-in": 0.32, "advancing": 0.16}
 """Of the motions. A planner that rarely sees vehicles stay in the next lane brakes for all."""
-_PLAYED = 0.5
+_PLAYED, _WAITING = 0.4, 0.25
+"""Of the vehicles placed: played as a run plays them; with the ego waiting close to them."""
 _EARLY = 45
 """Steps from the start of those that are played."""
 _CLOSEST, _FARTHEST, _BESIDE = 0.8, 53.0, 7.0
 """Metres of gap."""
+_NEAR = 12.0
+"""Metres of gap at which the ego waits at most."""
 ABOUT = (0.8, 1.15)
 """Of the log's speed, at which the ego starts."""
 
@@ -120,7 +123,7 @@ class PlacedActor:
         in_lane: whether it is in the ego's way, now or within the time that is foreseen.
         slowest: least speed along the route within that time, m/s; 0 where it comes towards the
             ego.
-        ego_speed: m/s at which the ego comes there, where the motion was played since its start.
+        ego_speed: m/s at which the ego comes there or waits; None if it may be any.
     """
 
     obstacle: Obstacle
@@ -141,16 +144,18 @@ class PlacedActor:
 def place_actor(stage: Stage, rng: np.random.Generator) -> PlacedActor | None:
     """A random vehicle at a random moment of a random motion around the built-in settings.
 
-    Half of them are played as a run plays them, from a start at about the log's speed, the ego
-    braking meanwhile more or less: then gap and speeds fit the moment. Of the other half they are
-    drawn by themselves, from what a planner gets into by its own mistakes.
+    Some are played as a run plays them, from a start at about the log's speed, the ego braking
+    meanwhile more or less: then gap and speeds fit the moment. For others the ego waits: it stands
+    or crawls close to the vehicle, as in most plans of a run in which it had to stop. Of the rest
+    they are drawn by themselves, from what a planner gets into by its own mistakes.
 
     None where it would leave the recorded road within the time that is foreseen, or the ego would
     have run into it.
     """
     key = stage.actors[int(rng.integers(len(stage.actors)))]
     size = stage.world.vehicles[key].model.size
-    motion, played = _random_motion(rng), bool(rng.uniform() < _PLAYED)
+    motion, kind = _random_motion(rng), float(rng.uniform())
+    played = kind < _PLAYED
     route = stage.route
     start_s = float(rng.uniform(0.0, route.length))
     beside = neighbour_lateral(stage.log, stage.log.map, route, start_s)
@@ -182,6 +187,9 @@ def place_actor(stage: Stage, rng: np.random.Generator) -> PlacedActor | None:
         gap = float(s[0]) - start_s - driven - (PACIFICA.length + float(size[0])) / 2
         if gap < (_CLOSEST if ahead else -_BESIDE) or gap > _FARTHEST:
             return None
+    elif ahead and kind < _PLAYED + _WAITING:
+        gap = float(rng.uniform(_CLOSEST, _NEAR))
+        ego_speed = max(float(rng.uniform(-0.7, 1.5)), 0.0)
     elif ahead:
         gap = _CLOSEST + (_FARTHEST - _CLOSEST) * float(rng.uniform()) ** 1.4
     else:  # beside the ego only where it stays there: from there a cut-in leaves no way out

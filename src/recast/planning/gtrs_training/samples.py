@@ -23,7 +23,7 @@ from recast.core.records import Record, read_record
 from recast.planning.gtrs.scores import Trajectories, read_vocabulary
 
 RECORD_FILE, VOCABULARY_FILE = "dataset.json", "vocabulary.npy"
-VERSION: Literal[2] = 2
+VERSION: Literal[3] = 3
 """Of the format; version 1 did not say what rendered an image."""
 MEND = "name another folder, or make the samples again"
 CLUES = (
@@ -72,7 +72,7 @@ class DatasetRecord(Record):
     """
 
     format: Literal["recast-planner-dataset"] = "recast-planner-dataset"
-    version: Literal[2] = VERSION
+    version: Literal[3] = VERSION
     seed: int = Field(default=0, ge=0)
     per_world: int = Field(default=32, ge=2)
     speeds: int = Field(default=3, ge=1)
