@@ -88,8 +88,11 @@ def test_area_and_colour_are_kept(distance: float, fov_deg: float) -> None:
     side = (12 / 96) * 2 * distance * np.tan(np.radians(fov_deg) / 2)  # metres at the centre
     pixels = side / (2 * 2 * SIZE[0] * np.tan(np.radians(20))) * ORBIT_PIXELS
     area = float((found[..., 3] / 128).sum())
-    # at the square's edge, alpha below half a step is lost on either side
-    assert area == pytest.approx(min(pixels, ORBIT_PIXELS) ** 2, rel=0.02, abs=4 * pixels * 0.02)
+    # At the square's edge, alpha below half a step is lost on either side. And a ramp of one pixel
+    # of the photograph is sampled: its width in samples is off by up to 2 / pi of a sinc, of which
+    # the first beyond a pixel is 0.22: 0.14 pixels, and less for all others together.
+    edges = 4 * pixels * 0.02 + 2 * pixels * 2 * 0.14
+    assert area == pytest.approx(min(pixels, ORBIT_PIXELS) ** 2, rel=0.02, abs=edges)
     middle = found[ORBIT_PIXELS // 2, ORBIT_PIXELS // 2]
     if pixels > 4:
         assert np.abs(middle.astype(int) - (200, 100, 50, 128)).max() <= 1
