@@ -1,4 +1,4 @@
-"""`recast log`: bring logs in, make them, look at them."""
+"""`recast log`: bring logs in, make them, look at them, write them for other programs."""
 
 from __future__ import annotations
 
@@ -18,22 +18,27 @@ class Import:
 
     importer: tyro.conf.Positional[str]
     """Kind of the dataset: argoverse2 (sensor logs), kitti (raw, synced and rectified), waymo (v1
-    TFRecords and motion scenarios); experimental, never run on real data: drivestudio and
-    street-gaussians (Waymo scenes they processed), nuscenes (JSON tables), py123d (logs it
-    converted; needs the extra py123d), waymo-v2 (parquet); or an installed importer, or
-    package.module:attribute."""
+    TFRecords and motion scenarios); experimental, never run on real data: alpasim (a scene
+    bundle), drivestudio and street-gaussians (Waymo scenes they processed), nuscenes (JSON
+    tables), py123d (logs it converted; needs the extra py123d), waymo-v2 (parquet); or an
+    installed importer, or package.module:attribute."""
     root: tyro.conf.Positional[Path]
-    """Folder of the dataset. kitti: the folder with the date folders, such as 2011_09_26;
-    argoverse2: with the splits or the log; nuscenes: with v1.0-mini or v1.0-trainval; processed
-    scenes: with the scene folders; py123d: its data folder; waymo: with the TFRecord files;
-    waymo-v2: with vehicle_pose and the other components, or the splits."""
-    drive: str
-    """Name of the drive, such as 2011_09_26_drive_0013. argoverse2: id of the log; nuscenes: name
-    of the scene, such as scene-0061; processed scenes: folder of the scene, such as 002; waymo:
-    name or file of the segment, or FILE:SCENARIO; waymo-v2 and py123d: name of the segment or
-    log."""
+    """Folder of the dataset. alpasim: the USDZ file; kitti: the folder with the date folders, such
+    as 2011_09_26; argoverse2: with the splits or the log; nuscenes: with v1.0-mini or
+    v1.0-trainval; processed scenes: with the scene folders; py123d: its data folder; waymo: with
+    the TFRecord files; waymo-v2: with vehicle_pose and the other components, or the splits."""
     out: Path
     """Log folder to write; must not exist."""
+    drive: Annotated[
+        str | None,
+        shared.option(
+            "Name of the drive, such as 2011_09_26_drive_0013. alpasim: needs none; argoverse2: id "
+            "of the log; nuscenes: name of the scene, such as scene-0061; processed scenes: folder "
+            "of the scene, such as 002; waymo: name or file of the segment, or FILE:SCENARIO; "
+            "waymo-v2 and py123d: name of the segment or log.",
+            metavar="NAME",
+        ),
+    ] = None
     labels: Annotated[
         Path | None,
         shared.option(
@@ -45,7 +50,7 @@ class Import:
     cameras: Annotated[
         tuple[str, ...],
         shared.option(
-            "Names of the cameras to import, such as image_02 or CAM_FRONT.",
+            "Names of the cameras to import, such as image_02 or CAM_FRONT; alpasim: also none.",
             "all; of kitti the colour cameras",
             metavar="NAME [NAME ...]",
         ),
@@ -156,7 +161,48 @@ class Synth:
         )
 
 
+@dataclass(frozen=True)
+class Export:
+    """Write a log for another program: the scene bundle that AlpaSim's runtime reads.
+
+    The bundle has poses, calibration, tracks and map; images come from `recast serve sensorsim`.
+    """
+
+    format: tyro.conf.Positional[Literal["alpasim"]]
+    """Kind of the file: alpasim (a USDZ package)."""
+    log: tyro.conf.Positional[str]
+    """Log folder, or its address in object storage, such as s3://bucket/folder."""
+    out: Path
+    """File to write, NAME.usdz; must not exist."""
+    scene: Annotated[
+        str | None,
+        shared.option(
+            "Id under which `recast serve sensorsim` offers the scene.", "the log's name"
+        ),
+    ] = None
+    map: bool = True
+    """Write the map of the log into the bundle."""
+
+    def __call__(self) -> None:
+        from recast.logs import load_log
+        from recast.protocols.alpasim import export_bundle
+
+        told = export_bundle(load_log(self.log), self.out, self.scene, with_map=self.map)
+        lines = [
+            f"wrote {self.out}: scene {told.scene_id}, {told.cameras} cameras, "
+            f"{told.tracks} tracks, {told.lanes} lanes"
+        ]
+        if told.tracks_left_out:
+            lines.append(f"left out {told.tracks_left_out} tracks with a single label")
+        if told.frames_left_out:
+            lines.append(
+                f"left out {told.frames_left_out} camera frames at the first pose of the ego"
+            )
+        for line in lines:
+            console_for(False).print(line, markup=False, highlight=False, soft_wrap=True)
+
+
 Log = shared.group(
-    "Import, make or inspect logs.",
-    {"import": Import, "info": Info, "synth": Synth},
+    "Import, make, inspect or export logs.",
+    {"import": Import, "info": Info, "synth": Synth, "export": Export},
 )

@@ -300,6 +300,7 @@ IMPORTERS = Registry(
     "importer",
     "recast.importers",
     {
+        "alpasim": "recast.protocols.alpasim.bundle_read:load_alpasim",
         "argoverse2": "recast.logs.importers.argoverse2:load_argoverse2",
         "drivestudio": "recast.logs.importers.drivestudio:load_drivestudio",
         "kitti": "recast.logs.importers.kitti:load_kitti",
@@ -312,7 +313,9 @@ IMPORTERS = Registry(
     members=("__call__",),
     protocol="recast.logs.importers.LogImporter",
     makes_parts=False,
-    experimental=frozenset({"drivestudio", "nuscenes", "py123d", "street-gaussians", "waymo-v2"}),
+    experimental=frozenset(
+        {"alpasim", "drivestudio", "nuscenes", "py123d", "street-gaussians", "waymo-v2"}
+    ),
 )
 """Each is a `recast.logs.importers.LogImporter`."""
 

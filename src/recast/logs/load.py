@@ -52,7 +52,8 @@ def load_log(
             dataset's folder, with `importer`; or a log, which is returned as it is.
         importer: name of the dataset's importer, such as "kitti", "package.module:attribute", or a
             `LogImporter`. Nothing is written; see `write_log`.
-        drive: the drive's name in the dataset; needed with `importer`.
+        drive: the drive's name in the dataset; needed with `importer`, unless it reads a file of
+            one drive, as "alpasim" does.
         labels: box labels that lie apart from the drive; only with `importer`.
         cameras: names of the cameras to import; the importer's default if empty; only with
             `importer`.
@@ -93,16 +94,25 @@ def _imported(
     if not isinstance(root, str | os.PathLike) or "://" in os.fspath(root):
         shown = root if isinstance(root, str) else type(root).__name__
         raise InputError("importer", name, f"cannot read {shown}", "name a local folder")
-    if drive is None:
-        raise InputError("importer", name, "needs the name of a drive", "give the drive")
+    if drive is None and _needs_drive(load):
+        raise InputError("importer", name, "needs the name of a drive", "give the `drive`")
     _check_options(name, load, given)
-    log = load(Path(root), drive, **given)
+    log = load(Path(root), **given) if drive is None else load(Path(root), drive, **given)
     if not isinstance(log, DrivingLog):
         problem = f"returned {type(log).__name__} in place of a DrivingLog"
         raise InputError("importer", name, problem, "return the log; write_log writes it")
     with refused(f"{root}: log {log.name}", "use the dataset's files as published"):
         log.validate()
     return log
+
+
+def _needs_drive(load: Callable[..., DrivingLog]) -> bool:
+    """Whether an importer has no default for the name of the drive."""
+    try:
+        drive = inspect.signature(load).parameters.get("drive")
+    except (TypeError, ValueError):  # made in C
+        return True
+    return drive is None or drive.default is inspect.Parameter.empty
 
 
 def _check_options(name: str, load: Callable[..., DrivingLog], given: Mapping[str, Any]) -> None:

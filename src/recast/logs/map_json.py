@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from recast.core import files
-from recast.core.records import Record, read_record
+from recast.core.records import Record, parse_record
 from recast.logs.checks import refused
 from recast.logs.hdmap import Array, GroundHeight, HdMap, Lane
 
@@ -58,8 +58,17 @@ def write_map(hd_map: HdMap, path: str | Path) -> None:
     Raises:
         ValueError: the map is not valid.
     """
+    files.write_text(path, map_text(hd_map))
+
+
+def map_text(hd_map: HdMap) -> str:
+    """The content of a map.json.
+
+    Raises:
+        ValueError: the map is not valid.
+    """
     hd_map.validate()
-    files.write_text(path, _layout(_to_json(hd_map)))
+    return _layout(_to_json(hd_map))
 
 
 def read_map(path: str | Path) -> HdMap:
@@ -68,9 +77,18 @@ def read_map(path: str | Path) -> HdMap:
     Raises:
         InputError: missing, not a map.json, of another version, or a field of the wrong kind.
     """
+    return parse_map(path, files.read_json(path))
+
+
+def parse_map(where: str | Path, value: Any) -> HdMap:
+    """The map of a map.json's JSON data, which was read from `where`.
+
+    Raises:
+        InputError: no map.json, of another version, or a field of the wrong kind.
+    """
     mend = "import the drive again with this recast"
-    model = read_record(path, _MapModel, VERSION, mend, "recast-map")
-    with refused(path, mend):
+    model = parse_record(where, value, _MapModel, VERSION, mend, "recast-map")
+    with refused(where, mend):
         hd_map = _from_model(model)
         hd_map.validate()
     return hd_map

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from logs.small_log import small_log
 from recast.logs import read_log, write_log
 from recast.logs.importers.argoverse2 import load_argoverse2
 from recast.logs.map_json import read_map, write_map
+from recast.protocols.alpasim import export_bundle, load_alpasim
+from recast.protocols.alpasim.usdz import read_usdz, write_usdz
 from support import tiny_argoverse2
 
 
@@ -28,6 +31,32 @@ def _write_map(folder: Path) -> None:
     write_map(found, folder / "map.json")
 
 
+BUNDLE = "bundle.usdz"
+MEMBERS = ("metadata.yaml", "rig_trajectories.json", "sequence_tracks.json", "recast_map.json")
+
+
+def _write_bundle(folder: Path) -> None:
+    _write_map(folder)
+    log = replace(small_log(np.random.default_rng(0)), map=read_map(folder / "map.json"))
+    (folder / "map.json").unlink()
+    export_bundle(log, folder / BUNDLE)
+
+
+def _write_members(folder: Path) -> None:
+    """The members of a bundle as files: inside of the archive, its checksums would hide damage."""
+    _write_bundle(folder)
+    for name, data in read_usdz(folder / BUNDLE, dict.fromkeys(MEMBERS, 1 << 26)).items():
+        (folder / name).write_bytes(data)
+    (folder / BUNDLE).unlink()
+
+
+def _read_members(folder: Path) -> object:
+    with tempfile.TemporaryDirectory() as packed:
+        bundle = Path(packed) / BUNDLE
+        write_usdz(bundle, {name: (folder / name).read_bytes() for name in MEMBERS})
+        return taste(load_alpasim(bundle))
+
+
 TARGETS = (
     Target("log", _write_log, lambda folder, out: taste(read_log(folder / "log")), weight=3.0),
     Target(
@@ -37,5 +66,7 @@ TARGETS = (
         files=("*.json",),
         weight=3.0,
     ),
+    Target("bundle", _write_bundle, lambda folder, out: taste(load_alpasim(folder / BUNDLE))),
+    Target("bundle-members", _write_members, lambda folder, out: _read_members(folder)),
     Target("map", _write_map, lambda folder, out: read_map(folder / "map.json").lanes, weight=1.5),
 )

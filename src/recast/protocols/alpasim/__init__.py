@@ -1,10 +1,12 @@
 """AlpaSim and NuRec: recast as their renderer, and their renderers and drivers for recast's loop
-(extra alpasim)."""
+(extra alpasim), and scene bundles, which need no extra."""
 
 from __future__ import annotations
 
 TYPE_CHECKING = False  # typing's own costs 5 ms; type checkers know the name
 if TYPE_CHECKING:
+    from recast.protocols.alpasim.bundle import ExportedBundle, export_bundle
+    from recast.protocols.alpasim.bundle_read import load_alpasim
     from recast.protocols.alpasim.client import SensorsimClient, SensorsimRenderer
     from recast.protocols.alpasim.driver import AlpaSimDriver
     from recast.protocols.alpasim.messages import message, parse
@@ -13,24 +15,30 @@ if TYPE_CHECKING:
 
 _FILES = {
     "AlpaSimDriver": ".driver",
+    "ExportedBundle": ".bundle",
     "ScenePainter": "..rendering",
     "SensorsimClient": ".client",
     "SensorsimRenderer": ".client",
     "SensorsimServer": ".server",
     "SensorsimService": ".server",
     "ServedScene": "..rendering",
+    "export_bundle": ".bundle",
+    "load_alpasim": ".bundle_read",
     "message": ".messages",
     "parse": ".messages",
 }
 
 __all__ = [
     "AlpaSimDriver",
+    "ExportedBundle",
     "ScenePainter",
     "SensorsimClient",
     "SensorsimRenderer",
     "SensorsimServer",
     "SensorsimService",
     "ServedScene",
+    "export_bundle",
+    "load_alpasim",
     "message",
     "parse",
 ]
