@@ -54,7 +54,11 @@ def _prepared(name: str, root: Path, request: pytest.FixtureRequest) -> Import:
     return partial(import_drive, name, root, tiny_processed.SCENE)
 
 
-@pytest.mark.parametrize("name", sorted(IMPORTERS.built_in))
+WITHOUT_FRAMES = {"alpasim"}
+"""Importers that write no image and no sweep, between which they could end."""
+
+
+@pytest.mark.parametrize("name", sorted(set(IMPORTERS.built_in) - WITHOUT_FRAMES))
 def test_an_import_that_ends_midway_leaves_nothing(
     name: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
