@@ -30,6 +30,18 @@ def test_apply_is_the_action_of_the_group(a, b, point):
     close(se3.apply(a, point[None])[0], homogeneous[:3])
 
 
+@given(transforms, st.floats(-4e-4, 4e-4))
+def test_the_nearest_rotation_of_a_printed_one(pose, slip):
+    printed = pose[:3, :3] + slip * np.outer([1.0, -0.5, 0.3], [0.2, 1.0, -0.7])
+    (found, mirrored), off = se3.nearest_rotations([printed, -printed])
+    close(found @ found.T, np.eye(3))
+    close(off[0], np.abs(found - printed).max())
+    # The polar factor is nearest in Frobenius' norm, and the rotation it came from is another one.
+    assert np.linalg.norm(found - printed) <= np.linalg.norm(pose[:3, :3] - printed) + 1e-9
+    assert off[1] == np.inf
+    close(mirrored, -found)
+
+
 def test_apply_batches():
     rng = np.random.default_rng(0)
     matrices = se3.exp(rng.normal(size=(5, 6)))

@@ -41,3 +41,17 @@ def test_a_file_cut_off_is_refused_even_after_the_check(source: ImageFiles, chec
     source.encoded(0)
     with pytest.raises(InputError, match=r"1\.png"):
         source.encoded(1)
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_an_encoded_image_is_read_back(channels: int) -> None:
+    rng = np.random.default_rng(1)
+    image = rng.integers(0, 256, (6, 8, channels), dtype=np.uint8)
+    mode = {3: "RGB", 4: "RGBA"}[channels]
+    png = images.encode(image)
+    np.testing.assert_array_equal(images.decode(png, "png", (8, 6), "a.png", "a test", mode), image)
+    flat = np.full((6, 8, channels), (200, 100, 40, 255)[:channels], np.uint8)
+    jpeg = images.encode(flat, "jpeg", quality=95)
+    found = images.decode(jpeg, "jpeg", (8, 6), "a.jpg", "a test")
+    # One grey level of the quantised brightness and colours is at most 1.772 of a channel.
+    assert np.abs(found.astype(int) - flat[..., :3]).max() <= 3

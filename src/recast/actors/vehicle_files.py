@@ -9,7 +9,6 @@ import io
 from collections.abc import Iterable
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -28,6 +27,7 @@ from recast.core.errors import InputError
 from recast.core.records import Record, read_record
 from recast.core.torch_file import read_safetensors
 from recast.logs import Trajectory
+from recast.logs.images import encode
 from recast.splats import Gaussians, LowPass, read_ply, write_ply
 from recast.splats.formats import SPLAT_SUFFIXES
 
@@ -80,8 +80,7 @@ def save_actor(actor: Actor, folder: str | Path) -> None:
         files.write_bytes(partial / SHADOW_FILE, save(shadow))
         if actor.shares is not None:
             files.write_bytes(partial / REFINED_FILE, save(_refined(actor)))
-        bgra = cv2.cvtColor(actor.source, cv2.COLOR_RGBA2BGRA)
-        files.write_bytes(partial / SOURCE_FILE, cv2.imencode(".png", bgra)[1].tobytes())
+        files.write_bytes(partial / SOURCE_FILE, encode(actor.source))
         files.write_json(partial / ACTOR_FILE, record.model_dump(mode="json"))
 
 

@@ -107,12 +107,12 @@ class Show:
 
     def __call__(self) -> None:
         from recast.core.files import write_bytes
+        from recast.logs.images import encode
         from recast.planning.gtrs_training.evaluate import truth_sheet
         from recast.planning.gtrs_training.samples import SampleStore
-        from recast.recar.views import encode_rgb
 
         sheet = truth_sheet(SampleStore(self.dataset), self.first, self.count)
-        write_bytes(self.out, encode_rgb(sheet))
+        write_bytes(self.out, encode(sheet))
 
 
 @dataclass(frozen=True)

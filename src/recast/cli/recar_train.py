@@ -58,13 +58,10 @@ class Autoencoder:
     """Number of CPU threads."""
 
     def __call__(self) -> None:
-        import torch
-
+        from recast.core.workers import use_threads
         from recast.recar.training.assemble import train_part
-        from recast.splats import set_threads
 
-        torch.set_num_threads(self.threads)
-        set_threads(self.threads)
+        use_threads(self.threads)
         train_part(
             self.part,
             self.assets,

@@ -113,9 +113,12 @@ class Import:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        from recast.cli.rows.scenarios import import_lines, import_rows, import_scenarios
+        from recast.cli.rows.scenarios import import_lines, import_rows
+        from recast.logs import read_log
+        from recast.protocols.neuroncap import import_ncap_scenario
 
-        written = import_scenarios(self.path, self.log, self.out, self.runs, self.name)
+        log = read_log(self.log)
+        written = import_ncap_scenario(self.path, log, self.out, self.runs, self.name)
         console = console_for(self.json)
         for line in import_lines(written, self.log):
             console.print(line, markup=False, highlight=False, soft_wrap=True)

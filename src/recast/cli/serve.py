@@ -11,6 +11,10 @@ import tyro
 from recast.cli import shared
 from recast.cli.output import console_for
 
+_WORLD_FROM_LOCAL = (
+    "Text file with a 4x4 matrix or an offset from the requests' coordinates to the log's world."
+)
+
 
 @dataclass(frozen=True)
 class _Scenes:
@@ -48,12 +52,7 @@ class Sensorsim(_Scenes):
     unnamed: Literal["hidden", "logged"] = "hidden"
     """Moving actors that a request does not name: hidden, or logged (at their pose in the log)."""
     world_from_local: Annotated[
-        Path | None,
-        shared.option(
-            "Text file with a 4x4 matrix or an offset from the requests' coordinates to the log's "
-            "world.",
-            "the same coordinates",
-        ),
+        Path | None, shared.option(_WORLD_FROM_LOCAL, "the same coordinates")
     ] = None
     ftheta_centre: float = 0.5
     """Pixels added to the principal point of f-theta cameras. 0.5 counts from the centre of the
@@ -98,12 +97,7 @@ class NeuroNcap(_Scenes):
     port: int = 8000
     """TCP port of the first scene; each further scene has the next one. 0 takes free ones."""
     world_from_local: Annotated[
-        Path | None,
-        shared.option(
-            "Text file with a 4x4 matrix or an offset from the requests' coordinates to the log's "
-            "world.",
-            "the coordinates of the log's dataset",
-        ),
+        Path | None, shared.option(_WORLD_FROM_LOCAL, "the coordinates of the log's dataset")
     ] = None
 
     def __call__(self) -> None:

@@ -107,13 +107,10 @@ class _RemoteWorker:
         arguments: tuple[Any, ...],
         records: Diagnostics,
     ) -> None:
-        import torch
-
-        from recast.kernel import set_threads
+        from recast.core.workers import use_threads
 
         self._records = records
-        torch.set_num_threads(1)
-        set_threads(1)
+        use_threads(1)
         self._start = lambda: start(number, *arguments)
         self._work: Callable[[Any], Any] | None = None
 

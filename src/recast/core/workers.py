@@ -151,9 +151,18 @@ def begin_worker() -> None:
     """Make this process a worker: on one thread, and ended by its parent alone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers itself
     end_with_parent()
-    if torch := sys.modules.get("torch"):  # imported later, it reads the environment
-        torch.set_num_threads(1)
-    set_threads(1)
+    use_threads(1)
+
+
+def use_threads(count: int) -> None:
+    """Compute on `count` threads in this process, 0 for one on each usable core.
+
+    Of torch this changes nothing where it is imported later: it reads the environment.
+    """
+    count = count or usable_cores()
+    if torch := sys.modules.get("torch"):
+        torch.set_num_threads(count)
+    set_threads(count)
 
 
 def end_with_parent() -> None:

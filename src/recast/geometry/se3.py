@@ -40,6 +40,20 @@ def apply(matrix: ArrayLike, points: ArrayLike) -> Array:
     return points @ np.swapaxes(matrix[..., :3, :3], -1, -2) + matrix[..., None, :3, 3]
 
 
+def nearest_rotations(matrices: ArrayLike) -> tuple[Array, Array]:
+    """Rotations nearest to finite matrices (..., 3, 3) that are not quite orthogonal.
+
+    Returns:
+        rotations (..., 3, 3), and how far each is off in its worst entry (...): infinitely far
+        where the matrix mirrors.
+    """
+    matrices = np.asarray(matrices, np.float64)
+    left, _, right = np.linalg.svd(matrices)
+    rotations = left @ right
+    off = np.abs(rotations - matrices).max(axis=(-2, -1), initial=0.0)
+    return rotations, np.where(np.linalg.det(rotations) > 0, off, np.inf)
+
+
 def quat_to_matrix(quat: ArrayLike) -> Array:
     """Rotation matrices (..., 3, 3) of quaternions (..., 4) wxyz, normalised first.
 

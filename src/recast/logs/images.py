@@ -48,6 +48,20 @@ def decode(
         return np.array(image.convert(mode))
 
 
+def encode(image: Image, kind: str = "png", quality: int = 95) -> bytes:
+    """The file of an image (height, width, 3 or 4) uint8, RGB or RGBA.
+
+    Args:
+        kind: "png" or "jpeg".
+        quality: of a JPEG, 1 to 100.
+    """
+    import cv2  # 0.1 s that reading a log does without
+
+    options = [cv2.IMWRITE_JPEG_QUALITY, quality] if kind == "jpeg" else []
+    turn = cv2.COLOR_RGBA2BGRA if image.shape[-1] == 4 else cv2.COLOR_RGB2BGR
+    return cv2.imencode(f".{kind}", cv2.cvtColor(image, turn), options)[1].tobytes()
+
+
 def size_of(data: bytes, kind: str, where: str | Path) -> tuple[int, int]:
     """Width and height that an encoded image says; its pixels are not decoded.
 

@@ -9,6 +9,7 @@ import inspect
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -94,9 +95,7 @@ def _imported(
     if not isinstance(root, str | os.PathLike) or "://" in os.fspath(root):
         shown = root if isinstance(root, str) else type(root).__name__
         raise InputError("importer", name, f"cannot read {shown}", "name a local folder")
-    if drive is None and _needs_drive(load):
-        raise InputError("importer", name, "needs the name of a drive", "give the `drive`")
-    _check_options(name, load, given)
+    _check_call(name, load, drive, given)
     log = load(Path(root), **given) if drive is None else load(Path(root), drive, **given)
     if not isinstance(log, DrivingLog):
         problem = f"returned {type(log).__name__} in place of a DrivingLog"
@@ -106,22 +105,17 @@ def _imported(
     return log
 
 
-def _needs_drive(load: Callable[..., DrivingLog]) -> bool:
-    """Whether an importer has no default for the name of the drive."""
-    try:
-        drive = inspect.signature(load).parameters.get("drive")
-    except (TypeError, ValueError):  # made in C
-        return True
-    return drive is None or drive.default is inspect.Parameter.empty
-
-
-def _check_options(name: str, load: Callable[..., DrivingLog], given: Mapping[str, Any]) -> None:
-    """Refuse options that an importer does not have."""
-    try:
+def _check_call(
+    name: str, load: Callable[..., DrivingLog], drive: str | None, given: Mapping[str, Any]
+) -> None:
+    """Refuse a missing drive, unless the importer has a default, and options that it lacks."""
+    known: Mapping[str, inspect.Parameter] | None = None
+    with suppress(TypeError, ValueError):  # made in C
         known = inspect.signature(load).parameters
-    except (TypeError, ValueError):  # made in C
-        return
-    if any(one.kind is inspect.Parameter.VAR_KEYWORD for one in known.values()):
+    default = known["drive"].default if known and "drive" in known else inspect.Parameter.empty
+    if drive is None and default is inspect.Parameter.empty:
+        raise InputError("importer", name, "needs the name of a drive", "give the `drive`")
+    if known is None or any(one.kind is inspect.Parameter.VAR_KEYWORD for one in known.values()):
         return
     for option in given:
         if option not in known:

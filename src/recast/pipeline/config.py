@@ -55,8 +55,8 @@ class RunConfig(Record):
     planners: tuple[str, ...] = Field(
         default=("idm-follower",),
         min_length=1,
-        description="planners under test: names, folders, package.module:attribute or "
-        "alpasim:HOST:PORT",
+        description="planners under test: names, folders, package.module:attribute, "
+        "alpasim:HOST:PORT or neuroncap:HOST:PORT",
     )
     planner_device: str = Field(
         default="auto",

@@ -13,7 +13,7 @@ from recast.actors import DEFAULT_GENERATOR, make_generator
 from recast.core import files, open_store
 from recast.core.errors import InputError
 from recast.core.records import validation_error
-from recast.core.workers import usable_cores
+from recast.core.workers import use_threads
 from recast.evaluation import RolloutMetrics, rollout_metrics
 from recast.evaluation.pairs import over_common_steps
 from recast.pipeline.arms import Arm, default_arms
@@ -26,7 +26,6 @@ from recast.pipeline.sources import SourceLog, Sources, drive_log
 from recast.planning import GTRS_MINI, make_planner
 from recast.scene import SceneConfig
 from recast.simulation import RolloutFailure, parse_motions, prepare, scenario_name
-from recast.splats import set_threads
 from recast.synthetic import make_world
 from recast.synthetic.rendering import require_embree
 
@@ -72,7 +71,8 @@ def demo(
     Args:
         out: folder for `log/`, `run/` and `store/`; results of the same demo there are reused.
         scene, size: name of a synthetic scene; `FULL` or `QUICK`.
-        seed, threads: of the drive and all later random choices; CPU threads, 0 for all cores.
+        seed: seed of the drive and of all later random choices.
+        threads: CPU threads, 0 for all cores.
         generator, planner: see `recast.actors.make_generator`, `recast.planning.make_planner`;
             None for the planner of `size`.
 
@@ -125,7 +125,7 @@ def decided(log: Path, store: Path, config: RunConfig, console: Console) -> tupl
     first one that can be driven, and `console` says so.
 
     Args:
-        log: of a synthetic drive.
+        log: log folder of a synthetic drive.
         config: its scenarios are the settings to choose from; its first planner drives.
 
     Raises:
@@ -142,7 +142,7 @@ def decided(log: Path, store: Path, config: RunConfig, console: Console) -> tupl
     sources = Sources.of(trial, name)
     opened = open_store(str(store))
     artefacts = Artefacts(opened, source, trial, sources, console, name, config.threads)
-    set_threads(config.threads or usable_cores())
+    use_threads(config.threads)
     try:
         return tuple(_decided(names, artefacts, console) for names in settings.values())
     finally:

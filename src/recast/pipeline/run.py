@@ -6,12 +6,11 @@ from collections.abc import Iterable
 from itertools import product
 from pathlib import Path
 
-import torch
 from rich.console import Console
 
 from recast.core import Artefact, files, open_store, value_hash
 from recast.core.errors import InputError, printable
-from recast.core.workers import usable_cores
+from recast.core.workers import use_threads
 from recast.pipeline.artefacts import Artefacts
 from recast.pipeline.config import RunConfig
 from recast.pipeline.display import failure_lines, results_tables
@@ -30,7 +29,6 @@ from recast.pipeline.trust import RunTrust
 from recast.pipeline.view import view_inputs
 from recast.simulation import prepare
 from recast.simulation.restoring import make_restorer
-from recast.splats import set_threads
 from recast.viewer import require_viser, write_replay
 
 REPLAY_MB = 10.0
@@ -74,9 +72,7 @@ def run(
     for arm in artefacts.arms.values():
         if arm.generates:
             artefacts.makers(arm)
-    threads = config.threads or usable_cores()
-    torch.set_num_threads(threads)
-    set_threads(threads)
+    use_threads(config.threads)
     folder = RunFolder.create_or_resume(
         out, config.resolved(), source.address or source.path, source.hash, place
     )

@@ -9,12 +9,12 @@ from pathlib import Path
 from threading import Event
 
 import numpy as np
-import torch
 from rich.console import Console
 
 from recast.arrays import Array
 from recast.core.errors import InputError, require_range
 from recast.core.web_server import WebServer
+from recast.core.workers import use_threads
 from recast.geometry import se3
 from recast.logs import DrivingLog, load_log
 from recast.pipeline.run_folder import RUN_FILE
@@ -25,7 +25,6 @@ from recast.protocols.rendering import ScenePainter, ServedScene, Unnamed
 from recast.scene import StreetScene, load_scene
 from recast.scene.importers.placement import given_placement
 from recast.scene.store import SCENE_FILE
-from recast.splats import set_threads
 
 
 @dataclass(frozen=True)
@@ -107,9 +106,7 @@ def _say(console: Console, line: str) -> None:
 
 def _painter(request: ServeRequest, dataset_frame: bool = False) -> ScenePainter:
     require_range(0, 1024, threads=request.threads)
-    if request.threads:
-        torch.set_num_threads(request.threads)
-        set_threads(request.threads)
+    use_threads(request.threads)
     scenes = served_scenes(request, dataset_frame)
     return ScenePainter(scenes, request.device, request.unnamed)
 

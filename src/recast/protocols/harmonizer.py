@@ -11,12 +11,9 @@ import binascii
 from collections.abc import Mapping
 from typing import Any
 
-import cv2
-
 from recast.arrays import Image
-from recast.core.errors import InputError
 from recast.core.json_service import JsonService
-from recast.logs.images import decode
+from recast.logs.images import decode, encode
 
 SECONDS = 300.0
 """Within which the images of a step must be back."""
@@ -48,7 +45,10 @@ class HarmonizerRestorer:
                 or holds one that is damaged or of another size.
         """
         body = {
-            "images": [{"id": name, "data": _encoded(one)} for name, one in images.items()],
+            "images": [
+                {"id": name, "data": base64.b64encode(encode(one)).decode("ascii")}
+                for name, one in images.items()
+            ],
             "parameters": _PARAMETERS,
         }
         # PNG of noise is a little longer than its pixels; base64 makes 4 bytes of 3.
@@ -82,10 +82,3 @@ def harmonizer_restorer(address: str) -> HarmonizerRestorer:
         InputError: it is no address.
     """
     return HarmonizerRestorer(JsonService.at(address, f"restorer {_PREFIX}{address}"))
-
-
-def _encoded(image: Image) -> str:
-    done, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-    if not done:
-        raise InputError("restorer", "image", "cannot be encoded as PNG", "render a larger one")
-    return base64.b64encode(data.tobytes()).decode("ascii")

@@ -22,6 +22,7 @@ from recast.core.errors import InputError
 from recast.core.files import atomic_file, read_bytes
 from recast.core.progress import Progress, tell
 from recast.geometry import PinholeCamera, boxes, se3
+from recast.logs.images import encode
 from recast.recar.set_records import LARGEST_SIDE, IdentityRecord, SetRecord, Split
 
 ELEVATION_DEG = 15.0
@@ -105,12 +106,7 @@ def fitting_distance(
 def encode_picture(rgba: Image) -> bytes:
     """PNG of an image (H, W, 4) uint8; colour without alpha becomes black, which packs better."""
     rgba = np.where(rgba[..., 3:] > 0, rgba, np.uint8(0))
-    return cv2.imencode(".png", cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA))[1].tobytes()
-
-
-def encode_rgb(picture: Image) -> bytes:
-    """PNG of a picture (H, W, 3) uint8."""
-    return cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
+    return encode(rgba)
 
 
 def write_words(

@@ -257,7 +257,8 @@ from recast.simulation import probe_path
 planner = make_planner("alpasim:127.0.0.1:%d/")
 assert not {"grpc", "torch"} & set(sys.modules), "made too early"
 child = os.fork()
-print(child == 0, probe_path(planner)[-1].tobytes().hex(), flush=True)
+line = "%%s %%s\\n" %% (child == 0, probe_path(planner)[-1].tobytes().hex())
+os.write(1, line.encode())  # whole: print writes in pieces where PYTHONUNBUFFERED is set
 if child:
     assert os.waitpid(child, 0)[1] == 0
 os._exit(0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from PIL import Image
 from rich.console import Console
@@ -14,7 +14,6 @@ from recast.cli.output import Rows, with_unit
 from recast.core import files
 from recast.core.errors import InputError, printable
 from recast.logs import DrivingLog, map_of, read_log
-from recast.protocols.neuroncap.scenarios import ImportedFile, import_ncap_scenario
 from recast.reporting.scenario_preview import (
     ScenarioFacts,
     draw_scenarios,
@@ -38,6 +37,9 @@ from recast.simulation.scenario import (
     motion_numbers,
     target_motion,
 )
+
+if TYPE_CHECKING:
+    from recast.protocols.neuroncap import ImportedFile
 
 
 def scenario_rows(names: Sequence[str]) -> Rows:
@@ -180,13 +182,6 @@ def show_scenarios(placed: Sequence[Placed], out: Path, console: Console) -> Non
     with files.atomic_file(out) as partial:
         Image.fromarray(draw_scenarios(shown)).save(partial, format="PNG")
     console.print(f"wrote {out}", markup=False)
-
-
-def import_scenarios(
-    path: Path, log_path: Path, out: Path, runs: int, name: str | None
-) -> list[ImportedFile]:
-    """Write the runs of a scenario of NeuroNCAP; see `import_ncap_scenario` for what is refused."""
-    return import_ncap_scenario(path, read_log(log_path), out, runs, name)
 
 
 def import_lines(written: Sequence[ImportedFile], log_path: Path) -> list[str]:

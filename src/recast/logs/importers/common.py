@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict
 
 from recast.core.errors import InputError
 from recast.core.files import disk_errors, read_bytes
+from recast.geometry import se3
 from recast.logs import checks
 from recast.logs.checks import refused
 from recast.logs.hdmap import Lane
@@ -66,10 +67,8 @@ def nearest_rotation(printed: Array) -> Array | None:
 
     None where that is more than a thousandth away in some entry.
     """
-    u, _, vt = np.linalg.svd(printed)
-    rotation: Array = u @ vt
-    near = np.linalg.det(rotation) > 0 and np.abs(rotation - printed).max() <= 1e-3
-    return rotation if near else None
+    rotation, off = se3.nearest_rotations(printed)
+    return rotation if off <= 1e-3 else None
 
 
 def unknown_drive(

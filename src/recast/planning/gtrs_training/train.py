@@ -15,6 +15,7 @@ from torch import nn
 from recast.core.errors import InputError
 from recast.core.files import write_bytes, write_json
 from recast.core.records import Record, read_record
+from recast.logs.images import encode
 from recast.planning.gtrs import GtrsModel, GtrsPlanner, load_gtrs, save_gtrs
 from recast.planning.gtrs.folder import CONFIG_FILE, WEIGHTS_FILE
 from recast.planning.gtrs_training.evaluate import (
@@ -41,7 +42,6 @@ from recast.recar.progress import TrainingBar
 from recast.recar.training.loop import train
 from recast.recar.training.output import hash_files
 from recast.recar.training.state import TrainingState
-from recast.recar.views import encode_rgb
 
 TRAINING_FILE = "planner_training.json"
 _MEND = "name another output folder"
@@ -112,7 +112,7 @@ def train_planner(
 
     def draw_sheet(name: str) -> None:
         sheet = decision_sheet(task, _spread(shown, _SHEET_ROWS), config.scoring)
-        write_bytes(out / "sheets" / f"{name}.png", encode_rgb(sheet))
+        write_bytes(out / "sheets" / f"{name}.png", encode(sheet))
 
     with TrainingBar("planner", trainer.steps, console) as display:
 

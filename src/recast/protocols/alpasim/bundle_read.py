@@ -238,10 +238,8 @@ def _rigid(field: str, matrices: Sequence[_Matrix], reach: float) -> Array:
     for index, matrix in enumerate(found):
         checks.check_reach(f"{field}.{index}", matrix[:3, 3], reach)
         checks.check_reach(f"{field}.{index}", matrix[:3, :3], 2.0)
-    u, _, vt = np.linalg.svd(found[:, :3, :3])
-    turned = u @ vt
-    wrong = np.abs(turned - found[:, :3, :3]).max(axis=(1, 2), initial=0.0) > _UNIT
-    wrong |= (np.linalg.det(turned) < 0) | np.any(found[:, 3] != [0, 0, 0, 1], axis=1)
+    turned, off = se3.nearest_rotations(found[:, :3, :3])
+    wrong = (off > _UNIT) | np.any(found[:, 3] != [0, 0, 0, 1], axis=1)
     if wrong.any():
         raise ValueError(f"{field}.{int(np.argmax(wrong))}: is no rotation and translation")
     return se3.from_rotation_translation(turned, found[:, :3, 3])

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 
 from recast.arrays import Array, Image
+from recast.logs import images
 from recast.logs.checks import LATEST_US
 from recast.protocols.alpasim.cameras import FTHETA_CENTRE, read_camera
 from recast.protocols.alpasim.messages import MOST_BYTES
@@ -110,11 +110,7 @@ def encode(image: Image, image_format: int, quality: int) -> bytes:
     if image_format == PLANAR:
         data = np.moveaxis(image, -1, 0).tobytes()
     else:
-        bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-        if image_format == PNG:
-            data = cv2.imencode(".png", bgr)[1].tobytes()
-        else:
-            data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+        data = images.encode(image, "png" if image_format == PNG else "jpeg", quality)
     if len(data) > MOST_BYTES - 1024:
         raise RefusedError("RESOURCE_EXHAUSTED", f"the image has {len(data)} bytes")
     return data

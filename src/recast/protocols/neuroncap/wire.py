@@ -6,10 +6,10 @@ import base64
 import io
 from collections.abc import Mapping
 
-import cv2
 import torch
 
 from recast.arrays import Image
+from recast.logs import images
 from recast.planning.types import CameraMount
 from recast.planning.views import Look, match_cameras
 
@@ -24,7 +24,6 @@ CAMERAS: Mapping[str, Look] = {
 """The six cameras of nuScenes in NeuroNCAP's order, and where they look, rounded."""
 MEDIA_TYPES = {"raw": "text/plain", "png": "image/png", "jpg": "text/jpeg", "jpeg": "text/jpeg"}
 """Of the image formats, by their names; text/jpeg is what NeuroNCAP's own renderer says."""
-_JPEG_QUALITY = 95
 
 
 def raw_image(image: Image) -> str:
@@ -41,10 +40,7 @@ def encode(image: Image, image_format: str) -> bytes:
     """An image (height, width, 3) uint8 RGB in a format of `MEDIA_TYPES`."""
     if image_format == "raw":
         return raw_image(image).encode("ascii")
-    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    if image_format == "png":
-        return cv2.imencode(".png", bgr)[1].tobytes()
-    return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
+    return images.encode(image, "png" if image_format == "png" else "jpeg")
 
 
 def ncap_cameras(mounts: Mapping[str, CameraMount]) -> dict[str, str]:

@@ -14,11 +14,12 @@ from recast.arrays import Image
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.records import Record, read_record
+from recast.logs.images import encode
 from recast.recar.perturb.camera import Compression, Defocus, Fog, LowLight, MotionBlur, Resampling
 from recast.recar.perturb.kind import Kind, Share, find_object, premultiplied, shrinking, straight
 from recast.recar.perturb.masks import Dilation, Erosion, Holes, Jagged, Leak
 from recast.recar.perturb.occlusion import Border, Cropping, OtherVehicle, Pole
-from recast.recar.views import encode_rgb, write_words
+from recast.recar.views import write_words
 from recast.trellis import check_crop, crop_to_object
 from recast.trellis.conditioning.crop import OPAQUE
 
@@ -258,7 +259,7 @@ def write_sheet(rgba: Image, config: PerturbationConfig, seed: int, path: Path) 
         captions = [f"{name} {severity:.2f}" for name, severity in drawn.applied] or ["clean"]
         for line, caption in enumerate(captions):
             write_words(canvas, caption, (x, foot + 40 + side + 12 * line), 0.33, _MUTED)
-    files.write_bytes(path, encode_rgb(canvas))
+    files.write_bytes(path, encode(canvas))
 
 
 def _with_margin(rgba: Image) -> Image:

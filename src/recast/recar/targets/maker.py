@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from recast.core.errors import InputError
+from recast.logs.images import encode
 from recast.recar.set_records import Split
 from recast.recar.targets.cache import Target
 from recast.recar.targets.cache_records import (
@@ -37,7 +38,7 @@ from recast.recar.targets.views import (
     resized,
     turned,
 )
-from recast.recar.views import Image, encode_rgb, write_words
+from recast.recar.views import Image, write_words
 from recast.splats import Gaussians
 from recast.trellis import GeneratedVehicle, GenerationLimits, ImageTo3D, generate
 
@@ -214,7 +215,7 @@ def contact_sheet(candidate: Candidate) -> bytes:
         rows[0].append(_captioned(shown, f"picture: {_CAPTIONS[column]}"))
         rows[1].append(_captioned(_tile(candidate.gaussians, view), "target"))
         rows[2].append(_tile(candidate.gaussians, turned(view, 45.0)))
-    return encode_rgb(np.vstack([np.hstack(row) for row in rows]))
+    return encode(np.vstack([np.hstack(row) for row in rows]))
 
 
 def _tile(gaussians: Gaussians, viewpoint: Viewpoint) -> Image:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from recast.core.errors import InputError
 from recast.core.files import write_bytes
 from recast.geometry import se3
+from recast.logs.images import encode
 from recast.recar.targets import TargetCache
 from recast.recar.training.conditions import ConditionTokens, View
 from recast.recar.training.state import TrainingState
@@ -23,7 +24,6 @@ from recast.recar.views import (
     FOV_DEG,
     Image,
     camera_pose,
-    encode_rgb,
     pinhole,
     write_words,
 )
@@ -139,7 +139,7 @@ class StageSheets:
         with _written_weights(state, average=self._average):
             sheet = sample_sheet(self._model, self._rows, _SEED)
         path = self._stem.with_name(f"{self._stem.name}-{state.step:07d}.png")
-        write_bytes(path, encode_rgb(sheet))
+        write_bytes(path, encode(sheet))
 
     def _row(self, identity: str, rng: np.random.Generator) -> SheetRow:
         source = self._tokens.source

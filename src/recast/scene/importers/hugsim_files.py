@@ -127,8 +127,7 @@ def rigid_poses(table: Table, name: str, poses: Array) -> Array:
         raise table.fault(name, "holds a matrix that is no pose in metres", _MEND)
     if not np.all(np.linalg.det(turns) > 0):
         raise table.fault(name, "holds a mirrored pose", _MEND)
-    left, _, right = np.linalg.svd(turns)
-    return se3.from_rotation_translation(left @ right, poses[:, :3, 3])
+    return se3.from_rotation_translation(se3.nearest_rotations(turns)[0], poses[:, :3, 3])
 
 
 @dataclass(frozen=True)

@@ -88,8 +88,7 @@ def given_placement(path: Path, scalable: bool = False) -> Placement:
         raise InputError(path, "matrix", f"is not {kind}", "write another one")
     if not scalable and abs(scale - 1) > 1e-4:
         raise InputError(path, "matrix", f"scales by {scale:.6g}", "write one in metres")
-    left, _, right = np.linalg.svd(block)
-    rigid = se3.from_rotation_translation(left @ right, matrix[:3, 3])
+    rigid = se3.from_rotation_translation(se3.nearest_rotations(block)[0], matrix[:3, 3])
     return Placement(rigid, f"as given in {path.name}", scale if scalable else 1.0)
 
 
