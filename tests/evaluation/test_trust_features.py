@@ -172,6 +172,25 @@ def test_no_camera_shows_the_vehicle() -> None:
     assert found.missing["view_angle_deg"] == "no image shows the vehicle"
 
 
+def test_verdicts_that_noise_flips() -> None:
+    hit, missed, longer = (
+        rollout_metrics(one, None)
+        for one in (rollout(actor_y=0.0), rollout(), rollout(actor_y=0.0, ahead=20.0))
+    )
+    assert [one.collision.first_step is None for one in (hit, missed, longer)] == [
+        False,
+        True,
+        True,
+    ]
+    found = trust_features(missed, RECORDED, CAMERAS, None, (), (hit, longer, hit))
+    assert found.values["noise_flips"] == pytest.approx(2 / 3)
+    assert trust_features(missed, RECORDED, CAMERAS, None, (), (longer,)).values["noise_flips"] == 0
+    assert features(rollout()).missing["noise_flips"] == "the arm was driven under one noise"
+    # Over the steps that both have there is no contact yet.
+    before = missed.over(hit.collision.first_step - 1)
+    assert trust_features(before, RECORDED, CAMERAS, None, (), (hit,)).values["noise_flips"] == 0
+
+
 def test_no_camera_is_refused() -> None:
     with pytest.raises(ValueError, match="6 plans, 0 cameras"):
         trust_features(rollout_metrics(rollout(), None), RECORDED, (), None, ())

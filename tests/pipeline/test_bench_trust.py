@@ -35,7 +35,13 @@ CONFIG = RunConfig(
     track="7",
     motions=("cut-in-a", "cut-in-b"),
     planners=("p",),
-    arms=(Arm.native(), Arm.oracle()),
+    arms=(
+        Arm.native(),
+        Arm.oracle(),
+        Arm.native().disturbed("jitter"),
+        Arm.native().disturbed("grey"),
+        Arm.oracle().disturbed("seed"),
+    ),
 )
 VIEW = {
     "view": "front",
@@ -77,13 +83,16 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def make_grid(
     grid: Path, log: Path, scenes: int = 2, views: tuple[object, ...] = (VIEW,), oracle: bool = True
 ) -> Path:
-    """The native actor is hit in setting a, where the true one is not; in b nothing is."""
+    """The native actor is hit in setting a, where the true one is not; in b nothing is.
+
+    Where its images jitter, the native actor is missed in setting a, too.
+    """
     store, rows = Store(grid.parent / "store"), []
     for number in range(scenes):
         scene, used = BenchScene(f"street-{number}", log=log, track="7"), {}
         for setting in ("a", "b"):
             for arm in CONFIG.arms:
-                hits = setting == "a" and not arm.is_truth
+                hits = setting == "a" and not arm.is_truth and arm.noise != "jitter"
                 one = rollout(setting, arm.name, 3.0 if hits else -0.1 * number)
                 use = rollout_name(f"cut-in-{setting}", "p", arm.name)
                 inputs = {"use": use, "grid": str(grid), "scene": number}
@@ -112,18 +121,17 @@ def grid(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_verdicts_and_features_come_from_the_grid(grid: Path) -> None:
     found = judged_rollouts(grid)
-    assert [(one.scene, one.agrees) for one in found] == [
-        ("street-0", False),
-        ("street-0", True),
-        ("street-1", False),
-        ("street-1", True),
-    ]
-    assert {one.arm for one in found} == {"native"}
+    of_a = [("native", False, 0.5), ("native:jitter", True, 1.0), ("native:grey", False, 0.5)]
+    of_b = [("native", True, 0.0), ("native:jitter", True, 0.0), ("native:grey", True, 0.0)]
+    seen = [(one.arm, one.agrees, one.features["noise_flips"]) for one in found]
+    assert seen == 2 * [*of_a, *of_b]
+    assert [one.scene for one in found] == 6 * ["street-0"] + 6 * ["street-1"]
     metrics = read_metrics(grid / "scenes" / "street-1" / METRICS_FILE)["rollouts"]
-    for one, entry in zip(found[2:], metrics[::2], strict=True):
+    judged = [entry for entry in metrics if not entry["arm"].startswith("oracle")]
+    for one, entry in zip(found[6:], judged, strict=True):
         known = {k: v for k, v in entry["trust"]["features"].items() if v is not None}
         assert one.features == known
-    assert all(entry["trust"] is None for entry in metrics[1::2])  # of the truth
+    assert all(entry["trust"] is None for entry in metrics if entry not in judged)
 
 
 def test_a_calibration_and_its_diagrams_are_written(
@@ -135,7 +143,7 @@ def test_a_calibration_and_its_diagrams_are_written(
     assert main(command) == 0
     calibration = read_calibration(out)
     assert calibration.data.grids == ("first",)
-    assert (calibration.data.rollouts, calibration.data.agreeing) == (4, 2)
+    assert (calibration.data.rollouts, calibration.data.agreeing) == (12, 8)
     model = calibration.model
     right, wrong = (
         np.mean([model.trust(one.features) for one in judged_rollouts(grid) if one.agrees is a])
@@ -147,7 +155,7 @@ def test_a_calibration_and_its_diagrams_are_written(
     assert (scores["left out"]["scenes"], scores["validation"]["scenes"]) == (2, 1)
     assert scores["left out"]["auc"] == calibration.left_out.auc == 1.0
     bins = [row["count"] for row in rows if row["table"] == "bins" and row["data"] == "validation"]
-    assert sum(bins) == 2
+    assert sum(bins) == 6
     for name in ("trust.svg", "trust-validation.svg"):
         drawn = ElementTree.parse(tmp_path / name).getroot()
         assert drawn.tag.endswith("svg") and "var(" not in (tmp_path / name).read_text()
@@ -163,7 +171,7 @@ def test_the_packaged_calibration_is_validated(
     grid: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["bench", "trust", "--validate", str(grid)]) == 0
-    assert "2 of 4 agree, 2 scenes" in capsys.readouterr().out
+    assert "8 of 12 agree, 2 scenes" in capsys.readouterr().out
     model = packaged_calibration().model
     metrics = read_metrics(grid / "scenes" / "street-0" / METRICS_FILE)["rollouts"]
     features = {k: v for k, v in metrics[0]["trust"]["features"].items() if v is not None}

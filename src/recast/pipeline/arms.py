@@ -206,9 +206,14 @@ def truth_of(arms: Sequence[Arm]) -> str | None:
 
 def disturbed_arms(arm: Arm, arms: Sequence[Arm]) -> tuple[Arm, ...]:
     """Those of `arms` that are an arm under some disturbance."""
+    return tuple(one for one in under_other_noise(arm, arms) if one.noise is not None)
+
+
+def under_other_noise(arm: Arm, arms: Sequence[Arm]) -> tuple[Arm, ...]:
+    """Those of `arms` that differ from an arm, disturbed or not, by their noise alone."""
     same = arm.model_dump(exclude={"name", "noise"})
-    noisy = (one for one in arms if one.noise is not None)
-    return tuple(one for one in noisy if one.model_dump(exclude={"name", "noise"}) == same)
+    found = (one for one in arms if one.noise != arm.noise)
+    return tuple(one for one in found if one.model_dump(exclude={"name", "noise"}) == same)
 
 
 def require_undisturbed(arms: Sequence[Arm]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from recast.actors import load_actor
 from recast.core import Artefact, Store
 from recast.core.errors import InputError
-from recast.evaluation import RolloutMetrics, rollout_metrics
+from recast.evaluation import RolloutMetrics
 from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.pipeline.arms import Arm, truth_of
 from recast.pipeline.config import RunConfig
@@ -23,12 +23,12 @@ from recast.pipeline.layout import (
     REPORT_FOLDER,
     TURNTABLE_FILE,
     VIEWS_FOLDER,
-    rollout_name,
     use_name,
 )
 from recast.pipeline.report_parts import actor_part, facts, headings, scene_part, warnings
-from recast.pipeline.rollouts import draw_films, films, read_coverage, read_rollout
+from recast.pipeline.rollouts import draw_films, films
 from recast.pipeline.run_folder import RUN_FILE, RunFolder
+from recast.pipeline.scored_rollouts import ScoredRollout, scored_rollouts
 from recast.pipeline.trust import RunTrust, trust_of_process
 from recast.reporting import (
     NOT_MADE,
@@ -222,29 +222,37 @@ class GatheredRun:
             self.log,
         )
 
+    def rollouts(self) -> Iterator[ScoredRollout]:
+        """Those that were made and did not fail."""
+        for motion, planner in product(self.config.motions, self.config.planners):
+            for one in self._scored(motion, planner).values():
+                if isinstance(one, ScoredRollout):
+                    yield one
+
+    def _scored(self, motion: str, planner: str) -> dict[str, ScoredRollout | RolloutFailure]:
+        return scored_rollouts(motion, planner, self.config.arms, self._find, self.map)
+
     def scenario(self, name: str, planner: str) -> ScenarioPart:
         """The rollouts of a motion under each arm."""
         motion = self.config.motion(name)
         title = f"{motion.name}, setting {motion.setting}".capitalize()
         if len(self.config.planners) > 1:
             title += f", {planner}"
+        arms, scored = self.config.arms, self._scored(name, planner)
         return ScenarioPart(
             title=title,
             description=motion.description,
-            rollouts=tuple(self._rollout(name, planner, arm) for arm in self.config.arms),
+            rollouts=tuple(self._rollout(arm, scored.get(arm.name)) for arm in arms),
         )
 
-    def _rollout(self, motion: str, planner: str, arm: Arm) -> RolloutPart:
-        found = self._find(rollout_name(motion, planner, arm.name))
+    def _rollout(self, arm: Arm, found: ScoredRollout | RolloutFailure | None) -> RolloutPart:
         if found is None:
             return RolloutPart(arm.name, NOT_MADE)
-        rollout = read_rollout(found.path)
-        if isinstance(rollout, RolloutFailure):
-            return RolloutPart(arm.name, rollout, NotMade(rollout.reason), NotMade(rollout.reason))
-        metrics, coverage = rollout_metrics(rollout, self.map), read_coverage(found.path)
-        evaluation = self._find(use_name("evaluation", arm.street))
-        trust = None if arm.is_truth else self.trust.of(metrics, found.path, coverage, evaluation)
-        return RolloutPart(arm.name, rollout, metrics, films(found.path), coverage, trust)
+        if isinstance(found, RolloutFailure):
+            return RolloutPart(arm.name, found, NotMade(found.reason), NotMade(found.reason))
+        metrics, shown = found.metrics, films(found.folder)
+        trust = self.trust.of(found)
+        return RolloutPart(arm.name, metrics.rollout, metrics, shown, found.coverage, trust)
 
     def _scene(self, arm: Arm) -> ScenePart | NotMade:
         scene, scores = (self._find(use_name(what, arm.street)) for what in ("scene", "evaluation"))

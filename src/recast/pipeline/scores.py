@@ -12,18 +12,16 @@ from pydantic import BaseModel, ConfigDict, field_validator
 from recast.actors import load_actor
 from recast.core import Artefact, files
 from recast.core.records import parse_record
-from recast.evaluation import COLUMNS, RolloutMetrics, matched_pairs, rollout_metrics, table
+from recast.evaluation import COLUMNS, RolloutMetrics, matched_pairs, table
 from recast.logs import HdMap
 from recast.pipeline.config import RunConfig
-from recast.pipeline.layout import ACTOR_FOLDER, VIEWS_FOLDER, rollout_name, use_name, use_parts
-from recast.pipeline.rollouts import read_coverage, read_rollout
+from recast.pipeline.layout import ACTOR_FOLDER, VIEWS_FOLDER, use_parts
+from recast.pipeline.scored_rollouts import ScoredRollout, scored_rollouts
 from recast.scene import RegionScore
 from recast.scene.evaluate_record import EVALUATION_VERSION, DepthScore
 from recast.simulation import RolloutFailure
-from recast.simulation.coverage import RolloutCoverage
 
 if TYPE_CHECKING:
-    from recast.evaluation.trust import RolloutTrust
     from recast.pipeline.trust import RunTrust
 
 METRICS_VERSION: Literal[3] = 3
@@ -49,23 +47,14 @@ def write_metrics(
         hd_map: lanes and drivable area that the rollouts are judged by.
         trust: of the rollouts' log.
     """
-    metrics: list[RolloutMetrics] = []
-    coverages: list[RolloutCoverage | None] = []
-    trusts: list[RolloutTrust | None] = []
+    rollouts: list[ScoredRollout] = []
     failures: list[RolloutFailure] = []
-    for motion, planner, arm in product(config.motions, config.planners, config.arms):
-        found = used.get(rollout_name(motion, planner, arm.name))
-        if found is None:  # it could not begin
-            continue
-        result = read_rollout(found.path)
-        if isinstance(result, RolloutFailure):
-            failures.append(result)
-            continue
-        scored, coverage = rollout_metrics(result, hd_map), read_coverage(found.path)
-        evaluation = used.get(use_name("evaluation", arm.street))
-        metrics.append(scored)
-        coverages.append(coverage)
-        trusts.append(None if arm.is_truth else trust.of(scored, found.path, coverage, evaluation))
+    for motion, planner in product(config.motions, config.planners):
+        found = scored_rollouts(motion, planner, config.arms, used.get, hd_map)
+        rollouts += [one for one in found.values() if isinstance(one, ScoredRollout)]
+        failures += [one for one in found.values() if isinstance(one, RolloutFailure)]
+    metrics = [one.metrics for one in rollouts]
+    trusts = [trust.of(one) for one in rollouts]
     files.write_json(
         path,
         {
@@ -78,12 +67,12 @@ def write_metrics(
             ],
             "rollouts": [
                 {
-                    **one.to_json(),
-                    "shorter": _shorter(one, metrics),
-                    "coverage": None if shown is None else shown.to_json(),
+                    **one.metrics.to_json(),
+                    "shorter": _shorter(one.metrics, metrics),
+                    "coverage": None if one.coverage is None else one.coverage.to_json(),
                     "trust": None if trusted is None else trusted.to_json(),
                 }
-                for one, shown, trusted in zip(metrics, coverages, trusts, strict=True)
+                for one, trusted in zip(rollouts, trusts, strict=True)
             ],
             "failures": [vars(f) for f in failures],
             "scenes": {

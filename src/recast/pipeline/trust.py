@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import cached_property
 from pathlib import Path
 
-from recast.core import Artefact
 from recast.evaluation import RolloutMetrics
 from recast.evaluation.trust import (
     SIGHTLESS,
@@ -21,10 +20,10 @@ from recast.evaluation.trust import (
 )
 from recast.logs import DrivingLog
 from recast.pipeline.rollouts import given_views
+from recast.pipeline.scored_rollouts import ScoredRollout
 from recast.pipeline.scores import read_evaluation
 from recast.planning import ShownView
 from recast.simulation import Rollout
-from recast.simulation.coverage import RolloutCoverage
 from recast.simulation.oracle_renderer import OracleRenderer
 
 
@@ -44,39 +43,31 @@ class RunTrust:
     def _recorded(self) -> RecordedViews:
         return RecordedViews(self._log, self._track)
 
-    def of(
-        self,
-        metrics: RolloutMetrics,
-        folder: Path,
-        coverage: RolloutCoverage | None,
-        evaluation: Artefact | None,
-    ) -> RolloutTrust:
-        """The trust of a rollout of an arm that is not the truth.
-
-        Args:
-            folder: that `make_rollout` wrote.
-            coverage: of its vehicle; None for one without shares.
-            evaluation: held-out scores of its street; None if no image was held out.
+    def of(self, rollout: ScoredRollout) -> RolloutTrust | None:
+        """The trust of a rollout; None for one that shows the truth.
 
         Raises:
             InputError: a record is missing or damaged.
         """
-        features = self.features(metrics, folder, coverage, evaluation)
+        if rollout.arm.is_truth:
+            return None
+        features = self.features(rollout)
         return SIGHTLESS if features is None else self._judged(features)
 
-    def features(
-        self,
-        metrics: RolloutMetrics,
-        folder: Path,
-        coverage: RolloutCoverage | None,
-        evaluation: Artefact | None,
-    ) -> TrustFeatures | None:
+    def features(self, rollout: ScoredRollout) -> TrustFeatures | None:
         """The features of a rollout, see `of`; None if its planner looks at no images."""
-        cameras = self._cameras(given_views(folder))
+        cameras = self._cameras(given_views(rollout.folder))
         if not cameras:
             return None
-        frames = () if evaluation is None else held_out_frames(evaluation.path / "eval.json")
-        return trust_features(metrics, self._recorded, cameras, coverage, frames)
+        scores = rollout.evaluation
+        return trust_features(
+            rollout.metrics,
+            self._recorded,
+            cameras,
+            rollout.coverage,
+            () if scores is None else held_out_frames(scores.path / "eval.json"),
+            rollout.disturbed,
+        )
 
     def of_process(self, metrics: RolloutMetrics) -> RolloutTrust | None:
         """The trust of a rollout that was run in this process, without shares and held-out scores.

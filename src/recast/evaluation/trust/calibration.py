@@ -25,7 +25,7 @@ from recast.evaluation.trust.reliability import (
 )
 
 FORMAT: Literal["recast-trust"] = "recast-trust"
-VERSION: Literal[1] = 1
+VERSION: Literal[2] = 2
 MEASURED_SCENES = 20
 """A calibration on fewer scenes is provisional."""
 _MEND = "make it anew with `recast bench trust`"
@@ -80,7 +80,7 @@ class Calibration(Record):
     """What turns the features of a rollout into its trust; see docs/trust.md."""
 
     format: Literal["recast-trust"] = FORMAT
-    version: Literal[1] = VERSION
+    version: Literal[2] = VERSION
     intercept: float
     ridge: float = Field(gt=0)
     features: tuple[CalibratedFeature, ...]

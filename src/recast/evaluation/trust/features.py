@@ -13,6 +13,7 @@ from recast.actors.coverage import Coverage
 from recast.arrays import Array, Int64Array
 from recast.dynamics import plan_to_poses
 from recast.evaluation.collision import CAP, TOUCHING
+from recast.evaluation.pairs import over_common_steps
 from recast.evaluation.rollout_metrics import RolloutMetrics
 from recast.evaluation.trust.views import GivenCamera, HeldOutFrame, RecordedViews, VehicleView
 from recast.geometry import boxes
@@ -51,6 +52,7 @@ FEATURES: Mapping[str, Feature] = {
     "plan_change_m": Feature("metres by which the plan changed most", -1, True),
     "margin_m": Feature("metres that the verdict is from flipping", 1, True),
     "least_ttc_s": Feature("least time to collision in seconds, of a rollout without one", 1),
+    "noise_flips": Feature("share of the arm's rollouts under other noise that end otherwise", -1),
     "collision": Feature("1 if the verdict is a collision", 0),
 }
 """All features by name. Shares and angles of the vehicle are means over the images of the plans
@@ -87,6 +89,7 @@ def trust_features(
     cameras: Sequence[GivenCamera],
     coverage: RolloutCoverage | None,
     frames: Sequence[HeldOutFrame],
+    disturbed: Sequence[RolloutMetrics] = (),
 ) -> TrustFeatures:
     """The features of a scored rollout of a planner that looks at images.
 
@@ -97,6 +100,8 @@ def trust_features(
         cameras: that the planner is given; at least one.
         coverage: of its images; None for a vehicle without shares.
         frames: held-out scores of the street; empty if no image was held out.
+        disturbed: the same scenario, planner and arm under other noise; empty if it was not driven
+            so.
 
     Raises:
         ValueError: no plan, or no camera.
@@ -124,6 +129,10 @@ def trust_features(
     else:
         reason = "it has no value" if contact is None else "the rollout collides"
         missing["least_ttc_s"] = reason
+    if disturbed:
+        values["noise_flips"] = float(np.mean([_flips(metrics, one) for one in disturbed]))
+    else:
+        missing["noise_flips"] = "the arm was driven under one noise"
     _add_shares(values, missing, coverage, steps)
     view = _add_views(values, missing, rollout, recorded, cameras, steps, changed)
     _add_street(values, missing, rollout, recorded, cameras, steps, frames)
@@ -171,6 +180,12 @@ def _margin(rollout: Rollout, contact: int | None) -> tuple[float, int]:
     free = np.flatnonzero(depth[contact:] <= 0.0)
     end = len(depth) if len(free) == 0 else contact + int(free[0])
     return float(depth[contact:end].max(initial=0.0)), contact
+
+
+def _flips(one: RolloutMetrics, other: RolloutMetrics) -> bool:
+    """Whether the verdict is another one over the steps that both rollouts have."""
+    one, other = over_common_steps(one, other)
+    return one.collision.nc.value != other.collision.nc.value
 
 
 def _of_steps(coverage: RolloutCoverage, steps: Int64Array) -> Coverage:

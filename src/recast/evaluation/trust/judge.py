@@ -83,8 +83,8 @@ def judge(features: TrustFeatures, calibration: Calibration) -> RolloutTrust:
     return RolloutTrust(value, " ".join(told), steps, features, calibration.provisional)
 
 
-_EXPECTED = ("least_ttc_s", "plan_change_m")
-"""Features whose absence only says what kind of rollout it is."""
+_EXPECTED = ("least_ttc_s", "plan_change_m", "noise_flips")
+"""Features whose absence only says what kind of rollout or run it is."""
 
 
 def _of_ten(value: float) -> str:
@@ -125,5 +125,5 @@ def _told(name: str, value: float) -> str:
     """A feature with its value."""
     if name == "collision":
         return "it is a collision" if value else "it is no collision"
-    digits = 2 if name == "held_out_ssim" else 1
+    digits = 2 if name in ("held_out_ssim", "noise_flips") else 1
     return f"{FEATURES[name].what}, {value:.{digits}f}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
 from pathlib import Path
 
 import pyarrow as pa
@@ -12,7 +11,6 @@ from rich.table import Table
 
 from recast.core import files
 from recast.core.errors import InputError, printable
-from recast.evaluation import rollout_metrics
 from recast.evaluation.trust import (
     Calibration,
     JudgedRollout,
@@ -25,11 +23,8 @@ from recast.evaluation.trust import (
 )
 from recast.pipeline.bench.grid import BENCH_FORMAT, RECORD_FILE, ROLLOUTS_FILE, SCENES_FOLDER
 from recast.pipeline.display import narrow_table
-from recast.pipeline.layout import rollout_name, use_name
 from recast.pipeline.report import open_run
-from recast.pipeline.rollouts import read_coverage, read_rollout
 from recast.reporting.reliability import write_reliability
-from recast.simulation import Rollout
 from recast.tables import read_parquet
 
 _NAMES = ("scene", "motion", "setting", "planner", "arm")
@@ -94,7 +89,8 @@ def run_trust(
 def judged_rollouts(grid: Path) -> list[JudgedRollout]:
     """The rollouts of a finished grid that were compared with the truth, with their features.
 
-    Rollouts of planners that look at no images are left out: their verdicts are right anyway.
+    Rollouts of planners that look at no images are left out, their verdicts are right anyway, and
+    so is the truth under noise.
 
     Raises:
         InputError: it is no finished grid, has no truth, or an artefact is gone.
@@ -103,21 +99,12 @@ def judged_rollouts(grid: Path) -> list[JudgedRollout]:
     found = []
     for scene in dict.fromkeys(key[0] for key in verdicts):
         run = open_run(grid / SCENES_FOLDER / scene)
-        config = run.config
-        for motion, planner, arm in product(config.motions, config.planners, config.arms):
-            artefact = run.folder.artefact(run.store, rollout_name(motion, planner, arm.name))
-            rollout = None if artefact is None else read_rollout(artefact.path)
-            if artefact is None or not isinstance(rollout, Rollout):
-                continue
+        for one in run.rollouts():
+            rollout = one.metrics.rollout
             key = (scene, rollout.motion, rollout.setting, rollout.planner, rollout.arm)
-            if key not in verdicts:
+            if key not in verdicts or one.arm.is_truth:
                 continue
-            features = run.trust.features(
-                rollout_metrics(rollout, run.map),
-                artefact.path,
-                read_coverage(artefact.path),
-                run.folder.artefact(run.store, use_name("evaluation", arm.street)),
-            )
+            features = run.trust.features(one)
             if features is not None:
                 name = (scene, rollout.planner, rollout.arm)
                 found.append(JudgedRollout(*name, features.values, verdicts[key]))
