@@ -16,7 +16,6 @@ from recast.core.errors import InputError
 from recast.core.files import require_new
 from recast.geometry import se3
 from recast.logs import DrivingLog
-from recast.logs.checks import WORLD_REACH
 from recast.scene.importers.actors import (
     SUSPICIOUS_M,
     TURNING,
@@ -28,7 +27,7 @@ from recast.scene.importers.actors import (
     find_tracks,
     read_track_names,
 )
-from recast.scene.importers.checkpoint import NO_SKY, Table, read_checkpoint
+from recast.scene.importers.checkpoint import NO_SKY, RESAMPLED, Table, read_checkpoint
 from recast.scene.importers.mtgs_frames import (
     FRAMES_FILE,
     distance_to_log,
@@ -37,11 +36,21 @@ from recast.scene.importers.mtgs_frames import (
 )
 from recast.scene.importers.mtgs_nodes import (
     MIRRORED,
+    NAMES,
     RIGID,
     SCENERY,
     Node,
     read_gaussian_node,
     read_motion,
+)
+from recast.scene.importers.mtgs_odyssey import (
+    CHECKPOINT,
+    GROUND,
+    exposed,
+    lost,
+    read_ego,
+    read_environment,
+    read_shift,
 )
 from recast.scene.importers.placement import ImportRecord, Placement, write_imported
 from recast.scene.sky import SkyMap
@@ -62,9 +71,12 @@ def import_mtgs(
 ) -> ImportRecord:
     """Make a scene of a portable MTGS checkpoint: scenery, sky, rigid and mirrored actors.
 
+    Odyssey's sheets of ground and its cubemap of the sky are read as well.
+
     Args:
         path: the scene's folder, or its checkpoint. Only of a folder the recorded frames
             (video_scene_dict.pkl) are compared with the log's.
+            An Odyssey scene (scene.ckpt) has the ego's places in the checkpoint.
         log: of the drive it was trained on.
         tracks: JSON file with the log's track ids by the actors' tokens.
         leave_out: tokens of actors not wanted.
@@ -109,6 +121,11 @@ def import_mtgs(
         raise root.fault(
             "log_timestamps", f"lie outside of log {log.name} for all actors", _SAME_LOG
         )
+    adrift = [
+        n
+        for n, one in nodes.items()
+        if one.kind == GROUND and lost(one.gaussians.tensor(NAMES.means, None, 3))
+    ]
     motions = {name: actor.trajectory for name, actor in found.items()}
     chosen, told = find_tracks(root, log, motions, given, by_name=True)
     actors, keeping = as_tracks(root, log, found, chosen)
@@ -122,10 +139,18 @@ def import_mtgs(
         )
     if gaps:
         changed.append(f"{', '.join(gaps)}: absent for a while there, interpolated here")
+    if adrift:
+        changed.append(f"{', '.join(adrift)}: moved to the scene by recon2world_translation")
     changed += keeping
     warnings += told
-    if "skybox" not in nodes:
+    config = root.table("background").table("config")
+    sky = read_environment(config, placement.world_from_scene)
+    if sky is not None:
+        changed.append(RESAMPLED)
+    elif "skybox" not in nodes:
         left_out.append(NO_SKY)
+    if exposed(config):
+        left_out.append("exposure: corrections of single images")
     foreground = sorted(folder.glob("foreground/*.ckpt")) if folder else []
     if foreground:
         left_out.append(f"foreground: {len(foreground)} vehicles to be inserted")
@@ -136,7 +161,9 @@ def import_mtgs(
         out,
         placement,
         StreetScene(
-            concatenate(scenery).transformed(pose), actors, SkyMap.constant(torch.zeros(3))
+            concatenate(scenery).transformed(pose),
+            actors,
+            SkyMap.constant(torch.zeros(3)) if sky is None else sky,
         ),
         layout="mtgs",
         tracks=chosen,
@@ -155,6 +182,8 @@ def find_checkpoint(path: Path) -> tuple[Path | None, Path]:
     if not path.is_dir():
         return None, path
     found = sorted(path.glob("background/*.ckpt"))
+    if not found and (path / CHECKPOINT).is_file():
+        return path, path / CHECKPOINT
     if len(found) != 1:
         problem = f"has {len(found)} files background/*.ckpt, one is needed"
         raise InputError(path, "scene folder", problem, "name the checkpoint itself")
@@ -185,19 +214,16 @@ def read_nodes(root: Table, leave_out: Sequence[str]) -> tuple[dict[str, Node], 
 def _placement(root: Table, log: DrivingLog, folder: Path | None) -> tuple[Placement, list[str]]:
     """Where the scene lies in the log, and what looks wrong with it."""
     config = root.table("background").table("config")
-    shift = config.array("recon2world_translation").reshape(-1)
-    if shift.shape != (3,) or not np.all(np.abs(shift) <= WORLD_REACH):  # also NaN
-        raise config.fault("recon2world_translation", "is not three metres")
-    pose = se3.from_rotation_translation(np.eye(3), shift - log.world_offset)
+    pose = se3.from_rotation_translation(np.eye(3), read_shift(config) - log.world_offset)
     how, warnings = "recon2world_translation of the checkpoint", []
+    ego, file = read_ego(config), root.path
     if folder is not None and (folder / FRAMES_FILE).exists():
-        drives = read_drives(folder / FRAMES_FILE).values()
-        times, places = read_places([frame for frames in drives for frame in frames])
-        distance, count = distance_to_log(times, places, pose, log)
+        file = folder / FRAMES_FILE
+        ego = read_places([frame for frames in read_drives(file).values() for frame in frames])
+    if ego is not None:
+        distance, count = distance_to_log(*ego, pose, log)
         if count == 0:
-            raise InputError(
-                folder / FRAMES_FILE, "timestamp", f"none is in log {log.name}", _SAME_LOG
-            )
+            raise InputError(file, "timestamp", f"none is in log {log.name}", _SAME_LOG)
         how += f"; its ego is {distance:.2f} m from the log's (median of {count} frames)"
         if distance > SUSPICIOUS_M:
             warnings.append(f"the ego of the scene is {distance:.2f} m from the log's")

@@ -24,6 +24,7 @@ from recast.scene.importers.checkpoint import Table, read_checkpoint
 from recast.scene.importers.mtgs import find_checkpoint, import_mtgs, read_nodes
 from recast.scene.importers.mtgs_frames import FRAMES_FILE, read_drives, read_places
 from recast.scene.importers.mtgs_nodes import NAMES, SCENERY, read_motion
+from recast.scene.importers.mtgs_odyssey import read_shift
 from recast.scene.importers.placement import ImportRecord, import_with_log
 
 _SIDES = ("height", "width")
@@ -73,9 +74,7 @@ def mtgs_log(path: str | Path) -> DrivingLog:
     poses = np.stack([_ego_pose(frame) for frame in frames])
     origin = poses[0, :3, 3].copy()
     poses[:, :3, 3] -= origin
-    shift = root.table("background").table("config").array("recon2world_translation")
-    if shift.shape != (3,) or not np.all(np.isfinite(shift)):
-        raise root.fault("background.config.recon2world_translation", "is not three metres")
+    shift = read_shift(root.table("background").table("config"))
     metadata = {"dataset": "nuPlan, as MTGS keeps it", "drive": name, "licence": "that of nuPlan"}
     log = DrivingLog(
         name=f"{file.stem}-{name}" if name else file.stem,

@@ -15,10 +15,11 @@ from recast.logs import DrivingLog, Trajectory
 from recast.logs.checks import WORLD_REACH
 from recast.scene.appearance import mirrored
 from recast.scene.importers.checkpoint import Names, Table, read_gaussians, read_harmonics
+from recast.scene.importers.mtgs_odyssey import GROUND, ground_members
 from recast.splats import Gaussians, concatenate
 from recast.splats.sh import C0, MAX_DEGREE
 
-SCENERY = ("VanillaGaussianSplattingModel", "SkyboxGaussianSplattingModel")
+SCENERY = ("VanillaGaussianSplattingModel", "SkyboxGaussianSplattingModel", GROUND)
 RIGID, MIRRORED = "RigidSubModel", "MirroredRigidSubModel"
 NAMES = Names("means", "features_rest", "scales", "quats", "opacities")
 CONSTANT = "features_dc"
@@ -99,6 +100,8 @@ def read_gaussian_node(node: Node, share: float) -> Gaussians:
         changes[NAMES.quats] = torch.tensor([[1.0, 0, 0, 0]]).expand(count, 4)
     elif sides != 3:
         raise config.fault("scale_dim", f"is {sides:g}, expected 1 or 3")
+    if node.kind == GROUND:
+        changes |= ground_members(config, node.state, table, NAMES)
     found = read_gaussians(table.changed(changes), NAMES, constant)
     if node.kind != MIRRORED:
         return found
