@@ -57,7 +57,7 @@ from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.splats import concatenate
 
-_SAME_LOG = "give the log of the same drive (docs/scenes.md)"
+_SAME_LOG = "give the log of the same drive (docs/howto/published_streets.md)"
 
 
 def import_mtgs(
