@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from recast.arrays import Array
 from recast.core.errors import InputError
@@ -21,7 +21,6 @@ from recast.geometry import PinholeCamera, se3
 from recast.logs import checks
 from recast.logs.checks import refused
 from recast.logs.importers.common import (
-    ForeignRecord,
     chosen_cameras,
     first_jump,
     returns_valid,
@@ -30,6 +29,17 @@ from recast.logs.importers.common import (
 from recast.logs.map_json import parse_map
 from recast.logs.types import CameraStream, DrivingLog, Track, Trajectory
 from recast.protocols.alpasim.bundle import LABELS, MAP, METADATA, PINHOLE, RIG, TRACKS
+from recast.protocols.alpasim.bundle_records import (
+    CameraCalibration,
+    Matrix,
+    Metadata,
+    PinholeParameters,
+    RigTrajectories,
+    RigTrajectory,
+    Tracks,
+    TracksData,
+    TrackSequence,
+)
 from recast.protocols.alpasim.usdz import read_usdz
 from recast.simulation.yaml_lines import Node, read_yaml
 
@@ -51,96 +61,6 @@ once."""
 _MEND = "give a bundle that AlpaSim reads"
 
 _Model = TypeVar("_Model", bound=BaseModel)
-_Text = str | float  # YAML takes 26.04 for a number
-_Time = Annotated[int, Field(ge=-checks.LATEST_US, lt=checks.LATEST_US)]
-_Pixels = Annotated[int, Field(gt=0, lt=1 << 20)]
-_Two = tuple[float, float]
-_Three = tuple[float, float, float]
-_Four = tuple[float, float, float, float]
-_Six = tuple[float, float, float, float, float, float]
-_Seven = tuple[float, float, float, float, float, float, float]
-_Matrix = tuple[_Four, _Four, _Four, _Four]
-
-
-class _Sensors(ForeignRecord):
-    camera_ids: list[str]
-    lidar_ids: list[str]
-
-
-class _TimeRange(ForeignRecord):
-    start: float
-    end: float
-
-
-class _Metadata(ForeignRecord):
-    scene_id: Annotated[str, Field(min_length=1, max_length=checks.NAME_LIMIT)]
-    version_string: _Text
-    training_date: _Text
-    dataset_hash: _Text
-    uuid: _Text
-    is_resumable: bool
-    sensors: _Sensors
-    logger: dict[str, Any]
-    time_range: _TimeRange
-
-
-class _Parameters(ForeignRecord):
-    resolution: tuple[_Pixels, _Pixels]
-    external_distortion_parameters: dict[str, Any] | None = None
-    principal_point: _Two
-    focal_length: _Two
-    radial_coeffs: _Six
-    tangential_coeffs: _Two
-    thin_prism_coeffs: _Four
-
-
-class _CameraModel(ForeignRecord):
-    type: str
-    parameters: dict[str, Any]
-
-
-class _Calibration(ForeignRecord):
-    logical_sensor_name: str
-    T_sensor_rig: _Matrix
-    camera_model: _CameraModel
-
-
-class _WorldToNre(ForeignRecord):
-    matrix: _Matrix
-
-
-class _Trajectory(ForeignRecord):
-    sequence_id: str
-    T_rig_world_timestamps_us: list[_Time]
-    T_rig_worlds: list[_Matrix]
-    cameras_frame_timestamps_us: dict[str, list[tuple[_Time, _Time]]]
-
-
-class _Rig(ForeignRecord):
-    world_to_nre: _WorldToNre
-    camera_calibrations: dict[str, _Calibration]
-    rig_trajectories: Annotated[list[_Trajectory], Field(min_length=1, max_length=1)]
-
-
-class _TracksData(ForeignRecord):
-    tracks_id: list[str]
-    tracks_label_class: list[str]
-    tracks_flags: list[Any]
-    tracks_timestamps_us: list[list[_Time]]
-    tracks_poses: list[list[_Seven]]
-
-
-class _Cuboids(ForeignRecord):
-    cuboids_dims: list[_Three]
-
-
-class _Sequence(ForeignRecord):
-    tracks_data: _TracksData
-    cuboidtracks_data: _Cuboids
-
-
-class _Tracks(ForeignRecord):
-    sequences: Annotated[dict[str, _Sequence], Field(min_length=1, max_length=1)]
 
 
 @returns_valid
@@ -170,11 +90,11 @@ def load_alpasim(
     metadata = _read_metadata(root / METADATA, members[METADATA])
     if drive and drive != metadata.scene_id:
         raise unknown_drive(root, drive, [metadata.scene_id], "")
-    rig = _checked(root / RIG, parse_json(root / RIG, members[RIG]), _Rig)
+    rig = _checked(root / RIG, parse_json(root / RIG, members[RIG]), RigTrajectories)
     ego = _ego(root / RIG, rig.rig_trajectories[0])
     streams = _cameras(root / RIG, rig, cameras)
     found = {"sequences": parse_json(root / TRACKS, members[TRACKS])}
-    [sequence] = _checked(root / TRACKS, found, _Tracks).sequences.values()
+    [sequence] = _checked(root / TRACKS, found, Tracks).sequences.values()
     return DrivingLog(
         name=metadata.scene_id,
         cameras=streams,
@@ -199,7 +119,7 @@ def _checked(where: Path, value: Any, model: type[_Model]) -> _Model:
         raise InputError(where, "JSON", f"cannot be read ({error})", _MEND) from None
 
 
-def _read_metadata(where: Path, data: bytes) -> _Metadata:
+def _read_metadata(where: Path, data: bytes) -> Metadata:
     try:
         value = _plain(read_yaml(data.decode(), str(where)))
     except UnicodeDecodeError as error:
@@ -207,7 +127,7 @@ def _read_metadata(where: Path, data: bytes) -> _Metadata:
         raise InputError(where, "text", problem, _MEND) from None
     except InputError as error:
         raise InputError(error.where, error.field, error.problem, _MEND) from None
-    return _checked(where, value, _Metadata)
+    return _checked(where, value, Metadata)
 
 
 def _plain(node: Node) -> Any:
@@ -216,7 +136,7 @@ def _plain(node: Node) -> Any:
     return [_plain(one) for one in node.value] if isinstance(node.value, list) else node.value
 
 
-def _ego(where: Path, rig: _Trajectory) -> Trajectory:
+def _ego(where: Path, rig: RigTrajectory) -> Trajectory:
     field = "rig_trajectories.0"
     with refused(where, _MEND):
         times = np.array(rig.T_rig_world_timestamps_us, np.int64)
@@ -232,7 +152,7 @@ def _ego(where: Path, rig: _Trajectory) -> Trajectory:
     return Trajectory(times, poses)
 
 
-def _rigid(field: str, matrices: Sequence[_Matrix], reach: float) -> Array:
+def _rigid(field: str, matrices: Sequence[Matrix], reach: float) -> Array:
     """Transforms (N, 4, 4) whose rotations are exactly orthogonal."""
     found = np.array(matrices, np.float64).reshape(-1, 4, 4)
     for index, matrix in enumerate(found):
@@ -245,7 +165,7 @@ def _rigid(field: str, matrices: Sequence[_Matrix], reach: float) -> Array:
     return se3.from_rotation_translation(turned, found[:, :3, 3])
 
 
-def _cameras(where: Path, rig: _Rig, wanted: Sequence[str]) -> dict[str, CameraStream]:
+def _cameras(where: Path, rig: RigTrajectories, wanted: Sequence[str]) -> dict[str, CameraStream]:
     frames = rig.rig_trajectories[0].cameras_frame_timestamps_us
     field = "rig_trajectories.0.cameras_frame_timestamps_us"
     for key, times in frames.items():
@@ -269,7 +189,7 @@ def _cameras(where: Path, rig: _Rig, wanted: Sequence[str]) -> dict[str, CameraS
 
 
 def _camera(
-    where: Path, name: str, key: str, calibrations: dict[str, _Calibration]
+    where: Path, name: str, key: str, calibrations: dict[str, CameraCalibration]
 ) -> CameraStream:
     field, calibration = f"camera_calibrations.{key}", calibrations[key]
     model, mend = calibration.camera_model, "name the cameras to import, or none, with `cameras`"
@@ -277,7 +197,7 @@ def _camera(
         problem = f"is {model.type!r}; logs hold {PINHOLE} cameras"
         raise InputError(where, f"{field}.camera_model.type", problem, mend)
     try:
-        param = _Parameters.model_validate(model.parameters)
+        param = PinholeParameters.model_validate(model.parameters)
     except ValidationError as error:
         fault = validation_error(where, error, _MEND)
         at = f"{field}.camera_model.parameters.{fault.field}"
@@ -299,7 +219,7 @@ def _camera(
     return CameraStream(name, camera, mount[0], np.zeros(0, np.int64), [])
 
 
-def _tracks(where: Path, sequence: _Sequence, ego: Trajectory) -> dict[str, Track]:
+def _tracks(where: Path, sequence: TrackSequence, ego: Trajectory) -> dict[str, Track]:
     data, sizes = sequence.tracks_data, sequence.cuboidtracks_data.cuboids_dims
     lists = {name: getattr(data, name) for name in type(data).model_fields}
     for name, values in (*lists.items(), ("cuboids_dims", sizes)):
@@ -323,7 +243,7 @@ def _tracks(where: Path, sequence: _Sequence, ego: Trajectory) -> dict[str, Trac
     return tracks
 
 
-def _trajectory(data: _TracksData, index: int) -> Trajectory:
+def _trajectory(data: TracksData, index: int) -> Trajectory:
     field = f"tracks_poses.{index}"
     times = np.array(data.tracks_timestamps_us[index], np.int64)
     rows = np.array(data.tracks_poses[index], np.float64).reshape(-1, 7)
