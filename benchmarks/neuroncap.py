@@ -32,8 +32,8 @@ from recast.geometry import PinholeCamera, Polyline, se3
 from recast.logs.types import Trajectory
 from recast.planning import CameraMount, PlannerInput, PlanningContext
 from recast.planning.route import DrivingCommand, ReferenceRoute
+from recast.protocols.neuroncap import NcapService, ncap_app
 from recast.protocols.neuroncap.planner import NeuroNcapPlanner, infer_body
-from recast.protocols.neuroncap.server import NcapService, ncap_app
 from recast.protocols.neuroncap.wire import CAMERAS, encode
 from recast.protocols.requests import RenderRequest
 

@@ -20,7 +20,7 @@ from recast.logs import DrivingLog, load_log
 from recast.pipeline.run_folder import RUN_FILE
 from recast.pipeline.view_run import run_inputs
 from recast.planning import CameraMount
-from recast.protocols.neuroncap.server import NcapService, ncap_app
+from recast.protocols.neuroncap import NcapService, ncap_app
 from recast.protocols.rendering import ScenePainter, ServedScene, Unnamed
 from recast.scene import StreetScene, load_scene
 from recast.scene.importers.placement import given_placement

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 
 from recast.core.web_server import WebServer
 from recast.geometry import se3
+from recast.protocols.neuroncap import NcapService, ncap_app
 from recast.protocols.neuroncap import server as module
-from recast.protocols.neuroncap.server import NcapService, ncap_app
 from recast.protocols.rendering import ScenePainter, ServedScene
 from recast.protocols.requests import RefusedError
 from recast.scene.render import SceneRasterizer

@@ -8,13 +8,14 @@ if TYPE_CHECKING:
     from recast.protocols.neuroncap.scenario_file import NcapScenario, read_ncap_scenario
     from recast.protocols.neuroncap.scenario_runs import NcapRun, ncap_runs
     from recast.protocols.neuroncap.scenarios import ImportedFile, import_ncap_scenario
-    from recast.protocols.neuroncap.server import NcapService, ncap_app
+    from recast.protocols.neuroncap.server import ncap_app
+    from recast.protocols.neuroncap.service import NcapService
 
 _FILES = {
     "ImportedFile": ".scenarios",
     "NcapRun": ".scenario_runs",
     "NcapScenario": ".scenario_file",
-    "NcapService": ".server",
+    "NcapService": ".service",
     "NeuroNcapPlanner": ".planner",
     "import_ncap_scenario": ".scenarios",
     "ncap_app": ".server",
