@@ -134,7 +134,8 @@ def command_line() -> str:
         "# Command line\n",
         "Every command, with its arguments and options. `recast COMMAND --help` prints the same.\n",
         "Every command also takes `--verbose` (show debug records and the tracebacks of errors) "
-        "and `--log-file FILE` (append the same records to FILE).\n",
+        "and `--log-file FILE` (append the same records to FILE). `recast --version` prints the "
+        "version.\n",
     ]
     group = ""
     for words, parser in commands():

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import recast
 from recast.cli.machine import Doctor
 from recast.cli.main import main
 from recast.core import diagnostics
@@ -97,6 +98,11 @@ def test_verbose_shows_where_an_error_comes_from(
     assert any("FileNotFoundError" in line for line in lines)
     assert main(["report", str(tmp_path / "nowhere")]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1, "not the next command's"
+
+
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"recast {recast.__version__}\n"
 
 
 def test_a_log_file_that_cannot_be_written(

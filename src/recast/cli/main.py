@@ -76,7 +76,7 @@ Command: Any = Annotated[
 _DESCRIPTION = """Closed-loop driving simulation from recorded logs.
 
 Every command also takes --verbose (show debug records and the tracebacks of errors) and --log-file
-FILE (append the same records to FILE)."""
+FILE (append the same records to FILE). recast --version prints the version."""
 
 _LOG = logging.getLogger(__name__)
 
@@ -88,6 +88,11 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         where, words = _diagnostics(words)
         diagnostics.begin(where)
+        if words == ["--version"]:
+            from recast import __version__
+
+            print(f"recast {__version__}")
+            return 0
         if _LOG.isEnabledFor(logging.DEBUG):
             from recast import __version__  # asks the installed package, in 40 ms
 
