@@ -19,6 +19,12 @@ from recast.planning import make_planner
 make_planner("alpasim:localhost:6789/front")
 print(*sys.modules)
 """
+_SCENARIOS = """
+import sys
+from recast.cli.main import main
+assert main(["scenario", "list"]) == 0
+print(*sys.modules)
+"""
 _HEAVY = {"torch", "numpy", "scipy", "ncore", "pydantic", "rich", "upath", "matplotlib", "cv2"} | {
     "grpc",
     "google.protobuf",
@@ -38,4 +44,13 @@ def test_the_simulation_and_a_driver_need_neither_torch_nor_grpc_before_a_sessio
     )
     imported = set(done.stdout.split())
     assert {"recast.simulation", "recast.protocols.alpasim.driver"} <= imported
+    assert not imported & {"torch", "grpc"}
+
+
+def test_scenarios_are_listed_without_torch() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _SCENARIOS], capture_output=True, text=True, check=True
+    )
+    imported = set(done.stdout.splitlines()[-1].split())
+    assert "recast.simulation" in imported and "cut-in-a" in done.stdout
     assert not imported & {"torch", "grpc"}

@@ -22,7 +22,7 @@ class List:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        from recast.cli.rows.scenarios import list_scenarios, scenario_rows
+        from recast.cli.rows.scenario_list import list_scenarios, scenario_rows
 
         if self.json:
             print_json(scenario_rows(self.scenarios))

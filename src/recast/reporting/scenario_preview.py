@@ -8,10 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
-from rich.text import Text
 
 from recast.arrays import Array, Image
-from recast.core.errors import printable
 from recast.dynamics import state as ego
 from recast.evaluation.collision import TOUCHING
 from recast.geometry import boxes
@@ -19,8 +17,7 @@ from recast.reporting import palette
 from recast.reporting.canvas import Canvas, View, dashed
 from recast.reporting.marks import MapLayer, draw_car, draw_scale_bar, fitted_view
 from recast.reporting.plots import first_true
-from recast.simulation import PreparedRollout, RolloutSetup, ScriptedMotion, ego_centre
-from recast.simulation.scenario import scenario_numbers
+from recast.simulation import PreparedRollout, RolloutSetup, ego_centre
 from recast.simulation.scenario_names import scenario_name
 from recast.simulation.start_checks import ON_ROAD, on_road_shares, surveyed_road
 
@@ -113,20 +110,6 @@ def notes(facts: Sequence[ScenarioFacts]) -> list[str]:
             left = f"the actor leaves the drivable area {one.off_road:.1f} s after the start"
             found.setdefault(left, []).append(one.name)
     return [f"{', '.join(names)}: {sentence}" for sentence, names in found.items()]
-
-
-def motions_table(motions: Sequence[ScriptedMotion]) -> Table:
-    """Scenarios with their numbers and units, one a row."""
-    table = Table(box=SIMPLE_HEAD)
-    for heading in ("scenario", "numbers", "what happens"):
-        table.add_column(heading)
-    for motion in motions:
-        numbers = scenario_numbers(motion)
-        # as text: a description is no markup
-        table.add_row(
-            scenario_name(motion), "\n".join(numbers), Text(printable(motion.description))
-        )
-    return table
 
 
 def _first(true: np.ndarray, dt: float) -> float | None:

@@ -1,4 +1,4 @@
-"""Scenarios looked at before anything runs: tables, a picture, and rows of `recast scenario`."""
+"""Scenarios on a log, looked at before anything runs: a picture, tables and rows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from PIL import Image
 from rich.console import Console
 
-from recast.cli.output import Rows, with_unit
+from recast.cli.output import Rows
 from recast.core import files
 from recast.core.errors import InputError, printable
 from recast.logs import DrivingLog, map_of, read_log
@@ -18,52 +18,19 @@ from recast.reporting.scenario_preview import (
     ScenarioFacts,
     draw_scenarios,
     facts_table,
-    motions_table,
     notes,
     scenario_facts,
 )
 from recast.simulation import (
-    MOTIONS,
     PreparedRollout,
     RolloutSetup,
     parse_motions,
     prepare,
     scenario_name,
 )
-from recast.simulation.scenario import (
-    MOTION_SCHEMAS,
-    further_actors,
-    kind_of,
-    motion_numbers,
-    target_motion,
-)
 
 if TYPE_CHECKING:
     from recast.protocols.neuroncap import ImportedFile
-
-
-def scenario_rows(names: Sequence[str]) -> Rows:
-    """One row for each scenario, and one for each further actor of a scenario.
-
-    Raises:
-        InputError: an unknown name or a faulty file.
-    """
-    motions = [motion for name in names for motion in parse_motions(name)]
-    found, actors = [], []
-    for motion in motions or list(MOTIONS.values()):
-        name = scenario_name(motion)
-        found.append(
-            {
-                "scenario": name,
-                "description": motion.description,
-                **_numbers(target_motion(motion)),
-            }
-        )
-        actors += [
-            {"scenario": name, "track_id": actor.track_id, **_numbers(actor.motion)}
-            for actor in further_actors(motion)
-        ]
-    return {"scenarios": found, "further_actors": actors}
 
 
 @dataclass(frozen=True)
@@ -118,16 +85,6 @@ def placed_rows(placed: Sequence[Placed]) -> Rows:
     }
 
 
-def _numbers(motion: Any) -> dict[str, Any]:
-    kind = kind_of(motion)
-    quantities = {} if kind is None else MOTION_SCHEMAS[kind].quantities
-    numbers = motion_numbers(motion)
-    return {
-        "motion": kind or motion.name,
-        **{with_unit(name, quantities[name].unit): value for name, value in numbers.items()},
-    }
-
-
 def _facts(facts: ScenarioFacts) -> dict[str, Any]:
     return {
         "start_s": facts.start,
@@ -143,16 +100,6 @@ def _facts(facts: ScenarioFacts) -> dict[str, Any]:
         "asked_s": facts.asked,
         "cut_reason": facts.cut_reason,
     }
-
-
-def list_scenarios(names: Sequence[str], console: Console) -> None:
-    """Print the scenarios that names and files stand for; where none is given, all built in.
-
-    Raises:
-        InputError: an unknown name or a faulty file.
-    """
-    found = [motion for name in names for motion in parse_motions(name)] or list(MOTIONS.values())
-    console.print(motions_table(found))
 
 
 def show_scenarios(placed: Sequence[Placed], out: Path, console: Console) -> None:
